@@ -1,0 +1,65 @@
+# Everything from a bare checkout: `make test` makes its own .venv first.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+PYTEST := $(BIN)/pytest -n 2
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+# Tests and the demo compile the same programs again and again: keep them between runs.
+# (Benchmarks measure compilation, so they do without.)
+test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
+test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
+
+.PHONY: help setup test test-all lint types demo bench notebooks clean
+
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(STAMP) ## make .venv with rbjax (editable) and everything the tests need
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "rbjax needs Python 3.11 or newer, and $(PYTHON) is '$$($(PYTHON) --version 2>&1)':" \
+	       "name a newer one, as in 'make setup PYTHON=python3.12'." >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { \
+	  echo "$(PYTHON) cannot make a virtual environment: on Debian, 'apt install python3-venv'." >&2; \
+	  exit 1; }
+	@echo "installing rbjax and its test tools into $(VENV), a minute or two ..."
+	@$(BIN)/pip install -qq --editable '.[test]'
+	@touch $@
+
+test: lint types ## lint, types, tests, doctests, notebooks; not the slow ones
+	$(PYTEST) -m "not slow"
+
+test-all: lint types ## the same with the slow tests
+	$(PYTEST)
+
+lint: $(STAMP) ## ruff
+	$(BIN)/ruff check --quiet .
+
+types: $(STAMP) ## mypy
+	$(BIN)/mypy
+
+demo: $(STAMP) ## the main job on bundled scenes; pictures and a report in ./rbjax-demo/
+	$(BIN)/rbjax demo
+
+bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
+	@for script in $(filter-out timing,$(basename $(notdir $(wildcard benchmarks/*.py)))); do \
+	  echo "benchmarks/$$script.py"; $(BIN)/python -m benchmarks.$$script || exit 1; \
+	done
+
+notebooks: $(patsubst %.py,%.ipynb,$(wildcard notebooks/*.py)) ## execute every notebook anew
+
+# Executed aside and moved into place, so that a failure leaves the last good one.
+notebooks/%.ipynb: notebooks/%.py $(STAMP) FORCE
+	@mkdir -p .cache/notebooks
+	$(BIN)/jupytext --quiet --to ipynb --set-kernel python3 --output .cache/$@ $<
+	$(BIN)/jupyter-execute --inplace .cache/$@
+	@mv .cache/$@ $@
+
+FORCE:
+
+clean: ## remove all that make has made, .venv included
+	rm -rf $(VENV) .cache .mypy_cache .pytest_cache .ruff_cache build dist *.egg-info rbjax-demo
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

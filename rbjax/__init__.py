@@ -1,0 +1,75 @@
+"""rbjax: differentiable rigid-body dynamics in JAX.
+
+A robot file goes in; fast, accurate, differentiable motion comes out, in a batch of one or of a
+million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
+"""
+
+from rbjax import dynamics, forces, rotations, spatial
+from rbjax.dynamics import (
+    Poses,
+    bias_forces,
+    body_velocities,
+    center_of_mass,
+    centroidal_momentum,
+    coriolis_matrix,
+    difference,
+    forward_dynamics,
+    forward_dynamics_derivatives,
+    forward_kinematics,
+    gravity_forces,
+    inertial_parameters,
+    inertial_regressor,
+    integrate,
+    inverse_dynamics,
+    inverse_dynamics_derivatives,
+    inverse_mass_matrix,
+    jacobian,
+    kinetic_energy,
+    mass_matrix,
+    potential_energy,
+    site_pose,
+)
+from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
+from rbjax.forces import applied_forces
+from rbjax.model import Model, State, load, scenes
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "InputError",
+    "Model",
+    "ModelError",
+    "Poses",
+    "RbjaxError",
+    "State",
+    "UnknownName",
+    "UnsupportedFeature",
+    "applied_forces",
+    "bias_forces",
+    "body_velocities",
+    "center_of_mass",
+    "centroidal_momentum",
+    "coriolis_matrix",
+    "difference",
+    "dynamics",
+    "forces",
+    "forward_dynamics",
+    "forward_dynamics_derivatives",
+    "forward_kinematics",
+    "gravity_forces",
+    "inertial_parameters",
+    "inertial_regressor",
+    "integrate",
+    "inverse_dynamics",
+    "inverse_dynamics_derivatives",
+    "inverse_mass_matrix",
+    "jacobian",
+    "kinetic_energy",
+    "load",
+    "mass_matrix",
+    "potential_energy",
+    "rotations",
+    "scenes",
+    "site_pose",
+    "spatial",
+]

@@ -1,0 +1,127 @@
+"""Articulated-body algorithm: forward dynamics in O(n) (Featherstone, ch. 7).
+
+In Newton-Euler form, with the classical acceleration of each link's origin: then no linear velocity
+is ever needed (Luh, Walker & Paul 1980), and forces still add as spatial forces about the origin.
+
+    outward   w = E w_p + rate;   c = bias acceleration;   p = [w x J w; w x (w x h)]
+    inward    U = I_A S;  D = S.U + armature;  u = tau - S.p_A
+              to the parent: X^T (I_A - U U^T / D),  X^T (p_A + I_a c + U u / D)
+    outward   a' = X(a_p) + c;  qdd = (u - U.a') / D;  a = a' + S qdd
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from rbjax.dynamics.drivers import Driver
+from rbjax.dynamics.joints import JointMotion
+from rbjax.lanes import Lane, Vec3, add, mul, sub
+from rbjax.materialize import materialize
+from rbjax.model import LinkConstants
+from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
+
+
+class Swing(NamedTuple):
+    """A link's motion at given q and v: its pose, its bias acceleration, its bias force."""
+
+    X: Transform
+    w: Vec3
+    c: Motion
+
+
+class Factor(NamedTuple):
+    """What elimination of a joint leaves: qdd = (u - U.a) / D."""
+
+    X: Transform
+    S: Motion
+    U: Force
+    inverse_D: Lane
+
+
+def swing(x: tuple[LinkConstants, JointMotion], w_parent: Vec3) -> tuple[Vec3, Swing]:
+    """Outward step: angular velocity and bias acceleration (centripetal, Coriolis, gyroscopic)."""
+    link, joint = x
+    X = joint.transform(link)
+    w = X.E @ w_parent + joint.rate
+    spin = joint.S * joint.qd
+    centripetal = X.E @ w_parent.cross(w_parent.cross(X.p))
+    coriolis = w.cross(spin.lin) * 2.0
+    return w, Swing(X, w, Motion(w.cross(spin.ang), centripetal + coriolis))
+
+
+def bias_force(inertia: RigidInertia, w: Vec3) -> Force:
+    """p = [w x J w; w x (w x h)], the force that turning alone asks for."""
+    return Force(w.cross(inertia.J @ w), w.cross(w.cross(inertia.h)))
+
+
+def eliminate(
+    link: LinkConstants, S: Motion, X: Transform, I_A: ArticulatedInertia
+) -> tuple[ArticulatedInertia, Factor]:
+    """Give the joint its own freedom: the factor, and the inertia left across it."""
+    U = I_A(S)
+    inverse_D = 1.0 / add(S.dot(U), link.armature)
+    return I_A.without(U, inverse_D, S, link.armature), Factor(X, S, U, inverse_D)
+
+
+def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
+    """Accelerations per link, and the factors of the mass matrix."""
+    swings = d.outward(swing, Vec3.zero(), d.zip(d.constants, joints))
+
+    def inward(x, message):
+        link, joint, motion, tau = x
+        p_A = bias_force(link.inertia, motion.w) + message[1]
+        I_a, factor = eliminate(
+            link, joint.S, motion.X, link.inertia.articulated() + message[0]
+        )
+        I_a, factor = materialize((I_a, factor))
+        u = sub(tau, joint.S.dot(p_A))
+        p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)
+        message = (motion.X.articulated_to_parent(I_a), motion.X.T(p_a))
+        return message, (factor, u, motion.c)
+
+    zero = (ArticulatedInertia.zero(), Force.zero())
+    ys = d.inward(inward, zero, d.zip(d.constants, joints, swings, tau))
+
+    def accelerate(x, a_parent):
+        factor, u, c = x
+        a = factor.X(a_parent) + c
+        qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
+        return a + factor.S * qdd, (qdd, factor)
+
+    out = d.outward(accelerate, Motion(Vec3.zero(), -gravity), ys)
+    return _unzip(d, out)
+
+
+def factorize(d: Driver, joints: Any) -> Any:
+    """The factors of the mass matrix at rest: articulated inertias alone."""
+
+    def inward(x, I_children):
+        link, joint = x
+        X = joint.transform(link)
+        I_a, factor = eliminate(link, joint.S, X, link.inertia.articulated() + I_children)
+        return X.articulated_to_parent(I_a), factor
+
+    return d.inward(inward, ArticulatedInertia.zero(), d.zip(d.constants, joints))
+
+
+def solve(d: Driver, factors: Any, tau: Any) -> Any:
+    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau."""
+
+    def inward(x, p_A):
+        factor, tau = x
+        u = sub(tau, factor.S.dot(p_A))
+        return factor.X.T(p_A + factor.U * mul(u, factor.inverse_D)), (factor, u)
+
+    def outward(x, a_parent):
+        factor, u = x
+        a = factor.X(a_parent)
+        qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
+        return a + factor.S * qdd, qdd
+
+    return d.outward(outward, Motion.zero(), d.inward(inward, Force.zero(), d.zip(factors, tau)))
+
+
+def _unzip(d: Driver, pairs: Any) -> tuple[Any, Any]:
+    if isinstance(pairs, list):
+        return [a for a, _ in pairs], [b for _, b in pairs]
+    return pairs

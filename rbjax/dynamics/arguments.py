@@ -1,0 +1,123 @@
+"""The door of every public algorithm: checks of what comes in, one dtype, one compiled call.
+
+Outside traced code an algorithm checks its arguments' values and runs compiled, with the model's
+numbers as arguments (changing one never recompiles). Inside traced code it is inlined: then a model
+that is closed over is constant, and its zeros vanish from the program.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+
+#: argument name -> its shape in terms of the model
+SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
+    "q": lambda m: (m.nq,),
+    "q0": lambda m: (m.nq,),
+    "q1": lambda m: (m.nq,),
+    "v": lambda m: (m.nv,),
+    "a": lambda m: (m.nv,),
+    "dq": lambda m: (m.nv,),
+    "tau": lambda m: (m.nv,),
+    "ctrl": lambda m: (m.nu,),
+    "wrenches": lambda m: (m.nb, 6),
+}
+
+
+def algorithm(*names: str) -> Callable[[Callable], Callable]:
+    """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
+
+    A `state` among the names is a `State`; names of bodies and sites are static.
+    """
+
+    def decorate(f: Callable) -> Callable:
+        signature = inspect.signature(f)
+        static = [n for n in ("body", "site") if n in signature.parameters]
+        compiled = jax.jit(f, static_argnames=static)
+
+        @functools.wraps(f)
+        def call(model: Model, *args: Any, **kwargs: Any) -> Any:
+            bound = signature.bind(model, *args, **kwargs)
+            given = {n: bound.arguments[n] for n in names if n in bound.arguments}
+            bound.arguments.update(check_arrays(f.__name__, model, given))
+            leaves = jax.tree.leaves((bound.args, bound.kwargs))
+            traced = any(isinstance(x, jax.core.Tracer) for x in leaves)
+            return (f if traced else compiled)(*bound.args, **bound.kwargs)
+
+        return call
+
+    return decorate
+
+
+def check_arrays(where: str, model: Model, given: dict[str, Any]) -> dict[str, Any]:
+    """The named arrays in one floating dtype, with shapes and (where known) values checked."""
+    if not isinstance(model, Model):
+        raise InputError(
+            f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
+        )
+    given = dict(given)
+    state = given.pop("state", None)
+    if state is not None:
+        if not isinstance(state, State):
+            raise InputError(
+                f"{where}: state is {type(state).__name__}, expected rbjax.State(q, v)"
+            )
+        given |= {"q": state.q, "v": state.v}
+    out: dict[str, Any] = {}
+    for name, value in given.items():
+        if value is not None:
+            out[name] = _checked(where, name, value, SHAPES[name](model))
+    dtype = jnp.result_type(*out.values()) if out else jnp.result_type(float)
+    out = {name: value.astype(dtype) for name, value in out.items()}
+    for name in ("q", "q0", "q1"):
+        if name in out:
+            check_quaternions(where, name, model, out[name])
+    if state is not None:
+        out["state"] = State(out.pop("q"), out.pop("v"))
+    return out
+
+
+def _checked(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Array:
+    try:
+        x = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: {name} is {type(value).__name__}, expected an array") from error
+    if x.shape != shape:
+        hint = ""
+        if x.shape[1:] == shape or x.shape[:-1] == shape:
+            hint = "; for a batch use jax.vmap"
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected {shape}{hint}")
+    if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
+        x = x.astype(jnp.result_type(float))
+    if not jnp.issubdtype(x.dtype, jnp.floating):
+        raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
+    if not isinstance(x, jax.core.Tracer):
+        bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(-1))
+        if len(bad):
+            raise InputError(
+                f"{where}: {name}[{int(bad[0])}] is {np.asarray(x).reshape(-1)[bad[0]]}, "
+                f"expected finite values"
+            )
+    return x
+
+
+def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None:
+    """Refuse quaternions of no length, where values are known."""
+    if isinstance(q, jax.core.Tracer):
+        return
+    values = np.asarray(q)
+    for start in model.topology.quaternion_starts:
+        if not np.any(values[..., start : start + 4], -1).all():
+            raise InputError(
+                f"{where}: {name}[{start}:{start + 4}] is a zero quaternion, expected a unit one "
+                f"(w, x, y, z); no rotation is (1, 0, 0, 0)"
+            )

@@ -1,0 +1,101 @@
+"""Composite-rigid-body algorithm: the joint-space inertia matrix (Featherstone, ch. 6).
+
+    inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F + armature
+             F travels on to the root, and M_ji = S_j . F at each ancestor j on its way.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.drivers import Driver, Rolled, Unrolled, driver
+from rbjax.lanes import Lane, Sym3, Vec3, add, mul
+from rbjax.materialize import materialize
+from rbjax.model import WORLD, Model
+from rbjax.spatial import Force, RigidInertia
+
+_ZERO = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
+
+
+def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]:
+    """One step: the link's pose in its parent, its composite inertia, and F = I_c S."""
+    link, joint = x
+    I_c = link.inertia + children
+    return joint.transform(link), I_c, I_c(joint.S)
+
+
+def _unrolled(d: Unrolled, joints: list) -> jax.Array | list[list[Lane]]:
+    """Rows of lanes; each F walks to the root by itself."""
+
+    def step(x, children):
+        X, I_c, F = composite(x, children)
+        return X.rigid_to_parent(I_c), (X, F)
+
+    ys = d.inward(step, _ZERO, d.zip(d.constants, joints))
+    n = len(joints)
+    M: list[list[Lane]] = [[0.0] * n for _ in range(n)]
+    for i, (X, F) in enumerate(ys):
+        M[i][i] = add(joints[i].S.dot(F), d.constants[i].armature)
+        j = i
+        while d.topology.parents[j] != WORLD:
+            F = materialize(X.T(F))
+            j = d.topology.parents[j]
+            X = ys[j][0]
+            M[i][j] = M[j][i] = joints[j].S.dot(F)
+    return M
+
+
+def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
+    """The F of all descendants travel side by side, as lanes of shape (nv,)."""
+    n = d.topology.nv
+
+    def step(x, children):
+        I_children, passing = children
+        link, joint, own = x
+        X, I_c, F = composite((link, joint), I_children)
+        I_c, passing = materialize((I_c, Force.from_lanes(
+            add(p, mul(own, f)) for p, f in zip(passing, F, strict=True)
+        )))  # fmt: skip
+        row = add(joint.S.dot(passing), mul(own, link.armature))
+        return (X.rigid_to_parent(I_c), X.T(passing)), row
+
+    passing = Force.from_lanes([jnp.zeros(n, like.dtype)] * 6)
+    rows = d.inward(step, (_ZERO, passing), d.zip(d.constants, joints, jnp.eye(n, dtype=like.dtype)))
+    return rows + jnp.triu(rows, 1).T
+
+
+@algorithm("q")
+def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
+    """M(q) (nv, nv), symmetric positive definite: kinetic energy = v^T M v / 2, armature included.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Returns:
+        (nv, nv) kg m^2, kg m or kg.
+
+    Raises:
+        InputError: wrong shape or dtype, values that are not finite, zero quaternions.
+
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 6 (CRBA).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rb.mass_matrix(model, model.default_state().q).shape
+        (2, 2)
+    """
+    n = model.nv
+    if not n:
+        return jnp.zeros((0, 0), q.dtype)
+    d = driver(model, q.dtype)
+    joints = d.joints(q, None)
+    if isinstance(d, Rolled):
+        return _rolled(d, joints, q)
+    M = _unrolled(d, joints)
+    return d.pack([x for row in M for x in row], jnp.zeros(n * n, q.dtype)).reshape(n, n)

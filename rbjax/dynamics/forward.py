@@ -1,0 +1,121 @@
+"""Forward dynamics and the inverse of the mass matrix, by the articulated-body algorithm.
+
+The derivative needs no differentiated ABA. With a = FD(q, v, tau), the identity
+ID(q, v, FD(q, v, tau)) = tau gives
+
+    da = M^-1 (dtau - dID(q, v, a)),
+
+one tangent of RNEA and one solve with the factors that ABA has left (Carpentier & Mansard 2018).
+"""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+
+from rbjax.dynamics.aba import aba, factorize, solve
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.jacobians import wrench_forces
+from rbjax.dynamics.rnea import rnea
+from rbjax.model import Model
+
+
+@jax.custom_jvp
+def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
+    """a = M^-1 (tau - b) on checked arrays (nv, ...)."""
+    d = driver(model, q.dtype)
+    qdd, _ = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
+    return d.pack(qdd, tau)
+
+
+@functools.partial(acceleration.defjvp, symbolic_zeros=True)
+def _acceleration_jvp(primals, tangents):
+    model, q, v, tau = primals
+    d = driver(model, q.dtype)
+    _, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
+    a = acceleration(model, q, v, tau)
+    leaves, treedef = jax.tree.flatten((model, q, v))
+    rates = jax.tree.leaves(tangents[:3])
+    moving = [i for i, t in enumerate(rates) if not isinstance(t, SymbolicZero)]
+
+    def inverse(*changed):
+        filled = list(leaves)
+        for i, x in zip(moving, changed, strict=True):
+            filled[i] = x
+        model, q, v = jax.tree.unflatten(treedef, filled)
+        d = driver(model, q.dtype)
+        return d.pack(rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity), tau)
+
+    dtau = tangents[3]
+    if isinstance(dtau, SymbolicZero):
+        dtau = jnp.zeros_like(tau)
+    if moving:
+        at = [leaves[i] for i in moving]
+        dtau = dtau - jax.jvp(inverse, at, [rates[i] for i in moving])[1]
+    return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
+
+
+@algorithm("q", "v", "tau", "wrenches")
+def forward_dynamics(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, wrenches: jax.Array | None = None
+) -> jax.Array:
+    """Accelerations of a robot under generalized forces: a = M^-1 (tau - b + sum_b J_b^T w_b).
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        tau: (nv,) all applied generalized forces; see `applied_forces` for what the model applies.
+        wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
+
+    Returns:
+        (nv,) the rate of v.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
+
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7 (ABA).
+
+    Example:
+        >>> import rbjax as rb, jax
+        >>> model = rb.load("arm7")
+        >>> state = model.random_state(jax.random.key(0))
+        >>> rb.forward_dynamics(model, state.q, state.v, 0 * state.v).shape
+        (7,)
+    """
+    if not model.nv:
+        return jnp.zeros(0, q.dtype)
+    if wrenches is not None:
+        tau = tau + wrench_forces(driver(model, q.dtype), q, wrenches)
+    return acceleration(model, q, v, tau)
+
+
+@algorithm("q")
+def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
+    """M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Source: Featherstone, 7.5; Carpentier (2018), analytical inverse of the joint-space inertia.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rb.inverse_mass_matrix(model, model.default_state().q).shape
+        (2, 2)
+    """
+    if not model.nv:
+        return jnp.zeros((0, 0), q.dtype)
+    d = driver(model, q.dtype)
+    factors = factorize(d, d.joints(q, None))
+
+    def column(unit):
+        return d.pack(solve(d, factors, d.lanes(unit)), unit)
+
+    return jax.vmap(column)(jnp.eye(model.nv, dtype=q.dtype))

@@ -1,0 +1,99 @@
+"""How each link moves against its parent, from q and v.
+
+A hinge turns about z by q, a slide moves along z by q. The first link of a ball carries the whole
+rotation of its quaternion and the whole angular velocity; the other two stand still against it and
+only bring their axis. For all three the joint's share of the bias acceleration is w x S qd with w
+the final angular velocity, because the axes are fixed in the body (Featherstone, 4.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix, rotation_z, sub
+from rbjax.materialize import sincos
+from rbjax.model import Link, LinkConstants, Prepared, Topology
+from rbjax.spatial import Motion, Transform
+
+_CYCLE = Mat3(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # z to x, x to y, y to z
+_HINGE = Motion(Vec3(0.0, 0.0, 1.0), Vec3.zero())
+_SLIDE = Motion(Vec3.zero(), Vec3(0.0, 0.0, 1.0))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class JointMotion:
+    """J turns the link against its parent, `slide` moves it along z; S is its axis.
+
+    `rate` is the angular velocity that the joint adds, `qd` the speed along S.
+    """
+
+    J: Mat3
+    slide: Lane
+    S: Motion
+    rate: Vec3
+    qd: Lane
+
+    def transform(self, link: LinkConstants) -> Transform:
+        """The pose of the link in its parent."""
+        return Transform(link.R @ self.J, link.p + link.R.columns[2] * self.slide)
+
+
+def joint_lanes(
+    link: Link, constants: LinkConstants, q: list[Lane], v: list[Lane], i: int, trig=sincos
+) -> JointMotion:
+    """The motion of one link, for the unrolled driver."""
+    qd = v[i]
+    if link.kind == "slide":
+        at = sub(q[link.q], constants.reference)
+        return JointMotion(Mat3.identity(), at, _SLIDE, Vec3.zero(), qd)
+    if link.quaternion:
+        J = quaternion_matrix(*q[link.q : link.q + 4]) @ _CYCLE
+        return JointMotion(J, 0.0, _HINGE, Vec3(v[i + 1], v[i + 2], v[i]), qd)
+    if link.q is None:
+        return JointMotion(Mat3.identity(), 0.0, _HINGE, Vec3.zero(), qd)
+    angle = sub(q[link.q], constants.reference)
+    return JointMotion(rotation_z(*trig(angle)), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
+
+
+def joint_columns(
+    top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None
+) -> JointMotion:
+    """The motions of all links as columns (nv, ...), for the rolled driver."""
+    batch = (1,) * (q.ndim - 1)
+    links = top.links
+
+    def mask(flags):
+        return np.array(list(flags), bool).reshape(-1, *batch)
+
+    hinge = mask(link.kind == "hinge" for link in links)
+    own = mask(link.kind == "hinge" and link.part is None for link in links)
+    starts = np.array([0 if link.q is None else link.q for link in links])
+    reference = prepared.columns.reference.reshape(-1, *batch)
+    at = q[starts] - jnp.asarray(reference, q.dtype)
+    angle = at if own.all() else jnp.where(own, at, 0.0)
+    J = rotation_z(*sincos(angle))
+    rate, qd = Vec3.zero(), 0.0 if v is None else v
+    if v is not None:
+        rate = Vec3(0.0, 0.0, v if own.all() else jnp.where(own, v, 0.0))
+    first = np.array([i for i, link in enumerate(links) if link.quaternion], int)
+    if len(first):
+        quaternion = (q[starts[first] + k] for k in range(4))
+        turned = quaternion_matrix(*quaternion) @ _CYCLE
+        J = Mat3(*(_insert(a, first, b, at) for a, b in zip(J, turned, strict=True)))
+        if v is not None:
+            extra = (v[first + 1], v[first + 2], v[first])
+            rate = Vec3(*(_insert(a, first, b, v) for a, b in zip(rate, extra, strict=True)))
+    if hinge.all():
+        return JointMotion(J, 0.0, _HINGE, rate, qd)
+    turns = hinge.astype(q.dtype)
+    S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
+    return JointMotion(J, jnp.where(hinge, 0.0, at), S, rate, qd)
+
+
+def _insert(column: Lane, rows: np.ndarray, values: jax.Array, like: jax.Array) -> jax.Array:
+    return jnp.broadcast_to(jnp.asarray(column, like.dtype), like.shape).at[rows].set(values)

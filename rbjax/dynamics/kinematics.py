@@ -1,0 +1,168 @@
+"""Forward kinematics: where links, bodies and sites are, and how bodies move.
+
+    R_WC = R_WP R_PC,   p_WC = p_WP + R_WP p_PC,   w_C = w_P + z qd,   v_C = v_P + w_P x r + z qd
+(Featherstone, 4.4; Lynch & Park, *Modern Robotics*, ch. 4-5.)
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.drivers import Driver, driver
+from rbjax.lanes import Mat3, Vec3
+from rbjax.model import WORLD, Model
+from rbjax.model.links import matrix_apply, matrix_product
+from rbjax.rotations import quaternion
+from rbjax.spatial import Motion, Transform
+
+
+class Poses(NamedTuple):
+    """Attitude R (nb, 3, 3), body to world axes, and position p (nb, 3) of each body's frame."""
+
+    R: jax.Array
+    p: jax.Array
+
+
+def world_poses(d: Driver, joints: Any) -> Any:
+    """The pose of each link in the world, per link."""
+
+    def step(x, parent):
+        link, joint = x
+        pose = parent.then(joint.transform(link))
+        return pose, pose
+
+    root = Transform(Mat3.identity(), Vec3.zero())
+    return d.outward(step, root, d.zip(d.constants, joints))
+
+
+def link_poses(d: Driver, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """World poses of the links as arrays R (nv, 3, 3) and p (nv, 3)."""
+    columns = d.columns(world_poses(d, d.joints(q, None)), jnp.zeros(d.topology.nv, q.dtype))
+    return jnp.stack(list(columns.R), -1).reshape(-1, 3, 3), jnp.stack(list(columns.p), -1)
+
+
+def body_poses(d: Driver, R: jax.Array, p: jax.Array) -> Poses:
+    """World poses of the bodies, from those of the links that carry them."""
+    body_R = jnp.asarray(d.prepared.body_R, R.dtype)
+    body_p = jnp.asarray(d.prepared.body_p, R.dtype)
+    link = np.array(d.topology.body_links, int)
+    fixed = (link == WORLD)[:, None]
+    carrier_R = jnp.where(fixed[..., None], jnp.eye(3, dtype=R.dtype), R[link])
+    carrier_p = jnp.where(fixed, jnp.zeros(3, R.dtype), p[link])
+    return Poses(
+        matrix_product(carrier_R, body_R), carrier_p + matrix_apply(carrier_R, body_p)
+    )
+
+
+@algorithm("q")
+def forward_kinematics(model: Model, q: jax.Array) -> Poses:
+    """Poses of all bodies in the world.
+
+    R_WC = R_WP R_PC, p_WC = p_WP + R_WP p_PC.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Returns:
+        `Poses(R (nb, 3, 3), p (nb, 3))` in metres, in the file's order without the world.
+
+    Raises:
+        InputError: wrong shape or dtype, values that are not finite, zero quaternions.
+
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, 4.4.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> poses = rb.forward_kinematics(model, model.default_state().q)
+        >>> poses.p.shape
+        (2, 3)
+    """
+    d = driver(model, q.dtype)
+    if not model.nv:
+        return body_poses(d, jnp.zeros((1, 3, 3), q.dtype), jnp.zeros((1, 3), q.dtype))
+    return body_poses(d, *link_poses(d, q))
+
+
+@algorithm("q")
+def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Array]:
+    """Pose of a named site in the world: R (3, 3), p (3,).
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        site: its name in the file.
+
+    Raises:
+        UnknownName: with the names there are.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("arm7")
+        >>> R, p = rb.site_pose(model, model.default_state().q, "tool")
+        >>> p.shape
+        (3,)
+    """
+    i = model.site(site)
+    poses = forward_kinematics(model, q)
+    body = model.topology.site_bodies[i]
+    R = quaternion.to_matrix(model.sites.orientation[i]).astype(q.dtype)
+    p = model.sites.position[i].astype(q.dtype)
+    if body == WORLD:
+        return R, p
+    return matrix_product(poses.R[body], R), poses.p[body] + matrix_apply(poses.R[body], p)
+
+
+def link_twists(d: Driver, joints: Any) -> Any:
+    """Each link's pose in its parent's, and its twist in its own axes at its own origin."""
+
+    def step(x, V_parent):
+        link, joint = x
+        X = joint.transform(link)
+        V = X(V_parent) + Motion(joint.rate, (joint.S * joint.qd).lin)
+        return V, V
+
+    return d.outward(step, Motion.zero(), d.zip(d.constants, joints))
+
+
+@algorithm("q", "v")
+def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+    """Twists of all bodies (nb, 6): [angular; linear] in world axes, at each body's frame origin.
+
+    V_b = J_b(q) v.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+
+    Returns:
+        (nb, 6), rad/s and m/s.
+
+    Source: Featherstone, 4.4.
+
+    Example:
+        >>> import rbjax as rb, jax
+        >>> model = rb.load("cart_pole")
+        >>> state = model.random_state(jax.random.key(0))
+        >>> rb.body_velocities(model, state.q, state.v).shape
+        (2, 6)
+    """
+    d = driver(model, q.dtype)
+    if not model.nv:
+        return jnp.zeros((model.nb, 6), q.dtype)
+    R, p = link_poses(d, q)
+    twists = d.columns(link_twists(d, d.joints(q, v)), v)
+    angular = matrix_apply(R, jnp.stack(list(twists.ang), -1))
+    linear = matrix_apply(R, jnp.stack(list(twists.lin), -1))
+    link = np.array(model.topology.body_links, int)
+    arm = body_poses(d, R, p).p - p[link]
+    omega = angular[link]
+    out = jnp.concatenate([omega, linear[link] + jnp.cross(omega, arm)], -1)
+    return jnp.where((link == WORLD)[:, None], 0.0, out)

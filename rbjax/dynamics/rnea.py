@@ -1,0 +1,126 @@
+"""Recursive Newton-Euler algorithm: inverse dynamics in O(n) (Luh, Walker & Paul 1980).
+
+    outward   w = E w_p + rate;   a = X(a_p) + c + S qdd       (classical accelerations)
+              f = I a + [w x J w; w x (w x h)]
+    inward    f = f + sum of X^T f of the children;   tau = S.f + armature qdd
+Gravity is an acceleration of the base, a_0 = -g.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.aba import bias_force, swing
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.jacobians import wrench_forces
+from rbjax.lanes import Vec3, add, mul
+from rbjax.model import Model
+from rbjax.spatial import Force, Motion
+
+
+def rnea(d: Driver, joints: Any, accelerations: Any, gravity: Vec3) -> Any:
+    """Generalized forces per link; `accelerations` per link."""
+
+    def outward(x, parent):
+        w_parent, a_parent = parent
+        link, joint, qdd = x
+        w, moved = swing((link, joint), w_parent)
+        a = moved.X(a_parent) + moved.c + joint.S * qdd
+        return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w))
+
+    def inward(x, children):
+        link, joint, qdd, (X, f) = x
+        f = f + children
+        return X.T(f), add(joint.S.dot(f), mul(link.armature, qdd))
+
+    root = (Vec3.zero(), Motion(Vec3.zero(), -gravity))
+    inertial = d.outward(outward, root, d.zip(d.constants, joints, accelerations))
+    return d.inward(inward, Force.zero(), d.zip(d.constants, joints, accelerations, inertial))
+
+
+def _run(model: Model, q, v, a, gravity: Vec3 | None = None) -> jax.Array:
+    if not model.nv:
+        return jnp.zeros(0, q.dtype)
+    d = driver(model, q.dtype)
+    g = d.prepared.gravity if gravity is None else gravity
+    tau = rnea(d, d.joints(q, v), d.lanes(a), g)
+    return d.pack(tau, jnp.zeros(model.nv, q.dtype))
+
+
+@algorithm("q", "v", "a", "wrenches")
+def inverse_dynamics(
+    model: Model, q: jax.Array, v: jax.Array, a: jax.Array, wrenches: jax.Array | None = None
+) -> jax.Array:
+    """Generalized forces that give the acceleration a: tau = M(q) a + b(q, v) - sum_b J_b^T w_b.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        a: (nv,) acceleration, the rate of v.
+        wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
+
+    Returns:
+        (nv,) N m for turning coordinates, N for sliding ones; springs, dampers and actuators are
+        part of it, not subtracted.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
+
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 5; Cai Zixing, *Robotics*, ch. 4.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> state = model.default_state()
+        >>> rb.inverse_dynamics(model, state.q, state.v, state.v).shape
+        (1,)
+    """
+    tau = _run(model, q, v, a)
+    if wrenches is not None and model.nv:
+        tau = tau - wrench_forces(driver(model, q.dtype), q, wrenches)
+    return tau
+
+
+@algorithm("q", "v")
+def bias_forces(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+    """b(q, v): Coriolis, centrifugal, gyroscopic and gravity forces (nv,); M a + b = tau.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+
+    Source: Featherstone, 5.3 (RNEA with a = 0).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("cart_pole")
+        >>> state = model.default_state()
+        >>> rb.bias_forces(model, state.q, state.v).shape
+        (2,)
+    """
+    return _run(model, q, v, None)
+
+
+@algorithm("q")
+def gravity_forces(model: Model, q: jax.Array) -> jax.Array:
+    """g(q) = dV/dq on the tangent space (nv,): the forces that hold the robot against gravity.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Source: Lynch & Park, *Modern Robotics*, 8.3 (RNEA with v = a = 0).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("cart_pole")
+        >>> rb.gravity_forces(model, model.default_state().q).shape
+        (2,)
+    """
+    return _run(model, q, None, None)

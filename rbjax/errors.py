@@ -1,0 +1,33 @@
+"""What rbjax raises. Each message says what was got, what was expected, and the fix."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class RbjaxError(Exception):
+    """Base of every error that rbjax raises on purpose."""
+
+
+class ModelError(RbjaxError, ValueError):
+    """A robot file, or a model built from it, that cannot be simulated."""
+
+
+class UnsupportedFeature(RbjaxError, ValueError):
+    """A feature of the file that rbjax leaves out, refused with ``strict=True``."""
+
+
+class InputError(RbjaxError, ValueError):
+    """An argument of the wrong shape, dtype or value."""
+
+
+class UnknownName(RbjaxError, KeyError):
+    """A name that the model does not have; the message lists those it has."""
+
+    def __init__(self, kind: str, name: object, valid: Iterable[str]):
+        names = ", ".join(repr(n) for n in valid) or "(there are none)"
+        self.message = f"unknown {kind} {name!r}; the {kind} names here are: {names}"
+        super().__init__(self.message)
+
+    def __str__(self) -> str:
+        return self.message

@@ -1,0 +1,164 @@
+"""Forces that the model itself applies: joint springs, dampers, actuators.
+
+    tau = -K (q - q_rest) - D v + sum over actuators of moment^T f
+    f = clip((g0 + g1 l + g2 l') clip(u) + b0 + b1 l + b2 l')
+K acts on the tangent of the configuration (MuJoCo, *Computation*: passive and actuation forces).
+`applied_forces` is all that `simulate` and `rollout` feed to `forward_dynamics`.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.jacobians import jacobian
+from rbjax.dynamics.kinematics import site_pose
+from rbjax.dynamics.manifold import difference
+from rbjax.dynamics.packing import pack
+from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, total
+from rbjax.model import JOINT_SIZES, WORLD, Model, State
+from rbjax.model.links import lane
+from rbjax.rotations import quaternion
+
+
+def _table(x: jax.Array, dtype):
+    """Numbers as numpy where they are known while tracing, so that zeros cost nothing."""
+    return x.astype(dtype) if isinstance(x, jax.core.Tracer) else np.asarray(x, np.float64)
+
+
+def _clip(x: Lane, limits, i: int) -> Lane:
+    low, high = lane(limits[:, 0], i), lane(limits[:, 1], i)
+    if is_literal(low) and np.isneginf(low) and np.isposinf(high):
+        return x
+    return jnp.clip(x, low, high)
+
+
+def passive_lanes(model: Model, q: jax.Array, v: jax.Array) -> list[Lane]:
+    """Springs and dampers, one lane per velocity coordinate."""
+    top, dtype = model.topology, q.dtype
+    joints = model.joints
+    stiffness, damping = _table(joints.stiffness, dtype), _table(joints.damping, dtype)
+    out: list[Lane] = [neg(mul(lane(damping, i), v[i])) for i in range(model.nv)]
+    if isinstance(stiffness, np.ndarray) and not stiffness.any():
+        return out
+    stretch = difference(model, joints.springref.astype(dtype), q)
+    for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
+        k = lane(stiffness, j)
+        if not is_zero(k):
+            for i in range(at, at + JOINT_SIZES[kind][1]):
+                out[i] = add(out[i], neg(mul(k, stretch[i])))
+    return out
+
+
+def _moment(model: Model, q: jax.Array, i: int) -> tuple[dict[int, Lane], Lane]:
+    """Row of the moment arms of actuator i as {velocity coordinate: arm}, and its length."""
+    top, actuators = model.topology, model.actuators
+    gear = _table(actuators.gear, q.dtype)
+    g = [lane(gear[:, k], i) for k in range(6)]
+    joint, site = actuators.joints[i], actuators.sites[i]
+    if site >= 0:
+        body = top.site_bodies[site]
+        if body == WORLD:
+            return {}, 0.0
+        R, _ = site_pose(model, q, top.site_names[site])
+        J = jacobian(model, q, top.body_names[body], model.sites.position[site])
+        force, torque = R @ jnp.stack(g[:3]), R @ jnp.stack(g[3:])
+        moment = (J * jnp.concatenate([torque, force])[:, None]).sum(0)
+        return {n: moment[n] for n in range(model.nv)}, 0.0
+    if joint < 0:
+        return {}, 0.0
+    kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
+    nv = JOINT_SIZES[kind][1]
+    arms = {at + k: g[k] for k in range(nv)}
+    if kind in ("hinge", "slide"):
+        return arms, mul(g[0], q[start])
+    if kind == "ball":
+        turn = quaternion.log(quaternion.normalize(q[start : start + 4]))
+        return arms, inner(g[:3], list(turn))
+    return arms, 0.0
+
+
+def actuator_lanes(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) -> list[Lane]:
+    """Actuator forces on the velocity coordinates, limits of joints included."""
+    top, actuators, dtype = model.topology, model.actuators, q.dtype
+    gain, bias = _table(actuators.gain, dtype), _table(actuators.bias, dtype)
+    ctrlrange = _table(actuators.ctrlrange, dtype)
+    forcerange = _table(actuators.forcerange, dtype)
+    out: list[Lane] = [0.0] * model.nv
+    for i in range(model.nu):
+        arms, length = _moment(model, q, i)
+        if not arms:
+            continue
+        speed = total(mul(arm, v[n]) for n, arm in arms.items())
+        affine = (1.0, length, speed)
+        strength = inner((lane(gain[:, k], i) for k in range(3)), affine)
+        offset = inner((lane(bias[:, k], i) for k in range(3)), affine)
+        force = add(mul(strength, _clip(ctrl[i], ctrlrange, i)), offset)
+        force = _clip(force, forcerange, i)
+        for n, arm in arms.items():
+            out[n] = add(out[n], mul(arm, force))
+    limits = _table(model.joints.forcerange, dtype)
+    for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
+        if kind in ("hinge", "slide") and not is_zero(out[at]):
+            out[at] = _clip(out[at], limits, j)
+    return out
+
+
+@algorithm("state", "ctrl")
+def applied_forces(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
+    """Generalized forces (nv,) of the model's own springs, dampers and actuators.
+
+    tau = -K (q - q_rest) - D v + sum of moment^T f(u, l, l').
+
+    Args:
+        model: the robot.
+        state: `State(q (nq,), v (nv,))`.
+        ctrl: (nu,) controls, clipped to their ranges; None for no actuation at all.
+
+    Returns:
+        (nv,) N m or N, to be given to `forward_dynamics` as tau.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite.
+
+    Source: MuJoCo documentation, *Computation*, passive and actuation forces.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> rb.applied_forces(model, model.default_state(), jnp.ones(1)).shape
+        (2,)
+    """
+    lanes = passive_lanes(model, state.q, state.v)
+    if ctrl is not None:
+        lanes = [
+            add(a, b)
+            for a, b in zip(
+                lanes, actuator_lanes(model, state.q, state.v, ctrl), strict=True
+            )
+        ]
+    return pack(lanes, state.v)
+
+
+@algorithm("q")
+def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
+    """Energy of the joint springs, sum of k |q - q_rest|^2 / 2, in joules.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> float(rb.forces.elastic_energy(model, model.default_state().q))
+        0.0
+    """
+    top = model.topology
+    stretch = difference(model, model.joints.springref.astype(q.dtype), q)
+    joint_of = np.repeat(
+        np.arange(len(top.joint_kinds)), [JOINT_SIZES[k][1] for k in top.joint_kinds]
+    )
+    return (model.joints.stiffness.astype(q.dtype)[joint_of] * stretch * stretch).sum() / 2

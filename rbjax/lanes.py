@@ -1,0 +1,242 @@
+"""Lanes: vectors and matrices of three as handfuls of scalars.
+
+A *lane* is one scalar of an algorithm: a Python float where its value is part of the program (a
+structural zero, a one, a constant of a model that is closed over), otherwise an array of shape
+() or (batch,). Products with a literal 0 or 1 vanish while tracing, so an axis along z or a planar
+chain costs only the arithmetic it needs; no `dot` is ever emitted, so f32 is true f32.
+
+Knows no frames and no physics.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+Lane = Any  # a Python float, or an array of shape () or (batch,)
+
+
+def is_literal(x: Lane) -> bool:
+    """Whether the lane's value is part of the program."""
+    return isinstance(x, (int, float))
+
+
+def is_zero(x: Lane) -> bool:
+    """Whether the lane is a structural zero."""
+    return isinstance(x, (int, float)) and x == 0
+
+
+def neg(a: Lane) -> Lane:
+    """-a."""
+    return 0.0 if is_zero(a) else -a
+
+
+def add(a: Lane, b: Lane) -> Lane:
+    """a + b."""
+    if is_zero(a):
+        return b
+    if is_zero(b):
+        return a
+    return a + b
+
+
+def sub(a: Lane, b: Lane) -> Lane:
+    """a - b."""
+    if is_zero(b):
+        return a
+    if is_zero(a):
+        return neg(b)
+    return a - b
+
+
+def mul(a: Lane, b: Lane) -> Lane:
+    """a b."""
+    if is_literal(b) and not is_literal(a):
+        a, b = b, a
+    if is_literal(a):
+        if a == 0:
+            return 0.0
+        if a == 1:
+            return b
+        if a == -1:
+            return neg(b)
+    if is_zero(b):
+        return 0.0
+    return a * b
+
+
+def total(terms: Any) -> Lane:
+    """The sum of the lanes, from the left."""
+    out: Lane = 0.0
+    for term in terms:
+        out = add(out, term)
+    return out
+
+
+def inner(a: Any, b: Any) -> Lane:
+    """Sum of products of two equally long runs of lanes."""
+    return total(mul(x, y) for x, y in zip(a, b, strict=True))
+
+
+class Lanes:
+    """A fixed tuple of lanes with entrywise + and -, scaling by a lane, and a pytree's behaviour."""
+
+    __slots__ = ("_lanes",)
+    _lanes: tuple[Lane, ...]
+
+    def __init__(self, *lanes: Lane):
+        self._lanes = lanes
+
+    def __init_subclass__(cls) -> None:
+        jax.tree_util.register_pytree_node(cls, lambda v: (v._lanes, None), lambda _, c: cls(*c))
+
+    def __iter__(self):
+        return iter(self._lanes)
+
+    def __getitem__(self, i: int) -> Lane:
+        return self._lanes[i]
+
+    def __add__(self, other):
+        return type(self)(*map(add, self, other))
+
+    def __sub__(self, other):
+        return type(self)(*map(sub, self, other))
+
+    def __neg__(self):
+        return type(self)(*map(neg, self))
+
+    def __mul__(self, scalar: Lane):
+        return type(self)(*(mul(scalar, a) for a in self))
+
+    __rmul__ = __mul__
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}{self._lanes}"
+
+
+class Vec3(Lanes):
+    """x, y, z."""
+
+    __slots__ = ()
+
+    @classmethod
+    def zero(cls) -> Vec3:
+        return cls(0.0, 0.0, 0.0)
+
+    def dot(self, other: Vec3) -> Lane:
+        return inner(self, other)
+
+    def cross(self, other: Vec3) -> Vec3:
+        (a, b, c), (x, y, z) = self, other
+        return Vec3(
+            sub(mul(b, z), mul(c, y)), sub(mul(c, x), mul(a, z)), sub(mul(a, y), mul(b, x))
+        )
+
+
+class Mat3(Lanes):
+    """A 3 by 3 matrix, row by row."""
+
+    __slots__ = ()
+
+    @classmethod
+    def identity(cls) -> Mat3:
+        return cls(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+    @classmethod
+    def zero(cls) -> Mat3:
+        return cls(*(0.0,) * 9)
+
+    @classmethod
+    def skew(cls, r: Vec3) -> Mat3:
+        """[r], with [r] a = r x a."""
+        x, y, z = r
+        return cls(0.0, neg(z), y, z, 0.0, neg(x), neg(y), x, 0.0)
+
+    @property
+    def rows(self) -> tuple[Vec3, Vec3, Vec3]:
+        m = self._lanes
+        return Vec3(*m[0:3]), Vec3(*m[3:6]), Vec3(*m[6:9])
+
+    @property
+    def columns(self) -> tuple[Vec3, Vec3, Vec3]:
+        m = self._lanes
+        return Vec3(*m[0::3]), Vec3(*m[1::3]), Vec3(*m[2::3])
+
+    @property
+    def T(self) -> Mat3:
+        m = self._lanes
+        return Mat3(*m[0::3], *m[1::3], *m[2::3])
+
+    def __matmul__(self, other):
+        if isinstance(other, Vec3):
+            return Vec3(*(row.dot(other) for row in self.rows))
+        columns = (other.dense if isinstance(other, Sym3) else other).columns
+        return Mat3(*(row.dot(column) for row in self.rows for column in columns))
+
+
+class Sym3(Lanes):
+    """A symmetric 3 by 3 matrix: xx, yy, zz, xy, xz, yz."""
+
+    __slots__ = ()
+
+    @classmethod
+    def zero(cls) -> Sym3:
+        return cls(*(0.0,) * 6)
+
+    @classmethod
+    def upper(cls, m: Mat3) -> Sym3:
+        """The symmetric matrix whose upper triangle is that of m."""
+        return cls(m[0], m[4], m[8], m[1], m[2], m[5])
+
+    @classmethod
+    def outer(cls, a: Vec3, b: Vec3) -> Sym3:
+        """a b^T, where that is known to be symmetric."""
+        return cls(*(mul(a[i], b[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))))
+
+    @property
+    def dense(self) -> Mat3:
+        xx, yy, zz, xy, xz, yz = self
+        return Mat3(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+
+    def __matmul__(self, v: Vec3) -> Vec3:
+        return self.dense @ v
+
+    def rotated(self, R: Mat3) -> Sym3:
+        """R S R^T."""
+        half = (R @ self).rows
+        r = R.rows
+        return Sym3(
+            half[0].dot(r[0]), half[1].dot(r[1]), half[2].dot(r[2]),
+            half[0].dot(r[1]), half[0].dot(r[2]), half[1].dot(r[2]),
+        )  # fmt: skip
+
+
+def rotation_z(c: Lane, s: Lane) -> Mat3:
+    """Rotation about z by the angle whose cosine and sine are given."""
+    return Mat3(c, neg(s), 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+
+
+def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
+    """Rotation matrix of a quaternion of any nonzero length: R = 1 + (2 / |q|^2) (w [u] + [u][u])."""
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    sx, sy, sz = s * x, s * y, s * z
+    wx, wy, wz = w * sx, w * sy, w * sz
+    xx, xy, xz = x * sx, x * sy, x * sz
+    yy, yz, zz = y * sy, y * sz, z * sz
+    return Mat3(
+        1.0 - (yy + zz), xy - wz, xz + wy,
+        xy + wz, 1.0 - (xx + zz), yz - wx,
+        xz - wy, yz + wx, 1.0 - (xx + yy),
+    )  # fmt: skip
+
+
+def as_arrays(tree: Any, like: jax.Array) -> Any:
+    """The pytree with every lane an array, of at least the shape of `like` (for carries of loops)."""
+
+    def array(x: Lane) -> jax.Array:
+        x = jnp.asarray(x, like.dtype)
+        return jnp.broadcast_to(x, jnp.broadcast_shapes(x.shape, like.shape))
+
+    return jax.tree.map(array, tree)

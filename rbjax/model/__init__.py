@@ -1,0 +1,26 @@
+"""Models: what a robot is (`Topology`), its numbers (`Model`), and how a file becomes one (`load`)."""
+
+from rbjax.model.links import LinkConstants, Prepared, prepare
+from rbjax.model.load import compile_model, load, scenes
+from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites, State
+from rbjax.model.topology import JOINT_SIZES, WORLD, Link, Topology
+
+__all__ = [
+    "JOINT_SIZES",
+    "WORLD",
+    "Actuators",
+    "Bodies",
+    "Joints",
+    "Keyframes",
+    "Link",
+    "LinkConstants",
+    "Model",
+    "Prepared",
+    "Sites",
+    "State",
+    "Topology",
+    "compile_model",
+    "load",
+    "prepare",
+    "scenes",
+]

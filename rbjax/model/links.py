@@ -1,0 +1,214 @@
+"""From a model's leaves to the numbers that the recursions use: one column per number, over links.
+
+Done with whole arrays, once, outside every recursion. Where the leaves are concrete (the model is
+closed over, not an argument of the traced function) the columns are numpy, so their zeros and ones
+are structural and vanish from the program; where they are traced the columns are traced.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.lanes import Lane, Mat3, Sym3, Vec3, quaternion_matrix
+from rbjax.model.model import Model
+from rbjax.model.topology import WORLD, Topology
+from rbjax.spatial import RigidInertia
+
+#: concrete entries of rotations below this are rounding of pi/2 and the like, not geometry
+SNAP = 1e-15
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class LinkConstants:
+    """A link's numbers: pose (R, p) in its parent at zero motion, inertia, armature, q's zero.
+
+    Each lane is one link's scalar, or a column over all links.
+    """
+
+    R: Mat3
+    p: Vec3
+    inertia: RigidInertia
+    armature: Lane
+    reference: Lane
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Prepared:
+    """`columns`: `LinkConstants` of (nv,) columns; poses of bodies in their links; gravity lanes."""
+
+    columns: LinkConstants
+    body_R: Any  # (nb, 3, 3)
+    body_p: Any  # (nb, 3)
+    gravity: Vec3
+
+    def link(self, i: int) -> LinkConstants:
+        """The lanes of link i."""
+        return jax.tree.map(lambda column: lane(column, i), self.columns)
+
+
+def prepare(model: Model, dtype: Any) -> Prepared:
+    """The columns of a model, in the given dtype where they are traced.
+
+    Frames: each link's z is its joint axis; a joint at anchor a with axis s has the pose (A, a) in
+    its body's frame, A z = s. With B the body's frame in its carrier's and F a link's frame in its
+    body, the pose of a link in its parent link is F_parent^-1 B F.
+    """
+    leaves = (model.bodies, model.joints, model.gravity)
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
+        return _prepare(model.topology, *leaves, jnp, dtype)
+    leaves = jax.tree.map(lambda x: np.asarray(x, np.float64), leaves)
+    return _prepare(model.topology, *leaves, np, np.float64)
+
+
+def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
+    links, n = top.links, top.nv
+    weld_R, weld_p, body_R = _welds(top, bodies, xp)
+
+    # the frame of each link in its body, before (own) and after (moved) the rotation of a ball
+    align = _alignments(joints.axis, xp)
+    cycle = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]]].swapaxes(0, 1)  # z to x, y, z
+    joint = np.array([link.joint for link in links], int)
+    part = np.array([-1 if link.part is None else link.part for link in links], int)
+    ball = (part >= 0)[:, None, None]
+    moved_R = xp.where(ball, cycle[part], align[joint])
+    starts = np.array([link.quaternion for link in links])[:, None, None]
+    own_R = xp.where(starts, np.eye(3), moved_R)
+    anchor = joints.placement[joint]
+
+    # the pose of the body in the carrier of its parent body, where the link is the body's first
+    body = np.array([link.body for link in links], int)
+    parent_body = np.array(top.body_parents, int)[body]
+    free = np.array([top.joint_kinds[j] == "free" for j in joint])
+    first = np.array([link.first_on_body for link in links]) & ~free
+    at_world = (parent_body == WORLD)[:, None, None]
+    carry_R = xp.where(at_world, np.eye(3), weld_R[parent_body])
+    carry_p = xp.where(at_world[..., 0], np.zeros(3), weld_p[parent_body])
+    base_p = carry_p + matrix_apply(carry_R, bodies.position[body])
+    base_R = xp.where(first[:, None, None], matrix_product(carry_R, body_R[body]), np.eye(3))
+    base_p = xp.where(first[:, None], base_p, np.zeros(3))
+
+    parent = np.array(top.parents, int)
+    root = (parent == WORLD)[:, None, None]
+    inner_R = xp.where(root, np.eye(3), moved_R[parent])
+    inner_p = xp.where(root[..., 0], np.zeros(3), anchor[parent])
+    R = matrix_product(matrix_transpose(inner_R), matrix_product(base_R, own_R))
+    p = matrix_apply(matrix_transpose(inner_R), base_p + matrix_apply(base_R, anchor) - inner_p)
+
+    # inertia about the link's origin, in its axes, of all bodies that move with it
+    carrier_link = np.array(top.body_links, int)
+    frame_R = xp.where((carrier_link == WORLD)[:, None, None], np.eye(3), moved_R[carrier_link])
+    frame_p = xp.where((carrier_link == WORLD)[:, None], np.zeros(3), anchor[carrier_link])
+    to_link_R = matrix_product(matrix_transpose(frame_R), weld_R)
+    to_link_p = matrix_apply(matrix_transpose(frame_R), weld_p - frame_p)
+    com = to_link_p + matrix_apply(to_link_R, bodies.com)
+    central = matrix_product(matrix_product(to_link_R, bodies.inertia), matrix_transpose(to_link_R))
+    mass = bodies.mass
+    square = (com * com).sum(-1)[:, None, None] * np.eye(3) - com[:, :, None] * com[:, None, :]
+    J = _gather(central + mass[:, None, None] * square, carrier_link, n, xp)
+    h = _gather(mass[:, None] * com, carrier_link, n, xp)
+    m = _gather(mass, carrier_link, n, xp)
+
+    q_of = np.array([0 if link.q is None else link.q for link in links], int)
+    scalar = np.array([not link.quaternion and link.part is None for link in links])
+    reference = xp.where(scalar, joints.reference[q_of], 0.0) if n else np.zeros(0)
+    if xp is np:
+        R, to_link_R = _snap(R), _snap(to_link_R)
+        J, h = _snap_relative(J), _snap_relative(h)
+
+    def cast(x):
+        return x.astype(dtype)
+
+    columns = LinkConstants(
+        R=Mat3(*(cast(R[:, i, j]) for i in range(3) for j in range(3))),
+        p=Vec3(*(cast(p[:, i]) for i in range(3))),
+        inertia=RigidInertia(
+            cast(m),
+            Vec3(*(cast(h[:, i]) for i in range(3))),
+            Sym3(*(cast(J[:, i, j]) for i, j in _SYM)),
+        ),
+        armature=cast(joints.armature),
+        reference=cast(reference),
+    )
+    lanes = Vec3(*(lane(cast(gravity), i) for i in range(3)))
+    return Prepared(columns, cast(to_link_R), cast(to_link_p), lanes)
+
+
+_SYM = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+def _welds(top: Topology, bodies, xp):
+    """Pose of each body in its carrier (identity for those with joints), and body rotations."""
+    body_R = _quaternion_to_matrix(bodies.orientation, xp)
+    depth = np.array(top.weld_depth, int)
+    parent = np.array(top.body_parents, int)
+    R = xp.where((depth > 0)[:, None, None], body_R, np.eye(3))
+    p = xp.where((depth > 0)[:, None], bodies.position, np.zeros(3))
+    for level in range(1, max(top.weld_depth, default=0) + 1):
+        here = (depth == level) & (parent != WORLD)
+        up_R, up_p = R[parent], p[parent]
+        p = xp.where(here[:, None], up_p + matrix_apply(up_R, bodies.position), p)
+        R = xp.where(here[:, None, None], matrix_product(up_R, body_R), R)
+    return R, p, body_R
+
+
+def _alignments(axis, xp):
+    """A (nj, 3, 3) with A z = axis / |axis| (Duff et al. 2017); zero axes count as z."""
+    square = (axis * axis).sum(-1, keepdims=True)
+    none = square == 0
+    unit = xp.where(none, np.array([0.0, 0.0, 1.0]), axis / xp.sqrt(xp.where(none, 1.0, square)))
+    x, y, z = unit[:, 0], unit[:, 1], unit[:, 2]
+    sign = xp.where(z < 0, -1.0, 1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    rows = [1 + sign * x * x * a, b, x, sign * b, sign + y * y * a, y, -sign * x, -y, z]
+    return xp.stack(rows, -1).reshape(-1, 3, 3)
+
+
+def _quaternion_to_matrix(q, xp):
+    return xp.stack(list(quaternion_matrix(*(q[:, i] for i in range(4)))), -1).reshape(-1, 3, 3)
+
+
+def matrix_product(A, B):
+    """A B for stacks of matrices, without `dot`."""
+    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+
+
+def matrix_apply(A, x):
+    return (A * x[..., None, :]).sum(-1)
+
+
+def matrix_transpose(A):
+    return A.swapaxes(-1, -2)
+
+
+def _gather(x, index: np.ndarray, n: int, xp):
+    """Sums over bodies of one link; what is welded to the world (index -1) falls out."""
+    slot = np.where(index == WORLD, n, index)
+    if xp is np:
+        out = np.zeros((n + 1, *x.shape[1:]))
+        np.add.at(out, slot, x)
+        return out[:n]
+    return jax.ops.segment_sum(x, slot, n + 1)[:n]
+
+
+def _snap(x: np.ndarray) -> np.ndarray:
+    x = np.where(np.abs(x) < SNAP, 0.0, x)
+    return np.where(np.abs(np.abs(x) - 1) < SNAP, np.sign(x), x)
+
+
+def _snap_relative(x: np.ndarray) -> np.ndarray:
+    """Zero where an entry is rounding of the largest of its row."""
+    rows = np.abs(x).reshape(len(x), -1).max(-1, initial=0.0)
+    return np.where(np.abs(x) < SNAP * rows.reshape(-1, *(1,) * (x.ndim - 1)), 0.0, x)
+
+
+def lane(column, i: int) -> Lane:
+    """One entry of a column: a Python float where it is concrete."""
+    return float(column[i]) if isinstance(column, np.ndarray) else column[i]

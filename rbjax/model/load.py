@@ -1,0 +1,276 @@
+"""From a robot file to a `Model`, through MuJoCo's own compiler.
+
+Whatever MuJoCo reads, this reads; what the compiled model holds beyond a tree of joints with springs,
+dampers and actuators is listed in `model.dropped`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
+from rbjax.model.load_dropped import actuator_is_supported, dropped_features
+from rbjax.model.load_urdf import is_urdf, prepare_urdf
+from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
+from rbjax.model.topology import Topology
+
+_KINDS = {
+    int(mujoco.mjtJoint.mjJNT_FREE): "free",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+}
+_SCENES = Path(__file__).parent / "scenes"
+
+
+def scenes() -> tuple[str, ...]:
+    """The names of the bundled scenes, for `load`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> "cart_pole" in rb.scenes()
+        True
+    """
+    return tuple(sorted(p.stem for p in _SCENES.glob("*.xml")))
+
+
+def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> Model:
+    """A `Model` from an MJCF or URDF file.
+
+    Args:
+        source: a path, an XML string, a `mujoco.MjSpec`, a `mujoco.MjModel`, or a bundled scene's name.
+        floating_base: give a URDF's root link a free joint, so that its mass counts.
+        strict: raise instead of warn about what the file has and the model leaves out.
+
+    Returns:
+        The model; `model.dropped` says what was left out.
+
+    Raises:
+        ModelError: the source cannot be read; the message names the file, the cause and the fix.
+        UnsupportedFeature: with `strict=True`, the list of what would be left out.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> model.joint_names
+        ('shoulder', 'elbow')
+    """
+    compiled = compile_model(source, floating_base=floating_base)
+    dropped = dropped_features(compiled)
+    if dropped:
+        text = f"{_describe(source)}: left out of the model: {'; '.join(dropped)}"
+        if strict:
+            raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
+        warnings.warn(text, stacklevel=2)
+    return from_compiled(compiled, dropped)
+
+
+def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel:
+    """The `mujoco.MjModel` of any source that `load` takes (what `validate` runs beside ours)."""
+    if isinstance(source, mujoco.MjModel):
+        return source
+    if isinstance(source, mujoco.MjSpec):
+        return _compile(source, "MjSpec")
+    if not isinstance(source, (str, Path)):
+        raise ModelError(
+            f"load: got {type(source).__name__}, expected a path, an XML string, "
+            f"mujoco.MjSpec, mujoco.MjModel or one of the scenes {', '.join(scenes())}"
+        )
+    text, path = _read(source)
+    name = _describe(source)
+    if is_urdf(text, name):
+        text = prepare_urdf(text, name, floating_base=floating_base)
+        path = None  # nothing outside the file is left
+    elif floating_base:
+        raise ModelError(
+            f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
+        )
+    try:
+        spec = mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(str(path))
+    except Exception as error:
+        raise ModelError(f"{name}: MuJoCo cannot parse it: {_sentence(error)}") from error
+    return _compile(spec, name)
+
+
+def _read(source: str | Path) -> tuple[str, Path | None]:
+    """The text of a source, and its path where it has one."""
+    if isinstance(source, str):
+        if source.lstrip().startswith("<"):
+            return source, None
+        if source in scenes():
+            source = _SCENES / f"{source}.xml"
+    path = Path(source)
+    if not path.exists():
+        if isinstance(source, str) and path.suffix == "":
+            raise UnknownName("scene", source, scenes())
+        raise ModelError(f"{path}: no such file; give an existing MJCF or URDF path")
+    try:
+        return path.read_text(), path
+    except (UnicodeDecodeError, OSError) as error:
+        raise ModelError(f"{path}: cannot be read as text ({error}); give an MJCF or URDF file") from error
+
+
+def _describe(source: Any) -> str:
+    if isinstance(source, (mujoco.MjModel, mujoco.MjSpec)):
+        return type(source).__name__
+    text = str(source)
+    return "XML string" if text.lstrip().startswith("<") else text
+
+
+def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+    _remove_missing_meshes(spec)
+    try:
+        return spec.compile()
+    except Exception as error:
+        message = _sentence(error)
+        raise ModelError(f"{name}: MuJoCo cannot compile it: {message}{_fix(message)}") from error
+
+
+def _remove_missing_meshes(spec: mujoco.MjSpec) -> None:
+    """Drop meshes whose file is absent, and the geoms that show them on bodies with own inertia."""
+    folder = Path(spec.modelfiledir or ".") / (spec.meshdir or "")
+    gone = {m.name for m in spec.meshes if m.file and not (folder / m.file).exists()}
+    if not gone:
+        return
+    for geom in list(spec.geoms):
+        if geom.meshname in gone:
+            if not (geom.parent.explicitinertial or geom.parent.name == "world" or geom.mass == 0):
+                raise ModelError(
+                    f"body {geom.parent.name!r}: its mass comes from a mesh whose file is missing "
+                    f"({geom.meshname!r} in {folder}); add the file, or give the body an <inertial>"
+                )
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        if mesh.name in gone:
+            spec.delete(mesh)
+
+
+def _sentence(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _fix(message: str) -> str:
+    hints = {
+        "mass and inertia of moving bodies": "; give the body an <inertial> with positive mass and "
+        "inertia, or weld it (no joint, URDF type='fixed')",
+        "A + B >= C": "; correct the inertia, or let MuJoCo balance it: "
+        "<compiler balanceinertia='true'/>",
+        "opening file": "; put the file where the model names it, or remove the element",
+        "inertia must have positive eigenvalues": "; give every principal moment a positive value",
+    }
+    return next((fix for key, fix in hints.items() if key in message), "")
+
+
+def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
+    """The `Model` of a compiled MuJoCo model."""
+    if not np.isfinite(m.qpos0).all() or not np.isfinite(m.body_mass).all():
+        raise ModelError("the compiled model has values that are not finite")
+
+    def array(x):
+        return jnp.asarray(np.asarray(x, np.float64))
+
+    def names(kind, count):
+        return tuple(
+            mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
+        )
+
+    off = m.opt.disableflags
+    bit = mujoco.mjtDisableBit
+
+    def unless(flag, x):
+        return np.zeros_like(x) if off & int(flag) else x
+
+    obj = mujoco.mjtObj
+    topology = Topology(
+        body_parents=tuple(int(p) - 1 for p in m.body_parentid[1:]),
+        joint_kinds=tuple(_KINDS[int(t)] for t in m.jnt_type),
+        joint_bodies=tuple(int(b) - 1 for b in m.jnt_bodyid),
+        body_names=names(obj.mjOBJ_BODY, m.nbody)[1:],
+        joint_names=names(obj.mjOBJ_JOINT, m.njnt),
+        actuator_names=_control_names(m),
+        site_names=names(obj.mjOBJ_SITE, m.nsite),
+        site_bodies=tuple(int(b) - 1 for b in m.site_bodyid),
+        keyframe_names=names(obj.mjOBJ_KEY, m.nkey),
+    )
+    turn = np.empty((m.nbody, 9))
+    for row, quat in zip(turn, m.body_iquat, strict=True):
+        mujoco.mju_quat2Mat(row, quat)
+    turn = turn.reshape(-1, 3, 3)
+    inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
+    limited = m.jnt_actfrclimited.astype(bool)[:, None]
+    return Model(
+        bodies=Bodies(
+            mass=array(m.body_mass[1:]),
+            com=array(m.body_ipos[1:]),
+            inertia=array(inertia[1:]),
+            position=array(m.body_pos[1:]),
+            orientation=array(m.body_quat[1:]),
+        ),
+        joints=Joints(
+            placement=array(m.jnt_pos),
+            axis=array(m.jnt_axis),
+            reference=array(m.qpos0),
+            armature=array(m.dof_armature),
+            damping=array(unless(bit.mjDSBL_DAMPER, m.dof_damping)),
+            stiffness=array(unless(bit.mjDSBL_SPRING, m.jnt_stiffness)),
+            springref=array(m.qpos_spring),
+            forcerange=array(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
+        ),
+        actuators=_actuators(m, array),
+        sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
+        keyframes=Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl)),
+        gravity=array(unless(bit.mjDSBL_GRAVITY, m.opt.gravity)),
+        topology=topology,
+        timestep=float(m.opt.timestep),
+        dropped=tuple(dropped),
+    )
+
+
+def _control_names(m: mujoco.MjModel) -> tuple[str, ...]:
+    out = [f"control{i}" for i in range(m.nu)]
+    for i, (start, count) in enumerate(zip(m.actuator_ctrladr, m.actuator_ctrlnum, strict=True)):
+        name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_ACTUATOR, i) or f"actuator{i}"
+        for k in range(count):
+            out[start + k] = name if count == 1 else f"{name}[{k}]"
+    return tuple(out)
+
+
+def _actuators(m: mujoco.MjModel, array) -> Actuators:
+    """One row for each control; rows of unsupported actuators drive nothing."""
+    gear, gain, bias = np.zeros((m.nu, 6)), np.zeros((m.nu, 3)), np.zeros((m.nu, 3))
+    ctrlrange = np.tile([-np.inf, np.inf], (m.nu, 1))
+    forcerange = ctrlrange.copy()
+    joints, sites = [-1] * m.nu, [-1] * m.nu
+    clamp = not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    off = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    for i in range(m.nactuator):
+        row = int(m.actuator_ctrladr[i])
+        if off or not actuator_is_supported(m, i):
+            continue
+        gear[row] = m.actuator_gear[i]
+        affine_gain = m.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE)
+        gain[row] = m.actuator_gainprm[i, :3] * [1, affine_gain, affine_gain]
+        if m.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE):
+            bias[row] = m.actuator_biasprm[i, :3]
+        if m.actuator_ctrllimited[i] and clamp:
+            ctrlrange[row] = m.actuator_ctrlrange[i]
+        if m.actuator_forcelimited[i]:
+            forcerange[row] = m.actuator_forcerange[i]
+        at_site = m.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_SITE)
+        target = sites if at_site else joints
+        target[row] = int(m.actuator_trnid[i, 0])
+    return Actuators(
+        gear=array(gear),
+        gain=array(gain),
+        bias=array(bias),
+        ctrlrange=array(ctrlrange),
+        forcerange=array(forcerange),
+        joints=tuple(joints),
+        sites=tuple(sites),
+    )

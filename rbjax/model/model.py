@@ -1,0 +1,214 @@
+"""Model and State: a robot as a pytree whose leaves are its numbers.
+
+Static is what changes the program (`Topology`, the actuators' kinds); leaves are what changes the
+numbers. So masses, lengths, gains and gravity can be differentiated, vmapped over and changed with
+no recompilation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.model.topology import Topology
+from rbjax.rotations import quaternion
+
+
+class Record(eqx.Module):
+    """An immutable pytree with named fields."""
+
+    def replace(self, **changes: Any):
+        """A copy with the given fields changed; shapes of arrays must stay."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        for name, value in changes.items():
+            if name not in fields:
+                raise UnknownName(f"field of {type(self).__name__}", name, fields)
+            old = fields[name]
+            if eqx.is_array(old) and jnp.shape(value) != jnp.shape(old):
+                raise InputError(
+                    f"{type(self).__name__}.replace({name}=...): got shape {jnp.shape(value)}, "
+                    f"expected {jnp.shape(old)}; build a new model to change its size, "
+                    f"or jax.vmap over models to have many"
+                )
+            fields[name] = jnp.asarray(value, old.dtype) if eqx.is_array(old) else value
+        return type(self)(**fields)
+
+
+class State(Record):
+    """Configuration q (nq,) and velocity v (nv,), in MuJoCo's layout."""
+
+    q: jax.Array
+    v: jax.Array
+
+
+class Bodies(Record):
+    """Numbers of the moving bodies, in the file's order; each in its own frame unless said.
+
+    Fields: mass (nb,) kg; com (nb, 3) m; inertia (nb, 3, 3) kg m^2 about the com; position (nb, 3) m
+    and orientation (nb, 4) quaternion of the body's frame in its parent's at zero joint motion.
+    """
+
+    mass: jax.Array
+    com: jax.Array
+    inertia: jax.Array
+    position: jax.Array
+    orientation: jax.Array
+
+
+class Joints(Record):
+    """Numbers of the joints.
+
+    Fields: placement (nj, 3) m, the joint's anchor in its body's frame; axis (nj, 3) in its body's
+    frame (hinge and slide); reference (nq,), the configuration at which the file drew the robot;
+    armature (nv,) kg m^2 or kg; damping (nv,); stiffness (nj,); springref (nq,), the springs' rest;
+    forcerange (nj, 2), limits of the actuators' sum on a joint (infinite where there are none).
+    """
+
+    placement: jax.Array
+    axis: jax.Array
+    reference: jax.Array
+    armature: jax.Array
+    damping: jax.Array
+    stiffness: jax.Array
+    springref: jax.Array
+    forcerange: jax.Array
+
+
+class Actuators(Record):
+    """force = clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l'), with u clipped, l = gear . q.
+
+    Fields: gear (nu, 6); gain (nu, 3); bias (nu, 3); ctrlrange (nu, 2); forcerange (nu, 2), infinite
+    where the file sets no limit. Static: `joints`, the joint that each one drives (or -1), and
+    `sites`, the site at which gear is a wrench [force; torque] in the site's axes (or -1).
+    """
+
+    gear: jax.Array
+    gain: jax.Array
+    bias: jax.Array
+    ctrlrange: jax.Array
+    forcerange: jax.Array
+    joints: tuple[int, ...] = eqx.field(static=True)
+    sites: tuple[int, ...] = eqx.field(static=True)
+
+
+class Sites(Record):
+    """Frames fixed to bodies: position (ns, 3) m and orientation (ns, 4) in the body's frame."""
+
+    position: jax.Array
+    orientation: jax.Array
+
+
+class Keyframes(Record):
+    """Named states: q (nk, nq), v (nk, nv), ctrl (nk, nu)."""
+
+    q: jax.Array
+    v: jax.Array
+    ctrl: jax.Array
+
+
+class Model(Record):
+    """A robot. Leaves are its numbers, `topology` its program.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> model.nq, model.nv, model.nb
+        (1, 1, 1)
+        >>> heavier = model.replace(bodies=model.bodies.replace(mass=2 * model.bodies.mass))
+    """
+
+    bodies: Bodies
+    joints: Joints
+    actuators: Actuators
+    sites: Sites
+    keyframes: Keyframes
+    gravity: jax.Array
+    topology: Topology = eqx.field(static=True)
+    timestep: float = eqx.field(static=True)
+    dropped: tuple[str, ...] = eqx.field(static=True)
+    driver: str = eqx.field(static=True, default="auto")
+
+    @property
+    def nq(self) -> int:
+        """Configuration coordinates."""
+        return self.topology.nq
+
+    @property
+    def nv(self) -> int:
+        """Velocity coordinates."""
+        return self.topology.nv
+
+    @property
+    def nu(self) -> int:
+        """Controls."""
+        return len(self.topology.actuator_names)
+
+    @property
+    def nb(self) -> int:
+        """Bodies, without the world."""
+        return self.topology.nb
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        return self.topology.body_names
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.topology.joint_names
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        return self.topology.actuator_names
+
+    @property
+    def site_names(self) -> tuple[str, ...]:
+        return self.topology.site_names
+
+    @property
+    def keyframe_names(self) -> tuple[str, ...]:
+        return self.topology.keyframe_names
+
+    def body(self, name: str) -> int:
+        """The index of a body, for arrays over bodies."""
+        return _index("body", name, self.body_names)
+
+    def joint(self, name: str) -> int:
+        """The index of a joint; its coordinates start at topology.joint_q[i] and .joint_v[i]."""
+        return _index("joint", name, self.joint_names)
+
+    def site(self, name: str) -> int:
+        """The index of a site."""
+        return _index("site", name, self.site_names)
+
+    def default_state(self) -> State:
+        """The configuration in which the file draws the robot, at rest."""
+        q = self.joints.reference
+        return State(q, jnp.zeros(self.nv, q.dtype))
+
+    def keyframe(self, name: str) -> State:
+        """A state that the file names."""
+        i = _index("keyframe", name, self.keyframe_names)
+        return State(self.keyframes.q[i], self.keyframes.v[i])
+
+    def random_state(self, key: jax.Array) -> State:
+        """Coordinates within 1 of the default state, uniform attitudes, velocities of spread 1."""
+        kq, kr, kv = jax.random.split(key, 3)
+        q = self.joints.reference
+        dtype = q.dtype
+        q = q + jax.random.uniform(kq, (self.nq,), dtype, -1.0, 1.0)
+        starts = self.topology.quaternion_starts
+        for k, start in zip(jax.random.split(kr, max(len(starts), 1)), starts, strict=False):
+            turn = quaternion.normalize(jax.random.normal(k, (4,), dtype))
+            q = q.at[start : start + 4].set(turn)
+        return State(q, jax.random.normal(kv, (self.nv,), dtype))
+
+
+def _index(kind: str, name: str, names: tuple[str, ...]) -> int:
+    if name not in names:
+        raise UnknownName(kind, name, names)
+    return names.index(name)

@@ -1,0 +1,92 @@
+"""Imports point down only: the plan of the house, held by walking every import of every file."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+FILES = sorted((ROOT / "rbjax").rglob("*.py"))
+
+# What a room stands on directly; it may import that and all below it.
+FLOORS = {
+    "errors": "",
+    "lanes": "errors",
+    "rotations": "lanes",
+    "spatial": "rotations",
+    "body": "spatial",
+    "model": "spatial",
+    "forces": "body model",
+    "dynamics": "forces",
+    "constraints": "dynamics",
+    "solvers": "rotations",
+    "simulate": "constraints solvers rollout",  # one layer in two files
+    "rollout": "simulate",
+}
+# The users' rooms stand on all of that and do not know each other, but for two pairs.
+FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "simulate")  # noqa: SIM905
+PEERS = {("wheeled", "control"), ("planning", "wheeled")}
+TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" is __init__.py
+GUESTS = {  # packages that only some files may import
+    "mujoco": ("model/load", "model/urdf", "validation/", "plotting", "cli"),
+    "optax": ("sysid", "control", "demo"),
+    "jax.config": (),  # the caller's
+}
+
+
+def below(room: str, seen: frozenset[str] = frozenset()) -> frozenset[str]:
+    for floor in {*FLOORS[room].split()} - seen:
+        seen = below(floor, seen | {floor})
+    return seen
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and absolute dotted name of all that a file imports; reading jax.config counts."""
+    package = path.relative_to(ROOT).parent.parts
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else ()
+            base = [*above, *filter(None, [node.module])]
+            yield from ((node.lineno, ".".join([*base, alias.name])) for alias in node.names)
+        elif isinstance(node, ast.Attribute) and ast.unparse(node) == "jax.config":
+            yield node.lineno, "jax.config"
+
+
+def room_of(dotted: str) -> str:
+    """The room that `rbjax.room.anything` names; else it is a name of rbjax/__init__.py."""
+    room = dotted.split(".")[1] if "." in dotted else ""
+    return room if room in FLOORS.keys() | TOP else ""
+
+
+def allowed(path: Path, name: str) -> bool:
+    file = path.relative_to(ROOT / "rbjax").as_posix()
+    for guest, hosts in GUESTS.items():
+        if f"{name}.".startswith(f"{guest}."):
+            return file.startswith(hosts)
+    here, there = room_of(".".join(path.relative_to(ROOT).with_suffix("").parts)), room_of(name)
+    if here in TOP or not f"{name}.".startswith("rbjax."):
+        return True
+    return there == here or there in below(here) or (here, there) in PEERS
+
+
+def test_every_room_has_its_place_in_the_plan():
+    rooms = {path.relative_to(ROOT / "rbjax").with_suffix("").parts[0] for path in FILES}
+    unplaced = rooms - FLOORS.keys() - TOP - {"__init__", "__main__"}
+    assert not unplaced, f"give {unplaced} a floor in tests/test_layers.py"
+
+
+def test_imports_point_down():
+    found = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for path in FILES
+        for line, name in imports(path)
+        if not allowed(path, name)
+    ]
+    assert not found, "\n".join(["", *found])
+
+
+def test_a_file_is_one_idea():
+    lengths = {path.relative_to(ROOT): len(path.read_text().splitlines()) for path in FILES}
+    long = {str(path): lines for path, lines in lengths.items() if lines > 400}
+    assert not long, f"more than 400 lines: {long}"
