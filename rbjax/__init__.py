@@ -32,6 +32,9 @@ from rbjax.dynamics import (
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State, load, scenes
+from rbjax.rollout import rollout
+from rbjax.simulate import simulate
+from rbjax.trajectory import Trajectory
 
 __version__ = "0.1.0"
 
@@ -42,6 +45,7 @@ __all__ = [
     "Poses",
     "RbjaxError",
     "State",
+    "Trajectory",
     "UnknownName",
     "UnsupportedFeature",
     "applied_forces",
@@ -68,8 +72,10 @@ __all__ = [
     "load",
     "mass_matrix",
     "potential_energy",
+    "rollout",
     "rotations",
     "scenes",
+    "simulate",
     "site_pose",
     "spatial",
 ]

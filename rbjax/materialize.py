@@ -24,10 +24,17 @@ _materialize = Primitive("materialize")
 _materialize.multiple_results = True
 
 
-def materialize(tree: Any) -> Any:
-    """The same pytree; its arrays are computed once, here. Literals stay literals."""
+def materialize(tree: Any, known: Any = ()) -> Any:
+    """The same pytree; its arrays are computed once, here. Literals stay literals.
+
+    Arrays that are also in `known` are passed by. (They must be: what goes through together is
+    transposed together, so constants of a linear solve must not go with its unknowns.)
+    """
     leaves, treedef = jax.tree.flatten(tree)
-    where = [i for i, x in enumerate(leaves) if isinstance(x, jax.Array)]
+    passed = {id(x) for x in jax.tree.leaves(known)}
+    where = [
+        i for i, x in enumerate(leaves) if isinstance(x, jax.Array) and id(x) not in passed
+    ]
     if where:
         for i, y in zip(where, _materialize.bind(*[leaves[i] for i in where]), strict=True):
             leaves[i] = y

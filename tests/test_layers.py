@@ -10,17 +10,20 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 # What a room stands on directly; it may import that and all below it.
 FLOORS = {
     "errors": "",
-    "lanes": "errors",
+    "materialize": "errors",
+    "lanes": "materialize",
     "rotations": "lanes",
     "spatial": "rotations",
     "body": "spatial",
     "model": "spatial",
-    "forces": "body model",
-    "dynamics": "forces",
-    "constraints": "dynamics",
+    "dynamics": "body model",
+    # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
+    "forces": "dynamics",
+    "constraints": "forces",
     "solvers": "rotations",
-    "simulate": "constraints solvers rollout",  # one layer in two files
-    "rollout": "simulate",
+    "trajectory": "model",
+    "rollout": "constraints trajectory",
+    "simulate": "constraints solvers rollout",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "simulate")  # noqa: SIM905

@@ -66,7 +66,8 @@ class Unrolled:
         """carry_i, y_i = step(x_i, carry of the parent), from the root out; the list of y_i."""
         carries, ys = [], []
         for parent, x in zip(self.topology.parents, xs, strict=True):
-            carry, y = materialize(step(x, root if parent == WORLD else carries[parent]))
+            before = root if parent == WORLD else carries[parent]
+            carry, y = materialize(step(x, before), known=(x, before))
             carries.append(carry)
             ys.append(y)
         return ys
@@ -76,7 +77,7 @@ class Unrolled:
         sums = [zero] * len(xs)
         ys: list = [None] * len(xs)
         for i in reversed(range(len(xs))):
-            message, ys[i] = materialize(step(xs[i], sums[i]))
+            message, ys[i] = materialize(step(xs[i], sums[i]), known=(xs[i], sums[i]))
             parent = self.topology.parents[i]
             if parent != WORLD:
                 sums[parent] = jax.tree.map(add, sums[parent], message)
@@ -178,7 +179,8 @@ class Rolled:
         def scanned(carry, row):
             index, rest = row[0], iter(row[1])
             x = [a if lit else next(rest) for a, lit in zip(leaves, literal, strict=True)]
-            carry, y = materialize(body(carry, index, jax.tree.unflatten(treedef, x)))
+            after = body(carry, index, jax.tree.unflatten(treedef, x))
+            carry, y = materialize(after, known=(carry, x))
             out, emitted["tree"] = jax.tree.flatten(y)
             emitted["literals"] = [a if is_literal(a) else None for a in out]
             return carry, [a for a in out if not is_literal(a)]

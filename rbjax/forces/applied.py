@@ -106,6 +106,15 @@ def actuator_lanes(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) ->
     return out
 
 
+def applied(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) -> jax.Array:
+    """`applied_forces` on checked arrays."""
+    lanes = passive_lanes(model, q, v)
+    if ctrl is not None:
+        driven = actuator_lanes(model, q, v, ctrl)
+        lanes = [add(a, b) for a, b in zip(lanes, driven, strict=True)]
+    return pack(lanes, v)
+
+
 @algorithm("state", "ctrl")
 def applied_forces(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
     """Generalized forces (nv,) of the model's own springs, dampers and actuators.
@@ -131,15 +140,7 @@ def applied_forces(model: Model, state: State, ctrl: jax.Array | None = None) ->
         >>> rb.applied_forces(model, model.default_state(), jnp.ones(1)).shape
         (2,)
     """
-    lanes = passive_lanes(model, state.q, state.v)
-    if ctrl is not None:
-        lanes = [
-            add(a, b)
-            for a, b in zip(
-                lanes, actuator_lanes(model, state.q, state.v, ctrl), strict=True
-            )
-        ]
-    return pack(lanes, state.v)
+    return applied(model, state.q, state.v, ctrl)
 
 
 @algorithm("q")

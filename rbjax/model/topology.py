@@ -79,6 +79,14 @@ class Topology:
         )
 
     @cached_property
+    def turn_starts(self) -> tuple[int, ...]:
+        """Where each attitude's angular velocity starts in v, beside `quaternion_starts`."""
+        shift = {"ball": 0, "free": 3}
+        return tuple(
+            v + shift[k] for v, k in zip(self.joint_v, self.joint_kinds, strict=True) if k in shift
+        )
+
+    @cached_property
     def links(self) -> tuple[Link, ...]:
         """The links, in the order of v; parents come before children."""
         last = self._last_links

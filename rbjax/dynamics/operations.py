@@ -1,0 +1,220 @@
+"""How much arithmetic a function asks for: its operations, counted as traced.
+
+The function is traced to a jaxpr and walked from its results backwards, so what no result needs is
+not counted. An operation on an array counts once per element, a loop's body once per turn. Data
+movement (reshape, slice, gather, select, compare, convert) and signs cost nothing: the same rule by
+which textbooks count, e.g. Featherstone, *Rigid Body Dynamics Algorithms*, table 10.1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import UnknownName
+from rbjax.model import Model
+
+
+@dataclass(frozen=True)
+class OperationCount:
+    """Floating-point operations by kind; trigonometry counts all transcendental functions."""
+
+    additions: int = 0
+    multiplications: int = 0
+    divisions: int = 0
+    roots: int = 0
+    trigonometry: int = 0
+
+    @property
+    def total(self) -> int:
+        """All kinds together."""
+        return sum(getattr(self, f.name) for f in fields(self))
+
+    def __add__(self, other: OperationCount) -> OperationCount:
+        return OperationCount(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def __rmul__(self, times: int) -> OperationCount:
+        return OperationCount(*(times * getattr(self, f.name) for f in fields(self)))
+
+
+def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> OperationCount:
+    """Arithmetic operations of `fn(*args)` as traced, after removal of what no result needs.
+
+    A `Model` among the arguments is closed over: its numbers are constants of the program and its
+    structural zeros cost nothing, unless a leaf is named in `traced`.
+
+    Args:
+        fn: any traceable function.
+        args: its arguments; arrays, pytrees of arrays, models.
+        traced: dotted names of model leaves that stay inputs, as ("bodies.mass", "bodies.com").
+
+    Returns:
+        `OperationCount` (additions, multiplications, divisions, roots, trigonometry, total).
+        A `while` counts one turn, a `cond` its most expensive branch.
+
+    Raises:
+        UnknownName: a name in `traced` that is no leaf of the model.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.dynamics.operations import operation_count
+        >>> operation_count(lambda x: jnp.sin(x) * x + 1.0, 2.0)
+        OperationCount(additions=1, multiplications=1, divisions=0, roots=0, trigonometry=1)
+    """
+    models = {i: a for i, a in enumerate(args) if isinstance(a, Model)}
+    given = {i: {name: _leaf(m, name) for name in traced} for i, m in models.items()}
+    inputs = {i: a for i, a in enumerate(args) if i not in models}
+
+    def closed(inputs: dict[int, Any], given: dict[int, dict[str, Any]]) -> Any:
+        filled = dict(inputs)
+        for i, model in models.items():
+            for name, value in given[i].items():
+                model = _with_leaf(model, name, value)
+            filled[i] = model
+        return fn(*(filled[i] for i in range(len(args))))
+
+    jaxpr = jax.make_jaxpr(closed)(inputs, given).jaxpr
+    return _walk(jaxpr, [True] * len(jaxpr.outvars))[0]
+
+
+def _leaf(model: Model, name: str) -> jax.Array:
+    value: Any = model
+    for part in name.split("."):
+        value = getattr(value, part, None)
+    if not eqx.is_array(value):
+        raise UnknownName("leaf of Model", name, leaf_names(model))
+    return jnp.asarray(value)
+
+
+def _with_leaf(model: Model, name: str, value: Any) -> Model:
+    def where(m: Model) -> Any:
+        for part in name.split("."):
+            m = getattr(m, part)
+        return m
+
+    return eqx.tree_at(where, model, value)
+
+
+def leaf_names(model: Model) -> tuple[str, ...]:
+    """The dotted names of a model's leaves, as `operation_count(traced=...)` takes them.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.dynamics.operations import leaf_names
+        >>> "bodies.mass" in leaf_names(rb.load("pendulum"))
+        True
+    """
+    paths = jax.tree_util.tree_flatten_with_path(model)[0]
+    return tuple(jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
+
+
+_ADDITIONS = {"add", "sub", "add_any", "scatter-add", "cumsum"}
+_MULTIPLICATIONS = {"mul", "square", "cumprod", "scatter-mul"}
+_ROOTS = {"sqrt", "rsqrt", "cbrt"}
+_TRIGONOMETRY = {
+    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
+    "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "logistic", "pow", "erf",
+}  # fmt: skip
+_REDUCTIONS = {"reduce_sum": "additions", "reduce_prod": "multiplications"}
+
+
+def _walk(jaxpr: Any, wanted: Sequence[bool]) -> tuple[OperationCount, list[bool]]:
+    """Operations of a jaxpr whose `wanted` results are needed, and which inputs they need."""
+    live = {v for v, w in zip(jaxpr.outvars, wanted, strict=True) if w and _is_variable(v)}
+    count = OperationCount()
+    for eqn in reversed(jaxpr.eqns):
+        out = [v in live for v in eqn.outvars]
+        if not any(out):
+            continue
+        here, needs = _equation(eqn, out)
+        count = count + here
+        live.update(v for v, n in zip(eqn.invars, needs, strict=True) if n and _is_variable(v))
+    return count, [v in live for v in jaxpr.invars]
+
+
+def _is_variable(v: Any) -> bool:
+    return not hasattr(v, "val")  # a Literal has one
+
+
+def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
+    """Operations of one equation, and which of its inputs the wanted results need."""
+    name, params = eqn.primitive.name, eqn.params
+    if name == "materialize":
+        return OperationCount(), out
+    if name == "scan":
+        return _scan(eqn, out)
+    if name == "while":
+        body = _open(params["body_jaxpr"])
+        test = _open(params["cond_jaxpr"])
+        count = _walk(body, [True] * len(body.outvars))[0] + _walk(test, [True])[0]
+        return count, [True] * len(eqn.invars)
+    if name == "cond":
+        branches = [_walk(_open(b), out) for b in params["branches"]]
+        needs = [any(used) for used in zip(*(b[1] for b in branches), strict=True)]
+        return max((b[0] for b in branches), key=lambda c: c.total), [True, *needs]
+    for key in ("jaxpr", "call_jaxpr", "fun_jaxpr"):
+        inner = params.get(key)
+        if inner is not None and len(_open(inner).invars) == len(eqn.invars):
+            return _walk(_open(inner), out)
+    return _primitive(eqn), [True] * len(eqn.invars)
+
+
+def _open(jaxpr: Any) -> Any:
+    return getattr(jaxpr, "jaxpr", jaxpr)
+
+
+def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
+    """A loop: what its last turn needs of the carry, every turn needs."""
+    body, n = _open(eqn.params["jaxpr"]), eqn.params["num_carry"]
+    consts = eqn.params["num_consts"]
+    while True:
+        count, needs = _walk(body, out)
+        grown = [a or b for a, b in zip(out[:n], needs[consts : consts + n], strict=True)]
+        if grown == out[:n]:
+            return eqn.params["length"] * count, needs
+        out = [*grown, *out[n:]]
+
+
+def _primitive(eqn: Any) -> OperationCount:
+    """Operations of an equation that has no program inside."""
+    name = eqn.primitive.name
+    result = eqn.outvars[0].aval
+    if not jnp.issubdtype(getattr(result, "dtype", jnp.int32), jnp.inexact):
+        return OperationCount()
+    size = math.prod(result.shape)
+    if name in _ADDITIONS:
+        if name == "scatter-add":
+            size = math.prod(eqn.invars[2].aval.shape)
+        return OperationCount(additions=size)
+    if name in _MULTIPLICATIONS:
+        return OperationCount(multiplications=size)
+    if name == "integer_pow":
+        return _integer_power(eqn.params["y"], size)
+    if name in ("div", "rem"):
+        return OperationCount(divisions=size)
+    if name in _ROOTS:
+        return OperationCount(roots=size)
+    if name in _TRIGONOMETRY:
+        return OperationCount(trigonometry=size)
+    if name == "sincos":
+        return OperationCount(trigonometry=2 * size)
+    if name in _REDUCTIONS:
+        return OperationCount(**{_REDUCTIONS[name]: math.prod(eqn.invars[0].aval.shape) - size})
+    if name == "dot_general":
+        (contracted, _), _ = eqn.params["dimension_numbers"]
+        length = math.prod(eqn.invars[0].aval.shape[i] for i in contracted)
+        return OperationCount(additions=size * (length - 1), multiplications=size * length)
+    return OperationCount()
+
+
+def _integer_power(y: int, size: int) -> OperationCount:
+    """x^y by repeated squaring, and one division for a negative y."""
+    n = abs(y)
+    products = max(n.bit_length() - 1, 0) + max(n.bit_count() - 1, 0)
+    return OperationCount(multiplications=size * products, divisions=size * (y < 0))

@@ -1,0 +1,260 @@
+"""`rollout`: fixed steps for throughput.
+
+The batch is the last axis of everything inside, so that a lane is contiguous. On the CPU the batch
+is cut into chunks whose lanes stay in the cache, and time runs inside a chunk.
+
+Memory of the reverse gradient: the scan over saved states keeps one state each; between two saved
+states only the first is kept and the steps are run again. So (T / save_every + save_every) states
+and one step's intermediate values, per sample.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import check_arrays, check_quaternions
+from rbjax.dynamics.forward import acceleration
+from rbjax.dynamics.manifold import integrate_lanes
+from rbjax.errors import InputError
+from rbjax.forces.applied import applied
+from rbjax.materialize import materialize
+from rbjax.model import Model, State
+from rbjax.trajectory import Trajectory, all_finite
+
+Policy = Callable[[jax.Array, State], jax.Array]
+
+#: samples that advance together on the CPU (benchmarks/results/cpu-form-*.json)
+CPU_CHUNK = 128
+
+
+def _motion(model: Model, u: jax.Array | None, q, v, ctrl):
+    """Rates of the tangent u and of v: (u' = v corrected for the turn u, a). Batch last."""
+    batched = functools.partial(jax.vmap, in_axes=-1, out_axes=-1)
+    force = functools.partial(applied, model)
+    tau = (batched(force) if q.ndim > 1 else force)(q, v, ctrl)
+    return (v if u is None else _uncurl(model, u, v)), acceleration(model, q, v, tau)
+
+
+def _uncurl(model: Model, u: jax.Array, v: jax.Array) -> jax.Array:
+    """u' = w + u x w / 2 + u x (u x w) / 12 for attitudes exp(u), so that RK4 keeps its order."""
+    for start in model.topology.turn_starts:
+        rows = slice(start, start + 3)
+        turn, w = u[rows], v[rows]
+        once = jnp.cross(turn, w, axis=0)
+        v = v.at[rows].add(once / 2 + jnp.cross(turn, once, axis=0) / 12)
+    return v
+
+
+def _moved(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
+    return jnp.stack(materialize(integrate_lanes(model.topology, list(q), list(dq))))
+
+
+def semi_implicit_euler(model: Model, q, v, ctrl, dt):
+    """v+ = v + dt a(q, v);  q+ = q (+) dt v+. First order, symplectic without damping."""
+    _, a = _motion(model, None, q, v, ctrl)
+    v = v + dt * a
+    return _moved(model, q, dt * v), v
+
+
+def rk4(model: Model, q, v, ctrl, dt):
+    """The classical fourth-order method, on the manifold (Munthe-Kaas 1998); ctrl held."""
+    u1, a1 = _motion(model, None, q, v, ctrl)
+    us, as_ = [u1], [a1]
+    for c in (0.5, 0.5, 1.0):
+        u = c * dt * us[-1]
+        w = v + c * dt * as_[-1]
+        du, a = _motion(model, u, _moved(model, q, u), w, ctrl)
+        us.append(du)
+        as_.append(a)
+
+    def mean(k):
+        return (k[0] + 2 * (k[1] + k[2]) + k[3]) / 6
+
+    return _moved(model, q, dt * mean(us)), v + dt * mean(as_)
+
+
+INTEGRATORS = {"semi_implicit_euler": semi_implicit_euler, "rk4": rk4}
+
+
+def rollout(
+    model: Model,
+    state: State,
+    ctrls: jax.Array | Policy | None = None,
+    dt: float | None = None,
+    *,
+    integrator: str = "semi_implicit_euler",
+    save_every: int = 1,
+    steps: int | None = None,
+) -> Trajectory:
+    """Fixed steps of one state or of a batch of states: the throughput path.
+
+    v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`), or `rk4`.
+
+    Args:
+        model: the robot.
+        state: q (nq,) or (B, nq), v likewise; a leading axis is a batch.
+        ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,), evaluated
+            once a step; or None for no actuation. The last two need `steps`.
+        dt: step in seconds; the model's timestep if None.
+        integrator: one of "semi_implicit_euler", "rk4".
+        save_every: keep every so many states; it must divide the number of steps.
+        steps: how many steps, where ctrls does not tell.
+
+    Returns:
+        `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
+        (B, T, nq) for a batch; `ok` says whether all is finite.
+
+    Raises:
+        InputError: shapes, dtypes, values that are not finite, unknown integrator.
+
+    Differentiable in state, ctrls and model; the reverse gradient keeps steps / save_every +
+    save_every states.
+
+    Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
+        (11, 2)
+    """
+    if integrator not in INTEGRATORS:
+        raise InputError(f"rollout: integrator {integrator!r}, expected one of {list(INTEGRATORS)}")
+    state, ctrls, steps, batched = _checked(model, state, ctrls, steps)
+    if save_every < 1 or steps % save_every:
+        raise InputError(
+            f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
+        )
+    dt = jnp.asarray(model.timestep if dt is None else dt, state.q.dtype)
+    policy = ctrls if callable(ctrls) else None
+    values = None if policy is not None else ctrls
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((model, state, values, dt)))
+    run = _run if traced else _compiled
+    return run(model, state, values, dt, policy, integrator, save_every, steps, batched)
+
+
+def _run(model, state, ctrls, dt, policy, integrator, save_every, steps, batched) -> Trajectory:
+    q, v = (x.T if batched else x for x in (state.q, state.v))
+    if ctrls is not None:
+        ctrls = jnp.moveaxis(ctrls, 0, -1) if ctrls.ndim == 3 else ctrls
+
+    def march(q, v, ctrls):
+        return _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps)
+
+    if batched and jax.default_backend() == "cpu" and q.shape[-1] > CPU_CHUNK:
+        qs, vs = _chunked(march, q, v, ctrls)
+    else:
+        qs, vs = march(q, v, ctrls)
+    if batched:
+        qs, vs = (jnp.moveaxis(x, -1, 0) for x in (qs, vs))
+    ts = dt * jnp.arange(0, steps + 1, save_every, dtype=q.dtype)
+    return Trajectory(ts, qs, vs, all_finite(qs, vs), stats={"steps": steps})
+
+
+_compiled = jax.jit(
+    _run, static_argnames=("policy", "integrator", "save_every", "steps", "batched")
+)
+
+
+def _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps):
+    """States (T, nq, ...) and (T, nv, ...) from the first one on. Batch last."""
+    step = INTEGRATORS[integrator]
+
+    def once(carry, i):
+        q, v = carry
+        if policy is not None:
+            ctrl = _act(policy, i * dt, q, v)
+        elif ctrls is None:
+            ctrl = None
+        else:
+            ctrl = ctrls[i]
+            if ctrl.ndim < q.ndim:
+                ctrl = jnp.broadcast_to(ctrl[:, None], (*ctrl.shape, q.shape[-1]))
+        return step(model, q, v, ctrl, dt), None
+
+    def segment(carry, start):
+        if save_every == 1:
+            carry, _ = once(carry, start)
+        else:
+            carry, _ = jax.lax.scan(jax.checkpoint(once), carry, start + jnp.arange(save_every))
+        return carry, carry
+
+    starts = jnp.arange(0, steps, save_every)
+    _, (qs, vs) = jax.lax.scan(jax.checkpoint(segment), (q, v), starts)
+    return jnp.concatenate([q[None], qs]), jnp.concatenate([v[None], vs])
+
+
+def _act(policy: Policy, t, q, v):
+    if q.ndim == 1:
+        return policy(t, State(q, v))
+    act = jax.vmap(lambda q, v: policy(t, State(q, v)), in_axes=-1, out_axes=-1)
+    return act(q, v)
+
+
+def _chunked(march: Callable, q, v, ctrls):
+    """`march` over chunks of the last axis, one after another; the last chunk is padded."""
+    size, width = q.shape[-1], CPU_CHUNK
+    count = -(-size // width)
+    pad = count * width - size
+
+    def split(x):
+        x = jnp.concatenate([x, jnp.repeat(x[..., -1:], pad, -1)], -1) if pad else x
+        return jnp.moveaxis(x.reshape(*x.shape[:-1], count, width), -2, 0)
+
+    per_sample = ctrls is not None and ctrls.ndim == 3
+    given: Any = (split(q), split(v), split(ctrls) if per_sample else None)
+    qs, vs = jax.lax.map(lambda x: march(x[0], x[1], x[2] if per_sample else ctrls), given)
+
+    def join(x):
+        x = jnp.moveaxis(x, 0, -2)
+        return x.reshape(*x.shape[:-2], count * width)[..., :size]
+
+    return join(qs), join(vs)
+
+
+def _checked(model, state, ctrls, steps):
+    """State and controls in one dtype, the number of steps, and whether there is a batch."""
+    if not isinstance(state, State):
+        raise InputError(f"rollout: state is {type(state).__name__}, expected rbjax.State(q, v)")
+    q, v = jnp.asarray(state.q), jnp.asarray(state.v)
+    batched = q.ndim == 2
+    if batched:
+        if v.ndim != 2 or v.shape[0] != q.shape[0]:
+            raise InputError(f"rollout: q has shape {q.shape} and v {v.shape}, expected (B, nq), (B, nv)")
+        _check_batch(model, q, v)
+    else:
+        checked = check_arrays("rollout", model, {"q": q, "v": v})
+        q, v = checked["q"], checked["v"]
+    dtype = jnp.result_type(q, v)
+    if not jnp.issubdtype(dtype, jnp.floating):
+        dtype = jnp.result_type(float)
+    state = State(q.astype(dtype), v.astype(dtype))
+    if callable(ctrls) or ctrls is None:
+        if steps is None:
+            raise InputError("rollout: steps is None, expected a number with a policy or no controls")
+        return state, ctrls, int(steps), batched
+    ctrls = jnp.asarray(ctrls).astype(dtype)
+    wanted = (steps if steps is not None else ctrls.shape[-2] if ctrls.ndim > 1 else 0, model.nu)
+    shapes = [wanted] + ([(q.shape[0], *wanted)] if batched else [])
+    if ctrls.shape not in shapes:
+        raise InputError(
+            f"rollout: ctrls has shape {ctrls.shape}, expected {' or '.join(map(str, shapes))}"
+        )
+    if not isinstance(ctrls, jax.core.Tracer) and not np.isfinite(np.asarray(ctrls)).all():
+        raise InputError("rollout: ctrls has values that are not finite")
+    return state, ctrls, wanted[0], batched
+
+
+def _check_batch(model: Model, q: jax.Array, v: jax.Array) -> None:
+    for name, x, n in (("q", q, model.nq), ("v", v, model.nv)):
+        if x.shape[1] != n:
+            raise InputError(f"rollout: {name} has shape {x.shape}, expected (B, {n})")
+        if not isinstance(x, jax.core.Tracer) and not np.isfinite(np.asarray(x)).all():
+            raise InputError(f"rollout: {name} has values that are not finite")
+    check_quaternions("rollout", "q", model, q)

@@ -1,0 +1,163 @@
+"""`simulate`: motion through diffrax, with any of its solvers.
+
+    q' = the motion of the configuration at velocity v (for attitudes q quaternion (0, w / 2)),
+    v' = FD(q, v, applied forces)
+The attitude enters only as the direction of its quaternion, and its rate is linear in it, so the
+length that a solver loses or gains to its error has no effect; what is returned has unit length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.arguments import check_arrays
+from rbjax.dynamics.forward import acceleration
+from rbjax.errors import InputError
+from rbjax.forces.applied import applied
+from rbjax.model import JOINT_SIZES, Model, State, Topology
+from rbjax.rotations import quaternion
+from rbjax.trajectory import Trajectory, all_finite
+
+Control = Callable[[jax.Array, State], jax.Array]
+
+
+def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
+    """q' (nq,) of the velocity v (nv,): for attitudes q (0, w) / 2."""
+    out = [jnp.zeros(0, q.dtype)]
+    for kind, at, dat in zip(top.joint_kinds, top.joint_q, top.joint_v, strict=True):
+        nq, nv = JOINT_SIZES[kind]
+        straight = nv if nq == nv else nv - 3
+        out.append(v[dat : dat + straight])
+        if nq != nv:
+            w = jnp.concatenate([jnp.zeros(1, q.dtype), v[dat + straight : dat + nv]])
+            out.append(quaternion.multiply(q[at + straight : at + nq], w) / 2)
+    return jnp.concatenate(out)
+
+
+def unit(top: Topology, q: jax.Array) -> jax.Array:
+    """q with quaternions of unit length."""
+    for start in top.quaternion_starts:
+        rows = slice(start, start + 4)
+        q = q.at[rows].set(quaternion.normalize(q[rows]))
+    return q
+
+
+class Motion(eqx.Module):
+    """The vector field of a robot under its own forces and a control, for diffrax."""
+
+    control: Control | None
+
+    def __call__(self, t: jax.Array, y: State, model: Model) -> State:
+        q = unit(model.topology, y.q)
+        ctrl = None if self.control is None else jnp.asarray(self.control(t, State(q, y.v)))
+        tau = applied(model, q, y.v, ctrl)
+        rate = configuration_rate(model.topology, y.q, y.v)
+        return State(rate, acceleration(model, q, y.v, tau))
+
+
+def simulate(
+    model: Model,
+    state: State,
+    ts: jax.Array,
+    control: Control | None = None,
+    *,
+    solver: diffrax.AbstractSolver | None = None,
+    dt0: float | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+    constraints: None = None,
+    progress: bool = False,
+    throw: bool = True,
+    max_steps: int = 100_000,
+) -> Trajectory:
+    """Motion from ts[0] to ts[-1], kept at ts.
+
+    q' = N(q) v, v' = M^-1 (applied forces - b).
+
+    Args:
+        model: the robot.
+        state: initial q (nq,), v (nv,).
+        ts: (T,) increasing times in seconds, the first that of the state.
+        control: (t, state) -> (nu,); None for no actuation.
+        solver: any explicit diffrax solver; Tsit5 if None.
+        dt0: first step, or the fixed step where no controller is given.
+        stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
+        adjoint: diffrax's; checkpointed reverse mode if None.
+        progress: show diffrax's meter.
+        throw: raise if the solve fails; otherwise `result` and `ok` say so.
+        max_steps: at most so many steps.
+
+    Returns:
+        `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`.
+
+    Raises:
+        InputError: shapes, dtypes, times that do not increase.
+
+    Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("pendulum")
+        >>> rb.simulate(model, model.default_state(), jnp.linspace(0, 1, 5)).q.shape
+        (5, 1)
+    """
+    if constraints is not None:
+        raise InputError(f"simulate: constraints={constraints!r}, expected None: no formulation yet")
+    state = check_arrays("simulate", model, {"state": state})["state"]
+    ts = _times(ts, state.q.dtype)
+    if not model.nv:
+        raise InputError("simulate: the model has no joints, so nothing moves")
+    if stepsize_controller is None:
+        tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
+        adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
+        stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
+    top = model.topology
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(Motion(control)),
+        diffrax.Tsit5() if solver is None else solver,
+        t0=ts[0],
+        t1=ts[-1],
+        dt0=dt0,
+        y0=state,
+        args=model,
+        saveat=diffrax.SaveAt(ts=ts, fn=_Saved(top)),
+        stepsize_controller=stepsize_controller,
+        adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
+        max_steps=max_steps,
+        throw=throw,
+        progress_meter=diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter(),
+    )
+    q, v = solution.ys.q, solution.ys.v
+    ok = all_finite(q, v) & (solution.result == diffrax.RESULTS.successful)
+    if throw:
+        q = eqx.error_if(
+            q,
+            ~ok,
+            "simulate: the motion has values that are not finite; take a smaller dt0, or an "
+            "adaptive stepsize_controller, or throw=False to look at the trajectory",
+        )
+    return Trajectory(ts, q, v, ok, solution.result, solution.stats)
+
+
+class _Saved(eqx.Module):
+    """What is kept of a state: the same, with unit quaternions."""
+
+    topology: Any = eqx.field(static=True)
+
+    def __call__(self, t, y: State, args) -> State:
+        return State(unit(self.topology, y.q), y.v)
+
+
+def _times(ts: Any, dtype) -> jax.Array:
+    ts = jnp.asarray(ts, dtype)
+    if ts.ndim != 1 or ts.shape[0] < 2:
+        raise InputError(f"simulate: ts has shape {ts.shape}, expected (T,) with at least 2 times")
+    if not isinstance(ts, jax.core.Tracer) and not bool((jnp.diff(ts) > 0).all()):
+        raise InputError("simulate: ts must increase from the first to the last")
+    return ts

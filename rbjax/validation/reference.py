@@ -1,0 +1,158 @@
+"""MuJoCo C in f64, on the part of mechanics that both sides have.
+
+`smooth` switches off, in the reference, what rbjax leaves out of a model; then
+
+    v+ = v + dt a(q, v, u);   q+ = q (+) dt v+
+
+is both MuJoCo's Euler step (its implicit joint damping switched off too) and `rollout`'s.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rbjax.model import compile_model
+from rbjax.model.load_dropped import actuator_is_supported, dropped_features
+
+Array = np.ndarray
+
+#: what MuJoCo's Euler step does beyond the equation above
+_EULER = "implicit joint damping in MuJoCo's Euler step"
+_ZEROED = (
+    "body_gravcomp", "dof_frictionloss", "tendon_stiffness", "tendon_damping", "tendon_armature",
+    "tendon_frictionloss", "tendon_stiffnesspoly", "tendon_dampingpoly", "flex_stiffness",
+    "flex_damping", "flex_edgestiffness", "flex_edgedamping", "jnt_stiffnesspoly",
+    "dof_dampingpoly", "actuator_damping", "actuator_dampingpoly", "actuator_armature",
+)  # fmt: skip
+
+
+def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel, tuple[str, ...]]:
+    """An `MjModel` of the smooth dynamics alone, and what was switched off in words.
+
+    Args:
+        source: what `rbjax.load` takes; an MjModel is copied, not changed.
+        floating_base: as in `rbjax.load`.
+
+    Example:
+        >>> from rbjax.validation.reference import smooth
+        >>> smooth("pendulum")[1]
+        ("implicit joint damping in MuJoCo's Euler step",)
+    """
+    m = copy.copy(compile_model(source, floating_base=floating_base))
+    off = (*dropped_features(m), _EULER)
+    bits = mujoco.mjtDisableBit
+    for bit in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT):
+        m.opt.disableflags |= int(bit)
+    for bit in (bits.mjDSBL_FRICTIONLOSS, bits.mjDSBL_EQUALITY, bits.mjDSBL_EULERDAMP):
+        m.opt.disableflags |= int(bit)
+    m.geom_contype[:] = m.geom_conaffinity[:] = 0  # else MJX refuses some pairs of shapes
+    m.opt.density = m.opt.viscosity = 0.0
+    m.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    for i in range(m.nactuator):
+        if not actuator_is_supported(m, i):
+            m.actuator_gainprm[i] = m.actuator_biasprm[i] = 0.0
+    for field in _ZEROED:
+        values = getattr(m, field, None)  # several are new in MuJoCo 4
+        if values is not None:
+            values[:] = 0.0
+    return m, off
+
+
+@dataclass(frozen=True)
+class Samples:
+    """States and constant controls, all exactly representable in f32: q (N, nq), v, ctrl."""
+
+    q: Array
+    v: Array
+    ctrl: Array
+
+    def __getitem__(self, rows: slice) -> Samples:
+        return Samples(self.q[rows], self.v[rows], self.ctrl[rows])
+
+
+def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
+    """States around the file's, uniform attitudes, velocities of spread 1; controls well inside."""
+    rng = np.random.default_rng(seed)
+    q = m.qpos0 + rng.uniform(-1.0, 1.0, (count, m.nq))
+    for kind, at in zip(m.jnt_type, m.jnt_qposadr, strict=True):
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            start = at + 3 * (kind == mujoco.mjtJoint.mjJNT_FREE)
+            turn = rng.normal(size=(count, 4))
+            q[:, start : start + 4] = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
+    limited = m.actuator_ctrllimited.astype(bool)
+    low = np.where(limited, m.actuator_ctrlrange[:, 0], -1.0)
+    high = np.where(limited, m.actuator_ctrlrange[:, 1], 1.0)
+    middle, half = (low + high) / 2, (high - low) / 2
+    ctrl = middle + 0.2 * half * rng.uniform(-1.0, 1.0, (count, m.nu))
+    drawn = (q, rng.normal(size=(count, m.nv)), ctrl)
+    return Samples(*(x.astype(np.float32).astype(np.float64) for x in drawn))
+
+
+def quantities(m: mujoco.MjModel, samples: Samples) -> dict[str, Array]:
+    """What MuJoCo computes at each state: poses, velocities, M, bias, acceleration, one step."""
+    data, rows = mujoco.MjData(m), []
+    for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
+        mujoco.mj_resetData(m, data)
+        data.qpos, data.qvel, data.ctrl = q, v, ctrl
+        mujoco.mj_forward(m, data)
+        M = np.zeros((m.nv, m.nv))
+        mujoco.mj_fullM(m, data, M)
+        pose = np.concatenate([data.xmat[1:], data.xpos[1:]], -1)
+        row = {"poses": pose, "velocities": _velocities(m, data), "mass matrix": M}
+        row |= {"bias forces": data.qfrc_bias.copy(), "forward dynamics": data.qacc.copy()}
+        mujoco.mj_step(m, data)
+        rows.append(row | {"one step": np.concatenate([data.qpos, data.qvel])})
+    return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+
+
+def _velocities(m: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Twists (nb, 6) in world axes at the bodies' origins."""
+    out = np.zeros((m.nbody - 1, 6))
+    for b in range(1, m.nbody):
+        twist = np.zeros(6)
+        mujoco.mj_objectVelocity(m, data, mujoco.mjtObj.mjOBJ_XBODY, b, twist, 0)
+        out[b - 1] = twist
+    return out
+
+
+def trajectory(m: mujoco.MjModel, q: Array, v: Array, ctrl: Array, steps: int) -> tuple[Array, Array]:
+    """States (steps + 1, nq), (steps + 1, nv) under a constant control (nu,) or one row a step."""
+    data = mujoco.MjData(m)
+    data.qpos, data.qvel = q, v
+    ctrls = np.broadcast_to(ctrl, (steps, m.nu))
+    qs, vs = np.empty((steps + 1, m.nq)), np.empty((steps + 1, m.nv))
+    qs[0], vs[0] = q, v
+    for i in range(steps):
+        data.ctrl = ctrls[i]
+        mujoco.mj_step(m, data)
+        qs[i + 1], vs[i + 1] = data.qpos, data.qvel
+    return qs, vs
+
+
+def final_gradient(
+    m: mujoco.MjModel, samples: Samples, steps: int, weights: Array, *, step: float = 1e-4
+) -> Array:
+    """d(weights . final state) / d(v0, ctrl) (N, nv + nu) by central differences of fourth order.
+
+    f' = (8 (f(h) - f(-h)) - (f(2h) - f(-2h))) / 12 h: truncation h^4, rounding eps / h.
+    """
+
+    def loss(q: Array, x: Array) -> float:
+        qs, vs = trajectory(m, q, x[: m.nv], x[m.nv :], steps)
+        return float(weights @ np.concatenate([qs[-1], vs[-1]]))
+
+    out = np.zeros((len(samples.q), m.nv + m.nu))
+    for row, (q, v, ctrl) in enumerate(zip(samples.q, samples.v, samples.ctrl, strict=True)):
+        x = np.concatenate([v, ctrl])
+        for i, e in enumerate(np.eye(len(x))):
+            near = loss(q, x + step * e) - loss(q, x - step * e)
+            far = loss(q, x + 2 * step * e) - loss(q, x - 2 * step * e)
+            out[row, i] = (8 * near - far) / (12 * step)
+    return out

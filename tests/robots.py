@@ -1,0 +1,117 @@
+"""Robots that the tests walk: a model beside the MjModel it was read from, and states for both.
+
+A name is a bundled scene, `tree:SEED` (a random tree), a name of `tests.oracles.models.MODELS`, or
+`small`: every kind of thing that a model can hold on five velocity coordinates.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import rbjax as rb
+from rbjax.model import compile_model
+from tests.oracles.models import MODELS, switch_off_constraints
+from tests.oracles.random_trees import random_state, random_tree
+
+Array = np.ndarray
+
+SMALL = """
+<mujoco model="small">
+  <compiler angle="radian"/>
+  <option timestep="0.001" gravity="0.5 -1 -9"/>
+  <worldbody>
+    <body name="slider" pos="0.1 0.2 0.3" quat="0.9 0.1 -0.2 0.3">
+      <joint name="slide" type="slide" axis="1 2 -1" pos="0.1 0 0" ref="0.2" stiffness="5"
+        springref="0.3" damping="0.4" armature="0.05"/>
+      <joint name="hinge" axis="0.2 1 0.1" pos="0 0.1 0.05" damping="0.2" armature="0.1"/>
+      <inertial pos="0.05 0.1 -0.03" mass="1.5" fullinertia="0.02 0.03 0.025 0.002 -0.003 0.001"/>
+      <body name="swinger" pos="0.2 -0.1 0.3" quat="0.8 -0.3 0.4 0.2">
+        <joint name="ball" type="ball" pos="0.02 0.05 -0.04" stiffness="2" damping="0.1"/>
+        <inertial pos="0.1 -0.05 0.2" mass="0.8" fullinertia="0.012 0.01 0.009 0.001 0.002 -0.001"/>
+        <body name="hand" pos="0.1 0.2 0.1" quat="0.7 0.1 0.6 -0.3">
+          <inertial pos="0.02 0 0.03" mass="0.4" diaginertia="0.002 0.003 0.0025"/>
+          <site name="tip" pos="0.1 0.05 0" quat="0.5 0.5 -0.6 0.2"/>
+        </body>
+      </body>
+    </body>
+    <body name="plate" pos="1 0 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
+  </worldbody>
+  <actuator>
+    <motor name="push" joint="slide" gear="3" ctrllimited="true" ctrlrange="-0.5 0.5"/>
+    <position name="servo" joint="hinge" kp="4" kv="0.5" gear="1.5" forcelimited="true"
+      forcerange="-2 2"/>
+    <motor name="twist" joint="ball" gear="1 0.5 -2"/>
+    <general name="jet" site="tip" gear="1 -0.5 2 0.1 0.3 -0.2" gainprm="2"/>
+    <damper name="brake" joint="slide" kv="0.7" ctrlrange="0 1"/>
+  </actuator>
+  <keyframe><key name="bent" qpos="0.1 0.7 0.9 0.1 -0.2 0.3" qvel="1 2 3 4 5"/></keyframe>
+</mujoco>
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A model and its reference, an MjModel of the smooth dynamics alone."""
+
+    model: rb.Model
+    reference: mujoco.MjModel
+
+    def states(self, count: int) -> tuple[Array, Array]:
+        """q (count, nq) and v (count, nv), the same on every run."""
+        drawn = [random_state(self.reference, seed) for seed in range(count)]
+        return np.stack([q for q, _ in drawn]), np.stack([v for _, v in drawn])
+
+
+def load_quietly(source: Any, **options: Any) -> rb.Model:
+    """`rb.load`, for tests that are not about what it leaves out."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*left out of the model")
+        return rb.load(source, **options)
+
+
+@cache
+def _load(name: str) -> Robot:
+    if name.startswith("tree:"):
+        compiled = mujoco.MjModel.from_xml_string(random_tree(int(name.removeprefix("tree:"))))
+    elif name == "small":
+        compiled = compile_model(SMALL)
+    elif name in MODELS:
+        with warnings.catch_warnings():  # MuJoCo's about old files
+            warnings.simplefilter("ignore")
+            compiled = MODELS[name].load()
+    else:
+        compiled = compile_model(name)
+    model = load_quietly(compiled)
+    switch_off_constraints(compiled)
+    for i in range(compiled.nactuator):  # what the model leaves out, the reference goes without
+        row = compiled.actuator_ctrladr[i]
+        if model.actuators.joints[row] == model.actuators.sites[row] == -1:
+            compiled.actuator_gainprm[i] = compiled.actuator_biasprm[i] = 0.0
+    return Robot(model, compiled)
+
+
+def robot(name: str, driver: str = "auto") -> Robot:
+    """The robot of that name, whose recursions run on that driver."""
+    found = _load(name)
+    return Robot(found.model.replace(driver=driver), found.reference)
+
+
+def at(reference: mujoco.MjModel, q: Array, v: Array) -> mujoco.MjData:
+    """MuJoCo's data at a state, everything computed."""
+    data = mujoco.MjData(reference)
+    data.qpos, data.qvel = q, v
+    mujoco.mj_forward(reference, data)
+    return data
+
+
+def mass_matrix(reference: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """MuJoCo's M (nv, nv)."""
+    out = np.zeros((reference.nv, reference.nv))
+    mujoco.mj_fullM(reference, data, out)  # MuJoCo 4's order of arguments
+    return out
