@@ -45,7 +45,7 @@ demo: $(STAMP) ## the main job on bundled scenes; pictures and a report in ./rbj
 	$(BIN)/rbjax demo
 
 bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
-	@for script in $(filter-out timing,$(basename $(notdir $(wildcard benchmarks/*.py)))); do \
+	@for script in $(filter-out timing robots,$(basename $(notdir $(wildcard benchmarks/*.py)))); do \
 	  echo "benchmarks/$$script.py"; $(BIN)/python -m benchmarks.$$script || exit 1; \
 	done
 

@@ -196,6 +196,14 @@ class Sym3(Lanes):
         return cls(*(mul(a[i], b[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))))
 
     @property
+    def isotropic(self) -> bool:
+        """Whether the program says that this is a multiple of the identity."""
+        xx, yy, zz, *rest = self
+        one = xx is yy and yy is zz
+        one = one or (is_literal(xx) and is_literal(yy) and is_literal(zz) and xx == yy == zz)
+        return one and all(is_zero(x) for x in rest)
+
+    @property
     def dense(self) -> Mat3:
         xx, yy, zz, xy, xz, yz = self
         return Mat3(xx, xy, xz, xy, yy, yz, xz, yz, zz)
@@ -205,6 +213,8 @@ class Sym3(Lanes):
 
     def rotated(self, R: Mat3) -> Sym3:
         """R S R^T."""
+        if self.isotropic:
+            return self
         half = (R @ self).rows
         r = R.rows
         return Sym3(

@@ -12,6 +12,9 @@ identity.
 
 from __future__ import annotations
 
+import contextlib
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -24,20 +27,36 @@ _materialize = Primitive("materialize")
 _materialize.multiple_results = True
 
 
+_here = threading.local()
+
+
+@contextlib.contextmanager
+def inside_a_kernel() -> Iterator[None]:
+    """While tracing the body of a Pallas kernel, whose compiler knows no primitives of ours."""
+    before = getattr(_here, "kernel", False)
+    _here.kernel = True
+    try:
+        yield
+    finally:
+        _here.kernel = before
+
+
 def materialize(tree: Any, known: Any = ()) -> Any:
     """The same pytree; its arrays are computed once, here. Literals stay literals.
 
     Arrays that are also in `known` are passed by. (They must be: what goes through together is
     transposed together, so constants of a linear solve must not go with its unknowns.)
     """
+    if getattr(_here, "kernel", False):
+        return tree
     leaves, treedef = jax.tree.flatten(tree)
     passed = {id(x) for x in jax.tree.leaves(known)}
-    where = [
-        i for i, x in enumerate(leaves) if isinstance(x, jax.Array) and id(x) not in passed
-    ]
-    if where:
-        for i, y in zip(where, _materialize.bind(*[leaves[i] for i in where]), strict=True):
-            leaves[i] = y
+    fresh = {
+        id(x): x for x in leaves if isinstance(x, jax.Array) and id(x) not in passed
+    }  # each array once, so that equal lanes stay one lane
+    if fresh:
+        kept = dict(zip(fresh, _materialize.bind(*fresh.values()), strict=True))
+        leaves = [kept.get(id(x), x) for x in leaves]
     return jax.tree.unflatten(treedef, leaves)
 
 
@@ -86,6 +105,8 @@ _sincos.multiple_results = True
 
 def sincos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """cos x and sin x, to 2.2e-16 for |x| <= 1e5 in f64 on the CPU; XLA's own elsewhere."""
+    if getattr(_here, "kernel", False):
+        return jnp.cos(x), jnp.sin(x)
     c, s = _sincos.bind(x)
     return c, s
 

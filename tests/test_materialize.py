@@ -23,9 +23,7 @@ def test_is_the_identity_with_its_derivatives() -> None:
 
     @jax.jit
     def everything(tree, tangent):
-        with_it, without = (
-            (lambda t, i=i: scrambled(t)[i]) for i in (0, 1)
-        )
+        with_it, without = ((lambda t, i=i: scrambled(t)[i]) for i in (0, 1))
         return [
             (f(tree), jax.jvp(f, (tree,), (tangent,)), jax.vjp(f, tree)[1](tangent))
             for f in (with_it, without)

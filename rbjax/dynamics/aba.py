@@ -42,11 +42,11 @@ def swing(x: tuple[LinkConstants, JointMotion], w_parent: Vec3) -> tuple[Vec3, S
     """Outward step: angular velocity and bias acceleration (centripetal, Coriolis, gyroscopic)."""
     link, joint = x
     X = joint.transform(link)
-    w = X.E @ w_parent + joint.rate
-    spin = joint.S * joint.qd
+    carried = X.E @ w_parent
+    w = carried + joint.rate
     centripetal = X.E @ w_parent.cross(w_parent.cross(X.p))
-    coriolis = w.cross(spin.lin) * 2.0
-    return w, Swing(X, w, Motion(w.cross(spin.ang), centripetal + coriolis))
+    coriolis = w.cross((joint.S * joint.qd).lin) * 2.0
+    return w, Swing(X, w, Motion(carried.cross(joint.rate), centripetal + coriolis))
 
 
 def bias_force(inertia: RigidInertia, w: Vec3) -> Force:

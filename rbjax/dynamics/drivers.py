@@ -24,6 +24,7 @@ from rbjax.dynamics.joints import JointMotion, joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack, unpack
 from rbjax.lanes import Lane, add, as_arrays, is_literal
 from rbjax.materialize import materialize
+from rbjax.model.cells import lane_of
 from rbjax.model import WORLD, LinkConstants, Model, Prepared, prepare
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
@@ -93,7 +94,7 @@ class Rolled:
         self._like: jax.Array | None = None
         parents = np.array(self.topology.parents)
         n = len(parents)
-        self._slots, slot_of = _allocate_slots(self.topology.parents)
+        self._slots, slot_of = allocate_slots(self.topology.parents)
         chained = parents == np.arange(n) - 1
         #: the slot from which each link takes its parent, or -1 for the link before
         self._source = np.where(chained, -1, [slot_of.get(p, -1) for p in parents])
@@ -210,6 +211,11 @@ def _select(condition, a, b):
 
 def _uniform(column):
     """A literal where a concrete column is zero (or one) all along."""
+    if isinstance(column, np.ndarray) and column.dtype == object:
+        lanes = [lane_of(x) for x in column]
+        if lanes and all(is_literal(x) and x == lanes[0] and x in (0.0, 1.0) for x in lanes):
+            return lanes[0]
+        return jnp.stack([jnp.asarray(x) for x in lanes])
     if isinstance(column, np.ndarray) and len(column):
         for value in (0.0, 1.0):
             if (column == value).all():
@@ -217,7 +223,7 @@ def _uniform(column):
     return column
 
 
-def _allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
+def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
     """The number of slots, and the slot of each link that has a child not right after it."""
     last: dict[int, int] = {}
     for i, parent in enumerate(parents):

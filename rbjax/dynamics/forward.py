@@ -24,39 +24,69 @@ from rbjax.dynamics.rnea import rnea
 from rbjax.model import Model
 
 
-@jax.custom_jvp
 def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-    """a = M^-1 (tau - b) on checked arrays (nv, ...)."""
-    d = driver(model, q.dtype)
-    qdd, _ = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
-    return d.pack(qdd, tau)
+    """a = M^-1 (tau - b) on checked arrays (nv, ...), with the derivative above.
+
+    Leaves of the model that are known while tracing stay out of the custom derivative's arguments,
+    so that they stay known.
+    """
+    leaves, treedef = jax.tree.flatten(model)
+    traced = [i for i, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
+
+    def rebuilt(changed):
+        filled = list(leaves)
+        for i, x in zip(traced, changed, strict=True):
+            filled[i] = x
+        return jax.tree.unflatten(treedef, filled)
+
+    def run(changed, q, v, tau):
+        d = driver(rebuilt(changed), q.dtype)
+        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
+        return d, d.pack(qdd, tau), factors
+
+    @jax.custom_jvp
+    def forward(changed, q, v, tau):
+        return run(changed, q, v, tau)[1]
+
+    @functools.partial(forward.defjvp, symbolic_zeros=True)
+    def tangent(primals, tangents):
+        changed, q, v, tau = primals
+        d, _, factors = run(changed, q, v, tau)
+        a = forward(changed, q, v, tau)
+
+        def inverse(changed, q, v):
+            d = driver(rebuilt(changed), q.dtype)
+            return d.pack(rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity), tau)
+
+        dtau = _tangent_of(inverse, (changed, q, v), tangents[:3])
+        rate = tangents[3]
+        if not isinstance(rate, SymbolicZero):
+            dtau = rate if dtau is None else rate - dtau
+        elif dtau is not None:
+            dtau = -dtau
+        if dtau is None:
+            return a, jnp.zeros_like(a)
+        return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
+
+    return forward([leaves[i] for i in traced], q, v, tau)
 
 
-@functools.partial(acceleration.defjvp, symbolic_zeros=True)
-def _acceleration_jvp(primals, tangents):
-    model, q, v, tau = primals
-    d = driver(model, q.dtype)
-    _, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
-    a = acceleration(model, q, v, tau)
-    leaves, treedef = jax.tree.flatten((model, q, v))
-    rates = jax.tree.leaves(tangents[:3])
+def _tangent_of(f, primals, tangents):
+    """jvp of f in the arguments whose tangents are not symbolic zeros; None if all are."""
+    leaves, treedef = jax.tree.flatten(primals)
+    rates = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))
     moving = [i for i, t in enumerate(rates) if not isinstance(t, SymbolicZero)]
+    if not moving:
+        return None
 
-    def inverse(*changed):
+    def restricted(*changed):
         filled = list(leaves)
         for i, x in zip(moving, changed, strict=True):
             filled[i] = x
-        model, q, v = jax.tree.unflatten(treedef, filled)
-        d = driver(model, q.dtype)
-        return d.pack(rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity), tau)
+        return f(*jax.tree.unflatten(treedef, filled))
 
-    dtau = tangents[3]
-    if isinstance(dtau, SymbolicZero):
-        dtau = jnp.zeros_like(tau)
-    if moving:
-        at = [leaves[i] for i in moving]
-        dtau = dtau - jax.jvp(inverse, at, [rates[i] for i in moving])[1]
-    return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
+    at = tuple(leaves[i] for i in moving)
+    return jax.jvp(restricted, at, tuple(rates[i] for i in moving))[1]
 
 
 @algorithm("q", "v", "tau", "wrenches")

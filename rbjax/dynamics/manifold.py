@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.lanes import Lane
+from rbjax.lanes import Lane, sub
 from rbjax.model import JOINT_SIZES, Model, Topology
 from rbjax.rotations import quaternion
 
@@ -25,6 +25,25 @@ def integrate_lanes(top: Topology, q: list[Lane], dq: list[Lane]) -> list[Lane]:
         if nq != straight:
             turn = q[at + straight : at + nq]
             out += quaternion.turned(turn, dq[dat + straight : dat + nv])
+    return out
+
+
+def difference_lanes(top: Topology, q0: list[Lane], q1: list[Lane]) -> list[Lane]:
+    """q1 - q0 on lanes, for quaternions of any length."""
+    out: list[Lane] = []
+    for kind, at in zip(top.joint_kinds, top.joint_q, strict=True):
+        nq, nv = JOINT_SIZES[kind]
+        straight = nv if kind in ("hinge", "slide") else nv - 3
+        out += [sub(q1[at + k], q0[at + k]) for k in range(straight)]
+        if nq != straight:
+            (aw, ax, ay, az), (w, x, y, z) = (p[at + straight : at + nq] for p in (q0, q1))
+            turn = [
+                aw * w + ax * x + ay * y + az * z,
+                aw * x - ax * w - ay * z + az * y,
+                aw * y + ax * z - ay * w - az * x,
+                aw * z - ax * y + ay * x - az * w,
+            ]
+            out += quaternion.log_lanes(turn)
     return out
 
 

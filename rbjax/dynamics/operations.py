@@ -149,6 +149,8 @@ def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
         return OperationCount(), out
     if name == "scan":
         return _scan(eqn, out)
+    if name == "sincos":
+        return OperationCount(trigonometry=sum(out) * math.prod(eqn.outvars[0].aval.shape)), [True]
     if name == "while":
         body = _open(params["body_jaxpr"])
         test = _open(params["cond_jaxpr"])
@@ -202,8 +204,6 @@ def _primitive(eqn: Any) -> OperationCount:
         return OperationCount(roots=size)
     if name in _TRIGONOMETRY:
         return OperationCount(trigonometry=size)
-    if name == "sincos":
-        return OperationCount(trigonometry=2 * size)
     if name in _REDUCTIONS:
         return OperationCount(**{_REDUCTIONS[name]: math.prod(eqn.invars[0].aval.shape) - size})
     if name == "dot_general":

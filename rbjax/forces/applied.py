@@ -15,7 +15,7 @@ import numpy as np
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.jacobians import jacobian
 from rbjax.dynamics.kinematics import site_pose
-from rbjax.dynamics.manifold import difference
+from rbjax.dynamics.manifold import difference, difference_lanes
 from rbjax.dynamics.packing import pack
 from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, total
 from rbjax.model import JOINT_SIZES, WORLD, Model, State
@@ -24,8 +24,13 @@ from rbjax.rotations import quaternion
 
 
 def _table(x: jax.Array, dtype):
-    """Numbers as numpy where they are known while tracing, so that zeros cost nothing."""
-    return x.astype(dtype) if isinstance(x, jax.core.Tracer) else np.asarray(x, np.float64)
+    """Numbers as numpy where they are known while tracing, so that zeros cost nothing.
+
+    A kernel's own tables (`dynamics.kernel_numbers`) stay what they are.
+    """
+    if isinstance(x, jax.core.Tracer):
+        return x.astype(dtype)
+    return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
 
 
 def _clip(x: Lane, limits, i: int) -> Lane:
@@ -37,13 +42,15 @@ def _clip(x: Lane, limits, i: int) -> Lane:
 
 def passive_lanes(model: Model, q: jax.Array, v: jax.Array) -> list[Lane]:
     """Springs and dampers, one lane per velocity coordinate."""
-    top, dtype = model.topology, q.dtype
+    top, dtype = model.topology, v[0].dtype
     joints = model.joints
     stiffness, damping = _table(joints.stiffness, dtype), _table(joints.damping, dtype)
     out: list[Lane] = [neg(mul(lane(damping, i), v[i])) for i in range(model.nv)]
     if isinstance(stiffness, np.ndarray) and not stiffness.any():
         return out
-    stretch = difference(model, joints.springref.astype(dtype), q)
+    rest = _table(joints.springref, dtype)
+    at_rest = [lane(rest, i) for i in range(top.nq)]
+    stretch = difference_lanes(top, at_rest, [q[i] for i in range(top.nq)])
     for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
         k = lane(stiffness, j)
         if not is_zero(k):
@@ -55,7 +62,7 @@ def passive_lanes(model: Model, q: jax.Array, v: jax.Array) -> list[Lane]:
 def _moment(model: Model, q: jax.Array, i: int) -> tuple[dict[int, Lane], Lane]:
     """Row of the moment arms of actuator i as {velocity coordinate: arm}, and its length."""
     top, actuators = model.topology, model.actuators
-    gear = _table(actuators.gear, q.dtype)
+    gear = _table(actuators.gear, q[0].dtype)
     g = [lane(gear[:, k], i) for k in range(6)]
     joint, site = actuators.joints[i], actuators.sites[i]
     if site >= 0:
@@ -75,14 +82,13 @@ def _moment(model: Model, q: jax.Array, i: int) -> tuple[dict[int, Lane], Lane]:
     if kind in ("hinge", "slide"):
         return arms, mul(g[0], q[start])
     if kind == "ball":
-        turn = quaternion.log(quaternion.normalize(q[start : start + 4]))
-        return arms, inner(g[:3], list(turn))
+        return arms, inner(g[:3], quaternion.log_lanes([q[start + k] for k in range(4)]))
     return arms, 0.0
 
 
 def actuator_lanes(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) -> list[Lane]:
     """Actuator forces on the velocity coordinates, limits of joints included."""
-    top, actuators, dtype = model.topology, model.actuators, q.dtype
+    top, actuators, dtype = model.topology, model.actuators, v[0].dtype
     gain, bias = _table(actuators.gain, dtype), _table(actuators.bias, dtype)
     ctrlrange = _table(actuators.ctrlrange, dtype)
     forcerange = _table(actuators.forcerange, dtype)
@@ -106,13 +112,18 @@ def actuator_lanes(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) ->
     return out
 
 
-def applied(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) -> jax.Array:
-    """`applied_forces` on checked arrays."""
+def applied_lanes(model: Model, q, v, ctrl) -> list[Lane]:
+    """`applied_forces` on arrays or lists of lanes."""
     lanes = passive_lanes(model, q, v)
     if ctrl is not None:
         driven = actuator_lanes(model, q, v, ctrl)
         lanes = [add(a, b) for a, b in zip(lanes, driven, strict=True)]
-    return pack(lanes, v)
+    return lanes
+
+
+def applied(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) -> jax.Array:
+    """`applied_forces` on checked arrays."""
+    return pack(applied_lanes(model, q, v, ctrl) if model.nv else [], v)
 
 
 @algorithm("state", "ctrl")

@@ -7,7 +7,9 @@ are structural and vanish from the program; where they are traced the columns ar
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -15,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import Lane, Mat3, Sym3, Vec3, quaternion_matrix
+from rbjax.model.cells import Cell, all_literal, cells, lane_of, stacked
 from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia
@@ -62,7 +65,9 @@ def prepare(model: Model, dtype: Any) -> Prepared:
     """
     leaves = (model.bodies, model.joints, model.gravity)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
-        return _prepare(model.topology, *leaves, jnp, dtype)
+        if model.zeros is None:
+            return _prepare(model.topology, *leaves, jnp, dtype)
+        return _prepare(model.topology, *_as_cells(leaves, dict(model.zeros)), np, dtype)
     leaves = jax.tree.map(lambda x: np.asarray(x, np.float64), leaves)
     return _prepare(model.topology, *leaves, np, np.float64)
 
@@ -78,15 +83,15 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
     part = np.array([-1 if link.part is None else link.part for link in links], int)
     ball = (part >= 0)[:, None, None]
     moved_R = xp.where(ball, cycle[part], align[joint])
-    starts = np.array([link.quaternion for link in links])[:, None, None]
+    starts = np.array([link.quaternion for link in links], bool)[:, None, None]
     own_R = xp.where(starts, np.eye(3), moved_R)
     anchor = joints.placement[joint]
 
     # the pose of the body in the carrier of its parent body, where the link is the body's first
     body = np.array([link.body for link in links], int)
     parent_body = np.array(top.body_parents, int)[body]
-    free = np.array([top.joint_kinds[j] == "free" for j in joint])
-    first = np.array([link.first_on_body for link in links]) & ~free
+    free = np.array([top.joint_kinds[j] == "free" for j in joint], bool)
+    first = np.array([link.first_on_body for link in links], bool) & ~free
     at_world = (parent_body == WORLD)[:, None, None]
     carry_R = xp.where(at_world, np.eye(3), weld_R[parent_body])
     carry_p = xp.where(at_world[..., 0], np.zeros(3), weld_p[parent_body])
@@ -103,8 +108,9 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
 
     # inertia about the link's origin, in its axes, of all bodies that move with it
     carrier_link = np.array(top.body_links, int)
-    frame_R = xp.where((carrier_link == WORLD)[:, None, None], np.eye(3), moved_R[carrier_link])
-    frame_p = xp.where((carrier_link == WORLD)[:, None], np.zeros(3), anchor[carrier_link])
+    own = np.where(carrier_link == WORLD, n, carrier_link)  # the world is the frame after the last
+    frame_R = xp.concatenate([moved_R, np.eye(3)[None]])[own]
+    frame_p = xp.concatenate([anchor, np.zeros((1, 3))])[own]
     to_link_R = matrix_product(matrix_transpose(frame_R), weld_R)
     to_link_p = matrix_apply(matrix_transpose(frame_R), weld_p - frame_p)
     com = to_link_p + matrix_apply(to_link_R, bodies.com)
@@ -116,14 +122,17 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
     m = _gather(mass, carrier_link, n, xp)
 
     q_of = np.array([0 if link.q is None else link.q for link in links], int)
-    scalar = np.array([not link.quaternion and link.part is None for link in links])
+    scalar = np.array([not link.quaternion and link.part is None for link in links], bool)
     reference = xp.where(scalar, joints.reference[q_of], 0.0) if n else np.zeros(0)
-    if xp is np:
+    if R.dtype != object and xp is np:
         R, to_link_R = _snap(R), _snap(to_link_R)
         J, h = _snap_relative(J), _snap_relative(h)
 
     def cast(x):
-        return x.astype(dtype)
+        return x if x.dtype == object else x.astype(dtype)
+
+    def whole(x):
+        return stacked(x, dtype) if x.dtype == object else x.astype(dtype)
 
     columns = LinkConstants(
         R=Mat3(*(cast(R[:, i, j]) for i in range(3) for j in range(3))),
@@ -137,7 +146,21 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
         reference=cast(reference),
     )
     lanes = Vec3(*(lane(cast(gravity), i) for i in range(3)))
-    return Prepared(columns, cast(to_link_R), cast(to_link_p), lanes)
+    return Prepared(columns, whole(to_link_R), whole(to_link_p), lanes)
+
+
+def _as_cells(leaves, zeros: dict):
+    """The leaves as object arrays with the declared zeros literal."""
+    bodies, joints, gravity = leaves
+
+    def convert(name, x):
+        return cells(x, zeros[name], known=not isinstance(x, jax.core.Tracer))
+
+    def record(r):
+        fields = {f.name: getattr(r, f.name) for f in dataclasses.fields(r)}
+        return SimpleNamespace(**{name: convert(name, x) for name, x in fields.items()})
+
+    return record(bodies), record(joints), convert("gravity", gravity)
 
 
 _SYM = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -160,6 +183,8 @@ def _welds(top: Topology, bodies, xp):
 
 def _alignments(axis, xp):
     """A (nj, 3, 3) with A z = axis / |axis| (Duff et al. 2017); zero axes count as z."""
+    if axis.dtype == object:
+        return np.array([_alignment_of_cells(row) for row in axis], object).reshape(-1, 3, 3)
     square = (axis * axis).sum(-1, keepdims=True)
     none = square == 0
     unit = xp.where(none, np.array([0.0, 0.0, 1.0]), axis / xp.sqrt(xp.where(none, 1.0, square)))
@@ -169,6 +194,14 @@ def _alignments(axis, xp):
     b = x * y * a
     rows = [1 + sign * x * x * a, b, x, sign * b, sign + y * y * a, y, -sign * x, -y, z]
     return xp.stack(rows, -1).reshape(-1, 3, 3)
+
+
+def _alignment_of_cells(row: np.ndarray) -> np.ndarray:
+    """`_alignments` of one axis: numbers where it is literal, cells where it is traced."""
+    if all_literal(row):
+        return _alignments(np.array([[float(lane_of(x)) for x in row]]), np)[0].astype(object)
+    dense = _alignments(jnp.stack([jnp.asarray(lane_of(x)) for x in row])[None], jnp)[0]
+    return np.array([[Cell(dense[i, j]) for j in range(3)] for i in range(3)], object)
 
 
 def _quaternion_to_matrix(q, xp):
@@ -192,7 +225,7 @@ def _gather(x, index: np.ndarray, n: int, xp):
     """Sums over bodies of one link; what is welded to the world (index -1) falls out."""
     slot = np.where(index == WORLD, n, index)
     if xp is np:
-        out = np.zeros((n + 1, *x.shape[1:]))
+        out = np.zeros((n + 1, *x.shape[1:]), x.dtype)
         np.add.at(out, slot, x)
         return out[:n]
     return jax.ops.segment_sum(x, slot, n + 1)[:n]
@@ -211,4 +244,6 @@ def _snap_relative(x: np.ndarray) -> np.ndarray:
 
 def lane(column, i: int) -> Lane:
     """One entry of a column: a Python float where it is concrete."""
-    return float(column[i]) if isinstance(column, np.ndarray) else column[i]
+    if isinstance(column, np.ndarray):
+        return lane_of(column[i])
+    return column[i]

@@ -169,8 +169,7 @@ def _fix(message: str) -> str:
 
 def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
     """The `Model` of a compiled MuJoCo model."""
-    if not np.isfinite(m.qpos0).all() or not np.isfinite(m.body_mass).all():
-        raise ModelError("the compiled model has values that are not finite")
+    _refuse_nan(m)
 
     def array(x):
         return jnp.asarray(np.asarray(x, np.float64))
@@ -230,6 +229,23 @@ def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
     )
+
+
+def _refuse_nan(m: mujoco.MjModel) -> None:
+    """MuJoCo only warns of a nan in a file, and compiles it."""
+    fields = "qpos0 qpos_spring body_mass body_ipos body_iquat body_inertia body_pos body_quat"
+    fields += " jnt_pos jnt_axis jnt_stiffness dof_armature dof_damping site_pos site_quat"
+    fields += " actuator_gear actuator_gainprm actuator_biasprm key_qpos key_qvel key_ctrl"
+    for name in fields.split():
+        values = np.asarray(getattr(m, name))
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            raise ModelError(
+                f"the compiled model has {name}[{int(bad[0][0])}] = {values[bad[0][0]]}, which is "
+                f"not finite; correct that number in the file"
+            )
+    if not np.isfinite(m.opt.gravity).all():
+        raise ModelError(f"gravity is {m.opt.gravity}, which is not finite; correct the file")
 
 
 def _control_names(m: mujoco.MjModel) -> tuple[str, ...]:

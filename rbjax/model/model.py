@@ -13,8 +13,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.errors import InputError, UnknownName
+from rbjax.model.cells import literals
 from rbjax.model.topology import Topology
 from rbjax.rotations import quaternion
 
@@ -29,10 +31,10 @@ class Record(eqx.Module):
             if name not in fields:
                 raise UnknownName(f"field of {type(self).__name__}", name, fields)
             old = fields[name]
-            if eqx.is_array(old) and jnp.shape(value) != jnp.shape(old):
+            if eqx.is_array(old) and np.shape(value) != np.shape(old):
                 raise InputError(
-                    f"{type(self).__name__}.replace({name}=...): got shape {jnp.shape(value)}, "
-                    f"expected {jnp.shape(old)}; build a new model to change its size, "
+                    f"{type(self).__name__}.replace({name}=...): got shape {np.shape(value)}, "
+                    f"expected {np.shape(old)}; build a new model to change its size, "
                     f"or jax.vmap over models to have many"
                 )
             fields[name] = jnp.asarray(value, old.dtype) if eqx.is_array(old) else value
@@ -132,6 +134,8 @@ class Model(Record):
     timestep: float = eqx.field(static=True)
     dropped: tuple[str, ...] = eqx.field(static=True)
     driver: str = eqx.field(static=True, default="auto")
+    #: entries of leaves that are part of the program (`fix_zeros`), or None
+    zeros: tuple | None = eqx.field(static=True, default=None)
 
     @property
     def nq(self) -> int:
@@ -185,6 +189,20 @@ class Model(Record):
         """The index of a site."""
         return _index("site", name, self.site_names)
 
+    def fix_zeros(self) -> Model:
+        """The same model with the zeros of its numbers declared part of the program.
+
+        Zeros of masses, centres, inertias, placements and gravity, and zeros and ones of axes and
+        attitudes, then cost no arithmetic although the leaves stay inputs: for a batch of robots
+        that differ in masses and lengths. An entry so fixed is no parameter any more: what a leaf
+        holds there is ignored, and its derivative is zero.
+        """
+        leaves = {**_numbers(self.bodies), **_numbers(self.joints), "gravity": self.gravity}
+        zeros = tuple(
+            (name, literals(x, units=name in ("axis", "orientation"))) for name, x in leaves.items()
+        )
+        return self.replace(zeros=zeros)
+
     def default_state(self) -> State:
         """The configuration in which the file draws the robot, at rest."""
         q = self.joints.reference
@@ -206,6 +224,10 @@ class Model(Record):
             turn = quaternion.normalize(jax.random.normal(k, (4,), dtype))
             q = q.at[start : start + 4].set(turn)
         return State(q, jax.random.normal(kv, (self.nv,), dtype))
+
+
+def _numbers(record: Record) -> dict[str, jax.Array]:
+    return {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
 
 
 def _index(kind: str, name: str, names: tuple[str, ...]) -> int:

@@ -61,17 +61,29 @@ def log(a: jax.Array) -> jax.Array:
     vectors is returned, and the derivative is that of its branch.
     """
     w, u = a[..., :1], a[..., 1:]
-    sign = jnp.where(w < 0, -1.0, 1.0).astype(a.dtype)
-    w, u = w * sign, u * sign
-    square = (u * u).sum(-1, keepdims=True)
-    small = square < 1e-4 if a.dtype == jnp.float64 else square < 1e-2
+    return u * _log_scale(w, (u * u).sum(-1, keepdims=True))
+
+
+def log_lanes(q: list) -> list:
+    """`log` of a quaternion of any nonzero length, on lanes."""
+    shrink = jax.lax.rsqrt(sum(a * a for a in q))
+    w, x, y, z = (a * shrink for a in q)
+    scale = _log_scale(w, x * x + y * y + z * z)
+    return [x * scale, y * scale, z * scale]
+
+
+def _log_scale(w: jax.Array, square: jax.Array) -> jax.Array:
+    """phi / u, from w and |u|^2."""
+    sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)
+    w = w * sign
+    small = square < (1e-4 if w.dtype == jnp.float64 else 1e-2)
     safe = jnp.where(small, 1.0, square)
     n = jnp.sqrt(safe)
     far = 2 * jnp.arctan2(n, jnp.where(small, 1.0, w)) / n
     x = jnp.where(small, square / (w * w), 0.0)  # tan^2 of half the angle
     series = 1 + x * (-1 / 3 + x * (1 / 5 + x * (-1 / 7 + x * (1 / 9 - x * (1 / 11 - x / 13)))))
     near = 2 * series / jnp.where(small, w, 1.0)
-    return u * jnp.where(small, near, far)
+    return sign * jnp.where(small, near, far)
 
 
 def _cos_sqrt(x: jax.Array) -> jax.Array:

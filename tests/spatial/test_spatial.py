@@ -40,9 +40,7 @@ MATRIX = np.block([[R.T, np.zeros((3, 3))], [-R.T @ skew(P), R.T]])  # X_CP, (2.
 MASS, COM = 1.7, RNG.normal(size=3)
 _half = RNG.normal(size=(3, 3))
 INERTIA = _half @ _half.T  # about the frame's origin, to be read as any symmetric matrix
-RIGID = RigidInertia(
-    jnp.asarray(MASS), Vec3(*lanes(MASS * COM)), Sym3.upper(Mat3(*lanes(INERTIA)))
-)
+RIGID = RigidInertia(jnp.asarray(MASS), Vec3(*lanes(MASS * COM)), Sym3.upper(Mat3(*lanes(INERTIA))))
 _six = RNG.normal(size=(6, 6))
 SIX = _six @ _six.T
 ARTICULATED = ArticulatedInertia(
@@ -95,7 +93,9 @@ def test_inertias(inertia, matrix) -> None:
     assert close(columns(inertia + inertia, Motion), 2 * matrix)
     assert close(columns(inertia.rotated(rotation), Motion), turn @ matrix @ turn.T)
     assert close(columns(inertia.shifted(arm), Motion), shift @ matrix @ shift.T)
-    moved = X.articulated_to_parent if isinstance(inertia, ArticulatedInertia) else X.rigid_to_parent
+    moved = (
+        X.articulated_to_parent if isinstance(inertia, ArticulatedInertia) else X.rigid_to_parent
+    )
     assert close(columns(moved(inertia), Motion), MATRIX.T @ matrix @ MATRIX)
 
 

@@ -1,0 +1,75 @@
+"""Timing where many processes share one accelerator: they compile side by side and run one at a time.
+
+Each benchmark is one call: `python -m benchmarks.gpu_forward [--engine mjx|rbjax] [--robots ...]`.
+A row holds lower, compile and run seconds (`timing.measure`) and millions a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import fcntl
+import json
+import os
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from benchmarks.gpu_models import NAMES
+from benchmarks.timing import markdown_table, measure, save
+
+LOCK = Path(os.environ.get("RBJAX_GPU_LOCK", "/tmp/rbjax-gpu.lock"))
+COLUMNS = ("what", "robot", "engine", "batch", "lower_s", "compile_s", "run_s", "M/s", "note")
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """The device to ourselves, among the benchmarks on this machine."""
+    with LOCK.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def timed(row: dict[str, Any], fn: Callable, *args: Any, work: int, budget_s: float = 0.5) -> dict:
+    """The row with `fn`'s times; `work` is how many evaluations or steps one call does."""
+    try:
+        start = time.perf_counter()
+        lowered = jax.jit(fn).lower(*args)
+        lower_s = time.perf_counter() - start
+        start = time.perf_counter()
+        program = lowered.compile()
+        compile_s = time.perf_counter() - start
+        with alone():
+            times = measure(program, *args, budget_s=budget_s, jit=False)
+        row = row | times | {"lower_s": lower_s, "compile_s": compile_s}
+        row["M/s"] = work / times["run_min_s"] / 1e6
+        row["M/s median"] = work / times["run_s"] / 1e6
+    except Exception as error:  # a benchmark goes on
+        row = row | {"note": f"{type(error).__name__}: {str(error)[:150]}"}
+        if os.environ.get("RBJAX_TRACEBACK"):
+            traceback.print_exc()
+    print(json.dumps(row), flush=True)
+    return row
+
+
+def options(description: str) -> argparse.Namespace:
+    """What every benchmark takes."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--engine", nargs="*", default=["mjx", "rbjax"])
+    parser.add_argument("--robots", nargs="*", default=list(NAMES))
+    parser.add_argument("--batches", nargs="*", type=int, default=None)
+    parser.add_argument("--tag", default="")
+    return parser.parse_args()
+
+
+def finish(name: str, rows: list[dict[str, Any]]) -> None:
+    """Save and print; a copy goes where RBJAX_RESULTS says."""
+    path = save(name, rows)
+    copy = os.environ.get("RBJAX_RESULTS")
+    if copy:
+        (Path(copy) / path.name).write_bytes(path.read_bytes())
+    print(markdown_table(rows, COLUMNS))

@@ -1,0 +1,93 @@
+"""A model's numbers inside a Pallas kernel.
+
+A kernel captures no arrays. What is traced (the model is an argument) travels as one flat vector,
+and inside the kernel a `Table` stands where the array stood: indexing it reads a scalar. What is
+concrete (the model is closed over) stays numpy, so that its zeros and ones vanish from the program.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.model import Model, Prepared, prepare
+
+
+class Table:
+    """An array (n,) or (n, k) somewhere in a kernel's vector of numbers."""
+
+    def __init__(self, start: int, shape: tuple[int, ...], stride: int = 1):
+        self.start, self.shape, self.stride = start, shape, stride
+        self.ref: Any = None
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, tuple):  # [:, k]
+            column = Table(self.start + index[1], self.shape[:1], self.shape[1])
+            column.ref = self.ref
+            return column
+        return self.ref[self.start + self.stride * index]
+
+
+@dataclass
+class Numbers:
+    """The flat vector, and how the model looks inside the kernel once `bind` has given it."""
+
+    model: Any
+    prepared: Prepared
+    vector: list[jax.Array] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+
+    @property
+    def flat(self) -> jax.Array:
+        """The numbers as an array of at least one element."""
+        return jnp.concatenate([x.reshape(-1) for x in self.vector])
+
+    def bind(self, ref: Any) -> None:
+        """Say where the vector is; to be called first in the kernel's body."""
+        for table in self.tables:
+            table.ref = ref
+
+
+_JOINTS = ("stiffness", "damping", "springref", "forcerange")
+_ACTUATORS = ("gear", "gain", "bias", "ctrlrange", "forcerange")
+
+
+def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
+    """The numbers of a model. `dynamic`: links are visited by index, so that columns that are not
+    all zero or all one travel even where they are concrete."""
+    out = Numbers(None, None, [jnp.zeros(1, dtype)])
+    prepared = prepare(model, dtype)
+
+    def moved(x: Any, always: bool = False) -> Any:
+        if isinstance(x, (int, float)):
+            return x
+        concrete = not isinstance(x, jax.core.Tracer)
+        if concrete:
+            x = np.asarray(x, np.float64)
+            if not always:
+                return x if x.ndim else float(x)
+            for value in (0.0, 1.0):
+                if (x == value).all():
+                    return x
+        table = Table(sum(a.size for a in out.vector), x.shape)
+        out.vector.append(jnp.asarray(x, dtype))
+        out.tables.append(table)
+        return table
+
+    columns = jax.tree.map(lambda x: moved(x, dynamic), prepared.columns)
+    gravity = [moved(g[None] if isinstance(g, jax.core.Tracer) else g) for g in prepared.gravity]
+    out.prepared = SimpleNamespace(columns=columns, gravity=gravity)
+    out.model = SimpleNamespace(
+        topology=model.topology, nq=model.nq, nv=model.nv, nu=model.nu,
+        joints=SimpleNamespace(**{n: moved(getattr(model.joints, n)) for n in _JOINTS}),
+        actuators=SimpleNamespace(
+            joints=model.actuators.joints, sites=model.actuators.sites,
+            **{n: moved(getattr(model.actuators, n)) for n in _ACTUATORS},
+        ),
+    )  # fmt: skip
+    return out

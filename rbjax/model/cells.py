@@ -1,0 +1,78 @@
+"""Cells: entries of numpy object arrays that follow the algebra of lanes.
+
+With them the whole-array code of `prepare` runs number by number where a model's zeros are declared
+part of the program (`Model.fix_zeros`): products with a zero vanish, the rest is traced.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
+
+
+class Cell:
+    """One lane inside an object array."""
+
+    __slots__ = ("lane",)
+
+    def __init__(self, lane: Lane):
+        self.lane = lane
+
+    def __add__(self, other: Any) -> Cell:
+        return Cell(add(self.lane, lane_of(other)))
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Cell:
+        return Cell(sub(self.lane, lane_of(other)))
+
+    def __rsub__(self, other: Any) -> Cell:
+        return Cell(sub(lane_of(other), self.lane))
+
+    def __mul__(self, other: Any) -> Cell:
+        return Cell(mul(self.lane, lane_of(other)))
+
+    __rmul__ = __mul__
+
+    def __rtruediv__(self, other: Any) -> Cell:
+        return Cell(lane_of(other) / self.lane)
+
+    def __neg__(self) -> Cell:
+        return Cell(neg(self.lane))
+
+
+def lane_of(x: Any) -> Lane:
+    """The lane of a cell, or a number as a literal."""
+    return x.lane if isinstance(x, Cell) else float(x)
+
+
+def literals(x: Any, *, units: bool) -> tuple[float | None, ...]:
+    """For each entry of an array its value, where that is 0 (or 1 or -1, with `units`)."""
+    known = (0.0, 1.0, -1.0) if units else (0.0,)
+    return tuple(float(v) if v in known else None for v in np.asarray(x, np.float64).ravel())
+
+
+def cells(x: Any, pattern: tuple[float | None, ...], known: bool) -> np.ndarray:
+    """An array as an object array: literals where the pattern has them, or where x is known."""
+    if known:
+        return np.asarray(x, np.float64).astype(object)
+    out = np.empty(len(pattern), object)
+    flat = x.reshape(-1)
+    for i, value in enumerate(pattern):
+        out[i] = Cell(flat[i]) if value is None else value
+    return out.reshape(x.shape)
+
+
+def stacked(x: np.ndarray, dtype: Any) -> Any:
+    """An object array as an array."""
+    rows = [jnp.asarray(lane_of(v), dtype) for v in x.ravel()]
+    return jnp.stack(rows).reshape(x.shape) if rows else jnp.zeros(x.shape, dtype)
+
+
+def all_literal(row: Any) -> bool:
+    """Whether every entry is a number."""
+    return all(is_literal(lane_of(v)) for v in row)

@@ -1,0 +1,6 @@
+"""Side-by-side comparison with MuJoCo C and MJX."""
+
+from rbjax.validation.compare import compare
+from rbjax.validation.report import Error, Report, Row
+
+__all__ = ["Error", "Report", "Row", "compare"]

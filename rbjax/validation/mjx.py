@@ -1,0 +1,112 @@
+"""MJX's side of the comparison, by one compiled step and one compiled transposed step.
+
+A step's data holds what was computed at its start (poses, M, bias, acceleration) and the state at
+its end, so one program gives every quantity; the gradient of a trajectory runs the transposed step
+backwards. Loops over time are in Python: MJX compiles slowly, and twice more inside a loop.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx
+
+from rbjax.validation.reference import Array, Samples
+
+# XLA's CPU fusion emitters make MJX up to a thousand times slower.
+_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+
+
+class Mjx:
+    """MJX on a model, in the precision that is current when it is made (`jax.enable_x64`)."""
+
+    def __init__(self, m: mujoco.MjModel):
+        self.reference, self.model = m, mjx.put_model(m)
+        self.blank = mjx.make_data(m)
+        options = _OPTIONS if jax.default_backend() == "cpu" else None
+        step = jax.vmap(self._step, (None, 0, 0, 0))
+        self.step = jax.jit(step, compiler_options=options)
+        self.pull = jax.jit(jax.vmap(self._pull, (None, 0, 0, 0, 0)), compiler_options=options)
+
+    def _step(self, model: Any, q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, Any]:
+        d = mjx.step(model, self.blank.replace(qpos=q, qvel=v, ctrl=ctrl))
+        pose = jnp.concatenate([d.xmat[1:].reshape(-1, 9), d.xpos[1:]], -1)
+        return {
+            "state": (d.qpos, d.qvel),
+            "poses": pose,
+            "velocities": self._velocities(d),
+            "mass matrix": mjx.full_m(model, d),
+            "bias forces": d.qfrc_bias,
+            "forward dynamics": d.qacc,
+        }
+
+    def _velocities(self, d: Any) -> jax.Array:
+        """`cvel` is [angular; linear] at the subtree's centre of mass; moved to body origins."""
+        m = self.reference
+        arm = d.xpos[1:] - d.subtree_com[m.body_rootid[1:]]
+        angular, linear = d.cvel[1:, :3], d.cvel[1:, 3:]
+        return jnp.concatenate([angular, linear + jnp.cross(angular, arm)], -1)
+
+    def _pull(self, model: Any, q, v, ctrl, cotangent):
+        """Cotangents of (q, v, ctrl) from those of the next state."""
+
+        def step(q, v, ctrl):
+            d = mjx.step(model, self.blank.replace(qpos=q, qvel=v, ctrl=ctrl))
+            return d.qpos, d.qvel
+
+        return jax.vjp(step, q, v, ctrl)[1](cotangent)
+
+    def arrays(self, samples: Samples) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """The samples in the current precision."""
+        dtype = jnp.result_type(float)
+        q, v, ctrl = (jnp.asarray(x, dtype) for x in (samples.q, samples.v, samples.ctrl))
+        return q, v, ctrl
+
+    def quantities(self, samples: Samples) -> dict[str, Array]:
+        """What MJX computes at each state."""
+        out = self.step(self.model, *self.arrays(samples))
+        out["one step"] = jnp.concatenate(out.pop("state"), -1)
+        return {name: np.asarray(x, np.float64) for name, x in out.items()}
+
+    def motion(self, samples: Samples, steps: int, weights: Array) -> dict[str, Array]:
+        """Final states (N, nq + nv), and gradients (N, nv + nu) of weights . final state."""
+        q, v, ctrl = self.arrays(samples)
+        path = []
+        for _ in range(steps):
+            path.append((q, v))
+            q, v = self.step(self.model, q, v, ctrl)["state"]
+        last = np.concatenate([q, v], -1)
+        nq = self.reference.nq
+        row = jnp.broadcast_to(jnp.asarray(weights, q.dtype), last.shape)
+        cotangent, pulled = (row[:, :nq], row[:, nq:]), jnp.zeros_like(ctrl)
+        for q, v in reversed(path):
+            dq, dv, du = self.pull(self.model, q, v, ctrl, cotangent)
+            cotangent, pulled = (dq, dv), pulled + du
+        gradient = np.concatenate([cotangent[1], pulled], -1)
+        out = {"trajectory": last, "gradient": gradient}
+        return {name: np.asarray(x, np.float64) for name, x in out.items()}
+
+
+def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, seconds: float) -> Any:
+    """MJX's "Euler" or "RK4" on a batch q (N, nq), v (N, nv): steps -> final (q, v).
+
+    One compiled program for every number of steps.
+    """
+    m.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
+    model = mjx.put_model(m)
+    blank = mjx.make_data(m)
+
+    def run(model: Any, q: jax.Array, v: jax.Array, steps: jax.Array) -> Any:
+        model = model.tree_replace({"opt.timestep": seconds / steps})
+        data = jax.vmap(lambda q, v: blank.replace(qpos=q, qvel=v))(q, v)
+        step = jax.vmap(mjx.step, (None, 0))
+        data = jax.lax.fori_loop(0, steps, lambda _, d: step(model, d), data)
+        return data.qpos, data.qvel
+
+    options = _OPTIONS if jax.default_backend() == "cpu" else None
+    compiled = jax.jit(run, compiler_options=options)
+    return lambda steps: compiled(model, q, v, steps)

@@ -1,0 +1,71 @@
+"""rbjax's side of the comparison: the quantities of `reference`, and the motion with its gradient."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics import (
+    bias_forces,
+    body_velocities,
+    forward_dynamics,
+    forward_kinematics,
+    mass_matrix,
+)
+from rbjax.forces import applied_forces
+from rbjax.model import Model, State
+from rbjax.rollout import rollout
+from rbjax.validation.reference import Array, Samples
+
+
+def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
+    """Poses, velocities, M, bias forces and accelerations in the given dtype, one row a state."""
+
+    def one(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, jax.Array]:
+        R, p = forward_kinematics(model, q)
+        tau = applied_forces(model, State(q, v), ctrl)
+        return {
+            "poses": jnp.concatenate([R.reshape(-1, 9), p], -1),
+            "velocities": body_velocities(model, q, v),
+            "mass matrix": mass_matrix(model, q),
+            "bias forces": bias_forces(model, q, v),
+            "forward dynamics": forward_dynamics(model, q, v, tau),
+        }
+
+    model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
+    out = jax.jit(jax.vmap(one, (None, 0, 0, 0)))(model, q, v, ctrl)
+    return {name: np.asarray(x, np.float64) for name, x in out.items()}
+
+
+def motion(
+    model: Model, samples: Samples, dt: float, steps: int, weights: Array, dtype: Any
+) -> dict[str, Array]:
+    """One step and a trajectory's final state (N, nq + nv), and its gradient (N, nv + nu):
+    d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`.
+    """
+
+    def loss(v: jax.Array, ctrl: jax.Array, model: Model, q: jax.Array):
+        ctrls = jnp.broadcast_to(ctrl[:, None], (len(q), steps, model.nu))
+        path = rollout(model, State(q, v), ctrls, dt)
+        states = jnp.concatenate([path.q, path.v], -1)
+        return (states[:, -1] @ weights.astype(dtype)).sum(), (states[:, 1], states[:, -1])
+
+    model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
+    run = jax.jit(jax.value_and_grad(loss, argnums=(0, 1), has_aux=True))
+    (_, (first, last)), grads = run(v, ctrl, model, q)
+    gradient = np.concatenate([np.asarray(g, np.float64) for g in grads], -1)
+    out = {"one step": first, "trajectory": last, "gradient": gradient}
+    return {name: np.asarray(x, np.float64) for name, x in out.items()}
+
+
+def cast(tree: Any, dtype: Any) -> Any:
+    """The pytree with its floating arrays in the given dtype."""
+
+    def one(x: Any) -> Any:
+        floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
+        return jnp.asarray(x, dtype) if floating else x
+
+    return jax.tree.map(one, tree)

@@ -1,0 +1,121 @@
+"""What a comparison found: one row a quantity, one column an engine and precision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+#: columns, in order; all are measured against MuJoCo C in f64
+COLUMNS = ("rbjax f64", "rbjax f32", "MJX f64", "MJX f32")
+
+
+@dataclass(frozen=True)
+class Error:
+    """Relative errors over the states: the median and the worst."""
+
+    median: float
+    worst: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """A quantity: its errors by column, and the worst that is allowed of rbjax by column."""
+
+    quantity: str
+    errors: dict[str, Error]
+    tolerances: dict[str, float]
+
+    def passes(self, column: str) -> bool:
+        """Whether a column is within tolerance; true where none is stated (nan never passes)."""
+        if column not in self.tolerances or column not in self.errors:
+            return True
+        return bool(self.errors[column].worst <= self.tolerances[column])
+
+
+@dataclass(frozen=True)
+class Report:
+    """Side by side with MuJoCo C.
+
+    Fields: model, states, seconds (length of the trajectory), rows, switched_off (on both sides),
+    notes (what limits the comparison).
+
+    Example:
+        >>> report = Report("pendulum", 1, 1.0, (), ())
+        >>> report.ok
+        True
+    """
+
+    model: str
+    states: int
+    seconds: float
+    rows: tuple[Row, ...]
+    switched_off: tuple[str, ...]
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def ok(self) -> bool:
+        """Whether every rbjax column is within its tolerances."""
+        return all(row.passes(column) for row in self.rows for column in row.tolerances)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that were measured."""
+        return tuple(c for c in COLUMNS if any(c in row.errors for row in self.rows))
+
+    def row(self, quantity: str) -> Row:
+        """The row of a quantity."""
+        return next(row for row in self.rows if row.quantity == quantity)
+
+    def table(self) -> Table:
+        """The worst errors as a rich table; out of tolerance in red."""
+        caption = f"Worst relative error over {self.states} states against MuJoCo C in f64."
+        if self.switched_off:
+            caption += f"\nSwitched off on both sides: {'; '.join(self.switched_off)}."
+        for note in self.notes:
+            caption += f"\n{note}"
+        table = Table(title=self.model, caption=caption, caption_justify="left")
+        table.add_column("quantity")
+        for column in self.columns:
+            table.add_column(column, justify="right")
+        for row in self.rows:
+            table.add_row(row.quantity, *(self._cell(row, column) for column in self.columns))
+        return table
+
+    def _cell(self, row: Row, column: str) -> str:
+        if column not in row.errors:
+            return "-"
+        text = f"{row.errors[column].worst:.1e}"
+        if row.passes(column):
+            return f"[green]{text}[/]" if column in row.tolerances else text
+        return f"[bold red]{text} > {row.tolerances[column]:.0e}[/]"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, for JSON."""
+        return {
+            "model": self.model,
+            "ok": self.ok,
+            "states": self.states,
+            "seconds": self.seconds,
+            "switched_off": list(self.switched_off),
+            "notes": list(self.notes),
+            "rows": [
+                {
+                    "quantity": row.quantity,
+                    "tolerances": row.tolerances,
+                    "errors": {c: [e.median, e.worst] for c, e in row.errors.items()},
+                }
+                for row in self.rows
+            ],
+        }
+
+
+def relative(actual: np.ndarray, expected: np.ndarray) -> Error:
+    """Per sample (first axis) the largest deviation over the largest entry, at least 1e-3."""
+    axes = tuple(range(1, expected.ndim))
+    deviation = np.abs(actual - expected).max(axes, initial=0.0)
+    size = np.maximum(np.abs(expected).max(axes, initial=0.0), 1e-3)
+    errors = deviation / size
+    return Error(float(np.median(errors)), float(errors.max(initial=0.0)))

@@ -1,0 +1,228 @@
+"""Every public function of a model and arrays, under jit, vmap, jvp and vjp, on one small robot.
+
+Three calls at the door, outside any transformation, are what the rest is compared with: the same
+function inside one compiled program, with the model closed over, mapped over a batch, and its
+derivatives. A public function that is missing here fails the last test.
+"""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from tests.robots import robot
+from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
+
+STEP = 6e-6  # of central differences: the cube root of the rounding unit
+
+ELSEWHERE = {  # public functions that are not functions of a model and arrays, and who tests them
+    "load": "tests/model/test_load.py",
+    "scenes": "tests/model/test_load.py",
+    "simulate": "tests/simulate",
+    "rollout": "tests/rollout",
+    "operation_count": "tests/dynamics",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What a function takes after the model: names of arrays, then values that stay."""
+
+    function: Callable[..., Any]
+    arrays: tuple[str, ...]
+    rest: dict[str, Any] = field(default_factory=dict)
+
+
+def _with_state(model, q, v, ctrl):
+    return rb.applied_forces(model, rb.State(q, v), ctrl)
+
+
+def _parameters(model, mass, com):
+    return rb.inertial_parameters(
+        model.replace(bodies=model.bodies.replace(mass=mass, com=com))
+    )
+
+
+REGISTRY = {
+    "applied_forces": Entry(_with_state, ("q", "v", "ctrl")),
+    "bias_forces": Entry(rb.bias_forces, ("q", "v")),
+    "body_velocities": Entry(rb.body_velocities, ("q", "v")),
+    "center_of_mass": Entry(rb.center_of_mass, ("q",)),
+    "centroidal_momentum": Entry(rb.centroidal_momentum, ("q", "v")),
+    "coriolis_matrix": Entry(rb.coriolis_matrix, ("q", "v")),
+    "difference": Entry(rb.difference, ("q", "q1")),
+    "elastic_energy": Entry(rb.forces.elastic_energy, ("q",)),
+    "forward_dynamics": Entry(rb.forward_dynamics, ("q", "v", "a", "wrenches")),
+    "forward_dynamics_derivatives": Entry(rb.forward_dynamics_derivatives, ("q", "v", "a")),
+    "forward_kinematics": Entry(rb.forward_kinematics, ("q",)),
+    "generalized_forces": Entry(rb.dynamics.generalized_forces, ("q", "wrenches")),
+    "gravity_forces": Entry(rb.gravity_forces, ("q",)),
+    "inertial_parameters": Entry(_parameters, ("mass", "com")),
+    "inertial_regressor": Entry(rb.inertial_regressor, ("q", "v", "a")),
+    "integrate": Entry(rb.integrate, ("q", "v")),
+    "inverse_dynamics": Entry(rb.inverse_dynamics, ("q", "v", "a", "wrenches")),
+    "inverse_dynamics_derivatives": Entry(rb.inverse_dynamics_derivatives, ("q", "v", "a")),
+    "inverse_mass_matrix": Entry(rb.inverse_mass_matrix, ("q",)),
+    "jacobian": Entry(rb.jacobian, ("q",), {"body": "hand", "point": np.array([0.1, 0.2, 0.3])}),
+    "kinetic_energy": Entry(rb.kinetic_energy, ("q", "v")),
+    "mass_matrix": Entry(rb.mass_matrix, ("q",)),
+    "potential_energy": Entry(rb.potential_energy, ("q",)),
+    "site_pose": Entry(rb.site_pose, ("q",), {"site": "tip"}),
+}
+
+MODEL = robot("small", "rolled").model
+
+
+def samples(names: tuple[str, ...]) -> list[np.ndarray]:
+    """Three of each named array, one behind the other; attitudes of unit length."""
+    q, v = robot("small").states(6)
+    rng = np.random.default_rng(0)
+    bodies = MODEL.bodies
+    drawn = {
+        "q": q[:3],
+        "q1": q[3:],
+        "v": v[:3],
+        "a": rng.normal(size=(3, 5)),
+        "ctrl": rng.uniform(-0.4, 0.4, (3, 5)),
+        "wrenches": rng.normal(size=(3, 4, 6)),
+        "mass": np.asarray(bodies.mass) * rng.uniform(0.5, 2, (3, 4)),
+        "com": np.asarray(bodies.com) + rng.normal(size=(3, 4, 3)),
+    }
+    return [drawn[name] for name in names]
+
+
+def flat(tree: Any) -> jax.Array:
+    """All numbers of a result in a row."""
+    return jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(tree)])
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_composes(name: str) -> None:
+    entry = REGISTRY[name]
+    xs = samples(entry.arrays)
+    rng = np.random.default_rng(1)
+    tangents = [rng.normal(size=x.shape[1:]) for x in xs]
+
+    def f(*arrays):
+        return flat(entry.function(MODEL, *arrays, **entry.rest))
+
+    def everything(tangents, weight, *batch):
+        first = [x[0] for x in batch]
+        rate = jax.jvp(f, first, tangents)[1]
+        return jax.vmap(f)(*batch), rate, jax.vjp(f, *first)[1](weight)
+
+    door = [np.asarray(f(*(x[k] for x in xs))) for k in range(3)]  # a loop, and not compiled by us
+    weight = rng.normal(size=door[0].shape)
+    mapped, rate, gradient = jax.jit(everything)(tangents, weight, *xs)
+    assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
+    ends = [
+        np.asarray(f(*(x[0] + side * STEP * t for x, t in zip(xs, tangents, strict=True))))
+        for side in (-1, 1)
+    ]
+    assert relative_error(rate, (ends[1] - ends[0]) / (2 * STEP), floor=1.0) <= GRADIENT, "jvp"
+    by_reverse = sum((g * t).sum() for g, t in zip(gradient, tangents, strict=True))
+    scale = max(1.0, np.abs(weight * rate).max())
+    assert abs(by_reverse - weight @ rate) <= F64_IDENTITY * scale, "vjp"
+
+
+def test_derivatives_with_respect_to_the_model() -> None:
+    """jvp = central difference = vjp along a direction in which every float leaf moves."""
+    q, v, a, w = (x[0] for x in samples(("q", "v", "a", "wrenches")))
+    rng = np.random.default_rng(2)
+    weight = rng.normal(size=5)
+    direction = jax.tree.map(lambda x: np.asarray(rng.normal(size=x.shape)) / 20, MODEL)
+    I = direction.bodies.inertia
+    symmetric = (I + I.swapaxes(1, 2)) / 20
+    direction = direction.replace(bodies=direction.bodies.replace(inertia=symmetric))
+
+    def f(model):
+        return rb.forward_dynamics(model, q, v, a, w)
+
+    @jax.jit
+    def both(model, direction):
+        rate = jax.jvp(f, (model,), (direction,))[1]
+        (gradient,) = jax.vjp(f, model)[1](weight)
+        return rate, gradient
+
+    rate, gradient = both(MODEL, direction)
+    ends = [
+        np.asarray(f(jax.tree.map(lambda x, d, s=s: x + s * STEP * d, MODEL, direction)))
+        for s in (-1, 1)
+    ]
+    assert relative_error(rate, (ends[1] - ends[0]) / (2 * STEP), floor=1.0) <= GRADIENT
+    pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
+    by_reverse = sum(float((g * d).sum()) for g, d in pairs)
+    assert abs(by_reverse - weight @ rate) <= F64_IDENTITY * max(1.0, np.abs(rate).max() * 5)
+
+
+def test_eager_is_jit() -> None:
+    """Op by op, with compilation switched off altogether."""
+    q, v, a = (x[0] for x in samples(("q", "v", "a")))
+    model = robot("double_pendulum", "unrolled").model
+    q, v, a = q[:2], v[:2], a[:2]
+    for function, args in ((rb.forward_dynamics, (q, v, a)), (rb.inverse_dynamics, (q, v, a))):
+        want = function(model, *args)
+        with jax.disable_jit():
+            got = function(model, *args)
+        assert relative_error(got, want) <= F64_TRANSFORM
+
+
+def test_no_public_function_is_missing() -> None:
+    public: set[str] = set()
+    for room in (rb, rb.dynamics, rb.forces):
+        members = {name: getattr(room, name) for name in room.__all__}
+        public |= {name for name, value in members.items() if inspect.isroutine(value)}
+    missing = public - REGISTRY.keys() - ELSEWHERE.keys()
+    assert not missing, f"give {sorted(missing)} an entry in tests/test_registry.py"
+    assert REGISTRY.keys() <= public
+
+
+# ------------------------------------------------------------------- what the door says
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda m, q, v: rb.bias_forces(m, q[:3], v), ["bias_forces: q", "(3,)", "(6,)"]),
+        (lambda m, q, v: rb.bias_forces(m, np.stack([q, q]), v), ["(2, 6)", "jax.vmap"]),
+        (lambda m, q, v: rb.bias_forces(m, q * np.nan, v), ["q[0] is nan", "finite"]),
+        (lambda m, q, v: rb.bias_forces(m, q, v + np.inf), ["v[0] is inf", "finite"]),
+        (lambda m, q, v: rb.bias_forces(m, 0 * q, v), ["q[2:6]", "zero quaternion"]),
+        (lambda m, q, v: rb.bias_forces(m, q + 0j, v), ["complex", "float32 or float64"]),
+        (lambda m, q, v: rb.bias_forces(m, q, "fast"), ["v is str", "array"]),
+        (lambda m, q, v: rb.bias_forces("robot", q, v), ["str", "Model"]),
+        (lambda m, q, v: rb.applied_forces(m, q), ["state", "State(q, v)"]),
+        (lambda m, q, v: rb.applied_forces(m, rb.State(q, v), v[:1]), ["ctrl", "(5,)"]),
+        (lambda m, q, v: rb.jacobian(m, q, "hand", point=v), ["point", "(3,)"]),
+        (lambda m, q, v: rb.dynamics.generalized_forces(m, q, v), ["wrenches", "(4, 6)"]),
+    ],
+    ids=range(12),
+)
+def test_wrong_arguments_are_refused_in_a_sentence(call, words: list[str]) -> None:
+    q, v = (x[0] for x in samples(("q", "v")))
+    with pytest.raises(rb.InputError) as caught:
+        call(MODEL, q, v)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_unknown_names_list_the_names() -> None:
+    (q,) = (x[0] for x in samples(("q",)))
+    with pytest.raises(rb.UnknownName, match="unknown body 'nose'.*'slider', 'swinger', 'hand'"):
+        rb.jacobian(MODEL, q, "nose")
+    with pytest.raises(rb.UnknownName, match="unknown site 'nose'.*'tip'"):
+        rb.site_pose(MODEL, q, "nose")
+
+
+def test_dtypes() -> None:
+    q, v = (x[0] for x in samples(("q", "v")))
+    single = rb.bias_forces(MODEL, q.astype(np.float32), v.astype(np.float32))
+    assert single.dtype == jnp.float32
+    assert rb.bias_forces(MODEL, q, v.astype(np.float32)).dtype == jnp.float64
+    assert rb.bias_forces(MODEL, [0, 0, 1, 0, 0, 0], [0] * 5).dtype == jnp.float64  # integers
