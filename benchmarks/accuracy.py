@@ -12,20 +12,20 @@ import os
 
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 
-import warnings  # noqa: E402
+import warnings
 
-import jax  # noqa: E402
-import jax.numpy as jnp  # noqa: E402
-import mujoco  # noqa: E402
-import numpy as np  # noqa: E402
-from mujoco import mjx  # noqa: E402
-from rich.progress import track  # noqa: E402
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from mujoco import mjx
+from rich.progress import track
 
-import rbjax as rb  # noqa: E402
-from benchmarks.robots import NAMES, states  # noqa: E402
-from benchmarks.timing import markdown_table, save  # noqa: E402
-from tests.oracles.models import MODELS, SINGULAR, switch_off_constraints  # noqa: E402
-from tests.oracles.random_trees import random_tree  # noqa: E402
+import rbjax as rb
+from benchmarks.robots import NAMES, states
+from benchmarks.timing import markdown_table, save
+from tests.oracles.models import MODELS, SINGULAR, switch_off_constraints
+from tests.oracles.random_trees import random_tree
 
 COUNT = 100
 QUANTITIES = ("position", "attitude", "mass matrix", "bias", "forward dynamics")
@@ -87,12 +87,16 @@ def mjx_errors(m: mujoco.MjModel, q, v, tau, qacc) -> np.ndarray:
 def main() -> None:
     sources = {name: entry.load for name, entry in MODELS.items() if name not in SINGULAR}
     for seed in range(50):
-        sources[f"random tree {seed}"] = lambda s=seed: mujoco.MjModel.from_xml_string(random_tree(s))
+        sources[f"random tree {seed}"] = lambda s=seed: mujoco.MjModel.from_xml_string(
+            random_tree(s)
+        )
     rows = []
     for name, load in track(sources.items(), description="models"):
         m = load()
         switch_off_constraints(m)
-        m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        m.opt.disableflags |= int(
+            mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
+        )
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         if not m.nv:
             continue
@@ -103,10 +107,17 @@ def main() -> None:
         theirs = reference(m, q, v, tau)
         full = errors(ours(model, q, v, tau), theirs)
         single = errors(ours(model, *(x.astype(np.float32) for x in (q, v, tau))), theirs)
-        row = {"model": name, "nv": m.nv, "f64 max": full.max(), "f64 worst": QUANTITIES[full.max(1).argmax()]}
+        row = {
+            "model": name,
+            "nv": m.nv,
+            "f64 max": full.max(),
+            "f64 worst": QUANTITIES[full.max(1).argmax()],
+        }
         row |= {"f32 median": float(np.median(single)), "f32 max": single.max()}
         row |= {"f32 FD median": float(np.median(single[-1])), "f32 FD max": single[-1].max()}
-        row["condition"] = float(np.median([np.linalg.cond(M.reshape(m.nv, -1)) for M in theirs[2]]))
+        row["condition"] = float(
+            np.median([np.linalg.cond(M.reshape(m.nv, -1)) for M in theirs[2]])
+        )
         if name in NAMES.values():
             peer = mjx_errors(m, q, v, tau, theirs[-1])
             row |= {"MJX f32 FD median": float(np.median(peer)), "MJX f32 FD max": peer.max()}
@@ -116,10 +127,13 @@ def main() -> None:
     rows.sort(key=lambda r: -r["f64 max"])
     print(markdown_table(rows[:12], dict.fromkeys(columns)))
     worst = max(r["f64 max"] for r in rows)
-    print(f"{len(rows)} models; f64 max {worst:.1e}; over 1e-10: {sum(r['f64 max'] > 1e-10 for r in rows)};",
-          f"f32 median of medians {np.median([r['f32 median'] for r in rows]):.1e};",
-          f"f32 medians over 5e-6: {[r['model'] for r in rows if r['f32 median'] > 5e-6]};",
-          f"f32 max over 1e-4: {[(r['model'], r['f32 max']) for r in rows if r['f32 max'] > 1e-4]}")  # fmt: skip
+    over = {
+        "f64 over 1e-10": [r["model"] for r in rows if r["f64 max"] > 1e-10],
+        "f32 median over 5e-6": [r["model"] for r in rows if r["f32 median"] > 5e-6],
+        "f32 max over 1e-4": [r["model"] for r in rows if r["f32 max"] > 1e-4],
+    }
+    middle = float(np.median([r["f32 median"] for r in rows]))
+    print(f"{len(rows)} models, f64 max {worst:.1e}, median of f32 medians {middle:.1e}", over)
     print(save("accuracy", rows))
 
 

@@ -13,17 +13,17 @@ if hasattr(os, "sched_setaffinity"):
 os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false " + os.environ.get("XLA_FLAGS", "")
 os.environ.setdefault("JAX_ENABLE_X64", "1")
 
-import time  # noqa: E402
+import time
 
-import jax  # noqa: E402
-import mujoco  # noqa: E402
-import numpy as np  # noqa: E402
-import pinocchio as pin  # noqa: E402
+import jax
+import mujoco
+import numpy as np
+import pinocchio as pin
 
-import rbjax as rb  # noqa: E402
-from benchmarks.robots import NAMES, compiled, ours, states  # noqa: E402
-from benchmarks.timing import markdown_table, measure, save  # noqa: E402
-from tests.oracles.models import MODELS  # noqa: E402
+import rbjax as rb
+from benchmarks.robots import NAMES, compiled, ours, states
+from benchmarks.timing import markdown_table, measure, save
+from tests.oracles.models import MODELS
 
 BATCH = 4096
 ALGORITHMS = {
@@ -40,7 +40,9 @@ def pinocchio_ns(name: str) -> dict[str, float]:
     path = str(entry.path)
     model = pin.buildModelFromUrdf(path, base) if base else pin.buildModelFromUrdf(path)
     rng = np.random.default_rng(0)
-    q = np.array([pin.integrate(model, pin.neutral(model), x) for x in rng.normal(size=(BATCH, model.nv))]).T
+    q = np.array(
+        [pin.integrate(model, pin.neutral(model), x) for x in rng.normal(size=(BATCH, model.nv))]
+    ).T
     v, tau = rng.normal(size=(2, model.nv, BATCH))
     q, v, tau = (np.asfortranarray(x) for x in (q, v, tau))
     pool = pin.ModelPool(model, 1)
@@ -57,8 +59,8 @@ def pinocchio_ns(name: str) -> dict[str, float]:
         return min(times) / count * 1e9
 
     def crba(m, d, xs):
-        for x in xs:
-            pin.crba(m, d, x)
+        for one in xs:
+            pin.crba(m, d, one)
 
     empty = pin.Model()
     nothing = [np.zeros(0)] * 512
@@ -90,18 +92,25 @@ def main() -> None:
     rows = []
     for name in ("panda", "g1"):
         peers = pinocchio_ns(name)
-        rows.append({"robot": name, "algorithm": "mj_forward", "engine": "MuJoCo C", "ns": mujoco_ns(name)})
+        rows.append(
+            {"robot": name, "algorithm": "mj_forward", "engine": "MuJoCo C", "ns": mujoco_ns(name)}
+        )
         model = ours(name)
         q, v, tau = states(compiled(name), BATCH)
         for algorithm, f in ALGORITHMS.items():
             rows.append(
-                {"robot": name, "algorithm": algorithm, "engine": "Pinocchio", "ns": peers[algorithm]}
+                {
+                    "robot": name,
+                    "algorithm": algorithm,
+                    "engine": "Pinocchio",
+                    "ns": peers[algorithm],
+                }
             )
             for dtype in (np.float64, np.float32):
-                args = tuple(x.astype(dtype) for x in (q, v, tau))
+                args = tuple(array.astype(dtype) for array in (q, v, tau))
 
-                def mapped(q, v, tau, f=f, model=model):
-                    return jax.lax.map(lambda x: f(model, *x), (q, v, tau), batch_size=128)
+                def mapped(*states, f=f, model=model):
+                    return jax.lax.map(lambda one: f(model, *one), states, batch_size=128)
 
                 row = measure(mapped, *args, budget_s=1.5)
                 ns = row["run_min_s"] / BATCH * 1e9

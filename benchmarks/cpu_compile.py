@@ -39,13 +39,15 @@ def main() -> None:
         data = mjx.make_data(m)
 
         def theirs(mx, data, q, v, tau):
-            one = lambda q, v, tau: mjx.forward(  # noqa: E731
-                mx, data.replace(qpos=q, qvel=v, qfrc_applied=tau)
-            ).qacc
+            def one(q, v, tau):
+                return mjx.forward(mx, data.replace(qpos=q, qvel=v, qfrc_applied=tau)).qacc
+
             return jax.vmap(one)(q, v, tau)
 
         peer = compile_seconds(theirs, mx, data, q, v, tau)
-        rows.append({"robot": name, "nv": m.nv, "rbjax s": mine, "MJX s": peer, "ratio": mine / peer})
+        rows.append(
+            {"robot": name, "nv": m.nv, "rbjax s": mine, "MJX s": peer, "ratio": mine / peer}
+        )
         print(rows[-1], flush=True)
     print(markdown_table(rows, rows[-1]))
     print(save("cpu-compile", rows))

@@ -26,7 +26,8 @@ def tree_60() -> str:
         axis = ("1 0 0", "0 1 0", "0 0 1")[(depth + k) % 3]
         return (
             f'<body pos="0.05 0 -0.1"><joint axis="{axis}"/>'
-            f'<geom type="capsule" size="0.02" fromto="0 0 0 0.05 0 -0.1"/>{chain(k, depth + 1)}</body>'
+            '<geom type="capsule" size="0.02" fromto="0 0 0 0.05 0 -0.1"/>'
+            f"{chain(k, depth + 1)}</body>"
         )
 
     limbs = "".join(f'<body pos="{k} 0 1">{chain(k, 0)}</body>' for k in range(4))
@@ -35,7 +36,11 @@ def tree_60() -> str:
 
 def compiled(name: str) -> mujoco.MjModel:
     """The MuJoCo model of a robot, with contacts, limits, friction loss and the rest off."""
-    m = mujoco.MjModel.from_xml_string(tree_60()) if name == "tree60" else MODELS[NAMES[name]].load()
+    m = (
+        mujoco.MjModel.from_xml_string(tree_60())
+        if name == "tree60"
+        else MODELS[NAMES[name]].load()
+    )
     switch_off_constraints(m)
     return m
 
@@ -47,7 +52,9 @@ def ours(name: str) -> rb.Model:
         return rb.load(compiled(name))
 
 
-def states(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def states(
+    model: mujoco.MjModel, count: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Random q, v, tau with unit quaternions."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(-1, 1, (count, model.nq))

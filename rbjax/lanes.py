@@ -81,7 +81,7 @@ def inner(a: Any, b: Any) -> Lane:
 
 
 class Lanes:
-    """A fixed tuple of lanes with entrywise + and -, scaling by a lane, and a pytree's behaviour."""
+    """A fixed tuple of lanes, a pytree, with entrywise + and - and scaling by a lane."""
 
     __slots__ = ("_lanes",)
     _lanes: tuple[Lane, ...]
@@ -130,9 +130,7 @@ class Vec3(Lanes):
 
     def cross(self, other: Vec3) -> Vec3:
         (a, b, c), (x, y, z) = self, other
-        return Vec3(
-            sub(mul(b, z), mul(c, y)), sub(mul(c, x), mul(a, z)), sub(mul(a, y), mul(b, x))
-        )
+        return Vec3(sub(mul(b, z), mul(c, y)), sub(mul(c, x), mul(a, z)), sub(mul(a, y), mul(b, x)))
 
 
 class Mat3(Lanes):
@@ -229,7 +227,7 @@ def rotation_z(c: Lane, s: Lane) -> Mat3:
 
 
 def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
-    """Rotation matrix of a quaternion of any nonzero length: R = 1 + (2 / |q|^2) (w [u] + [u][u])."""
+    """R = 1 + (2 / |q|^2) (w [u] + [u][u]) of a quaternion (w, u) of any nonzero length."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     sx, sy, sz = s * x, s * y, s * z
     wx, wy, wz = w * sx, w * sy, w * sz
@@ -243,7 +241,7 @@ def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
 
 
 def as_arrays(tree: Any, like: jax.Array) -> Any:
-    """The pytree with every lane an array, of at least the shape of `like` (for carries of loops)."""
+    """The pytree with every lane an array of at least the shape of `like`, as a loop carries it."""
 
     def array(x: Lane) -> jax.Array:
         x = jnp.asarray(x, like.dtype)

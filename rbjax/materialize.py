@@ -1,4 +1,4 @@
-"""`materialize`: a point in the program where XLA's CPU compiler computes values once and keeps them.
+"""`materialize`: a point in the program where XLA's CPU compiler computes values and keeps them.
 
 XLA's CPU fusion copies a producer into every consumer; in a long recursion on lanes each link's
 arithmetic is then evaluated again for every use, exponentially often. A variadic `reduce` over an
@@ -91,9 +91,7 @@ def _bind_nonzero(values):
 _materialize.def_impl(_identity)
 _materialize.def_abstract_eval(_identity)
 mlir.register_lowering(_materialize, mlir.lower_fun(_identity, multiple_results=True))
-mlir.register_lowering(
-    _materialize, mlir.lower_fun(_on_cpu, multiple_results=True), platform="cpu"
-)
+mlir.register_lowering(_materialize, mlir.lower_fun(_on_cpu, multiple_results=True), platform="cpu")
 ad.primitive_jvps[_materialize] = lambda xs, ts: (_materialize.bind(*xs), _bind_nonzero(ts))
 ad.primitive_transposes[_materialize] = lambda cts, *xs: _bind_nonzero(cts)
 batching.primitive_batchers[_materialize] = lambda xs, dims: (_materialize.bind(*xs), dims)
@@ -160,8 +158,6 @@ def _sincos_jvp(xs, ts):
 _sincos.def_impl(_native)
 _sincos.def_abstract_eval(lambda x: [x, x])
 mlir.register_lowering(_sincos, mlir.lower_fun(_native, multiple_results=True))
-mlir.register_lowering(
-    _sincos, mlir.lower_fun(_polynomial, multiple_results=True), platform="cpu"
-)
+mlir.register_lowering(_sincos, mlir.lower_fun(_polynomial, multiple_results=True), platform="cpu")
 ad.primitive_jvps[_sincos] = _sincos_jvp
 batching.primitive_batchers[_sincos] = lambda xs, dims: (_sincos.bind(*xs), [dims[0], dims[0]])

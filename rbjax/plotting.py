@@ -1,8 +1,9 @@
 """Pictures of robots with matplotlib alone: no GL, no window.
 
 Every geom of the MuJoCo file is a convex solid. Points of its surface, moved by our own forward
-kinematics, are projected along the line of sight; their convex hull is filled in the geom's colour,
-far ones first, over a shadow on the floor. `strobe` overlays a motion, `filmstrip` sets it in a row.
+kinematics, are projected along the line of sight; their convex hull is filled in the geom's
+colour, far ones first, over a shadow on the floor. `strobe` overlays a motion, `filmstrip` sets it
+in a row.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import jax
-import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
@@ -31,20 +32,20 @@ BLUE, ORANGE, GREEN, RED, PURPLE, TEAL = (
 )  # fmt: skip
 PALETTE = (BLUE, ORANGE, GREEN, PURPLE, RED, TEAL)
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "figure.facecolor": PAPER, "axes.facecolor": PAPER, "axes.edgecolor": INK,
     "axes.labelcolor": INK, "axes.titlesize": 11, "axes.titleweight": "bold",
     "axes.titlelocation": "left", "axes.spines.top": False, "axes.spines.right": False,
     "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.7, "axes.axisbelow": True,
     "text.color": INK, "xtick.color": INK, "ytick.color": INK, "font.size": 10,
     "legend.frameon": False, "legend.fontsize": 9, "savefig.dpi": 130,
-    "axes.prop_cycle": plt.cycler(color=PALETTE),
+    "axes.prop_cycle": cycler(color=PALETTE),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A geom: points of its surface (n, 3) in its body's frame, body (-1: world), colour, opacity."""
+    """A geom: surface points (n, 3) in its body's frame, body (-1: world), colour, opacity."""
 
     points: Array
     body: int
@@ -104,7 +105,8 @@ def _surface(m: mujoco.MjModel, i: int) -> Array | None:
         return np.concatenate([a * _SPHERE + [0, 0, b], a * _SPHERE - [0, 0, b]])
     if kind == shape.mjGEOM_CYLINDER:
         ring = np.stack([a * np.cos(_TURN), a * np.sin(_TURN), 0 * _TURN], -1)
-        return np.concatenate([ring + [0, 0, b], ring - [0, 0, b]])
+        up = np.array([0, 0, b])
+        return np.concatenate([ring + up, ring - up])
     if kind == shape.mjGEOM_BOX:
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return corners * [a, b, c]
@@ -158,8 +160,8 @@ def draw(
     for depth, (_, points, s) in enumerate(sorted(placed, key=lambda item: item[0])):
         edge = tuple(0.62 * c for c in s.color)
         flat = points @ axes[:2].T + [offset, 0]
-        order = zorder + 1e-3 * depth
-        _fill(ax, flat, facecolor=s.color, edgecolor=edge, lw=0.7, alpha=alpha * s.alpha, zorder=order)
+        style = {"facecolor": s.color, "edgecolor": edge, "lw": 0.7, "alpha": alpha * s.alpha}
+        _fill(ax, flat, zorder=zorder + 1e-3 * depth, **style)
 
 
 def _fill(ax: Axes, points: Array, **style: Any) -> None:
@@ -188,6 +190,7 @@ def strobe(
     camera: Camera | None = None,
     trace: str | None = None,
     color: str = ORANGE,
+    shadow: bool = True,
 ) -> None:
     """Poses along a motion over one another, later ones stronger; `trace` draws a site's path.
 
@@ -199,13 +202,15 @@ def strobe(
         camera: line of sight.
         trace: a body whose origin leaves a line.
         color: of the line.
+        shadow: whether the last pose throws one on the floor.
     """
     shapes = solids(source)
     R, p = poses(model, np.asarray(q))
     for i in range(len(q)):
         last = i == len(q) - 1
         alpha = 1.0 if last else 0.12 + 0.4 * (i / len(q)) ** 2
-        draw(ax, shapes, R[i], p[i], camera=camera, alpha=alpha, shadow=last, world=last, zorder=2 + i)
+        draw(ax, shapes, R[i], p[i], camera=camera, alpha=alpha, shadow=shadow and last,
+             world=last, zorder=2 + i)  # fmt: skip
     if trace is not None:
         path = p[:, model.body(trace)] @ (camera or Camera()).axes[:2].T
         ax.plot(*path.T, color=color, lw=1.2, zorder=2 + len(q))

@@ -99,8 +99,8 @@ def rollout(
     Args:
         model: the robot.
         state: q (nq,) or (B, nq), v likewise; a leading axis is a batch.
-        ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,), evaluated
-            once a step; or None for no actuation. The last two need `steps`.
+        ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
+            evaluated once a step; or None for no actuation. The last two need `steps`.
         dt: step in seconds; the model's timestep if None.
         integrator: one of "semi_implicit_euler", "rk4".
         save_every: keep every so many states; it must divide the number of steps.
@@ -131,12 +131,14 @@ def rollout(
         raise InputError(
             f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
         )
-    dt = jnp.asarray(model.timestep if dt is None else dt, state.q.dtype)
+    step = jnp.asarray(model.timestep if dt is None else dt, state.q.dtype)
     policy = ctrls if callable(ctrls) else None
     values = None if policy is not None else ctrls
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((model, state, values, dt)))
+    traced = any(
+        isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((model, state, values, step))
+    )
     run = _run if traced else _compiled
-    return run(model, state, values, dt, policy, integrator, save_every, steps, batched)
+    return run(model, state, values, step, policy, integrator, save_every, steps, batched)
 
 
 def _run(model, state, ctrls, dt, policy, integrator, save_every, steps, batched) -> Trajectory:
@@ -226,7 +228,9 @@ def _checked(model, state, ctrls, steps):
     batched = q.ndim == 2
     if batched:
         if v.ndim != 2 or v.shape[0] != q.shape[0]:
-            raise InputError(f"rollout: q has shape {q.shape} and v {v.shape}, expected (B, nq), (B, nv)")
+            raise InputError(
+                f"rollout: q has shape {q.shape} and v {v.shape}, expected (B, nq), (B, nv)"
+            )
         _check_batch(model, q, v)
     else:
         checked = check_arrays("rollout", model, {"q": q, "v": v})
@@ -237,7 +241,9 @@ def _checked(model, state, ctrls, steps):
     state = State(q.astype(dtype), v.astype(dtype))
     if callable(ctrls) or ctrls is None:
         if steps is None:
-            raise InputError("rollout: steps is None, expected a number with a policy or no controls")
+            raise InputError(
+                "rollout: steps is None, expected a number with a policy or no controls"
+            )
         return state, ctrls, int(steps), batched
     ctrls = jnp.asarray(ctrls).astype(dtype)
     wanted = (steps if steps is not None else ctrls.shape[-2] if ctrls.ndim > 1 else 0, model.nu)

@@ -15,6 +15,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.forward import acceleration
@@ -53,7 +54,7 @@ class Motion(eqx.Module):
 
     control: Control | None
 
-    def __call__(self, t: jax.Array, y: State, model: Model) -> State:
+    def __call__(self, t: Any, y: State, model: Model) -> State:
         q = unit(model.topology, y.q)
         ctrl = None if self.control is None else jnp.asarray(self.control(t, State(q, y.v)))
         tau = applied(model, q, y.v, ctrl)
@@ -108,7 +109,9 @@ def simulate(
         (5, 1)
     """
     if constraints is not None:
-        raise InputError(f"simulate: constraints={constraints!r}, expected None: no formulation yet")
+        raise InputError(
+            f"simulate: constraints={constraints!r}, expected None: no formulation yet"
+        )
     state = check_arrays("simulate", model, {"state": state})["state"]
     ts = _times(ts, state.q.dtype)
     if not model.nv:
@@ -158,6 +161,6 @@ def _times(ts: Any, dtype) -> jax.Array:
     ts = jnp.asarray(ts, dtype)
     if ts.ndim != 1 or ts.shape[0] < 2:
         raise InputError(f"simulate: ts has shape {ts.shape}, expected (T,) with at least 2 times")
-    if not isinstance(ts, jax.core.Tracer) and not bool((jnp.diff(ts) > 0).all()):
+    if not isinstance(ts, jax.core.Tracer) and not (np.diff(np.asarray(ts)) > 0).all():
         raise InputError("simulate: ts must increase from the first to the last")
     return ts

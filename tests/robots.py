@@ -21,6 +21,12 @@ from tests.oracles.random_trees import random_state, random_tree
 
 Array = np.ndarray
 
+QUICK = {  # two thirds of the time to compile; what these programs are asked for is right, not fast
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_use_fusion_emitters": False,
+}
+"""Options of `jax.jit` for programs that are run once."""
+
 SMALL = """
 <mujoco model="small">
   <compiler angle="radian"/>

@@ -5,6 +5,7 @@ function inside one compiled program, with the model closed over, mapped over a 
 derivatives. A public function that is missing here fails the last test.
 """
 
+import functools
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.robots import robot
+from tests.robots import QUICK, robot
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
@@ -44,9 +45,7 @@ def _with_state(model, q, v, ctrl):
 
 
 def _parameters(model, mass, com):
-    return rb.inertial_parameters(
-        model.replace(bodies=model.bodies.replace(mass=mass, com=com))
-    )
+    return rb.inertial_parameters(model.replace(bodies=model.bodies.replace(mass=mass, com=com)))
 
 
 REGISTRY = {
@@ -102,7 +101,13 @@ def flat(tree: Any) -> jax.Array:
     return jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(tree)])
 
 
-@pytest.mark.parametrize("name", REGISTRY)
+# the derivative of a derivative is a program of a minute
+HEAVY = {"forward_dynamics_derivatives", "inverse_dynamics_derivatives"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in HEAVY else n for n in REGISTRY]
+)
 def test_composes(name: str) -> None:
     entry = REGISTRY[name]
     xs = samples(entry.arrays)
@@ -119,7 +124,7 @@ def test_composes(name: str) -> None:
 
     door = [np.asarray(f(*(x[k] for x in xs))) for k in range(3)]  # a loop, and not compiled by us
     weight = rng.normal(size=door[0].shape)
-    mapped, rate, gradient = jax.jit(everything)(tangents, weight, *xs)
+    mapped, rate, gradient = jax.jit(everything, compiler_options=QUICK)(tangents, weight, *xs)
     assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
     ends = [
         np.asarray(f(*(x[0] + side * STEP * t for x, t in zip(xs, tangents, strict=True))))
@@ -144,7 +149,7 @@ def test_derivatives_with_respect_to_the_model() -> None:
     def f(model):
         return rb.forward_dynamics(model, q, v, a, w)
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=QUICK)
     def both(model, direction):
         rate = jax.jvp(f, (model,), (direction,))[1]
         (gradient,) = jax.vjp(f, model)[1](weight)
@@ -214,9 +219,9 @@ def test_wrong_arguments_are_refused_in_a_sentence(call, words: list[str]) -> No
 
 def test_unknown_names_list_the_names() -> None:
     (q,) = (x[0] for x in samples(("q",)))
-    with pytest.raises(rb.UnknownName, match="unknown body 'nose'.*'slider', 'swinger', 'hand'"):
+    with pytest.raises(rb.UnknownName, match=r"unknown body 'nose'.*'slider', 'swinger', 'hand'"):
         rb.jacobian(MODEL, q, "nose")
-    with pytest.raises(rb.UnknownName, match="unknown site 'nose'.*'tip'"):
+    with pytest.raises(rb.UnknownName, match=r"unknown site 'nose'.*'tip'"):
         rb.site_pose(MODEL, q, "nose")
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from rbjax.model import Model, load
 from rbjax.plotting import BLUE, GRID, INK, ORANGE, STYLE
 from rbjax.rollout import rollout
 from rbjax.sysid import Fit, Unknown, fit
-from rbjax.validation.reference import smooth, trajectory
+from rbjax.validation.reference import Array, smooth, trajectory
 
 NOISE = 1e-3  # rad
 EVERY = 10  # steps of 2 ms between two measurements
@@ -41,7 +42,7 @@ unknowns = {
 found = rb.sysid.fit(model, start, ctrls, measured, unknowns)"""
 
 
-def measure(model: Model, steps: int):
+def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
     """Controls (steps, nu), and MuJoCo's angles (1 + steps / EVERY, nq) with noise and without."""
     reference, _ = smooth("arm7")
     body = reference.body("link7").id
@@ -86,13 +87,14 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
         )
     before = rollout(model, start, jnp.asarray(ctrls), save_every=EVERY)
     after = rollout(found.model, start, jnp.asarray(ctrls), save_every=EVERY)
-    _picture(folder / "identify.png", np.asarray(before.ts), measured, before.q, after.q, found, truth)
+    ts, path = np.asarray(before.ts), folder / "identify.png"
+    _picture(path, ts, measured, before.q, after.q, found, truth)
     text = (
-        f"A seven-joint arm picked up something. From {len(measured)} readings of its joint angles "
-        f"over {steps * model.timestep:.0f} s, with noise of {NOISE * 1e3:.0f} mrad, five numbers are "
-        "found at once: the mass and the centre of mass of what it now carries, and the damping of a "
-        "joint that rubs more than the file says. Model numbers are leaves of a pytree, so the rollout "
-        "is differentiated with respect to any of them.",
+        f"A seven-joint arm picked up something. From {len(measured)} readings of its joint "
+        f"angles over {steps * model.timestep:.0f} s, with noise of {NOISE * 1e3:.0f} mrad, five "
+        "numbers are found at once: the mass and the centre of mass of what it now carries, and "
+        "the damping of a joint that rubs more than the file says. Model numbers are leaves of a "
+        "pytree, so the rollout is differentiated with respect to any of them.",
         f"Levenberg-Marquardt took {found.steps} steps; the residual that is left, "
         f"{found.rms * 1e3:.2f} mrad, is the noise.",
     )
@@ -109,7 +111,9 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
     )  # fmt: skip
 
 
-def _picture(path: Path, ts, measured, before, after, found: Fit, truth: dict[str, float]) -> None:
+def _picture(
+    path: Path, ts: Array, measured: Array, before: Any, after: Any, found: Fit, truth: dict
+) -> None:
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
             2, 2, figsize=(11, 5.4), width_ratios=(1.5, 1), layout="constrained", sharex="col"

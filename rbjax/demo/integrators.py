@@ -58,11 +58,12 @@ def ours(model: Model, state: State, seconds: float) -> dict[str, Run]:
     """rbjax's integrators: `rollout` in compiled chunks, `simulate` with fixed steps."""
 
     def fixed(name: str) -> Run:
-        def run(steps: int):
+        def run(steps: int) -> tuple[Any, Any]:
             now = state
             for _ in range(steps // CHUNK):
+                dt = seconds / steps
                 path = rollout(
-                    model, now, None, seconds / steps, integrator=name, save_every=CHUNK, steps=CHUNK
+                    model, now, None, dt, integrator=name, save_every=CHUNK, steps=CHUNK
                 )
                 now = path.state(-1)
             return now.q, now.v
@@ -70,7 +71,7 @@ def ours(model: Model, state: State, seconds: float) -> dict[str, Run]:
         return run
 
     def solved(solver: diffrax.AbstractSolver) -> Run:
-        def one(state: State, dt: jax.Array):
+        def one(state: State, dt: Any) -> tuple[Any, Any]:
             path = simulate(
                 model,
                 state,
@@ -93,7 +94,9 @@ def ours(model: Model, state: State, seconds: float) -> dict[str, Run]:
     }
 
 
-def measure(scene: str, batch: int, refined: tuple[int, ...], say: Callable[[str], None], mjx: bool):
+def measure(
+    scene: str, batch: int, refined: tuple[int, ...], say: Callable[[str], None], mjx: bool
+) -> dict[str, list[tuple[int, float, float]]]:
     """method -> rows (steps, microseconds per simulated second and robot, relative error)."""
     _, _, seconds, coarse = SCENES[scene]
     model = load(scene)
@@ -115,7 +118,7 @@ def measure(scene: str, batch: int, refined: tuple[int, ...], say: Callable[[str
             steps = coarse * k
             if name in ("Dopri8", "Tsit5"):
                 steps = max(steps // 4, 5)
-            last, best = _flat(run(steps)), np.inf
+            last, best = _flat(run(steps)), float("inf")
             for _ in range(2):
                 begin = time.perf_counter()
                 jax.block_until_ready(run(steps))
@@ -161,14 +164,16 @@ def integrators(
         ("scene", "method", "finest: steps", "us per simulated second", "relative error"),
         tuple(rows),
         note="Wall time on this machine, without compilation. MJX runs with "
-        "xla_cpu_use_fusion_emitters=False, without which it is up to a thousand times slower here.",
+        "xla_cpu_use_fusion_emitters=False; a CPU runs it up to a thousand times slower without.",
     )  # fmt: skip
 
 
 def _picture(path: Path, found: dict[str, dict[str, list[tuple[int, float, float]]]]) -> None:
     with plt.rc_context(STYLE):
         size = (3.9 * len(found) + 0.4, 4.6)
-        figure, axes = plt.subplots(1, len(found), figsize=size, layout="constrained", squeeze=False)
+        figure, axes = plt.subplots(
+            1, len(found), figsize=size, layout="constrained", squeeze=False
+        )
         for ax, (scene, methods) in zip(axes[0], found.items(), strict=True):
             for name, points in methods.items():
                 color, marker, line = LOOK[name]
@@ -177,6 +182,6 @@ def _picture(path: Path, found: dict[str, dict[str, list[tuple[int, float, float
             ax.set(title=scene.replace("_", " "), xlabel="computing time per simulated second [us]")
         axes[0, 0].set(ylabel="relative error of the final state")
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        figure.legend(handles, labels, loc="outside lower center", ncols=6 if len(found) > 2 else 2)
         figure.savefig(path)
         plt.close(figure)

@@ -24,7 +24,7 @@ class Section:
 
 
 def write(folder: Path, title: str, lead: str, sections: Sequence[Section], footer: str) -> Path:
-    """report.md beside the pictures, and report.html with the pictures inside; returns the latter."""
+    """report.md beside the pictures, report.html with the pictures inside; returns the latter."""
     (folder / "report.md").write_text(_markdown(title, lead, sections, footer))
     path = folder / "report.html"
     path.write_text(_html(folder, title, lead, sections, footer))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +33,7 @@ def loss(z):
 loss, slope = jax.value_and_grad(loss)(z)      # 300 steps of dynamics, differentiated"""
 
 
-def optimise(model: Model, iterations: int, say: Callable[[str], None]):
+def optimise(model: Model, iterations: int, say: Callable[[str], None]) -> tuple[Any, Any]:
     """Controls (STEPS, 1), and the loss after each iteration."""
     start = model.keyframe("down")
 
@@ -61,7 +62,8 @@ def optimise(model: Model, iterations: int, say: Callable[[str], None]):
     run = jax.jit(lambda carry: jax.lax.scan(descend, carry, None, chunk))
     t = jnp.arange(STEPS)[:, None] * DT
     z = 0.1 * jnp.sin(2 * jnp.pi * t / 1.5)
-    carry, losses = (z, optimiser.init(z)), []
+    carry = (z, optimiser.init(z))
+    losses: list[float] = []
     while len(losses) < iterations:
         carry, values = run(carry)
         losses += [float(x) for x in values]
@@ -76,12 +78,13 @@ def swing_up(folder: Path, say: Callable[[str], None], *, iterations: int = 2000
     u, losses = optimise(model, iterations, say)
     start = model.keyframe("down")
     path = rollout(model, start, u, DT)
-    q, v = np.asarray(path.q), np.asarray(path.v)
+    q, forces = np.asarray(path.q), np.asarray(u)
     reference, _ = smooth("cart_pole")
     reference.opt.timestep = DT
-    theirs, _ = trajectory(reference, np.asarray(start.q), np.asarray(start.v), np.asarray(u), STEPS)
+    at = (np.asarray(start.q), np.asarray(start.v))
+    theirs, _ = trajectory(reference, *at, forces, STEPS)
     gap = float(np.abs(theirs[-1] - q[-1]).max())
-    _picture(folder / "swing_up.png", model, q, np.asarray(u), losses, theirs)
+    _picture(folder / "swing_up.png", model, q, forces, losses, theirs)
     state = State(path.q[-1], path.v[-1])
     angle = float((state.q[1] + jnp.pi) % (2 * jnp.pi) - jnp.pi)
     rows = (
@@ -89,14 +92,14 @@ def swing_up(folder: Path, say: Callable[[str], None], *, iterations: int = 2000
         ("cart position", f"{float(state.q[0]):+.4f} m"),
         ("cart velocity", f"{float(state.v[0]):+.4f} m/s"),
         ("pole rate", f"{float(state.v[1]):+.4f} rad/s"),
-        ("largest force", f"{np.abs(np.asarray(u)).max():.1f} N"),
+        ("largest force", f"{np.abs(forces).max():.1f} N"),
         ("MuJoCo C under the same forces, final difference", f"{gap:.1e}"),
     )
     text = (
-        f"A cart can only be pushed left and right; its pole hangs down. {iterations} steps of Adam on "
-        f"{STEPS} forces, with gradients through the whole rollout, find a push that swings the pole "
-        "up and stops it there within 3 seconds. Run open loop in MuJoCo C, the same forces do the "
-        "same.",
+        f"A cart can only be pushed left and right; its pole hangs down. {iterations:,} steps of "
+        f"Adam on {STEPS} forces, with gradients through the whole rollout, find a push that "
+        "swings the pole up and stops it there within 3 seconds. Run open loop in MuJoCo C, the "
+        "same forces do the same.",
     )
     return Section(
         "Design a control: swinging up a cart-pole",
@@ -108,14 +111,14 @@ def swing_up(folder: Path, say: Callable[[str], None], *, iterations: int = 2000
     )
 
 
-def _picture(path: Path, model: Model, q, u, losses, theirs) -> None:
+def _picture(path: Path, model: Model, q: Any, u: Any, losses: Any, theirs: Any) -> None:
     ts = DT * np.arange(len(q))
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(11, 7.2), layout="constrained")
         grid = figure.add_gridspec(2, 3, height_ratios=(1.1, 1))
         top = figure.add_subplot(grid[0, :])
         moments = np.unique(np.linspace(0, len(q) - 1, 26).astype(int))
-        strobe(top, "cart_pole", model, q[moments], camera=Camera(-90, 8))
+        strobe(top, "cart_pole", model, q[moments], camera=Camera(-90, 8), shadow=False)
         tip = np.stack([q[:, 0] + np.sin(q[:, 1]), np.cos(q[:, 1]) * np.cos(np.radians(8))], -1)
         top.plot(tip[:, 0], tip[:, 1] + np.cos(np.radians(8)), color=ORANGE, lw=1.2, alpha=0.8)
         top.set_title("From hanging to balanced, drawn every 0.12 s")

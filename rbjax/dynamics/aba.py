@@ -70,9 +70,7 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
     def inward(x, message):
         link, joint, motion, tau = x
         p_A = bias_force(link.inertia, motion.w) + message[1]
-        I_a, factor = eliminate(
-            link, joint.S, motion.X, link.inertia.articulated() + message[0]
-        )
+        I_a, factor = eliminate(link, joint.S, motion.X, link.inertia.articulated() + message[0])
         I_a, factor = materialize((I_a, factor))
         u = sub(tau, joint.S.dot(p_A))
         p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)

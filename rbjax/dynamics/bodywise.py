@@ -6,7 +6,8 @@ B(I, V) = (V x* I - I V x + (I V) x-bar*) / 2,
     C = sum over bodies of J^T (I J' + B J),   J'_i = V_i x S_i,
 
 so that C v + g = b and M' = C + C^T. Regressor: the Newton-Euler equations are linear in each
-body's ten inertial parameters (Khalil & Dombre, *Modeling, Identification and Control of Robots*, 12).
+body's ten inertial parameters (Khalil & Dombre, *Modeling, Identification and Control of Robots*,
+ch. 12).
 """
 
 from __future__ import annotations
@@ -35,9 +36,7 @@ def skew(r: jax.Array) -> jax.Array:
 
 def _blocks(a, b, c, d) -> jax.Array:
     """The 6 by 6 matrix [a, b; c, d]."""
-    return jnp.concatenate(
-        [jnp.concatenate([a, b], -1), jnp.concatenate([c, d], -1)], -2
-    )
+    return jnp.concatenate([jnp.concatenate([a, b], -1), jnp.concatenate([c, d], -1)], -2)
 
 
 @algorithm("q", "v")
@@ -87,9 +86,7 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     )
     I_c, B_c = (jnp.where(carries[:, :, None, None], x, 0.0).sum(1) for x in (I, B))
     outer = _pairs(S, matrix_apply(I_c, S_rate) + matrix_apply(B_c, S))
-    inner = _pairs(S_rate, matrix_apply(I_c, S)) + _pairs(
-        S, matrix_apply(matrix_transpose(B_c), S)
-    )
+    inner = _pairs(S_rate, matrix_apply(I_c, S)) + _pairs(S, matrix_apply(matrix_transpose(B_c), S))
     # entry (i, j): what the deeper of the two carries
     return jnp.where(moves.T, outer, jnp.where(moves, inner.T, 0.0))
 
@@ -211,4 +208,3 @@ def inertial_parameters(model: Model) -> jax.Array:
     J = model.bodies.inertia + m[:, None, None] * square
     six = [J[:, 0, 0], J[:, 0, 1], J[:, 1, 1], J[:, 0, 2], J[:, 1, 2], J[:, 2, 2]]
     return jnp.stack([m, *(m * c[:, k] for k in range(3)), *six], -1).reshape(-1)
-

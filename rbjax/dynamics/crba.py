@@ -1,7 +1,7 @@
 """Composite-rigid-body algorithm: the joint-space inertia matrix (Featherstone, ch. 6).
 
-    inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F + armature
-             F travels on to the root, and M_ji = S_j . F at each ancestor j on its way.
+inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F + armature
+         F travels on to the root, and M_ji = S_j . F at each ancestor j on its way.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import Driver, Rolled, Unrolled, driver
+from rbjax.dynamics.drivers import Rolled, Unrolled, driver
 from rbjax.lanes import Lane, Sym3, Vec3, add, mul
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model
@@ -64,7 +64,9 @@ def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
         return (X.rigid_to_parent(I_c), X.T(passing)), row
 
     passing = Force.from_lanes([jnp.zeros(n, like.dtype)] * 6)
-    rows = d.inward(step, (_ZERO, passing), d.zip(d.constants, joints, jnp.eye(n, dtype=like.dtype)))
+    rows = d.inward(
+        step, (_ZERO, passing), d.zip(d.constants, joints, jnp.eye(n, dtype=like.dtype))
+    )
     return rows + jnp.triu(rows, 1).T
 
 

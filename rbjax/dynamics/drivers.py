@@ -24,8 +24,8 @@ from rbjax.dynamics.joints import JointMotion, joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack, unpack
 from rbjax.lanes import Lane, add, as_arrays, is_literal
 from rbjax.materialize import materialize
-from rbjax.model.cells import lane_of
 from rbjax.model import WORLD, LinkConstants, Model, Prepared, prepare
+from rbjax.model.cells import lane_of
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
 
@@ -65,7 +65,8 @@ class Unrolled:
 
     def outward(self, step: Step, root: Any, xs: list) -> list:
         """carry_i, y_i = step(x_i, carry of the parent), from the root out; the list of y_i."""
-        carries, ys = [], []
+        carries: list = []
+        ys: list = []
         for parent, x in zip(self.topology.parents, xs, strict=True):
             before = root if parent == WORLD else carries[parent]
             carry, y = materialize(step(x, before), known=(x, before))
@@ -91,7 +92,7 @@ class Rolled:
     def __init__(self, model: Model, prepared: Prepared):
         self.topology, self.prepared = model.topology, prepared
         self.constants: LinkConstants = jax.tree.map(_uniform, prepared.columns)
-        self._like: jax.Array | None = None
+        self._like: Any = None  # the shape and dtype of one lane, known with q
         parents = np.array(self.topology.parents)
         n = len(parents)
         self._slots, slot_of = allocate_slots(self.topology.parents)
@@ -193,7 +194,7 @@ class Rolled:
         return jax.tree.unflatten(emitted["tree"], out)
 
 
-Driver = Unrolled | Rolled
+Driver = Any  # Unrolled or Rolled; per-link values are lists or columns accordingly
 DRIVERS: dict[str, type[Unrolled] | type[Rolled]] = {"unrolled": Unrolled, "rolled": Rolled}
 
 

@@ -1,7 +1,7 @@
 """Energy, centre of mass and momentum.
 
-    T = v^T M v / 2 = sum of V.(I V) / 2 + armature v^2 / 2;   U = -sum of m g.c
-    h_G = [sum of I_b w + m (c_b - c) x v_b;  sum of m v_b]      (Orin, Goswami & Lee 2013)
+T = v^T M v / 2 = sum of V.(I V) / 2 + armature v^2 / 2;   U = -sum of m g.c
+h_G = [sum of I_b w + m (c_b - c) x v_b;  sum of m v_b]      (Orin, Goswami & Lee 2013)
 """
 
 from __future__ import annotations

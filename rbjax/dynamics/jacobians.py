@@ -7,6 +7,8 @@ Angular first, world axes, at a point of the body (Lynch & Park, *Modern Robotic
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -77,23 +79,35 @@ def jacobian(model: Model, q: jax.Array, body: str, point: jax.Array | None = No
     return jnp.where(mask, columns, 0.0).T
 
 
-def wrench_forces(d: Driver, q: jax.Array, wrenches: jax.Array) -> jax.Array:
-    """tau = sum_b J_b^T w_b (nv,), of wrenches (nb, 6) in world axes at the bodies' origins."""
-    top = d.topology
-    R, p = link_poses(d, q)
-    at = body_poses(d, R, p).p
+def moment_arms(
+    top: Topology,
+    R: jax.Array,
+    p: jax.Array,
+    bodies: Sequence[int],
+    at: jax.Array,
+    wrenches: jax.Array,
+) -> jax.Array:
+    """J_b^T w (k, nv) of k wrenches in world axes, each at a world point `at` (k, 3) of a body.
+
+    R, p are the world poses of the links; `bodies` says which body each wrench acts on.
+    """
     moment, force = wrenches[:, :3], wrenches[:, 3:]
     about_origin = jnp.concatenate([moment + jnp.cross(at, force), force], -1)
-    slot = np.where(np.array(top.body_links) == WORLD, top.nv, np.array(top.body_links))
-    on_link = jax.ops.segment_sum(about_origin, slot, top.nv + 1)[: top.nv]
-    angular, linear = world_axes(top, R, p)
-    axes = jnp.concatenate([angular, linear], -1)
-    moves = np.stack([ancestor_mask(top, i) for i in range(top.nv)])  # [link, ancestor]
-    total = (on_link[:, None, :] * moves[:, :, None]).sum(0)
-    return (axes * total).sum(-1)
+    axes = jnp.concatenate(world_axes(top, R, p), -1)
+    moves = np.stack(
+        [ancestor_mask(top, WORLD if b == WORLD else top.body_links[b]) for b in bodies]
+    )
+    return jnp.where(moves, (about_origin[:, None, :] * axes[None]).sum(-1), 0.0)
 
 
-@algorithm("q")
+def wrench_forces(d: Driver, q: jax.Array, wrenches: jax.Array) -> jax.Array:
+    """tau = sum_b J_b^T w_b (nv,), of wrenches (nb, 6) in world axes at the bodies' origins."""
+    R, p = link_poses(d, q)
+    at = body_poses(d, R, p).p
+    return moment_arms(d.topology, R, p, range(d.topology.nb), at, wrenches).sum(0)
+
+
+@algorithm("q", "wrenches")
 def generalized_forces(model: Model, q: jax.Array, wrenches: jax.Array) -> jax.Array:
     """Generalized forces (nv,) of wrenches on bodies, by virtual work: tau = sum_b J_b^T w_b.
 

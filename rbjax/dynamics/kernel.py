@@ -19,7 +19,7 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
 from rbjax.dynamics.aba import aba
-from rbjax.dynamics.kernel_drivers import KernelRolled, KernelUnrolled, Memory, layout
+from rbjax.dynamics.kernel_drivers import SLOT, KernelRolled, KernelUnrolled, Memory, layout
 from rbjax.dynamics.kernel_numbers import Numbers, numbers
 from rbjax.lanes import Vec3
 from rbjax.materialize import inside_a_kernel
@@ -131,7 +131,7 @@ def scratch_rows(model: Model, how: Plan, per_link: int) -> int:
     """Rows of scratch: `per_link` for each link, and slots at branch points."""
     if how.driver == "unrolled":
         return 1
-    return per_link * model.nv + 27 * layout(model.topology)[1]
+    return per_link * model.nv + SLOT * layout(model.topology)[1]
 
 
 def forward_dynamics(
@@ -151,11 +151,14 @@ def forward_dynamics(
             return
         joints = d.joints(qs, vs)
         qdd, _ = aba(d, joints, d.column(taus), block.gravity)
-        for i in range(model.nv):
-            outs[0][i, block.columns] = d.read(qdd, i)
+        d.write(qdd, functools.partial(_write, outs[0], block.columns))
 
     return launch(body, model, how, [q, v, tau], [tau.shape], scratch_rows(model, how, 32))[0]
 
 
 def _read(ref: Any, columns: Any, i: Any) -> jax.Array:
     return ref[i, columns]
+
+
+def _write(ref: Any, columns: Any, i: Any, x: jax.Array) -> None:
+    ref[i, columns] = x

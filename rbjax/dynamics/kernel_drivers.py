@@ -24,9 +24,10 @@ from rbjax.dynamics.kernel_numbers import Numbers
 from rbjax.lanes import Lane, Vec3, add, is_literal, rotation_z
 from rbjax.materialize import sincos
 from rbjax.model import WORLD, LinkConstants
-from rbjax.model.links import lane
 from rbjax.spatial import Motion, Transform
 
+#: rows of a slot: the widest message
+SLOT = 33
 _HINGE = Motion(Vec3(0.0, 0.0, 1.0), Vec3.zero())
 
 
@@ -35,11 +36,7 @@ class KernelUnrolled(Unrolled):
 
     def __init__(self, known: Numbers):
         self.topology, self.prepared = known.model.topology, known.prepared
-        columns = known.prepared.columns
-        self.constants = [
-            jax.tree.map(lambda column, i=i: lane(column, i), columns)
-            for i in range(self.topology.nv)
-        ]
+        self.constants = [known.prepared.link(i)() for i in range(self.topology.nv)]
 
     def joints(self, q: list[Lane], v: list[Lane]) -> list[JointMotion]:
         links = enumerate(self.topology.links)
@@ -127,7 +124,7 @@ class Visit:
         if self._constants is None:
             columns = self.d.columns
             if self.static is not None:
-                self._constants = jax.tree.map(lambda c: lane(c, self.static), columns)
+                self._constants = self.d.prepared.link(self.static)()
             else:
                 self._constants = jax.tree.map(self._number, columns)
         return self._constants
@@ -146,6 +143,8 @@ class Visit:
             posed = PosedJoint(motion.J, motion.slide, motion.S, motion.rate, motion.qd)
             pose = JointMotion.transform(motion, link)
             object.__setattr__(posed, "pose", pose)
+            if self.static is None:
+                object.__setattr__(posed, "hinge", (c, s, qd))
             self._joint = posed
             for k, x in enumerate(jax.tree.leaves(pose)):
                 if not is_literal(x):
@@ -200,41 +199,53 @@ class KernelRolled:
         self.columns, self.index = known.prepared.columns, index
         self.head, self.slots, _ = layout(self.topology)
         self.size = self.topology.nv - self.head
-        self.slot_rows = [memory.take(27) for _ in range(self.slots)]
+        self.slot_start = memory.take(SLOT * self.slots)
         self.constants = Values([_Constants()] * self.head, _Constants())
         self.motions: Values = Values([], None)
 
     # -- joints and plain arrays over the links -------------------------------------------------
 
-    def joints(self, q: Callable[[Any], jax.Array], v: Callable[[Any], jax.Array]) -> Values:
-        """The joint motions; q and v read a coordinate by its index."""
+    def joints(self, q: Callable, v: Callable, v_row: int | None = None) -> Values:
+        """The joint motions; q and v read a coordinate by its index, or v is in rows already."""
         top, n, qs, vs = self.topology, self.head, _Lookup(q), _Lookup(v)
         head = []
         for i in range(n):
             visit = Visit(self, i, i)
             motion = joint_lanes(top.links[i], visit.constants(), qs, vs, i)
             head.append(visit.store(motion))
-        rows = [self.memory.take(self.size) - n for _ in range(3)]
+        rows = [self.memory.take(self.size) - n for _ in range(2 if v_row is not None else 3)]
 
         def body(i, _):
             visit = Visit(self, i, None)
             angle = q(self.index[1, i])
             reference = visit.constants().reference
             c, s = sincos(angle if is_literal(reference) and not reference else angle - reference)
-            for row, x in zip(rows, (c, s, v(i)), strict=True):
-                self.memory.write(row + i, x)
+            self.memory.write(rows[0] + i, c)
+            self.memory.write(rows[1] + i, s)
+            if v_row is None:
+                self.memory.write(rows[2] + i, v(i))
             return 0
 
-        jax.lax.fori_loop(n, top.nv, body, 0)
+        _loop(body, 0, n, top.nv)
+        if v_row is not None:
+            rows.append(v_row)
         self.motions = Values(head, tuple(Cell(row=row) for row in rows))
         return Values([_Joints()] * n, _Joints())
 
-    def column(self, read: Callable[[int], jax.Array]) -> Values:
-        """Lanes that are given one by one, as a per-link value."""
+    def column(self, read: Callable[[Any], jax.Array]) -> Values:
+        """Lanes that are read by index, as a per-link value."""
         start = self.memory.take(self.topology.nv)
-        for i in range(self.topology.nv):
-            self.memory.write(start + i, read(i))
+        _loop(lambda i, _: (self.memory.write(start + i, read(i)), 0)[1], 0, 0, self.topology.nv)
         return self.rows(start)
+
+    def write(self, values: Values, to: Callable[[Any, Lane], None]) -> None:
+        """Hand every link's lane to `to(i, lane)`."""
+        for i in range(self.head):
+            to(i, self.read(values, i))
+        body = values.body
+        if self.size and body.row is not None:
+            n, nv = self.head, self.topology.nv
+            _loop(lambda i, _: (to(i, self.memory.read(body.row + i)), 0)[1], 0, n, nv)
 
     def rows(self, start: int) -> Values:
         """Rows start, start + 1, ... as a per-link value."""
@@ -260,7 +271,7 @@ class KernelRolled:
         )
 
     def _slot(self, k: Any) -> Any:
-        return self.slot_rows[0] + 27 * k
+        return self.slot_start + SLOT * k
 
     def _write_slot(self, k: Any, tree: Any) -> None:
         for n, x in enumerate(jax.tree.leaves(tree)):

@@ -7,6 +7,7 @@ concrete (the model is closed over) stays numpy, so that its zeros and ones vani
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.model import Model, Prepared, prepare
+from rbjax.lanes import Mat3, Sym3, Vec3
+from rbjax.model import LinkConstants, Model, prepare
+from rbjax.model.links import lane
+from rbjax.spatial import RigidInertia
 
 
 class Table:
@@ -38,7 +42,7 @@ class Numbers:
     """The flat vector, and how the model looks inside the kernel once `bind` has given it."""
 
     model: Any
-    prepared: Prepared
+    prepared: Any
     vector: list[jax.Array] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
 
@@ -55,6 +59,35 @@ class Numbers:
 
 _JOINTS = ("stiffness", "damping", "springref", "forcerange")
 _ACTUATORS = ("gear", "gain", "bias", "ctrlrange", "forcerange")
+
+
+_CYCLE = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]]].swapaxes(0, 1)  # z to x, y, z
+
+
+def _structural(top: Any, i: int, concrete: Any, columns: Any) -> Callable[[], LinkConstants]:
+    """The lanes of a known link, read when asked for. What follows from the tree alone (a ball's
+    and a free joint's inner links stand on each other and weigh nothing) is literal."""
+    link = top.links[i]
+
+    def column(known: Any, table: Any) -> Any:
+        return lane(known if isinstance(known, np.ndarray) else table, i)
+
+    def read() -> LinkConstants:
+        out = jax.tree.map(column, concrete, columns)
+        R, p, inertia, reference = out.R, out.p, out.inertia, out.reference
+        if link.part is not None:
+            reference = 0.0
+            if not link.first_on_body:
+                before = top.links[i - 1]
+                own = np.eye(3) if link.quaternion else _CYCLE[link.part]
+                R, p = Mat3(*(_CYCLE[before.part].T @ own).reshape(-1).tolist()), Vec3.zero()
+            elif top.joint_kinds[link.joint] == "free":
+                R = Mat3(*_CYCLE[0].reshape(-1).tolist())
+        if top.last_links[link.body] != i:
+            inertia = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
+        return LinkConstants(R, p, inertia, out.armature, reference)
+
+    return read
 
 
 def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
@@ -81,7 +114,9 @@ def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
 
     columns = jax.tree.map(lambda x: moved(x, dynamic), prepared.columns)
     gravity = [moved(g[None] if isinstance(g, jax.core.Tracer) else g) for g in prepared.gravity]
-    out.prepared = SimpleNamespace(columns=columns, gravity=gravity)
+    shapes = prepared.columns if dynamic else columns
+    fixed = [_structural(model.topology, i, shapes, columns) for i in range(model.nv)]
+    out.prepared = SimpleNamespace(columns=columns, gravity=gravity, link=fixed.__getitem__)
     out.model = SimpleNamespace(
         topology=model.topology, nq=model.nq, nv=model.nv, nu=model.nu,
         joints=SimpleNamespace(**{n: moved(getattr(model.joints, n)) for n in _JOINTS}),

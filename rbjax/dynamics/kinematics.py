@@ -54,9 +54,7 @@ def body_poses(d: Driver, R: jax.Array, p: jax.Array) -> Poses:
     fixed = (link == WORLD)[:, None]
     carrier_R = jnp.where(fixed[..., None], jnp.eye(3, dtype=R.dtype), R[link])
     carrier_p = jnp.where(fixed, jnp.zeros(3, R.dtype), p[link])
-    return Poses(
-        matrix_product(carrier_R, body_R), carrier_p + matrix_apply(carrier_R, body_p)
-    )
+    return Poses(matrix_product(carrier_R, body_R), carrier_p + matrix_apply(carrier_R, body_p))
 
 
 @algorithm("q")

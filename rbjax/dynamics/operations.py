@@ -37,7 +37,8 @@ class OperationCount:
         return sum(getattr(self, f.name) for f in fields(self))
 
     def __add__(self, other: OperationCount) -> OperationCount:
-        return OperationCount(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        names = [f.name for f in fields(self)]
+        return OperationCount(*(getattr(self, n) + getattr(other, n) for n in names))
 
     def __rmul__(self, times: int) -> OperationCount:
         return OperationCount(*(times * getattr(self, f.name) for f in fields(self)))

@@ -13,13 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.jacobians import jacobian
-from rbjax.dynamics.kinematics import site_pose
+from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.jacobians import moment_arms
+from rbjax.dynamics.kinematics import body_poses, link_poses
 from rbjax.dynamics.manifold import difference, difference_lanes
 from rbjax.dynamics.packing import pack
 from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, total
-from rbjax.model import JOINT_SIZES, WORLD, Model, State
-from rbjax.model.links import lane
+from rbjax.model import JOINT_SIZES, Model, State
+from rbjax.model.links import lane, matrix_apply, matrix_product
 from rbjax.rotations import quaternion
 
 
@@ -59,23 +60,37 @@ def passive_lanes(model: Model, q: jax.Array, v: jax.Array) -> list[Lane]:
     return out
 
 
-def _moment(model: Model, q: jax.Array, i: int) -> tuple[dict[int, Lane], Lane]:
+def site_moments(model: Model, q: jax.Array) -> dict[int, jax.Array]:
+    """Moment arms (nv,) of each actuator whose gear is a wrench [force; torque] at a site."""
+    top, actuators, sites = model.topology, model.actuators, model.sites
+    driven = [i for i, site in enumerate(actuators.sites) if site >= 0]
+    if not driven:
+        return {}
+    d = driver(model, q.dtype)
+    R, p = link_poses(d, q)
+    poses = body_poses(d, R, p)
+    at = [actuators.sites[i] for i in driven]
+    bodies = [top.site_bodies[s] for s in at]
+    index = np.array(bodies)
+    site_R = quaternion.to_matrix(sites.orientation[np.array(at)]).astype(q.dtype)
+    site_R = matrix_product(poses.R[index], site_R)
+    site_p = matrix_apply(poses.R[index], sites.position[np.array(at)].astype(q.dtype))
+    gear = actuators.gear[np.array(driven)].astype(q.dtype)
+    force, torque = matrix_apply(site_R, gear[:, :3]), matrix_apply(site_R, gear[:, 3:])
+    wrenches = jnp.concatenate([torque, force], -1)
+    arms = moment_arms(top, R, p, bodies, poses.p[index] + site_p, wrenches)
+    return {i: arms[k] for k, i in enumerate(driven)}
+
+
+def _moment(model: Model, q, i: int, at_sites: dict) -> tuple[dict[int, Lane], Lane]:
     """Row of the moment arms of actuator i as {velocity coordinate: arm}, and its length."""
-    top, actuators = model.topology, model.actuators
-    gear = _table(actuators.gear, q[0].dtype)
-    g = [lane(gear[:, k], i) for k in range(6)]
-    joint, site = actuators.joints[i], actuators.sites[i]
-    if site >= 0:
-        body = top.site_bodies[site]
-        if body == WORLD:
-            return {}, 0.0
-        R, _ = site_pose(model, q, top.site_names[site])
-        J = jacobian(model, q, top.body_names[body], model.sites.position[site])
-        force, torque = R @ jnp.stack(g[:3]), R @ jnp.stack(g[3:])
-        moment = (J * jnp.concatenate([torque, force])[:, None]).sum(0)
-        return {n: moment[n] for n in range(model.nv)}, 0.0
+    top, joint = model.topology, model.actuators.joints[i]
+    if i in at_sites:
+        return {n: at_sites[i][n] for n in range(model.nv)}, 0.0
     if joint < 0:
         return {}, 0.0
+    gear = _table(model.actuators.gear, q[0].dtype)
+    g = [lane(gear[:, k], i) for k in range(6)]
     kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
     nv = JOINT_SIZES[kind][1]
     arms = {at + k: g[k] for k in range(nv)}
@@ -93,8 +108,9 @@ def actuator_lanes(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) ->
     ctrlrange = _table(actuators.ctrlrange, dtype)
     forcerange = _table(actuators.forcerange, dtype)
     out: list[Lane] = [0.0] * model.nv
+    at_sites = site_moments(model, q)
     for i in range(model.nu):
-        arms, length = _moment(model, q, i)
+        arms, length = _moment(model, q, i, at_sites)
         if not arms:
             continue
         speed = total(mul(arm, v[n]) for n, arm in arms.items())

@@ -1,4 +1,4 @@
-"""Models: what a robot is (`Topology`), its numbers (`Model`), and how a file becomes one (`load`)."""
+"""Models: what a robot is (`Topology`), its numbers (`Model`), how a file becomes one (`load`)."""
 
 from rbjax.model.links import LinkConstants, Prepared, prepare
 from rbjax.model.load import compile_model, load, scenes

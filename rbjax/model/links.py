@@ -44,7 +44,7 @@ class LinkConstants:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Prepared:
-    """`columns`: `LinkConstants` of (nv,) columns; poses of bodies in their links; gravity lanes."""
+    """`LinkConstants` of (nv,) columns; poses of bodies in their links; gravity lanes."""
 
     columns: LinkConstants
     body_R: Any  # (nb, 3, 3)
@@ -66,10 +66,13 @@ def prepare(model: Model, dtype: Any) -> Prepared:
     leaves = (model.bodies, model.joints, model.gravity)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
         if model.zeros is None:
-            return _prepare(model.topology, *leaves, jnp, dtype)
-        return _prepare(model.topology, *_as_cells(leaves, dict(model.zeros)), np, dtype)
+            bodies, joints, gravity = leaves
+            return _prepare(model.topology, bodies, joints, gravity, jnp, dtype)
+        bodies, joints, gravity = _as_cells(leaves, dict(model.zeros))
+        return _prepare(model.topology, bodies, joints, gravity, np, dtype)
     leaves = jax.tree.map(lambda x: np.asarray(x, np.float64), leaves)
-    return _prepare(model.topology, *leaves, np, np.float64)
+    bodies, joints, gravity = leaves
+    return _prepare(model.topology, bodies, joints, gravity, np, np.float64)
 
 
 def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:

@@ -1,7 +1,7 @@
 """From a robot file to a `Model`, through MuJoCo's own compiler.
 
-Whatever MuJoCo reads, this reads; what the compiled model holds beyond a tree of joints with springs,
-dampers and actuators is listed in `model.dropped`.
+Whatever MuJoCo reads, this reads; what the compiled model holds beyond a tree of joints with
+springs, dampers and actuators is listed in `model.dropped`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
     """A `Model` from an MJCF or URDF file.
 
     Args:
-        source: a path, an XML string, a `mujoco.MjSpec`, a `mujoco.MjModel`, or a bundled scene's name.
+        source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
         floating_base: give a URDF's root link a free joint, so that its mass counts.
         strict: raise instead of warn about what the file has and the model leaves out.
 
@@ -92,7 +92,9 @@ def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel
             f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
         )
     try:
-        spec = mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(str(path))
+        spec = (
+            mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(str(path))
+        )
     except Exception as error:
         raise ModelError(f"{name}: MuJoCo cannot parse it: {_sentence(error)}") from error
     return _compile(spec, name)
@@ -113,7 +115,9 @@ def _read(source: str | Path) -> tuple[str, Path | None]:
     try:
         return path.read_text(), path
     except (UnicodeDecodeError, OSError) as error:
-        raise ModelError(f"{path}: cannot be read as text ({error}); give an MJCF or URDF file") from error
+        raise ModelError(
+            f"{path}: cannot be read as text ({error}); give an MJCF or URDF file"
+        ) from error
 
 
 def _describe(source: Any) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
 _SHOWN = 4  # names listed before "and N more"
-_KINDS = {
+_KINDS: dict[str, Any] = {
     "joint": int(mujoco.mjtTrn.mjTRN_JOINT),
     "site": int(mujoco.mjtTrn.mjTRN_SITE),
     "gains": (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)),
@@ -85,7 +87,8 @@ def _may_collide(m: mujoco.MjModel) -> bool:
     if m.npair:
         return True
     types, affinities = set(), set()
-    masks = set(zip(m.geom_contype.tolist(), m.geom_conaffinity.tolist(), m.geom_bodyid.tolist()))
+    columns = (m.geom_contype.tolist(), m.geom_conaffinity.tolist(), m.geom_bodyid.tolist())
+    masks = set(zip(*columns, strict=True))
     for contype, conaffinity, body in masks:
         types.add((contype, body))
         affinities.add((conaffinity, body))

@@ -51,8 +51,8 @@ class State(Record):
 class Bodies(Record):
     """Numbers of the moving bodies, in the file's order; each in its own frame unless said.
 
-    Fields: mass (nb,) kg; com (nb, 3) m; inertia (nb, 3, 3) kg m^2 about the com; position (nb, 3) m
-    and orientation (nb, 4) quaternion of the body's frame in its parent's at zero joint motion.
+    Fields: mass (nb,) kg; com (nb, 3) m; inertia (nb, 3, 3) kg m^2 about the com; position (nb, 3)
+    m and orientation (nb, 4) quaternion of the body's frame in its parent's at zero joint motion.
     """
 
     mass: jax.Array
@@ -84,7 +84,7 @@ class Joints(Record):
 class Actuators(Record):
     """force = clip((g0 + g1 l + g2 l') u + b0 + b1 l + b2 l'), with u clipped, l = gear . q.
 
-    Fields: gear (nu, 6); gain (nu, 3); bias (nu, 3); ctrlrange (nu, 2); forcerange (nu, 2), infinite
+    Fields: gear (nu, 6); gain (nu, 3); bias (nu, 3); ctrlrange, forcerange (nu, 2), infinite
     where the file sets no limit. Static: `joints`, the joint that each one drives (or -1), and
     `sites`, the site at which gear is a wrench [force; torque] in the site's axes (or -1).
     """

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 WORLD = -1
 #: configuration and velocity coordinates of each joint kind
@@ -27,7 +28,7 @@ class Link:
     kind: str  # "hinge" or "slide"
     first_on_body: bool
     #: where its joint coordinate starts in q; None where a ball's first link has moved already
-    q: int | None
+    q: Any
     #: 0, 1, 2 for the x, y, z link of a ball or of a free joint's slides, else None
     part: int | None
     #: the first link of a ball, which carries the rotation
@@ -89,7 +90,7 @@ class Topology:
     @cached_property
     def links(self) -> tuple[Link, ...]:
         """The links, in the order of v; parents come before children."""
-        last = self._last_links
+        last = self.last_links
         out: list[Link] = []
         for j, (kind, body) in enumerate(zip(self.joint_kinds, self.joint_bodies, strict=True)):
             first = j == 0 or self.joint_bodies[j - 1] != body
@@ -117,7 +118,7 @@ class Topology:
         return tuple(out)
 
     @cached_property
-    def _last_links(self) -> dict[int, int]:
+    def last_links(self) -> dict[int, int]:
         """The last link of each body that has joints."""
         return {
             body: self.joint_v[j] + JOINT_SIZES[self.joint_kinds[j]][1] - 1
@@ -126,7 +127,7 @@ class Topology:
 
     def _carrier(self, body: int) -> int:
         """The nearest body, itself or an ancestor, that has joints; or WORLD."""
-        while body != WORLD and body not in self._last_links:
+        while body != WORLD and body not in self.last_links:
             body = self.body_parents[body]
         return body
 
@@ -138,14 +139,14 @@ class Topology:
     @cached_property
     def body_links(self) -> tuple[int, ...]:
         """For each body the link that it moves with, or WORLD."""
-        return tuple(WORLD if c == WORLD else self._last_links[c] for c in self.carriers)
+        return tuple(WORLD if c == WORLD else self.last_links[c] for c in self.carriers)
 
     @cached_property
     def weld_depth(self) -> tuple[int, ...]:
         """For each body the number of welds between it and its carrier (or the world)."""
         out: list[int] = []
         for b, parent in enumerate(self.body_parents):
-            welded = b not in self._last_links
+            welded = b not in self.last_links
             out.append((1 + (out[parent] if parent != WORLD else 0)) if welded else 0)
         return tuple(out)
 

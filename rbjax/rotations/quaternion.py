@@ -49,7 +49,7 @@ def to_matrix(a: jax.Array) -> jax.Array:
 
 
 def exp(phi: jax.Array) -> jax.Array:
-    """The quaternion of the rotation vector phi (..., 3): [cos(|phi|/2), phi sin(|phi|/2)/|phi|]."""
+    """The quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector (..., 3)."""
     half_squared = (phi * phi).sum(-1, keepdims=True) / 4
     return jnp.concatenate([_cos_sqrt(half_squared), phi * (_sinc_sqrt(half_squared) / 2)], -1)
 
@@ -80,9 +80,10 @@ def _log_scale(w: jax.Array, square: jax.Array) -> jax.Array:
     safe = jnp.where(small, 1.0, square)
     n = jnp.sqrt(safe)
     far = 2 * jnp.arctan2(n, jnp.where(small, 1.0, w)) / n
-    x = jnp.where(small, square / (w * w), 0.0)  # tan^2 of half the angle
+    one = jnp.where(small, w, 1.0)  # no division by the zero w of half a turn, in gradients either
+    x = jnp.where(small, square, 0.0) / (one * one)  # tan^2 of half the angle
     series = 1 + x * (-1 / 3 + x * (1 / 5 + x * (-1 / 7 + x * (1 / 9 - x * (1 / 11 - x / 13)))))
-    near = 2 * series / jnp.where(small, w, 1.0)
+    near = 2 * series / one
     return sign * jnp.where(small, near, far)
 
 

@@ -38,9 +38,7 @@ class RigidInertia:
 
     def __call__(self, v: Motion) -> Force:
         """I v: momentum from velocity, or force from acceleration."""
-        return Force(
-            self.J @ v.ang + self.h.cross(v.lin), v.lin * self.m - self.h.cross(v.ang)
-        )
+        return Force(self.J @ v.ang + self.h.cross(v.lin), v.lin * self.m - self.h.cross(v.ang))
 
     def rotated(self, R: Mat3) -> RigidInertia:
         """The same inertia in axes turned by R."""
@@ -49,7 +47,7 @@ class RigidInertia:
     def shifted(self, p: Vec3) -> RigidInertia:
         """About an origin at -p (Steiner): h' = h + m p, J' = J - [p][h] - [h][p] - m [p][p]."""
         g = self.h + p * self.m
-        (px, py, pz), (hx, hy, hz), (gx, gy, gz) = p, self.h, g
+        (px, py, pz), (_, hy, hz), (gx, gy, _) = p, self.h, g
         xx, yy, zz = (mul(a, b) for a, b in zip(p, self.h + g, strict=True))
         steiner = Sym3(
             add(yy, zz), add(xx, zz), add(xx, yy),
@@ -95,9 +93,7 @@ class ArticulatedInertia:
 
     def rotated(self, R: Mat3) -> ArticulatedInertia:
         """The same inertia in axes turned by R."""
-        return ArticulatedInertia(
-            self.J.rotated(R), R @ self.H @ R.T, self.M.rotated(R)
-        )
+        return ArticulatedInertia(self.J.rotated(R), R @ self.H @ R.T, self.M.rotated(R))
 
     def shifted(self, p: Vec3) -> ArticulatedInertia:
         """About an origin at -p: H' = H + [p] M, J' = J + [p] H'^T - H [p]."""

@@ -1,5 +1,6 @@
-"""Motion and force vectors, angular part first (Featherstone, *Rigid Body Dynamics Algorithms*, 2.2).
+"""Motion and force vectors, angular part first.
 
+(Featherstone, *Rigid Body Dynamics Algorithms*, 2.2.)
 A motion [omega; v] and a force [n; f] are dual: their product is a power. Both are given at the
 origin of the frame they are expressed in.
 """

@@ -90,7 +90,8 @@ def fit(
         >>> start = model.default_state()
         >>> heavier = model.replace(bodies=model.bodies.replace(mass=jnp.array([1.3])))
         >>> seen = rb.rollout(heavier, start, push).q
-        >>> found = fit(model, start, push, seen, {"mass": Unknown("bodies.mass", 0, positive=True)})
+        >>> mass = Unknown("bodies.mass", 0, positive=True)
+        >>> found = fit(model, start, push, seen, {"mass": mass})
         >>> round(found.values["mass"], 3)
         1.3
     """
@@ -121,8 +122,8 @@ def fit(
 
     @jax.jit
     def solve(theta: jax.Array, data: Any) -> Any:
-        solver = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-9)
-        solution = optx.least_squares(
+        solver: Any = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-9)
+        solution: Any = optx.least_squares(
             residual, solver, theta, data, options={"jac": "fwd"}, max_steps=max_steps, throw=False
         )
         left = residual(solution.value, data)

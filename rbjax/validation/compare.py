@@ -44,14 +44,16 @@ def compare(
     seed: int = 0,
     mjx: bool | tuple[str, ...] = True,
     seconds: float = 1.0,
+    gradient: bool = True,
+    driver: str = "auto",
     floating_base: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Run a robot in rbjax, MuJoCo C and MJX side by side.
 
     Compared: body poses and velocities, mass matrix, bias forces, forward dynamics with the model's
-    own springs, dampers and actuators, one semi-implicit Euler step, a trajectory's final state, and
-    the gradient of a random functional of that with respect to initial velocity and controls
+    own springs, dampers and actuators, one semi-implicit Euler step, a trajectory's final state,
+    and the gradient of a random functional of that with respect to initial velocity and controls
     (reverse mode against central differences of MuJoCo C).
 
     Args:
@@ -60,6 +62,8 @@ def compare(
         seed: of the states.
         mjx: whether MJX runs too; or which precisions, as ("f64",).
         seconds: length of the trajectory.
+        gradient: whether to compare gradients, most of the compile time of a large robot.
+        driver: how rbjax walks the tree; "rolled" compiles faster than "unrolled".
         floating_base: as in `rbjax.load`.
         progress: called with a few words before each stage.
 
@@ -93,20 +97,24 @@ def compare(
     weights = weights.astype(np.float32).astype(np.float64)
     want = quantities(reference, samples)
     want["trajectory"], growth = _final_states(reference, few, steps)
-    want["gradient"] = final_gradient(reference, few, steps, weights)
-    rough = final_gradient(reference, few, steps, weights, step=3e-5)
-    doubt = relative(rough, want["gradient"]).worst
+    doubt = 0.0
+    if gradient:
+        want["gradient"] = final_gradient(reference, few, steps, weights)
+        rough = final_gradient(reference, few, steps, weights, step=3e-5)
+        doubt = relative(rough, want["gradient"]).worst
 
+    slope = weights if gradient else None
     found: dict[str, dict[str, Array]] = {}
     for column, dtype in (("rbjax f64", np.float64), ("rbjax f32", np.float32)):
         say(column)
         with jax.enable_x64(True):
-            model = from_compiled(compiled, off)
+            model = from_compiled(compiled, off).replace(driver=driver)
             found[column] = ours.quantities(model, samples, dtype)
-            found[column] |= ours.motion(model, few, dt, steps, weights, dtype)
+            found[column] |= ours.motion(model, few, dt, steps, slope, dtype)
     notes = [
         f"Trajectory: {steps} steps of {dt:g} s. MuJoCo's own answer grows a change of its initial "
-        f"velocity {growth:.0e} times, and its finite differences are good to {doubt:.0e}."
+        f"velocity {growth:.0e} times"
+        + (f", and its finite differences are good to {doubt:.0e}." if gradient else ".")
     ]
     for precision in ("f64", "f32") if mjx is True else mjx or ():
         say(f"MJX {precision}")
@@ -114,7 +122,7 @@ def compare(
             with jax.enable_x64(precision == "f64"):
                 engine = Mjx(reference)
                 found[f"MJX {precision}"] = engine.quantities(samples)
-                found[f"MJX {precision}"] |= engine.motion(few, steps, weights)
+                found[f"MJX {precision}"] |= engine.motion(few, steps, slope)
         except NotImplementedError as error:
             notes.append(f"MJX refuses this model: {error}")
             break

@@ -7,18 +7,24 @@ backwards. Loops over time are in Python: MJX compiles slowly, and twice more in
 
 from __future__ import annotations
 
+import contextlib
+import io
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from rbjax.validation.reference import Array, Samples
 
-# XLA's CPU fusion emitters make MJX up to a thousand times slower.
-_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    from mujoco import mjx  # says at every import that it found no warp
+
+# XLA's CPU fusion emitters make MJX up to a thousand times slower; optimisation makes it compile
+# three times longer, which a comparison of numbers can do without.
+FAST = {"xla_cpu_use_fusion_emitters": False}
+QUICK = FAST | {"xla_backend_optimization_level": 0}
 
 
 class Mjx:
@@ -27,7 +33,7 @@ class Mjx:
     def __init__(self, m: mujoco.MjModel):
         self.reference, self.model = m, mjx.put_model(m)
         self.blank = mjx.make_data(m)
-        options = _OPTIONS if jax.default_backend() == "cpu" else None
+        options = QUICK if jax.default_backend() == "cpu" else None
         step = jax.vmap(self._step, (None, 0, 0, 0))
         self.step = jax.jit(step, compiler_options=options)
         self.pull = jax.jit(jax.vmap(self._pull, (None, 0, 0, 0, 0)), compiler_options=options)
@@ -51,7 +57,7 @@ class Mjx:
         angular, linear = d.cvel[1:, :3], d.cvel[1:, 3:]
         return jnp.concatenate([angular, linear + jnp.cross(angular, arm)], -1)
 
-    def _pull(self, model: Any, q, v, ctrl, cotangent):
+    def _pull(self, model: Any, q: Any, v: Any, ctrl: Any, cotangent: Any) -> Any:
         """Cotangents of (q, v, ctrl) from those of the next state."""
 
         def step(q, v, ctrl):
@@ -72,7 +78,7 @@ class Mjx:
         out["one step"] = jnp.concatenate(out.pop("state"), -1)
         return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
-    def motion(self, samples: Samples, steps: int, weights: Array) -> dict[str, Array]:
+    def motion(self, samples: Samples, steps: int, weights: Array | None) -> dict[str, Array]:
         """Final states (N, nq + nv), and gradients (N, nv + nu) of weights . final state."""
         q, v, ctrl = self.arrays(samples)
         path = []
@@ -80,6 +86,8 @@ class Mjx:
             path.append((q, v))
             q, v = self.step(self.model, q, v, ctrl)["state"]
         last = np.concatenate([q, v], -1)
+        if weights is None:
+            return {"trajectory": last.astype(np.float64)}
         nq = self.reference.nq
         row = jnp.broadcast_to(jnp.asarray(weights, q.dtype), last.shape)
         cotangent, pulled = (row[:, :nq], row[:, nq:]), jnp.zeros_like(ctrl)
@@ -107,6 +115,6 @@ def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, seconds: float) -> 
         data = jax.lax.fori_loop(0, steps, lambda _, d: step(model, d), data)
         return data.qpos, data.qvel
 
-    options = _OPTIONS if jax.default_backend() == "cpu" else None
+    options = FAST if jax.default_backend() == "cpu" else None
     compiled = jax.jit(run, compiler_options=options)
     return lambda steps: compiled(model, q, v, steps)

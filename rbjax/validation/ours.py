@@ -1,4 +1,4 @@
-"""rbjax's side of the comparison: the quantities of `reference`, and the motion with its gradient."""
+"""rbjax's side of the comparison: the quantities of `reference`, the motion, its gradient."""
 
 from __future__ import annotations
 
@@ -41,23 +41,31 @@ def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
 
 
 def motion(
-    model: Model, samples: Samples, dt: float, steps: int, weights: Array, dtype: Any
+    model: Model, samples: Samples, dt: float, steps: int, weights: Array | None, dtype: Any
 ) -> dict[str, Array]:
     """One step and a trajectory's final state (N, nq + nv), and its gradient (N, nv + nu):
-    d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`.
+    d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`; none if no weights.
     """
 
-    def loss(v: jax.Array, ctrl: jax.Array, model: Model, q: jax.Array):
+    def ends(v: jax.Array, ctrl: jax.Array, model: Model, q: jax.Array) -> Any:
         ctrls = jnp.broadcast_to(ctrl[:, None], (len(q), steps, model.nu))
         path = rollout(model, State(q, v), ctrls, dt)
         states = jnp.concatenate([path.q, path.v], -1)
-        return (states[:, -1] @ weights.astype(dtype)).sum(), (states[:, 1], states[:, -1])
+        return states[:, 1], states[:, -1]
+
+    def loss(*args: Any) -> Any:
+        first, last = ends(*args)
+        return (last @ jnp.asarray(weights, dtype)).sum(), (first, last)
 
     model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
-    run = jax.jit(jax.value_and_grad(loss, argnums=(0, 1), has_aux=True))
-    (_, (first, last)), grads = run(v, ctrl, model, q)
-    gradient = np.concatenate([np.asarray(g, np.float64) for g in grads], -1)
-    out = {"one step": first, "trajectory": last, "gradient": gradient}
+    out: dict[str, Any] = {}
+    if weights is None:
+        first, last = jax.jit(ends)(v, ctrl, model, q)
+    else:
+        run = jax.jit(jax.value_and_grad(loss, argnums=(0, 1), has_aux=True))
+        (_, (first, last)), grads = run(v, ctrl, model, q)
+        out["gradient"] = np.concatenate([np.asarray(g) for g in grads], -1)
+    out |= {"one step": first, "trajectory": last}
     return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.robots import at, robot
+from tests.robots import QUICK, at, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 
 STATES = 8
@@ -27,10 +27,8 @@ CASES = [  # robot, driver
     pytest.param("tree:0, rolled", marks=pytest.mark.slow),
     pytest.param("tree:4, rolled", marks=pytest.mark.slow),
 ]
-QUICK = {  # two thirds of the time to compile; what these programs are asked for is right, not fast
-    "xla_backend_optimization_level": 0,
-    "xla_cpu_use_fusion_emitters": False,
-}
+# their programs are larger
+PARTIAL = [*CASES[:2], pytest.param(CASES[2], marks=pytest.mark.slow), *CASES[3:]]
 
 
 def both_sides(model: rb.Model, q, v, a, w):
@@ -106,7 +104,7 @@ def test_identities(case: str) -> None:
         assert error.max() <= F64_IDENTITY, name
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", PARTIAL)
 def test_partial_derivatives(case: str) -> None:
     """Of inverse and forward dynamics with respect to q (tangent), v, and a or tau."""
     sample = robot(*case.split(", "))

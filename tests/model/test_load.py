@@ -25,6 +25,11 @@ def body(*content: str, name: str = "b") -> str:
     return f'<body name="{name}" pos="1 0 0">{"".join(content)}{MASS}</body>'
 
 
+@pytest.fixture(autouse=True)
+def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log of warnings
+
+
 # ---------------------------------------------------------------------------- what is kept
 
 

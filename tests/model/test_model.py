@@ -23,7 +23,7 @@ def test_replace_gives_a_changed_copy(model: rb.Model) -> None:
 
 
 def test_replace_refuses_in_a_sentence(model: rb.Model) -> None:
-    with pytest.raises(rb.UnknownName, match="'weight'.*'mass', 'com', 'inertia'"):
+    with pytest.raises(rb.UnknownName, match=r"'weight'.*'mass', 'com', 'inertia'"):
         model.bodies.replace(weight=1.0)
     with pytest.raises(rb.InputError, match=r"mass.*\(2,\).*expected \(4,\).*jax\.vmap"):
         model.bodies.replace(mass=jnp.ones(2))

@@ -1,4 +1,4 @@
-"""A model's leaves are numbers: to be differentiated, vmapped over and changed without compiling."""
+"""A model's leaves are numbers: differentiated, vmapped over and changed without compiling."""
 
 import jax
 import jax.numpy as jnp
@@ -108,7 +108,7 @@ def test_a_vmap_over_models_is_a_loop() -> None:
 
 
 def test_no_number_recompiles() -> None:
-    """Also at the door: called outside jit, an algorithm is compiled for a topology, not a robot."""
+    """A program is compiled for a topology and its shapes, not for one robot."""
     traces = 0
 
     @jax.jit

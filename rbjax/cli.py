@@ -1,0 +1,320 @@
+"""The command line: `rbjax info | simulate | validate | bench | demo`.
+
+Computes in f64, inside `jax.enable_x64`. What goes wrong on purpose (`RbjaxError`) is one sentence
+and exit code 2; `validate` exits with 1 when a quantity is out of tolerance.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.tree import Tree
+
+import rbjax as rb
+from rbjax.dynamics.operations import OperationCount, operation_count
+from rbjax.errors import InputError, RbjaxError
+from rbjax.model import Model
+
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, help="Differentiable rigid-body dynamics in JAX."
+)
+out, err = Console(), Console(stderr=True)
+
+File = Annotated[str, typer.Argument(help="MJCF or URDF file, or a bundled scene's name.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Floating = Annotated[bool, typer.Option("--floating-base", help="Free a URDF's root link.")]
+
+
+@contextlib.contextmanager
+def _session() -> Iterator[None]:
+    """f64, quiet about what a model leaves out (it is printed), errors as one sentence."""
+    with warnings.catch_warnings(), jax.enable_x64(True):
+        warnings.filterwarnings("ignore", message=".*left out of the model")
+        try:
+            yield
+        except RbjaxError as error:
+            err.print(f"[bold red]rbjax:[/] {error}", highlight=False, soft_wrap=True)
+            raise typer.Exit(2) from None
+
+
+@contextlib.contextmanager
+def _progress(quiet: bool = False) -> Iterator[Any]:
+    """A line with a spinner and the time on stderr; yields (say, advance)."""
+    columns = (SpinnerColumn(), BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=err, transient=True, disable=quiet) as bar:
+        task = bar.add_task("", total=None)
+
+        def say(text: str) -> None:
+            bar.update(task, description=text)
+
+        def advance(done: float, total: float) -> None:
+            bar.update(task, advance=done, total=total)
+
+        yield say, advance
+
+
+def operations(model: Model) -> dict[str, OperationCount]:
+    """Arithmetic of each algorithm on a model whose numbers are constants, as traced.
+
+    Example:
+        >>> import rbjax as rb
+        >>> operations(rb.load("pendulum"))["mass matrix (CRBA)"].total
+        0
+    """
+    q, v = model.joints.reference, jnp.zeros(model.nv, model.joints.reference.dtype)
+    if not model.nv:
+        return {}
+    calls: dict[str, tuple[Any, ...]] = {
+        "forward kinematics": (rb.forward_kinematics, q),
+        "inverse dynamics (RNEA)": (rb.inverse_dynamics, q, v, v),
+        "bias forces": (rb.bias_forces, q, v),
+        "gravity forces": (rb.gravity_forces, q),
+        "mass matrix (CRBA)": (rb.mass_matrix, q),
+        "forward dynamics (ABA)": (rb.forward_dynamics, q, v, v),
+    }
+    return {name: operation_count(fn, model, *args) for name, (fn, *args) in calls.items()}
+
+
+@app.command()
+def info(file: File, as_json: AsJson = False, floating_base: Floating = False) -> None:
+    """What a robot file holds: its tree, what is left out, the arithmetic of each algorithm."""
+    with _session():
+        model = rb.load(file, floating_base=floating_base)
+        counts = operations(model)
+    if as_json:
+        found: dict[str, Any] = {"nq": model.nq, "nv": model.nv, "nu": model.nu, "nb": model.nb}
+        found |= {"timestep": model.timestep, "mass": float(np.asarray(model.bodies.mass).sum())}
+        for kind in ("body", "joint", "actuator", "site", "keyframe"):
+            found[f"{kind}_names"] = list(getattr(model, f"{kind}_names"))
+        found["dropped"] = list(model.dropped)
+        found["operations"] = {n: vars(c) | {"total": c.total} for n, c in counts.items()}
+        print(json.dumps(found, indent=1))
+        return
+    out.print(_tree(model, file))
+    for dropped in model.dropped:
+        out.print(f"[yellow]left out:[/] {dropped}", highlight=False)
+    table = Table(title="Operations of one evaluation, as traced", title_justify="left")
+    table.add_column("algorithm", no_wrap=True)
+    heads = ("add", "multiply", "divide", "root", "trig", "total")
+    kinds = ("additions", "multiplications", "divisions", "roots", "trigonometry", "total")
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
+    for name, count in counts.items():
+        table.add_row(name, *(f"{getattr(count, kind):,}" for kind in kinds))
+    out.print(table)
+
+
+def _tree(model: Model, file: str) -> Tree:
+    """Bodies with their joints, as they hang on one another."""
+    top, mass = model.topology, np.asarray(model.bodies.mass)
+    head = f"[bold]{Path(file).name}[/]: {model.nb} bodies, nq {model.nq}, nv {model.nv}, "
+    tree = Tree(head + f"nu {model.nu}, {mass.sum():.4g} kg, step {model.timestep:g} s")
+    branches: dict[int, Tree] = {-1: tree}
+    for body, (parent, name) in enumerate(zip(top.body_parents, top.body_names, strict=True)):
+        joints = [
+            f"{top.joint_names[j]} ({kind})"
+            for j, kind in enumerate(top.joint_kinds)
+            if top.joint_bodies[j] == body
+        ]
+        label = f"{name}  [dim]{mass[body]:.4g} kg[/]  [cyan]{', '.join(joints) or 'welded'}[/]"
+        branches[body] = branches[parent].add(label)
+    return tree
+
+
+SOLVERS = ("tsit5", "dopri5", "dopri8", "semi_implicit_euler", "rk4")
+
+
+@app.command()
+def simulate(
+    file: File,
+    seconds: Annotated[float, typer.Option(help="How long.")] = 2.0,
+    solver: Annotated[str, typer.Option(help=f"One of {', '.join(SOLVERS)}.")] = "tsit5",
+    dt: Annotated[float | None, typer.Option(help="Step in seconds, for fixed steps.")] = None,
+    keyframe: Annotated[str | None, typer.Option(help="Start from this state of the file.")] = None,
+    save: Annotated[Path | None, typer.Option("--out", help="Write ts, q, v to this .npz.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw to this .png.")] = None,
+    as_json: AsJson = False,
+    floating_base: Floating = False,
+) -> None:
+    """Let a robot move, without controls but a keyframe's own."""
+    with _session(), _progress() as (say, _):
+        model = rb.load(file, floating_base=floating_base)
+        say("compiling and simulating")
+        path = _simulate(model, seconds, solver, dt, keyframe)
+        arrays: dict[str, Any] = {n: np.asarray(getattr(path, n)) for n in ("ts", "q", "v")}
+        if save is not None:
+            np.savez(save, **arrays)
+        if plot is not None:
+            say("drawing")
+            _plot(plot, file, model, arrays)
+        energy = [
+            float(rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q))
+            for q, v in ((path.q[0], path.v[0]), (path.q[-1], path.v[-1]))
+        ]
+    found = {"seconds": seconds, "states": len(arrays["ts"]), "ok": bool(path.ok), "energy": energy}
+    found |= {"q": arrays["q"][-1].tolist(), "v": arrays["v"][-1].tolist()}
+    if as_json:
+        print(json.dumps(found, indent=1))
+        return
+    for name, value in found.items():
+        out.print(f"[bold]{name}[/] {value}", soft_wrap=True)
+
+
+def _simulate(
+    model: Model, seconds: float, solver: str, dt: float | None, keyframe: str | None
+) -> rb.Trajectory:
+    import diffrax
+
+    if solver not in SOLVERS:
+        raise InputError(f"solver {solver!r}, expected one of {', '.join(SOLVERS)}")
+    if not seconds > 0:
+        raise InputError(f"seconds is {seconds}, expected more than 0")
+    state, ctrl = model.default_state(), jnp.zeros(model.nu)
+    if keyframe is not None:
+        state = model.keyframe(keyframe)
+        ctrl = model.keyframes.ctrl[model.keyframe_names.index(keyframe)]
+    if solver in ("semi_implicit_euler", "rk4"):
+        step = model.timestep if dt is None else dt
+        steps = max(1, round(seconds / step))
+        ctrls = jnp.broadcast_to(ctrl, (steps, model.nu))
+        return rb.rollout(model, state, ctrls, step, integrator=solver)
+    solvers = {"tsit5": diffrax.Tsit5, "dopri5": diffrax.Dopri5, "dopri8": diffrax.Dopri8}
+    ts = jnp.linspace(0.0, seconds, max(2, round(100 * seconds) + 1))
+    return rb.simulate(model, state, ts, lambda t, state: ctrl, solver=solvers[solver](), dt0=dt)
+
+
+def _plot(path: Path, file: str, model: Model, arrays: dict[str, np.ndarray]) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from rbjax.plotting import STYLE, strobe, time_plot
+
+    with plt.rc_context(STYLE):
+        figure = plt.figure(figsize=(11, 5.4), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.3))
+        ax = figure.add_subplot(grid[:, 0])
+        moments = np.linspace(0, len(arrays["ts"]) - 1, 7).astype(int)
+        strobe(ax, file, model, arrays["q"][moments])
+        ax.set_title(Path(file).stem)
+        axes = [figure.add_subplot(grid[i, 1]) for i in range(2)]
+        names = model.joint_names if model.nq == len(model.joint_names) else ()
+        time_plot(axes, arrays["ts"], arrays["q"], arrays["v"], names)
+        if 0 < len(names) <= 8:
+            axes[0].legend(loc="upper right", ncols=2)
+        figure.savefig(path)
+        plt.close(figure)
+
+
+@app.command()
+def validate(
+    file: File,
+    as_json: AsJson = False,
+    states: Annotated[int, typer.Option(help="Random states.")] = 20,
+    mjx: Annotated[bool, typer.Option(help="Run MJX too.")] = True,
+    gradient: Annotated[bool, typer.Option(help="Compare gradients too.")] = True,
+    floating_base: Floating = False,
+) -> None:
+    """A robot beside MuJoCo C and MJX; exit code 1 when rbjax is out of tolerance."""
+    from rbjax.validation import compare
+
+    with _session(), _progress() as (say, _):
+        report = compare(
+            file,
+            states=states,
+            mjx=mjx,
+            gradient=gradient,
+            floating_base=floating_base,
+            progress=lambda stage: say(f"{Path(file).name}: {stage}"),
+        )
+    if as_json:
+        print(json.dumps(report.to_dict(), indent=1))
+    else:
+        out.print(report.table())
+        verdict = "[green]within tolerance[/]" if report.ok else "[bold red]out of tolerance[/]"
+        out.print(f"rbjax is {verdict}.")
+    if not report.ok:
+        raise typer.Exit(1)
+
+
+@app.command()
+def bench(
+    file: Annotated[str, typer.Argument(help="MJCF or URDF file, or a scene's name.")] = "arm7",
+    batch: Annotated[int, typer.Option(help="States at once.")] = 1024,
+    as_json: AsJson = False,
+) -> None:
+    """Forward dynamics on this machine beside MuJoCo C (all measurements: `make bench`)."""
+    from rbjax.validation.reference import forward_seconds, random_samples, smooth
+
+    with _session(), _progress() as (say, _):
+        reference, _ = smooth(file)
+        samples = random_samples(reference, batch, 0)
+        rows = {"MuJoCo C, f64, one thread": forward_seconds(reference, samples)}
+        for dtype in (jnp.float32, jnp.float64):
+            name = jnp.dtype(dtype).name.replace("float", "f")
+            say(f"compiling forward dynamics in {name}")
+            rows[f"rbjax, {name}"] = _forward_seconds(rb.load(file), samples, dtype)
+    micro = {name: 1e6 * seconds / batch for name, seconds in rows.items()}
+    device = jax.devices()[0].device_kind
+    if as_json:
+        print(json.dumps({"file": file, "batch": batch, "device": device, "us": micro}, indent=1))
+        return
+    table = Table("engine", title=f"forward dynamics of {Path(file).name}, batch {batch}, {device}")
+    table.add_column("us per evaluation", justify="right")
+    for name, value in micro.items():
+        table.add_row(name, f"{value:.3g}")
+    out.print(table)
+    out.print("MuJoCo's is a whole mj_forward. Every figure: [bold]make bench[/] in a checkout.")
+
+
+def _forward_seconds(model: Model, samples: Any, dtype: Any) -> float:
+    from rbjax.validation.ours import cast
+
+    model, q, v = cast((model, samples.q, samples.v), dtype)
+    run = jax.jit(jax.vmap(rb.forward_dynamics, (None, 0, 0, 0)))
+    jax.block_until_ready(run(model, q, v, v))
+    times = []
+    for _ in range(20):
+        begin = time.perf_counter()
+        jax.block_until_ready(run(model, q, v, v))
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times))
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Option("--out", help="Where to.")] = Path("rbjax-demo"),
+) -> None:
+    """The main job on bundled scenes: pictures and a report in ./rbjax-demo/, in a few minutes."""
+    from rbjax.demo import demo as run
+    from rbjax.demo.run import PARTS
+
+    total = sum(share for _, share in PARTS.values())
+    begin = time.perf_counter()
+    with _session(), _progress() as (say, advance):
+        advance(0.0, total)
+        report = run(folder, say=say, done=lambda name, share: advance(share, total))
+    out.print(f"[green]done[/] in {time.perf_counter() - begin:.0f} s: open [bold]{report}[/]")
+
+
+def main() -> None:
+    """The `rbjax` command."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""The demo from start to end: five sections, in f64, and the report they make."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import os
+import platform
+import time
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import jax
+import matplotlib
+
+from rbjax.demo.identify import identify
+from rbjax.demo.integrators import integrators
+from rbjax.demo.motion import motion
+from rbjax.demo.report import Section, write
+from rbjax.demo.swing_up import swing_up
+from rbjax.demo.validate import validate
+
+#: section -> its function and, as a guide for progress bars, its share of the time
+PARTS: dict[str, tuple[Callable[..., Section], float]] = {
+    "motion": (motion, 20),
+    "validate": (validate, 35),
+    "identify": (identify, 15),
+    "swing_up": (swing_up, 4),
+    "integrators": (integrators, 40),
+}
+
+_LEAD = (
+    "Differentiable rigid-body dynamics in JAX. A robot file goes in; fast, accurate, "
+    "differentiable motion comes out, in a batch of one or of a million. Everything on this page "
+    "was just computed on your machine."
+)
+
+
+def demo(
+    folder: str | Path = "rbjax-demo",
+    *,
+    say: Callable[[str], None] = print,
+    done: Callable[[str, float], None] = lambda name, share: None,
+    options: dict[str, dict[str, Any]] | None = None,
+) -> Path:
+    """Run the demo and write pictures, report.md and report.html.
+
+    Args:
+        folder: where to; made if absent.
+        say: called with a few words before each stage.
+        done: called with a part's name and share after it.
+        options: keyword arguments by part (motion, validate, identify, swing_up, integrators), to
+            run smaller; a part given as None is left out.
+
+    Returns:
+        The path of report.html.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    matplotlib.use("Agg")  # no window
+    begin, sections = time.perf_counter(), []
+    chosen = {name: (options or {}).get(name, {}) for name in PARTS}
+    with jax.enable_x64(True):
+        for name, (part, share) in PARTS.items():
+            if chosen[name] is None:
+                continue
+            start = time.perf_counter()
+            section = part(folder, say, **chosen[name])
+            sections.append(dataclasses.replace(section, seconds=time.perf_counter() - start))
+            done(name, share)
+    packages = ("jax", "mujoco", "mujoco-mjx")
+    versions = ", ".join(f"{p} {importlib.metadata.version(p)}" for p in packages)
+    spent = ", ".join(f"{s.title.split(':')[0].lower()} {s.seconds:.0f} s" for s in sections)
+    footer = (
+        f"{date.today().isoformat()}; {jax.devices()[0].device_kind}, {os.cpu_count()} cores, "
+        f"Python {platform.python_version()}, {versions}. "
+        f"Took {time.perf_counter() - begin:.0f} s, compilation included ({spent})."
+    )
+    return write(folder, "rbjax: a robot file in, motion out", _LEAD, sections, footer)

@@ -1,0 +1,72 @@
+"""Every bundled scene beside MuJoCo C, in one table."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+from rbjax.demo.report import Section
+from rbjax.validation import Report, compare
+
+#: scene -> whether the gradient of its trajectory is compared too
+SCENES = {
+    "pendulum": True,
+    "double_pendulum": True,
+    "cart_pole": True,
+    "spinning_top": True,
+    "quadrotor": False,
+    "arm7": False,
+    "quadruped": False,
+    "humanoid": False,
+}
+
+
+def _say(say: Callable[[str], None], scene: str, stage: str) -> None:
+    say(f"validation: {scene}, {stage}")
+
+
+def validate(
+    folder: Path, say: Callable[[str], None], *, scenes: dict[str, bool] | None = None
+) -> Section:
+    """Compare, tabulate."""
+    reports: list[Report] = []
+    for scene, gradient in (SCENES if scenes is None else scenes).items():
+        reports.append(
+            compare(
+                scene,
+                states=20,
+                mjx=False,
+                gradient=gradient,
+                driver="auto" if gradient else "rolled",  # compiles faster
+                progress=functools.partial(_say, say, scene),
+            )
+        )
+    names = max((tuple(row.quantity for row in report.rows) for report in reports), key=len)
+    columns = [(n, "rbjax f64") for n in names]
+    columns += [("forward dynamics", "rbjax f32"), ("trajectory", "rbjax f32")]
+    rows = []
+    for report in reports:
+        cells = []
+        for quantity, column in columns:
+            row = next((r for r in report.rows if r.quantity == quantity), None)
+            error = None if row is None else row.errors.get(column)
+            cells.append("-" if error is None else f"{error.worst:.0e}")
+        rows.append((report.model, *cells, "yes" if report.ok else "NO"))
+    passed = sum(report.ok for report in reports)
+    text = (
+        "Same file, same states, two engines. The worst relative error over 20 random states of "
+        "poses, velocities, mass matrix, bias forces, forward dynamics and one step, the final "
+        f"state of a one-second trajectory, and that state's gradient: {passed} of {len(reports)} "
+        "scenes are within tolerance (1e-10 in f64 and 1e-4 in f32 for functions of one state; "
+        "trajectories may grow rounding as MuJoCo's own do).",
+    )
+    return Section(
+        "Validate: beside MuJoCo C",
+        text,
+        columns=("scene", *(f"{n} ({c[6:]})" for n, c in columns), "ok"),
+        rows=tuple(rows),
+        note="Worst relative error against MuJoCo C in f64. Contacts, limits, friction loss and "
+        "implicit damping are off on both sides. `rbjax validate FILE` adds MJX in f32 and f64.",
+        code="report = rb.validation.compare('arm7')\nreport.ok, report.table(), report.to_dict()",
+    )

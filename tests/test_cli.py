@@ -1,0 +1,74 @@
+"""The command line as a user meets it: output, files, exit codes, one-sentence errors."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from rbjax.cli import app
+
+
+def run(*args: str, code: int = 0):
+    result = CliRunner().invoke(app, list(args))
+    assert result.exit_code == code, (result.output, result.exception)
+    return result
+
+
+def test_info_says_what_a_robot_is() -> None:
+    text = run("info", "cart_pole").output
+    assert "pole" in text and "hinge" in text and "forward dynamics" in text
+
+
+def test_info_as_json() -> None:
+    found = json.loads(run("info", "arm7", "--json").stdout)
+    assert found["nv"] == 7 and len(found["joint_names"]) == 7
+    assert 0 < found["operations"]["forward dynamics (ABA)"]["total"] < 10_000
+
+
+def test_info_lists_what_is_left_out(tmp_path: Path) -> None:
+    file = tmp_path / "limited.xml"
+    joint = '<joint name="j" limited="true" range="-1 1"/>'
+    file.write_text(
+        f"<mujoco><compiler angle='radian'/><worldbody><body>{joint}"
+        "<geom size='0.1'/></body></worldbody></mujoco>"
+    )
+    assert json.loads(run("info", str(file), "--json").stdout)["dropped"] == ["joint limits (j)"]
+
+
+def test_validate_as_json() -> None:
+    args = ("--json", "--states", "3", "--no-mjx", "--no-gradient")
+    found = json.loads(run("validate", "pendulum", *args).stdout)
+    assert found["ok"] and found["states"] == 3
+
+
+def test_simulate_writes_files(tmp_path: Path) -> None:
+    data, picture = tmp_path / "path.npz", tmp_path / "path.png"
+    args = ("--seconds", "0.2", "--solver", "rk4", "--out", str(data), "--plot", str(picture))
+    result = run("simulate", "pendulum", "--keyframe", "horizontal", *args, "--json")
+    found = json.loads(result.stdout)
+    assert found["ok"] and np.load(data)["q"].shape == (found["states"], 1)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("info", "nothing"), "unknown scene 'nothing'"),
+        (("info", "nowhere.xml"), "no such file"),
+        (("simulate", "pendulum", "--solver", "magic"), "expected one of tsit5"),
+        (("simulate", "pendulum", "--keyframe", "magic"), "unknown keyframe 'magic'"),
+        (("validate", "nothing"), "unknown scene"),
+    ],
+)
+def test_bad_input_is_one_sentence(args: tuple[str, ...], says: str) -> None:
+    result = run(*args, code=2)
+    assert says in result.stderr
+    assert "Traceback" not in result.output + result.stderr
+
+
+def test_a_file_that_does_not_parse(tmp_path: Path) -> None:
+    file = tmp_path / "broken.xml"
+    file.write_text("<mujoco><worldbody>")
+    assert "broken.xml" in run("info", str(file), code=2).stderr

@@ -1,0 +1,75 @@
+"""Every part of the demo, small: it runs, finds what it should, leaves pictures and a report."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import matplotlib
+import pytest
+
+from rbjax.demo import demo
+from rbjax.demo.identify import identify
+from rbjax.demo.integrators import integrators
+from rbjax.demo.motion import motion
+from rbjax.demo.report import Section
+from rbjax.demo.swing_up import swing_up
+from rbjax.demo.validate import validate
+
+
+@pytest.fixture(autouse=True)
+def _no_window() -> None:
+    matplotlib.use("Agg")
+
+
+def quiet(text: str) -> None:
+    pass
+
+
+def check(section: Section, folder: Path) -> None:
+    assert section.text
+    for name, caption in section.pictures:
+        assert caption and (folder / name).stat().st_size > 5_000
+    assert all(len(row) == len(section.columns) for row in section.rows)
+
+
+def test_motion(tmp_path: Path) -> None:
+    section = motion(tmp_path, quiet, batch=2, fan=4, seconds=0.1, scenes=("pendulum",))
+    check(section, tmp_path)
+
+
+def test_validation(tmp_path: Path) -> None:
+    section = validate(tmp_path, quiet, scenes={"pendulum": True})
+    check(section, tmp_path)
+    assert section.rows[0][-1] == "yes"
+
+
+def test_identification_finds_the_truth(tmp_path: Path) -> None:
+    section = identify(tmp_path, quiet, steps=400)
+    check(section, tmp_path)
+    for name, _, estimate, truth, _ in section.rows:
+        value, error = (float(x) for x in estimate.split(" ± "))
+        assert abs(value - float(truth)) < 4 * error + 1e-3, name
+
+
+def test_swing_up_comes_up(tmp_path: Path) -> None:
+    section = swing_up(tmp_path, quiet, iterations=400)
+    check(section, tmp_path)
+    angle, x = (float(row[1].split()[0]) for row in section.rows[:2])
+    assert abs(angle) < 15 and abs(x) < 0.3
+
+
+def test_integrators_converge(tmp_path: Path) -> None:
+    section = integrators(
+        tmp_path, quiet, scenes=("double_pendulum",), batch=2, refined=(1,), mjx=False
+    )
+    check(section, tmp_path)
+    error = {row[1]: float(row[4]) for row in section.rows}
+    assert error["RK4"] < 1e-3 * error["semi-implicit Euler"]
+
+
+def test_the_report_holds_all(tmp_path: Path) -> None:
+    parts: dict = dict.fromkeys(("motion", "identify", "swing_up", "integrators"))
+    parts["validate"] = {"scenes": {"pendulum": False}}
+    page = demo(tmp_path, say=quiet, options=parts)
+    assert "<table>" in page.read_text()
+    assert "| scene |" in (tmp_path / "report.md").read_text()
+    assert jnp.ones(1).dtype == jnp.float64  # the caller's choice, as before

@@ -1,0 +1,157 @@
+"""Rollouts: against MuJoCo C's own steps, order, batches, memory and derivatives."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.model import compile_model
+from tests.tolerances import F64_PARITY, GRADIENT, relative_error
+
+STEPS, DT = 60, 0.002
+
+
+def spread(model, count, key):
+    """A batch of random states."""
+    return jax.jit(jax.vmap(model.random_state))(jax.random.split(key, count))
+
+
+@pytest.mark.parametrize("scene", ["cart_pole", "arm7", "quadrotor"])
+def test_semi_implicit_euler_is_mujoco_s(scene, key):
+    model, m = rb.load(scene), compile_model(scene)
+    m.opt.timestep, m.opt.integrator = DT, int(mujoco.mjtIntegrator.mjINT_EULER)
+    m.opt.disableflags |= int(
+        mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    )
+    state = model.random_state(key)
+    ctrls = 0.3 * np.asarray(jax.random.normal(key, (STEPS, model.nu)))
+    d = mujoco.MjData(m)
+    d.qpos[:], d.qvel[:] = state.q, state.v
+    for ctrl in ctrls:
+        d.ctrl[:] = ctrl
+        mujoco.mj_step(m, d)
+    out = rb.rollout(model, state, ctrls, DT)
+    assert bool(out.ok)
+    assert relative_error(out.q[-1], d.qpos) < F64_PARITY
+    assert relative_error(out.v[-1], d.qvel) < F64_PARITY
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("semi_implicit_euler", 1), ("rk4", 4)])
+def test_order_with_free_attitudes(integrator, order, key):
+    """Halving the step divides the error by 2^order, on the manifold too."""
+    model = rb.load("spinning_top").replace(driver="rolled")
+    state = model.random_state(key)
+
+    def end(n):
+        out = rb.rollout(model, state, None, 0.4 / n, integrator=integrator, steps=n, save_every=n)
+        return np.concatenate([out.q[-1], out.v[-1]])
+
+    finest = end(512)
+    errors = [np.abs(end(n) - finest).max() for n in (8, 16, 32)]
+    measured = np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
+    assert np.abs(np.array(measured) - order).max() < 0.25
+
+
+def test_batch_is_a_loop_and_padding_is_unseen(key):
+    model = rb.load("cart_pole")
+    states = spread(model, 200, key)  # more than one chunk, and no multiple of it
+    ctrls = jax.random.normal(key, (200, 12, 1))
+    batch = rb.rollout(model, states, ctrls, 0.01)
+    assert batch.q.shape == (200, 13, 2)
+    assert batch.ok.shape == (200,)
+    for i in (0, 127, 128, 199):
+        one = rb.rollout(model, jax.tree.map(lambda x, i=i: x[i], states), ctrls[i], 0.01)
+        np.testing.assert_allclose(batch.q[i], one.q, rtol=0, atol=1e-13)
+    shared = rb.rollout(model, states, ctrls[3], 0.01)
+    np.testing.assert_allclose(shared.q[3], batch.q[3], rtol=0, atol=1e-13)
+
+
+def test_a_policy_sees_each_state(key):
+    model = rb.load("cart_pole")
+    state = model.random_state(key)
+    policy = lambda t, s: -2.0 * s.v[:1] + t  # noqa: E731
+    out = rb.rollout(model, state, policy, 0.01, steps=10)
+    ctrls = jax.vmap(policy)(out.ts[:-1], rb.State(out.q[:-1], out.v[:-1]))
+    again = rb.rollout(model, state, ctrls, 0.01)
+    np.testing.assert_allclose(out.q, again.q, rtol=0, atol=1e-14)
+
+
+def test_save_every_keeps_a_subset(key):
+    model = rb.load("pendulum")
+    state = model.random_state(key)
+    every = rb.rollout(model, state, None, 0.01, steps=12)
+    some = rb.rollout(model, state, None, 0.01, steps=12, save_every=4)
+    np.testing.assert_allclose(some.q, every.q[::4], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(some.ts, every.ts[::4])
+    assert some.state(-1).q.shape == (1,)
+
+
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
+def test_reverse_gradient_is_the_difference_quotient(integrator, key):
+    """With respect to controls, state and a leaf of the model at once."""
+    model = rb.load("cart_pole")
+    state = model.random_state(key)
+    ctrls = jax.random.normal(key, (20, 1))
+
+    @jax.jit
+    def loss(ctrls, q, v, mass):
+        changed = model.replace(bodies=model.bodies.replace(mass=mass))
+        out = rb.rollout(changed, rb.State(q, v), ctrls, 0.01, integrator=integrator, save_every=4)
+        return (out.q**2).sum() + jnp.sin(out.v).sum()
+
+    at = (ctrls, state.q, state.v, model.bodies.mass)
+    gradient = jax.jit(jax.grad(loss, (0, 1, 2, 3)))(*at)
+    keys = jax.random.split(key, 4)
+    step = tuple(jax.random.normal(k, x.shape) for k, x in zip(keys, at, strict=True))
+    h = 1e-5
+    ahead, behind = (loss(*(x + s * h * d for x, d in zip(at, step, strict=True))) for s in (1, -1))
+    along = sum((g * d).sum() for g, d in zip(gradient, step, strict=True))
+    assert relative_error(along, (ahead - behind) / (2 * h)) < GRADIENT
+
+
+def test_memory_of_the_gradient_follows_the_law(key):
+    """Kept states: steps / save_every + save_every, not steps."""
+    model = rb.load("double_pendulum")
+    state = model.random_state(key)
+
+    def peak(steps, save_every):
+        def loss(q):
+            out = rb.rollout(
+                model, rb.State(q, state.v), None, 1e-3, steps=steps, save_every=save_every
+            )
+            return (out.q[-1] ** 2).sum()
+
+        compiled = jax.jit(jax.grad(loss)).lower(state.q).compile()
+        return compiled.memory_analysis().temp_size_in_bytes
+
+    base = peak(64, 8)
+    assert peak(6400, 80) < 20 * base  # a hundred times the steps, ten times the kept states
+    assert peak(6400, 80) < peak(6400, 1) / 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"integrator": "euler"}, "expected one of .'semi_implicit_euler', 'rk4'."),
+        ({"save_every": 7}, "expected a divisor of the 10 steps"),
+        ({"ctrls": np.zeros((10, 3))}, "ctrls has shape .10, 3., expected .10, 1."),
+        ({"ctrls": np.full((10, 1), np.nan)}, "ctrls has values that are not finite"),
+        ({"ctrls": None}, "steps is None"),
+        ({"state": rb.State(jnp.zeros(3), jnp.zeros(2))}, "q has shape .3,., expected .2,."),
+        ({"state": np.zeros(4)}, "expected rbjax.State"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message):
+    model = rb.load("cart_pole")
+    given = {"state": model.default_state(), "ctrls": np.zeros((10, 1)), **arguments}
+    with pytest.raises(rb.InputError, match=message):
+        rb.rollout(model, given.pop("state"), given.pop("ctrls"), 0.01, **given)
+
+
+def test_a_motion_that_blows_up_is_a_value():
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
+    out = rb.rollout(model, state, None, 1.0, steps=5)
+    assert not bool(out.ok)

@@ -1,0 +1,112 @@
+"""simulate: closed forms, invariants, failure as a value, derivatives."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from tests.tolerances import GRADIENT, relative_error
+
+TIGHT = diffrax.PIDController(rtol=1e-11, atol=1e-11)
+
+
+def test_free_fall_is_a_parabola():
+    model = rb.load("free_body").replace(gravity=jnp.array([0.0, 0.0, -9.81]))
+    state = model.default_state()
+    state = rb.State(state.q, state.v.at[:3].set(jnp.array([1.0, 2.0, 3.0])))
+    ts = jnp.linspace(0, 1, 6)
+    out = rb.simulate(model, state, ts)
+    fall = state.q[:3] + ts[:, None] * state.v[:3] + ts[:, None] ** 2 / 2 * model.gravity
+    np.testing.assert_allclose(out.q[:, :3], fall, atol=1e-10)
+
+
+@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Tsit5()])
+def test_energy_momentum_and_unit_length_of_a_tumbling_satellite(solver, key):
+    model = rb.load("satellite").replace(driver="rolled")
+    state = model.random_state(key)
+    ts = jnp.linspace(0, 3, 7)
+    out = rb.simulate(model, state, ts, solver=solver, stepsize_controller=TIGHT)
+    energy = jax.jit(jax.vmap(lambda q, v: rb.kinetic_energy(model, q, v)))(out.q, out.v)
+    momentum = jax.jit(jax.vmap(lambda q, v: rb.centroidal_momentum(model, q, v)))(out.q, out.v)
+    damped = bool((model.joints.damping != 0).any())
+    assert damped or np.ptp(energy) < 1e-8 * energy[0]
+    assert np.ptp(momentum, axis=0).max() < 1e-8 * np.abs(momentum[0]).max()
+    for start in model.topology.quaternion_starts:
+        length = jnp.linalg.norm(out.q[:, start : start + 4], axis=-1)
+        np.testing.assert_allclose(length, 1, atol=4e-16)
+
+
+def test_adaptive_and_fixed_steps_agree(key):
+    model = rb.load("double_pendulum")
+    state, ts = model.random_state(key), jnp.linspace(0, 0.5, 3)
+    adaptive = rb.simulate(model, state, ts, stepsize_controller=TIGHT, solver=diffrax.Dopri8())
+    fixed = rb.simulate(model, state, ts, dt0=1e-3, solver=diffrax.Dopri8())
+    np.testing.assert_allclose(adaptive.q, fixed.q, atol=1e-9)
+    assert adaptive.stats["num_steps"] < fixed.stats["num_steps"] == 500
+
+
+def test_control_sees_time_and_state(key):
+    """A servo written as control is the scene's own servo."""
+    model = rb.load("pendulum")
+    state, ts = model.random_state(key), jnp.linspace(0, 0.4, 3)
+    gain = model.actuators.gain[0, 0]
+    torque = lambda t, s: -3.0 * s.q / gain  # noqa: E731
+    out = rb.simulate(model, state, ts, torque, stepsize_controller=TIGHT)
+    spring = model.replace(
+        joints=model.joints.replace(
+            stiffness=model.joints.stiffness + 3.0 * model.actuators.gear[0, 0]
+        )
+    )
+    again = rb.simulate(spring, state, ts, stepsize_controller=TIGHT)
+    np.testing.assert_allclose(out.q, again.q, atol=1e-8)
+
+
+def test_a_failed_solve_is_a_result(key):
+    model = rb.load("double_pendulum")
+    state, ts = model.random_state(key), jnp.linspace(0, 10.0, 3)
+    out = rb.simulate(model, state, ts, max_steps=5, throw=False)
+    assert not bool(out.ok)
+    assert out.result != diffrax.RESULTS.successful
+    with pytest.raises(Exception, match="maximum number of solver steps"):
+        rb.simulate(model, state, ts, max_steps=5)
+
+
+def test_a_blow_up_with_fixed_steps_is_said(key):
+    model = rb.load("double_pendulum")
+    state = rb.State(jnp.ones(2), 1e8 * jnp.ones(2))
+    ts = jnp.array([0.0, 50.0])
+    out = rb.simulate(model, state, ts, dt0=1.0, throw=False)
+    assert not bool(out.ok)
+
+
+def test_gradient_through_diffrax(key):
+    model = rb.load("cart_pole")
+    state, ts = model.random_state(key), jnp.linspace(0, 0.3, 3)
+
+    @jax.jit
+    def loss(v, damping):
+        changed = model.replace(joints=model.joints.replace(damping=damping))
+        return (rb.simulate(changed, rb.State(state.q, v), ts, dt0=0.01).q ** 2).sum()
+
+    at = (state.v, model.joints.damping + 0.1)
+    gradient = jax.jit(jax.grad(loss, (0, 1)))(*at)
+    h, d = 1e-6, jnp.array([0.6, -0.8])
+    ahead, behind = (loss(at[0] + s * h * d, at[1] + s * h * d) for s in (1, -1))
+    along = (gradient[0] * d).sum() + (gradient[1] * d).sum()
+    assert relative_error(along, (ahead - behind) / (2 * h)) < 10 * GRADIENT  # h is 1e-6
+
+
+def test_bad_times_and_states_are_named():
+    model = rb.load("pendulum")
+    state = model.default_state()
+    with pytest.raises(rb.InputError, match="ts must increase"):
+        rb.simulate(model, state, jnp.array([0.0, 1.0, 0.5]))
+    with pytest.raises(rb.InputError, match="at least 2 times"):
+        rb.simulate(model, state, jnp.array([0.0]))
+    with pytest.raises(rb.InputError, match="expected finite values"):
+        rb.simulate(model, rb.State(state.q, state.v * jnp.nan), jnp.array([0.0, 1.0]))
+    top = rb.load("spinning_top")
+    with pytest.raises(rb.InputError, match="zero quaternion"):
+        rb.simulate(top, rb.State(jnp.zeros(4), jnp.zeros(3)), jnp.array([0.0, 1.0]))
