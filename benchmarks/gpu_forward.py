@@ -46,13 +46,11 @@ def variants(model, tuning: bool) -> dict:
     kernels("rolled", True, both, block=128, warps=4, programs=132 * 4)
     kernels("rolled", False, SIZES, block=128, warps=4, programs=132 * 4)
     if tuning:
-        for per in (2, 3, 6):
-            kernels("rolled", True, (MILLION,), block=128, warps=4, programs=132 * per)
-        kernels("rolled", True, SIZES, block=32, warps=1, programs=132 * 16)
-        kernels("rolled", True, (MILLION,), block=32, warps=1, programs=132 * 8)
-        kernels("rolled", True, (MILLION,), block=64, warps=2, programs=132 * 8)
-        kernels("rolled", True, (MILLION,), block=128, warps=4)
-        kernels("rolled", True, (MILLION,), block=256, warps=4, programs=132 * 2)
+        for per, block, warps in (
+            (2, 256, 4), (4, 256, 4), (8, 256, 4), (1, 512, 4), (2, 512, 4), (2, 256, 2),
+            (4, 128, 2), (8, 64, 1), (16, 32, 1), (2, 128, 4),
+        ):  # fmt: skip
+            kernels("rolled", True, SIZES, block=block, warps=warps, programs=132 * per)
     return out
 
 

@@ -41,13 +41,13 @@ print(model.joint_names, model.bodies.mass, model.gravity)
 
 # %% [markdown]
 # ## Three hundred pendula, a hair apart
-# `rollout` takes a batch as a leading axis. The pendula start within a thousandth of a degree of
-# one another; a double pendulum is chaotic, and a few seconds are enough to see it.
+# `rollout` takes a batch as a leading axis. The pendula start within a tenth of a degree of one
+# another; a double pendulum is chaotic, and a few seconds are enough to see it.
 
 # %%
 count, steps, dt = 300, 4000, 0.002
 start = model.default_state()
-tilt = jnp.array([2.0, 2.4]) + jnp.linspace(-1, 1, count)[:, None] * jnp.deg2rad(1e-3)
+tilt = jnp.array([2.0, 2.4]) + jnp.linspace(-1, 1, count)[:, None] * jnp.deg2rad(0.05)
 states = rb.State(start.q + tilt, jnp.zeros((count, 2)))
 fan = rb.rollout(model, states, None, dt, integrator="rk4", steps=steps, save_every=10)
 
@@ -55,13 +55,14 @@ figure, axis = plt.subplots(figsize=(8, 3.4))
 colours = plt.get_cmap("viridis")(np.linspace(0, 1, count))
 for i in range(0, count, 3):
     axis.plot(fan.ts, np.rad2deg(fan.q[i, :, 1]), color=colours[i], lw=0.5, alpha=0.6)
-axis.set(xlabel="time [s]", ylabel="elbow [deg]", title="300 double pendula, 0.002 deg apart")
+axis.set(xlabel="time [s]", ylabel="elbow [deg]", title="300 double pendula within a tenth of a degree")
 figure.tight_layout()
 
 # %% [markdown]
 # ## Energy tells how good the steps are
-# Nothing takes energy away here. RK4 loses almost none of it; semi-implicit Euler, a hundred times
-# less exact, lets it swing but not drift.
+# Nothing takes energy away here, so what changes is the integrator's error. At a step of 2 ms, in
+# this violent motion, RK4 errs by less than a millionth; semi-implicit Euler, of first order, by a
+# tenth.
 
 # %%
 energy = jax.jit(
@@ -92,7 +93,7 @@ horizon = 100
 def miss(ctrls):
     run = rb.rollout(cart, hanging, ctrls, 0.01)
     goal = hanging.q.at[0].add(0.3)
-    return ((run.q[-1] - goal) ** 2).sum() + 0.1 * (run.v[-1] ** 2).sum() + 1e-6 * (ctrls**2).sum()
+    return ((run.q[-1] - goal) ** 2).sum() + 0.1 * (run.v[-1] ** 2).sum() + 1e-7 * (ctrls**2).sum()
 
 
 import optax
@@ -116,7 +117,7 @@ right.plot(run.ts, run.q[:, 0] - hanging.q[0], label="cart [m]")
 right.plot(run.ts, run.q[:, 1] - hanging.q[1], label="pole, from hanging [rad]")
 right.axhline(0.3, color="k", lw=0.8, ls=":")
 right.set(xlabel="time [s]", title="the motion found")
-right.legend()
+right.legend(loc="lower left", fontsize=8)
 figure.tight_layout()
 print(f"cart at {float(run.q[-1, 0] - hanging.q[0]):.4f} m, asked 0.3 m")
 
@@ -153,7 +154,7 @@ left.plot(ts, measured[:, 1], ".", ms=2, label="measured")
 left.plot(ts, swing(model.bodies.mass)[:, 1], label="before")
 left.plot(ts, swing(mass)[:, 1], label="after")
 left.set(xlabel="time [s]", ylabel="elbow [rad]", title="the swing explained")
-left.legend()
+left.legend(loc="lower left", fontsize=8)
 right.plot([float(m[1]) for m in trace], "o-")
 right.axhline(float(true_mass[1]), color="k", lw=0.8, ls=":")
 right.set(xlabel="Gauss-Newton step", ylabel="lower mass [kg]", title="the mass found")

@@ -175,6 +175,7 @@ def _fill(ax: Axes, points: Array, **style: Any) -> None:
 def bare(ax: Axes, margin: float = 0.05) -> None:
     """Fit the axis to what is drawn, in equal scales, without frame or ticks."""
     points = np.concatenate([patch.get_xy() for patch in ax.patches if isinstance(patch, Polygon)])
+    points = np.concatenate([points, *(line.get_xydata() for line in ax.lines)])
     low, high = points.min(0), points.max(0)
     pad = margin * (high - low).max()
     ax.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), aspect="equal")

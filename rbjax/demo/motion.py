@@ -104,7 +104,7 @@ def chaos(folder: Path, say: Callable[[str], None], *, batch: int, seconds: floa
     say(f"motion: {batch} double pendulums, a millionth of a radian apart")
     model = load("double_pendulum")
     spread = 1e-6 * jnp.linspace(-0.5, 0.5, batch)
-    q = jnp.array([3.0, 0.4]) + spread[:, None] * jnp.array([1.0, 0.0])
+    q = jnp.array([2.8, -0.4]) + spread[:, None] * jnp.array([1.0, 0.0])
     steps = round(seconds / 0.002)
     path = rollout(
         model, State(q, jnp.zeros_like(q)), None, 0.002, integrator="rk4", save_every=5, steps=steps
@@ -112,12 +112,12 @@ def chaos(folder: Path, say: Callable[[str], None], *, batch: int, seconds: floa
     ts, angles = np.asarray(path.ts), np.asarray(path.q)
     say("motion: a fan of spinning tops")
     top = load("spinning_top")
-    spins = jnp.array([250.0, 400.0, 700.0])
+    spins = jnp.array([350.0, 500.0, 900.0])
     held = top.keyframe("spinning")
     v = jnp.stack([0 * spins, 0 * spins, spins], -1)
     tops = rollout(
         top, State(jnp.broadcast_to(held.q, (3, 4)), v), None, 0.0005,
-        integrator="rk4", save_every=5, steps=5 * round(80 * seconds),
+        integrator="rk4", save_every=5, steps=5 * round(200 * seconds),
     )  # fmt: skip
     _chaos_picture(folder / "chaos.png", ts, angles)
     _tops_picture(folder / "tops.png", top, np.asarray(tops.q), np.asarray(spins))
@@ -159,7 +159,8 @@ def _tops_picture(path: Path, model: Model, q: Any, spins: Any) -> None:
         tips = [0.4 * poses(model, x)[0][:, 0, :, 2] for x in q]
         ax = figure.add_subplot(grid[0])
         strobe(ax, "spinning_top", model, q[1, -1:], camera=camera)
-        ax.plot(*(tips[1] @ camera.axes[:2].T).T, color=BLUE, lw=1.0, zorder=9)
+        path_seen = tips[1] @ camera.axes[:2].T
+        ax.plot(*path_seen.T, color=BLUE, lw=1.0, zorder=9)
         bare(ax)
         ax.set_title("A heavy top and its tip's path")
         for i, (spin, tip) in enumerate(zip(spins, tips, strict=True)):
@@ -167,7 +168,7 @@ def _tops_picture(path: Path, model: Model, q: Any, spins: Any) -> None:
             ax.plot(tip[:, 0], tip[:, 1], color=BLUE, lw=1.0)
             ax.plot(*tip[0, :2], "o", color=ORANGE, ms=5)
             ax.set(aspect="equal", xlabel="x of the tip [m]", title=f"spin {spin:.0f} rad/s")
-            ax.set(xlim=(-0.22, 0.22), ylim=(-0.22, 0.22))
+            ax.set(xlim=(-0.19, 0.19), ylim=(-0.19, 0.19))
             if i == 0:
                 ax.set(ylabel="y of the tip [m]")
         figure.savefig(path)

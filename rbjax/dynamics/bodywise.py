@@ -66,7 +66,8 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     d = driver(model, q.dtype)
     R, p = link_poses(d, q)
     poses = body_poses(d, R, p)
-    centre = p.mean(0)  # all twists at one point near the robot, so that f32 keeps its digits
+    # each tree is seen from the origin of its own first link, so that f32 keeps its digits
+    centre = p[np.array([chain[0] for chain in top.ancestors], int)]
     angular, linear = world_axes(top, R, p - centre)
     S = jnp.concatenate([angular, linear], -1)
     moves = np.stack([ancestor_mask(top, i) for i in range(n)])  # [link, ancestor]
@@ -78,8 +79,8 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         [jnp.cross(w, S[:, :3]), jnp.cross(w, S[:, 3:]) + jnp.cross(u, S[:, :3])], -1
     )
     # bodies' spatial inertias and B at the same point, summed over what each link carries
-    I = _world_inertia(model, poses, centre, q.dtype)
     carried = np.array(top.body_links)
+    I = _world_inertia(model, poses, centre[carried], q.dtype)
     B = _coriolis_block(I, jnp.where((carried == WORLD)[:, None], 0.0, V[carried]))
     carries = np.stack(
         [[link != WORLD and i in top.ancestors[link] for link in carried] for i in range(n)]

@@ -6,17 +6,21 @@ inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F +
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Rolled, Unrolled, driver
-from rbjax.lanes import Lane, Sym3, Vec3, add, mul
+from rbjax.dynamics.jacobians import ancestor_mask
+from rbjax.dynamics.kinematics import world_poses
+from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model
-from rbjax.spatial import Force, RigidInertia
+from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 _ZERO = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
 
@@ -50,24 +54,38 @@ def _unrolled(d: Unrolled, joints: list) -> jax.Array | list[list[Lane]]:
 
 
 def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
-    """The F of all descendants travel side by side, as lanes of shape (nv,)."""
-    n = d.topology.nv
+    """All F and S in world axes, and M as one masked sum of six outer products.
+
+    Each tree is seen from the origin of its own first link, so that f32 keeps its digits.
+    """
+    top = d.topology
 
     def step(x, children):
-        I_children, passing = children
-        link, joint, own = x
-        X, I_c, F = composite((link, joint), I_children)
-        I_c, passing = materialize((I_c, Force.from_lanes(
-            add(p, mul(own, f)) for p, f in zip(passing, F, strict=True)
-        )))  # fmt: skip
-        row = add(joint.S.dot(passing), mul(own, link.armature))
-        return (X.rigid_to_parent(I_c), X.T(passing)), row
+        X, I_c, F = composite(x, children)
+        return X.rigid_to_parent(I_c), F
 
-    passing = Force.from_lanes([jnp.zeros(n, like.dtype)] * 6)
-    rows = d.inward(
-        step, (_ZERO, passing), d.zip(d.constants, joints, jnp.eye(n, dtype=like.dtype))
-    )
-    return rows + jnp.triu(rows, 1).T
+    F = d.inward(step, _ZERO, d.zip(d.constants, joints))
+    pose = world_poses(d, joints)
+    first = np.array([chain[0] for chain in top.ancestors], int)
+
+    def column(lane):
+        return d.pack(lane, like)
+
+    p = Vec3(*(column(x) - column(x)[first] for x in pose.p))
+    R = jax.tree.map(column, pose.R)
+    F = Transform(R, p).T(jax.tree.map(column, F))
+    S = joints.S
+    z = R.columns[2]
+    turns, slides = z * S.ang[2], z * S.lin[2]
+    S = Motion(turns, p.cross(turns) + slides)
+    S, F = materialize((jax.tree.map(column, S), F))
+    moves = np.stack([ancestor_mask(top, i) for i in range(top.nv)])
+    pairs = list(zip(F, S, strict=True))
+    # written twice, not transposed: a transposed operand would keep the sum from being vectorized
+    below = functools.reduce(jnp.add, (f[:, None] * s[None, :] for f, s in pairs))
+    above = functools.reduce(jnp.add, (s[:, None] * f[None, :] for f, s in pairs))
+    armature = jnp.where(np.eye(top.nv, dtype=bool), column(d.constants.armature), 0.0)
+    return jnp.where(moves, below, jnp.where(moves.T, above, 0.0)) + armature
 
 
 @algorithm("q")
@@ -98,6 +116,6 @@ def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
     if isinstance(d, Rolled):
-        return _rolled(d, joints, q)
+        return _rolled(d, joints, jnp.zeros(n, q.dtype))
     M = _unrolled(d, joints)
     return d.pack([x for row in M for x in row], jnp.zeros(n * n, q.dtype)).reshape(n, n)

@@ -27,8 +27,10 @@ from rbjax.model import Model
 
 #: up to this many velocity coordinates a kernel is unrolled (benchmarks/results/gpu-*.json)
 UNROLLED_UP_TO = 9
+#: whether Pallas's interpreter runs the kernels; None: on the CPU alone
+INTERPRET: bool | None = None
 #: programs that a GPU is given to walk the batch with (rolled): their scratch stays in its cache
-PROGRAMS = 132 * 4
+PROGRAMS = 132 * 2
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,14 @@ class Plan:
     programs: int | None = None
 
 
+ROLLED = Plan("rolled", block=256, warps=4, programs=PROGRAMS)
+
+
 def plan(model: Model) -> Plan:
     """The measured choice for a model."""
     if model.driver == "unrolled" or (model.driver == "auto" and model.nv <= UNROLLED_UP_TO):
         return Plan("unrolled")
-    return Plan("rolled", programs=PROGRAMS)
+    return ROLLED
 
 
 class Block:
@@ -112,7 +117,7 @@ def launch(
         kernel,
         out_shape=shapes,
         grid=(programs,),
-        interpret=jax.default_backend() == "cpu",
+        interpret=INTERPRET if INTERPRET is not None else jax.default_backend() == "cpu",
         compiler_params=triton.CompilerParams(num_warps=how.warps, num_stages=1),
         name="rbjax",
     )

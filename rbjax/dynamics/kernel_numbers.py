@@ -118,7 +118,7 @@ def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
     fixed = [_structural(model.topology, i, shapes, columns) for i in range(model.nv)]
     out.prepared = SimpleNamespace(columns=columns, gravity=gravity, link=fixed.__getitem__)
     out.model = SimpleNamespace(
-        topology=model.topology, nq=model.nq, nv=model.nv, nu=model.nu,
+        topology=model.topology, nq=model.nq, nv=model.nv, nu=model.nu, sites=None,
         joints=SimpleNamespace(**{n: moved(getattr(model.joints, n)) for n in _JOINTS}),
         actuators=SimpleNamespace(
             joints=model.actuators.joints, sites=model.actuators.sites,

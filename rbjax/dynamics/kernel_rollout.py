@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.aba import aba
-from rbjax.dynamics.kernel import Block, Plan, driver, launch, plan, scratch_rows
+from rbjax.dynamics.kernel import ROLLED, Block, Plan, driver, launch, plan, scratch_rows
 from rbjax.dynamics.kernel_drivers import KernelRolled, Memory
 from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.lanes import add
@@ -124,7 +124,7 @@ def _rolled(block, memory, applied, start, h, controls_at, top):
 def choose(model: Model, concrete: bool) -> Plan:
     """Unrolled where the tree is small and its numbers are literal, else rolled."""
     how = plan(model)
-    return how if how.driver == "rolled" or concrete else Plan("rolled", programs=how.programs)
+    return how if how.driver == "rolled" or concrete else ROLLED
 
 
 __all__ = ["KernelRolled", "choose", "controls", "forces", "march"]

@@ -38,7 +38,8 @@ def _clip(x: Lane, limits, i: int) -> Lane:
     low, high = lane(limits[:, 0], i), lane(limits[:, 1], i)
     if is_literal(low) and np.isneginf(low) and np.isposinf(high):
         return x
-    return jnp.clip(x, low, high)
+    low, high = (jnp.broadcast_to(jnp.asarray(a, x.dtype), x.shape) for a in (low, high))
+    return jnp.clip(x, low, high)  # of one shape: Triton lowers the derivative only then
 
 
 def passive_lanes(model: Model, q: jax.Array, v: jax.Array) -> list[Lane]:

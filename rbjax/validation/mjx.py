@@ -16,15 +16,14 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from rbjax.validation.ours import quick
 from rbjax.validation.reference import Array, Samples
 
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
     from mujoco import mjx  # says at every import that it found no warp
 
-# XLA's CPU fusion emitters make MJX up to a thousand times slower; optimisation makes it compile
-# three times longer, which a comparison of numbers can do without.
+# XLA's CPU fusion emitters make MJX up to a thousand times slower.
 FAST = {"xla_cpu_use_fusion_emitters": False}
-QUICK = FAST | {"xla_backend_optimization_level": 0}
 
 
 class Mjx:
@@ -33,7 +32,7 @@ class Mjx:
     def __init__(self, m: mujoco.MjModel):
         self.reference, self.model = m, mjx.put_model(m)
         self.blank = mjx.make_data(m)
-        options = QUICK if jax.default_backend() == "cpu" else None
+        options = FAST | quick() if jax.default_backend() == "cpu" else None
         step = jax.vmap(self._step, (None, 0, 0, 0))
         self.step = jax.jit(step, compiler_options=options)
         self.pull = jax.jit(jax.vmap(self._pull, (None, 0, 0, 0, 0)), compiler_options=options)
@@ -99,14 +98,14 @@ class Mjx:
         return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
 
-def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, seconds: float) -> Any:
-    """MJX's "Euler" or "RK4" on a batch q (N, nq), v (N, nv): steps -> final (q, v).
+def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, ctrl: Any, seconds: float) -> Any:
+    """MJX's "Euler" or "RK4" on a batch q (N, nq), v (N, nv) under ctrl (nu,): steps -> final (q, v).
 
     One compiled program for every number of steps.
     """
     m.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
     model = mjx.put_model(m)
-    blank = mjx.make_data(m)
+    blank = mjx.make_data(m).replace(ctrl=jnp.asarray(ctrl))
 
     def run(model: Any, q: jax.Array, v: jax.Array, steps: jax.Array) -> Any:
         model = model.tree_replace({"opt.timestep": seconds / steps})

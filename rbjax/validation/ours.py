@@ -22,9 +22,12 @@ from rbjax.validation.reference import Array, Samples
 
 
 def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
-    """Poses, velocities, M, bias forces and accelerations in the given dtype, one row a state."""
+    """Poses, velocities, M, bias forces and accelerations in the given dtype, one row a state.
 
-    def one(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, jax.Array]:
+    The model is closed over: its zeros are structural, as where a user simulates one robot.
+    """
+
+    def one(q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, jax.Array]:
         R, p = forward_kinematics(model, q)
         tau = applied_forces(model, State(q, v), ctrl)
         return {
@@ -36,7 +39,7 @@ def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
         }
 
     model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
-    out = jax.jit(jax.vmap(one, (None, 0, 0, 0)))(model, q, v, ctrl)
+    out = jax.jit(jax.vmap(one), compiler_options=quick())(q, v, ctrl)
     return {name: np.asarray(x, np.float64) for name, x in out.items()}
 
 
@@ -47,7 +50,7 @@ def motion(
     d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`; none if no weights.
     """
 
-    def ends(v: jax.Array, ctrl: jax.Array, model: Model, q: jax.Array) -> Any:
+    def ends(v: jax.Array, ctrl: jax.Array, q: jax.Array) -> Any:
         ctrls = jnp.broadcast_to(ctrl[:, None], (len(q), steps, model.nu))
         path = rollout(model, State(q, v), ctrls, dt)
         states = jnp.concatenate([path.q, path.v], -1)
@@ -60,13 +63,19 @@ def motion(
     model, q, v, ctrl = cast((model, samples.q, samples.v, samples.ctrl), dtype)
     out: dict[str, Any] = {}
     if weights is None:
-        first, last = jax.jit(ends)(v, ctrl, model, q)
+        first, last = jax.jit(ends, compiler_options=quick())(v, ctrl, q)
     else:
-        run = jax.jit(jax.value_and_grad(loss, argnums=(0, 1), has_aux=True))
-        (_, (first, last)), grads = run(v, ctrl, model, q)
+        slope = jax.value_and_grad(loss, argnums=(0, 1), has_aux=True)
+        run = jax.jit(slope, compiler_options=quick())
+        (_, (first, last)), grads = run(v, ctrl, q)
         out["gradient"] = np.concatenate([np.asarray(g) for g in grads], -1)
     out |= {"one step": first, "trajectory": last}
     return {name: np.asarray(x, np.float64) for name, x in out.items()}
+
+
+def quick() -> dict[str, Any]:
+    """Compiler options for programs that run once: numbers are compared here, not times."""
+    return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else {}
 
 
 def cast(tree: Any, dtype: Any) -> Any:
