@@ -20,9 +20,9 @@ MILLION = 1_048_576
 
 
 def plans(model, tuning: bool) -> list[kernel.Plan]:
-    out = [kernel.Plan("rolled", block=128, warps=4, programs=528)]
+    out = [kernel.ROLLED]
     if tuning:
-        out.append(kernel.Plan("rolled", block=256, warps=4, programs=264))
+        out.append(kernel.Plan("rolled", block=128, warps=4, programs=528))
     if model.nv <= kernel.UNROLLED_UP_TO:
         out.insert(0, kernel.Plan("unrolled"))
     return out
@@ -65,9 +65,9 @@ def bench(name: str, sizes, tuning: bool) -> list[dict]:
     runs.append((f"scan {scanned}", lambda *x: by_scan(*x, scanned), "first"))
     for engine, run, order in runs:
         many = (65_536, MILLION if model.nv <= 9 else 262_144)
-        small = (16_384, 65_536)
-        jobs = [("rollout", n, True) for n in many] + [("gradient", n, True) for n in small]
-        if "kernel rolled block128" in engine:
+        small = (65_536, 262_144) if tuning or model.nv <= 9 else (65_536,)
+        jobs = [("gradient", n, True) for n in small] + [("rollout", n, True) for n in many]
+        if "kernel rolled block256" in engine:
             jobs.append(("rollout", 65_536, False))
         if order == "first":
             jobs = [("rollout", 65_536, True), ("gradient", 16_384, True)]

@@ -55,7 +55,7 @@ figure, axis = plt.subplots(figsize=(8, 3.4))
 colours = plt.get_cmap("viridis")(np.linspace(0, 1, count))
 for i in range(0, count, 3):
     axis.plot(fan.ts, np.rad2deg(fan.q[i, :, 1]), color=colours[i], lw=0.5, alpha=0.6)
-axis.set(xlabel="time [s]", ylabel="elbow [deg]", title="300 double pendula within a tenth of a degree")
+axis.set(xlabel="time [s]", ylabel="elbow [deg]", title="300 double pendula")
 figure.tight_layout()
 
 # %% [markdown]

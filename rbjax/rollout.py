@@ -18,11 +18,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics import kernel_gradient, kernel_rollout
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.errors import InputError
-from rbjax.forces.applied import applied
+from rbjax.forces.applied import applied, applied_lanes
 from rbjax.materialize import materialize
 from rbjax.model import Model, State
 from rbjax.trajectory import Trajectory, all_finite
@@ -91,6 +92,7 @@ def rollout(
     integrator: str = "semi_implicit_euler",
     save_every: int = 1,
     steps: int | None = None,
+    kernel: bool | None = None,
 ) -> Trajectory:
     """Fixed steps of one state or of a batch of states: the throughput path.
 
@@ -105,6 +107,9 @@ def rollout(
         integrator: one of "semi_implicit_euler", "rk4".
         save_every: keep every so many states; it must divide the number of steps.
         steps: how many steps, where ctrls does not tell.
+        kernel: whether the whole rollout runs in one GPU kernel: no forward mode, its reverse
+            gradient keeps all states. None: wherever it can on a GPU (batches in f32 under
+            `semi_implicit_euler`, with no policy and no actuators at sites).
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
@@ -138,10 +143,27 @@ def rollout(
         isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((model, state, values, step))
     )
     run = _run if traced else _compiled
-    return run(model, state, values, step, policy, integrator, save_every, steps, batched)
+    inside = _in_kernel(model, state, policy, integrator, batched, kernel)
+    return run(model, state, values, step, policy, integrator, save_every, steps, batched, inside)
 
 
-def _run(model, state, ctrls, dt, policy, integrator, save_every, steps, batched) -> Trajectory:
+def _in_kernel(model, state, policy, integrator, batched, kernel) -> bool:
+    """Whether the rollout runs in a kernel (benchmarks/results/gpu-rollout-*.json)."""
+    can = batched and policy is None and integrator == "semi_implicit_euler" and model.nv > 0
+    can = can and all(site < 0 for site in model.actuators.sites)
+    if kernel and not can:
+        raise InputError(
+            "rollout: kernel is True, but a kernel takes batches under semi_implicit_euler, with "
+            "no policy and no actuators at sites; use kernel=None"
+        )
+    if kernel is None:
+        return can and jax.default_backend() == "gpu" and state.q.dtype == jnp.float32
+    return kernel
+
+
+def _run(
+    model, state, ctrls, dt, policy, integrator, save_every, steps, batched, kernel
+) -> Trajectory:
     q, v = (x.T if batched else x for x in (state.q, state.v))
     if ctrls is not None:
         ctrls = jnp.moveaxis(ctrls, 0, -1) if ctrls.ndim == 3 else ctrls
@@ -149,7 +171,9 @@ def _run(model, state, ctrls, dt, policy, integrator, save_every, steps, batched
     def march(q, v, ctrls):
         return _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps)
 
-    if batched and jax.default_backend() == "cpu" and q.shape[-1] > CPU_CHUNK:
+    if kernel:
+        qs, vs = _kernel_march(model, q, v, ctrls, dt, save_every, steps)
+    elif batched and jax.default_backend() == "cpu" and q.shape[-1] > CPU_CHUNK:
         qs, vs = _chunked(march, q, v, ctrls)
     else:
         qs, vs = march(q, v, ctrls)
@@ -160,8 +184,23 @@ def _run(model, state, ctrls, dt, policy, integrator, save_every, steps, batched
 
 
 _compiled = jax.jit(
-    _run, static_argnames=("policy", "integrator", "save_every", "steps", "batched")
+    _run, static_argnames=("policy", "integrator", "save_every", "steps", "batched", "kernel")
 )
+
+
+def _kernel_march(model, q, v, ctrls, dt, save_every, steps):
+    """`_march` in a kernel."""
+
+    def scan(model, q, v, ctrls, dt):
+        path = _march(model, q, v, ctrls, dt, None, "semi_implicit_euler", save_every, steps)
+        return tuple(x[1:] for x in path)
+
+    concrete = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model))
+    qs, vs = kernel_gradient.rollout(
+        model, q, v, ctrls, dt, applied=applied_lanes, scan=scan, steps=steps,
+        save_every=save_every, how=kernel_rollout.choose(model, concrete),
+    )  # fmt: skip
+    return jnp.concatenate([q[None], qs]), jnp.concatenate([v[None], vs])
 
 
 def _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps):

@@ -66,12 +66,15 @@ def ours(model: Model, state: State, ctrl: np.ndarray, seconds: float) -> dict[s
     ctrls = jnp.broadcast_to(ctrl, (CHUNK, model.nu))
 
     def fixed(name: str) -> Run:
+        @jax.jit
+        def chunk(now: State, dt: Any) -> State:
+            path = rollout(model, now, ctrls, dt, integrator=name, save_every=CHUNK)
+            return path.state(-1)
+
         def run(steps: int) -> tuple[Any, Any]:
             now = state
             for _ in range(steps // CHUNK):
-                dt = seconds / steps
-                path = rollout(model, now, ctrls, dt, integrator=name, save_every=CHUNK)
-                now = path.state(-1)
+                now = chunk(now, seconds / steps)
             return now.q, now.v
 
         return run

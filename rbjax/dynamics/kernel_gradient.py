@@ -212,10 +212,13 @@ def backward(
             v_bar = [memory.read(state + nq + i) for i in range(nv)]
             every = jnp.asarray(save_every, t.dtype)  # (lax: Triton has no jnp.remainder)
             is_saved = jax.lax.rem(t + 1, every) == 0
-            given = jnp.where(is_saved, 1.0, 0.0).astype(like.dtype)
             s = jax.lax.div(t, every)
-            q_bar = [x + given * q_bars[s, i, cols] for i, x in enumerate(q_bar)]
-            v_bar = [x + given * v_bars[s, i, cols] for i, x in enumerate(v_bar)]
+
+            def given(ref, i):
+                return jnp.where(is_saved, ref[s, i, cols], jnp.zeros_like(like))
+
+            q_bar = [x + given(q_bars, i) for i, x in enumerate(q_bar)]
+            v_bar = [x + given(v_bars, i) for i, x in enumerate(v_bar)]
             before = jnp.maximum(t - 1, 0)
             is_first = t == 0
             q = [jnp.where(is_first, q_ref[i, cols], qs_ref[before, i, cols]) for i in range(nq)]

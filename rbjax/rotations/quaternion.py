@@ -74,32 +74,32 @@ def log_lanes(q: list) -> list:
 
 def _log_scale(w: jax.Array, square: jax.Array) -> jax.Array:
     """phi / u, from w and |u|^2."""
-    sign = jnp.where(w < 0, -1.0, 1.0).astype(w.dtype)
+    sign = _where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))
     w = w * sign
     small = square < (1e-4 if w.dtype == jnp.float64 else 1e-2)
-    safe = jnp.where(small, 1.0, square)
+    safe = _where(small, 1.0, square)
     n = jnp.sqrt(safe)
-    far = 2 * jnp.arctan2(n, jnp.where(small, 1.0, w)) / n
-    one = jnp.where(small, w, 1.0)  # no division by the zero w of half a turn, in gradients either
-    x = jnp.where(small, square, 0.0) / (one * one)  # tan^2 of half the angle
+    far = 2 * jnp.arctan2(n, _where(small, 1.0, w)) / n
+    one = _where(small, w, 1.0)  # no division by the zero w of half a turn, in gradients either
+    x = _where(small, square, 0.0) / (one * one)  # tan^2 of half the angle
     series = 1 + x * (-1 / 3 + x * (1 / 5 + x * (-1 / 7 + x * (1 / 9 - x * (1 / 11 - x / 13)))))
     near = 2 * series / one
-    return sign * jnp.where(small, near, far)
+    return sign * _where(small, near, far)
 
 
 def _cos_sqrt(x: jax.Array) -> jax.Array:
     """cos(sqrt(x)), entire in x."""
     small = x < 0.05
     series = 1 - x / 2 * (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132)))))
-    return jnp.where(small, series, jnp.cos(jnp.sqrt(jnp.where(small, 1.0, x))))
+    return _where(small, series, jnp.cos(jnp.sqrt(_where(small, 1.0, x))))
 
 
 def _sinc_sqrt(x: jax.Array) -> jax.Array:
     """sin(sqrt(x)) / sqrt(x), entire in x."""
     small = x < 0.05
-    root = jnp.sqrt(jnp.where(small, 1.0, x))
+    root = jnp.sqrt(_where(small, 1.0, x))
     series = 1 - x / 6 * (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110 * (1 - x / 156)))))
-    return jnp.where(small, series, jnp.sin(root) / root)
+    return _where(small, series, jnp.sin(root) / root)
 
 
 def turned(q: list, phi: list) -> list:
@@ -117,3 +117,11 @@ def turned(q: list, phi: list) -> list:
     ]
     shrink = jax.lax.rsqrt(sum(a * a for a in out))
     return [a * shrink for a in out]
+
+
+def _where(condition: jax.Array, a, b) -> jax.Array:
+    """`jnp.where`, less its nested jit: that, transposed inside a kernel, Triton cannot lower."""
+    like = a if isinstance(a, jax.Array) else b
+    shape = condition.shape
+    a, b = (jnp.broadcast_to(jnp.asarray(x, like.dtype), shape) for x in (a, b))
+    return jax.lax.select(condition, a, b)

@@ -113,7 +113,7 @@ def fit(
         ]
 
     def residual(theta: jax.Array, data: Any) -> jax.Array:
-        model, state, ctrls, measured = data
+        state, ctrls, measured = data
         changed = model
         for u, x in zip(unknowns.values(), numbers(theta), strict=True):
             changed = _write(changed, u, x)
@@ -133,7 +133,7 @@ def fit(
         ok = solution.result == optx.RESULTS.successful
         return solution.value, spread, jnp.sqrt((left**2).mean()), solution.stats["num_steps"], ok
 
-    theta, spread, rms, steps, ok = solve(theta0, (model, state, ctrls, measured))
+    theta, spread, rms, steps, ok = solve(theta0, (state, ctrls, measured))
     values, errors = {}, {}
     found = model
     for name, x, s in zip(unknowns, numbers(theta), spread, strict=True):

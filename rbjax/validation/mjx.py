@@ -99,7 +99,9 @@ class Mjx:
 
 
 def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, ctrl: Any, seconds: float) -> Any:
-    """MJX's "Euler" or "RK4" on a batch q (N, nq), v (N, nv) under ctrl (nu,): steps -> final (q, v).
+    """MJX's "Euler" or "RK4" on a batch q (N, nq), v (N, nv) under ctrl (nu,).
+
+    Returns a function: steps -> final (q, v).
 
     One compiled program for every number of steps.
     """
