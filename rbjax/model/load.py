@@ -201,8 +201,14 @@ def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
         site_bodies=tuple(int(b) - 1 for b in m.site_bodyid),
         keyframe_names=names(obj.mjOBJ_KEY, m.nkey),
     )
+    # MuJoCo computes with frames that coincide within 1e-6 as one frame; so then do we
+    same = m.body_sameframe[:, None]
+    centre = np.where(same == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY), 0.0, m.body_ipos)
+    aligned = (same == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODY)) | (
+        same == int(mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT)
+    )
     turn = np.empty((m.nbody, 9))
-    for row, quat in zip(turn, m.body_iquat, strict=True):
+    for row, quat in zip(turn, np.where(aligned, [1.0, 0, 0, 0], m.body_iquat), strict=True):
         mujoco.mju_quat2Mat(row, quat)
     turn = turn.reshape(-1, 3, 3)
     inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
@@ -210,7 +216,7 @@ def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
     return Model(
         bodies=Bodies(
             mass=array(m.body_mass[1:]),
-            com=array(m.body_ipos[1:]),
+            com=array(centre[1:]),
             inertia=array(inertia[1:]),
             position=array(m.body_pos[1:]),
             orientation=array(m.body_quat[1:]),

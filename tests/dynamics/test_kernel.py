@@ -1,0 +1,114 @@
+"""The GPU kernels in Pallas's interpreter, against the recursions under XLA; and that Triton takes
+them, which lowering for CUDA shows without a GPU."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.dynamics import kernel, kernel_gradient
+from rbjax.dynamics.forward import acceleration
+from rbjax.errors import InputError
+from rbjax.forces.applied import applied_lanes
+
+WALKER = """
+<mujoco><worldbody><body><freejoint/>
+  <inertial pos="0.01 0 0.02" mass="5" diaginertia="0.1 0.2 0.15"/>
+  <body name="a" pos="0 0 0.3"><joint name="a" axis="0 0 1" stiffness="3" armature="0.02"/>
+    <inertial pos="0 0 0.1" mass="2" diaginertia="0.03 0.03 0.02"/>
+    <body name="b" pos="0 0.1 0.2"><joint name="b" axis="1 0 0" damping="0.1"/>
+      <inertial pos="0 0.1 0" mass="1" diaginertia="0.01 0.012 0.009"/></body>
+    <body name="c" pos="0 -0.1 0.2"><joint name="c" axis="0 1 1"/>
+      <inertial pos="0 -0.1 0" mass="1" diaginertia="0.01 0.012 0.009"/></body></body>
+  <body name="d" pos="0 0.1 -0.2"><joint name="d" axis="0 1 0"/>
+    <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.012 0.009"/></body>
+</body></worldbody>
+<actuator><motor joint="b" ctrllimited="true" ctrlrange="-1 1"/><position joint="d" kp="3"/></actuator>
+</mujoco>
+"""
+ROLLED = kernel.Plan("rolled", block=4, warps=1, programs=1)
+UNROLLED = kernel.Plan("unrolled", block=4, warps=1)
+CASES = [("cart_pole", UNROLLED), ("cart_pole", ROLLED), ("walker", ROLLED)]
+
+
+def load(name: str) -> rb.Model:
+    return rb.load(WALKER if name == "walker" else name)
+
+
+def batch(model: rb.Model, size: int, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    states = jax.vmap(model.random_state)(jax.random.split(key, size))
+    return states.q.T, states.v.T
+
+
+@pytest.mark.parametrize("closed", [True, False], ids=["closed over", "argument"])
+@pytest.mark.parametrize("name, how", CASES, ids=str)
+def test_forward_dynamics(name, how, closed, key):
+    model = load(name)
+    q, v = batch(model, 6, key)  # two blocks, the second padded
+    tau = jax.random.normal(key, v.shape)
+
+    def run(model, *x):
+        return kernel.forward_dynamics(model, *x, how=how)
+
+    f = jax.jit(lambda *x: run(model, *x)) if closed else lambda *x: jax.jit(run)(model, *x)
+    expected = jax.jit(acceleration)(model, q, v, tau)
+    np.testing.assert_allclose(f(q, v, tau), expected, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["cart_pole", "walker"])
+def test_rollout_and_its_gradient(name, key):
+    model = load(name)
+    q, v = (x.T for x in batch(model, 3, key))
+    ctrls = jax.random.normal(key, (3, 4, model.nu))
+
+    def loss(q, v, ctrls, kernel):
+        out = rb.rollout(model, rb.State(q, v), ctrls, 0.01, save_every=2, kernel=kernel)
+        return (out.q[:, -1] ** 2).sum() + (out.v[:, 1] ** 2).sum()
+
+    found, expected = (
+        jax.jit(jax.value_and_grad(lambda *x, k=k: loss(*x, k), argnums=(0, 1, 2)))(q, v, ctrls)
+        for k in (True, False)
+    )
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9), found, expected
+    )
+
+
+def test_gradient_of_the_model_is_the_scans(key):
+    model = load("cart_pole")
+    q, v = (x.T for x in batch(model, 2, key))
+
+    def loss(mass, kernel):
+        heavier = model.replace(bodies=model.bodies.replace(mass=mass))
+        out = rb.rollout(heavier, rb.State(q, v), None, 0.01, steps=2, kernel=kernel)
+        return (out.q**2).sum()
+
+    found, expected = (jax.grad(loss)(model.bodies.mass, k) for k in (True, False))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_what_no_kernel_takes(key):
+    model = load("cart_pole")
+    with pytest.raises(InputError, match="kernel is True"):
+        rb.rollout(model, model.default_state(), None, 0.01, steps=2, kernel=True)
+
+
+@pytest.mark.parametrize(
+    "name, how", [("cart_pole", kernel.Plan("unrolled")), ("walker", kernel.ROLLED)], ids=str
+)
+def test_triton_takes_them(name, how, monkeypatch):
+    monkeypatch.setattr(kernel, "INTERPRET", False)
+    model = load(name)
+    shapes = [(model.nq, 512), (model.nv, 512), (10, model.nu, 512)]
+    with jax.enable_x64(False):
+        q, v, ctrls = (jnp.zeros(s, jnp.float32) for s in shapes)
+
+        def loss(q, v, ctrls):
+            qs, vs = kernel_gradient.rollout(
+                model, q, v, ctrls, jnp.float32(0.01), applied=applied_lanes, scan=None, steps=10,
+                save_every=5, how=how,
+            )  # fmt: skip
+            return (qs**2).sum() + (vs**2).sum()
+
+        jax.jit(jax.grad(loss, (0, 1, 2))).trace(q, v, ctrls).lower(lowering_platforms=("cuda",))
