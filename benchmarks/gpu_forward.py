@@ -64,7 +64,7 @@ def bench(name: str, batches, tuning: bool) -> list[dict]:
             q, v, tau, _ = batch(m, size, last=True)
             row = {"what": "forward", "robot": name, "engine": what, "batch": size}
             if closed:
-                row = timed(row, lambda *x, r=robot: run(r, *x), q, v, tau, work=size)
+                row = timed(row, lambda *x, f=run, r=robot: f(r, *x), q, v, tau, work=size)
             else:
                 row = timed(row, run, robot, q, v, tau, work=size)
             rows.append(row)
@@ -72,7 +72,7 @@ def bench(name: str, batches, tuning: bool) -> list[dict]:
                 break
         if "compile_s" in (rows[-1] if rows else {}):
             q, v, tau, _ = (np.ascontiguousarray(x.T) for x in states)
-            got = jax.jit(lambda *x, r=robot: run(r, *x))(q, v, tau)
+            got = jax.jit(lambda *x, f=run, r=robot: f(r, *x))(q, v, tau)
             error = relative(np.asarray(got, np.float64).T, want)
             rows[-1]["error median"] = float(np.median(error))
             rows[-1]["error max"] = float(error.max())

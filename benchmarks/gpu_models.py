@@ -65,7 +65,10 @@ def _copy_bodies(m: mujoco.MjModel, parent: int, into) -> None:
         for j in range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b]):
             at = m.jnt_dofadr[j]
             body.add_joint(
-                name=m.joint(j).name, type=m.jnt_type[j], axis=m.jnt_axis[j], pos=m.jnt_pos[j],
+                name=m.joint(j).name,
+                type=m.jnt_type[j],
+                axis=m.jnt_axis[j],
+                pos=m.jnt_pos[j],
                 armature=float(m.dof_armature[at]),
             )
         _copy_bodies(m, b, body)
@@ -87,7 +90,7 @@ def tree(n: int, seed: int = 0) -> str:
             f' diaginertia="0.02 0.025 0.03"/>{inner}</body>'
         )
 
-    return f'<mujoco><worldbody>{body(0)}</worldbody></mujoco>'
+    return f"<mujoco><worldbody>{body(0)}</worldbody></mujoco>"
 
 
 def pair(name: str) -> tuple[mujoco.MjModel, rb.Model]:

@@ -1,7 +1,7 @@
-"""Rollouts of 100 steps on an accelerator, and their gradients with respect to each sample's controls.
+"""Rollouts of 100 steps on an accelerator, and their gradients by each sample's controls.
 
-Final states only; semi-implicit Euler, f32. `python -m benchmarks.gpu_rollout --robots panda` writes
-results/gpu-rollout-<robot>-<device>.json.
+Final states only; semi-implicit Euler, f32. `python -m benchmarks.gpu_rollout --robots panda`
+writes results/gpu-rollout-<robot>-<device>.json.
 """
 
 from __future__ import annotations
@@ -30,9 +30,7 @@ def plans(model, tuning: bool) -> list[kernel.Plan]:
 
 def by_scan(model, q, v, ctrls, driver):
     state = rb.State(q.T, v.T)
-    path = rb.rollout(
-        model.replace(driver=driver), state, ctrls, save_every=STEPS, kernel=False
-    )
+    path = rb.rollout(model.replace(driver=driver), state, ctrls, save_every=STEPS, kernel=False)
     return path.q[:, -1].T, path.v[:, -1].T
 
 
@@ -73,7 +71,6 @@ def bench(name: str, sizes, tuning: bool) -> list[dict]:
             jobs.append(("rollout", 65_536, False))
         if order == "first":
             jobs = [("rollout", 65_536, True), ("gradient", 16_384, True)]
-        results = {}
         for what, size, closed in jobs:
             q, v, _, ctrl = batch(m, size, last=True)
             if what == "rollout":
@@ -95,8 +92,9 @@ def bench(name: str, sizes, tuning: bool) -> list[dict]:
     want = gradient(lambda *x: by_scan(*x, "rolled"))(model, q, v, jnp.transpose(each, (2, 0, 1)))
     want = jnp.transpose(want, (1, 2, 0))
     for plan in plans(model, False):
-        got = jax.jit(lambda *x, p=plan: gradient(lambda *y: by_kernel(*y, p))(model, *x))(q, v, each)
-        error = (abs(got - want).max((0, 1)) / abs(want).max((0, 1)))
+        by_plan = gradient(lambda *y, p=plan: by_kernel(*y, p))
+        got = jax.jit(lambda *x, f=by_plan: f(model, *x))(q, v, each)
+        error = abs(got - want).max((0, 1)) / abs(want).max((0, 1))
         note = f"median {jnp.median(error):.1e} max {error.max():.1e} (f32 kernel - f32 scan)"
         rows.append({"what": "gradient error", "robot": name, "engine": plan.driver, "note": note})
         print(rows[-1], flush=True)

@@ -1,4 +1,4 @@
-"""Timing where many processes share one accelerator: they compile side by side and run one at a time.
+"""Timing where processes share one accelerator: they compile side by side, run one at a time.
 
 Each benchmark is one call: `python -m benchmarks.gpu_forward [--engine mjx|rbjax] [--robots ...]`.
 A row holds lower, compile and run seconds (`timing.measure`) and millions a second.

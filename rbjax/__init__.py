@@ -4,7 +4,9 @@ A robot file goes in; fast, accurate, differentiable motion comes out, in a batc
 million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
-from rbjax import dynamics, forces, rotations, spatial
+from typing import Any
+
+from rbjax import dynamics, forces, rotations, spatial, sysid
 from rbjax.dynamics import (
     Poses,
     bias_forces,
@@ -29,6 +31,7 @@ from rbjax.dynamics import (
     potential_energy,
     site_pose,
 )
+from rbjax.dynamics.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State, load, scenes
@@ -37,6 +40,15 @@ from rbjax.simulate import simulate
 from rbjax.trajectory import Trajectory
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> Any:
+    """`rbjax.validation` comes when it is asked for: it imports MJX, which takes seconds."""
+    if name == "validation":
+        import rbjax.validation
+
+        return rbjax.validation
+    raise AttributeError(f"module 'rbjax' has no attribute {name!r}")
 
 __all__ = [
     "InputError",
@@ -71,6 +83,7 @@ __all__ = [
     "kinetic_energy",
     "load",
     "mass_matrix",
+    "operation_count",
     "potential_energy",
     "rollout",
     "rotations",
@@ -78,4 +91,6 @@ __all__ = [
     "simulate",
     "site_pose",
     "spatial",
+    "sysid",
+    "validation",
 ]

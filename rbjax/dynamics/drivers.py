@@ -30,7 +30,7 @@ from rbjax.model.cells import lane_of
 Step = Callable[[Any, Any], tuple[Any, Any]]
 
 #: above this many velocity coordinates "auto" rolls (benchmarks/results/drivers-*.json)
-UNROLLED_UP_TO = 12
+UNROLLED_UP_TO = 8
 
 
 class Unrolled:

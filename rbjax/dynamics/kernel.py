@@ -56,7 +56,9 @@ def plan(model: Model) -> Plan:
 class Block:
     """What a kernel's body works with: its columns of the batch, the model's numbers, scratch."""
 
-    def __init__(self, known: Numbers, how: Plan, columns: Any, index: Any, memory: Any, dtype: Any):
+    def __init__(
+        self, known: Numbers, how: Plan, columns: Any, index: Any, memory: Any, dtype: Any
+    ):
         self.known, self.how, self.columns = known, how, columns
         self.like = jnp.zeros(how.block, dtype)
         self.index, self._memory = index, memory
@@ -71,7 +73,12 @@ def _scalar(g: Any) -> Any:
 
 
 def launch(
-    body: Callable, model: Model, how: Plan, inputs: list[jax.Array], outputs: list[tuple], rows: int
+    body: Callable,
+    model: Model,
+    how: Plan,
+    inputs: list[jax.Array],
+    outputs: list[tuple],
+    rows: int,
 ) -> list[jax.Array]:
     """Run `body(block, in_refs, out_refs, memory)` over blocks of the last axis.
 

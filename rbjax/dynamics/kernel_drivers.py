@@ -21,7 +21,7 @@ from jax.experimental import pallas as pl
 from rbjax.dynamics.drivers import Unrolled, allocate_slots
 from rbjax.dynamics.joints import JointMotion, joint_lanes
 from rbjax.dynamics.kernel_numbers import Numbers
-from rbjax.lanes import Lane, Vec3, add, is_literal, rotation_z
+from rbjax.lanes import Lane, Vec3, add, as_arrays, is_literal, rotation_z
 from rbjax.materialize import sincos
 from rbjax.model import WORLD, LinkConstants
 from rbjax.spatial import Motion, Transform
@@ -58,17 +58,14 @@ class Memory:
     def take(self, count: int) -> int:
         """The first of `count` fresh rows."""
         self.used += count
-        if self.used > self.ref.shape[0]:
-            raise ValueError(f"a kernel needs more than {self.ref.shape[0]} rows of scratch")
+        assert self.used <= self.ref.shape[0], "too few rows of scratch"
         return self.used - count
 
     def read(self, row: Any) -> jax.Array:
         return self.ref[row, self.columns]
 
     def write(self, row: Any, x: Lane) -> None:
-        self.ref[row, self.columns] = jnp.broadcast_to(
-            jnp.asarray(x, self.like.dtype), self.like.shape
-        )
+        self.ref[row, self.columns] = as_arrays(x, self.like)
 
 
 class Cell:
@@ -265,10 +262,7 @@ class KernelRolled:
     # -- recursions -----------------------------------------------------------------------------
 
     def _arrays(self, tree: Any) -> Any:
-        like = self.memory.like
-        return jax.tree.map(
-            lambda x: jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape), tree
-        )
+        return as_arrays(tree, self.memory.like)
 
     def _slot(self, k: Any) -> Any:
         return self.slot_start + SLOT * k

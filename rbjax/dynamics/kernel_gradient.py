@@ -186,9 +186,10 @@ def _is_primal(x: Any) -> bool:
 
 def backward(
     model: Model, applied: Any, q: jax.Array, v: jax.Array, ctrls: jax.Array | None, dt: jax.Array,
-    path: tuple[jax.Array, jax.Array], bars: tuple[jax.Array, jax.Array], save_every: int, how: Plan,
+    model: Model, applied: Any, q: jax.Array, v: jax.Array, ctrls: jax.Array | None,
+    dt: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array | None]:  # fmt: skip
-    """Cotangents of q, v and ctrls from all states after the first, and cotangents of those saved."""
+    """Cotangents of q, v and ctrls from all states after the first and cotangents of those saved."""
     top, nq, nv, nu = model.topology, model.nq, model.nv, model.nu
     steps, size = path[0].shape[0], q.shape[-1]
 

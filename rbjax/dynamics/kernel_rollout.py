@@ -2,8 +2,8 @@
 
     v+ = v + dt a(q, v, u),   q+ = q (+) dt v+
 
-Only what is saved is written out. The reverse gradient (`kernel_gradient`) runs in a kernel too, for
-the initial state and the controls; where the model itself is differentiated `rb.rollout` takes its
+Only what is saved is written out. The reverse gradient (`kernel_gradient`) runs in a kernel too,
+for the initial state and the controls; where the model is differentiated `rb.rollout` takes its
 `lax.scan`.
 """
 

@@ -24,7 +24,8 @@ WALKER = """
   <body name="d" pos="0 0.1 -0.2"><joint name="d" axis="0 1 0"/>
     <inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.012 0.009"/></body>
 </body></worldbody>
-<actuator><motor joint="b" ctrllimited="true" ctrlrange="-1 1"/><position joint="d" kp="3"/></actuator>
+<actuator><motor joint="b" ctrllimited="true" ctrlrange="-1 1"/>
+  <position joint="d" kp="3"/></actuator>
 </mujoco>
 """
 ROLLED = kernel.Plan("rolled", block=4, warps=1, programs=1)
