@@ -57,7 +57,7 @@ def jacobian(model: Model, q: jax.Array, body: str, point: jax.Array | None = No
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
-        >>> rb.jacobian(model, model.default_state().q, "link2").shape
+        >>> rb.jacobian(model, model.default_state().q, "lower").shape
         (6, 2)
     """
     b = model.body(body)

@@ -3,9 +3,8 @@
 - `KernelUnrolled` writes the links out; everything lives in registers. For few links.
 - `KernelRolled` is a loop over the links. A link's lanes wait in rows of `memory`, an extra output
   that the kernel uses as scratch; constants and parents are read by index. What a step hands on
-  unchanged (a tracer that it was given) is not written again, and transforms are computed again
-  rather than kept: the loop is bound by its traffic. Links of a floating base, which no index can
-  describe, come first and are written out (the *head*).
+  unchanged is not written again, and transforms are computed again rather than kept: the loop is
+  bound by its traffic. Links of a floating base come first and are written out (the *head*).
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ class _Constants:
 
 
 class _Joints:
-    """Stands for the link's joint motion."""
+    """Stands for its joint motion."""
 
 
 class PosedJoint(JointMotion):

@@ -185,11 +185,11 @@ def _is_primal(x: Any) -> bool:
 
 
 def backward(
-    model: Model, applied: Any, q: jax.Array, v: jax.Array, ctrls: jax.Array | None, dt: jax.Array,
     model: Model, applied: Any, q: jax.Array, v: jax.Array, ctrls: jax.Array | None,
-    dt: jax.Array,
+    dt: jax.Array, path: tuple[jax.Array, jax.Array], bars: tuple[jax.Array, jax.Array],
+    save_every: int, how: Plan,
 ) -> tuple[jax.Array, jax.Array, jax.Array | None]:  # fmt: skip
-    """Cotangents of q, v and ctrls from all states after the first and cotangents of those saved."""
+    """Cotangents of q, v, ctrls from all states after the first and cotangents of the saved."""
     top, nq, nv, nu = model.topology, model.nq, model.nv, model.nu
     steps, size = path[0].shape[0], q.shape[-1]
 

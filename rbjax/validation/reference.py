@@ -83,8 +83,9 @@ def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
     rng = np.random.default_rng(seed)
     q = m.qpos0 + rng.uniform(-1.0, 1.0, (count, m.nq))
     for kind, at in zip(m.jnt_type, m.jnt_qposadr, strict=True):
-        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
-            start = at + 3 * (kind == mujoco.mjtJoint.mjJNT_FREE)
+        free = int(kind) == int(mujoco.mjtJoint.mjJNT_FREE)
+        if free or int(kind) == int(mujoco.mjtJoint.mjJNT_BALL):
+            start = at + 3 * free
             turn = rng.normal(size=(count, 4))
             q[:, start : start + 4] = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
     limited = m.actuator_ctrllimited.astype(bool)
