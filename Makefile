@@ -44,8 +44,12 @@ types: $(STAMP) ## mypy
 demo: $(STAMP) ## the main job on bundled scenes; pictures and a report in ./rbjax-demo/
 	$(BIN)/rbjax demo
 
+# gpu_* want an NVIDIA GPU and are left out where there is none
+BENCHES = $(basename $(notdir $(wildcard benchmarks/cpu_*.py benchmarks/accuracy.py))) \
+  $(if $(shell command -v nvidia-smi),gpu_mjx gpu_forward gpu_rollout)
+
 bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
-	@for script in $(filter-out timing robots,$(basename $(notdir $(wildcard benchmarks/*.py)))); do \
+	@for script in $(BENCHES); do \
 	  echo "benchmarks/$$script.py"; $(BIN)/python -m benchmarks.$$script || exit 1; \
 	done
 
