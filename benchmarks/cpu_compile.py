@@ -1,6 +1,6 @@
 """Compile time of forward dynamics on the CPU, ours over MJX's: trace, lower and compile.
 
-`python -m benchmarks.cpu_compile [ROBOT ...]`. f32, batch 1,024, default flags, the model an argument
+`python -m benchmarks.cpu_compile [ROBOT ...]`. f32, batch 1,024, default flags, model an argument
 in both. (MJX takes minutes a robot.)
 """
 
