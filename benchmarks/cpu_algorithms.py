@@ -96,7 +96,7 @@ def main() -> None:
             {"robot": name, "algorithm": "mj_forward", "engine": "MuJoCo C", "ns": mujoco_ns(name)}
         )
         model = ours(name)
-        q, v, tau = states(compiled(name), BATCH)
+        inputs = states(compiled(name), BATCH)
         for algorithm, f in ALGORITHMS.items():
             rows.append(
                 {
@@ -107,11 +107,12 @@ def main() -> None:
                 }
             )
             for dtype in (np.float64, np.float32):
+
                 def mapped(*states, f=f, model=model):
                     return jax.lax.map(lambda one: f(model, *one), states, batch_size=128)
 
-                def timed(size, mapped=mapped, dtype=dtype):
-                    args = tuple(array[:size].astype(dtype) for array in (q, v, tau))
+                def timed(size, mapped=mapped, dtype=dtype, inputs=inputs):
+                    args = tuple(array[:size].astype(dtype) for array in inputs)
                     row = measure(mapped, *args, budget_s=1.0)
                     return row | {"ns": row["run_min_s"] / size * 1e9}
 
