@@ -2,8 +2,7 @@
 
 Every geom of the MuJoCo file is a convex solid. Points of its surface, moved by our own forward
 kinematics, are projected along the line of sight; their convex hull is filled in the geom's
-colour, far ones first, over a shadow on the floor. `strobe` overlays a motion, `filmstrip` sets it
-in a row.
+colour, far ones first, over a shadow on the floor. `strobe` overlays a motion.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import mujoco
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull, QhullError
 
@@ -142,10 +140,9 @@ def draw(
     alpha: float = 1.0,
     shadow: bool = True,
     world: bool = True,
-    offset: float = 0.0,
     zorder: float = 2.0,
 ) -> None:
-    """One pose on an axis: R (nb, 3, 3), p (nb, 3). `offset` moves it to the right, in metres."""
+    """One pose on an axis: R (nb, 3, 3), p (nb, 3)."""
     axes = (camera or Camera()).axes
     placed = []
     for s in shapes:
@@ -155,11 +152,11 @@ def draw(
         placed.append((float((points @ axes[2]).mean()), points, s))
     if shadow:
         for _, points, _s in placed:
-            ground = (points * [1, 1, 0]) @ axes[:2].T + [offset, 0]
+            ground = (points * [1, 1, 0]) @ axes[:2].T
             _fill(ax, ground, color="#000000", alpha=0.06 * alpha, lw=0, zorder=zorder - 1)
     for depth, (_, points, s) in enumerate(sorted(placed, key=lambda item: item[0])):
         edge = tuple(0.62 * c for c in s.color)
-        flat = points @ axes[:2].T + [offset, 0]
+        flat = points @ axes[:2].T
         style = {"facecolor": s.color, "edgecolor": edge, "lw": 0.7, "alpha": alpha * s.alpha}
         _fill(ax, flat, zorder=zorder + 1e-3 * depth, **style)
 
@@ -216,35 +213,6 @@ def strobe(
         path = p[:, model.body(trace)] @ (camera or Camera()).axes[:2].T
         ax.plot(*path.T, color=color, lw=1.2, zorder=2 + len(q))
     bare(ax)
-
-
-def filmstrip(
-    ax: Axes,
-    source: Any,
-    model: Model,
-    q: Array,
-    labels: Sequence[str],
-    *,
-    spacing: float,
-    camera: Camera | None = None,
-) -> None:
-    """Poses q (T, nq) side by side, `spacing` metres apart, a label under each."""
-    shapes = solids(source)
-    R, p = poses(model, np.asarray(q))
-    for i in range(len(q)):
-        draw(ax, shapes, R[i], p[i], camera=camera, offset=i * spacing, zorder=2 + i)
-    bare(ax)
-    low, high = ax.get_ylim()
-    ax.set_ylim(low - 0.14 * (high - low), high)
-    for i, label in enumerate(labels):
-        at = p[i].mean(0) @ (camera or Camera()).axes[0] + i * spacing
-        ax.text(at, low - 0.05 * (high - low), label, ha="center", va="top", fontsize=9)
-
-
-def lighter(color: str, amount: float) -> tuple[float, float, float]:
-    """A colour mixed with white: amount 0 leaves it, 1 is white."""
-    r, g, b = (c + (1 - c) * amount for c in to_rgb(color))
-    return r, g, b
 
 
 def time_plot(axes: Sequence[Axes], ts: Array, q: Array, v: Array, names: Sequence[str]) -> None:

@@ -29,7 +29,8 @@ from rbjax.model.cells import lane_of
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
 
-#: above this many velocity coordinates "auto" rolls (benchmarks/results/drivers-*.json)
+#: above this many velocity coordinates "auto" rolls: at 7 unrolled code is the faster on the
+#: CPU (benchmarks/results/cpu-forms-*.json), beyond it the compile time of gradients decides
 UNROLLED_UP_TO = 8
 
 
