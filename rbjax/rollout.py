@@ -1,7 +1,7 @@
 """`rollout`: fixed steps for throughput.
 
-The batch is the last axis of everything inside, so that a lane is contiguous. On the CPU the batch
-is cut into chunks whose lanes stay in the cache, and time runs inside a chunk.
+The batch is the last axis of everything inside, so that a lane is contiguous. On the CPU time runs
+inside a chunk of the batch (`dynamics.batching`).
 
 Memory of the reverse gradient: the scan over saved states keeps one state each; between two saved
 states only the first is kept and the steps are run again. So (T / save_every + save_every) states
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +19,10 @@ import numpy as np
 
 from rbjax.dynamics import kernel_gradient, kernel_rollout
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
+from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import integrate_lanes
+from rbjax.dynamics.tracing import staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied, applied_lanes
 from rbjax.materialize import materialize
@@ -29,9 +30,6 @@ from rbjax.model import Model, State
 from rbjax.trajectory import Trajectory, all_finite
 
 Policy = Callable[[jax.Array, State], jax.Array]
-
-#: samples that advance together on the CPU; chunks of 128 to 256 were fastest on a prototype
-CPU_CHUNK = 128
 
 
 def _motion(model: Model, u: jax.Array | None, q, v, ctrl):
@@ -142,7 +140,7 @@ def rollout(
     traced = any(
         isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((model, state, values, step))
     )
-    run = _run if traced else _compiled
+    run = _run if traced and (policy is not None or staged()) else _compiled
     inside = _in_kernel(model, state, policy, integrator, batched, kernel)
     return run(model, state, values, step, policy, integrator, save_every, steps, batched, inside)
 
@@ -173,8 +171,9 @@ def _run(
 
     if kernel:
         qs, vs = _kernel_march(model, q, v, ctrls, dt, save_every, steps)
-    elif batched and jax.default_backend() == "cpu" and q.shape[-1] > CPU_CHUNK:
-        qs, vs = _chunked(march, q, v, ctrls)
+    elif batched and jax.default_backend() == "cpu":
+        axes = [-1, -1, -1 if ctrls is not None and ctrls.ndim == 3 else None]
+        qs, vs = chunks(lambda x: march(*x), [q, v, ctrls], axes, q.shape[-1], -1)
     else:
         qs, vs = march(q, v, ctrls)
     if batched:
@@ -236,27 +235,6 @@ def _act(policy: Policy, t, q, v):
         return policy(t, State(q, v))
     act = jax.vmap(lambda q, v: policy(t, State(q, v)), in_axes=-1, out_axes=-1)
     return act(q, v)
-
-
-def _chunked(march: Callable, q, v, ctrls):
-    """`march` over chunks of the last axis, one after another; the last chunk is padded."""
-    size, width = q.shape[-1], CPU_CHUNK
-    count = -(-size // width)
-    pad = count * width - size
-
-    def split(x):
-        x = jnp.concatenate([x, jnp.repeat(x[..., -1:], pad, -1)], -1) if pad else x
-        return jnp.moveaxis(x.reshape(*x.shape[:-1], count, width), -2, 0)
-
-    per_sample = ctrls is not None and ctrls.ndim == 3
-    given: Any = (split(q), split(v), split(ctrls) if per_sample else None)
-    qs, vs = jax.lax.map(lambda x: march(x[0], x[1], x[2] if per_sample else ctrls), given)
-
-    def join(x):
-        x = jnp.moveaxis(x, 0, -2)
-        return x.reshape(*x.shape[:-2], count * width)[..., :size]
-
-    return join(qs), join(vs)
 
 
 def _checked(model, state, ctrls, steps):

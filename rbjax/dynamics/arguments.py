@@ -1,8 +1,9 @@
 """The door of every public algorithm: checks of what comes in, one dtype, one compiled call.
 
 Outside traced code an algorithm checks its arguments' values and runs compiled, with the model's
-numbers as arguments (changing one never recompiles). Inside traced code it is inlined: then a model
-that is closed over is constant, and its zeros vanish from the program.
+numbers as arguments (changing one never recompiles); so it does under a `vmap` or `grad` that is
+outside of any `jit`. Inside traced code it is inlined: then a model that is closed over is
+constant, and its zeros vanish from the program. `batching` says how a batch runs.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics.batching import in_chunks
+from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 
@@ -42,16 +45,26 @@ def algorithm(*names: str) -> Callable[[Callable], Callable]:
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
         static = [n for n in ("body", "site") if n in signature.parameters]
-        compiled = jax.jit(f, static_argnames=static)
+
+        @functools.wraps(f)
+        def inlined(*args: Any, **kwargs: Any) -> Any:
+            moving, closed = opened((args, kwargs))
+
+            def run(moving: list) -> Any:
+                args, kwargs = closed(moving)
+                return f(*args, **kwargs)
+
+            return in_chunks(run)(moving) if moving else run(moving)
+
+        compiled = jax.jit(inlined, static_argnames=static)
 
         @functools.wraps(f)
         def call(model: Model, *args: Any, **kwargs: Any) -> Any:
             bound = signature.bind(model, *args, **kwargs)
             given = {n: bound.arguments[n] for n in names if n in bound.arguments}
             bound.arguments.update(check_arrays(f.__name__, model, given))
-            leaves = jax.tree.leaves((bound.args, bound.kwargs))
-            traced = any(isinstance(x, jax.core.Tracer) for x in leaves)
-            return (f if traced else compiled)(*bound.args, **bound.kwargs)
+            inside = opened((bound.args, bound.kwargs))[0] and staged()
+            return (inlined if inside else compiled)(*bound.args, **bound.kwargs)
 
         return call
 

@@ -16,11 +16,14 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
+from rbjax.dynamics import kernel
 from rbjax.dynamics.aba import aba, factorize, solve
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.batching import with_rule
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import wrench_forces
 from rbjax.dynamics.rnea import rnea
+from rbjax.dynamics.tracing import jvp_of, opened
 from rbjax.model import Model
 
 
@@ -30,23 +33,27 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
     Leaves of the model that are known while tracing stay out of the custom derivative's arguments,
     so that they stay known.
     """
-    leaves, treedef = jax.tree.flatten(model)
-    traced = [i for i, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
-
-    def rebuilt(changed):
-        filled = list(leaves)
-        for i, x in zip(traced, changed, strict=True):
-            filled[i] = x
-        return jax.tree.unflatten(treedef, filled)
+    given, rebuilt = opened(model)
 
     def run(changed, q, v, tau):
         d = driver(rebuilt(changed), q.dtype)
         qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
         return d, d.pack(qdd, tau), factors
 
-    @jax.custom_jvp
-    def forward(changed, q, v, tau):
+    def plain(changed, q, v, tau):
         return run(changed, q, v, tau)[1]
+
+    def in_kernel(size, axes, changed, q, v, tau):
+        if q.ndim > 2 or any(axis == 0 for axis in axes[0]):  # a batch of batches, or of robots
+            return jax.vmap(plain, in_axes=axes)(changed, q, v, tau)
+        lanes = [
+            jnp.moveaxis(x if axis == 0 else jnp.broadcast_to(x, (size, *x.shape)), 0, -1)
+            for x, axis in zip((q, v, tau), axes[1:], strict=True)
+        ]
+        return kernel.forward_dynamics(rebuilt(changed), *lanes).T
+
+    wins = jax.default_backend() == "gpu" and q.dtype == jnp.float32
+    forward = jax.custom_jvp(with_rule(plain, in_kernel) if wins else plain)
 
     @functools.partial(forward.defjvp, symbolic_zeros=True)
     def tangent(primals, tangents):
@@ -58,7 +65,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
             d = driver(rebuilt(changed), q.dtype)
             return d.pack(rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity), tau)
 
-        dtau = _tangent_of(inverse, (changed, q, v), tangents[:3])
+        _, dtau = jvp_of(inverse, (changed, q, v), tangents[:3])
         rate = tangents[3]
         if not isinstance(rate, SymbolicZero):
             dtau = rate if dtau is None else rate - dtau
@@ -68,25 +75,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
             return a, jnp.zeros_like(a)
         return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
 
-    return forward([leaves[i] for i in traced], q, v, tau)
-
-
-def _tangent_of(f, primals, tangents):
-    """jvp of f in the arguments whose tangents are not symbolic zeros; None if all are."""
-    leaves, treedef = jax.tree.flatten(primals)
-    rates = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))
-    moving = [i for i, t in enumerate(rates) if not isinstance(t, SymbolicZero)]
-    if not moving:
-        return None
-
-    def restricted(*changed):
-        filled = list(leaves)
-        for i, x in zip(moving, changed, strict=True):
-            filled[i] = x
-        return f(*jax.tree.unflatten(treedef, filled))
-
-    at = tuple(leaves[i] for i in moving)
-    return jax.jvp(restricted, at, tuple(rates[i] for i in moving))[1]
+    return forward(given, q, v, tau)
 
 
 @algorithm("q", "v", "tau", "wrenches")

@@ -161,7 +161,7 @@ def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
         branches = [_walk(_open(b), out) for b in params["branches"]]
         needs = [any(used) for used in zip(*(b[1] for b in branches), strict=True)]
         return max((b[0] for b in branches), key=lambda c: c.total), [True, *needs]
-    for key in ("jaxpr", "call_jaxpr", "fun_jaxpr"):
+    for key in ("jaxpr", "call_jaxpr", "fun_jaxpr", "call"):
         inner = params.get(key)
         if inner is not None and len(_open(inner).invars) == len(eqn.invars):
             return _walk(_open(inner), out)

@@ -1,0 +1,85 @@
+"""How a batch runs: rules for `vmap` where lanes as long as the whole batch would be slow.
+
+On the CPU a lane of the whole batch outgrows the cache, so a large batch goes chunk by chunk
+(benchmarks/results/cpu-thresholds-*.json has the widths). On a GPU forward dynamics runs in a
+kernel (`forward`). Derivatives are those of the plain function.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.tracing import jvp_of
+
+#: samples that go together on the CPU
+CPU_CHUNK = 128
+
+
+def with_rule(f: Callable, rule: Callable) -> Callable:
+    """f, whose `vmap` is `rule(size, axes, *args)` with results batch first: each argument has its
+    batch first (0 in axes) or none (None). No reverse mode, which custom_vmap lacks."""
+    once = jax.custom_batching.custom_vmap(f)
+
+    @once.def_vmap
+    def _(size, batched, *args):
+        axes = jax.tree.map(lambda b: 0 if b else None, tuple(batched))
+        out = rule(size, axes, *args)
+        return out, jax.tree.map(lambda _: True, out)
+
+    return once
+
+
+def in_chunks(f: Callable[[list], Any]) -> Callable[[list], Any]:
+    """f, whose `vmap` on the CPU runs `CPU_CHUNK` samples at a time; derivatives are those of f."""
+    if jax.default_backend() != "cpu":
+        return f
+
+    def rule(size, axes, args):
+        return chunks(jax.vmap(f, in_axes=axes), args, axes[0], size)
+
+    chunked = jax.custom_jvp(with_rule(f, rule))
+
+    @functools.partial(chunked.defjvp, symbolic_zeros=True)
+    def _(primals, tangents):
+        out, rate = jvp_of(f, primals, tangents)
+        return out, jax.tree.map(jnp.zeros_like, out) if rate is None else rate
+
+    return chunked
+
+
+def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_axis: int = 0) -> Any:
+    """many(args) on slices of `CPU_CHUNK` samples, one after another; the last one is padded.
+
+    Args:
+        many: takes the arguments in the layout given, works on any number of samples.
+        args: arrays; the batch of each is at its place in `axes`, or it has none (None).
+        axes: 0, -1 or None each.
+        size: of the batch.
+        out_axis: where every result has its batch.
+    """
+    count = -(-size // CPU_CHUNK)
+    if count == 1:
+        return many(args)
+    padding = count * CPU_CHUNK - size
+
+    def split(x: jax.Array, axis: int) -> jax.Array:
+        x = jnp.moveaxis(x, axis, 0)
+        x = jnp.concatenate([x, jnp.repeat(x[-1:], padding, 0)]) if padding else x
+        return jnp.moveaxis(x.reshape(count, CPU_CHUNK, *x.shape[1:]), 1, axis if axis else 1)
+
+    def join(x: jax.Array) -> jax.Array:
+        x = jnp.moveaxis(x, out_axis if out_axis else 1, 1)
+        return jnp.moveaxis(x.reshape(count * CPU_CHUNK, *x.shape[2:])[:size], 0, out_axis)
+
+    slices = [split(x, a) for x, a in zip(args, axes, strict=True) if a is not None]
+
+    def run(some: list) -> Any:
+        rest = iter(some)
+        return many([x if a is None else next(rest) for x, a in zip(args, axes, strict=True)])
+
+    return jax.tree.map(join, jax.lax.map(run, slices))

@@ -1,0 +1,53 @@
+"""What is known while a program is traced, and what is not.
+
+A leaf of a model that is closed over is known: its zeros vanish from the program. Custom rules (of
+derivatives, of batches) turn all their arguments into tracers, so only what is traced anyway may be
+among them; `opened` parts the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
+
+
+def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
+    """The traced leaves of a pytree, and the function that puts others in their places."""
+    leaves, treedef = jax.tree.flatten(tree)
+    where = [i for i, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
+
+    def closed(moving: list) -> Any:
+        filled = list(leaves)
+        for i, x in zip(where, moving, strict=True):
+            filled[i] = x
+        return jax.tree.unflatten(treedef, filled)
+
+    return [leaves[i] for i in where], closed
+
+
+def staged() -> bool:
+    """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
+    a vmap or grad outside of any jit)."""
+    return isinstance(jnp.zeros(()), jax.core.Tracer)
+
+
+def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """f and its tangent, as `jax.jvp`, where tangents may be symbolic zeros: what does not move is
+    not differentiated. The tangent is None where nothing moves."""
+    leaves, treedef = jax.tree.flatten(primals)
+    rates = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))
+    moving = [i for i, t in enumerate(rates) if not isinstance(t, SymbolicZero)]
+
+    def restricted(*changed):
+        filled = list(leaves)
+        for i, x in zip(moving, changed, strict=True):
+            filled[i] = x
+        return f(*jax.tree.unflatten(treedef, filled))
+
+    if not moving:
+        return restricted(), None
+    return jax.jvp(restricted, [leaves[i] for i in moving], [rates[i] for i in moving])

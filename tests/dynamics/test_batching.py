@@ -1,0 +1,134 @@
+"""A batch beyond one chunk against one sample after another, under every order of transformations;
+and the GPU's rule, with the kernel in Pallas's interpreter."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.dynamics import batching, kernel
+from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
+
+MODEL = rb.load("cart_pole")
+SIZE = 2 * batching.CPU_CHUNK + 3
+SOME = np.array([0, 1, batching.CPU_CHUNK - 1, batching.CPU_CHUNK, SIZE - 1])
+
+
+@pytest.fixture(scope="module")
+def given() -> tuple[jax.Array, jax.Array, jax.Array]:
+    rng = np.random.default_rng(0)
+    return tuple(jnp.asarray(rng.normal(size=(SIZE, 2))) for _ in range(3))
+
+
+def fd(model, q, v, tau):
+    return rb.forward_dynamics(model, q, v, tau)
+
+
+def loop(f, *xs):
+    return np.stack([np.asarray(f(*(x[i] for x in xs))) for i in SOME])
+
+
+def test_chunks_are_the_samples(given):
+    run = functools.partial(fd, MODEL)
+    mapped = jax.jit(jax.vmap(run))
+    assert relative_error(mapped(*given)[SOME], loop(run, *given)) <= F64_TRANSFORM
+    loops = jax.make_jaxpr(mapped)(*given).pretty_print().count("scan[")
+    assert loops == 1, "a batch of three chunks should be a loop"
+    small = jax.make_jaxpr(mapped)(*(x[: batching.CPU_CHUNK] for x in given)).pretty_print()
+    assert "scan[" not in small, "one chunk needs no loop"
+
+
+def test_what_is_not_batched_is_given_whole(given):
+    q, v, tau = given
+    one = jax.jit(jax.vmap(lambda q: fd(MODEL, q, v[0], tau[0])))(q)
+    assert relative_error(one[SOME], loop(lambda q: fd(MODEL, q, v[0], tau[0]), q)) <= F64_TRANSFORM
+
+
+def test_a_batch_of_robots(given):
+    masses = np.asarray(MODEL.bodies.mass) * np.linspace(0.5, 2, SIZE)[:, None]
+
+    def run(mass, q, v, tau):
+        return fd(MODEL.replace(bodies=MODEL.bodies.replace(mass=mass)), q, v, tau)
+
+    mapped = jax.jit(jax.vmap(run))(masses, *given)
+    assert relative_error(mapped[SOME], loop(run, masses, *given)) <= F64_TRANSFORM
+
+
+def test_a_batch_of_batches(given):
+    nested = [x[: SIZE - 1].reshape(-1, 2, 2).swapaxes(0, 1) for x in given]  # (2, 129, 2)
+    run = functools.partial(fd, MODEL)
+    mapped = jax.jit(jax.vmap(jax.vmap(run)))(*nested)
+    want = jax.jit(jax.vmap(run))(*(x.swapaxes(0, 1).reshape(-1, 2) for x in nested))
+    assert relative_error(mapped.swapaxes(0, 1).reshape(-1, 2), want) <= F64_TRANSFORM
+
+
+def test_derivatives_inside_and_outside_of_the_batch(given):
+    """grad under vmap, vmap under grad, forward mode, and the derivative of a derivative."""
+    q, v, tau = given
+
+    def energy(q, v, tau):
+        return (fd(MODEL, q, v, tau) ** 2).sum()
+
+    @jax.jit
+    def every(q):
+        inside = jax.vmap(jax.grad(energy))(q, v, tau)
+        outside = jax.grad(lambda q: jax.vmap(energy)(q, v, tau).sum())(q)
+        forward = jax.vmap(jax.jacfwd(energy))(q, v, tau)
+        twice = jax.vmap(jax.hessian(energy))(q, v, tau)
+        return inside, outside, forward, twice
+
+    inside, outside, forward, twice = every(q)
+    assert relative_error(outside, inside) <= F64_IDENTITY
+    assert relative_error(forward, inside) <= F64_IDENTITY
+    step = 1e-5
+    change = every(q + step * jnp.array([0.0, 1.0]))[0] - every(q - step * jnp.array([0.0, 1.0]))[0]
+    assert relative_error(twice[:, :, 1], change / (2 * step)) <= 1e-7
+
+
+def test_outside_of_jit_nothing_compiles_twice(given):
+    """A vmap or a grad of the door runs one compiled program, the same one the next time."""
+    run = functools.partial(fd, MODEL)
+    first = jax.vmap(run)(*given)
+    slope = jax.grad(lambda q: run(q, given[1][0], given[2][0]).sum())
+    slope(given[0][0])
+    compiled: list[str] = []
+
+    def listen(event: str, *_: object, **__: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        again = jax.vmap(run)(*given)
+        slope(given[0][1])
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert not compiled
+    assert relative_error(again, first) <= F64_TRANSFORM
+
+
+def test_on_a_gpu_a_batch_in_f32_runs_in_the_kernel(given, monkeypatch):
+    single = [x[:5].astype(jnp.float32) for x in given]
+    run = functools.partial(fd, MODEL)
+    want = jax.jit(jax.vmap(run))(*single)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(kernel, "INTERPRET", True)
+
+    def program(f, *xs):
+        return jax.make_jaxpr(f)(*xs).pretty_print()
+
+    assert "pallas_call" in program(jax.vmap(run), *single)
+    assert "pallas_call" not in program(jax.vmap(run), *(x.astype(jnp.float64) for x in single))
+    assert "pallas_call" not in program(run, *(x[0] for x in single))
+    got = jax.jit(jax.vmap(run))(*single)
+    np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-4)
+
+    def shared(q):
+        return jax.vmap(lambda v: fd(MODEL, q, v, single[2][0]))(single[1])
+
+    np.testing.assert_allclose(jax.jit(shared)(single[0][0])[0], got[0], rtol=1e-4, atol=1e-4)
+    back = jax.jit(jax.grad(lambda q: jax.vmap(run)(q, *single[1:]).sum()))(single[0])
+    assert np.isfinite(back).all()
