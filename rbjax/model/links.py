@@ -241,7 +241,7 @@ def _snap(x: np.ndarray) -> np.ndarray:
 
 def _snap_relative(x: np.ndarray) -> np.ndarray:
     """Zero where an entry is rounding of the largest of its row."""
-    rows = np.abs(x).reshape(len(x), -1).max(-1, initial=0.0)
+    rows = np.abs(x).max(axis=tuple(range(1, x.ndim)), initial=0.0)
     return np.where(np.abs(x) < SNAP * rows.reshape(-1, *(1,) * (x.ndim - 1)), 0.0, x)
 
 
