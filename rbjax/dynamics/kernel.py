@@ -19,7 +19,11 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
 from rbjax.dynamics.aba import aba
-from rbjax.dynamics.kernel_drivers import SLOT, KernelRolled, KernelUnrolled, Memory, layout
+from rbjax.dynamics.kernel_aba import accelerations
+from rbjax.dynamics.kernel_drivers import (
+    SLOT, Cell, KernelRolled, KernelUnrolled, Memory, base_links, is_plain, layout,
+    slots,
+)  # fmt: skip
 from rbjax.dynamics.kernel_numbers import Numbers, numbers
 from rbjax.lanes import Vec3
 from rbjax.materialize import inside_a_kernel
@@ -98,7 +102,7 @@ def launch(
         return jnp.concatenate([x, jnp.repeat(x[..., -1:], padded - size, -1)], -1)
 
     known = numbers(model, dtype, dynamic=how.driver == "rolled")
-    index = jnp.asarray(layout(model.topology)[2])
+    index = jnp.asarray(layout(model.topology, model.actuators.joints))
     shapes = [jax.ShapeDtypeStruct((*s[:-1], padded), dtype) for s in outputs]
     shapes.append(jax.ShapeDtypeStruct((max(rows, 1), programs * how.block), dtype))
     count = len(inputs)
@@ -140,10 +144,14 @@ def driver(block: Block, memory: Memory) -> KernelUnrolled | KernelRolled:
 
 
 def scratch_rows(model: Model, how: Plan, per_link: int) -> int:
-    """Rows of scratch: `per_link` for each link, and slots at branch points."""
+    """Rows of scratch: `per_link` for each link, more where joints differ in kind, and slots at
+    branch points."""
     if how.driver == "unrolled":
         return 1
-    return per_link * model.nv + SLOT * layout(model.topology)[1]
+    top = model.topology
+    plain = all(is_plain(link) for link in top.links[base_links(top) :])
+    per_link += 0 if plain else 24
+    return per_link * model.nv + SLOT * slots(top)[0] + 24
 
 
 def forward_dynamics(
@@ -161,11 +169,11 @@ def forward_dynamics(
             for i, x in enumerate(qdd):
                 outs[0][i, block.columns] = x
             return
-        joints = d.joints(qs, vs)
-        qdd, _ = aba(d, joints, d.column(taus), block.gravity)
+        joints = d.joints(qs, Cell(read=vs))
+        qdd = accelerations(d, joints, Cell(read=taus), block.gravity)
         d.write(qdd, functools.partial(_write, outs[0], block.columns))
 
-    return launch(body, model, how, [q, v, tau], [tau.shape], scratch_rows(model, how, 32))[0]
+    return launch(body, model, how, [q, v, tau], [tau.shape], scratch_rows(model, how, 24))[0]
 
 
 def _read(ref: Any, columns: Any, i: Any) -> jax.Array:

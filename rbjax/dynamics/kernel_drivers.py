@@ -4,7 +4,11 @@
 - `KernelRolled` is a loop over the links. A link's lanes wait in rows of `memory`, an extra output
   that the kernel uses as scratch; constants and parents are read by index. What a step hands on
   unchanged is not written again, and transforms are computed again rather than kept: the loop is
-  bound by its traffic. Links of a floating base come first and are written out (the *head*).
+  bound by its traffic. A floating base is no link of the loop but its root (`kernel_base`).
+
+Triton's time to compile grows with the square of the operations written out and with the accesses
+to memory (its coalescing pass walks the whole data flow around each of them), so whatever grows
+with the tree is a loop.
 """
 
 from __future__ import annotations
@@ -19,19 +23,22 @@ from jax.experimental import pallas as pl
 
 from rbjax.dynamics.drivers import Unrolled, allocate_slots
 from rbjax.dynamics.joints import JointMotion, joint_lanes
+from rbjax.dynamics.kernel_base import FloatingBase
 from rbjax.dynamics.kernel_numbers import Numbers
-from rbjax.lanes import Lane, Vec3, add, as_arrays, is_literal, rotation_z
+from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal, rotation_z
 from rbjax.materialize import sincos
-from rbjax.model import WORLD, LinkConstants
+from rbjax.model import WORLD, LinkConstants, Topology
 from rbjax.spatial import Motion, Transform
 
 #: rows of a slot: the widest message
 SLOT = 33
-_HINGE = Motion(Vec3(0.0, 0.0, 1.0), Vec3.zero())
+HINGE = Motion(Vec3(0.0, 0.0, 1.0), Vec3.zero())
 
 
 class KernelUnrolled(Unrolled):
     """`Unrolled` on lists of lanes."""
+
+    base = None
 
     def __init__(self, known: Numbers):
         self.topology, self.prepared = known.model.topology, known.prepared
@@ -66,28 +73,25 @@ class Memory:
     def write(self, row: Any, x: Lane) -> None:
         self.ref[row, self.columns] = as_arrays(x, self.like)
 
+    def keep(self, tree: Any) -> Callable[[], Any]:
+        """Put the lanes aside; the result reads them back."""
+        leaves, treedef = jax.tree.flatten(tree)
+        start = self.take(len(leaves))
+        for k, x in enumerate(leaves):
+            self.write(start + k, x)
+        return lambda: jax.tree.unflatten(
+            treedef, [self.read(start + k) for k in range(len(leaves))]
+        )
+
 
 class Cell:
-    """Where a lane of a per-link value is: a literal, a row, or a lane of the joint itself."""
+    """Where a lane of a per-link value is: a literal, row + i, a function of i, a lane of the
+    joint's pose."""
 
-    def __init__(self, literal: Any = None, row: int | None = None, joint: int | None = None):
-        self.literal, self.row, self.joint = literal, row, joint
-
-
-class Values:
-    """A per-link value: cells for each link of the head, and cells by index for the others."""
-
-    def __init__(self, head: list[Any], body: Any):
-        self.head, self.body = head, body
-
-    def cells(self, i: int | None) -> Any:
-        return self.body if i is None else self.head[i]
-
-    def __iter__(self):
-        every = [*self.head, self.body] if self.body is not None else self.head
-        for part in zip(*every, strict=True):
-            head = list(part[: len(self.head)])
-            yield Values(head, part[-1] if self.body is not None else None)
+    def __init__(
+        self, literal: Any = None, row: Any = None, read: Any = None, joint: int | None = None
+    ):
+        self.literal, self.row, self.read, self.joint = literal, row, read, joint
 
 
 class _Constants:
@@ -101,28 +105,28 @@ class _Joints:
 class PosedJoint(JointMotion):
     """A joint motion that gives the link's pose without computing it twice."""
 
+    pose: Transform
+    #: cosine, sine and speed of a hinge; None where joints differ in kind
+    hinge: tuple[Lane, Lane, Lane] | None
+
     def transform(self, link: LinkConstants) -> Transform:
-        return self.pose  # type: ignore[attr-defined]
+        return self.pose
 
 
 class Visit:
     """One link while a step runs on it: what has been read, and where it came from."""
 
-    def __init__(self, d: KernelRolled, i: Any, static: int | None):
-        self.d, self.i, self.static = d, i, static
+    def __init__(self, d: KernelRolled, i: Any):
+        self.d, self.i = d, i
         self.source: dict[int, Cell] = {}
         self._constants: Any = None
         self._joint: Any = None
-        self._rows: dict[int, jax.Array] = {}
+        self._read: dict[int, jax.Array] = {}
         self._hold: list[Any] = []
 
     def constants(self) -> LinkConstants:
         if self._constants is None:
-            columns = self.d.columns
-            if self.static is not None:
-                self._constants = self.d.prepared.link(self.static)()
-            else:
-                self._constants = jax.tree.map(self._number, columns)
+            self._constants = jax.tree.map(self._number, self.d.columns)
         return self._constants
 
     def _number(self, column: Any) -> Lane:
@@ -130,17 +134,15 @@ class Visit:
 
     def joint(self) -> PosedJoint:
         if self._joint is None:
-            link, cells = self.constants(), self.d.motions.cells(self.static)
-            if self.static is None:
-                c, s, qd = self.load(cells)
-                motion = JointMotion(rotation_z(c, s), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
-            else:
-                motion = self.load(cells)
+            motion = self.load(self.d.motions)
+            hinge = None
+            if isinstance(motion, tuple):
+                c, s, qd = hinge = motion
+                motion = JointMotion(rotation_z(c, s), 0.0, HINGE, Vec3(0.0, 0.0, qd), qd)
             posed = PosedJoint(motion.J, motion.slide, motion.S, motion.rate, motion.qd)
-            pose = JointMotion.transform(motion, link)
+            pose = JointMotion.transform(motion, self.constants())
             object.__setattr__(posed, "pose", pose)
-            if self.static is None:
-                object.__setattr__(posed, "hinge", (c, s, qd))
+            object.__setattr__(posed, "hinge", hinge)
             self._joint = posed
             for k, x in enumerate(jax.tree.leaves(pose)):
                 if not is_literal(x):
@@ -158,13 +160,13 @@ class Visit:
             return self.joint()
         if cell.joint is not None:
             return jax.tree.leaves(self.joint().pose)[cell.joint]
-        if cell.row is None:
+        if cell.row is None and cell.read is None:
             return cell.literal
-        if cell.row not in self._rows:
-            x = self.d.memory.read(cell.row if self.static is not None else cell.row + self.i)
-            self._rows[cell.row] = x
+        if id(cell) not in self._read:
+            x = cell.read(self.i) if cell.row is None else self.d.memory.read(cell.row + self.i)
+            self._read[id(cell)] = x
             self.source[id(x)] = cell
-        return self._rows[cell.row]
+        return self._read[id(cell)]
 
     def store(self, tree: Any) -> Any:
         """Cells that hold the lanes from now on; only what is new is written."""
@@ -175,9 +177,9 @@ class Visit:
             return Cell(literal=x)
         if id(x) in self.source:
             return self.source[id(x)]
-        d = self.d
-        row = d.memory.take(1) if self.static is not None else d.memory.take(d.size) - d.head
-        d.memory.write(row if self.static is not None else row + self.i, x)
+        memory = self.d.memory
+        row = memory.take(self.d.topology.nv)
+        memory.write(row + self.i, x)
         self._hold.append(x)
         self.source[id(x)] = cell = Cell(row=row)
         return cell
@@ -188,75 +190,94 @@ def _special(x: Any) -> bool:
 
 
 class KernelRolled:
-    """A loop over the links, after a head that is written out."""
+    """A loop over the links. Per-link values are pytrees of cells."""
 
     def __init__(self, known: Numbers, memory: Memory, index: Any):
         self.topology, self.prepared, self.memory = known.model.topology, known.prepared, memory
         self.columns, self.index = known.prepared.columns, index
-        self.head, self.slots, _ = layout(self.topology)
-        self.size = self.topology.nv - self.head
+        self.first = base_links(self.topology)
+        self.slots, self.slot_of = slots(self.topology)
+        self.plain = all(is_plain(link) for link in self.topology.links[self.first :])
         self.slot_start = memory.take(SLOT * self.slots)
-        self.constants = Values([_Constants()] * self.head, _Constants())
-        self.motions: Values = Values([], None)
+        self.constants, self.motions = _Constants(), None
+        #: what arrived at the root on the last way in; the floating base, if any
+        self.arrived: Any = None
+        self.base: FloatingBase | None = None
 
     # -- joints and plain arrays over the links -------------------------------------------------
 
-    def joints(self, q: Callable, v: Callable, v_row: int | None = None) -> Values:
-        """The joint motions; q and v read a coordinate by its index, or v is in rows already."""
-        top, n, qs, vs = self.topology, self.head, _Lookup(q), _Lookup(v)
-        head = []
-        for i in range(n):
-            visit = Visit(self, i, i)
-            motion = joint_lanes(top.links[i], visit.constants(), qs, vs, i)
-            head.append(visit.store(motion))
-        rows = [self.memory.take(self.size) - n for _ in range(2 if v_row is not None else 3)]
+    def joints(self, q: Callable, v: Cell) -> _Joints:
+        """The joint motions; q reads a coordinate by its index, v a link's speed."""
+        start = self.memory.take(2 * self.topology.nv)
+        rows = [start, start + self.topology.nv]
 
         def body(i, _):
-            visit = Visit(self, i, None)
-            angle = q(self.index[1, i])
-            reference = visit.constants().reference
+            angle = q(self.index[Q, i])
+            reference = Visit(self, i).constants().reference
             c, s = sincos(angle if is_literal(reference) and not reference else angle - reference)
             self.memory.write(rows[0] + i, c)
             self.memory.write(rows[1] + i, s)
-            if v_row is None:
-                self.memory.write(rows[2] + i, v(i))
             return 0
 
-        _loop(body, 0, n, top.nv)
-        if v_row is not None:
-            rows.append(v_row)
-        self.motions = Values(head, tuple(Cell(row=row) for row in rows))
-        return Values([_Joints()] * n, _Joints())
+        loop(body, 0, self.first, self.topology.nv)
+        if self.first:
+            self.base = FloatingBase(self.prepared, q, lambda i: self.at(v, i))
+        self.motions = (Cell(row=rows[0]), Cell(row=rows[1]), v)
+        if not self.plain:
+            self.motions = self._kinds(q, v, *self.motions[:2])
+        return _Joints()
 
-    def column(self, read: Callable[[Any], jax.Array]) -> Values:
-        """Lanes that are read by index, as a per-link value."""
-        start = self.memory.take(self.topology.nv)
-        _loop(lambda i, _: (self.memory.write(start + i, read(i)), 0)[1], 0, 0, self.topology.nv)
-        return self.rows(start)
+    def _kinds(self, q: Callable, v: Cell, c: Cell, s: Cell) -> JointMotion:
+        """Joint motions where joints differ in kind, 14 rows a link: hinges by the loop, what is
+        no hinge one by one."""
+        top, memory = self.topology, self.memory
+        shape = JointMotion(Mat3(*range(9)), 9, HINGE, Vec3(*range(10, 13)), 13)
+        rows = [memory.take(top.nv) for _ in range(14)]
 
-    def write(self, values: Values, to: Callable[[Any, Lane], None]) -> None:
+        def write(i, motion):
+            lanes = [*motion.J, motion.slide, *motion.rate, motion.qd]
+            for row, x in zip(rows, lanes, strict=True):
+                memory.write(row + i, x)
+
+        def body(i, _):
+            cosine, sine, qd = Visit(self, i).load((c, s, v))
+            J = rotation_z(cosine, sine)
+            write(i, JointMotion(J, 0.0, HINGE, Vec3(0.0, 0.0, qd), qd))
+            return 0
+
+        loop(body, 0, self.first, top.nv)
+        qs, vs = _Lookup(q), _Lookup(lambda i: self.at(v, i))
+        for i in range(self.first, top.nv):
+            if not is_plain(top.links[i]):
+                write(i, joint_lanes(top.links[i], self.prepared.link(i)(), qs, vs, i))
+
+        def turns(i):
+            return self.index[TURNS, i].astype(memory.like.dtype)
+
+        cells = jax.tree.map(lambda k: Cell(row=rows[int(k)]), shape)
+        axis = Motion(
+            Vec3(*map(Cell, (0.0, 0.0)), Cell(read=turns)),
+            Vec3(*map(Cell, (0.0, 0.0)), Cell(read=lambda i: 1.0 - turns(i))),
+        )
+        return JointMotion(cells.J, cells.slide, axis, cells.rate, cells.qd)
+
+    def write(self, cell: Cell, to: Callable[[Any, Lane], None]) -> None:
         """Hand every link's lane to `to(i, lane)`."""
-        for i in range(self.head):
-            to(i, self.read(values, i))
-        body = values.body
-        if self.size and body.row is not None:
-            n, nv = self.head, self.topology.nv
-            _loop(lambda i, _: (to(i, self.memory.read(body.row + i)), 0)[1], 0, n, nv)
+        loop(lambda i, _: (to(i, self.memory.read(cell.row + i)), 0)[1], 0, 0, self.topology.nv)
 
-    def rows(self, start: int) -> Values:
-        """Rows start, start + 1, ... as a per-link value."""
-        return Values([Cell(row=start + i) for i in range(self.head)], Cell(row=start))
+    def at(self, cells: Any, i: int) -> Any:
+        """One link's lanes."""
+        return Visit(self, i).load(cells)
 
-    def read(self, values: Values, i: int) -> Lane:
-        """One link's lane, for a known link."""
-        cell = values.head[i] if i < self.head else values.body
-        if cell.row is None:
-            return cell.literal
-        return self.memory.read(cell.row if i < self.head else cell.row + i)
+    def joined(self, base: list[Lane], cell: Cell | None) -> Cell:
+        """A lane of the links of the loop, with the base's six before it."""
+        cell = cell or Cell(row=self.memory.take(self.topology.nv))
+        for k, x in enumerate(base):
+            self.memory.write(cell.row + k, x)
+        return cell
 
-    def zip(self, *values: Values) -> Values:
-        heads = [tuple(v.head[i] for v in values) for i in range(self.head)]
-        return Values(heads, tuple(v.body for v in values))
+    def zip(self, *values: Any) -> tuple:
+        return values
 
     # -- recursions -----------------------------------------------------------------------------
 
@@ -275,36 +296,28 @@ class KernelRolled:
         found = [self.memory.read(self._slot(k) + n) for n in range(len(leaves))]
         return jax.tree.unflatten(treedef, found)
 
-    def outward(self, step: Callable, root: Any, xs: Values) -> Values:
-        """carry_i, y_i = step(x_i, carry of the parent)."""
-        top, n = self.topology, self.head
-        slot_of = allocate_slots(top.parents)[1]
+    def outward(self, step: Callable, root: Any, xs: Any) -> Any:
+        """carry_i, y_i = step(x_i, carry of the parent); root is the carry of the base."""
         root = self._arrays(root)
-        if WORLD in slot_of:
-            self._write_slot(slot_of[WORLD], root)
-        carries, head = [], []
-        for i in range(n):
-            visit = Visit(self, i, i)
-            before = root if top.parents[i] == WORLD else carries[top.parents[i]]
-            own, y = step(visit.load(xs.head[i]), before)
-            head.append(visit.store(y))
-            carries.append(self._arrays(own))
-            if i in slot_of:
-                self._write_slot(slot_of[i], carries[-1])
+        waiting = self.slot_of.get(self.first - 1 if self.first else WORLD)
+        if waiting is not None:
+            self._write_slot(waiting, root)
+        if self.first:  # its first limb, too, reads the slot: shorter data flow for Triton to walk
+            root = jax.tree.map(jnp.zeros_like, root)
         out: dict[str, Any] = {}
 
         def body(i, before):
-            visit = Visit(self, i, None)
+            visit = Visit(self, i)
             if self.slots:
-                source = self.index[2, i]
+                source = self.index[SOURCE, i]
                 before = jax.lax.cond(
                     source >= 0, lambda: self._read_slot(source, before), lambda: before
                 )
-            own, y = step(visit.load(xs.body), before)
+            own, y = step(visit.load(xs), before)
             own = self._arrays(own)
             out["y"] = visit.store(y)
             if self.slots:
-                keep = self.index[3, i]
+                keep = self.index[KEEP, i]
 
                 @pl.when(keep >= 0)
                 def _():
@@ -312,32 +325,31 @@ class KernelRolled:
 
             return own
 
-        _loop(body, carries[-1] if n else root, n, top.nv)
-        return Values(head, out.get("y"))
+        loop(body, root, self.first, self.topology.nv)
+        return out.get("y")
 
-    def inward(self, step: Callable, zero: Any, xs: Values) -> Values:
+    def inward(self, step: Callable, zero: Any, xs: Any) -> Any:
         """message_i, y_i = step(x_i, sum of the children's messages)."""
-        top, n = self.topology, self.head
-        slot_of = allocate_slots(top.parents)[1]
+        last = self.topology.nv - 1
         nothing = self._arrays(zero)
         out: dict[str, Any] = {}
 
         def body(k, carry):
-            i = top.nv - 1 - k
-            visit = Visit(self, i, None)
+            i = last - k
+            visit = Visit(self, i)
             total = carry
             if self.slots:
-                keep = self.index[3, i]
+                keep = self.index[KEEP, i]
                 waiting = jax.lax.cond(
                     keep >= 0, lambda: self._read_slot(keep, carry), lambda: nothing
                 )
                 total = jax.tree.map(add, carry, waiting)
-            message, y = step(visit.load(xs.body), total)
+            message, y = step(visit.load(xs), total)
             message = self._arrays(message)
             out["y"] = visit.store(y)
             if not self.slots:
                 return message
-            target, first = self.index[4, i], self.index[5, i]
+            target, first = self.index[TARGET, i], self.index[FIRST, i]
 
             @pl.when(target >= 0)
             def _():
@@ -347,25 +359,15 @@ class KernelRolled:
 
             return jax.tree.map(lambda x: jnp.where(target == -1, x, 0.0), message)
 
-        carry = _loop(body, nothing, 0, self.size)
-        sums = [zero] * n
-        if n and top.nv > n and top.parents[n] == n - 1:
-            sums[n - 1] = carry
-        head: list[Any] = [None] * n
-        for i in reversed(range(n)):
-            visit = Visit(self, i, i)
-            total = sums[i]
-            if i in slot_of and any(p == i for p in top.parents[max(n, i + 2) :]):
-                total = jax.tree.map(add, total, self._read_slot(slot_of[i], nothing))
-            message, y = step(visit.load(xs.head[i]), total)
-            head[i] = visit.store(y)
-            if top.parents[i] != WORLD:
-                parent = top.parents[i]
-                sums[parent] = jax.tree.map(add, sums[parent], message)
-        return Values(head, out.get("y"))
+        loop(body, nothing, 0, last + 1 - self.first)
+        if self.first:
+            limbs = last + 1 > self.first
+            self.arrived = self._read_slot(self.slot_of[5], nothing) if limbs else nothing
+        return out.get("y")
 
 
-def _loop(body: Callable, carry: Any, start: int, stop: int) -> Any:
+def loop(body: Callable, carry: Any, start: int, stop: int) -> Any:
+    """`fori_loop`, or nothing."""
     return carry if start == stop else jax.lax.fori_loop(start, stop, body, carry)
 
 
@@ -381,14 +383,36 @@ class _Lookup:
         return self.read(i)
 
 
-def layout(top: Any) -> tuple[int, int, np.ndarray]:
-    """Links of the head, slots, and rows by link: parent, q, source, keep, target, first."""
-    links, parents = top.links, np.array(top.parents)
-    plain = [link.kind == "hinge" and link.part is None for link in links]
-    head = max((i + 1 for i, p in enumerate(plain) if not p), default=0)
-    slots, slot_of = allocate_slots(top.parents)
+def is_plain(link: Any) -> bool:
+    """A hinge of its own."""
+    return link.kind == "hinge" and link.part is None
+
+
+def base_links(top: Topology) -> int:
+    """6 where a free joint carries all the rest, else 0."""
+    free = top.nv >= 6 and top.joint_kinds[top.links[0].joint] == "free"
+    return 6 if free and WORLD not in top.parents[1:] else 0
+
+
+def slots(top: Topology) -> tuple[int, dict[int, int]]:
+    """`allocate_slots`, and always one for a floating base."""
+    count, slot_of = allocate_slots(top.parents)
+    if base_links(top) and 5 not in slot_of:
+        return count + 1, slot_of | {5: count}
+    return count, slot_of
+
+
+# rows by link of what `layout` gives
+Q, SOURCE, KEEP, TARGET, FIRST, TURNS, JOINT, ACTUATOR, SINGLE = range(9)
+
+
+def layout(top: Topology, actuated: tuple[int, ...] = ()) -> np.ndarray:
+    """Integers by link: its place in q, slots, whether it turns, its joint and its actuator; and
+    the links of `single_links`."""
+    links, parents, slot_of = top.links, np.array(top.parents), slots(top)[1]
     n = len(parents)
     chained = parents == np.arange(n) - 1
+    chained[base_links(top) :][:1] &= base_links(top) == 0
     source = np.where(chained, -1, [slot_of.get(p, -1) for p in top.parents])
     keep = np.array([slot_of.get(i, -1) for i in range(n)])
     target = np.where(parents == WORLD, -2, source)
@@ -397,4 +421,16 @@ def layout(top: Any) -> tuple[int, int, np.ndarray]:
         if target[i] >= 0 and not any(top.parents[k] == top.parents[i] for k in range(i + 1, n)):
             first[i] = 1
     q = np.array([0 if link.q is None else link.q for link in links])
-    return head, slots, np.stack([parents, q, source, keep, target, first]).astype(np.int32)
+    turns = np.array([link.kind == "hinge" for link in links])
+    joint = np.array([link.joint for link in links])
+    actuator = np.array([actuated.index(j) if j in actuated else -1 for j in joint])
+    single = np.zeros(n, int)
+    single[: len(single_links(top, actuated))] = single_links(top, actuated)
+    rows = [q, source, keep, target, first, turns, joint, actuator, single]
+    return np.stack(rows).astype(np.int32)
+
+
+def single_links(top: Topology, actuated: tuple[int, ...]) -> list[int]:
+    """Links whose coordinate is a joint of its own, with one actuator at most."""
+    links = enumerate(top.links)
+    return [i for i, link in links if link.part is None and actuated.count(link.joint) <= 1]

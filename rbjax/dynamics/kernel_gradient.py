@@ -1,14 +1,7 @@
 """The reverse gradient of a rollout, in one kernel that walks the steps backwards.
 
-With a = FD(q, v, tau), ID(q, v, a) = tau. For a cotangent y of a the cotangent of tau is
-b = M^-1 y, and those of q and v are b's product with -d ID(q, v, a) / d(q, v). So a step takes
-
-    outward   angular velocities
-    inward    articulated inertias; bias forces for tau and, at rest, for y
-    outward   accelerations a, and b with the accelerations that b alone would cause
-    inward    the transposed step of RNEA, whose cotangents of forces are those accelerations
-
-and no ABA is differentiated (Carpentier & Mansard 2018, transposed).
+A step's cotangents are those of motion (q+ = q (+) dt v+), of forward dynamics (`kernel_aba.pull`)
+and of the model's own forces, in this order.
 """
 
 from __future__ import annotations
@@ -20,110 +13,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
+from jax.experimental import pallas as pl
 
-from rbjax.dynamics.aba import bias_force, eliminate, swing
-from rbjax.dynamics.joints import JointMotion, joint_lanes
+from rbjax.dynamics.joints import joint_lanes
 from rbjax.dynamics.kernel import Block, Plan, driver, launch, scratch_rows
-from rbjax.dynamics.kernel_drivers import _HINGE, KernelUnrolled, Memory
-from rbjax.dynamics.kernel_rollout import controls, forces, march
+from rbjax.dynamics.kernel_aba import pull
+from rbjax.dynamics.kernel_base import quaternion_cotangent
+from rbjax.dynamics.kernel_between import Between
+from rbjax.dynamics.kernel_drivers import Cell, KernelRolled, Memory, Q, is_plain, loop
+from rbjax.dynamics.kernel_rollout import Controls, every, forces, march
 from rbjax.dynamics.manifold import integrate_lanes
-from rbjax.lanes import Vec3, as_arrays, is_literal, mul, rotation_z, sub
+from rbjax.lanes import Vec3, as_arrays, is_literal
 from rbjax.model import Model
-from rbjax.spatial import ArticulatedInertia, Force, Motion
-
-
-def pull(d: Any, joints: Any, tau: Any, y: Any, gravity: Vec3, like: jax.Array) -> tuple[Any, Any]:
-    """b = M^-1 y per link, and per link the cotangents of its joint motion (see `_opened`)."""
-
-    def spin(x, w_parent):
-        w, moved = swing(x, w_parent)
-        return w, (moved, w_parent)
-
-    swings = d.outward(spin, Vec3.zero(), d.zip(d.constants, joints))
-
-    def inward(x, message):
-        link, joint, (motion, w_parent), tau, y = x
-        p = bias_force(link.inertia, motion.w) + message[1]
-        I_a, factor = eliminate(link, joint.S, motion.X, link.inertia.articulated() + message[0])
-        u = mul(sub(tau, joint.S.dot(p)), factor.inverse_D)
-        z = mul(sub(y, joint.S.dot(message[2])), factor.inverse_D)
-        p = p + I_a(motion.c) + factor.U * u
-        rest = message[2] + factor.U * z
-        V = factor.U * factor.inverse_D
-        X = motion.X
-        return (X.articulated_to_parent(I_a), X.T(p), X.T(rest)), (X, V, u, z, motion.c, w_parent)
-
-    zero = (ArticulatedInertia.zero(), Force.zero(), Force.zero())
-    ys = d.inward(inward, zero, d.zip(d.constants, joints, swings, tau, y))
-
-    def outward(x, parent):
-        joint, (X, V, u, z, c, w_parent) = x
-        a, e = X(parent[0]) + c, X(parent[1])
-        qdd, b = sub(u, V.dot(a)), sub(z, V.dot(e))
-        return (a + joint.S * qdd, e + joint.S * b), (qdd, b, w_parent, *parent)
-
-    root = (Motion(Vec3.zero(), -gravity), Motion.zero())
-    found = d.outward(outward, root, d.zip(joints, ys))
-
-    def transposed(x, message):
-        link, joint, (qdd, b, w_parent, a_parent, e_parent) = x
-        children, w_bar, a_bar = message
-        raw, build = _opened(joint, like)
-
-        def local(raw, w_parent, a_parent):
-            joint = build(raw)
-            w, moved = swing((link, joint), w_parent)
-            a = moved.X(a_parent) + moved.c + joint.S * qdd
-            f = link.inertia(a) + bias_force(link.inertia, w) + children
-            return as_arrays((w, a, moved.X.T(f), joint.S.dot(f)), like)
-
-        given = as_arrays((raw, w_parent, a_parent), like)
-        (_, _, f, _), back = jax.vjp(local, *given)
-        force_bar = Force(-e_parent.ang, -e_parent.lin)
-        bars = as_arrays((w_bar, a_bar, force_bar, -b), like)
-        raw_bar, w_bar, a_bar = back(bars)
-        return (f, w_bar, a_bar), (tuple(raw_bar), b)
-
-    zero = (Force.zero(), Vec3.zero(), Motion.zero())
-    out = d.inward(transposed, zero, d.zip(d.constants, joints, found))
-    if isinstance(out, list):
-        return [b for _, b in out], [raw for raw, _ in out]
-    raw, b = out
-    return b, raw
-
-
-def _opened(joint: JointMotion, like: jax.Array) -> tuple[list, Any]:
-    """The lanes of a joint motion that vary, and the way back. A plain hinge met by index varies
-    by a small turn and by its speed; any other joint by all lanes that are not literal."""
-    hinge = getattr(joint, "hinge", None)
-    if hinge is not None:
-        c, s, qd = hinge
-
-        def turned(raw):
-            e, qd = raw
-            J = rotation_z(c - s * e, s + c * e)
-            return JointMotion(J, 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
-
-        return [jnp.zeros_like(like), qd], turned
-    plain = JointMotion(joint.J, joint.slide, joint.S, joint.rate, joint.qd)
-    leaves, treedef = jax.tree.flatten(plain)
-
-    def built(raw):
-        rest = iter(raw)
-        return jax.tree.unflatten(treedef, [x if is_literal(x) else next(rest) for x in leaves])
-
-    return [x for x in leaves if not is_literal(x)], built
-
-
-def _closed(d: Any, known: Any, i: int, q: list, v: list, raw: tuple) -> tuple[list, list]:
-    """Cotangents of all q and v from those of joint i's varying lanes."""
-    constants = known.prepared.link(i)()
-
-    def lanes(q, v):
-        leaves = jax.tree.leaves(joint_lanes(d.topology.links[i], constants, q, v, i))
-        return [x for x in leaves if not is_literal(x)]
-
-    return jax.vjp(lanes, q, v)[1](list(raw))
 
 
 def rollout(
@@ -190,101 +91,249 @@ def backward(
     save_every: int, how: Plan,
 ) -> tuple[jax.Array, jax.Array, jax.Array | None]:  # fmt: skip
     """Cotangents of q, v, ctrls from all states after the first and cotangents of the saved."""
-    top, nq, nv, nu = model.topology, model.nq, model.nv, model.nu
+    nq, nv, nu = model.nq, model.nv, model.nu
     steps, size = path[0].shape[0], q.shape[-1]
 
     def body(block: Block, ins: Any, outs: Any, memory: Memory) -> None:
-        q_ref, v_ref, dt_ref, qs_ref, vs_ref, q_bars, v_bars, *rest = ins
-        h, cols, like = dt_ref[0], block.columns, block.like
-        state, speed, taus, ys = (memory.take(n) for n in (nq + nv, nv, nv, nv))
-        q_now = memory.take(nq)
-        for i in range(nq + nv):
-            memory.write(state + i, 0.0)
-        d: Any = driver(block, memory)
-        used = memory.used
+        dt_ref, rest = ins[2], ins[7:]
+        past = Past(ins, block, steps, save_every)
+        ctrl = Controls(rest, block.columns, nu)
+        # cotangents of q and v
+        rows = memory.take(nq), memory.take(nv)
+        every(lambda _, row, i: memory.write(row + i, 0.0), outs[:2], rows, (nq, nv))
+        machine = _unrolled if how.driver == "unrolled" else _rolled
+        retreat = machine(block, memory, applied, past, rows, dt_ref[0], ctrl, outs)
+        jax.lax.fori_loop(0, steps, lambda k, _: (retreat(steps - 1 - k), 0)[1], 0)
 
-        def arrays(x: Any) -> Any:
-            return as_arrays(x, like)
+        def put(ref, row, i):
+            ref[i, block.columns] = memory.read(row + i)
 
-        def advance(k: Any, _: Any) -> Any:
-            memory.used = used
-            t = steps - 1 - k
-            q_bar = [memory.read(state + i) for i in range(nq)]
-            v_bar = [memory.read(state + nq + i) for i in range(nv)]
-            every = jnp.asarray(save_every, t.dtype)  # (lax: Triton has no jnp.remainder)
-            is_saved = jax.lax.rem(t + 1, every) == 0
-            s = jax.lax.div(t, every)
-
-            def given(ref, i):
-                return jnp.where(is_saved, ref[s, i, cols], jnp.zeros_like(like))
-
-            q_bar = [x + given(q_bars, i) for i, x in enumerate(q_bar)]
-            v_bar = [x + given(v_bars, i) for i, x in enumerate(v_bar)]
-            before = jnp.maximum(t - 1, 0)
-            is_first = t == 0
-            q = [jnp.where(is_first, q_ref[i, cols], qs_ref[before, i, cols]) for i in range(nq)]
-            v = [jnp.where(is_first, v_ref[i, cols], vs_ref[before, i, cols]) for i in range(nv)]
-            moved = [h * vs_ref[t, i, cols] for i in range(nv)]
-            back = jax.vjp(lambda q, dq: arrays(integrate_lanes(top, q, dq)), q, moved)[1]
-            q_bar, dq_bar = back(q_bar)
-            v_bar = [a + h * b for a, b in zip(v_bar, dq_bar, strict=True)]
-            y = [h * x for x in v_bar]
-            ctrl = controls(rest[0] if rest else None, cols, nu, t)
-            ctrl = [] if ctrl is None else arrays(ctrl)
-            act = functools.partial(forces, applied, block)
-
-            def pushed(q, v, ctrl):
-                return act(q, v, ctrl if rest else None)
-
-            tau = pushed(q, v, ctrl)
-            if isinstance(d, KernelUnrolled):
-                b, raws = pull(d, d.joints(q, v), tau, y, block.gravity, like)
-                q_bar, v_bar = list(q_bar), list(v_bar)
-            else:
-                for i in range(nv):
-                    memory.write(speed + i, v[i])
-                    memory.write(taus + i, tau[i])
-                    memory.write(ys + i, y[i])
-                for i in range(nq):
-                    memory.write(q_now + i, q[i])
-                joints = d.joints(
-                    lambda i: memory.read(q_now + i), lambda i: memory.read(speed + i), speed
-                )
-                b, raw = pull(d, joints, d.rows(taus), d.rows(ys), block.gravity, like)
-                b = [d.read(b, i) for i in range(nv)]
-                raws = [jax.tree.map(lambda c: memory.read(c.row), x) for x in raw.head]
-                q = [memory.read(q_now + i) for i in range(nq)]
-                v = [memory.read(speed + i) for i in range(nv)]
-                q_bar, v_bar = list(q_bar), list(v_bar)
-                for i in range(d.head, nv):
-                    turn, rate = (memory.read(c.row + i) for c in raw.body)
-                    at = top.links[i].q
-                    q_bar[at], v_bar[i] = q_bar[at] + turn, v_bar[i] + rate
-            b = arrays(b)
-            parts = [jax.vjp(pushed, q, v, ctrl)[1](b)]
-            for i, raw_i in enumerate(raws):
-                parts.append((*_closed(d, block.known, i, q, v, raw_i), None))
-            for q_more, v_more, _ in parts:
-                q_bar = [a + x for a, x in zip(q_bar, q_more, strict=True)]
-                v_bar = [a + x for a, x in zip(v_bar, v_more, strict=True)]
-            for i, x in enumerate([*q_bar, *v_bar]):
-                memory.write(state + i, x)
-            for i, x in enumerate(parts[0][2]):
-                outs[2][t, i, cols] = x
-            return 0
-
-        jax.lax.fori_loop(0, steps, advance, 0)
-        for i in range(nq):
-            outs[0][i, cols] = memory.read(state + i)
-        for i in range(nv):
-            outs[1][i, cols] = memory.read(state + nq + i)
+        every(put, outs[:2], rows, (nq, nv))
 
     inputs = [q, v, dt.reshape(1), *path, *bars] + ([] if ctrls is None else [ctrls])
     shapes: list[tuple] = [(nq, size), (nv, size)]
     if ctrls is not None:
         shapes.append((steps, nu, size))
-    rows = scratch_rows(model, Plan("rolled"), 64) + 2 * nq + 4 * nv
-    out = launch(body, model, how, inputs, shapes, rows)
+    need = scratch_rows(model, Plan("rolled"), 56) + 2 * nq
+    out = launch(body, model, how, inputs, shapes, need)
     if ctrls is None:
         return out[0], out[1], None
     return out[0], out[1], out[2] if ctrls.ndim == 3 else out[2].sum(-1)
+
+
+class Past:
+    """States before and after step t, and the cotangents of what was saved after it."""
+
+    def __init__(self, refs: Any, block: Block, steps: int, save_every: int):
+        self.first, self.path, self.bars = refs[:2], refs[3:5], refs[5:7]
+        self.columns, self.like, self.save_every = block.columns, block.like, save_every
+
+    def before(self, which: int, t: Any, i: Any) -> jax.Array:
+        """Coordinate i of q (which = 0) or v (1) before step t."""
+        earlier = self.path[which][jnp.maximum(t - 1, 0), i, self.columns]
+        return jnp.where(t == 0, self.first[which][i, self.columns], earlier)
+
+    def after(self, which: int, t: Any, i: Any) -> jax.Array:
+        return self.path[which][t, i, self.columns]
+
+    def bar(self, which: int, t: Any, i: Any) -> jax.Array:
+        every = jnp.asarray(self.save_every, t.dtype)  # (lax: Triton has no jnp.remainder)
+        is_saved = jax.lax.rem(t + 1, every) == 0
+        bar = self.bars[which][jax.lax.div(t, every), i, self.columns]
+        return jnp.where(is_saved, bar, jnp.zeros_like(self.like))
+
+
+def _unrolled(
+    block: Block, memory: Memory, applied: Any, past: Past, rows: Any, h: Any, ctrl: Controls,
+    outs: Any,
+) -> Callable[[Any], None]:  # fmt: skip
+    """One step backwards, all links written out."""
+    top, like = block.known.model.topology, block.like
+    nq, nv = top.nq, top.nv
+
+    def retreat(t: Any) -> None:
+        q_bar = [memory.read(rows[0] + i) + past.bar(0, t, i) for i in range(nq)]
+        v_bar = [memory.read(rows[1] + i) + past.bar(1, t, i) for i in range(nv)]
+        q, v = ([past.before(w, t, i) for i in range(n)] for w, n in ((0, nq), (1, nv)))
+        moved = [h * past.after(1, t, i) for i in range(nv)]
+        back = jax.vjp(lambda q, dq: as_arrays(integrate_lanes(top, q, dq), like), q, moved)[1]
+        q_bar, dq_bar = back(q_bar)
+        v_bar = [a + h * b for a, b in zip(v_bar, dq_bar, strict=True)]
+        y = [h * x for x in v_bar]
+        u = ctrl.lanes(t, like) or []
+        act = functools.partial(forces, applied, block)
+
+        def pushed(q, v, u):
+            return act(q, v, u if ctrl else None)
+
+        tau, back = jax.vjp(pushed, q, v, u)
+        d = driver(block, memory)
+        b, raws = pull(d, d.joints(q, v), tau, y, block.gravity, like)
+        parts = [back(as_arrays(b, like))]
+        parts += [(*_closed(d, block.known, i, q, v, raw), None) for i, raw in enumerate(raws)]
+        for q_more, v_more, _ in parts:
+            q_bar = [a + x for a, x in zip(q_bar, q_more, strict=True)]
+            v_bar = [a + x for a, x in zip(v_bar, v_more, strict=True)]
+        for row, lanes in zip(rows, (q_bar, v_bar), strict=True):
+            for i, x in enumerate(lanes):
+                memory.write(row + i, x)
+        for i, x in enumerate(parts[0][2]):
+            outs[2][t, i, block.columns] = x
+
+    return retreat
+
+
+def _closed(d: Any, known: Any, i: int, q: list, v: list, raw: tuple) -> tuple[list, list]:
+    """Cotangents of all q and v from those of joint i's varying lanes."""
+    constants = known.prepared.link(i)()
+
+    def lanes(q, v):
+        leaves = jax.tree.leaves(joint_lanes(d.topology.links[i], constants, q, v, i))
+        return [x for x in leaves if not is_literal(x)]
+
+    return jax.vjp(lanes, q, v)[1](list(raw))
+
+
+def _rolled(
+    block: Block, memory: Memory, applied: Any, past: Past, rows: Any, h: Any, ctrl: Controls,
+    outs: Any,
+) -> Callable[[Any], None]:  # fmt: skip
+    """One step backwards, by loops over the links."""
+    top, like, columns = block.known.model.topology, block.like, block.columns
+    q_bar, v_bar = rows
+    q_row = memory.take(top.nq)
+    v_row, taus, ys = (memory.take(top.nv) for _ in range(3))
+    between = Between(block, applied, bool(ctrl))
+    d: Any = driver(block, memory)
+    used = memory.used
+
+    def q(i: Any) -> jax.Array:
+        return memory.read(q_row + i)
+
+    def v(i: Any) -> jax.Array:
+        return memory.read(v_row + i)
+
+    def more(row: Any, x: Any) -> None:
+        memory.write(row, memory.read(row) + x)
+
+    def load(t: Any) -> None:
+        def state(which, row, i):
+            memory.write(row + i, past.before(which, t, i))
+            more(rows[which] + i, past.bar(which, t, i))
+
+        every(state, (0, 1), (q_row, v_row), (top.nq, top.nv))
+
+    def push(t: Any) -> None:
+        def one(i, at, actuator):
+            more(v_bar + i, h * memory.read(q_bar + at))
+            u = ctrl.read(t, jnp.maximum(actuator, 0)) if between.actuated else None
+            memory.write(taus + i, between.force(i, at, actuator, q(at), v(i), u))
+            memory.write(ys + i, h * memory.read(v_bar + i))
+
+        between.each(one)
+        given = [q(i) for i in between.rest_q], [v(i) for i in between.rest]
+        moved = [h * past.after(1, t, i) for i in between.rest]
+        back = jax.vjp(between.rest_moved, given[0], moved)[1]
+        q_more, dq_bar = back([memory.read(q_bar + i) for i in between.rest_q])
+        for i, x in zip(between.rest_q, q_more, strict=True):
+            memory.write(q_bar + i, x)
+        tau = []
+        if between.rest:
+            tau = between.rest_forces(*given, ctrl.lanes(t, like, between.rest_u))
+        for i, x, bar in zip(between.rest, tau, dq_bar, strict=True):
+            more(v_bar + i, h * bar)
+            memory.write(taus + i, x)
+            memory.write(ys + i, h * memory.read(v_bar + i))
+
+    def draw(t: Any, b: Any) -> None:
+        """Cotangents of the model's own forces."""
+
+        def one(i, at, actuator):
+            given = [q(at), v(i)]
+            if between.actuated:
+                u = ctrl.read(t, jnp.maximum(actuator, 0))
+                given.append(jnp.broadcast_to(u, like.shape))
+
+            def pushed(q, v, u=None):
+                return between.force(i, at, actuator, q, v, u)
+
+            bars = jax.vjp(pushed, *given)[1](memory.read(b.row + i))
+            more(q_bar + at, bars[0])
+            more(v_bar + i, bars[1])
+            if not between.actuated:
+                return
+            if between.all_actuated:
+                outs[2][t, actuator, columns] = bars[2]
+                return
+
+            @pl.when(actuator >= 0)
+            def _():
+                outs[2][t, actuator, columns] = bars[2]
+
+        between.each(one)
+        if not between.rest:
+            return
+        u = ctrl.lanes(t, like, between.rest_u) or []
+
+        def pushed(q, v, u):
+            return between.rest_forces(q, v, u if ctrl else None)
+
+        given = [q(i) for i in between.rest_q], [v(i) for i in between.rest]
+        back = jax.vjp(pushed, *given, u)[1]
+        q_more, v_more, u_bar = back([memory.read(b.row + i) for i in between.rest])
+        for row, places, lanes in ((q_bar, between.rest_q, q_more), (v_bar, between.rest, v_more)):
+            for i, x in zip(places, lanes, strict=True):
+                more(row + i, x)
+        for k, x in zip(between.rest_u, u_bar, strict=False):  # (none without controls)
+            outs[2][t, k, columns] = x
+
+    def retreat(t: Any) -> None:
+        memory.used = used
+        load(t)
+        push(t)
+        joints = d.joints(q, Cell(row=v_row))
+        b, raw = pull(d, joints, Cell(row=taus), Cell(row=ys), block.gravity, like)
+        if d.base is not None:
+            turn, spin = d.base.transposed(*d.arrived, like)
+            for i, x in enumerate(turn):
+                more(q_bar + 3 + i, x)
+            for i, x in enumerate(spin):
+                more(v_bar + 3 + i, x)
+        if raw is not None:
+            _close(d, raw, more, q, rows, between)
+        draw(t, b)
+
+    return retreat
+
+
+def _close(
+    d: KernelRolled, raw: Any, more: Callable, q: Callable, rows: Any, between: Between
+) -> None:
+    """Add what the links' turns, slides and speeds say to the cotangents of q and v."""
+    q_bar, v_bar = rows
+    top = d.topology
+    if d.plain:
+
+        def hinge(i, _):
+            turn, rate = d.at(raw, i)
+            more(q_bar + between.index[Q, i], turn)
+            more(v_bar + i, rate)
+            return 0
+
+        loop(hinge, 0, d.first, top.nv)
+        return
+    for i in range(d.first, top.nv):
+        link = top.links[i]
+        x, y, z, slide, *rate, qd = d.at(raw, i)
+        more(v_bar + i, qd)
+        if link.kind == "slide":
+            more(q_bar + link.q, slide)
+        elif is_plain(link):
+            more(q_bar + link.q, z)
+            more(v_bar + i, rate[2])
+        elif link.quaternion:  # its axes are z, x, y of the body
+            lanes = quaternion_cotangent([q(link.q + k) for k in range(4)], Vec3(z, x, y))
+            for k, bar in enumerate(lanes):
+                more(q_bar + link.q + k, bar)
+            for k, bar in zip((1, 2, 0), rate, strict=True):
+                more(v_bar + i + k, bar)

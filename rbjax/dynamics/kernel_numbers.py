@@ -37,12 +37,34 @@ class Table:
         return self.ref[self.start + self.stride * index]
 
 
+class Columns:
+    """An array (n, k) as its columns, each a `Table` or numpy."""
+
+    def __init__(self, columns: list[Any]):
+        self.columns = columns
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.columns[index[1]]
+
+
+def _row(x: Any, i: Any) -> Any:
+    """The array from row i on; what is numpy is the same in all rows."""
+    if isinstance(x, Columns):
+        return Columns([_row(column, i) for column in x.columns])
+    if isinstance(x, np.ndarray):
+        return x
+    row = Table(x.start + x.stride * i, (1,), x.stride)
+    row.ref = x.ref
+    return row
+
+
 @dataclass
 class Numbers:
     """The flat vector, and how the model looks inside the kernel once `bind` has given it."""
 
     model: Any
     prepared: Any
+    by_index: Any = None
     vector: list[jax.Array] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
 
@@ -50,6 +72,20 @@ class Numbers:
     def flat(self) -> jax.Array:
         """The numbers as an array of at least one element."""
         return jnp.concatenate([x.reshape(-1) for x in self.vector])
+
+    def one(self, i: Any, joint: Any, actuator: Any, q: Any) -> Any:
+        """A model of link i alone, with its joint and one actuator; all may be traced."""
+        joints, actuators = self.by_index
+        return SimpleNamespace(
+            topology=_ONE, nq=1, nv=1, nu=1, sites=None,
+            joints=SimpleNamespace(
+                stiffness=_row(joints["stiffness"], joint), damping=_row(joints["damping"], i),
+                springref=_row(joints["springref"], q), forcerange=_row(joints["forcerange"], joint),
+            ),
+            actuators=SimpleNamespace(
+                joints=(0,), sites=(-1,), **{n: _row(x, actuator) for n, x in actuators.items()}
+            ),
+        )  # fmt: skip
 
     def bind(self, ref: Any) -> None:
         """Say where the vector is; to be called first in the kernel's body."""
@@ -61,6 +97,7 @@ _JOINTS = ("stiffness", "damping", "springref", "forcerange")
 _ACTUATORS = ("gear", "gain", "bias", "ctrlrange", "forcerange")
 
 
+_ONE = SimpleNamespace(joint_kinds=("hinge",), joint_q=(0,), joint_v=(0,), nq=1, nv=1)
 _CYCLE = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]]].swapaxes(0, 1)  # z to x, y, z
 
 
@@ -93,7 +130,7 @@ def _structural(top: Any, i: int, concrete: Any, columns: Any) -> Callable[[], L
 def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
     """The numbers of a model. `dynamic`: links are visited by index, so that columns that are not
     all zero or all one travel even where they are concrete."""
-    out = Numbers(None, None, [jnp.zeros(1, dtype)])
+    out = Numbers(None, None, vector=[jnp.zeros(1, dtype)])
     prepared = prepare(model, dtype)
 
     def moved(x: Any, always: bool = False) -> Any:
@@ -104,9 +141,8 @@ def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
             x = np.asarray(x, np.float64)
             if not always:
                 return x if x.ndim else float(x)
-            for value in (0.0, 1.0):
-                if (x == value).all():
-                    return x
+            if (x == (0.0 if x.size == 0 else x.flat[0])).all():
+                return x
         table = Table(sum(a.size for a in out.vector), x.shape)
         out.vector.append(jnp.asarray(x, dtype))
         out.tables.append(table)
@@ -125,4 +161,13 @@ def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
             **{n: moved(getattr(model.actuators, n)) for n in _ACTUATORS},
         ),
     )  # fmt: skip
+    if dynamic:
+
+        def split(x: Any) -> Any:
+            return Columns([moved(c, True) for c in x.T]) if x.ndim == 2 else moved(x, True)
+
+        out.by_index = tuple(
+            {n: split(getattr(record, n)) for n in names}
+            for record, names in ((model.joints, _JOINTS), (model.actuators, _ACTUATORS))
+        )
     return out

@@ -9,7 +9,7 @@ for the initial state and the controls; where the model is differentiated `rb.ro
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -17,28 +17,38 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.kernel import ROLLED, Block, Plan, driver, launch, plan, scratch_rows
-from rbjax.dynamics.kernel_drivers import KernelRolled, Memory
+from rbjax.dynamics.kernel_aba import accelerations
+from rbjax.dynamics.kernel_between import Between
+from rbjax.dynamics.kernel_drivers import Cell, Memory, loop
 from rbjax.dynamics.manifold import integrate_lanes
-from rbjax.lanes import add
+from rbjax.lanes import as_arrays
 from rbjax.model import Model
 
 
-def controls(ref: Any, columns: Any, count: int, t: Any) -> list[jax.Array] | None:
-    """The controls of step t: of each sample, or shared by all (then the ref is (T, nu))."""
-    if ref is None:
-        return None
-    if len(ref.shape) == 2:
-        return [ref[t, k] for k in range(count)]
-    return [ref[t, k, columns] for k in range(count)]
+class Controls:
+    """The controls of step t: of each sample (T, nu, B), shared by all (T, nu), or None."""
+
+    def __init__(self, rest: Any, columns: Any, count: int):
+        self.ref, self.columns, self.count = rest[0] if rest else None, columns, count
+
+    def __bool__(self) -> bool:
+        return self.ref is not None
+
+    def read(self, t: Any, k: Any) -> jax.Array:
+        """One actuator's."""
+        return self.ref[t, k] if len(self.ref.shape) == 2 else self.ref[t, k, self.columns]
+
+    def lanes(self, t: Any, like: jax.Array, which: Any = None) -> list[jax.Array] | None:
+        """Those of some actuators, or of all."""
+        if self.ref is None:
+            return None
+        which = range(self.count) if which is None else which
+        return as_arrays([self.read(t, k) for k in which], like)
 
 
 def forces(applied: Any, block: Block, q: list, v: list, ctrl: list | None) -> list[jax.Array]:
     """The model's own generalized forces, as arrays."""
-    like = block.like
-    return [
-        jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape)
-        for x in applied(block.known.model, q, v, ctrl)
-    ]
+    return as_arrays(list(applied(block.known.model, q, v, ctrl)), block.like)
 
 
 def march(
@@ -46,79 +56,121 @@ def march(
     steps: int, save_every: int, how: Plan,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """States after every `save_every` steps, (T, nq, B) and (T, nv, B), without the first."""
-    top, nq, nv, saved = model.topology, model.nq, model.nv, steps // save_every
+    nq, nv, saved = model.nq, model.nv, steps // save_every
     size = q.shape[-1]
 
     def body(block: Block, ins: Any, outs: Any, memory: Memory) -> None:
         q_ref, v_ref, dt_ref, *rest = ins
-        h = dt_ref[0]
-        at = functools.partial(controls, rest[0] if rest else None, block.columns, model.nu)
-        start = [q_ref[i, block.columns] for i in range(nq)]
-        start += [v_ref[i, block.columns] for i in range(nv)]
-        step = _unrolled if how.driver == "unrolled" else _rolled
-        read, advance = step(block, memory, applied, start, h, at, top)
+        ctrl = Controls(rest, block.columns, model.nu)
+        machine = _unrolled if how.driver == "unrolled" else _rolled
+        state, advance, save = machine(block, memory, applied, q_ref, v_ref, dt_ref[0], ctrl)
 
         def segment(k: Any, state: Any) -> Any:
             state = jax.lax.fori_loop(
                 0, save_every, lambda i, s: advance(k * save_every + i, s), state
             )
-            for i, x in enumerate(read(state)):
-                ref, row = (outs[0], i) if i < nq else (outs[1], i - nq)
-                ref[k, row, block.columns] = x
+            save(outs, k, state)
             return state
 
-        jax.lax.fori_loop(0, saved, segment, tuple(start) if how.driver == "unrolled" else 0)
+        jax.lax.fori_loop(0, saved, segment, state)
 
     inputs = [q, v, dt.reshape(1)] + ([] if ctrls is None else [ctrls])
-    rows = scratch_rows(model, how, 36) + nq
+    rows = scratch_rows(model, how, 28) + nq
     qs, vs = launch(body, model, how, inputs, [(saved, nq, size), (saved, nv, size)], rows)
     return qs, vs
 
 
-def _unrolled(block, memory, applied, start, h, controls_at, top):
+Machine = tuple[Any, Callable[[Any, Any], Any], Callable[[Any, Any, Any], None]]
+
+
+def _unrolled(
+    block: Block, memory: Memory, applied: Any, q_ref: Any, v_ref: Any, h: Any, ctrl: Controls
+) -> Machine:
     """The state is a tuple of lanes."""
+    top, columns = block.known.model.topology, block.columns
+    nq, nv = top.nq, top.nv
 
     def advance(t: Any, state: tuple) -> tuple:
-        q, v = list(state[: top.nq]), list(state[top.nq :])
+        q, v = list(state[:nq]), list(state[nq:])
         d = driver(block, memory)
-        tau = forces(applied, block, q, v, controls_at(t))
+        tau = forces(applied, block, q, v, ctrl.lanes(t, block.like))
         qdd, _ = aba(d, d.joints(q, v), tau, block.gravity)
         v = [a + h * b for a, b in zip(v, qdd, strict=True)]
         return (*integrate_lanes(top, q, [h * a for a in v]), *v)
 
-    return (lambda state: state), advance
+    def save(outs: Any, k: Any, state: tuple) -> None:
+        for i, x in enumerate(state):
+            ref, row = (outs[0], i) if i < nq else (outs[1], i - nq)
+            ref[k, row, columns] = x
+
+    start = [q_ref[i, columns] for i in range(nq)] + [v_ref[i, columns] for i in range(nv)]
+    return tuple(start), advance, save
 
 
-def _rolled(block, memory, applied, start, h, controls_at, top):
+def _rolled(
+    block: Block, memory: Memory, applied: Any, q_ref: Any, v_ref: Any, h: Any, ctrl: Controls
+) -> Machine:
     """The state is in rows of the memory."""
-    nq, nv = top.nq, top.nv
-    first = memory.take(nq + nv)
-    for i, x in enumerate(start):
-        memory.write(first + i, x)
-    taus = memory.take(nv)
+    columns, top = block.columns, block.known.model.topology
+    q_row, v_row, taus = memory.take(top.nq), memory.take(top.nv), memory.take(top.nv)
+    between = Between(block, applied, bool(ctrl))
     d: Any = driver(block, memory)
     used = memory.used
 
-    def read(_: Any) -> list[jax.Array]:
-        return [memory.read(first + i) for i in range(nq + nv)]
+    def q(i: Any) -> jax.Array:
+        return memory.read(q_row + i)
+
+    def v(i: Any) -> jax.Array:
+        return memory.read(v_row + i)
+
+    def push(t: Any) -> Callable:
+        def one(i, at, actuator):
+            u = ctrl.read(t, jnp.maximum(actuator, 0)) if between.actuated else None
+            memory.write(taus + i, between.force(i, at, actuator, q(at), v(i), u))
+
+        return one
 
     def advance(t: Any, state: Any) -> Any:
         memory.used = used
-        lanes = read(None)
-        q, v = lanes[:nq], lanes[nq:]
-        for i, x in enumerate(forces(applied, block, q, v, controls_at(t))):
-            memory.write(taus + i, x)
-        joints = d.joints(
-            lambda i: memory.read(first + i), lambda i: memory.read(first + nq + i), first + nq
-        )
-        qdd, _ = aba(d, joints, d.rows(taus), block.gravity)
-        q, v = (x for x in (read(None)[:nq], read(None)[nq:]))
-        v = [add(a, h * d.read(qdd, i)) for i, a in enumerate(v)]
-        for i, x in enumerate([*integrate_lanes(top, q, [h * a for a in v]), *v]):
-            memory.write(first + i, x)
+        between.each(push(t))
+        if between.rest:
+            given = [q(i) for i in between.rest_q], [v(i) for i in between.rest]
+            tau = between.rest_forces(*given, ctrl.lanes(t, block.like, between.rest_u))
+            for i, x in zip(between.rest, tau, strict=True):
+                memory.write(taus + i, x)
+        qdd = accelerations(d, d.joints(q, Cell(row=v_row)), Cell(row=taus), block.gravity)
+
+        def move(i, at, _):
+            speed = v(i) + h * memory.read(qdd.row + i)
+            memory.write(v_row + i, speed)
+            memory.write(q_row + at, q(at) + h * speed)
+
+        between.each(move)
+        speeds = [v(i) + h * memory.read(qdd.row + i) for i in between.rest]
+        moved = between.rest_moved([q(i) for i in between.rest_q], [h * x for x in speeds])
+        for row, x in zip([v_row + i for i in between.rest], speeds, strict=True):
+            memory.write(row, x)
+        for row, x in zip([q_row + i for i in between.rest_q], moved, strict=True):
+            memory.write(row, x)
         return state
 
-    return read, advance
+    def save(outs: Any, k: Any, state: Any) -> None:
+        def put(ref, row, i):
+            ref[k, i, columns] = memory.read(row + i)
+
+        every(put, outs, (q_row, v_row), (top.nq, top.nv))
+
+    def put(ref, row, i):
+        memory.write(row + i, ref[i, columns])
+
+    every(put, (q_ref, v_ref), (q_row, v_row), (top.nq, top.nv))
+    return 0, advance, save
+
+
+def every(put: Callable, refs: Any, rows: Any, counts: Any) -> None:
+    """`put(ref, row, i)` for the first `count` i of each ref and row, by loops."""
+    for ref, row, count in zip(refs, rows, counts, strict=True):
+        loop(lambda i, _, a=ref, b=row: (put(a, b, i), 0)[1], 0, 0, count)
 
 
 def choose(model: Model, concrete: bool) -> Plan:
@@ -127,4 +179,4 @@ def choose(model: Model, concrete: bool) -> Plan:
     return how if how.driver == "rolled" or concrete else ROLLED
 
 
-__all__ = ["KernelRolled", "choose", "controls", "forces", "march"]
+__all__ = ["Controls", "choose", "every", "forces", "march"]
