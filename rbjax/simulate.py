@@ -21,7 +21,7 @@ from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.forward import acceleration
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
-from rbjax.model import JOINT_SIZES, Model, State, Topology
+from rbjax.model import Model, State, Topology, spans
 from rbjax.rotations import quaternion
 from rbjax.trajectory import Trajectory, all_finite
 
@@ -31,13 +31,12 @@ Control = Callable[[jax.Array, State], jax.Array]
 def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
     """q' (nq,) of the velocity v (nv,): for attitudes q (0, w) / 2."""
     out = [jnp.zeros(0, q.dtype)]
-    for kind, at, dat in zip(top.joint_kinds, top.joint_q, top.joint_v, strict=True):
-        nq, nv = JOINT_SIZES[kind]
-        straight = nv if nq == nv else nv - 3
-        out.append(v[dat : dat + straight])
-        if nq != nv:
-            w = jnp.concatenate([jnp.zeros(1, q.dtype), v[dat + straight : dat + nv]])
-            out.append(quaternion.multiply(q[at + straight : at + nq], w) / 2)
+    for span in spans(top):
+        out.append(v[span.v])
+        if span.attitude:
+            turn, by = span.attitude
+            w = jnp.concatenate([jnp.zeros(1, q.dtype), v[by]])
+            out.append(quaternion.multiply(q[turn], w) / 2)
     return jnp.concatenate(out)
 
 

@@ -6,37 +6,35 @@ The tangent is that of v: integrate(q, v dt) is motion at constant v for a time 
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import algorithm
 from rbjax.lanes import Lane, sub
-from rbjax.model import JOINT_SIZES, Model, Topology
+from rbjax.model import Model, spans
 from rbjax.rotations import quaternion
 
 
-def integrate_lanes(top: Topology, q: list[Lane], dq: list[Lane]) -> list[Lane]:
+def integrate_lanes(top: Any, q: list[Lane], dq: list[Lane]) -> list[Lane]:
     """q + dq on lanes; quaternions come out of unit length."""
     out: list[Lane] = []
-    for kind, at, dat in zip(top.joint_kinds, top.joint_q, top.joint_v, strict=True):
-        nq, nv = JOINT_SIZES[kind]
-        straight = nv if kind in ("hinge", "slide") else nv - 3
-        out += [q[at + k] + dq[dat + k] for k in range(straight)]
-        if nq != straight:
-            turn = q[at + straight : at + nq]
-            out += quaternion.turned(turn, dq[dat + straight : dat + nv])
+    for span in spans(top):
+        out += [a + b for a, b in zip(q[span.q], dq[span.v], strict=True)]
+        if span.attitude:
+            turn, by = span.attitude
+            out += quaternion.turned(q[turn], dq[by])
     return out
 
 
-def difference_lanes(top: Topology, q0: list[Lane], q1: list[Lane]) -> list[Lane]:
+def difference_lanes(top: Any, q0: list[Lane], q1: list[Lane]) -> list[Lane]:
     """q1 - q0 on lanes, for quaternions of any length."""
     out: list[Lane] = []
-    for kind, at in zip(top.joint_kinds, top.joint_q, strict=True):
-        nq, nv = JOINT_SIZES[kind]
-        straight = nv if kind in ("hinge", "slide") else nv - 3
-        out += [sub(q1[at + k], q0[at + k]) for k in range(straight)]
-        if nq != straight:
-            (aw, ax, ay, az), (w, x, y, z) = (p[at + straight : at + nq] for p in (q0, q1))
+    for span in spans(top):
+        out += [sub(b, a) for a, b in zip(q0[span.q], q1[span.q], strict=True)]
+        if span.attitude:
+            (aw, ax, ay, az), (w, x, y, z) = (p[span.attitude[0]] for p in (q0, q1))
             turn = [
                 aw * w + ax * x + ay * y + az * z,
                 aw * x - ax * w - ay * z + az * y,
@@ -90,13 +88,11 @@ def difference(model: Model, q0: jax.Array, q1: jax.Array) -> jax.Array:
         >>> rb.difference(model, q, q).shape
         (6,)
     """
-    top, out = model.topology, [jnp.zeros(0, q0.dtype)]
-    for kind, at in zip(top.joint_kinds, top.joint_q, strict=True):
-        nq, nv = JOINT_SIZES[kind]
-        straight = nv if kind in ("hinge", "slide") else nv - 3
-        out.append(q1[at : at + straight] - q0[at : at + straight])
-        if nq != straight:
-            a, b = (x[at + straight : at + nq] for x in (q0, q1))
+    out = [jnp.zeros(0, q0.dtype)]
+    for span in spans(model.topology):
+        out.append(q1[span.q] - q0[span.q])
+        if span.attitude:
+            a, b = (x[span.attitude[0]] for x in (q0, q1))
             turn = quaternion.multiply(quaternion.conjugate(a), b)
             out.append(quaternion.log(quaternion.normalize(turn)))
     return jnp.concatenate(out)

@@ -3,7 +3,7 @@
 from rbjax.model.links import LinkConstants, Prepared, prepare
 from rbjax.model.load import compile_model, load, scenes
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites, State
-from rbjax.model.topology import JOINT_SIZES, WORLD, Link, Topology
+from rbjax.model.topology import JOINT_SIZES, WORLD, Link, Topology, spans
 
 __all__ = [
     "JOINT_SIZES",
@@ -22,5 +22,6 @@ __all__ = [
     "compile_model",
     "load",
     "prepare",
+    "spans",
     "scenes",
 ]

@@ -9,13 +9,33 @@ of the body that carries them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 WORLD = -1
 #: configuration and velocity coordinates of each joint kind
 JOINT_SIZES = {"free": (7, 6), "ball": (4, 3), "slide": (1, 1), "hinge": (1, 1)}
+
+
+class Span(NamedTuple):
+    """Where a joint's coordinates are in q and v: those that simply add, then an attitude's."""
+
+    q: slice
+    v: slice
+    #: a unit quaternion in q and its angular velocity in v, or None
+    attitude: tuple[slice, slice] | None
+
+
+def spans(top: Any) -> Iterator[Span]:
+    """The span of each joint of a topology."""
+    for kind, at, dat in zip(top.joint_kinds, top.joint_q, top.joint_v, strict=True):
+        nq, nv = JOINT_SIZES[kind]
+        straight = nv if nq == nv else nv - 3
+        q, v = slice(at, at + straight), slice(dat, dat + straight)
+        turning = slice(q.stop, at + nq), slice(v.stop, dat + nv)
+        yield Span(q, v, None if nq == nv else turning)
 
 
 @dataclass(frozen=True)
@@ -74,18 +94,12 @@ class Topology:
     @cached_property
     def quaternion_starts(self) -> tuple[int, ...]:
         """Where each unit quaternion starts in q."""
-        shift = {"ball": 0, "free": 3}
-        return tuple(
-            q + shift[k] for q, k in zip(self.joint_q, self.joint_kinds, strict=True) if k in shift
-        )
+        return tuple(span.attitude[0].start for span in spans(self) if span.attitude)
 
     @cached_property
     def turn_starts(self) -> tuple[int, ...]:
         """Where each attitude's angular velocity starts in v, beside `quaternion_starts`."""
-        shift = {"ball": 0, "free": 3}
-        return tuple(
-            v + shift[k] for v, k in zip(self.joint_v, self.joint_kinds, strict=True) if k in shift
-        )
+        return tuple(span.attitude[1].start for span in spans(self) if span.attitude)
 
     @cached_property
     def links(self) -> tuple[Link, ...]:

@@ -8,6 +8,7 @@ mean square residual. They say how far noise moves the answer, not how wrong the
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -103,44 +104,45 @@ def fit(
     for name, u in unknowns.items():
         if u.positive and not guess[name] > 0:
             raise InputError(f"fit: {name} is {guess[name]:g}, expected a positive first guess")
-    dtype = measured.dtype
-    start = [np.log(x) if unknowns[n].positive else x for n, x in guess.items()]
-    theta0 = jnp.asarray(start, dtype)
+    sought = tuple(unknowns.values())
+    start = [np.log(guess[n]) if u.positive else guess[n] for n, u in unknowns.items()]
+    step = model.timestep if dt is None else dt
+    data = (model, state, ctrls, measured, step)
+    how = (sought, integrator, save_every, max_steps)
+    numbers, errors, rms, steps, ok = _solve(jnp.asarray(start, measured.dtype), data, *how)
+    return Fit(
+        _changed(model, sought, numbers),
+        dict(zip(unknowns, map(float, numbers), strict=True)),
+        dict(zip(unknowns, map(float, errors), strict=True)),
+        float(rms), int(steps), bool(ok),
+    )  # fmt: skip
+
+
+@functools.partial(jax.jit, static_argnums=(2, 3, 4, 5))
+def _solve(theta, data, sought, integrator, save_every, max_steps):
+    """Numbers, their standard errors, rms of what is left, steps, whether it converged."""
 
     def numbers(theta: jax.Array) -> list[jax.Array]:
-        return [
-            jnp.exp(x) if u.positive else x for x, u in zip(theta, unknowns.values(), strict=True)
-        ]
+        return [jnp.exp(x) if u.positive else x for x, u in zip(theta, sought, strict=True)]
 
     def residual(theta: jax.Array, data: Any) -> jax.Array:
-        state, ctrls, measured = data
-        changed = model
-        for u, x in zip(unknowns.values(), numbers(theta), strict=True):
-            changed = _write(changed, u, x)
+        model, state, ctrls, measured, dt = data
+        changed = _changed(model, sought, numbers(theta))
         path = rollout(changed, state, ctrls, dt, integrator=integrator, save_every=save_every)
         return jax.vmap(lambda a, b: difference(model, a, b))(path.q[1:], measured[1:])
 
-    @jax.jit
-    def solve(theta: jax.Array, data: Any) -> Any:
-        solver: Any = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-9)
-        solution: Any = optx.least_squares(
-            residual, solver, theta, data, options={"jac": "fwd"}, max_steps=max_steps, throw=False
-        )
-        left = residual(solution.value, data)
-        J = jax.jacfwd(residual)(solution.value, data).reshape(left.size, -1)
-        variance = (left**2).sum() / max(left.size - len(theta), 1)
-        spread = jnp.sqrt(jnp.diag(jnp.linalg.inv((J.T @ J) / variance)))
-        ok = solution.result == optx.RESULTS.successful
-        return solution.value, spread, jnp.sqrt((left**2).mean()), solution.stats["num_steps"], ok
-
-    theta, spread, rms, steps, ok = solve(theta0, (state, ctrls, measured))
-    values, errors = {}, {}
-    found = model
-    for name, x, s in zip(unknowns, numbers(theta), spread, strict=True):
-        values[name] = float(x)
-        errors[name] = float(s) * (float(x) if unknowns[name].positive else 1.0)
-        found = _write(found, unknowns[name], x)
-    return Fit(found, values, errors, float(rms), int(steps), bool(ok))
+    solver: Any = optx.LevenbergMarquardt(rtol=1e-7, atol=1e-9)
+    solution: Any = optx.least_squares(
+        residual, solver, theta, data, options={"jac": "fwd"}, max_steps=max_steps, throw=False
+    )
+    left = residual(solution.value, data)
+    J = jax.jacfwd(residual)(solution.value, data).reshape(left.size, -1)
+    variance = (left**2).sum() / max(left.size - len(theta), 1)
+    errors = jnp.sqrt(jnp.diag(jnp.linalg.inv((J.T @ J) / variance)))
+    found = jnp.stack(numbers(solution.value))
+    scale = jnp.where(np.array([u.positive for u in sought]), found, 1.0)  # d exp(x) = exp(x) dx
+    ok = solution.result == optx.RESULTS.successful
+    return found, errors * scale, jnp.sqrt((left**2).mean()), solution.stats["num_steps"], ok
 
 
 def _where(leaf: str) -> Any:
@@ -165,6 +167,8 @@ def _read(model: Model, u: Unknown) -> float:
     return float(np.asarray(value)[u.index])
 
 
-def _write(model: Model, u: Unknown, x: jax.Array) -> Model:
-    where = _where(u.leaf)
-    return eqx.tree_at(where, model, where(model).at[u.index].set(x))
+def _changed(model: Model, sought: tuple[Unknown, ...], numbers: Any) -> Model:
+    for u, x in zip(sought, numbers, strict=True):
+        where = _where(u.leaf)
+        model = eqx.tree_at(where, model, where(model).at[u.index].set(x))
+    return model

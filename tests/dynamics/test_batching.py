@@ -10,6 +10,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics import batching, kernel
+from tests.compilations import compilations
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
 MODEL = rb.load("cart_pole")
@@ -92,20 +93,15 @@ def test_outside_of_jit_nothing_compiles_twice(given):
     """A vmap or a grad of the door runs one compiled program, the same one the next time."""
     run = functools.partial(fd, MODEL)
     first = jax.vmap(run)(*given)
-    slope = jax.grad(lambda q: run(q, given[1][0], given[2][0]).sum())
+
+    def slope(q):
+        return jax.grad(lambda q: run(q, given[1][0], given[2][0]).sum())(q)
+
     slope(given[0][0])
-    compiled: list[str] = []
-
-    def listen(event: str, *_: object, **__: object) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            compiled.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
+    other = given[0][1]
+    with compilations() as compiled:
         again = jax.vmap(run)(*given)
-        slope(given[0][1])
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
+        slope(other)
     assert not compiled
     assert relative_error(again, first) <= F64_TRANSFORM
 
