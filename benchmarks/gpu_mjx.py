@@ -1,4 +1,4 @@
-"""MJX on an accelerator: forward dynamics, steps in a rollout, gradients of a rollout, f32 error.
+"""MJX (and frax) on an accelerator: forward dynamics, steps in a rollout, gradients of a rollout.
 
 `python -m benchmarks.gpu_mjx --robots panda` writes results/gpu-mjx-<robot>-<device>.json.
 """
@@ -7,38 +7,19 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from mujoco import mjx
 
-from benchmarks.gpu_models import batch, pair, states
 from benchmarks.gpu_timing import finish, options, timed
+from benchmarks.robots import actuated, batch, exact, relative
 
 STEPS = 100
-
-
-def relative(got: np.ndarray, want: np.ndarray) -> np.ndarray:
-    """Per state the largest deviation over the largest entry."""
-    return np.abs(got - want).max(-1) / np.abs(want).max(-1)
-
-
-def exact(m: mujoco.MjModel, count: int = 256) -> tuple[tuple, np.ndarray]:
-    """Random states and MuJoCo's accelerations in f64 under applied torques."""
-    q, v, tau, ctrl = states(m, count, seed=1)
-    data, out = mujoco.MjData(m), []
-    for i in range(count):
-        data.qpos, data.qvel, data.qfrc_applied = q[i], v[i], tau[i]
-        data.ctrl = 0
-        mujoco.mj_forward(m, data)
-        passive = data.qfrc_passive + data.qfrc_actuator
-        data.qfrc_applied = tau[i] - passive  # so that tau is all that is applied
-        mujoco.mj_forward(m, data)
-        out.append(data.qacc.copy())
-    return (q, v, tau, ctrl), np.array(out)
+#: batches around each figure's best
+FORWARD, ROLLOUT, GRADIENT = (4096, 16384, 65536, 262144), (16384, 65536), (4096, 16384, 65536)
 
 
 def bench(name: str, batches) -> list[dict]:
-    m, _ = pair(name)
+    m = actuated(name)
     model, blank = mjx.put_model(m), mjx.make_data(m)
     rows: list[dict] = []
 
@@ -47,24 +28,6 @@ def bench(name: str, batches) -> list[dict]:
 
     def forward(q, v, ctrl, tau):
         return mjx.forward(model, put(q, v, ctrl, tau)).qacc
-
-    (q, v, tau, ctrl), want = exact(m)
-    passive = []
-    data = mujoco.MjData(m)
-    for i in range(len(q)):
-        data.qpos, data.qvel, data.ctrl = q[i], v[i], 0
-        mujoco.mj_forward(m, data)
-        passive.append(data.qfrc_passive + data.qfrc_actuator)
-    applied = (tau - np.array(passive)).astype(np.float32)
-    got = jax.jit(jax.vmap(forward))(q, v, 0 * ctrl, applied)
-    error = relative(np.asarray(got, np.float64), want)
-    rows.append({"what": "f32 error", "robot": name, "engine": "mjx",
-                 "note": f"median {np.median(error):.2e} max {error.max():.2e}"})  # fmt: skip
-    print(rows[-1], flush=True)
-    for size in batches or (4096, 16384, 65536, 262144):
-        q, v, tau, ctrl = batch(m, size, last=False)
-        row = {"what": "forward", "robot": name, "engine": "mjx", "batch": size}
-        rows.append(timed(row, jax.vmap(forward), q, v, ctrl, tau, work=size))
 
     def step(q, v, ctrl):
         d = mjx.step(model, blank.replace(qpos=q, qvel=v, ctrl=ctrl))
@@ -82,18 +45,51 @@ def bench(name: str, batches) -> list[dict]:
 
         return jax.grad(loss)(ctrls)
 
-    for size in (16384, 65536):
+    (q, v, _, applied), want = exact(m, 256)
+    got = jax.jit(jax.vmap(forward))(q, v, np.zeros((256, m.nu), np.float32), applied)
+    error = relative(got, want)
+    rows.append({"what": "f32 error", "robot": name, "engine": "mjx",
+                 "error median": float(np.median(error)), "error max": error.max()})  # fmt: skip
+    for size in batches or FORWARD:
+        q, v, tau, ctrl = batch(m, size, last=False)
+        row = {"what": "forward", "robot": name, "engine": "mjx", "batch": size}
+        rows.append(timed(row, jax.vmap(forward), q, v, ctrl, tau, work=size))
+    rows += frax_rows(name, batches or FORWARD[1:])
+    for size in ROLLOUT:
         q, v, _, ctrl = batch(m, size, last=False)
         ctrls = jnp.asarray(np.tile(np.asarray(ctrl[:1]), (STEPS, 1)))
         row = {"what": "rollout", "robot": name, "engine": "mjx", "batch": size}
         rows.append(timed(row, rollout, q, v, ctrls, work=size * STEPS))
-    for size in (4096, 16384, 65536):
+    for size in GRADIENT:
         q, v, _, ctrl = batch(m, size, last=False)
         ctrls = jnp.tile(ctrl[None], (STEPS, 1, 1))
         row = {"what": "gradient", "robot": name, "engine": "mjx", "batch": size}
         rows.append(timed(row, gradient, q, v, ctrls, work=size * STEPS))
         if "note" in rows[-1]:
             break
+    return rows
+
+
+def frax_rows(name: str, batches) -> list[dict]:
+    """Forward dynamics of frax, for the robots that it ships."""
+    if name not in ("panda", "g1"):
+        return []
+    try:
+        import frax
+
+        robot = frax.load_panda() if name == "panda" else frax.load_g1()
+    except Exception as error:  # a peer that does not load is no reason to stop
+        return [{"what": "forward", "robot": name, "engine": "frax", "note": repr(error)[:150]}]
+    rows = []
+    for size in batches:
+        rng = np.random.default_rng(0)
+        q = rng.uniform(-1, 1, (size, robot.nq)).astype(np.float32)
+        if robot.is_quaternion_base:
+            q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
+        v, tau = rng.normal(size=(2, size, robot.nv)).astype(np.float32)
+        f = jax.vmap(lambda q, v, tau: robot.forward_dynamics(q, v, tau, None))
+        row = {"what": "forward", "robot": name, "engine": "frax", "batch": size}
+        rows.append(timed(row, f, *(jnp.asarray(x) for x in (q, v, tau)), work=size))
     return rows
 
 

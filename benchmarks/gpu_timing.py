@@ -1,6 +1,6 @@
 """Timing where processes share one accelerator: they compile side by side, run one at a time.
 
-Each benchmark is one call: `python -m benchmarks.gpu_forward [--engine mjx|rbjax] [--robots ...]`.
+Each benchmark is one call: `python -m benchmarks.gpu_forward [--robots ...]`.
 A row holds lower, compile and run seconds (`timing.measure`) and millions a second.
 """
 
@@ -19,11 +19,12 @@ from typing import Any
 
 import jax
 
-from benchmarks.gpu_models import NAMES
+from benchmarks.robots import ALL
 from benchmarks.timing import markdown_table, measure, save
 
 LOCK = Path(os.environ.get("RBJAX_GPU_LOCK", "/tmp/rbjax-gpu.lock"))
-COLUMNS = ("what", "robot", "engine", "batch", "lower_s", "compile_s", "run_s", "M/s", "note")
+COLUMNS = ("what", "robot", "engine", "batch", "lower_s", "compile_s", "run_s", "M/s")
+COLUMNS += ("error median", "error max", "note")
 
 
 @contextlib.contextmanager
@@ -59,8 +60,7 @@ def timed(row: dict[str, Any], fn: Callable, *args: Any, work: int, budget_s: fl
 def options(description: str) -> argparse.Namespace:
     """What every benchmark takes."""
     parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--engine", nargs="*", default=["mjx", "rbjax"])
-    parser.add_argument("--robots", nargs="*", default=list(NAMES))
+    parser.add_argument("--robots", nargs="*", default=list(ALL))
     parser.add_argument("--batches", nargs="*", type=int, default=None)
     parser.add_argument("--tag", default="")
     return parser.parse_args()

@@ -21,7 +21,14 @@ from jax.experimental.pallas import triton
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.kernel_aba import accelerations
 from rbjax.dynamics.kernel_drivers import (
-    SLOT, Cell, KernelRolled, KernelUnrolled, Memory, base_links, is_plain, layout,
+    SLOT,
+    Cell,
+    KernelRolled,
+    KernelUnrolled,
+    Memory,
+    base_links,
+    is_plain,
+    layout,
     slots,
 )  # fmt: skip
 from rbjax.dynamics.kernel_numbers import Numbers, numbers
@@ -29,8 +36,10 @@ from rbjax.lanes import Vec3
 from rbjax.materialize import inside_a_kernel
 from rbjax.model import Model
 
-#: up to this many velocity coordinates a kernel is unrolled (benchmarks/results/gpu-*.json)
+#: up to this many velocity coordinates a kernel is unrolled (benchmarks/results/gpu-*.json),
 UNROLLED_UP_TO = 9
+#: and up to this many a kernel of a gradient: at 7 it is 3 times as fast and compiles for 80 s
+UNROLLED_GRADIENT_UP_TO = 3
 #: whether Pallas's interpreter runs the kernels; None: on the CPU alone
 INTERPRET: bool | None = None
 #: programs that a GPU is given to walk the batch with (rolled): their scratch stays in its cache
@@ -51,10 +60,18 @@ ROLLED = Plan("rolled", block=256, warps=4, programs=PROGRAMS)
 
 
 def plan(model: Model) -> Plan:
-    """The measured choice for a model."""
-    if model.driver == "unrolled" or (model.driver == "auto" and model.nv <= UNROLLED_UP_TO):
-        return Plan("unrolled")
-    return ROLLED
+    """The measured choice for a model: unrolled where the tree is small and its numbers literal."""
+    concrete = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model))
+    small = model.driver == "auto" and concrete and model.nv <= UNROLLED_UP_TO
+    return Plan("unrolled") if model.driver == "unrolled" or small else ROLLED
+
+
+def gradient_plan(model: Model, how: Plan) -> Plan:
+    """The plan of a gradient where `how` is that of the rollout."""
+    unrolled = how.driver == "unrolled" and model.nv <= UNROLLED_GRADIENT_UP_TO
+    if unrolled or how.driver == "rolled" or model.driver == "unrolled":
+        return how
+    return Plan("rolled", block=128, warps=4, programs=2 * PROGRAMS)
 
 
 class Block:

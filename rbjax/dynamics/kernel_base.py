@@ -16,7 +16,7 @@ from typing import Any
 import jax
 
 from rbjax.dynamics.aba import bias_force
-from rbjax.lanes import Lane, Mat3, Sym3, Vec3, add, as_arrays, is_zero, mul, quaternion_matrix, sub
+from rbjax.lanes import Lane, Mat3, Sym3, Vec3, as_arrays, mul, quaternion_matrix, sub
 from rbjax.spatial import ArticulatedInertia, Force, Motion
 
 

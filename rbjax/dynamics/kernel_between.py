@@ -13,7 +13,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.kernel_drivers import ACTUATOR, JOINT, SINGLE, Q, loop, single_links
+from rbjax.dynamics.kernel_drivers import (
+    ACTUATOR,
+    JOINT,
+    SINGLE,
+    Q,
+    loop,
+    single_links,
+)  # fmt: skip
 from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.lanes import as_arrays
 from rbjax.model import JOINT_SIZES

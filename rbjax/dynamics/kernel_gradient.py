@@ -16,11 +16,11 @@ from jax.custom_derivatives import SymbolicZero
 from jax.experimental import pallas as pl
 
 from rbjax.dynamics.joints import joint_lanes
-from rbjax.dynamics.kernel import Block, Plan, driver, launch, scratch_rows
+from rbjax.dynamics.kernel import Block, Plan, driver, gradient_plan, launch, scratch_rows
 from rbjax.dynamics.kernel_aba import pull
 from rbjax.dynamics.kernel_base import quaternion_cotangent
 from rbjax.dynamics.kernel_between import Between
-from rbjax.dynamics.kernel_drivers import Cell, KernelRolled, Memory, Q, is_plain, loop
+from rbjax.dynamics.kernel_drivers import Cell, KernelRolled, Memory, is_plain
 from rbjax.dynamics.kernel_rollout import Controls, every, forces, march
 from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.lanes import Vec3, as_arrays, is_literal
@@ -93,6 +93,10 @@ def backward(
     """Cotangents of q, v, ctrls from all states after the first and cotangents of the saved."""
     nq, nv, nu = model.nq, model.nv, model.nu
     steps, size = path[0].shape[0], q.shape[-1]
+    how = gradient_plan(model, how)
+    if ctrls is not None and not nu:
+        out = backward(model, applied, q, v, None, dt, path, bars, save_every, how)
+        return out[0], out[1], jnp.zeros_like(ctrls)
 
     def body(block: Block, ins: Any, outs: Any, memory: Memory) -> None:
         dt_ref, rest = ins[2], ins[7:]
@@ -216,37 +220,47 @@ def _rolled(
     def more(row: Any, x: Any) -> None:
         memory.write(row, memory.read(row) + x)
 
-    def load(t: Any) -> None:
-        def state(which, row, i):
-            memory.write(row + i, past.before(which, t, i))
-            more(rows[which] + i, past.bar(which, t, i))
+    # In a loop all rows are read before any is written: a read after a write would wait for it.
 
-        every(state, (0, 1), (q_row, v_row), (top.nq, top.nv))
+    def enter(t: Any) -> Callable:
+        """A joint's state before the step, its cotangents after it, and its force."""
 
-    def push(t: Any) -> None:
         def one(i, at, actuator):
-            more(v_bar + i, h * memory.read(q_bar + at))
+            angle, speed = past.before(0, t, at), past.before(1, t, i)
+            angle_bar = memory.read(q_bar + at) + past.bar(0, t, at)
+            speed_bar = memory.read(v_bar + i) + past.bar(1, t, i) + h * angle_bar
             u = ctrl.read(t, jnp.maximum(actuator, 0)) if between.actuated else None
-            memory.write(taus + i, between.force(i, at, actuator, q(at), v(i), u))
-            memory.write(ys + i, h * memory.read(v_bar + i))
+            tau = between.force(i, at, actuator, angle, speed, u)
+            for row, x in (
+                (q_row + at, angle), (v_row + i, speed), (q_bar + at, angle_bar),
+                (v_bar + i, speed_bar), (taus + i, tau), (ys + i, h * speed_bar),
+            ):  # fmt: skip
+                memory.write(row, x)
 
-        between.each(one)
+        return one
+
+    def enter_rest(t: Any) -> None:
+        """The same for joints that are written out."""
+        for row, bar, which, places in (
+            (q_row, q_bar, 0, between.rest_q), (v_row, v_bar, 1, between.rest),
+        ):  # fmt: skip
+            for i in places:
+                memory.write(row + i, past.before(which, t, i))
+                more(bar + i, past.bar(which, t, i))
         given = [q(i) for i in between.rest_q], [v(i) for i in between.rest]
         moved = [h * past.after(1, t, i) for i in between.rest]
         back = jax.vjp(between.rest_moved, given[0], moved)[1]
         q_more, dq_bar = back([memory.read(q_bar + i) for i in between.rest_q])
         for i, x in zip(between.rest_q, q_more, strict=True):
             memory.write(q_bar + i, x)
-        tau = []
-        if between.rest:
-            tau = between.rest_forces(*given, ctrl.lanes(t, like, between.rest_u))
+        tau = between.rest_forces(*given, ctrl.lanes(t, like, between.rest_u))
         for i, x, bar in zip(between.rest, tau, dq_bar, strict=True):
             more(v_bar + i, h * bar)
             memory.write(taus + i, x)
             memory.write(ys + i, h * memory.read(v_bar + i))
 
-    def draw(t: Any, b: Any) -> None:
-        """Cotangents of the model's own forces."""
+    def leave(t: Any, b: Any, raw: Any) -> Callable:
+        """Cotangents of a joint's force, and of its motion where all are hinges."""
 
         def one(i, at, actuator):
             given = [q(at), v(i)]
@@ -258,8 +272,11 @@ def _rolled(
                 return between.force(i, at, actuator, q, v, u)
 
             bars = jax.vjp(pushed, *given)[1](memory.read(b.row + i))
-            more(q_bar + at, bars[0])
-            more(v_bar + i, bars[1])
+            turn, rate = d.at(raw, i) if d.plain else (0.0, 0.0)
+            angle_bar = memory.read(q_bar + at) + (bars[0] + turn)
+            speed_bar = memory.read(v_bar + i) + (bars[1] + rate)
+            memory.write(q_bar + at, angle_bar)
+            memory.write(v_bar + i, speed_bar)
             if not between.actuated:
                 return
             if between.all_actuated:
@@ -270,9 +287,10 @@ def _rolled(
             def _():
                 outs[2][t, actuator, columns] = bars[2]
 
-        between.each(one)
-        if not between.rest:
-            return
+        return one
+
+    def leave_rest(t: Any, b: Any) -> None:
+        """Cotangents of the forces on joints that are written out."""
         u = ctrl.lanes(t, like, between.rest_u) or []
 
         def pushed(q, v, u):
@@ -289,8 +307,9 @@ def _rolled(
 
     def retreat(t: Any) -> None:
         memory.used = used
-        load(t)
-        push(t)
+        if between.rest or between.rest_u:
+            enter_rest(t)
+        between.each(enter(t))
         joints = d.joints(q, Cell(row=v_row))
         b, raw = pull(d, joints, Cell(row=taus), Cell(row=ys), block.gravity, like)
         if d.base is not None:
@@ -299,32 +318,28 @@ def _rolled(
                 more(q_bar + 3 + i, x)
             for i, x in enumerate(spin):
                 more(v_bar + 3 + i, x)
-        if raw is not None:
-            _close(d, raw, more, q, rows, between)
-        draw(t, b)
+        between.each(leave(t, b, raw))
+        if between.rest or between.rest_u:
+            leave_rest(t, b)
+        left = between.rest if d.plain else range(top.nv)
+        _close(d, raw, more, q, rows, [i for i in left if i >= d.first])
 
     return retreat
 
 
 def _close(
-    d: KernelRolled, raw: Any, more: Callable, q: Callable, rows: Any, between: Between
+    d: KernelRolled, raw: Any, more: Callable, q: Callable, rows: Any, links: list[int]
 ) -> None:
-    """Add what the links' turns, slides and speeds say to the cotangents of q and v."""
+    """Add what turns, slides and speeds of the links say to the cotangents of q and v."""
     q_bar, v_bar = rows
-    top = d.topology
-    if d.plain:
-
-        def hinge(i, _):
-            turn, rate = d.at(raw, i)
-            more(q_bar + between.index[Q, i], turn)
-            more(v_bar + i, rate)
-            return 0
-
-        loop(hinge, 0, d.first, top.nv)
-        return
-    for i in range(d.first, top.nv):
-        link = top.links[i]
-        x, y, z, slide, *rate, qd = d.at(raw, i)
+    for i in links:
+        link = d.topology.links[i]
+        lanes = d.at(raw, i)
+        if d.plain:
+            more(q_bar + link.q, lanes[0])
+            more(v_bar + i, lanes[1])
+            continue
+        x, y, z, slide, *rate, qd = lanes
         more(v_bar + i, qd)
         if link.kind == "slide":
             more(q_bar + link.q, slide)
@@ -332,8 +347,8 @@ def _close(
             more(q_bar + link.q, z)
             more(v_bar + i, rate[2])
         elif link.quaternion:  # its axes are z, x, y of the body
-            lanes = quaternion_cotangent([q(link.q + k) for k in range(4)], Vec3(z, x, y))
-            for k, bar in enumerate(lanes):
+            turn = quaternion_cotangent([q(link.q + k) for k in range(4)], Vec3(z, x, y))
+            for k, bar in enumerate(turn):
                 more(q_bar + link.q + k, bar)
             for k, bar in zip((1, 2, 0), rate, strict=True):
                 more(v_bar + i + k, bar)

@@ -79,8 +79,10 @@ class Numbers:
         return SimpleNamespace(
             topology=_ONE, nq=1, nv=1, nu=1, sites=None,
             joints=SimpleNamespace(
-                stiffness=_row(joints["stiffness"], joint), damping=_row(joints["damping"], i),
-                springref=_row(joints["springref"], q), forcerange=_row(joints["forcerange"], joint),
+                stiffness=_row(joints["stiffness"], joint),
+                damping=_row(joints["damping"], i),
+                springref=_row(joints["springref"], q),
+                forcerange=_row(joints["forcerange"], joint),
             ),
             actuators=SimpleNamespace(
                 joints=(0,), sites=(-1,), **{n: _row(x, actuator) for n, x in actuators.items()}

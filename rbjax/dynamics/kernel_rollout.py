@@ -58,6 +58,7 @@ def march(
     """States after every `save_every` steps, (T, nq, B) and (T, nv, B), without the first."""
     nq, nv, saved = model.nq, model.nv, steps // save_every
     size = q.shape[-1]
+    ctrls = ctrls if model.nu else None
 
     def body(block: Block, ins: Any, outs: Any, memory: Memory) -> None:
         q_ref, v_ref, dt_ref, *rest = ins
@@ -132,18 +133,20 @@ def _rolled(
 
     def advance(t: Any, state: Any) -> Any:
         memory.used = used
-        between.each(push(t))
         if between.rest:
             given = [q(i) for i in between.rest_q], [v(i) for i in between.rest]
             tau = between.rest_forces(*given, ctrl.lanes(t, block.like, between.rest_u))
             for i, x in zip(between.rest, tau, strict=True):
                 memory.write(taus + i, x)
-        qdd = accelerations(d, d.joints(q, Cell(row=v_row)), Cell(row=taus), block.gravity)
+        between.each(push(t))
+        joints = d.joints(q, Cell(row=v_row))
+        qdd = accelerations(d, joints, Cell(row=taus), block.gravity)
 
         def move(i, at, _):
             speed = v(i) + h * memory.read(qdd.row + i)
+            angle = q(at) + h * speed
             memory.write(v_row + i, speed)
-            memory.write(q_row + at, q(at) + h * speed)
+            memory.write(q_row + at, angle)
 
         between.each(move)
         speeds = [v(i) + h * memory.read(qdd.row + i) for i in between.rest]
@@ -174,9 +177,5 @@ def every(put: Callable, refs: Any, rows: Any, counts: Any) -> None:
 
 
 def choose(model: Model, concrete: bool) -> Plan:
-    """Unrolled where the tree is small and its numbers are literal, else rolled."""
-    how = plan(model)
-    return how if how.driver == "rolled" or concrete else ROLLED
-
-
-__all__ = ["Controls", "choose", "every", "forces", "march"]
+    """The plan of a rollout; `concrete` says whether the model's numbers are known."""
+    return plan(model) if concrete else ROLLED

@@ -28,13 +28,26 @@ WALKER = """
   <position joint="d" kp="3"/></actuator>
 </mujoco>
 """
+# a ball and a slide among the limbs, two motors on a joint, armature of a free joint
+MIXED = (
+    WALKER.replace('<joint name="c" axis="0 1 1"/>', '<joint name="c" type="ball" armature="0.1"/>')
+    .replace('<joint name="d" axis="0 1 0"/>', '<joint name="d" type="slide" damping="0.2"/>')
+    .replace("<freejoint/>", '<joint type="free" armature="0.3"/>')
+    .replace("<position", '<motor joint="a" gear="2"/><motor joint="a"/><position')
+)
+# beside a second root, the free joint is no base
+TWO_ROOTS = MIXED.replace(
+    "</worldbody>", '<body><joint axis="0 1 0"/><geom size="0.1"/></body></worldbody>'
+)
+WRITTEN = {"walker": WALKER, "mixed": MIXED, "two roots": TWO_ROOTS}
 ROLLED = kernel.Plan("rolled", block=4, warps=1, programs=1)
 UNROLLED = kernel.Plan("unrolled", block=4, warps=1)
-CASES = [("cart_pole", UNROLLED), ("cart_pole", ROLLED), ("walker", ROLLED)]
+CASES = [("cart_pole", UNROLLED)]
+CASES += [(name, ROLLED) for name in ("cart_pole", "free_body", *WRITTEN)]
 
 
 def load(name: str) -> rb.Model:
-    return rb.load(WALKER if name == "walker" else name)
+    return rb.load(WRITTEN.get(name, name))
 
 
 def batch(model: rb.Model, size: int, key: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -57,7 +70,7 @@ def test_forward_dynamics(name, how, closed, key):
     np.testing.assert_allclose(f(q, v, tau), expected, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("name", ["cart_pole", "walker"])
+@pytest.mark.parametrize("name", ["cart_pole", "double_pendulum", "walker", "mixed"])
 def test_rollout_and_its_gradient(name, key):
     model = load(name)
     q, v = (x.T for x in batch(model, 3, key))
