@@ -54,37 +54,32 @@ def _unrolled(d: Unrolled, joints: list) -> jax.Array | list[list[Lane]]:
 
 
 def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
-    """All F and S in world axes, and M as one masked sum of six outer products.
+    """Composite inertias and axes in world axes, and M as one masked sum of six outer products.
 
     Each tree is seen from the origin of its own first link, so that f32 keeps its digits.
     """
     top = d.topology
-
-    def step(x, children):
-        X, I_c, F = composite(x, children)
-        return X.rigid_to_parent(I_c), F
-
-    F = d.inward(step, _ZERO, d.zip(d.constants, joints))
-    pose = world_poses(d, joints)
+    pose = d.columns(world_poses(d, joints), like)
     first = np.array([chain[0] for chain in top.ancestors], int)
+    R, p = pose.R, Vec3(*(x - x[first] for x in pose.p))
+    own = d.columns(d.constants, like).inertia
+    I_w = Transform(R, p).rigid_to_parent(own)
 
-    def column(lane):
-        return d.pack(lane, like)
+    def gather(inertia, children):
+        I_c = inertia + children
+        return I_c, I_c
 
-    p = Vec3(*(column(x) - column(x)[first] for x in pose.p))
-    R = jax.tree.map(column, pose.R)
-    F = Transform(R, p).T(jax.tree.map(column, F))
-    S = joints.S
+    I_c = d.columns(d.inward(gather, _ZERO, d.rows(materialize(I_w))), like)
+    turns = np.array([link.kind == "hinge" for link in top.links], like.dtype)
     z = R.columns[2]
-    turns, slides = z * S.ang[2], z * S.lin[2]
-    S = Motion(turns, p.cross(turns) + slides)
-    S, F = materialize((jax.tree.map(column, S), F))
+    S = Motion(z * turns, p.cross(z * turns) + z * (1 - turns))
+    S, F = materialize((S, I_c(S)))
     moves = np.stack([ancestor_mask(top, i) for i in range(top.nv)])
     pairs = list(zip(F, S, strict=True))
     # written twice, not transposed: a transposed operand would keep the sum from being vectorized
     below = functools.reduce(jnp.add, (f[:, None] * s[None, :] for f, s in pairs))
     above = functools.reduce(jnp.add, (s[:, None] * f[None, :] for f, s in pairs))
-    armature = jnp.where(np.eye(top.nv, dtype=bool), column(d.constants.armature), 0.0)
+    armature = jnp.where(np.eye(top.nv, dtype=bool), d.prepared.columns.armature, 0.0)
     return jnp.where(moves, below, jnp.where(moves.T, above, 0.0)) + armature
 
 
