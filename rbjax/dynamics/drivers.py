@@ -6,14 +6,15 @@ A recursion is written once, as a step on the lanes of one link; a driver walks 
   to link, so this is the least arithmetic and the fastest code; compile time grows with the tree.
 - `Rolled` is a `lax.scan` over the links in depth-first order. One step is compiled however many
   links there are. A link's parent is nearly always the link before; branch points wait in a few
-  slots, reused as soon as their last child has passed, so no array over links is carried.
+  slots, reused as soon as their last child has passed, so no array over links is carried. A free
+  joint's six links come first and are written out (the *head*), so that all others turn about z.
 
 `outward` hands each step its parent's carry, `inward` the sum of its children's messages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -24,7 +25,7 @@ from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_columns, joint_
 from rbjax.dynamics.packing import pack, unpack
 from rbjax.lanes import Lane, add, as_arrays, is_literal
 from rbjax.materialize import materialize
-from rbjax.model import WORLD, LinkConstants, Model, Prepared, prepare
+from rbjax.model import WORLD, Model, Prepared, prepare
 from rbjax.model.cells import lane_of
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
@@ -60,9 +61,25 @@ class Unrolled:
         """Per-link pytrees as one pytree of columns (nv, ...), for work with whole arrays."""
         return jax.tree.map(lambda *lanes: pack(lanes, like), *values)
 
-    def rows(self, columns: Any) -> list:
-        """The inverse of `columns`."""
-        return [jax.tree.map(lambda x: _row(x, i), columns) for i in range(self.topology.nv)]
+    def whole(self, values: list) -> list:
+        """Per-link values in the form for work on all links at once, outside the recursions."""
+        return values
+
+    def rows(self, whole: list) -> list:
+        """The inverse of `whole`."""
+        return whole
+
+    def each(self, f: Callable, *whole: list) -> list:
+        """f of each link's values."""
+        return [materialize(f(*x), known=x) for x in zip(*whole, strict=True)]
+
+    def take(self, whole: list, index: Sequence[int]) -> list:
+        """The values of these links."""
+        return [whole[i] for i in index]
+
+    def known(self, numbers: list[float]) -> list[Lane]:
+        """Numbers that are part of the program, one a link."""
+        return list(numbers)
 
     def zip(self, *values: list) -> list[tuple]:
         """Per-link tuples of per-link values."""
@@ -92,7 +109,7 @@ class Unrolled:
 
 
 class Values:
-    """A per-link value of `Rolled`: a list for the head, columns (rest, ...) for the other links."""
+    """A per-link value of `Rolled`: a list for the head, columns for the rest of the links."""
 
     def __init__(self, head: list, rest: Any):
         self.head, self.rest = head, rest
@@ -126,10 +143,10 @@ class PoseLane:
 
 
 class Rolled:
-    """A scan over the links, after a free joint's six, which are written out (the *head*).
+    """A scan over the links, after the head.
 
-    A step costs what it reads and writes. So constants come as one row, of a hinge only its cosine
-    and sine, and what a step hands on unchanged, or a pose, is not written.
+    A step costs what it reads and writes: constants come as one row, of a hinge only its cosine and
+    sine, and what a step hands on unchanged is not written, nor is a link's pose.
     """
 
     def __init__(self, model: Model, prepared: Prepared):
@@ -139,6 +156,8 @@ class Rolled:
         self.head = 6 if top.joint_kinds[:1] == ("free",) and n > 6 else 0
         self._columns = jax.tree.map(lambda x: _uniform(x[self.head :]), prepared.columns)
         self.constants = Values([prepared.link(i) for i in range(self.head)], Constants())
+        #: links a turn of the loop: two spare copies of the carry, and double the program
+        self.unroll = 1
         self._like: Any = None  # the shape and dtype of one lane, known with q
         parents = np.array(top.parents)
         self._slots, self._slot_of = allocate_slots(top.parents)
@@ -153,9 +172,10 @@ class Rolled:
     def joints(self, q: jax.Array, v: jax.Array | None) -> Values:
         """The joint motion of each link."""
         self._like = jnp.zeros(q.shape[1:], q.dtype)
+        qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
         links = enumerate(self.topology.links[: self.head])
-        head = [joint_lanes(link, self.constants.head[i], q, vs, i) for i, link in links]
+        head = [joint_lanes(link, self.constants.head[i], qs, vs, i) for i, link in links]
         make, columns = joint_columns(self.topology, self.prepared, q, v, self.head)
         head, columns = materialize((head, columns))
         return Values(head, Joints(make, columns))
@@ -173,15 +193,31 @@ class Rolled:
             return rest
         return jnp.concatenate([pack(lanes.head, like), rest])
 
-    def rows(self, columns: Any) -> Values:
+    def whole(self, values: Values) -> Any:
+        """As `Unrolled.whole`: columns."""
+        if isinstance(values.rest, Constants):
+            return jax.tree.map(_uniform, self.prepared.columns)
+        return self.columns(values, jnp.zeros(self.topology.nv, self._like.dtype))
+
+    def rows(self, whole: Any) -> Values:
         """As `Unrolled.rows`."""
-        head = [jax.tree.map(lambda x: _row(x, i), columns) for i in range(self.head)]
-        return Values(head, jax.tree.map(lambda x: _row(x, slice(self.head, None)), columns))
+        head = [_row(whole, i) for i in range(self.head)]
+        return Values(head, _row(whole, slice(self.head, None)))
+
+    def each(self, f: Callable, *whole: Any) -> Any:
+        """As `Unrolled.each`."""
+        return materialize(f(*whole), known=whole)
+
+    def take(self, whole: Any, index: Sequence[int]) -> Any:
+        """As `Unrolled.take`."""
+        return _row(whole, np.array(index, int))
+
+    def known(self, numbers: list[float]) -> Lane:
+        """As `Unrolled.known`."""
+        return _uniform(np.array(numbers))
 
     def columns(self, values: Values, like: jax.Array) -> Any:
         """As `Unrolled.columns`."""
-        if isinstance(values.rest, Constants):
-            return jax.tree.map(_uniform, self.prepared.columns)
         rest = jax.tree.map(self._whole, values.rest)
         return jax.tree.map(lambda r, *h: self.pack(Values(list(h), r), like), rest, *values.head)
 
@@ -256,14 +292,15 @@ class Rolled:
         return Values(ys, rest)
 
     def _scan(self, body, carry, xs, *, reverse: bool) -> tuple[Any, Any]:
-        """`lax.scan` over the columns of xs; literals stay literal, what is known is not written."""
+        """`lax.scan` over the columns of xs; literals stay so, what is known is not written."""
         leaves, treedef = jax.tree.flatten(xs)
         dtype = self._like.dtype
         numbers, of_constants = jax.tree.flatten(self._columns)
         row = jnp.stack([jnp.asarray(x, dtype) for x in numbers if not is_literal(x)], 1)
         columns: dict[int, Any] = {}
         for x in leaves:
-            for column in x.joints.columns if isinstance(x, PoseLane) else getattr(x, "columns", [x]):
+            joints = x.joints if isinstance(x, PoseLane) else x
+            for column in joints.columns if isinstance(joints, Joints) else [x]:
                 if not (is_literal(column) or isinstance(column, Constants)):
                     columns[id(column)] = column
         emitted: dict[str, Any] = {}
@@ -276,7 +313,7 @@ class Rolled:
             constants = jax.tree.unflatten(
                 of_constants, [a if is_literal(a) else next(left) for a in numbers]
             )
-            posed: dict[int, JointMotion] = {}
+            posed: dict[int, PosedJoint] = {}
 
             def joint(joints):
                 if id(joints) not in posed:
@@ -304,7 +341,7 @@ class Rolled:
             )
 
         given = (jnp.asarray(self._index), row, list(columns.values()))
-        carry, ys = jax.lax.scan(scanned, carry, given, reverse=reverse)
+        carry, ys = jax.lax.scan(scanned, carry, given, reverse=reverse, unroll=self.unroll)
         fresh = iter(ys)
         out = [next(fresh) if a is None else a for a in emitted["known"]]
         return carry, jax.tree.unflatten(emitted["tree"], out)
@@ -322,8 +359,8 @@ def driver(model: Model, dtype: Any) -> Driver:
     return DRIVERS[name](model, prepare(model, dtype))
 
 
-def _row(column: Lane, i: Any) -> Lane:
-    return column if is_literal(column) else column[i]
+def _row(columns: Any, i: Any) -> Any:
+    return jax.tree.map(lambda column: column if is_literal(column) else column[i], columns)
 
 
 def _select(condition, a, b):
