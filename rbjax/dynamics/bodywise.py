@@ -13,27 +13,27 @@ Dombre, *Modeling, Identification and Control of Robots*, ch. 12).
 
 from __future__ import annotations
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.aba import swing
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.composites import carried, pair_matrix, world_links
+from rbjax.dynamics.composites import (
+    carried,
+    link_axes,
+    link_inertias,
+    pair_matrix,
+    tree_poses,
+)
 from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.jacobians import ancestor_mask, world_axes
-from rbjax.dynamics.kinematics import body_poses, link_poses
+from rbjax.dynamics.jacobians import ancestor_mask
+from rbjax.dynamics.kinematics import body_transforms
 from rbjax.lanes import Mat3, Sym3, Vec3
-from rbjax.model import WORLD, Model
-from rbjax.model.links import matrix_apply, matrix_product
-from rbjax.spatial import Force, Motion, RigidInertia
-
-
-def skew(r: jax.Array) -> jax.Array:
-    """[r] (..., 3, 3), with [r] a = r x a."""
-    x, y, z = jnp.moveaxis(r, -1, 0)
-    o = jnp.zeros_like(x)
-    return jnp.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(*r.shape, 3)
+from rbjax.model import Model
+from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
 @algorithm("q", "v")
@@ -62,7 +62,8 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         return jnp.zeros((0, 0), q.dtype)
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
-    S, inertias = world_links(d, joints)
+    poses = tree_poses(d, joints)
+    S, inertias = link_axes(d, poses), link_inertias(d, poses)
     speeds = d.whole(d.lanes(v))
 
     def move(x, V_parent):
@@ -132,10 +133,8 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
     if not n:
         return jnp.zeros((0, 10 * nb), q.dtype)
     d = driver(model, q.dtype)
-    R, p = link_poses(d, q)
-    poses = body_poses(d, R, p)
-    link = np.array(top.body_links, int)
-    fixed = (link == WORLD)[:, None]
+    joints = d.joints(q, v)
+    poses = tree_poses(d, joints)
 
     def step(x, parent):
         w_parent, a_parent = parent
@@ -145,39 +144,45 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         return (w, acc), (w, acc)
 
     root = (Vec3.zero(), Motion(Vec3.zero(), -d.prepared.gravity))
-    out = d.outward(step, root, d.zip(d.constants, d.joints(q, v), d.lanes(a)))
-    w, acc = d.columns(out, v)
-
-    def world(x):
-        return matrix_apply(R, jnp.stack(list(x), -1))[link]
-
-    arm = poses.p - p[link]
-    w, alpha, lin = world(w), world(acc.ang), world(acc.lin)
-    lin = lin + jnp.cross(alpha, arm) + jnp.cross(w, jnp.cross(w, arm))
-    w, alpha, lin = ((poses.R * x[:, :, None]).sum(-2) for x in (w, alpha, lin))
-    # wrench per parameter in body axes: force, and moment about the body's origin
-    A, W = skew(alpha), skew(w)
-    by_mass = jnp.concatenate([jnp.zeros_like(lin), lin], -1)[:, :, None]
-    by_first = jnp.concatenate([-skew(lin), A + matrix_product(W, W)], -2)
-    turned = _inertia_columns(alpha) + matrix_product(W, _inertia_columns(w))
-    by_second = jnp.concatenate([turned, jnp.zeros_like(turned)], -2)
-    wrench = jnp.concatenate([by_mass, by_first, by_second], -1)  # (nb, 6, 10)
-    moment = matrix_product(poses.R, wrench[:, :3])
-    force = matrix_product(poses.R, wrench[:, 3:])
-    moment = moment + matrix_product(skew(poses.p), force)
-    at_origin = jnp.where(fixed[..., None], 0.0, jnp.concatenate([moment, force], -2))
-    S = jnp.concatenate(world_axes(top, R, p), -1)
+    motions = d.whole(d.outward(step, root, d.zip(d.constants, joints, d.lanes(a))))
+    carriers = [max(link, 0) for link in top.body_links]
+    wrenches = d.each(
+        parameter_wrenches,
+        d.take(poses, carriers), body_transforms(d, poses), d.take(motions, carriers),
+    )  # fmt: skip
+    S = d.stack(link_axes(d, poses), list, q)
+    W = d.stack(wrenches, lambda forces: [x for f in forces for x in f], q).reshape(nb, 10, 6)
     moved_by = np.stack([ancestor_mask(top, i) for i in top.body_links])  # [body, link]
-    Y = (S[:, None, :, None] * at_origin[None]).sum(2)
-    return jnp.where(moved_by.T[:, :, None], Y, 0.0).reshape(n, 10 * nb)
+    rows = [S[:, k, None] * W[:, :, k].reshape(1, -1) for k in range(6)]
+    return jnp.where(np.repeat(moved_by.T, 10, 1), functools.reduce(jnp.add, rows), 0.0)
 
 
-def _inertia_columns(x: jax.Array) -> jax.Array:
-    """K(x) (nb, 3, 6), with I x = K(x) (I_xx, I_xy, I_yy, I_xz, I_yz, I_zz)."""
-    a, b, c = jnp.moveaxis(x, -1, 0)
-    o = jnp.zeros_like(a)
-    rows = [a, b, o, c, o, o, o, a, b, o, c, o, o, o, o, a, b, c]
-    return jnp.stack(rows, -1).reshape(-1, 3, 6)
+def parameter_wrenches(link: Transform, body: Transform, motion: tuple) -> tuple[Force, ...]:
+    """What each of a body's ten parameters adds to the wrench on it, in world axes.
+
+    `motion` is the angular velocity and the acceleration of its link, in the link's axes.
+    """
+    w, alpha, lin = (link.R @ x for x in (motion[0], motion[1].ang, motion[1].lin))
+    arm = body.p - link.p
+    lin = lin + alpha.cross(arm) + w.cross(w.cross(arm))
+    w, alpha, lin = (body.R.T @ x for x in (w, alpha, lin))
+    W = Mat3.skew(w)
+    second = zip(_inertia_columns(alpha), _inertia_columns(w), strict=True)
+    turning = Mat3.skew(alpha) + W @ W
+    in_body = [
+        Force(Vec3.zero(), lin),
+        *map(Force, Mat3.skew(-lin).columns, turning.columns),
+        *(Force(by_alpha + w.cross(by_w), Vec3.zero()) for by_alpha, by_w in second),
+    ]
+    return tuple(body.T(f) for f in in_body)
+
+
+def _inertia_columns(x: Vec3) -> list[Vec3]:
+    """The columns of K(x), with I x = K(x) (I_xx, I_xy, I_yy, I_xz, I_yz, I_zz)."""
+    a, b, c = x
+    o = 0.0
+    rows = [(a, o, o), (b, a, o), (o, b, o), (c, o, a), (o, c, b), (o, o, c)]
+    return [Vec3(*row) for row in rows]
 
 
 def inertial_parameters(model: Model) -> jax.Array:

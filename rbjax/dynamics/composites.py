@@ -21,22 +21,29 @@ from rbjax.model import Topology
 from rbjax.spatial import Motion, Transform
 
 
-def world_links(d: Driver, joints: Any) -> tuple[Any, Any]:
-    """Each link's axis S and its own inertia, in world axes at its tree's first link."""
-    top = d.topology
+def tree_poses(d: Driver, joints: Any) -> Any:
+    """Each link's pose in world axes, from the origin of its tree's first link."""
     poses = d.whole(world_poses(d, joints))
-    origins = d.take(poses, [chain[0] for chain in top.ancestors])
-    turns = d.known([1.0 if link.kind == "hinge" else 0.0 for link in top.links])
+    origins = d.take(poses, [chain[0] for chain in d.topology.ancestors])
+    return d.each(lambda pose, origin: Transform(pose.R, pose.p - origin.p), poses, origins)
 
-    def axis(pose, origin, turns):
-        arm, z = pose.p - origin.p, pose.R.columns[2]
-        return Motion(z * turns, arm.cross(z * turns) + z * sub(1.0, turns))
 
-    def inertia(pose, origin, link):
-        return Transform(pose.R, pose.p - origin.p).rigid_to_parent(link.inertia)
+def link_axes(d: Driver, poses: Any) -> Any:
+    """Each link's axis S in world axes."""
 
-    S = d.each(axis, poses, origins, turns)
-    return S, d.each(inertia, poses, origins, d.whole(d.constants))
+    def axis(pose, turns):
+        z = pose.R.columns[2]
+        return Motion(z * turns, pose.p.cross(z * turns) + z * sub(1.0, turns))
+
+    turns = d.known([1.0 if link.kind == "hinge" else 0.0 for link in d.topology.links])
+    return d.each(axis, poses, turns)
+
+
+def link_inertias(d: Driver, poses: Any) -> Any:
+    """Each link's own inertia in world axes."""
+    return d.each(
+        lambda pose, link: pose.rigid_to_parent(link.inertia), poses, d.whole(d.constants)
+    )
 
 
 def carried(d: Driver, values: Any, zero: Any) -> Any:

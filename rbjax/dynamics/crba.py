@@ -13,7 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.composites import carried, pair_matrix, world_links
+from rbjax.dynamics.composites import (
+    carried,
+    link_axes,
+    link_inertias,
+    pair_matrix,
+    tree_poses,
+)
 from rbjax.dynamics.drivers import Rolled, Unrolled, driver
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
@@ -54,8 +60,9 @@ def _unrolled(d: Unrolled, joints: list) -> jax.Array | list[list[Lane]]:
 def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
     """All F and S in world axes, and M as one masked sum of six outer products."""
     d.unroll = 2  # the steps are small
-    S, inertias = world_links(d, joints)
-    I_c = carried(d, inertias, _ZERO)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses)
+    I_c = carried(d, link_inertias(d, poses), _ZERO)
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
     armature = jnp.where(np.eye(d.topology.nv, dtype=bool), d.prepared.columns.armature, 0.0)
     return pair_matrix(d, (S, F), (F, S), like) + armature

@@ -77,6 +77,12 @@ class Unrolled:
         """The values of these links."""
         return [whole[i] for i in index]
 
+    def stack(self, whole: list, lanes: Callable, like: jax.Array) -> jax.Array:
+        """The lanes of each value side by side, as an array (values, lanes)."""
+        rows = [list(lanes(x)) for x in whole]
+        flat = [x for row in rows for x in row]
+        return pack(flat, jnp.zeros(len(flat), like.dtype)).reshape(len(rows), -1)
+
     def known(self, numbers: list[float]) -> list[Lane]:
         """Numbers that are part of the program, one a link."""
         return list(numbers)
@@ -211,6 +217,12 @@ class Rolled:
     def take(self, whole: Any, index: Sequence[int]) -> Any:
         """As `Unrolled.take`."""
         return _row(whole, np.array(index, int))
+
+    def stack(self, whole: Any, lanes: Callable, like: jax.Array) -> jax.Array:
+        """As `Unrolled.stack`."""
+        columns = [jnp.asarray(x, like.dtype) for x in lanes(whole)]
+        size = max(x.shape[0] for x in columns if x.ndim)
+        return jnp.stack([jnp.broadcast_to(x, (size,)) for x in columns], -1)
 
     def known(self, numbers: list[float]) -> Lane:
         """As `Unrolled.known`."""
