@@ -151,9 +151,13 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         d.take(poses, carriers), body_transforms(d, poses), d.take(motions, carriers),
     )  # fmt: skip
     S = d.stack(link_axes(d, poses), list, q)
-    W = d.stack(wrenches, lambda forces: [x for f in forces for x in f], q).reshape(nb, 10, 6)
     moved_by = np.stack([ancestor_mask(top, i) for i in top.body_links])  # [body, link]
-    rows = [S[:, k, None] * W[:, :, k].reshape(1, -1) for k in range(6)]
+
+    def lane_of_each(k):
+        column = d.stack(wrenches, lambda forces: [list(f)[k] for f in forces], q)
+        return S[:, k, None] * column.reshape(1, -1)
+
+    rows = [lane_of_each(k) for k in range(6)]
     return jnp.where(np.repeat(moved_by.T, 10, 1), functools.reduce(jnp.add, rows), 0.0)
 
 
