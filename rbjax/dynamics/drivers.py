@@ -30,8 +30,9 @@ from rbjax.model.cells import lane_of
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
 
-#: above this many velocity coordinates "auto" rolls: at 7 unrolled code is the faster on the
-#: CPU (benchmarks/results/cpu-forms-*.json), beyond it the compile time of gradients decides
+#: above this many velocity coordinates "auto" rolls. Unrolled code runs twice as fast on the CPU at
+#: any length, but to compile its gradient takes 0.8 s a link, rolled 4 s whatever the length
+#: (benchmarks/results/cpu-thresholds-*.json).
 UNROLLED_UP_TO = 8
 
 
