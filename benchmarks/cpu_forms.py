@@ -7,12 +7,7 @@
 
 from __future__ import annotations
 
-import os
-
-if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false " + os.environ.get("XLA_FLAGS", "")
-os.environ.setdefault("JAX_ENABLE_X64", "1")
+import benchmarks.one_core  # noqa: F401  isort: skip
 
 import jax
 import jax.numpy as jnp

@@ -5,12 +5,15 @@ B(I, V) = (V x* I - I V x + (I V) x-bar*) / 2,
 
     C = sum over bodies of J^T (I J' + B J),   J'_i = V_i x S_i,
 
-so that C v + g = b and M' = C + C^T. Regressor: the Newton-Euler equations are linear in each
-body's ten inertial parameters (Khalil & Dombre, *Modeling, Identification and Control of Robots*,
-ch. 12).
+so that C v + g = b and M' = C + C^T. Of B's four blocks two are zero (`coriolis_block`).
+
+Regressor: the Newton-Euler equations are linear in each body's ten inertial parameters (Khalil &
+Dombre, *Modeling, Identification and Control of Robots*, ch. 12).
 """
 
 from __future__ import annotations
+
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -18,25 +21,19 @@ import numpy as np
 
 from rbjax.dynamics.aba import swing
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.composites import (
+    carried,
+    link_axes,
+    link_inertias,
+    pair_matrix,
+    tree_poses,
+)
 from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.jacobians import ancestor_mask, world_axes
-from rbjax.dynamics.kinematics import body_poses, link_poses
-from rbjax.lanes import Vec3
-from rbjax.model import WORLD, Model
-from rbjax.model.links import matrix_apply, matrix_product, matrix_transpose
-from rbjax.spatial import Motion
-
-
-def skew(r: jax.Array) -> jax.Array:
-    """[r] (..., 3, 3), with [r] a = r x a."""
-    x, y, z = jnp.moveaxis(r, -1, 0)
-    o = jnp.zeros_like(x)
-    return jnp.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(*r.shape, 3)
-
-
-def _blocks(a, b, c, d) -> jax.Array:
-    """The 6 by 6 matrix [a, b; c, d]."""
-    return jnp.concatenate([jnp.concatenate([a, b], -1), jnp.concatenate([c, d], -1)], -2)
+from rbjax.dynamics.jacobians import ancestor_mask
+from rbjax.dynamics.kinematics import body_transforms
+from rbjax.lanes import Mat3, Sym3, Vec3
+from rbjax.model import Model
+from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
 @algorithm("q", "v")
@@ -64,62 +61,50 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     if not n:
         return jnp.zeros((0, 0), q.dtype)
     d = driver(model, q.dtype)
-    R, p = link_poses(d, q)
-    poses = body_poses(d, R, p)
-    # each tree is seen from the origin of its own first link, so that f32 keeps its digits
-    centre = p[np.array([chain[0] for chain in top.ancestors], int)]
-    angular, linear = world_axes(top, R, p - centre)
-    S = jnp.concatenate([angular, linear], -1)
-    moves = np.stack([ancestor_mask(top, i) for i in range(n)])  # [link, ancestor]
-    V = (moves[:, :, None] * (S * v[:, None])[None]).sum(1)
+    joints = d.joints(q, v)
+    poses = tree_poses(d, joints)
+    S, inertias = link_axes(d, poses), link_inertias(d, poses)
+    speeds = d.whole(d.lanes(v))
+
+    def move(x, V_parent):
+        S, speed = x
+        V = V_parent + S * speed
+        return V, V
+
+    V = d.whole(d.outward(move, Motion.zero(), d.zip(d.rows(S), d.rows(speeds))))
     # the axes of a ball turn with its body: the twist of its last link
-    last = np.array([_last_of_ball(top, i) for i in range(n)], int)
-    w, u = V[last, :3], V[last, 3:]
-    S_rate = jnp.concatenate(
-        [jnp.cross(w, S[:, :3]), jnp.cross(w, S[:, 3:]) + jnp.cross(u, S[:, :3])], -1
-    )
-    # bodies' spatial inertias and B at the same point, summed over what each link carries
-    carried = np.array(top.body_links)
-    I = _world_inertia(model, poses, centre[carried], q.dtype)
-    B = _coriolis_block(I, jnp.where((carried == WORLD)[:, None], 0.0, V[carried]))
-    carries = np.stack(
-        [[link != WORLD and i in top.ancestors[link] for link in carried] for i in range(n)]
-    )
-    I_c, B_c = (jnp.where(carries[:, :, None, None], x, 0.0).sum(1) for x in (I, B))
-    outer = _pairs(S, matrix_apply(I_c, S_rate) + matrix_apply(B_c, S))
-    inner = _pairs(S_rate, matrix_apply(I_c, S)) + _pairs(S, matrix_apply(matrix_transpose(B_c), S))
-    # entry (i, j): what the deeper of the two carries
-    return jnp.where(moves.T, outer, jnp.where(moves, inner.T, 0.0))
+    turning = d.take(V, [_last_of_ball(top, i) for i in range(n)])
+    S_rate = d.each(Motion.cross, turning, S)
+    B = d.each(coriolis_block, inertias, V)
+    nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), (Sym3.zero(), Force.zero()))
+    composite = carried(d, d.each(lambda *x: x, inertias, B), nothing)
+
+    def forces(S, S_rate, composite):
+        inertia, (D, h) = composite
+        half, DS = h.ang.cross(S.ang) * 0.5, D @ S.ang
+        outer = inertia(S_rate) + Force(DS - half, S.ang.cross(h.lin))
+        transposed = DS + half + h.lin.cross(S.lin)
+        return outer, (*inertia(S), *transposed)
+
+    both = d.each(forces, S, S_rate, composite)
+    outer, inner = d.each(lambda x: x[0], both), d.each(lambda x: x[1], both)
+    axes = d.each(lambda S, S_rate: (*S_rate, *S.ang), S, S_rate)
+    return pair_matrix(d, (S, outer), (inner, axes), v)
 
 
-def _pairs(a, b):
-    """a_i . b_j for all pairs."""
-    return (a[:, None, :] * b[None, :, :]).sum(-1)
+def coriolis_block(inertia: RigidInertia, V: Motion) -> tuple[Sym3, Force]:
+    """B(I, V) = [D - [n] / 2, 0; -[f], 0] as (D, [n; f]), with [n; f] = I V the momentum and
+
+    D = ([w] J - J [w] - [u] [h] - [h] [u]) / 2 symmetric; so B V = V x* I V and B + B^T = dI/dt.
+    """
+    W, U, H = (Mat3.skew(x) for x in (V.ang, V.lin, inertia.h))
+    half = W @ inertia.J - (U @ H)
+    return Sym3.upper((half + half.T) * 0.5), inertia(V)
 
 
 def _last_of_ball(top, i: int) -> int:
     link = top.links[i]
     return i if link.part is None or link.kind == "slide" else i + 2 - link.part
-
-
-def _world_inertia(model: Model, poses, centre, dtype) -> jax.Array:
-    """Spatial inertia (nb, 6, 6) of each body in world axes at a point."""
-    m = model.bodies.mass.astype(dtype)[:, None, None]
-    turned = matrix_product(poses.R, model.bodies.inertia.astype(dtype))
-    c = skew(poses.p + matrix_apply(poses.R, model.bodies.com.astype(dtype)) - centre)
-    J = matrix_product(turned, matrix_transpose(poses.R)) - m * matrix_product(c, c)
-    return _blocks(J, m * c, -m * c, m * jnp.eye(3, dtype=dtype))
-
-
-def _coriolis_block(I: jax.Array, V: jax.Array) -> jax.Array:
-    """B(I, V), with B V = V x* I V and B + B^T = dI/dt."""
-    w, u = skew(V[:, :3]), skew(V[:, 3:])
-    o = jnp.zeros_like(w)
-    cross, cross_force = _blocks(w, o, u, w), _blocks(w, u, o, w)
-    h = matrix_apply(I, V)
-    n, f = skew(h[:, :3]), skew(h[:, 3:])
-    bar = _blocks(-n, -f, -f, o)
-    return (matrix_product(cross_force, I) - matrix_product(I, cross) + bar) / 2
 
 
 @algorithm("q", "v", "a")
@@ -148,10 +133,8 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
     if not n:
         return jnp.zeros((0, 10 * nb), q.dtype)
     d = driver(model, q.dtype)
-    R, p = link_poses(d, q)
-    poses = body_poses(d, R, p)
-    link = np.array(top.body_links, int)
-    fixed = (link == WORLD)[:, None]
+    joints = d.joints(q, v)
+    poses = tree_poses(d, joints)
 
     def step(x, parent):
         w_parent, a_parent = parent
@@ -161,39 +144,49 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         return (w, acc), (w, acc)
 
     root = (Vec3.zero(), Motion(Vec3.zero(), -d.prepared.gravity))
-    out = d.outward(step, root, d.zip(d.constants, d.joints(q, v), d.lanes(a)))
-    w, acc = d.columns(out, v)
-
-    def world(x):
-        return matrix_apply(R, jnp.stack(list(x), -1))[link]
-
-    arm = poses.p - p[link]
-    w, alpha, lin = world(w), world(acc.ang), world(acc.lin)
-    lin = lin + jnp.cross(alpha, arm) + jnp.cross(w, jnp.cross(w, arm))
-    w, alpha, lin = ((poses.R * x[:, :, None]).sum(-2) for x in (w, alpha, lin))
-    # wrench per parameter in body axes: force, and moment about the body's origin
-    A, W = skew(alpha), skew(w)
-    by_mass = jnp.concatenate([jnp.zeros_like(lin), lin], -1)[:, :, None]
-    by_first = jnp.concatenate([-skew(lin), A + matrix_product(W, W)], -2)
-    turned = _inertia_columns(alpha) + matrix_product(W, _inertia_columns(w))
-    by_second = jnp.concatenate([turned, jnp.zeros_like(turned)], -2)
-    wrench = jnp.concatenate([by_mass, by_first, by_second], -1)  # (nb, 6, 10)
-    moment = matrix_product(poses.R, wrench[:, :3])
-    force = matrix_product(poses.R, wrench[:, 3:])
-    moment = moment + matrix_product(skew(poses.p), force)
-    at_origin = jnp.where(fixed[..., None], 0.0, jnp.concatenate([moment, force], -2))
-    S = jnp.concatenate(world_axes(top, R, p), -1)
+    motions = d.whole(d.outward(step, root, d.zip(d.constants, joints, d.lanes(a))))
+    carriers = [max(link, 0) for link in top.body_links]
+    wrenches = d.each(
+        parameter_wrenches,
+        d.take(poses, carriers), body_transforms(d, poses), d.take(motions, carriers),
+    )  # fmt: skip
+    S = d.stack(link_axes(d, poses), list, q)
     moved_by = np.stack([ancestor_mask(top, i) for i in top.body_links])  # [body, link]
-    Y = (S[:, None, :, None] * at_origin[None]).sum(2)
-    return jnp.where(moved_by.T[:, :, None], Y, 0.0).reshape(n, 10 * nb)
+
+    def lane_of_each(k):
+        column = d.stack(wrenches, lambda forces: [list(f)[k] for f in forces], q)
+        return S[:, k, None] * column.reshape(1, -1)
+
+    rows = [lane_of_each(k) for k in range(6)]
+    return jnp.where(np.repeat(moved_by.T, 10, 1), functools.reduce(jnp.add, rows), 0.0)
 
 
-def _inertia_columns(x: jax.Array) -> jax.Array:
-    """K(x) (nb, 3, 6), with I x = K(x) (I_xx, I_xy, I_yy, I_xz, I_yz, I_zz)."""
-    a, b, c = jnp.moveaxis(x, -1, 0)
-    o = jnp.zeros_like(a)
-    rows = [a, b, o, c, o, o, o, a, b, o, c, o, o, o, o, a, b, c]
-    return jnp.stack(rows, -1).reshape(-1, 3, 6)
+def parameter_wrenches(link: Transform, body: Transform, motion: tuple) -> tuple[Force, ...]:
+    """What each of a body's ten parameters adds to the wrench on it, in world axes.
+
+    `motion` is the angular velocity and the acceleration of its link, in the link's axes.
+    """
+    w, alpha, lin = (link.R @ x for x in (motion[0], motion[1].ang, motion[1].lin))
+    arm = body.p - link.p
+    lin = lin + alpha.cross(arm) + w.cross(w.cross(arm))
+    w, alpha, lin = (body.R.T @ x for x in (w, alpha, lin))
+    W = Mat3.skew(w)
+    second = zip(_inertia_columns(alpha), _inertia_columns(w), strict=True)
+    turning = Mat3.skew(alpha) + W @ W
+    in_body = [
+        Force(Vec3.zero(), lin),
+        *map(Force, Mat3.skew(-lin).columns, turning.columns),
+        *(Force(by_alpha + w.cross(by_w), Vec3.zero()) for by_alpha, by_w in second),
+    ]
+    return tuple(body.T(f) for f in in_body)
+
+
+def _inertia_columns(x: Vec3) -> list[Vec3]:
+    """The columns of K(x), with I x = K(x) (I_xx, I_xy, I_yy, I_xz, I_yz, I_zz)."""
+    a, b, c = x
+    o = 0.0
+    rows = [(a, o, o), (b, a, o), (o, b, o), (c, o, a), (o, c, b), (o, o, c)]
+    return [Vec3(*row) for row in rows]
 
 
 def inertial_parameters(model: Model) -> jax.Array:

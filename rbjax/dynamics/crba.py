@@ -6,7 +6,6 @@ inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F +
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import jax
@@ -14,13 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.composites import (
+    carried,
+    link_axes,
+    link_inertias,
+    pair_matrix,
+    tree_poses,
+)
 from rbjax.dynamics.drivers import Rolled, Unrolled, driver
-from rbjax.dynamics.jacobians import ancestor_mask
-from rbjax.dynamics.kinematics import world_poses
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model
-from rbjax.spatial import Force, Motion, RigidInertia, Transform
+from rbjax.spatial import Force, RigidInertia
 
 _ZERO = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
 
@@ -54,38 +58,14 @@ def _unrolled(d: Unrolled, joints: list) -> jax.Array | list[list[Lane]]:
 
 
 def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
-    """All F and S in world axes, and M as one masked sum of six outer products.
-
-    Each tree is seen from the origin of its own first link, so that f32 keeps its digits.
-    """
-    top = d.topology
-
-    def step(x, children):
-        X, I_c, F = composite(x, children)
-        return X.rigid_to_parent(I_c), F
-
-    F = d.inward(step, _ZERO, d.zip(d.constants, joints))
-    pose = world_poses(d, joints)
-    first = np.array([chain[0] for chain in top.ancestors], int)
-
-    def column(lane):
-        return d.pack(lane, like)
-
-    p = Vec3(*(column(x) - column(x)[first] for x in pose.p))
-    R = jax.tree.map(column, pose.R)
-    F = Transform(R, p).T(jax.tree.map(column, F))
-    S = joints.S
-    z = R.columns[2]
-    turns, slides = z * S.ang[2], z * S.lin[2]
-    S = Motion(turns, p.cross(turns) + slides)
-    S, F = materialize((jax.tree.map(column, S), F))
-    moves = np.stack([ancestor_mask(top, i) for i in range(top.nv)])
-    pairs = list(zip(F, S, strict=True))
-    # written twice, not transposed: a transposed operand would keep the sum from being vectorized
-    below = functools.reduce(jnp.add, (f[:, None] * s[None, :] for f, s in pairs))
-    above = functools.reduce(jnp.add, (s[:, None] * f[None, :] for f, s in pairs))
-    armature = jnp.where(np.eye(top.nv, dtype=bool), column(d.constants.armature), 0.0)
-    return jnp.where(moves, below, jnp.where(moves.T, above, 0.0)) + armature
+    """All F and S in world axes, and M as one masked sum of six outer products."""
+    d.unroll = 2  # the steps are small
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses)
+    I_c = carried(d, link_inertias(d, poses), _ZERO)
+    F = d.each(lambda inertia, S: inertia(S), I_c, S)
+    armature = jnp.where(np.eye(d.topology.nv, dtype=bool), d.prepared.columns.armature, 0.0)
+    return pair_matrix(d, (S, F), (F, S), like) + armature
 
 
 @algorithm("q")

@@ -6,31 +6,33 @@ A recursion is written once, as a step on the lanes of one link; a driver walks 
   to link, so this is the least arithmetic and the fastest code; compile time grows with the tree.
 - `Rolled` is a `lax.scan` over the links in depth-first order. One step is compiled however many
   links there are. A link's parent is nearly always the link before; branch points wait in a few
-  slots, reused as soon as their last child has passed, so no array over links is carried.
+  slots, reused as soon as their last child has passed, so no array over links is carried. A free
+  joint's six links come first and are written out (the *head*), so that all others turn about z.
 
 `outward` hands each step its parent's carry, `inward` the sum of its children's messages.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.joints import JointMotion, joint_columns, joint_lanes
+from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack, unpack
 from rbjax.lanes import Lane, add, as_arrays, is_literal
 from rbjax.materialize import materialize
-from rbjax.model import WORLD, LinkConstants, Model, Prepared, prepare
+from rbjax.model import WORLD, Model, Prepared, prepare
 from rbjax.model.cells import lane_of
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
 
-#: above this many velocity coordinates "auto" rolls: at 7 unrolled code is the faster on the
-#: CPU (benchmarks/results/cpu-forms-*.json), beyond it the compile time of gradients decides
+#: above this many velocity coordinates "auto" rolls. Unrolled code runs twice as fast on the CPU at
+#: any length, but to compile its gradient takes 0.8 s a link, rolled 4 s whatever the length
+#: (benchmarks/results/cpu-thresholds-*.json).
 UNROLLED_UP_TO = 8
 
 
@@ -60,6 +62,32 @@ class Unrolled:
         """Per-link pytrees as one pytree of columns (nv, ...), for work with whole arrays."""
         return jax.tree.map(lambda *lanes: pack(lanes, like), *values)
 
+    def whole(self, values: list) -> list:
+        """Per-link values in the form for work on all links at once, outside the recursions."""
+        return values
+
+    def rows(self, whole: list) -> list:
+        """The inverse of `whole`."""
+        return whole
+
+    def each(self, f: Callable, *whole: list) -> list:
+        """f of each link's values."""
+        return [materialize(f(*x), known=x) for x in zip(*whole, strict=True)]
+
+    def take(self, whole: list, index: Sequence[int]) -> list:
+        """The values of these links."""
+        return [whole[i] for i in index]
+
+    def stack(self, whole: list, lanes: Callable, like: jax.Array) -> jax.Array:
+        """The lanes of each value side by side, as an array (values, lanes)."""
+        rows = [list(lanes(x)) for x in whole]
+        flat = [x for row in rows for x in row]
+        return pack(flat, jnp.zeros(len(flat), like.dtype)).reshape(len(rows), -1)
+
+    def known(self, numbers: list[float]) -> list[Lane]:
+        """Numbers that are part of the program, one a link."""
+        return list(numbers)
+
     def zip(self, *values: list) -> list[tuple]:
         """Per-link tuples of per-link values."""
         return list(zip(*values, strict=True))
@@ -87,112 +115,249 @@ class Unrolled:
         return ys
 
 
+class Values:
+    """A per-link value of `Rolled`: a list for the head, columns for the rest of the links."""
+
+    def __init__(self, head: list, rest: Any):
+        self.head, self.rest = head, rest
+
+    def __iter__(self):
+        for k, rest in enumerate(self.rest):
+            yield Values([x[k] for x in self.head], rest)
+
+
+jax.tree_util.register_pytree_node(
+    Values, lambda v: ((v.head, v.rest), None), lambda _, children: Values(*children)
+)
+
+
+class Constants:
+    """Among the columns of `Rolled`: the links' constants."""
+
+
+class Joints:
+    """Among the columns of `Rolled`: joint motions, `make` of these columns."""
+
+    def __init__(self, make: Callable[..., JointMotion], columns: list[Lane]):
+        self.make, self.columns = make, columns
+
+
+class PoseLane:
+    """Among the columns of `Rolled`: a lane of the link's pose, cheaper to compute than to keep."""
+
+    def __init__(self, joints: Joints, k: int):
+        self.joints, self.k = joints, k
+
+
 class Rolled:
-    """A scan over the links. Per-link values are pytrees of columns (nv, ...)."""
+    """A scan over the links, after the head.
+
+    A step costs what it reads and writes: constants come as one row, of a hinge only its cosine and
+    sine, and what a step hands on unchanged is not written, nor is a link's pose.
+    """
 
     def __init__(self, model: Model, prepared: Prepared):
-        self.topology, self.prepared = model.topology, prepared
-        self.constants: LinkConstants = jax.tree.map(_uniform, prepared.columns)
+        top = self.topology = model.topology
+        self.prepared = prepared
+        n = top.nv
+        self.head = 6 if top.joint_kinds[:1] == ("free",) and n > 6 else 0
+        self._columns = jax.tree.map(lambda x: _uniform(x[self.head :]), prepared.columns)
+        self.constants = Values([prepared.link(i) for i in range(self.head)], Constants())
+        #: links a turn of the loop: two spare copies of the carry, and double the program
+        self.unroll = 1
         self._like: Any = None  # the shape and dtype of one lane, known with q
-        parents = np.array(self.topology.parents)
-        n = len(parents)
-        self._slots, slot_of = allocate_slots(self.topology.parents)
+        parents = np.array(top.parents)
+        self._slots, self._slot_of = allocate_slots(top.parents)
         chained = parents == np.arange(n) - 1
         #: the slot from which each link takes its parent, or -1 for the link before
-        self._source = np.where(chained, -1, [slot_of.get(p, -1) for p in parents])
+        source = np.where(chained, -1, [self._slot_of.get(p, -1) for p in parents])
         #: the slot in which each link waits for its later children, or -1
-        self._keep = np.array([slot_of.get(i, -1) for i in range(n)])
-        self._to_root = parents == WORLD
-        self._root_slot = slot_of.get(WORLD)
+        keep = np.array([self._slot_of.get(i, -1) for i in range(n)])
+        target = np.where(parents == WORLD, -2, source)
+        self._index = np.stack([source, keep, target], 1).astype(np.int32)[self.head :]
 
-    def joints(self, q: jax.Array, v: jax.Array | None) -> JointMotion:
-        """The joint motions as columns."""
+    def joints(self, q: jax.Array, v: jax.Array | None) -> Values:
+        """The joint motion of each link."""
         self._like = jnp.zeros(q.shape[1:], q.dtype)
-        return materialize(joint_columns(self.topology, self.prepared, q, v))
+        qs: Any = q
+        vs: Any = [0.0] * self.topology.nv if v is None else v
+        links = enumerate(self.topology.links[: self.head])
+        head = [joint_lanes(link, self.constants.head[i], qs, vs, i) for i, link in links]
+        make, columns = joint_columns(self.topology, self.prepared, q, v, self.head)
+        head, columns = materialize((head, columns))
+        return Values(head, Joints(make, columns))
 
-    def lanes(self, x: jax.Array | None) -> Lane:
-        """An array (nv, ...) as a column; zero if None."""
-        return 0.0 if x is None else x
+    def lanes(self, x: jax.Array | None) -> Values:
+        """An array (nv, ...) as a per-link lane; zeros if None."""
+        if x is None:
+            return Values([0.0] * self.head, 0.0)
+        return Values([x[i] for i in range(self.head)], x[self.head :])
 
-    def pack(self, lanes: Lane, like: jax.Array) -> jax.Array:
-        """A column as an array (nv, ...)."""
-        return jnp.broadcast_to(jnp.asarray(lanes, like.dtype), like.shape)
+    def pack(self, lanes: Values, like: jax.Array) -> jax.Array:
+        """A per-link lane as an array (nv, ...)."""
+        rest = jnp.broadcast_to(jnp.asarray(lanes.rest, like.dtype), like[self.head :].shape)
+        if not self.head:
+            return rest
+        return jnp.concatenate([pack(lanes.head, like), rest])
 
-    def columns(self, values: Any, like: jax.Array) -> Any:
-        """As `Unrolled.columns`: broadcast what is literal."""
-        return jax.tree.map(lambda lanes: self.pack(lanes, like), values)
+    def whole(self, values: Values) -> Any:
+        """As `Unrolled.whole`: columns."""
+        if isinstance(values.rest, Constants):
+            return jax.tree.map(_uniform, self.prepared.columns)
+        return self.columns(values, jnp.zeros(self.topology.nv, self._like.dtype))
 
-    def zip(self, *values: Any) -> tuple:
-        """Columns side by side."""
-        return values
+    def rows(self, whole: Any) -> Values:
+        """As `Unrolled.rows`."""
+        head = [_row(whole, i) for i in range(self.head)]
+        return Values(head, _row(whole, slice(self.head, None)))
 
-    def outward(self, step: Step, root: Any, xs: Any) -> Any:
-        """As `Unrolled.outward`, with columns for the y."""
-        root = as_arrays(root, self._like)
-        slots = tuple(root for _ in range(self._slots))
+    def each(self, f: Callable, *whole: Any) -> Any:
+        """As `Unrolled.each`."""
+        return materialize(f(*whole), known=whole)
+
+    def take(self, whole: Any, index: Sequence[int]) -> Any:
+        """As `Unrolled.take`."""
+        return _row(whole, np.array(index, int))
+
+    def stack(self, whole: Any, lanes: Callable, like: jax.Array) -> jax.Array:
+        """As `Unrolled.stack`."""
+        columns = [jnp.asarray(x, like.dtype) for x in lanes(whole)]
+        size = max(x.shape[0] for x in columns if x.ndim)
+        return jnp.stack([jnp.broadcast_to(x, (size,)) for x in columns], -1)
+
+    def known(self, numbers: list[float]) -> Lane:
+        """As `Unrolled.known`."""
+        return _uniform(np.array(numbers))
+
+    def columns(self, values: Values, like: jax.Array) -> Any:
+        """As `Unrolled.columns`."""
+        rest = jax.tree.map(self._whole, values.rest)
+        return jax.tree.map(lambda r, *h: self.pack(Values(list(h), r), like), rest, *values.head)
+
+    def _whole(self, x: Any) -> Any:
+        """A pose's lane computed for all links."""
+        if not isinstance(x, PoseLane):
+            return x
+        pose = x.joints.make(*x.joints.columns).transform(self._columns)
+        return jax.tree.leaves(pose)[x.k]
+
+    def zip(self, *values: Values) -> Values:
+        """Per-link tuples of per-link values."""
+        head = [tuple(v.head[i] for v in values) for i in range(self.head)]
+        return Values(head, tuple(v.rest for v in values))
+
+    def outward(self, step: Step, root: Any, xs: Values) -> Values:
+        """As `Unrolled.outward`."""
+        carries: list = []
+        ys: list = []
+        for i in range(self.head):
+            before = carries[-1] if i else root
+            carry, y = materialize(step(xs.head[i], before), known=(xs.head[i], before))
+            carries.append(carry)
+            ys.append(y)
+        before = as_arrays(carries[-1] if self.head else root, self._like)
+        waiting = [as_arrays(root, self._like)] * self._slots
+        for i, carry in enumerate(carries):
+            if i in self._slot_of:
+                waiting[self._slot_of[i]] = as_arrays(carry, self._like)
 
         def body(carry, index, x):
             before, slots = carry
-            source, keep = index
             parent = before
             for k, slot in enumerate(slots):
-                parent = _select(source == k, slot, parent)
+                parent = _select(index[0] == k, slot, parent)
             own, y = step(x, parent)
             own = as_arrays(own, self._like)
-            slots = tuple(_select(keep == k, own, slot) for k, slot in enumerate(slots))
+            slots = tuple(_select(index[1] == k, own, slot) for k, slot in enumerate(slots))
             return (own, slots), y
 
-        return self._scan(body, (root, slots), (self._source, self._keep), xs, reverse=False)
+        _, rest = self._scan(body, (before, tuple(waiting)), xs.rest, reverse=False)
+        return Values(ys, rest)
 
-    def inward(self, step: Step, zero: Any, xs: Any) -> Any:
-        """As `Unrolled.inward`, with columns for the y."""
-        zero = as_arrays(zero, self._like)
-        slots = tuple(zero for _ in range(self._slots))
-        target = np.where(self._to_root, -2, self._source)
+    def inward(self, step: Step, zero: Any, xs: Values) -> Values:
+        """As `Unrolled.inward`."""
+        nothing = as_arrays(zero, self._like)
+        chain = (self._index[1:, 2] == -1).all()
 
         def body(carry, index, x):
             total, slots = carry
-            target, keep = index
             for k, slot in enumerate(slots):
-                total = jax.tree.map(add, total, _select(keep == k, slot, zero))
+                total = jax.tree.map(add, total, _select(index[1] == k, slot, nothing))
             message, y = step(x, total)
             message = as_arrays(message, self._like)
             slots = tuple(
                 jax.tree.map(
                     add,
-                    _select(keep == k, zero, slot),
-                    _select(target == k, message, zero),
+                    _select(index[1] == k, nothing, slot),
+                    _select(index[2] == k, message, nothing),
                 )
                 for k, slot in enumerate(slots)
             )
-            if (self._source[1:] == -1).all():
-                return (message, slots), y
-            return (_select(target == -1, message, zero), slots), y
+            return (message if chain else _select(index[2] == -1, message, nothing), slots), y
 
-        return self._scan(body, (zero, slots), (target, self._keep), xs, reverse=True)
+        carry = (nothing, (nothing,) * self._slots)
+        (total, slots), rest = self._scan(body, carry, xs.rest, reverse=True)
+        ys: list = [None] * self.head
+        for i in reversed(range(self.head)):
+            if i in self._slot_of:
+                total = jax.tree.map(add, total, slots[self._slot_of[i]])
+            total, ys[i] = materialize(step(xs.head[i], total), known=(xs.head[i], total))
+        return Values(ys, rest)
 
-    def _scan(self, body, carry, index, xs, *, reverse: bool) -> Any:
-        """`lax.scan` over links in which literal lanes of x and y stay literal."""
+    def _scan(self, body, carry, xs, *, reverse: bool) -> tuple[Any, Any]:
+        """`lax.scan` over the columns of xs; literals stay so, what is known is not written."""
         leaves, treedef = jax.tree.flatten(xs)
-        literal = [is_literal(x) for x in leaves]
         dtype = self._like.dtype
-        columns = [jnp.asarray(x, dtype) for x, lit in zip(leaves, literal, strict=True) if not lit]
+        numbers, of_constants = jax.tree.flatten(self._columns)
+        row = jnp.stack([jnp.asarray(x, dtype) for x in numbers if not is_literal(x)], 1)
+        columns: dict[int, Any] = {}
+        for x in leaves:
+            joints = x.joints if isinstance(x, PoseLane) else x
+            for column in joints.columns if isinstance(joints, Joints) else [x]:
+                if not (is_literal(column) or isinstance(column, Constants)):
+                    columns[id(column)] = column
         emitted: dict[str, Any] = {}
 
-        def scanned(carry, row):
-            index, rest = row[0], iter(row[1])
-            x = [a if lit else next(rest) for a, lit in zip(leaves, literal, strict=True)]
-            after = body(carry, index, jax.tree.unflatten(treedef, x))
-            carry, y = materialize(after, known=(carry, x))
-            out, emitted["tree"] = jax.tree.flatten(y)
-            emitted["literals"] = [a if is_literal(a) else None for a in out]
-            return carry, [a for a in out if not is_literal(a)]
+        def scanned(carry, x):
+            index, row, lanes = x
+            lane_of = dict(zip(columns, lanes, strict=True))
+            known = {id(lane): columns[key] for key, lane in lane_of.items()}
+            left = iter([row[k] for k in range(row.shape[0])])
+            constants = jax.tree.unflatten(
+                of_constants, [a if is_literal(a) else next(left) for a in numbers]
+            )
+            posed: dict[int, PosedJoint] = {}
 
-        rows = (tuple(jnp.asarray(i, jnp.int32) for i in index), columns)
-        _, ys = jax.lax.scan(scanned, carry, rows, reverse=reverse)
-        rest = iter(ys)
-        out = [next(rest) if a is None else a for a in emitted["literals"]]
-        return jax.tree.unflatten(emitted["tree"], out)
+            def joint(joints):
+                if id(joints) not in posed:
+                    motion = joints.make(*(lane_of.get(id(c), c) for c in joints.columns))
+                    posed[id(joints)] = PosedJoint(motion, motion.transform(constants))
+                    for k, lane in enumerate(jax.tree.leaves(posed[id(joints)].pose)):
+                        known.setdefault(id(lane), PoseLane(joints, k))
+                return posed[id(joints)]
+
+            def value(x):
+                if isinstance(x, Constants):
+                    return constants
+                if isinstance(x, Joints):
+                    return joint(x)
+                if isinstance(x, PoseLane):
+                    return jax.tree.leaves(joint(x.joints).pose)[x.k]
+                return lane_of.get(id(x), x)
+
+            given = jax.tree.unflatten(treedef, [value(x) for x in leaves])
+            carry, y = body(carry, index, given)
+            out, emitted["tree"] = jax.tree.flatten(y)
+            emitted["known"] = [a if is_literal(a) else known.get(id(a)) for a in out]
+            return materialize(
+                (carry, [a for a, k in zip(out, emitted["known"], strict=True) if k is None])
+            )
+
+        given = (jnp.asarray(self._index), row, list(columns.values()))
+        carry, ys = jax.lax.scan(scanned, carry, given, reverse=reverse, unroll=self.unroll)
+        fresh = iter(ys)
+        out = [next(fresh) if a is None else a for a in emitted["known"]]
+        return carry, jax.tree.unflatten(emitted["tree"], out)
 
 
 Driver = Any  # Unrolled or Rolled; per-link values are lists or columns accordingly
@@ -205,6 +370,10 @@ def driver(model: Model, dtype: Any) -> Driver:
     if name == "auto":
         name = "unrolled" if model.nv <= UNROLLED_UP_TO else "rolled"
     return DRIVERS[name](model, prepare(model, dtype))
+
+
+def _row(columns: Any, i: Any) -> Any:
+    return jax.tree.map(lambda column: column if is_literal(column) else column[i], columns)
 
 
 def _select(condition, a, b):

@@ -8,6 +8,7 @@ the final angular velocity, because the axes are fixed in the body (Featherstone
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -43,6 +44,19 @@ class JointMotion:
         return Transform(link.R @ self.J, link.p + link.R.columns[2] * self.slide)
 
 
+class PosedJoint(JointMotion):
+    """A joint motion that knows the link's pose already."""
+
+    pose: Transform
+
+    def __init__(self, motion: JointMotion, pose: Transform):
+        super().__init__(motion.J, motion.slide, motion.S, motion.rate, motion.qd)
+        object.__setattr__(self, "pose", pose)
+
+    def transform(self, link: LinkConstants) -> Transform:
+        return self.pose
+
+
 def joint_lanes(
     link: Link, constants: LinkConstants, q: list[Lane], v: list[Lane], i: int, trig=sincos
 ) -> JointMotion:
@@ -61,38 +75,49 @@ def joint_lanes(
 
 
 def joint_columns(
-    top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None
-) -> JointMotion:
-    """The motions of all links as columns (nv, ...), for the rolled driver."""
+    top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None, start: int = 0
+) -> tuple[Callable[..., JointMotion], list[Lane]]:
+    """The motions of the links from `start` on, for the rolled driver: a function, and its columns.
+
+    The function makes a `JointMotion` of the columns (nv - start, ...), or of one link's lanes.
+    """
+    links = top.links[start:]
     batch = (1,) * (q.ndim - 1)
-    links = top.links
 
     def mask(flags):
         return np.array(list(flags), bool).reshape(-1, *batch)
 
     hinge = mask(link.kind == "hinge" for link in links)
     own = mask(link.kind == "hinge" and link.part is None for link in links)
-    starts = np.array([0 if link.q is None else link.q for link in links])
-    reference = prepared.columns.reference.reshape(-1, *batch)
-    at = q[starts] - jnp.asarray(reference, q.dtype)
-    angle = at if own.all() else jnp.where(own, at, 0.0)
-    J = rotation_z(*sincos(angle))
-    rate, qd = Vec3.zero(), 0.0 if v is None else v
-    if v is not None:
-        rate = Vec3(0.0, 0.0, v if own.all() else jnp.where(own, v, 0.0))
+    places = np.array([0 if link.q is None else link.q for link in links])
+    reference = prepared.columns.reference[start:].reshape(-1, *batch)
+    at = q[places] - jnp.asarray(reference, q.dtype)
+    v = None if v is None else v[start:]
+    qd = 0.0 if v is None else v
+    if own.all():
+        return _turning, [*sincos(at), qd]
+    J = rotation_z(*sincos(jnp.where(own, at, 0.0)))
+    rate = Vec3.zero() if v is None else Vec3(0.0, 0.0, jnp.where(own, v, 0.0))
     first = np.array([i for i, link in enumerate(links) if link.quaternion], int)
     if len(first):
-        quaternion = (q[starts[first] + k] for k in range(4))
+        quaternion = (q[places[first] + k] for k in range(4))
         turned = quaternion_matrix(*quaternion) @ _CYCLE
         J = Mat3(*(_insert(a, first, b, at) for a, b in zip(J, turned, strict=True)))
         if v is not None:
             extra = (v[first + 1], v[first + 2], v[first])
             rate = Vec3(*(_insert(a, first, b, v) for a, b in zip(rate, extra, strict=True)))
-    if hinge.all():
-        return JointMotion(J, 0.0, _HINGE, rate, qd)
-    turns = hinge.astype(q.dtype)
-    S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
-    return JointMotion(J, jnp.where(hinge, 0.0, at), S, rate, qd)
+    S = _HINGE
+    if not hinge.all():
+        turns = jnp.asarray(hinge, q.dtype)
+        S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
+    slide = 0.0 if hinge.all() else jnp.where(hinge, 0.0, at)
+    leaves, treedef = jax.tree.flatten(JointMotion(J, slide, S, rate, qd))
+    return lambda *lanes: jax.tree.unflatten(treedef, lanes), leaves
+
+
+def _turning(c: Lane, s: Lane, qd: Lane) -> JointMotion:
+    """A hinge."""
+    return JointMotion(rotation_z(c, s), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
 
 
 def _insert(column: Lane, rows: np.ndarray, values: jax.Array, like: jax.Array) -> jax.Array:

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.drivers import Driver, Unrolled, driver
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD, Model
-from rbjax.model.links import matrix_apply, matrix_product
+from rbjax.model.links import lane, matrix_apply, matrix_product
 from rbjax.rotations import quaternion
 from rbjax.spatial import Motion, Transform
 
@@ -57,6 +57,32 @@ def body_poses(d: Driver, R: jax.Array, p: jax.Array) -> Poses:
     return Poses(matrix_product(carrier_R, body_R), carrier_p + matrix_apply(carrier_R, body_p))
 
 
+def body_transforms(d: Driver, poses: Any) -> Any:
+    """The pose of each body, from those of the links in the form of `Driver.whole`."""
+    top, R, p = d.topology, d.prepared.body_R, d.prepared.body_p
+    if isinstance(d, Unrolled):
+        welds = [
+            Transform(
+                Mat3(*(lane(R[:, i, j], b) for i in range(3) for j in range(3))),
+                Vec3(*(lane(p[:, i], b) for i in range(3))),
+            )
+            for b in range(top.nb)
+        ]
+        root = Transform(Mat3.identity(), Vec3.zero())
+        carriers = [root if k == WORLD else poses[k] for k in top.body_links]
+        return d.each(Transform.then, carriers, welds)
+    fixed = np.array(top.body_links) == WORLD
+    carrier = d.take(poses, [max(k, 0) for k in top.body_links])
+    if fixed.any():
+        own = list(zip(carrier.R, Mat3.identity(), strict=True))
+        carrier = Transform(
+            Mat3(*(jnp.where(fixed, one, x) for x, one in own)),
+            Vec3(*(jnp.where(fixed, 0.0, x) for x in carrier.p)),
+        )
+    weld = Transform(Mat3(*(R[:, i, j] for i in range(3) for j in range(3))), Vec3(*p.T))
+    return d.each(Transform.then, carrier, weld)
+
+
 @algorithm("q")
 def forward_kinematics(model: Model, q: jax.Array) -> Poses:
     """Poses of all bodies in the world.
@@ -85,7 +111,9 @@ def forward_kinematics(model: Model, q: jax.Array) -> Poses:
     d = driver(model, q.dtype)
     if not model.nv:
         return body_poses(d, jnp.zeros((1, 3, 3), q.dtype), jnp.zeros((1, 3), q.dtype))
-    return body_poses(d, *link_poses(d, q))
+    poses = body_transforms(d, d.whole(world_poses(d, d.joints(q, None))))
+    R, p = d.stack(poses, lambda pose: pose.R, q), d.stack(poses, lambda pose: pose.p, q)
+    return Poses(R.reshape(-1, 3, 3), p)
 
 
 @algorithm("q")
