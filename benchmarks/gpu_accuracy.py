@@ -10,11 +10,16 @@ from __future__ import annotations
 import argparse
 import concurrent.futures
 import multiprocessing
+import os
 import time
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks.timing import markdown_table, save
+
 COUNT = 100
+ENGINES, WHAT = ("rbjax", "MJX"), ("median", "max")
 
 
 def errors(name: str) -> dict:
@@ -55,7 +60,7 @@ def errors(name: str) -> dict:
 
         return jax.vmap(one)(q, v, tau)
 
-    for engine, f in (("rbjax", ours), ("MJX", theirs)):
+    for engine, f in zip(ENGINES, (ours, theirs), strict=True):
         if engine == "MJX" and m.nv > 40:
             continue
         try:
@@ -90,19 +95,22 @@ def main() -> None:
     except TimeoutError:
         print("out of time; left:", sorted(name for job, name in jobs.items() if not job.done()))
     rows = [row for row in rows if row["nv"]]
-    finish(rows, failed)
+    report(rows, failed)
     for process in list((pool._processes or {}).values()):
         process.kill()
 
 
-def finish(rows: list[dict], failed: dict) -> None:
+def report(rows: list[dict], failed: dict) -> None:
     """Save, and print the comparison."""
-    from benchmarks.gpu_timing import finish
-
     rows.sort(key=lambda row: -row.get("rbjax max", np.inf))
-    finish("gpu-accuracy", rows + [{"model": k, "note": v} for k, v in failed.items()])
+    rows += [{"model": k, "note": v} for k, v in failed.items()]
+    path = save("gpu-accuracy", rows)
+    copy = os.environ.get("RBJAX_RESULTS")
+    if copy:
+        (Path(copy) / path.name).write_bytes(path.read_bytes())
+    print(markdown_table(rows, ("model", "nv", *(f"{e} {w}" for e in ENGINES for w in WHAT))))
     both = [row for row in rows if "MJX median" in row and "rbjax median" in row]
-    for what in ("median", "max"):
+    for what in WHAT:
         better = sum(row[f"rbjax {what}"] <= row[f"MJX {what}"] for row in both)
         worse = [row["model"] for row in both if row[f"rbjax {what}"] > row[f"MJX {what}"]]
         print(f"{what}: rbjax no worse than MJX on {better} of {len(both)}; worse on {worse}")

@@ -64,6 +64,7 @@ def actuated(name: str) -> mujoco.MjModel:
         m = spec.compile()
         switch_off_constraints(m)
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)  # MJX's step, else implicit
+    m.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER  # as ours; one file asks for RK4
     m.opt.iterations = m.opt.ls_iterations = 1
     return m
 

@@ -126,7 +126,7 @@ def _cpu_model() -> str:
 def _commit() -> dict[str, Any]:
     """Commit and dirty flag, each None where there is no git or no repository.
 
-    A machine that gets the files without the history can be told: RBJAX_COMMIT=<hash>.
+    A machine that gets the files without their history is told: RBJAX_COMMIT=<hash> wins.
     """
 
     def git(*args: str) -> str | None:
@@ -138,10 +138,13 @@ def _commit() -> dict[str, Any]:
             return None
         return run.stdout.strip()
 
+    told = os.environ.get("RBJAX_COMMIT")
+    if told:
+        return {"commit": told, "dirty": None}
     commit = git("rev-parse", "HEAD")
     # Earlier results of the same run do not make the code that is timed dirty.
     status = git("status", "--porcelain", "--", ":/", ":(top,exclude)benchmarks/results")
     return {
-        "commit": commit or os.environ.get("RBJAX_COMMIT"),
+        "commit": commit,
         "dirty": None if status is None else bool(status),
     }
