@@ -20,7 +20,8 @@ from rbjax.dynamics.composites import (
     pair_matrix,
     tree_poses,
 )
-from rbjax.dynamics.drivers import Rolled, Unrolled, driver
+from rbjax.dynamics.drivers import Unrolled, driver
+from rbjax.dynamics.rolled import Rolled
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model
