@@ -65,8 +65,9 @@ def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
     S = link_axes(d, poses)
     I_c = carried(d, link_inertias(d, poses), _ZERO)
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
-    armature = jnp.where(np.eye(d.topology.nv, dtype=bool), d.prepared.columns.armature, 0.0)
-    return pair_matrix(d, (S, F), (F, S), like) + armature
+    armature = d.whole(d.constants).armature
+    M = pair_matrix(d, (S, F), (F, S), like)
+    return M + jnp.where(np.eye(d.topology.nv, dtype=bool), armature, 0.0).astype(like.dtype)
 
 
 @algorithm("q")

@@ -112,7 +112,7 @@ class Rolled:
     def whole(self, values: Values) -> Any:
         """As `Unrolled.whole`: columns."""
         if isinstance(values.rest, Constants):
-            return jax.tree.map(_uniform, self.prepared.columns)
+            return jax.tree.map(lambda x: self._cast(_uniform(x)), self.prepared.columns)
         return self.columns(values, jnp.zeros(self.topology.nv, self._like.dtype))
 
     def rows(self, whole: Any) -> Values:
@@ -136,7 +136,10 @@ class Rolled:
 
     def known(self, numbers: list[float]) -> Lane:
         """As `Unrolled.known`."""
-        return _uniform(np.array(numbers))
+        return self._cast(_uniform(np.array(numbers)))
+
+    def _cast(self, x: Any) -> Lane:
+        return x if is_literal(x) else jnp.asarray(x, self._like.dtype)
 
     def columns(self, values: Values, like: jax.Array) -> Any:
         """As `Unrolled.columns`."""
