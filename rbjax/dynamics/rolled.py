@@ -131,7 +131,7 @@ class Rolled:
     def stack(self, whole: Any, lanes: Callable, like: jax.Array) -> jax.Array:
         """As `Unrolled.stack`."""
         columns = [jnp.asarray(x, like.dtype) for x in lanes(whole)]
-        size = max(x.shape[0] for x in columns if x.ndim)
+        size = max((x.shape[0] for x in columns if x.ndim), default=self.topology.nv)
         return jnp.stack([jnp.broadcast_to(x, (size,)) for x in columns], -1)
 
     def known(self, numbers: list[float]) -> Lane:
