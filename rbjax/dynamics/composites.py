@@ -73,6 +73,10 @@ def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array
             n, n
         )
     moves = carrier_mask(top)
+    above, below = jax.tree.map(
+        lambda x: jnp.broadcast_to(jnp.asarray(x, like.dtype), (n,)),
+        tuple((list(a), list(b)) for a, b in (above, below)),
+    )
 
     def products(a, b):
         # a transposed operand would keep the sum from being vectorized: hence no mirror

@@ -20,7 +20,8 @@ from rbjax.dynamics.composites import (
     pair_matrix,
     tree_poses,
 )
-from rbjax.dynamics.drivers import Rolled, Unrolled, driver
+from rbjax.dynamics.drivers import Unrolled, driver
+from rbjax.dynamics.rolled import Rolled
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model
@@ -64,8 +65,9 @@ def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
     S = link_axes(d, poses)
     I_c = carried(d, link_inertias(d, poses), _ZERO)
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
-    armature = jnp.where(np.eye(d.topology.nv, dtype=bool), d.prepared.columns.armature, 0.0)
-    return pair_matrix(d, (S, F), (F, S), like) + armature
+    armature = d.whole(d.constants).armature
+    M = pair_matrix(d, (S, F), (F, S), like)
+    return M + jnp.where(np.eye(d.topology.nv, dtype=bool), armature, 0.0).astype(like.dtype)
 
 
 @algorithm("q")

@@ -79,6 +79,7 @@ def body_transforms(d: Driver, poses: Any) -> Any:
             Mat3(*(jnp.where(fixed, one, x) for x, one in own)),
             Vec3(*(jnp.where(fixed, 0.0, x) for x in carrier.p)),
         )
+    R, p = jnp.asarray(R, carrier.p[0].dtype), jnp.asarray(p, carrier.p[0].dtype)
     weld = Transform(Mat3(*(R[:, i, j] for i in range(3) for j in range(3))), Vec3(*p.T))
     return d.each(Transform.then, carrier, weld)
 
