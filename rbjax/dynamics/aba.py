@@ -13,9 +13,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax
+
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.joints import JointMotion
-from rbjax.lanes import Lane, Vec3, add, mul, sub
+from rbjax.lanes import Lane, Sym3, Vec3, add, is_zero, mul, sub
 from rbjax.materialize import materialize
 from rbjax.model import LinkConstants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
@@ -63,6 +65,25 @@ def eliminate(
     return I_A.without(U, inverse_D, S, link.armature), Factor(X, S, U, inverse_D)
 
 
+def to_parent(
+    X: Transform, I_a: ArticulatedInertia, factor: Factor, mass: Lane | None
+) -> ArticulatedInertia:
+    """X^T I_a X. Of a rigid link on a hinge M = m 1 - U U^T / D (linear parts): m, known as `mass`,
+    needs no turning, and the rank-one term is turned as a vector."""
+    if mass is None:
+        return X.articulated_to_parent(I_a)
+    U = X.R @ factor.U.lin
+    M = Sym3(mass, mass, mass, 0.0, 0.0, 0.0) - Sym3.outer(U * factor.inverse_D, U)
+    turned = ArticulatedInertia(I_a.J.rotated(X.R), X.R @ I_a.H @ X.E, M)
+    return turned.shifted(X.p)
+
+
+def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -> Lane | None:
+    """The mass of a link that has no children and hangs on a hinge; else None."""
+    tip = all(is_zero(x) for x in jax.tree.leaves((I_children, S.lin)))
+    return link.inertia.m if tip else None
+
+
 def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
     """Accelerations per link, and the factors of the mass matrix."""
     swings = d.outward(swing, Vec3.zero(), d.zip(d.constants, joints))
@@ -74,8 +95,8 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
         I_a, factor = materialize((I_a, factor))
         u = sub(tau, joint.S.dot(p_A))
         p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)
-        message = (motion.X.articulated_to_parent(I_a), motion.X.T(p_a))
-        return message, (factor, u, motion.c)
+        mass = rigid_mass(link, joint.S, message[0])
+        return (to_parent(motion.X, I_a, factor, mass), motion.X.T(p_a)), (factor, u, motion.c)
 
     zero = (ArticulatedInertia.zero(), Force.zero())
     ys = d.inward(inward, zero, d.zip(d.constants, joints, swings, tau))
@@ -97,7 +118,7 @@ def factorize(d: Driver, joints: Any) -> Any:
         link, joint = x
         X = joint.transform(link)
         I_a, factor = eliminate(link, joint.S, X, link.inertia.articulated() + I_children)
-        return X.articulated_to_parent(I_a), factor
+        return to_parent(X, I_a, factor, rigid_mass(link, joint.S, I_children)), factor
 
     return d.inward(inward, ArticulatedInertia.zero(), d.zip(d.constants, joints))
 

@@ -25,7 +25,7 @@ from rbjax.lanes import Lane, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model, Prepared, prepare
 
-#: above this many velocity coordinates "auto" rolls. Unrolled code runs twice as fast on the CPU at
+#: above this many velocity coordinates "auto" rolls. Unrolled code runs two to three times as fast on the CPU at
 #: any length, but to compile its gradient takes 0.8 s a link, rolled 4 s whatever the length
 #: (benchmarks/results/cpu-thresholds-*.json).
 UNROLLED_UP_TO = 8

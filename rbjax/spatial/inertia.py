@@ -102,18 +102,22 @@ class ArticulatedInertia:
         J = self.J + _symmetric_product(P, H.T) - _symmetric_product(self.H, P)
         return ArticulatedInertia(J, H, self.M)
 
+    def less(self, U: Force, inverse_D: Lane) -> ArticulatedInertia:
+        """I - U U^T / D."""
+        V = U * inverse_D
+        return self - ArticulatedInertia(
+            Sym3.outer(V.ang, U.ang),
+            Mat3(*(mul(a, b) for a in V.ang for b in U.lin)),
+            Sym3.outer(V.lin, U.lin),
+        )
+
     def without(self, U: Force, inverse_D: Lane, S: Motion, armature: Lane) -> ArticulatedInertia:
         """I_A - U U^T / D: what is left of the inertia across a joint that moves freely along S.
 
         Along S itself nothing is left but the armature's share, an exact zero where the armature is
         a structural zero; saying so here spares the arithmetic and its rounding.
         """
-        V = U * inverse_D
-        left = self - ArticulatedInertia(
-            Sym3.outer(V.ang, U.ang),
-            Mat3(*(mul(a, b) for a in V.ang for b in U.lin)),
-            Sym3.outer(V.lin, U.lin),
-        )
+        left = self.less(U, inverse_D)
         if not (is_zero(armature) and all(is_literal(s) for s in S)):
             return left
         axis = list(S).index(1.0)
