@@ -20,17 +20,8 @@ from jax.experimental.pallas import triton
 
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.kernel_aba import accelerations
-from rbjax.dynamics.kernel_drivers import (
-    SLOT,
-    Cell,
-    KernelRolled,
-    KernelUnrolled,
-    Memory,
-    base_links,
-    is_plain,
-    layout,
-    slots,
-)  # fmt: skip
+from rbjax.dynamics.kernel_drivers import SLOT, Cell, KernelRolled, KernelUnrolled, Memory
+from rbjax.dynamics.kernel_layout import base_links, is_plain, layout, slots
 from rbjax.dynamics.kernel_numbers import Numbers, numbers
 from rbjax.lanes import Vec3
 from rbjax.materialize import inside_a_kernel

@@ -13,14 +13,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.kernel_drivers import (
-    ACTUATOR,
-    JOINT,
-    SINGLE,
-    Q,
-    loop,
-    single_links,
-)  # fmt: skip
+from rbjax.dynamics.kernel_drivers import loop
+from rbjax.dynamics.kernel_layout import ACTUATOR, JOINT, SINGLE, Q, single_links
 from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.lanes import as_arrays
 from rbjax.model import JOINT_SIZES

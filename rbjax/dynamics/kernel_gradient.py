@@ -20,7 +20,8 @@ from rbjax.dynamics.kernel import Block, Plan, driver, gradient_plan, launch, sc
 from rbjax.dynamics.kernel_aba import pull
 from rbjax.dynamics.kernel_base import quaternion_cotangent
 from rbjax.dynamics.kernel_between import Between
-from rbjax.dynamics.kernel_drivers import Cell, KernelRolled, Memory, is_plain
+from rbjax.dynamics.kernel_drivers import Cell, KernelRolled, Memory
+from rbjax.dynamics.kernel_layout import is_plain
 from rbjax.dynamics.kernel_rollout import Controls, every, forces, march
 from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.lanes import Vec3, as_arrays, is_literal
