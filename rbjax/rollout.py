@@ -142,7 +142,16 @@ def rollout(
     )
     run = _run if traced and (policy is not None or staged()) else _compiled
     inside = _in_kernel(model, state, policy, integrator, batched, kernel)
-    return run(model, state, values, step, policy, integrator, save_every, steps, batched, inside)
+    args = model, state, values, step, policy, integrator, save_every, steps, batched, inside
+    try:
+        return run(*args)
+    except TypeError as error:
+        if not inside or "forward-mode" not in str(error):
+            raise
+        raise InputError(
+            "rollout: got a tangent (jvp, jacfwd) for a rollout in a kernel, which has a reverse "
+            "mode alone; use kernel=False, or grad, vjp or jacrev"
+        ) from error
 
 
 def _in_kernel(model, state, policy, integrator, batched, kernel) -> bool:

@@ -25,9 +25,9 @@ from rbjax.lanes import Lane, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model, Prepared, prepare
 
-#: above this many velocity coordinates "auto" rolls. Unrolled code runs two to three times as fast on the CPU at
-#: any length, but to compile its gradient takes 0.8 s a link, rolled 4 s whatever the length
-#: (benchmarks/results/cpu-thresholds-*.json).
+#: above this many velocity coordinates "auto" rolls. On the CPU unrolled code runs two to three
+#: times as fast, but compiling its gradient takes 0.8 s a link, rolled 4 s whatever the length
+#: (benchmarks/results/cpu-thresholds-*.json: chains of 4 to 16).
 UNROLLED_UP_TO = 8
 
 

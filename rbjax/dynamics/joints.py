@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -48,10 +49,13 @@ class PosedJoint(JointMotion):
     """A joint motion that knows the link's pose already."""
 
     pose: Transform
+    #: cosine, sine and speed of a hinge, where a kernel met all joints as hinges
+    hinge: tuple[Lane, Lane, Lane] | None
 
-    def __init__(self, motion: JointMotion, pose: Transform):
+    def __init__(self, motion: JointMotion, link: LinkConstants, hinge: Any = None):
         super().__init__(motion.J, motion.slide, motion.S, motion.rate, motion.qd)
-        object.__setattr__(self, "pose", pose)
+        object.__setattr__(self, "pose", motion.transform(link))
+        object.__setattr__(self, "hinge", hinge)
 
     def transform(self, link: LinkConstants) -> Transform:
         return self.pose

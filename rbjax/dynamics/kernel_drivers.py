@@ -22,7 +22,7 @@ import numpy as np
 from jax.experimental import pallas as pl
 
 from rbjax.dynamics.drivers import Unrolled
-from rbjax.dynamics.joints import JointMotion, joint_lanes
+from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_lanes
 from rbjax.dynamics.kernel_base import FloatingBase
 from rbjax.dynamics.kernel_layout import (
     FIRST,
@@ -39,7 +39,7 @@ from rbjax.dynamics.kernel_numbers import Numbers
 from rbjax.lanes import Lane, Mat3, Vec3, add, as_arrays, is_literal, rotation_z
 from rbjax.materialize import sincos
 from rbjax.model import WORLD, LinkConstants
-from rbjax.spatial import Motion, Transform
+from rbjax.spatial import Motion
 
 #: rows of a slot: the widest message
 SLOT = 33
@@ -113,17 +113,6 @@ class _Joints:
     """Stands for its joint motion."""
 
 
-class PosedJoint(JointMotion):
-    """A joint motion that gives the link's pose without computing it twice."""
-
-    pose: Transform
-    #: cosine, sine and speed of a hinge; None where joints differ in kind
-    hinge: tuple[Lane, Lane, Lane] | None
-
-    def transform(self, link: LinkConstants) -> Transform:
-        return self.pose
-
-
 class Visit:
     """One link while a step runs on it: what has been read, and where it came from."""
 
@@ -150,12 +139,8 @@ class Visit:
             if isinstance(motion, tuple):
                 c, s, qd = hinge = motion
                 motion = JointMotion(rotation_z(c, s), 0.0, HINGE, Vec3(0.0, 0.0, qd), qd)
-            posed = PosedJoint(motion.J, motion.slide, motion.S, motion.rate, motion.qd)
-            pose = JointMotion.transform(motion, self.constants())
-            object.__setattr__(posed, "pose", pose)
-            object.__setattr__(posed, "hinge", hinge)
-            self._joint = posed
-            for k, x in enumerate(jax.tree.leaves(pose)):
+            self._joint = PosedJoint(motion, self.constants(), hinge)
+            for k, x in enumerate(jax.tree.leaves(self._joint.pose)):
                 if not is_literal(x):
                     self.source.setdefault(id(x), Cell(joint=k))
         return self._joint

@@ -24,6 +24,7 @@ from rbjax.dynamics.kernel_drivers import Cell, KernelRolled, Memory
 from rbjax.dynamics.kernel_layout import is_plain
 from rbjax.dynamics.kernel_rollout import Controls, every, forces, march
 from rbjax.dynamics.manifold import integrate_lanes
+from rbjax.dynamics.tracing import opened
 from rbjax.lanes import Vec3, as_arrays, is_literal
 from rbjax.model import Model
 
@@ -34,14 +35,7 @@ def rollout(
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """`kernel_rollout.march` with a reverse gradient: one more kernel for state and controls, and
     `scan(model, q, v, ctrls, dt)` where the model or dt is differentiated. No forward mode."""
-    leaves, treedef = jax.tree.flatten((model, dt))
-    moving = [i for i, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]
-
-    def whole(others: list) -> tuple[Model, jax.Array]:
-        filled = list(leaves)
-        for i, x in zip(moving, others, strict=True):
-            filled[i] = x
-        return jax.tree.unflatten(treedef, filled)
+    given, whole = opened((model, dt))
 
     def run(others, q, v, ctrls, every):
         model, dt = whole(others)
@@ -79,7 +73,7 @@ def rollout(
         return (None, *out)
 
     f.defvjp(forward, reverse, symbolic_zeros=True)
-    return f([leaves[i] for i in moving], q, v, ctrls)
+    return f(given, q, v, ctrls)
 
 
 def _is_primal(x: Any) -> bool:

@@ -243,7 +243,7 @@ class Rolled:
             def joint(joints):
                 if id(joints) not in posed:
                     motion = joints.make(*(lane_of.get(id(c), c) for c in joints.columns))
-                    posed[id(joints)] = PosedJoint(motion, motion.transform(constants))
+                    posed[id(joints)] = PosedJoint(motion, constants)
                     for k, lane in enumerate(jax.tree.leaves(posed[id(joints)].pose)):
                         known.setdefault(id(lane), PoseLane(joints, k))
                 return posed[id(joints)]
