@@ -1,4 +1,4 @@
-"""Rotations in seventy digits, from definitions alone: matrix power series and elementary turns.
+"""Rotations in a hundred digits, from definitions alone: matrix power series and elementary turns.
 
 Nothing here shares a formula with rbjax: exponentials and Jacobians are power series of matrices,
 rate maps are differences of the rotation matrix, derivatives are differences along a line.
@@ -13,8 +13,8 @@ from mpmath import mp, mpf
 
 from tests.tolerances import relative_error
 
-DIGITS = 70
-STEP = mpf(10) ** -12  # of differences: truncation 1e-24, rounding 1e-46 in second derivatives
+DIGITS = 100
+STEP = mpf(10) ** -12  # of differences: truncation 1e-24
 
 # at, near and far from the removable singularity at zero, and up to half a turn
 ANGLES = [
@@ -88,7 +88,7 @@ def matrix_log(R: mpmath.matrix) -> list:
 
 def rate_matrices(to_matrix: Callable, x: Sequence) -> tuple[mpmath.matrix, mpmath.matrix]:
     """The body and the space rate matrix: vee(R^T dR/dx_k), vee(dR/dx_k R^T), column by column."""
-    h = mpf(10) ** -25
+    h = mpf(10) ** -35 * max(1, norm(x))
     R, body, space = to_matrix(x), [], []
     for k in range(len(x)):
         ends = [to_matrix([a + s * h * (i == k) for i, a in enumerate(x)]) for s in (-1, 1)]
@@ -136,7 +136,7 @@ def our_jets(f: Callable, xs, ds, **options) -> list[np.ndarray]:
     return [np.asarray(a) for a in compiled(jax.numpy.asarray(xs), jax.numpy.asarray(ds))]
 
 
-# What the room promises against seventy digits: a few units in the last place (2.2e-16) of the
+# What the room promises against a hundred digits: a few units in the last place (2.2e-16) of the
 # largest entry, up to half a turn; derivatives to 1e-12.
 VALUE, DERIVATIVE = 1e-15, 1e-12
 

@@ -42,7 +42,7 @@ def test_tumbling(local: str) -> None:
         assert q.shape == (steps + 1, 4)
         np.testing.assert_allclose(jnp.linalg.norm(q, axis=-1), 1.0, atol=1e-14)
         errors.append(float(so3.distance(quaternion.to_matrix(q[-1]), want)))
-    assert errors[1] < 1e-8 and 12 < errors[0] / errors[1] < 20
+    assert errors[1] < 1e-7 and 12 < errors[0] / errors[1] < 20
 
 
 def test_folding_keeps_the_attitude() -> None:

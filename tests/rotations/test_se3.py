@@ -1,4 +1,4 @@
-"""SE(3) against matrix power series in seventy digits, and the laws of the group.
+"""SE(3) against matrix power series in a hundred digits, and the laws of the group.
 
 What other libraries do there, found with these tests: see `test_translation_at_no_rotation`.
 """

@@ -1,4 +1,4 @@
-"""SO(3) and unit quaternions against seventy digits, and the laws of the group."""
+"""SO(3) and unit quaternions against a hundred digits, and the laws of the group."""
 
 import jax
 import jax.numpy as jnp
