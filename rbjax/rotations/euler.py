@@ -81,8 +81,8 @@ class EulerAngles:
         factor, shift = [1.0, 2.0, 1.0], [0.0, 0.0, 0.0]
         if not self.proper:
             factor, shift[1] = [1.0, 2 * sign, -1.0], -sign * jnp.pi / 2
-        sine, cosine, factor, shift = map(self._ordered, (sine, cosine, factor, shift))
-        out = angle(pack(sine), pack(cosine))
+        out = angle(pack(self._ordered(sine)), pack(self._ordered(cosine)))
+        factor, shift = self._ordered(factor), self._ordered(shift)
         return out * jnp.array(factor, out.dtype) + jnp.array(shift, out.dtype)
 
     def body_rate(self, x: list) -> list:

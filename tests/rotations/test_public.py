@@ -91,14 +91,14 @@ def test_composes(name: str) -> None:
         rate = jax.jvp(flat, first, tangents)[1]
         ends = [flat(*(x + s * STEP * t for x, t in zip(first, tangents, strict=True)))
                 for s in (-1, 1)]  # fmt: skip
-        return jax.vmap(flat)(*batch), rate, ends, jax.vjp(flat, *first)[1](weight)
+        together = [jnp.reshape(x, (3, -1)) for x in jax.tree.leaves(f(*batch))]
+        reverse = jax.vjp(flat, *first)[1](weight)
+        return jax.vmap(flat)(*batch), jnp.concatenate(together, 1), rate, ends, reverse
 
     run = jax.jit(everything, compiler_options=QUICK)
-    mapped, rate, ends, gradient = run(tangents, weight, *xs)
+    mapped, together, rate, ends, gradient = run(tangents, weight, *xs)
     assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
-    batch = jax.tree.leaves(f(*xs))  # leading axes are a batch
-    together = np.concatenate([np.reshape(x, (3, -1)) for x in batch], 1)
-    assert relative_error(together, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "batch"
+    assert relative_error(together, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "axes"
     difference = (np.asarray(ends[1]) - np.asarray(ends[0])) / (2 * STEP)
     assert relative_error(rate, difference, floor=1.0) <= GRADIENT, "jvp"
     by_reverse = sum((g * t).sum() for g, t in zip(gradient, tangents, strict=True))
