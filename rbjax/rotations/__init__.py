@@ -1,5 +1,23 @@
-"""Attitude: unit quaternions, exponential and logarithm, exact near the identity."""
+"""Attitude and pose: SO(3), unit quaternions, SE(3), and every representation of attitude.
 
-from rbjax.rotations import quaternion
+Arrays are (..., n): leading axes are a batch, broadcast against each other; `vmap` does the same.
+What has a removable singularity is smooth across it, in all derivatives; right at a genuine one the
+answer is one of the possible ones, or very large but finite, and `singularity_distance` is 0.
+"""
 
-__all__ = ["quaternion"]
+from rbjax.rotations import incremental, quaternion, screws, se3, so3
+from rbjax.rotations.representation import Representation, convert, representations
+from rbjax.rotations.vectorial import mrp_shadow, mrp_short
+
+__all__ = [
+    "Representation",
+    "convert",
+    "incremental",
+    "mrp_shadow",
+    "mrp_short",
+    "quaternion",
+    "representations",
+    "screws",
+    "se3",
+    "so3",
+]

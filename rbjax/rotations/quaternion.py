@@ -1,7 +1,9 @@
 """Unit quaternions w, x, y, z (Hamilton), as arrays (..., 4).
 
 exp and log are series near the identity, so that values and all derivatives stay finite and exact
-there (Olguin Diaz, *3D Motion of Rigid Bodies*, 3.4; Sola, arXiv:1711.02508, eqs. 101-105).
+there (Olguin Diaz, *3D Motion of Rigid Bodies*, 3.4; Sola, arXiv:1711.02508, eqs. 101-105). q and
+-q are one rotation; where a choice is to be made, it is w >= 0. The functions on *lanes* take and
+give lists of scalars or (batch,) arrays, for use inside longer arithmetic.
 """
 
 from __future__ import annotations
@@ -10,6 +12,21 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import quaternion_matrix
+from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.coefficients import arctan_over, length, stumpff, where
+from rbjax.rotations.jacobians import (
+    inverse_left_jacobian,
+    inverse_right_jacobian,
+    left_jacobian,
+    right_jacobian,
+)
+
+__all__ = [
+    "identity", "multiply", "conjugate", "normalize", "rotate", "to_matrix", "from_matrix",
+    "exp", "log", "angle", "distance", "interpolate", "random",
+    "left_jacobian", "right_jacobian", "inverse_left_jacobian", "inverse_right_jacobian",
+    "product", "from_matrix_lanes", "exp_lanes", "log_lanes", "angle_lanes", "turned",
+]  # fmt: skip
 
 
 def identity(dtype=None) -> jax.Array:
@@ -17,111 +34,190 @@ def identity(dtype=None) -> jax.Array:
     return jnp.array([1.0, 0.0, 0.0, 0.0], dtype)
 
 
+@takes(a="quaternion", b="quaternion")
 def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
     """The rotation b followed by a, in a's axes: a b."""
-    aw, ax, ay, az = jnp.moveaxis(a, -1, 0)
-    bw, bx, by, bz = jnp.moveaxis(b, -1, 0)
-    return jnp.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        -1,
-    )
+    return pack(product(unpack(a), unpack(b)))
 
 
+@takes(a="quaternion")
 def conjugate(a: jax.Array) -> jax.Array:
     """The inverse of a unit quaternion."""
     return a * jnp.array([1.0, -1.0, -1.0, -1.0], a.dtype)
 
 
+@takes(a="quaternion")
 def normalize(a: jax.Array) -> jax.Array:
     """a / |a|."""
     return a / jnp.sqrt((a * a).sum(-1, keepdims=True))
 
 
+@takes(a="quaternion", v="vector")
+def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
+    """R(a) v of a unit quaternion: v + 2 w u x v + 2 u x (u x v).
+
+    >>> rotate([1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).tolist()
+    [1.0, 2.0, 3.0]
+    """
+    (w, x, y, z), (a1, a2, a3) = unpack(a), unpack(v)
+    t1, t2, t3 = 2 * (y * a3 - z * a2), 2 * (z * a1 - x * a3), 2 * (x * a2 - y * a1)
+    return pack(
+        [
+            a1 + w * t1 + (y * t3 - z * t2),
+            a2 + w * t2 + (z * t1 - x * t3),
+            a3 + w * t3 + (x * t2 - y * t1),
+        ]
+    )
+
+
+@takes(a="quaternion")
 def to_matrix(a: jax.Array) -> jax.Array:
     """Rotation matrix (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
-    R = quaternion_matrix(*jnp.moveaxis(a, -1, 0))
-    return jnp.stack(list(R), -1).reshape(*a.shape[:-1], 3, 3)
+    return pack(quaternion_matrix(*unpack(a)), 3, 3)
 
 
+@takes(R="rotation")
+def from_matrix(R: jax.Array) -> jax.Array:
+    """The unit quaternion, w >= 0, of a rotation matrix (..., 3, 3).
+
+    >>> from_matrix([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
+    [0.0, 1.0, 0.0, 0.0]
+    """
+    q = from_matrix_lanes(unpack(R, 2))
+    shrink = _sign(q[0]) / jnp.sqrt(sum(a * a for a in q))
+    return pack([a * shrink for a in q])
+
+
+@takes(phi="vector")
 def exp(phi: jax.Array) -> jax.Array:
     """The quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector (..., 3)."""
-    half_squared = (phi * phi).sum(-1, keepdims=True) / 4
-    return jnp.concatenate([_cos_sqrt(half_squared), phi * (_sinc_sqrt(half_squared) / 2)], -1)
+    return pack(exp_lanes(unpack(phi)))
 
 
+@takes(a="quaternion")
 def log(a: jax.Array) -> jax.Array:
-    """The rotation vector (..., 3) of a unit quaternion, of length at most pi.
+    """The rotation vector (..., 3), of length at most pi, of a quaternion of any nonzero length.
 
     phi = 2 atan2(|u|, |w|) u / |u| sign(w). The angle pi is a genuine singularity: one of the two
     vectors is returned, and the derivative is that of its branch.
     """
-    w, u = a[..., :1], a[..., 1:]
-    return u * _log_scale(w, (u * u).sum(-1, keepdims=True))
+    return pack(log_lanes(unpack(a)))
+
+
+@takes(a="quaternion")
+def angle(a: jax.Array) -> jax.Array:
+    """The angle (...), from 0 to pi, of the rotation by a quaternion of any nonzero length.
+
+    >>> float(angle([0.0, 0.0, 2.0, 0.0]))
+    3.14159...
+    """
+    w, *u = unpack(a)
+    return angle_lanes(w, u)
+
+
+@takes(a="quaternion", b="quaternion")
+def distance(a: jax.Array, b: jax.Array) -> jax.Array:
+    """The angle (...), from 0 to pi, of the rotation from a to b.
+
+    >>> float(distance([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]))
+    3.14159...
+    """
+    w, *u = product(_conjugate(unpack(a)), unpack(b))
+    return angle_lanes(w, u)
+
+
+@takes(a="quaternion", b="quaternion", s="scalar")
+def interpolate(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
+    """a exp(s log(a^-1 b)): a at s = 0, b or -b at 1, at constant rate the shorter way (slerp).
+
+    >>> interpolate([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], 0.5).round(3).tolist()
+    [0.707, 0.0, 0.0, 0.707]
+    """
+    p = unpack(a)
+    turn = log_lanes(product(_conjugate(p), unpack(b)))
+    return pack(product(p, exp_lanes([s * x for x in turn])))
+
+
+def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:
+    """Quaternions (*shape, 4) uniform over all rotations.
+
+    >>> random(jax.random.key(0), (5,)).shape
+    (5, 4)
+    """
+    return normalize(jax.random.normal(key, (*shape, 4), dtype or jnp.result_type(float)))
+
+
+# ----------------------------------------------------------------------------------- on lanes
+
+
+def product(a: list, b: list) -> list:
+    """Lanes of a b."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    return [
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    ]
+
+
+def from_matrix_lanes(R: list) -> list:
+    """A quaternion, of length from 2 to 4 and either sign, of a matrix given row by row.
+
+    4 q_k (w, x, y, z) for the largest q_k (Shepperd, 1978): no cancellation, no root, no branch.
+    """
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = R
+    a, b, c = zy - yz, xz - zx, yx - xy
+    d, e, f = xy + yx, xz + zx, yz + zy
+    rows = [
+        [1 + (xx + yy + zz), a, b, c],
+        [a, 1 + (xx - yy - zz), d, e],
+        [b, d, 1 + (yy - xx - zz), f],
+        [c, e, f, 1 + (zz - xx - yy)],
+    ]
+    best, largest = rows[0], rows[0][0]
+    for k in (1, 2, 3):
+        larger = rows[k][k] > largest
+        best = [where(larger, new, old) for new, old in zip(rows[k], best, strict=True)]
+        largest = where(larger, rows[k][k], largest)
+    return best
+
+
+def exp_lanes(phi: list) -> list:
+    """`exp` on lanes."""
+    px, py, pz = phi
+    cosine, sine = stumpff((px * px + py * py + pz * pz) / 4, 0, 1)
+    scale = sine / 2
+    return [cosine, px * scale, py * scale, pz * scale]
 
 
 def log_lanes(q: list) -> list:
     """`log` of a quaternion of any nonzero length, on lanes."""
-    shrink = jax.lax.rsqrt(sum(a * a for a in q))
-    w, x, y, z = (a * shrink for a in q)
-    scale = _log_scale(w, x * x + y * y + z * z)
+    w, x, y, z = q
+    sign = _sign(w)
+    scale = 2 * sign * arctan_over(w * sign, x * x + y * y + z * z)
     return [x * scale, y * scale, z * scale]
 
 
-def _log_scale(w: jax.Array, square: jax.Array) -> jax.Array:
-    """phi / u, from w and |u|^2."""
-    sign = _where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))
-    w = w * sign
-    small = square < (1e-4 if w.dtype == jnp.float64 else 1e-2)
-    safe = _where(small, 1.0, square)
-    n = jnp.sqrt(safe)
-    far = 2 * jnp.arctan2(n, _where(small, 1.0, w)) / n
-    one = _where(small, w, 1.0)  # no division by the zero w of half a turn, in gradients either
-    x = _where(small, square, 0.0) / (one * one)  # tan^2 of half the angle
-    series = 1 + x * (-1 / 3 + x * (1 / 5 + x * (-1 / 7 + x * (1 / 9 - x * (1 / 11 - x / 13)))))
-    near = 2 * series / one
-    return sign * _where(small, near, far)
-
-
-def _cos_sqrt(x: jax.Array) -> jax.Array:
-    """cos(sqrt(x)), entire in x."""
-    small = x < 0.05
-    series = 1 - x / 2 * (1 - x / 12 * (1 - x / 30 * (1 - x / 56 * (1 - x / 90 * (1 - x / 132)))))
-    return _where(small, series, jnp.cos(jnp.sqrt(_where(small, 1.0, x))))
-
-
-def _sinc_sqrt(x: jax.Array) -> jax.Array:
-    """sin(sqrt(x)) / sqrt(x), entire in x."""
-    small = x < 0.05
-    root = jnp.sqrt(_where(small, 1.0, x))
-    series = 1 - x / 6 * (1 - x / 20 * (1 - x / 42 * (1 - x / 72 * (1 - x / 110 * (1 - x / 156)))))
-    return _where(small, series, jnp.sin(root) / root)
+def angle_lanes(w: jax.Array, u: list) -> jax.Array:
+    """The angle, from 0 to pi, of the rotation by a quaternion (w, u) of any nonzero length."""
+    square = sum(x * x for x in u)
+    return 2 * length(square) * arctan_over(w * _sign(w), square)
 
 
 def turned(q: list, phi: list) -> list:
     """Lanes of q exp(phi / 2), of unit length: the rotation q followed by phi in body axes."""
-    px, py, pz = phi
-    half_squared = (px * px + py * py + pz * pz) / 4
-    ew, scale = _cos_sqrt(half_squared), _sinc_sqrt(half_squared) / 2
-    ex, ey, ez = px * scale, py * scale, pz * scale
-    w, x, y, z = q
-    out = [
-        w * ew - x * ex - y * ey - z * ez,
-        w * ex + x * ew + y * ez - z * ey,
-        w * ey - x * ez + y * ew + z * ex,
-        w * ez + x * ey - y * ex + z * ew,
-    ]
+    out = product(q, exp_lanes(phi))
     shrink = jax.lax.rsqrt(sum(a * a for a in out))
     return [a * shrink for a in out]
 
 
-def _where(condition: jax.Array, a, b) -> jax.Array:
-    """`jnp.where`, less its nested jit: that, transposed inside a kernel, Triton cannot lower."""
-    like = a if isinstance(a, jax.Array) else b
-    shape = condition.shape
-    a, b = (jnp.broadcast_to(jnp.asarray(x, like.dtype), shape) for x in (a, b))
-    return jax.lax.select(condition, a, b)
+def _conjugate(q: list) -> list:
+    w, x, y, z = q
+    return [w, -x, -y, -z]
+
+
+def _sign(w: jax.Array) -> jax.Array:
+    """-1 where w < 0, else 1."""
+    w = jnp.asarray(w)
+    return where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))

@@ -1,0 +1,142 @@
+"""The door of the public rotation functions, and how lanes become arrays again.
+
+Arrays are (..., n): leading axes are a batch, broadcast against each other. Outside traced code the
+values are checked and the call is compiled; inside it the function is inlined.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+
+#: kind of argument -> shape of one sample
+SHAPES: dict[str, tuple[int, ...]] = {
+    "scalar": (),
+    "scalar_or_infinite": (),
+    "vector": (3,),
+    "quaternion": (4,),
+    "twist": (6,),
+    "matrix": (3, 3),
+    "rotation": (3, 3),
+    "matrix4": (4, 4),
+    "pose": (4, 4),
+}
+# How far from orthonormal a matrix may be: what was measured or kept in half precision passes.
+ORTHONORMAL = 1e-2
+
+
+def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Callable]:
+    """Decorate a function of arrays of the named kinds; `static` arguments are hashable values.
+
+    The kind "parameters" is that of the attitude representation whose method this is.
+    """
+    static = tuple(static)
+
+    def decorate(f: Callable) -> Callable:
+        signature = inspect.signature(f)
+        compiled = jax.jit(f, static_argnames=static)
+
+        @functools.wraps(f)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            bound = signature.bind(*args, **kwargs)
+            given = {n: bound.arguments[n] for n in kinds if n in bound.arguments}
+            for name, value in given.items():
+                shape = SHAPES.get(kinds[name])
+                if shape is None:
+                    shape = (bound.arguments["self"].size,)
+                given[name] = _array(f.__name__, name, value, shape)
+            dtype = jnp.result_type(*given.values())
+            given = {n: x.astype(dtype) for n, x in given.items()}
+            bound.arguments.update(given)
+            if any(isinstance(x, jax.core.Tracer) for x in given.values()):
+                return f(*bound.args, **bound.kwargs)
+            for name, x in given.items():
+                _check_values(f.__name__, name, np.asarray(x), kinds[name])
+            return compiled(*bound.args, **bound.kwargs)
+
+        return call
+
+    return decorate
+
+
+def _array(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Array:
+    try:
+        x = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: {name} is {type(value).__name__}, expected an array") from error
+    if x.ndim < len(shape) or x.shape[x.ndim - len(shape) :] != shape:
+        want = ", ".join(["...", *map(str, shape)])
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected ({want})")
+    if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
+        x = x.astype(jnp.result_type(float))
+    if not jnp.issubdtype(x.dtype, jnp.floating):
+        raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
+    return x
+
+
+def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:
+    fine = ~np.isnan(x) if kind == "scalar_or_infinite" else np.isfinite(x)
+    if not fine.all():
+        bad = tuple(int(i) for i in np.argwhere(~fine)[0])
+        raise InputError(f"{where}: {name}{list(bad)} is {x[bad]}, expected finite values")
+    if kind == "quaternion" and not x.any(-1).all():
+        raise InputError(
+            f"{where}: {name} holds a zero quaternion, expected a unit one (w, x, y, z); "
+            f"no rotation is (1, 0, 0, 0)"
+        )
+    if kind in ("rotation", "pose"):
+        R = x[..., :3, :3]
+        off = np.abs(R @ R.swapaxes(-1, -2) - np.eye(3)).max(initial=0.0)
+        if off > ORTHONORMAL or (np.linalg.det(R) < 0).any():
+            raise InputError(
+                f"{where}: {name} is not a rotation (R R^T is {off:.2g} from the identity, or "
+                f"det R < 0), expected a proper orthonormal matrix; so3.project gives the nearest"
+            )
+    if kind == "pose" and np.abs(x[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max(initial=0.0) > 0:
+        raise InputError(f"{where}: the last row of {name} is not (0, 0, 0, 1), expected a pose")
+
+
+def unpack(x: jax.Array, axes: int = 1) -> list[jax.Array]:
+    """The entries of the last axes, row by row, each an array over the leading axes."""
+    flat = x.reshape(*x.shape[: x.ndim - axes], -1)
+    return [flat[..., i] for i in range(flat.shape[-1])]
+
+
+def pack(values: Iterable[Any], *shape: int) -> jax.Array:
+    """Lanes, row by row, as one array (..., *shape); by default a vector. An array stays as it is.
+
+    Few lanes are chosen among by index: XLA's CPU compiler unrolls that into one loop over the
+    batch, while a concatenate of computed values makes it evaluate or copy them several times.
+    """
+    if isinstance(values, jax.Array):
+        return values
+    values = list(values)
+    like = jnp.result_type(*(v for v in values if isinstance(v, jax.Array)))
+    batch = jnp.broadcast_shapes(*(jnp.shape(v) for v in values))
+    values = [jnp.broadcast_to(jnp.asarray(v, like), batch)[..., None] for v in values]
+    if len(values) > 12:
+        out = jnp.concatenate(values, -1)
+    else:
+        index = jnp.arange(len(values)).reshape((1,) * len(batch) + (-1,))
+        out = _choose(index, values, 0)
+        out = jnp.broadcast_to(out, (*batch, len(values)))
+    return out.reshape(*batch, *shape) if shape else out
+
+
+def _choose(index: jax.Array, values: list[jax.Array], first: int) -> jax.Array:
+    if len(values) == 1:
+        return values[0]
+    half = len(values) // 2
+    return jnp.where(
+        index < first + half,
+        _choose(index, values[:half], first),
+        _choose(index, values[half:], first + half),
+    )

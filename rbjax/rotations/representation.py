@@ -1,0 +1,185 @@
+"""Every representation of attitude behind one interface, and the way from any one to any other.
+
+`representations()` holds all that cover SO(3): each attitude has parameters, and they give it back
+to rounding. (Two more vectorial parametrizations, that cover less, are in `vectorial`.)
+"""
+
+from __future__ import annotations
+
+import functools
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import UnknownName
+from rbjax.lanes import quaternion_matrix
+from rbjax.rotations import quaternion, redundant
+from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.euler import SEQUENCES, EulerAngles
+from rbjax.rotations.vectorial import VECTORIAL
+
+__all__ = ["Representation", "representations", "find", "convert"]
+
+
+class Formulas(Protocol):
+    """What a representation is on lanes; matrices row by row, quaternions of any length."""
+
+    @property
+    def size(self) -> int: ...
+    @property
+    def singular_set(self) -> str: ...
+    def to_quaternion(self, x: list) -> list: ...
+    def from_quaternion(self, q: list) -> Any: ...  # lanes, or packed already
+    def body_rate(self, x: list) -> list: ...
+    def space_rate(self, x: list) -> list: ...
+    def inverse_body_rate(self, x: list) -> list: ...
+    def inverse_space_rate(self, x: list) -> list: ...
+    def distance(self, x: list) -> Any: ...
+
+
+class Representation:
+    """Attitude in `size` numbers x (..., size): R = R_AB of body axes B seen from space axes A.
+
+    Right at a singularity (`singularity_distance` 0) `from_matrix` gives one of the possible
+    answers, whose matrix is R all the same, and the inverse rate maps are very large but finite.
+    """
+
+    def __init__(self, name: str, formulas: Formulas):
+        self.name, self.formulas = name, formulas
+        self.size, self.singular_set = formulas.size, formulas.singular_set
+
+    def __repr__(self) -> str:
+        return f"Representation({self.name!r}, size={self.size})"
+
+    @takes(["self"], x="parameters")
+    def to_matrix(self, x: jax.Array) -> jax.Array:
+        """R (..., 3, 3)."""
+        return pack(quaternion_matrix(*self.formulas.to_quaternion(unpack(x))), 3, 3)
+
+    @takes(["self"], R="rotation")
+    def from_matrix(self, R: jax.Array) -> jax.Array:
+        """x (..., size)."""
+        return pack(self.formulas.from_quaternion(quaternion.from_matrix_lanes(unpack(R, 2))))
+
+    @takes(["self"], x="parameters")
+    def to_quaternion(self, x: jax.Array) -> jax.Array:
+        """A unit quaternion w, x, y, z (..., 4), of either sign."""
+        q = self.formulas.to_quaternion(unpack(x))
+        shrink = 1 / jnp.sqrt(sum(a * a for a in q))
+        return pack([a * shrink for a in q])
+
+    @takes(["self"], q="quaternion")
+    def from_quaternion(self, q: jax.Array) -> jax.Array:
+        """x (..., size) of a quaternion of any nonzero length and either sign."""
+        return pack(self.formulas.from_quaternion(unpack(q)))
+
+    @takes(["self"], x="parameters")
+    def body_rate_matrix(self, x: jax.Array) -> jax.Array:
+        """E (..., 3, size): omega_body = E x'."""
+        return pack(self.formulas.body_rate(unpack(x)), 3, self.size)
+
+    @takes(["self"], x="parameters")
+    def space_rate_matrix(self, x: jax.Array) -> jax.Array:
+        """E (..., 3, size): omega_space = E x'."""
+        return pack(self.formulas.space_rate(unpack(x)), 3, self.size)
+
+    @takes(["self"], x="parameters")
+    def inverse_body_rate_matrix(self, x: jax.Array) -> jax.Array:
+        """(..., size, 3): x' from omega_body, the attitude inverse kinematics."""
+        return pack(self.formulas.inverse_body_rate(unpack(x)), self.size, 3)
+
+    @takes(["self"], x="parameters")
+    def inverse_space_rate_matrix(self, x: jax.Array) -> jax.Array:
+        """(..., size, 3): x' from omega_space."""
+        return pack(self.formulas.inverse_space_rate(unpack(x)), self.size, 3)
+
+    @takes(["self"], x="parameters", xd="parameters", xdd="parameters")
+    def body_acceleration(self, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
+        """d omega_body/dt (..., 3) = E x'' + E' x'."""
+        return _rate_of(self.formulas.body_rate, x, xd, xdd)
+
+    @takes(["self"], x="parameters", xd="parameters", xdd="parameters")
+    def space_acceleration(self, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
+        """d omega_space/dt (..., 3) = E x'' + E' x'."""
+        return _rate_of(self.formulas.space_rate, x, xd, xdd)
+
+    @takes(["self"], x="parameters", omega="vector", alpha="vector")
+    def second_rate_from_body(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
+        """x'' (..., size) of omega_body and its derivative alpha."""
+        return _second_rate(self.formulas.inverse_body_rate, x, omega, alpha)
+
+    @takes(["self"], x="parameters", omega="vector", alpha="vector")
+    def second_rate_from_space(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
+        """x'' (..., size) of omega_space and its derivative alpha."""
+        return _second_rate(self.formulas.inverse_space_rate, x, omega, alpha)
+
+    @takes(["self"], x="parameters")
+    def singularity_distance(self, x: jax.Array) -> jax.Array:
+        """The angle (...) of the smallest turn to where `singular_set` says; inf where none."""
+        return self.formulas.distance(unpack(x))
+
+
+def _apply(matrix: list, v: list) -> list:
+    n = len(v)
+    rows = [matrix[i : i + n] for i in range(0, len(matrix), n)]
+    return [sum(a * b for a, b in zip(row, v, strict=True)) for row in rows]
+
+
+def _rate_of(E, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
+    """d/dt (E(x) x'), differentiated along the motion."""
+    args, rates = (unpack(x), unpack(xd)), (unpack(xd), unpack(xdd))
+    return pack(jax.jvp(lambda x, xd: _apply(E(x), xd), args, rates)[1])
+
+
+def _second_rate(inverse, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
+    """d/dt (E^-1(x) omega), along the motion that omega is."""
+    p, w = unpack(x), unpack(omega)
+    xd = _apply(inverse(p), w)
+    return pack(jax.jvp(lambda p, w: _apply(inverse(p), w), (p, w), (xd, unpack(alpha)))[1])
+
+
+@functools.cache
+def representations() -> MappingProxyType[str, Representation]:
+    """Name -> representation, in a stable order; the 24 Euler sequences last.
+
+    >>> reps = representations()
+    >>> len(reps) >= 30, list(reps)[:3]
+    (True, ['rotation_matrix', 'unit_quaternion', 'unit_quaternion_xyzw'])
+    >>> reps["roll_pitch_yaw"].to_matrix([0.0, 0.0, jnp.pi / 2]).round(6)[0].tolist()
+    [0.0, -1.0, 0.0]
+    """
+    formulas: dict[str, Formulas] = {
+        "rotation_matrix": redundant.RotationMatrix(),
+        "unit_quaternion": redundant.UnitQuaternion(),
+        "unit_quaternion_xyzw": redundant.UnitQuaternion(scalar_last=True),
+        "axis_angle": redundant.AxisAngle(),
+        "two_columns": redundant.TwoColumns(),
+    }
+    whole = ("euler_vector", "gibbs", "cayley", "mrp", "wiener_milenkovic")
+    formulas |= {name: VECTORIAL[name] for name in whole}
+    formulas |= {
+        "roll_pitch_yaw": EulerAngles("xyz", intrinsic=False),
+        "zyz": EulerAngles("zyz", intrinsic=True),
+    }
+    for kind in ("intrinsic", "extrinsic"):
+        formulas |= {f"{kind}_{s}": EulerAngles(s, kind == "intrinsic") for s in SEQUENCES}
+    return MappingProxyType({name: Representation(name, f) for name, f in formulas.items()})
+
+
+def convert(x: jax.Array, source: str, target: str) -> jax.Array:
+    """The parameters x (..., n) of one representation in another, by their names.
+
+    >>> convert([0.0, 0.0, jnp.pi / 2], "euler_vector", "mrp").tolist()
+    [0.0, 0.0, 0.4142...]
+    """
+    return find(target).from_quaternion(find(source).to_quaternion(x))
+
+
+def find(name: str) -> Representation:
+    """The representation of that name."""
+    known = representations()
+    if name not in known:
+        raise UnknownName("representation", name, known)
+    return known[name]

@@ -1,0 +1,74 @@
+"""Screws: a twist as a turn about a line and a slide along it (Ball; Lynch & Park, 3.3.2).
+
+A twist V = (omega, v) of magnitude theta and pitch h about the line through r along the unit
+vector s is omega = theta s, v = theta (r x s + h s). A pure translation has infinite pitch, the
+translation as magnitude and its direction as axis.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Vec3
+from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.coefficients import length
+
+__all__ = [
+    "Screw", "from_twist", "to_twist",
+]  # fmt: skip
+
+
+class Screw(NamedTuple):
+    """The line along `axis` (unit) through `point`, `pitch` (length a radian), `magnitude`."""
+
+    axis: jax.Array
+    point: jax.Array
+    pitch: jax.Array
+    magnitude: jax.Array
+
+
+@takes(twist="twist")
+def from_twist(twist: jax.Array) -> Screw:
+    """The screw of a twist (..., 6); `point` is the point of the line nearest the origin.
+
+    Of the zero twist the axis is z, the magnitude 0.
+
+    >>> s = from_twist([0.0, 0.0, 2.0, 0.0, -2.0, 6.0])
+    >>> s.axis.tolist(), abs(s.point).tolist(), float(s.pitch), float(s.magnitude)
+    ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 3.0, 2.0)
+    """
+    parts = unpack(twist)
+    omega, v = Vec3(*parts[:3]), Vec3(*parts[3:])
+    square, straight = omega.dot(omega), v.dot(v)
+    turns, slides = square > 0, straight > 0
+    safe = jnp.where(turns, square, 1.0)
+    magnitude = jnp.where(turns, length(square), length(straight))
+    shrink = 1 / jnp.where(turns | slides, magnitude, 1.0)
+    still = (0.0, 0.0, 1.0)
+    axis = [
+        jnp.where(turns, a, jnp.where(slides, b, c)) * shrink
+        for a, b, c in zip(omega, v, still, strict=True)
+    ]
+    axis = [jnp.where(turns | slides, a, c) for a, c in zip(axis, still, strict=True)]
+    point = [jnp.where(turns, a / safe, 0.0) for a in omega.cross(v)]
+    pitch = jnp.where(turns, omega.dot(v) / safe, jnp.inf)
+    return Screw(pack(axis), pack(point), pitch, magnitude)
+
+
+@takes(axis="vector", point="vector", pitch="scalar_or_infinite", magnitude="scalar")
+def to_twist(axis: jax.Array, point: jax.Array, pitch: jax.Array, magnitude: jax.Array):
+    """The twist (..., 6) of a screw, `to_twist(*screw)`; infinite pitch is a pure translation.
+
+    >>> to_twist([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], jnp.inf, 2.0).tolist()
+    [0.0, 0.0, 0.0, 0.0, 0.0, 2.0]
+    """
+    s, r = Vec3(*unpack(axis)), Vec3(*unpack(point))
+    turns = jnp.isfinite(pitch)
+    h = jnp.where(turns, pitch, 0.0)
+    turning = [*s, *(r.cross(s) + h * s)]
+    sliding = [0.0, 0.0, 0.0, *s]
+    both = zip(turning, sliding, strict=True)
+    return pack([magnitude * jnp.where(turns, a, b) for a, b in both])

@@ -1,0 +1,242 @@
+"""SE(3), the group of poses, and se(3), its algebra of twists (Lynch & Park, ch. 3; Selig, ch. 4).
+
+A pose T = [R p; 0 1] (..., 4, 4) maps coordinates of its frame into those of the parent. A twist is
+angular first, xi = (phi, rho) or V = (omega, v). [xi] = [[phi] rho; 0 0].
+
+SE(3) is SO(3) over the dual numbers (Kotelnikov's principle of transference): as ad(xi) is
+[phi + eps rho], each 6 by 6 Jacobian is [[J, 0], [Q, J]] with the Jacobian J of SO(3) at phi and
+Q its derivative along rho. That is how it is computed here, and why it is exact where J is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Mat3, Vec3, quaternion_matrix
+from rbjax.rotations import quaternion
+from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.coefficients import inverse_jacobian_coefficient, length, stumpff
+from rbjax.rotations.jacobians import inverse_left_lanes, left_lanes
+
+__all__ = [
+    "identity", "pose", "hat", "vee", "exp", "log", "compose", "inverse", "interpolate", "distance",
+    "adjoint", "ad", "left_jacobian", "right_jacobian", "inverse_left_jacobian",
+    "inverse_right_jacobian", "rate_from_body_twist", "rate_from_space_twist", "body_twist",
+    "space_twist",
+]  # fmt: skip
+
+
+def identity(dtype=None) -> jax.Array:
+    """The pose of the parent frame itself."""
+    return jnp.eye(4, dtype=dtype)
+
+
+@takes(R="rotation", p="vector")
+def pose(R: jax.Array, p: jax.Array) -> jax.Array:
+    """[R p; 0 1].
+
+    >>> pose(jnp.eye(3), [1.0, 2.0, 3.0])[:3, 3].tolist()
+    [1.0, 2.0, 3.0]
+    """
+    return _pose(unpack(R, 2), unpack(p))
+
+
+@takes(xi="twist")
+def hat(xi: jax.Array) -> jax.Array:
+    """[xi] (..., 4, 4) of a twist (..., 6).
+
+    >>> hat([0.0, 0.0, 1.0, 4.0, 5.0, 6.0])[0].tolist()
+    [0.0, -1.0, 0.0, 4.0]
+    """
+    x, y, z, a, b, c = unpack(xi)
+    o = jnp.zeros_like(x)
+    return pack([o, -z, y, a, z, o, -x, b, -y, x, o, c, o, o, o, o], 4, 4)
+
+
+@takes(W="matrix4")
+def vee(W: jax.Array) -> jax.Array:
+    """xi (..., 6) of [xi]; the angular part is that of the skew-symmetric part."""
+    m = unpack(W, 2)
+    skew = [(m[9] - m[6]) / 2, (m[2] - m[8]) / 2, (m[4] - m[1]) / 2]
+    return pack([*skew, m[3], m[7], m[11]])
+
+
+@takes(xi="twist")
+def exp(xi: jax.Array) -> jax.Array:
+    """The pose [exp(phi), J_l(phi) rho] that the constant twist xi reaches in unit time.
+
+    >>> exp([0.0, 0.0, jnp.pi, 0.0, 1.0, 0.0])[:3, 3].round(6).tolist()
+    [-0.63662, 0.0, 0.0]
+    """
+    phi, rho = _halves(unpack(xi))
+    c2, c3 = stumpff(phi.dot(phi), 2, 3)
+    once = phi.cross(rho)
+    R = quaternion_matrix(*quaternion.exp_lanes(list(phi)))
+    return _pose(R, rho + c2 * once + c3 * phi.cross(once))
+
+
+@takes(T="pose")
+def log(T: jax.Array) -> jax.Array:
+    """The twist xi (..., 6), its angle at most pi, with exp(xi) = T.
+
+    >>> jnp.allclose(log(exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0])), jnp.array([0.1, 0.2, 0.3, 4, 5, 6]))
+    Array(True, dtype=bool)
+    """
+    R, p = _parts(T)
+    phi = Vec3(*quaternion.log_lanes(quaternion.from_matrix_lanes(list(R))))
+    e = inverse_jacobian_coefficient(phi.dot(phi))
+    once = phi.cross(p)
+    return pack([*phi, *(p - 0.5 * once + e * phi.cross(once))])
+
+
+@takes(A="pose", B="pose")
+def compose(A: jax.Array, B: jax.Array) -> jax.Array:
+    """A B."""
+    (R, p), (S, r) = _parts(A), _parts(B)
+    return _pose(R @ S, p + R @ r)
+
+
+@takes(T="pose")
+def inverse(T: jax.Array) -> jax.Array:
+    """[R^T, -R^T p]."""
+    R, p = _parts(T)
+    return _pose(R.T, -(R.T @ p))
+
+
+@takes(A="pose", B="pose", s="scalar")
+def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
+    """A exp(s log(A^-1 B)): the screw motion from A at s = 0 to B at s = 1.
+
+    >>> interpolate(identity(), exp([0.0, 0.0, 0.2, 0.0, 0.0, 2.0]), 0.5)[2, 3].round(6).item()
+    1.0
+    """
+    return compose(A, exp(s[..., None] * log(compose(inverse(A), B))))
+
+
+@takes(A="pose", B="pose")
+def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Angle and length of the motion from A to B; no one number fits both without a scale."""
+    (R, p), (S, r) = _parts(A), _parts(B)
+    w, *u = quaternion.from_matrix_lanes(list(R.T @ S))
+    d = r - p
+    return quaternion.angle_lanes(w, u), length(d.dot(d))
+
+
+@takes(T="pose")
+def adjoint(T: jax.Array) -> jax.Array:
+    """Ad(T) (..., 6, 6) = [[R, 0], [[p] R, R]]: a twist of T's frame seen from the parent.
+
+    >>> (adjoint(exp([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])) @ jnp.array([0.0, 0, 1, 0, 0, 0])).tolist()
+    [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
+    """
+    R, p = _parts(T)
+    return _blocks(list(R), list(Mat3.skew(p) @ R))
+
+
+@takes(xi="twist")
+def ad(xi: jax.Array) -> jax.Array:
+    """ad(xi) (..., 6, 6) = [[[phi], 0], [[rho], [phi]]]: ad(a) b = [a, b] is the Lie bracket."""
+    phi, rho = _halves(unpack(xi))
+    return _blocks(list(Mat3.skew(phi)), list(Mat3.skew(rho)))
+
+
+@takes(xi="twist")
+def left_jacobian(xi: jax.Array) -> jax.Array:
+    """J_l (..., 6, 6): exp(xi + d) = exp(J_l d) exp(xi), so V_space = J_l xi'."""
+    return _dual(left_lanes, unpack(xi))
+
+
+@takes(xi="twist")
+def right_jacobian(xi: jax.Array) -> jax.Array:
+    """J_r (..., 6, 6): exp(xi + d) = exp(xi) exp(J_r d), so V_body = J_r xi'."""
+    return _dual(left_lanes, unpack(-xi))
+
+
+@takes(xi="twist")
+def inverse_left_jacobian(xi: jax.Array) -> jax.Array:
+    """J_l^-1 (..., 6, 6): xi' = J_l^-1 V_space, for angles below 2 pi."""
+    return _dual(inverse_left_lanes, unpack(xi))
+
+
+@takes(xi="twist")
+def inverse_right_jacobian(xi: jax.Array) -> jax.Array:
+    """J_r^-1 (..., 6, 6): xi' = J_r^-1 V_body, for angles below 2 pi."""
+    return _dual(inverse_left_lanes, unpack(-xi))
+
+
+# ----------------------------------------------------------------------- pose kinematics
+
+
+@takes(T="pose", V="twist")
+def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
+    """T' = T [V_body] (..., 4, 4)."""
+    R, _ = _parts(T)
+    omega, v = _halves(unpack(V))
+    return _bottomed(R @ Mat3.skew(omega), R @ v, 0.0)
+
+
+@takes(T="pose", V="twist")
+def rate_from_space_twist(T: jax.Array, V: jax.Array) -> jax.Array:
+    """T' = [V_space] T (..., 4, 4)."""
+    R, p = _parts(T)
+    omega, v = _halves(unpack(V))
+    return _bottomed(Mat3.skew(omega) @ R, omega.cross(p) + v, 0.0)
+
+
+@takes(T="pose", dT="matrix4")
+def body_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
+    """V_body (..., 6), [V_body] = T^-1 T'.
+
+    >>> body_twist(identity(), hat([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).tolist()
+    [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    """
+    (R, _), (dR, dp) = _parts(T), _parts(dT)
+    return pack([*_vee(R.T @ dR), *(R.T @ dp)])
+
+
+@takes(T="pose", dT="matrix4")
+def space_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
+    """V_space (..., 6), [V_space] = T' T^-1."""
+    (R, p), (dR, dp) = _parts(T), _parts(dT)
+    omega = _vee(dR @ R.T)
+    return pack([*omega, *(dp - omega.cross(p))])
+
+
+# ------------------------------------------------------------------------------- on lanes
+
+
+def _pose(R, p) -> jax.Array:
+    return _bottomed(R, p, 1.0)
+
+
+def _bottomed(R, p, corner: float) -> jax.Array:
+    r, p = list(R), list(p)
+    return pack([*r[0:3], p[0], *r[3:6], p[1], *r[6:9], p[2], 0.0, 0.0, 0.0, corner], 4, 4)
+
+
+def _parts(T: jax.Array) -> tuple[Mat3, Vec3]:
+    m = unpack(T, 2)
+    return Mat3(*m[0:3], *m[4:7], *m[8:11]), Vec3(m[3], m[7], m[11])
+
+
+def _halves(xi: list) -> tuple[Vec3, Vec3]:
+    return Vec3(*xi[:3]), Vec3(*xi[3:])
+
+
+def _vee(W: Mat3) -> Vec3:
+    return 0.5 * Vec3(W[7] - W[5], W[2] - W[6], W[3] - W[1])
+
+
+def _blocks(A: list, B: list) -> jax.Array:
+    """[[A, 0], [B, A]]."""
+    rows = [[*A[3 * i : 3 * i + 3], 0.0, 0.0, 0.0] for i in range(3)]
+    rows += [[*B[3 * i : 3 * i + 3], *A[3 * i : 3 * i + 3]] for i in range(3)]
+    return pack([x for row in rows for x in row], 6, 6)
+
+
+def _dual(J: Callable[[list], list], xi: list) -> jax.Array:
+    """J over the dual numbers: its value at phi, and its derivative along rho."""
+    return _blocks(*jax.jvp(J, (xi[:3],), (xi[3:],)))

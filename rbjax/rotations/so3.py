@@ -1,0 +1,209 @@
+"""SO(3), the group of rotation matrices, and so(3), its algebra of skew-symmetric matrices.
+
+R = exp([phi]) turns by |phi| about phi; R_AB maps B-coordinates into A. exp, log and the rest go
+through the unit quaternion, whose half angle has no trouble at pi: what a matrix's trace alone
+would lose there, Shepperd's method keeps (Olguin Diaz, ch. 3; Sola, arXiv:1812.01537, app. B).
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.lanes import Mat3, quaternion_matrix
+from rbjax.rotations import quaternion
+from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.coefficients import away_from_zero
+from rbjax.rotations.jacobians import (
+    inverse_left_jacobian,
+    inverse_right_jacobian,
+    left_jacobian,
+    right_jacobian,
+)
+
+__all__ = [
+    "identity", "hat", "vee", "exp", "log", "compose", "inverse", "distance", "interpolate",
+    "left_jacobian", "right_jacobian", "inverse_left_jacobian", "inverse_right_jacobian",
+    "project", "projection_margin", "random",
+]  # fmt: skip
+
+
+def identity(dtype=None) -> jax.Array:
+    """The matrix of no rotation."""
+    return jnp.eye(3, dtype=dtype)
+
+
+@takes(phi="vector")
+def hat(phi: jax.Array) -> jax.Array:
+    """[phi] (..., 3, 3), with [phi] a = phi x a.
+
+    >>> hat([1.0, 2.0, 3.0]).tolist()
+    [[0.0, -3.0, 2.0], [3.0, 0.0, -1.0], [-2.0, 1.0, 0.0]]
+    """
+    x, y, z = unpack(phi)
+    o = jnp.zeros_like(x)
+    return pack([o, -z, y, z, o, -x, -y, x, o], 3, 3)
+
+
+@takes(W="matrix")
+def vee(W: jax.Array) -> jax.Array:
+    """phi (..., 3) of [phi]; of any other matrix, that of its skew-symmetric part.
+
+    >>> vee(hat([1.0, 2.0, 3.0])).tolist()
+    [1.0, 2.0, 3.0]
+    """
+    _, xy, xz, yx, _, yz, zx, zy, _ = unpack(W, 2)
+    return pack([(zy - yz) / 2, (xz - zx) / 2, (yx - xy) / 2])
+
+
+@takes(phi="vector")
+def exp(phi: jax.Array) -> jax.Array:
+    """The rotation (..., 3, 3) by |phi| about phi (..., 3).
+
+    >>> exp([0.0, 0.0, jnp.pi / 2]).round(6).tolist()
+    [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    return pack(quaternion_matrix(*quaternion.exp_lanes(unpack(phi))), 3, 3)
+
+
+@takes(R="rotation")
+def log(R: jax.Array) -> jax.Array:
+    """phi (..., 3), of length at most pi, with exp(phi) = R.
+
+    The angle pi is a genuine singularity: one of the two vectors is returned, and the derivative
+    is that of its branch.
+
+    >>> log([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
+    [0.0, 3.14159..., 0.0]
+    """
+    return pack(quaternion.log_lanes(quaternion.from_matrix_lanes(unpack(R, 2))))
+
+
+@takes(A="rotation", B="rotation")
+def compose(A: jax.Array, B: jax.Array) -> jax.Array:
+    """A B, the rotation B followed by A (in the axes that A maps into)."""
+    return pack(Mat3(*unpack(A, 2)) @ Mat3(*unpack(B, 2)), 3, 3)
+
+
+@takes(R="rotation")
+def inverse(R: jax.Array) -> jax.Array:
+    """R^T."""
+    return jnp.swapaxes(R, -1, -2)
+
+
+@takes(A="rotation", B="rotation")
+def distance(A: jax.Array, B: jax.Array) -> jax.Array:
+    """The angle (...), from 0 to pi, of the rotation from A to B.
+
+    >>> float(distance(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1])).round(6))
+    1.0
+    """
+    return quaternion.distance(quaternion.from_matrix(A), quaternion.from_matrix(B))
+
+
+@takes(A="rotation", B="rotation", s="scalar")
+def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
+    """A exp(s log(A^T B)): along the geodesic, A at s = 0 and B at s = 1.
+
+    >>> log(interpolate(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1]), 0.5)).round(6).tolist()
+    [0.0, 0.0, 0.6]
+    """
+    a, b = Mat3(*unpack(A, 2)), Mat3(*unpack(B, 2))
+    turn = quaternion.log_lanes(quaternion.from_matrix_lanes(list(a.T @ b)))
+    step = quaternion_matrix(*quaternion.exp_lanes([s * x for x in turn]))
+    return pack(a @ step, 3, 3)
+
+
+def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:
+    """Rotations (*shape, 3, 3), uniform over the group (Haar measure).
+
+    >>> random(jax.random.key(0), (5,)).shape
+    (5, 3, 3)
+    """
+    return quaternion.to_matrix(quaternion.random(key, shape, dtype))
+
+
+def project(M: jax.Array) -> jax.Array:
+    """The rotation (..., 3, 3) nearest to M in the Frobenius norm (orthogonal Procrustes, polar).
+
+    Not unique where `projection_margin` is 0, and refused there where values are known; in traced
+    code one of the nearest is returned, with finite derivatives.
+
+    >>> project([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]]).round(6).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    margin = projection_margin(M)
+    if not isinstance(margin, jax.core.Tracer):
+        least = float(np.min(margin, initial=1.0))
+        if least < 8 * float(jnp.finfo(margin.dtype).eps):
+            raise InputError(
+                f"project: the rotation nearest to M is not unique (projection_margin {least:.2g}),"
+                f" expected a matrix of rank 2 at least, and not a reflection with equal stretches"
+            )
+    return _project(M)
+
+
+@takes(M="matrix")
+def projection_margin(M: jax.Array) -> jax.Array:
+    """(s_2 + s_3 sign(det M)) / s_1 of the singular values: how unique the nearest rotation is.
+
+    2 for a rotation, 0 where several are equally near (rank 1, or a pure reflection).
+
+    >>> float(projection_margin(jnp.diag(jnp.array([1.0, 1.0, -1.0]))))
+    0.0
+    """
+    U, s, Vt = jnp.linalg.svd(M)
+    sign = jnp.where(_determinant(U) * _determinant(Vt) < 0, -1.0, 1.0)
+    return (s[..., 1] + sign * s[..., 2]) / away_from_zero(s[..., 0])
+
+
+@takes(M="matrix")
+def _project(M: jax.Array) -> jax.Array:
+    return _polar(M)
+
+
+@jax.custom_jvp
+def _polar(M: jax.Array) -> jax.Array:
+    U, _, Vt = jnp.linalg.svd(M)
+    sign = jnp.where(_determinant(U) * _determinant(Vt) < 0, -1.0, 1.0).astype(M.dtype)
+    last = U[..., :, 2:] * Vt[..., 2:, :] * sign[..., None, None]
+    return _product(U[..., :, :2], Vt[..., :2, :]) + last
+
+
+@_polar.defjvp
+def _polar_jvp(primals, tangents):
+    """dR = R [w], (tr(S) 1 - S) w = vee(R^T dM - dM^T R), with S = R^T M symmetric.
+
+    The derivative of the singular vectors themselves would divide by differences of singular
+    values, which are equal for every rotation.
+    """
+    (M,), (dM,) = primals, tangents
+    R = _polar(M)
+    r = Mat3(*unpack(R, 2)).T
+    S, D = r @ Mat3(*unpack(M, 2)), list(r @ Mat3(*unpack(dM, 2)))
+    xx, yy, zz = S[0], S[4], S[8]
+    xy, xz, yz = (S[1] + S[3]) / 2, (S[2] + S[6]) / 2, (S[5] + S[7]) / 2
+    a, b, c, d, e, f = yy + zz, xx + zz, xx + yy, -xy, -xz, -yz  # tr(S) 1 - S
+    A, B, C = b * c - f * f, a * c - e * e, a * b - d * d  # and its adjugate
+    Dd, E, F = e * f - d * c, d * f - b * e, d * e - a * f
+    scale = 1 / away_from_zero(a * A + d * Dd + e * E)
+    u, v, w = D[7] - D[5], D[2] - D[6], D[3] - D[1]
+    turn = pack(
+        [
+            (A * u + Dd * v + E * w) * scale,
+            (Dd * u + B * v + F * w) * scale,
+            (E * u + F * v + C * w) * scale,
+        ]
+    )
+    return R, _product(R, hat(turn))
+
+
+def _product(A: jax.Array, B: jax.Array) -> jax.Array:
+    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+
+
+def _determinant(M: jax.Array) -> jax.Array:
+    a, b, c = Mat3(*unpack(M, 2)).rows
+    return a.dot(b.cross(c))
