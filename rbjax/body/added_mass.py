@@ -18,7 +18,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 @positive("semi_axes", "density")
 @takes(semi_axes="vector", density="scalar")
 def ellipsoid_added_mass(semi_axes: jax.Array, density: jax.Array) -> jax.Array:
-    """(..., 6, 6) of an ellipsoid (..., 3) about its centre, in a fluid of that density (Lamb, 121a).
+    """(..., 6, 6) of an ellipsoid with these semi-axes about its centre (Lamb, 114-115, 121a).
 
         alpha_i = abc int_0^inf dl / ((a_i^2 + l) D),    D^2 = prod (a_j^2 + l)
 

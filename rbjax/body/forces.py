@@ -90,7 +90,7 @@ class Buoyancy(eqx.Module):
 
 
 class LinearDrag(eqx.Module):
-    """-D (V - V_fluid), D (6, 6) in body axes at the frame's origin, in a stream (3,) of the world."""
+    """-D (V - V_fluid), D (6, 6) in body axes at the frame's origin; `stream` (3,) in the world."""
 
     coefficients: jax.Array = eqx.field(converter=jnp.asarray)
     stream: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))

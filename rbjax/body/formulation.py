@@ -1,4 +1,4 @@
-"""What the formulations of one body's motion share: one signature, so that one can stand for another.
+"""What the formulations of one body's motion share: one signature, one can stand for another.
 
     y0 = f.initial(body, T, V)         from pose and body twist to its own state
     f.rate(t, y, (body, forces))       the vector field: `diffrax.ODETerm(f.rate)` is `f.term()`

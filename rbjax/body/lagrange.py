@@ -1,4 +1,4 @@
-"""Lagrange's equations of a user's own energies, in any coordinates (Olguin Diaz, ch. 7; Cai, ch. 4).
+"""Lagrange's equations of a user's own energies in any coordinates (Olguin Diaz, 7; Cai, 4).
 
     d/dt dT/dq' - dT/dq + dV/dq + dD/dq' = Q
 

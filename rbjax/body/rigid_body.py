@@ -27,7 +27,7 @@ class Body(NamedTuple):
     """mass, com (3,) in the body's frame, inertia (3, 3) about com; a shape's mass properties do:
     `Body(*shapes.box([1, 2, 3], mass=5.0))`.
 
-    `added_mass` (6, 6) is that of a fluid at rest that the body pushes aside, at its frame's origin.
+    `added_mass` (6, 6), at its frame's origin, is that of a fluid at rest which it pushes aside.
     """
 
     mass: jax.Array

@@ -1,4 +1,4 @@
-"""The equation of motion in spatial vectors, F = I A + V x* I V = d(I V)/dt (Featherstone, 2.14-15).
+"""The equation of motion in spatial vectors, F = I A + V x* I V (Featherstone, 2.14-15).
 
 It is the same in the body's own frame and about any point fixed in space; in space the momentum's
 rate is the wrench and nothing else, so that a free body's is constant.
@@ -39,7 +39,9 @@ class _Spatial(Spinning):
 
     def twist(self, body: Body, y: State) -> jax.Array:
         V = self._velocity(body, y)
-        return V if self.about is None else spatial.transform_motion(se3.inverse(self._frame(y.q)), V)
+        return (
+            V if self.about is None else spatial.transform_motion(se3.inverse(self._frame(y.q)), V)
+        )
 
     def _velocity(self, body: Body, y: State) -> jax.Array:
         """V in the frame of the equation."""
