@@ -39,7 +39,7 @@ def test_cart_spring_damper_pair() -> None:
 
 
 def arm(m1, m2, d1=1.0, d2=1.0) -> System:
-    """Point masses at the ends of two links; angles from the downward vertical, the 2nd relative."""
+    """Point masses at the ends of two links, the first angle from the downward vertical."""
 
     def tips(q):
         a, b = q[0], q[0] + q[1]
