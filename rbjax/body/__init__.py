@@ -1,0 +1,65 @@
+"""One rigid body in its equivalent formulations, and the laws they come from.
+
+`formulations()` holds them all behind one signature; `lagrange` is for a user's own energies,
+`particles` for ideal constraints, `relative_motion` for moving frames.
+"""
+
+from rbjax.body import lagrange, particles, relative_motion, virtual_work
+from rbjax.body.added_mass import ellipsoid_added_mass
+from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange, hamel_acceleration
+from rbjax.body.forces import (
+    Buoyancy,
+    CentralGravity,
+    Damper,
+    LinearDrag,
+    QuadraticDrag,
+    Spring,
+    UniformGravity,
+)
+from rbjax.body.formulation import Formulation, State
+from rbjax.body.formulations import formulation, formulations
+from rbjax.body.kirchhoff import Kirchhoff
+from rbjax.body.newton_euler import NewtonEuler
+from rbjax.body.rigid_body import (
+    Body,
+    Situation,
+    inertia_matrix,
+    kinetic_energy,
+    potential_energy,
+    rigid_body,
+    total_wrench,
+)
+from rbjax.body.spatial_equations import Momentum, Spatial
+
+__all__ = [
+    "Body",
+    "Buoyancy",
+    "CentralGravity",
+    "Damper",
+    "Formulation",
+    "Kirchhoff",
+    "Lagrange",
+    "LinearDrag",
+    "Momentum",
+    "NewtonEuler",
+    "QuadraticDrag",
+    "QuasiLagrange",
+    "Situation",
+    "Spatial",
+    "Spring",
+    "State",
+    "UniformGravity",
+    "ellipsoid_added_mass",
+    "formulation",
+    "formulations",
+    "hamel_acceleration",
+    "inertia_matrix",
+    "kinetic_energy",
+    "lagrange",
+    "particles",
+    "potential_energy",
+    "relative_motion",
+    "rigid_body",
+    "total_wrench",
+    "virtual_work",
+]

@@ -1,0 +1,153 @@
+"""One rigid body by Lagrange's equations in a minimal attitude, and in quasi-velocities.
+
+Direct: q = (p, x) with three attitude parameters x, and T(q, q') of the twist
+
+    V = A(q) q' = (E_b(x) x', R(x)^T p')
+
+M, C and g come by differentiation (`lagrange`). Where E_b is singular, so is M.
+
+Quasi-Lagrangian: the velocities are nu = A(q) q' with q' = B(q) nu, here the body twist, and
+Boltzmann's and Hamel's equations (Olguin Diaz, ch. 7; Hamel, 1904)
+
+    d/dt dT/dnu + B^T (A'^T - (d(A q')/dq)^T) dT/dnu - B^T dT/dq = B^T Q
+
+hold for redundant attitudes too, whose constraint forces B^T takes away: with a quaternion they are
+singular nowhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.body import lagrange
+from rbjax.body.formulation import Formulation, State, apply
+from rbjax.body.rigid_body import (
+    Body,
+    Situation,
+    kinetic_energy,
+    potential_energy,
+    split,
+    total_wrench,
+)
+from rbjax.errors import InputError
+from rbjax.rotations import se3
+
+
+class _InCoordinates(Formulation):
+    """q = (p, x), x of any representation."""
+
+    def pose(self, body: Body, y: State) -> jax.Array:
+        return self._pose(y.q)
+
+    def _pose(self, q: jax.Array) -> jax.Array:
+        return se3.pose(self.attitude.to_matrix(q[3:]), q[:3])
+
+    def _coordinates(self, T: jax.Array) -> jax.Array:
+        return jnp.concatenate([T[:3, 3], self.attitude.from_matrix(T[:3, :3])])
+
+    def _twist(self, q: jax.Array, qd: jax.Array) -> jax.Array:
+        """A(q) q'."""
+        omega = apply(self.attitude.body_rate_matrix(q[3:]), qd[3:])
+        return jnp.concatenate([omega, apply(self.attitude.to_matrix(q[3:]).T, qd[:3])])
+
+    def _rates(self, q: jax.Array, V: jax.Array) -> jax.Array:
+        """B(q) V."""
+        turning = apply(self.attitude.inverse_body_rate_matrix(q[3:]), V[:3])
+        return jnp.concatenate([apply(self.attitude.to_matrix(q[3:]), V[3:]), turning])
+
+
+class Lagrange(_InCoordinates):
+    """Direct, in one of the representations with three numbers; v is q'."""
+
+    def __init__(self, attitude: str):
+        super().__init__(attitude)
+        if self.attitude.size != 3:
+            raise InputError(
+                f"Lagrange: {attitude!r} has {self.attitude.size} parameters, expected a minimal "
+                f"representation, with 3; QuasiLagrange takes any"
+            )
+
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+        q = self._coordinates(T)
+        return State(q, self._rates(q, V))
+
+    def rate(self, t: Any, y: State, args: Situation) -> State:
+        _, rest = split(args)
+        F = total_wrench(rest, t, self._pose(y.q), self.twist(args[0], y))
+        _, work = jax.vjp(lambda qd: self._twist(y.q, qd), y.v)
+        return State(y.v, lagrange.acceleration(self.system(args), y.q, y.v, work(F)[0]))
+
+    def twist(self, body: Body, y: State) -> jax.Array:
+        return self._twist(y.q, y.v)
+
+    def system(self, args: Situation) -> lagrange.System:
+        """T and V in these coordinates: `lagrange.mass_matrix(f.system(args), q)` and so on."""
+        body = args[0]
+        return lagrange.System(
+            lambda q, qd: kinetic_energy(body, self._twist(q, qd)),
+            lambda q: potential_energy(args, self._pose(q)),
+        )
+
+
+class QuasiLagrange(_InCoordinates):
+    """In any representation; v is the body twist."""
+
+    def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+        return State(self._coordinates(T), V)
+
+    def rate(self, t: Any, y: State, args: Situation) -> State:
+        q, V = y
+        body, (_, rest) = args[0], split(args)
+        F = total_wrench(rest, t, self._pose(q), V)
+        slope = jax.grad(lambda q: potential_energy(args, self._pose(q)))(q)
+        _, virtual = jax.vjp(lambda V: self._rates(q, V), V)
+        return State(
+            self._rates(q, V),
+            hamel_acceleration(
+                lambda q, V: kinetic_energy(body, V), self._twist, self._rates, q, V,
+                F - virtual(slope)[0],
+            ),
+        )  # fmt: skip
+
+    def twist(self, body: Body, y: State) -> jax.Array:
+        return y.v
+
+
+def hamel_acceleration(
+    kinetic: Callable[[jax.Array, jax.Array], jax.Array],
+    velocities: Callable[[jax.Array, jax.Array], jax.Array],
+    rates: Callable[[jax.Array, jax.Array], jax.Array],
+    q: jax.Array,
+    nu: jax.Array,
+    N: jax.Array,
+) -> jax.Array:
+    """nu' (m,) of quasi-velocities nu = A(q) q' (`velocities`), q' = B(q) nu (`rates`).
+
+    `kinetic` is T(q, nu), and N = B^T Q (m,) the forces that do the work N . nu.
+
+    >>> polar = hamel_acceleration(  # a unit mass; nu = (r', r phi')
+    ...     lambda q, nu: nu @ nu / 2,
+    ...     lambda q, qd: jnp.stack([qd[0], q[0] * qd[1]]),
+    ...     lambda q, nu: jnp.stack([nu[0], nu[1] / q[0]]),
+    ...     jnp.array([2.0, 0.0]), jnp.array([1.0, 4.0]), jnp.zeros(2))
+    >>> polar.tolist()
+    [8.0, -2.0]
+    """
+    qd = rates(q, nu)
+    p = jax.grad(kinetic, 1)(q, nu)
+    _, carried = jax.vjp(lambda q: velocities(q, qd), q)
+
+    def momentum(q: jax.Array) -> jax.Array:
+        """A^T p, the momentum of q', with p as it is."""
+        return jax.vjp(lambda qd: velocities(q, qd), qd)[1](p)[0]
+
+    _, swept = jax.jvp(momentum, (q,), (qd,))
+    _, virtual = jax.vjp(lambda nu: rates(q, nu), nu)
+    force = N + virtual(carried(p)[0] - swept + jax.grad(kinetic)(q, nu))[0]
+    M = jax.hessian(kinetic, 1)(q, nu)
+    _, drift = jax.jvp(lambda q: jax.grad(kinetic, 1)(q, nu), (q,), (qd,))
+    return jnp.linalg.solve(M, force - drift)

@@ -1,0 +1,150 @@
+"""What acts on a body: gravity, buoyancy, drag, springs.
+
+Each is a pytree of its numbers, and a function (t, body, T, V) -> wrench (6,) at the origin of the
+body's frame, in body axes (`rigid_body`). Those with a `potential` are minus its gradient.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax import spatial
+from rbjax.body.formulation import apply
+from rbjax.body.rigid_body import Body
+from rbjax.rotations.coefficients import length
+
+
+def _at(T: jax.Array, point: jax.Array) -> jax.Array:
+    """A point of the body, in the world."""
+    return T[:3, 3] + apply(T[:3, :3], point)
+
+
+def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
+    """The wrench of a force (3,) in world axes at a point of the body."""
+    return spatial.force_at(apply(T[:3, :3].T, f), point)
+
+
+class UniformGravity(eqx.Module):
+    """The same acceleration (3,) everywhere, in m/s^2."""
+
+    acceleration: jax.Array = eqx.field(
+        converter=jnp.asarray, default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
+    )
+
+    def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
+        return _world_force(T, body.mass * self.acceleration, body.com)
+
+    def potential(self, body: Body, T: jax.Array) -> jax.Array:
+        return -body.mass * (self.acceleration * _at(T, body.com)).sum()
+
+
+class CentralGravity(eqx.Module):
+    """Attraction by a point, mu = G M in m^3/s^2, at `centre` (3,), to the second order in size.
+
+    MacCullagh: V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3), n from the centre to com; the
+    torque is 3 mu n x I_c n / r^3.
+    """
+
+    mu: jax.Array = eqx.field(converter=jnp.asarray)
+    centre: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+
+    def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
+        R = T[:3, :3]
+        d = apply(R.T, _at(T, body.com) - self.centre)
+        r = jnp.sqrt((d * d).sum())
+        Id, trace = apply(body.inertia, d), jnp.trace(body.inertia)
+        k = self.mu / r**5
+        f = -self.mu * body.mass / r**3 * d
+        f = f - k * (1.5 * trace * d + 3 * Id - 7.5 * (d * Id).sum() / r**2 * d)
+        couple = jnp.concatenate([3 * k * jnp.cross(d, Id), jnp.zeros_like(d)])
+        return spatial.force_at(f, body.com) + couple
+
+    def potential(self, body: Body, T: jax.Array) -> jax.Array:
+        d = apply(T[:3, :3].T, _at(T, body.com) - self.centre)
+        r = jnp.sqrt((d * d).sum())
+        second = jnp.trace(body.inertia) - 3 * (d * apply(body.inertia, d)).sum() / r**2
+        return -self.mu * body.mass / r - self.mu * second / (2 * r**3)
+
+
+class Buoyancy(eqx.Module):
+    """Archimedes: minus the weight of the fluid of `density` in a wholly immersed `volume`, at its
+    centre (3,) in the body.
+    """
+
+    density: jax.Array = eqx.field(converter=jnp.asarray)
+    volume: jax.Array = eqx.field(converter=jnp.asarray)
+    centre: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    gravity: jax.Array = eqx.field(
+        converter=jnp.asarray, default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
+    )
+
+    def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
+        return _world_force(T, -self.density * self.volume * self.gravity, self.centre)
+
+    def potential(self, body: Body, T: jax.Array) -> jax.Array:
+        return self.density * self.volume * (self.gravity * _at(T, self.centre)).sum()
+
+
+class LinearDrag(eqx.Module):
+    """-D (V - V_fluid), D (6, 6) in body axes at the frame's origin; `stream` (3,) in the world."""
+
+    coefficients: jax.Array = eqx.field(converter=jnp.asarray)
+    stream: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+
+    def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
+        return -apply(self.coefficients, _through(T, V, self.stream))
+
+
+class QuadraticDrag(eqx.Module):
+    """-d_i |V_i| V_i for each of the six, d (6,); rho C_D A / 2 is d of a face, in kg/m."""
+
+    coefficients: jax.Array = eqx.field(converter=jnp.asarray)
+    stream: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+
+    def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
+        past = _through(T, V, self.stream)
+        return -self.coefficients * jnp.abs(past) * past
+
+
+class Spring(eqx.Module):
+    """From a point of the world (`anchor`) to one of the body, k (l - l_0) along the line."""
+
+    stiffness: jax.Array = eqx.field(converter=jnp.asarray)
+    anchor: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    point: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    rest_length: jax.Array = eqx.field(converter=jnp.asarray, default=0.0)
+
+    def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
+        d = _at(T, self.point) - self.anchor
+        l = length((d * d).sum())
+        # a line of no length has no direction, and its spring no force rather than a nan
+        pull = 1 - self.rest_length / jnp.where(l > 0, l, jnp.inf)
+        return _world_force(T, -self.stiffness * pull * d, self.point)
+
+    def potential(self, body: Body, T: jax.Array) -> jax.Array:
+        d = _at(T, self.point) - self.anchor
+        return self.stiffness * (length((d * d).sum()) - self.rest_length) ** 2 / 2
+
+
+class Damper(eqx.Module):
+    """Between the same two points: -c times the rate of their distance, along the line."""
+
+    damping: jax.Array = eqx.field(converter=jnp.asarray)
+    anchor: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    point: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+
+    def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
+        d = _at(T, self.point) - self.anchor
+        square = (d * d).sum()
+        v = apply(T[:3, :3], spatial.twist_at(V, self.point)[3:])
+        f = -self.damping * (d * v).sum() / jnp.where(square > 0, square, 1.0) * d
+        return _world_force(T, f, self.point)
+
+
+def _through(T: jax.Array, V: jax.Array, stream: jax.Array) -> jax.Array:
+    """The twist relative to a fluid that streams without turning."""
+    return V - jnp.concatenate([jnp.zeros_like(stream), apply(T[:3, :3].T, stream)])

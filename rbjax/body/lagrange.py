@@ -1,0 +1,149 @@
+"""Lagrange's equations of a user's own energies in any coordinates (Olguin Diaz, 7; Cai, 4).
+
+    d/dt dT/dq' - dT/dq + dV/dq + dD/dq' = Q
+
+of kinetic energy T(q, q'), potential V(q), dissipation function D(q, q') and generalized forces Q
+(n,), all by differentiation. Where T = q' . M(q) q' / 2 this is
+
+    M(q) q'' + C(q, q') q' + g(q) + dD/dq' = Q
+
+with C of Christoffel's symbols, so that M' - 2C is skew-symmetric. `acceleration` wants no such T:
+it may have terms linear in q' (gyroscopic) or of order zero.
+
+    >>> cart = System(lambda q, v: v @ v, lambda q: 8 * q @ q)
+    >>> acceleration(cart, jnp.array([1.0]), jnp.array([0.0])).tolist()
+    [-8.0]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import InputError
+
+Energy = Callable[..., jax.Array]
+
+
+def _nothing(*_: Any) -> Any:
+    return 0.0
+
+
+class System(NamedTuple):
+    """T(q, v), V(q), D(q, v): each gives a scalar."""
+
+    kinetic: Energy
+    potential: Energy = _nothing
+    dissipation: Energy = _nothing
+
+
+def mass_matrix(system: System, q: jax.Array, v: jax.Array | None = None) -> jax.Array:
+    """M (n, n) = d^2 T / dq'^2, at q' = 0 unless said.
+
+    >>> mass_matrix(System(lambda q, v: (1 + q[0] ** 2) * v @ v), jnp.array([2.0])).tolist()
+    [[10.0]]
+    """
+    q = _coordinates("mass_matrix", q)
+    return jax.hessian(system.kinetic, 1)(q, jnp.zeros_like(q) if v is None else v)
+
+
+def christoffel_symbols(system: System, q: jax.Array) -> jax.Array:
+    """Gamma (n, n, n) of the first kind: Gamma_ijk = (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) / 2."""
+    q = _coordinates("christoffel_symbols", q)
+    dM = jax.jacfwd(lambda q: mass_matrix(system, q))(q)
+    return (dM + dM.transpose(0, 2, 1) - dM.transpose(2, 0, 1)) / 2
+
+
+def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
+    """C (n, n) = Gamma . q', with M' - 2C skew-symmetric.
+
+    >>> M = System(lambda q, v: (1 + q[0] ** 2) * v @ v)
+    >>> coriolis_matrix(M, jnp.array([2.0]), jnp.array([3.0])).tolist()
+    [[12.0]]
+    """
+    q, v = _state("coriolis_matrix", q, v)
+    return (christoffel_symbols(system, q) * v).sum(-1)
+
+
+def gravity_forces(system: System, q: jax.Array) -> jax.Array:
+    """g (n,) = dV/dq."""
+    q = _coordinates("gravity_forces", q)
+    return jax.grad(_scalar(system.potential))(q)
+
+
+def damping_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
+    """dD/dq' (n,)."""
+    q, v = _state("damping_forces", q, v)
+    return jax.grad(_scalar(system.dissipation), 1)(q, v)
+
+
+def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
+    """All but M q'' of the left-hand side: (d p/dq) q' - dT/dq + dV/dq + dD/dq', p = dT/dq'."""
+    q, v = _state("bias_forces", q, v)
+    T = _scalar(system.kinetic)
+    _, swept = jax.jvp(lambda q: jax.grad(T, 1)(q, v), (q,), (v,))
+    bias = swept - jax.grad(T)(q, v)
+    return bias + gravity_forces(system, q) + damping_forces(system, q, v)
+
+
+def acceleration(
+    system: System, q: jax.Array, v: jax.Array, Q: jax.Array | float = 0.0
+) -> jax.Array:
+    """q'' (n,) under generalized forces Q (n,)."""
+    q, v = _state("acceleration", q, v)
+    return jnp.linalg.solve(mass_matrix(system, q, v), Q - bias_forces(system, q, v))
+
+
+def generalized_forces(system: System, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
+    """Q (n,) that the acceleration a (n,) takes: inverse dynamics."""
+    q, v = _state("generalized_forces", q, v)
+    return (mass_matrix(system, q, v) * a).sum(-1) + bias_forces(system, q, v)
+
+
+def energy(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
+    """dT/dq' . q' - T + V, conserved where nothing depends on time: T + V of a quadratic T."""
+    q, v = _state("energy", q, v)
+    T = _scalar(system.kinetic)
+    return jax.grad(T, 1)(q, v) @ v - T(q, v) + _scalar(system.potential)(q)
+
+
+def term(system: System) -> diffrax.ODETerm:
+    """For diffrax: y = (q, v), and args the generalized forces, (n,), (t, q, v) -> (n,) or None."""
+
+    def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
+        q, v = y
+        Q = args(t, q, v) if callable(args) else (0.0 if args is None else args)
+        return v, acceleration(system, q, v, Q)
+
+    return diffrax.ODETerm(rate)
+
+
+def _scalar(energy: Energy) -> Energy:
+    """The energy as an array of shape (), of the coordinates' dtype."""
+
+    def value(q: jax.Array, *v: jax.Array) -> jax.Array:
+        x = jnp.asarray(energy(q, *v), q.dtype)
+        if x.shape != ():
+            raise InputError(f"an energy has shape {x.shape}, expected one number")
+        return x
+
+    return value
+
+
+def _coordinates(where: str, q: Any) -> jax.Array:
+    q = jnp.asarray(q)
+    q = q.astype(jnp.result_type(q, float)) if not jnp.issubdtype(q.dtype, jnp.floating) else q
+    if q.ndim != 1:
+        raise InputError(f"{where}: q has shape {q.shape}, expected (n,); jax.vmap for a batch")
+    return q
+
+
+def _state(where: str, q: Any, v: Any) -> tuple[jax.Array, jax.Array]:
+    q, v = _coordinates(where, q), _coordinates(where, v)
+    if q.shape != v.shape:
+        raise InputError(f"{where}: v has shape {v.shape}, expected {q.shape}, that of q")
+    return q, v

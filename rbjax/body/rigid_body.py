@@ -1,0 +1,100 @@
+"""What one rigid body is, and what acts on it.
+
+A body has a frame, with pose T (4, 4) in the world, and a twist V (6,) = (omega, v), the velocity
+of that frame's origin and the turning of its axes, in body axes. Anything that acts on it is a
+function
+
+    force(t, body, T, V) -> (6,) wrench (n, f) at the frame's origin, in body axes
+
+and may have a `potential(body, T)` besides. Forces add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax import spatial
+from rbjax.spatial import MassProperties
+
+Force = Callable[[Any, "Body", jax.Array, jax.Array], jax.Array]
+
+
+class Body(NamedTuple):
+    """mass, com (3,) in the body's frame, inertia (3, 3) about com; a shape's mass properties do:
+    `Body(*shapes.box([1, 2, 3], mass=5.0))`.
+
+    `added_mass` (6, 6), at its frame's origin, is that of a fluid at rest which it pushes aside.
+    """
+
+    mass: jax.Array
+    com: jax.Array
+    inertia: jax.Array
+    added_mass: jax.Array | None = None
+
+
+class Situation(NamedTuple):
+    """What every formulation takes as diffrax's `args`: a body and the forces on it."""
+
+    body: Body
+    forces: tuple[Force, ...] = ()
+
+
+def rigid_body(
+    properties: MassProperties | Body,
+    forces: Sequence[Force] = (),
+    added_mass: jax.Array | None = None,
+) -> Situation:
+    """A body with these mass properties, checked, under these forces.
+
+    Raises:
+        InputError: no body has such an inertia.
+
+    >>> rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body.inertia.diagonal().tolist()
+    [2.0, 2.0, 2.0]
+    """
+    mass, com, inertia = spatial.check_mass_properties(*properties[:3])
+    if added_mass is None and isinstance(properties, Body):
+        added_mass = properties.added_mass
+    added = None if added_mass is None else jnp.asarray(added_mass)
+    return Situation(Body(mass, com, inertia, added), tuple(forces))
+
+
+def inertia_matrix(body: Body) -> jax.Array:
+    """(6, 6) at the origin of the body's frame, added mass included: T = V . M V / 2."""
+    matrix = spatial.spatial_inertia(body.mass, body.com, body.inertia)
+    return matrix if body.added_mass is None else matrix + body.added_mass
+
+
+def total_wrench(situation: Situation, t: Any, T: jax.Array, V: jax.Array) -> jax.Array:
+    """The sum (6,) of all forces, at the frame's origin in body axes."""
+    body, forces = situation
+    return sum((f(t, body, T, V) for f in forces), start=jnp.zeros_like(V))
+
+
+def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
+    """The forces that have a potential, and the situation with the others alone."""
+    body, forces = situation
+    conservative = tuple(f for f in forces if hasattr(f, "potential"))
+    rest = tuple(f for f in forces if not hasattr(f, "potential"))
+    return conservative, Situation(body, rest)
+
+
+def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
+    """Of all forces that have a potential."""
+    conservative, _ = split(situation)
+    body = situation[0]
+    return sum((f.potential(body, T) for f in conservative), start=jnp.zeros((), T.dtype))
+
+
+def kinetic_energy(body: Body, V: jax.Array) -> jax.Array:
+    """V . M V / 2, added mass included.
+
+    >>> body = rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body
+    >>> float(kinetic_energy(body, jnp.array([0.0, 0.0, 2.0, 1.0, 0.0, 0.0])))
+    6.5
+    """
+    return spatial.kinetic_energy(inertia_matrix(body), V)

@@ -1,0 +1,57 @@
+"""The door of the spatial functions: that of the rotations, with what else they take."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.lanes import Mat3, Vec3
+from rbjax.rotations.arguments import SHAPES, pack, takes, unpack
+from rbjax.spatial.vectors import Force, Motion
+
+SHAPES |= {"matrix6": (6, 6), "pair": (2,)}
+
+__all__ = ["force", "motion", "pack", "pose_parts", "positive", "takes", "unpack"]
+
+
+def positive(*names: str) -> Callable[[Callable], Callable]:
+    """Decorate a function whose named arguments are to be greater than zero, where known."""
+
+    def decorate(f: Callable) -> Callable:
+        signature = inspect.signature(f)
+
+        @functools.wraps(f)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            bound = signature.bind(*args, **kwargs)
+            for name in names:
+                x = bound.arguments.get(name, 1.0)
+                known = not isinstance(x, jax.core.Tracer)
+                if known and np.asarray(x).dtype.kind in "iuf" and (np.asarray(x) <= 0).any():
+                    raise InputError(f"{f.__name__}: {name} is {x}, expected more than zero")
+            return f(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def pose_parts(T: jax.Array) -> tuple[Mat3, Vec3]:
+    """R and p of a pose on lanes."""
+    m = unpack(T, 2)
+    return Mat3(*m[0:3], *m[4:7], *m[8:11]), Vec3(m[3], m[7], m[11])
+
+
+def motion(V: jax.Array) -> Motion:
+    """A twist on lanes."""
+    return Motion.from_lanes(unpack(V))
+
+
+def force(F: jax.Array) -> Force:
+    """A wrench on lanes."""
+    return Force.from_lanes(unpack(F))

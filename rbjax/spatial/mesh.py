@@ -1,0 +1,124 @@
+"""Mass, centre of mass and inertia of closed triangle meshes and of clouds of points.
+
+By the divergence theorem the integral of a polynomial over a solid is one over its surface: a sum,
+over its triangles, of the signed tetrahedra that they span with any one point (Mirtich, 1996).
+For a tetrahedron (0, a, b, c) of volume V = a . (b x c) / 6 and s = a + b + c
+
+    int x dV = V s / 4,    int x x^T dV = V (a a^T + b b^T + c c^T + s s^T) / 20
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.spatial.arguments import positive, takes
+from rbjax.spatial.mass import MassProperties
+
+
+@positive("density", "mass")
+def mesh(
+    vertices: jax.Array,
+    triangles: np.ndarray,
+    *,
+    density: jax.Array | None = None,
+    mass: jax.Array | None = None,
+) -> MassProperties:
+    """The solid inside a closed surface: vertices (n, 3), triangles (m, 3) of their numbers,
+    counter-clockwise seen from outside. Differentiable in the vertices.
+
+    Raises:
+        InputError: the surface is open, or turned inside out.
+
+    >>> corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    >>> solid = mesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], density=6.0)
+    >>> round(float(solid.mass), 6), solid.com.round(6).tolist()
+    (1.0, [0.25, 0.25, 0.25])
+    """
+    if (density is None) == (mass is None):
+        both = "neither" if mass is None else "both"
+        raise InputError(f"mesh: got {both} of density and mass, expected one of them")
+    corners = _as_vertices(vertices)
+    volume, com, second = _integrals(corners, _closed(np.asarray(triangles), len(corners)))
+    if not isinstance(volume, jax.core.Tracer) and not volume > 0:
+        raise InputError(
+            f"mesh: the volume is {float(volume):g}, expected more than zero; where it is negative,"
+            f" triangles are listed clockwise seen from outside: reverse each"
+        )
+    scale = jnp.asarray(density) if mass is None else jnp.asarray(mass) / volume
+    total = jnp.asarray(mass) if density is None else scale * volume
+    return MassProperties(total, com, scale * _inertia(second))
+
+
+def points(positions: jax.Array, masses: jax.Array) -> MassProperties:
+    """Particles at positions (n, 3) with masses (n,), rigidly together.
+
+    >>> points([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], [1.0, 1.0]).inertia.diagonal().tolist()
+    [0.0, 2.0, 2.0]
+    """
+    if np.shape(masses) != np.shape(positions)[:1]:
+        raise InputError(
+            f"points: masses has shape {np.shape(masses)}, expected ({np.shape(positions)[0]},)"
+        )
+    return _points(positions, jnp.asarray(masses)[:, None])
+
+
+@takes(positions="vector", weights="scalar")
+def _points(positions: jax.Array, weights: jax.Array) -> MassProperties:
+    mass = weights.sum()
+    com = (weights * positions).sum(0) / mass
+    r = positions - com
+    second = (weights[..., None] * r[:, :, None] * r[:, None, :]).sum(0)
+    return MassProperties(mass, com, _inertia(second))
+
+
+def _inertia(second: jax.Array) -> jax.Array:
+    """tr(S) 1 - S of the second moment S."""
+    return jnp.trace(second) * jnp.eye(3, dtype=second.dtype) - second
+
+
+@takes(vertices="vector")
+def _as_vertices(vertices: jax.Array) -> jax.Array:
+    return vertices
+
+
+@jax.jit
+def _integrals(vertices: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Volume, centroid, second moment about it."""
+    middle = vertices.mean(0)  # a point near the solid: far from it the tetrahedra would cancel
+    a, b, c = (vertices[index[:, k]] - middle for k in range(3))
+    V = (a * jnp.cross(b, c)).sum(-1) / 6
+    s = a + b + c
+    volume = V.sum()
+    first = (V[:, None] * s).sum(0) / 4
+    outer = sum(x[:, :, None] * x[:, None, :] for x in (a, b, c, s))
+    second = (V[:, None, None] * outer).sum(0) / 20
+    centre = first / volume
+    return volume, middle + centre, second - volume * centre[:, None] * centre[None, :]
+
+
+def _closed(triangles: np.ndarray, count: int) -> np.ndarray:
+    """The triangles, if every edge is met once in each direction."""
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
+        raise InputError(
+            f"mesh: triangles has shape {triangles.shape} and dtype {triangles.dtype}, expected "
+            f"(m, 3) integers"
+        )
+    if triangles.min(initial=0) < 0 or triangles.max(initial=0) >= count:
+        raise InputError(
+            f"mesh: triangles name vertices {triangles.min()} to {triangles.max()}, expected 0 to "
+            f"{count - 1}"
+        )
+    edges = Counter((int(t[i]), int(t[(i + 1) % 3])) for t in triangles for i in range(3))
+    for (i, j), times in edges.items():
+        if edges[j, i] != times:
+            raise InputError(
+                f"mesh: the edge from vertex {i} to {j} is met {times} times that way and "
+                f"{edges[j, i]} times the other way, expected a closed surface, every triangle "
+                f"turning the same way seen from outside"
+            )
+    return triangles

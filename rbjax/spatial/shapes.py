@@ -1,0 +1,213 @@
+"""Mass, centre of mass and inertia of solids, from their dimensions and density or mass.
+
+Lengths in m, angles none; a shape stands at the origin with its axis along z, and `moved` puts it
+elsewhere. Density in kg/m^3 (kg/m^2 for a plate, kg/m for a rod). Dimensions may be batches, and
+everything is differentiable in them. `combine` puts bodies together, and `hole` makes one of them
+empty space:
+
+    combine([box([1.0, 1.0, 1.0], density=700.0), hole(sphere(0.2, density=700.0))])
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.spatial.arguments import pack, positive, takes, unpack
+from rbjax.spatial.mass import MassProperties, parallel_axes
+from rbjax.spatial.mesh import mesh, points
+
+__all__ = [
+    "box", "capsule", "combine", "cone", "cylinder", "ellipsoid", "hole", "mesh", "plate",
+    "points", "rod", "sphere", "tube",
+]  # fmt: skip
+
+Maybe = jax.Array | None
+
+
+@positive("size", "density", "mass")
+@takes(size="vector", density="scalar", mass="scalar")
+def box(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
+    """A box with edges `size` (..., 3) about its centre.
+
+    >>> box([1.0, 2.0, 3.0], density=2.0).inertia.diagonal().tolist()
+    [13.0, 10.0, 5.0]
+    """
+    a, b, c = unpack(size)
+    xx, yy, zz = a * a / 12, b * b / 12, c * c / 12
+    return _body(a * b * c, [0.0, 0.0, 0.0], [yy + zz, xx + zz, xx + yy], density, mass)
+
+
+@positive("semi_axes", "density", "mass")
+@takes(semi_axes="vector", density="scalar", mass="scalar")
+def ellipsoid(semi_axes: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
+    """An ellipsoid with semi-axes (..., 3) about its centre.
+
+    >>> ellipsoid([1.0, 2.0, 3.0], mass=5.0).inertia.diagonal().tolist()
+    [13.0, 10.0, 5.0]
+    """
+    a, b, c = unpack(semi_axes)
+    xx, yy, zz = a * a / 5, b * b / 5, c * c / 5
+    volume = 4 / 3 * jnp.pi * a * b * c
+    return _body(volume, [0.0, 0.0, 0.0], [yy + zz, xx + zz, xx + yy], density, mass)
+
+
+@positive("radius", "density", "mass")
+@takes(radius="scalar", density="scalar", mass="scalar")
+def sphere(radius: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
+    """A ball about its centre: 2/5 m r^2.
+
+    >>> sphere(1.0, mass=5.0).inertia.diagonal().tolist()
+    [2.0, 2.0, 2.0]
+    """
+    I = 2 / 5 * radius * radius
+    return _body(4 / 3 * jnp.pi * radius**3, [0.0, 0.0, 0.0], [I, I, I], density, mass)
+
+
+@positive("radius", "length", "density", "mass")
+@takes(radius="scalar", length="scalar", density="scalar", mass="scalar")
+def cylinder(
+    radius: jax.Array, length: jax.Array, *, density: Maybe = None, mass: Maybe = None
+) -> MassProperties:
+    """A cylinder along z about its centre.
+
+    >>> cylinder(1.0, 3.0, mass=2.0).inertia.diagonal().tolist()
+    [2.0, 2.0, 1.0]
+    """
+    return _tube(radius, jnp.zeros_like(radius), length, density, mass)
+
+
+@positive("outer", "inner", "length", "density", "mass")
+def tube(
+    outer: jax.Array,
+    inner: jax.Array,
+    length: jax.Array,
+    *,
+    density: Maybe = None,
+    mass: Maybe = None,
+) -> MassProperties:
+    """A tube along z about its centre, of outer and inner radius.
+
+    >>> tube(2.0, 1.0, 3.0, mass=2.0).inertia.diagonal().tolist()
+    [4.0, 4.0, 5.0]
+    """
+    known = not any(isinstance(x, jax.core.Tracer) for x in (outer, inner))
+    if known and (np.asarray(outer) <= np.asarray(inner)).any():
+        raise InputError(f"tube: inner is {inner} and outer {outer}, expected inner < outer")
+    given = {"density": density, "mass": mass}
+    return _bored(outer, inner, length, **{k: x for k, x in given.items() if x is not None})
+
+
+@positive("radius", "length", "density", "mass")
+@takes(radius="scalar", length="scalar", density="scalar", mass="scalar")
+def capsule(
+    radius: jax.Array, length: jax.Array, *, density: Maybe = None, mass: Maybe = None
+) -> MassProperties:
+    """A cylinder of `length` along z with a half ball on each end, about its centre.
+
+    >>> round(float(capsule(1.0, 3.0, density=3 / jnp.pi).mass), 6)
+    13.0
+    """
+    r, l = radius, length
+    trunk, caps = jnp.pi * r * r * l, 4 / 3 * jnp.pi * r**3
+    volume = trunk + caps
+    along = (trunk * r * r / 2 + caps * 2 / 5 * r * r) / volume
+    # the two half balls about the centre: 2/5 r^2 + l^2/4 + 3/8 r l a unit of mass
+    across = trunk * (r * r / 4 + l * l / 12) + caps * (2 / 5 * r * r + l * l / 4 + 3 / 8 * r * l)
+    across = across / volume
+    return _body(volume, [0.0, 0.0, 0.0], [across, across, along], density, mass)
+
+
+@positive("radius", "height", "density", "mass")
+@takes(radius="scalar", height="scalar", density="scalar", mass="scalar")
+def cone(
+    radius: jax.Array, height: jax.Array, *, density: Maybe = None, mass: Maybe = None
+) -> MassProperties:
+    """A cone with its base in the plane z = 0 and its tip at z = height; com at a quarter.
+
+    >>> cone(2.0, 4.0, mass=10.0).com.tolist(), cone(2.0, 4.0, mass=10.0).inertia[2, 2].item()
+    ([0.0, 0.0, 1.0], 12.0)
+    """
+    r, h = radius, height
+    across, along = 3 / 20 * r * r + 3 / 80 * h * h, 3 / 10 * r * r
+    volume = jnp.pi * r * r * h / 3
+    return _body(volume, [0.0, 0.0, h / 4], [across, across, along], density, mass)
+
+
+@positive("length", "density", "mass")
+@takes(length="scalar", density="scalar", mass="scalar")
+def rod(length: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
+    """A thin rod along z about its centre; density in kg/m.
+
+    >>> rod(2.0, mass=3.0).inertia.diagonal().tolist()
+    [1.0, 1.0, 0.0]
+    """
+    I = length * length / 12
+    return _body(length, [0.0, 0.0, 0.0], [I, I, jnp.zeros_like(I)], density, mass)
+
+
+@positive("size", "density", "mass")
+@takes(size="pair", density="scalar", mass="scalar")
+def plate(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
+    """A thin plate with edges `size` (..., 2) along x and y about its centre; density in kg/m^2.
+
+    >>> plate([2.0, 4.0], mass=3.0).inertia.diagonal().tolist()
+    [4.0, 1.0, 5.0]
+    """
+    a, b = unpack(size)
+    xx, yy = a * a / 12, b * b / 12
+    return _body(a * b, [0.0, 0.0, 0.0], [yy, xx, xx + yy], density, mass)
+
+
+def combine(parts: Sequence[MassProperties]) -> MassProperties:
+    """One body of several, all in one frame (`moved` brings them there), holes among them.
+
+    >>> two = [MassProperties(jnp.array(1.0), jnp.array([x, 0.0, 0.0]), jnp.zeros((3, 3)))
+    ...        for x in (-1.0, 3.0)]
+    >>> combine(two).com.tolist(), combine(two).inertia.diagonal().tolist()
+    ([1.0, 0.0, 0.0], [0.0, 8.0, 8.0])
+    """
+    parts = list(parts)
+    if not parts or not all(isinstance(part, MassProperties) for part in parts):
+        got = [type(part).__name__ for part in parts]
+        raise InputError(f"combine: got {got}, expected at least one MassProperties")
+    mass = sum((part.mass for part in parts[1:]), start=parts[0].mass)
+    moment = sum(part.mass[..., None] * part.com for part in parts)
+    com = moment / mass[..., None]
+    about = [parallel_axes(p.inertia, p.mass, p.com - com) for p in parts]
+    return MassProperties(mass, com, sum(about[1:], start=about[0]))
+
+
+def hole(part: MassProperties) -> MassProperties:
+    """What to add for the part to be taken away: its mass and inertia, negative."""
+    return MassProperties(-part.mass, part.com, -part.inertia)
+
+
+@takes(outer="scalar", inner="scalar", length="scalar", density="scalar", mass="scalar")
+def _bored(outer, inner, length, *, density: Maybe = None, mass: Maybe = None) -> MassProperties:
+    return _tube(outer, inner, length, density, mass)
+
+
+def _tube(outer, inner, length, density: Maybe, mass: Maybe) -> MassProperties:
+    square = outer * outer + inner * inner
+    volume = jnp.pi * (outer - inner) * (outer + inner) * length
+    across = square / 4 + length * length / 12
+    return _body(volume, [0.0, 0.0, 0.0], [across, across, square / 2], density, mass)
+
+
+def _body(volume, com: list, moments: list, density: Maybe, mass: Maybe) -> MassProperties:
+    """Of a volume (area, length), and the moments of inertia a unit of mass about com."""
+    if density is None and mass is not None:
+        total = jnp.broadcast_to(mass, jnp.broadcast_shapes(mass.shape, volume.shape))
+    elif density is not None and mass is None:
+        total = density * volume
+    else:
+        both = "neither" if mass is None else "both"
+        raise InputError(f"got {both} of density and mass, expected one of them")
+    a, b, c = (total * x for x in moments)
+    where = [jnp.broadcast_to(jnp.asarray(x, total.dtype), total.shape) for x in com]
+    return MassProperties(total, pack(where), pack([a, 0, 0, 0, b, 0, 0, 0, c], 3, 3))
