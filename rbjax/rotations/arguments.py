@@ -28,6 +28,8 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "rotation": (3, 3),
     "matrix4": (4, 4),
     "pose": (4, 4),
+    "matrix6": (6, 6),
+    "pair": (2,),
 }
 # How far from orthonormal a matrix may be: what was measured or kept in half precision passes.
 ORTHONORMAL = 1e-2

@@ -12,10 +12,8 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
-from rbjax.rotations.arguments import SHAPES, pack, takes, unpack
+from rbjax.rotations.arguments import pack, takes, unpack
 from rbjax.spatial.vectors import Force, Motion
-
-SHAPES |= {"matrix6": (6, 6), "pair": (2,)}
 
 __all__ = ["force", "motion", "pack", "pose_parts", "positive", "takes", "unpack"]
 
