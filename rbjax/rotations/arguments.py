@@ -111,11 +111,13 @@ def unpack(x: jax.Array, axes: int = 1) -> list[jax.Array]:
 
 
 def pack(values: Iterable[Any], *shape: int) -> jax.Array:
-    """Lanes, row by row, as one array (..., *shape); by default a vector.
+    """Lanes, row by row, as one array (..., *shape); by default a vector. An array stays as it is.
 
     Few lanes are chosen among by index: XLA's CPU compiler unrolls that into one loop over the
     batch, while a concatenate of computed values makes it evaluate or copy them several times.
     """
+    if isinstance(values, jax.Array):
+        return values
     values = list(values)
     like = jnp.result_type(*(v for v in values if isinstance(v, jax.Array)))
     batch = jnp.broadcast_shapes(*(jnp.shape(v) for v in values))

@@ -55,15 +55,22 @@ def arctan_over(w: jax.Array, square: jax.Array) -> jax.Array:
     """
     for _ in range(3):
         w = w + jnp.sqrt(w * w + square)
-    x = square / (w * w)
-    terms = 13 if x.dtype == jnp.float64 else 6
-    return _horner([(-1) ** j / (2 * j + 1) for j in range(terms)], x) * 8 / w
+    return _arctan_series(square / (w * w)) * 8 / w
 
 
 def angle(y: jax.Array, x: jax.Array) -> jax.Array:
-    """atan2(y, x); 0 with finite derivatives where both are zero."""
-    none = (x == 0) & (y == 0)
-    return jnp.arctan2(where(none, 0.0, y), where(none, 1.0, x))
+    """atan2(y, x) of numbers whose squares do not underflow; 0 where both are zero, with finite
+    derivatives.
+
+    As `arctan_over`, on the tangent itself; a fifth of the time of XLA's own on the CPU.
+    """
+    w = where((x == 0) & (y == 0), 1.0, jnp.abs(x))
+    t = y / (w + jnp.sqrt(w * w + y * y))
+    for _ in range(2):
+        t = t / (1 + jnp.sqrt(1 + t * t))
+    right = 8 * t * _arctan_series(t * t)
+    half_turn = where(y < 0, -jnp.pi * jnp.ones_like(y), jnp.pi)
+    return where(x < 0, half_turn - right, right)
 
 
 def length(square: jax.Array) -> jax.Array:
@@ -95,6 +102,12 @@ def _closed(x: jax.Array, k: int) -> jax.Array:
     root = jnp.sqrt(safe)
     cosine, sine = sincos(root)
     return sine / root if k else cosine
+
+
+def _arctan_series(x: jax.Array) -> jax.Array:
+    """atan(t) / t, x = t^2, for t up to tan(pi/16)."""
+    terms = 13 if x.dtype == jnp.float64 else 6
+    return _horner([(-1) ** j / (2 * j + 1) for j in range(terms)], x)
 
 
 def _horner(coefficients: list[float], x: jax.Array) -> jax.Array:

@@ -5,8 +5,9 @@ about fixed axes, is the intrinsic k-j-i with the angles in reverse. *Proper* se
 are singular where sin b = 0, *Tait-Bryan* sequences (all three axes) where cos b = 0: there the
 first and the third turn are about one line, and only their sum or difference is determined.
 
-Angles come from the quaternion (Bernardes & Viollet, PLoS ONE 17(11), 2022): with half sum and half
-difference of a and c computed apart, the attitude is right to rounding even at the singularity.
+Angles come from the quaternion (after Bernardes & Viollet, PLoS ONE 17(11), 2022): two complex
+numbers, whose phases are half the sum and half the difference of a and c. What rounding does to
+either phase, it does to both angles, so the attitude is right even next to the singularity.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, add, mul, neg, sub
-from rbjax.materialize import materialize, sincos
+from rbjax.materialize import sincos
+from rbjax.rotations.arguments import pack
 from rbjax.rotations.coefficients import angle, away_from_zero, length, where
 
 AXES = "xyz"
@@ -54,22 +56,34 @@ class EulerAngles:
         a, b, c = (_turn(k, t) for k, t in zip(self.axes, self._ordered(x), strict=True))
         return _product(_product(a, b), c)
 
-    def from_quaternion(self, q: list) -> list:
-        """Second angle from 0 to pi (proper) or from -pi/2 to pi/2, the others from -pi to pi."""
+    def from_quaternion(self, q: list) -> jax.Array:
+        """Second angle from 0 to pi (proper) or from -pi/2 to pi/2, the others from -pi to pi.
+
+        Packed already: three times the arctangent, on arrays (..., 3).
+        """
         i, j, _ = self.axes
         l = 3 - i - j
         sign = 1.0 if (j - i) % 3 == 1 else -1.0  # e_i x e_j = sign e_l
         w, u = q[0], q[1:]
         if self.proper:
-            w, qi, qj, ql = w, u[i], u[j], sign * u[l]
+            w, x, y, z = w, u[i], u[j], sign * u[l]
         else:  # R R_j(+-pi/2) is a proper sequence i-j-i, with third angle -c
-            w, qi, qj, ql = w - sign * u[j], u[i] - u[l], sign * u[j] + w, u[l] + u[i]
-        half_sum, half_difference = angle(qi, w), angle(ql, qj)
-        b = 2 * jnp.arctan2(length(qj * qj + ql * ql), length(w * w + qi * qi))
-        a, c = _wrapped(half_sum + half_difference), _wrapped(half_sum - half_difference)
+            w, x, y, z = w - sign * u[j], u[i] - u[l], sign * u[j] + w, u[l] + u[i]
+        # w + i x = cos(b/2) e^(i (a + c)/2) and y + i z = sin(b/2) e^(i (a - c)/2), either of which
+        # is nothing at a singularity; below `least` a phase is of no account, and its squares none
+        sum_square, difference_square = w * w + x * x, y * y + z * z
+        least = 1e-280 if w.dtype == jnp.float64 else 1e-30
+        sums, differs = sum_square > least, difference_square > least
+        w, x = where(sums, w, 1.0), where(sums, x, 0.0)
+        y, z = where(differs, y, 1.0), where(differs, z, 0.0)
+        sine = [x * y + w * z, length(difference_square), x * y - w * z]
+        cosine = [w * y - x * z, length(sum_square), w * y + x * z]
+        factor, shift = [1.0, 2.0, 1.0], [0.0, 0.0, 0.0]
         if not self.proper:
-            b, c = sign * (b - jnp.pi / 2), -c
-        return self._ordered(materialize([a, b, c]))
+            factor, shift[1] = [1.0, 2 * sign, -1.0], -sign * jnp.pi / 2
+        out = angle(pack(self._ordered(sine)), pack(self._ordered(cosine)))
+        factor, shift = self._ordered(factor), self._ordered(shift)
+        return out * jnp.array(factor, out.dtype) + jnp.array(shift, out.dtype)
 
     def body_rate(self, x: list) -> list:
         return self._columns(self._body_axes(x))
@@ -137,8 +151,3 @@ def _product(p: list, q: list) -> list:
     """p q, without the arithmetic of structural zeros."""
     a, b = Vec3(*p[1:]), Vec3(*q[1:])
     return [sub(mul(p[0], q[0]), a.dot(b)), *map(add, p[0] * b + q[0] * a, a.cross(b))]
-
-
-def _wrapped(angle: jax.Array) -> jax.Array:
-    turn = 2 * jnp.pi
-    return where(angle > jnp.pi, angle - turn, where(angle < -jnp.pi, angle + turn, angle))

@@ -19,6 +19,10 @@ from rbjax.rotations import quaternion
 from rbjax.rotations.euler import SEQUENCES
 from rbjax.rotations.representation import Representation, find
 
+__all__ = [
+    "Incremental", "start", "attitude", "rate", "fold", "integrate",
+]  # fmt: skip
+
 # three numbers, zero for no rotation, and smooth there (the proper Euler sequences are not)
 LOCAL = (
     *("mrp", "wiener_milenkovic", "euler_vector", "gibbs", "cayley", "roll_pitch_yaw"),

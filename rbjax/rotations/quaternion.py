@@ -23,7 +23,7 @@ from rbjax.rotations.jacobians import (
 
 __all__ = [
     "identity", "multiply", "conjugate", "normalize", "rotate", "to_matrix", "from_matrix",
-    "exp", "log", "distance", "interpolate", "random",
+    "exp", "log", "angle", "distance", "interpolate", "random",
     "left_jacobian", "right_jacobian", "inverse_left_jacobian", "inverse_right_jacobian",
     "product", "from_matrix_lanes", "exp_lanes", "log_lanes", "angle_lanes", "turned",
 ]  # fmt: skip
@@ -102,6 +102,17 @@ def log(a: jax.Array) -> jax.Array:
     vectors is returned, and the derivative is that of its branch.
     """
     return pack(log_lanes(unpack(a)))
+
+
+@takes(a="quaternion")
+def angle(a: jax.Array) -> jax.Array:
+    """The angle (...), from 0 to pi, of the rotation by a quaternion of any nonzero length.
+
+    >>> float(angle([0.0, 0.0, 2.0, 0.0]))
+    3.14159...
+    """
+    w, *u = unpack(a)
+    return angle_lanes(w, u)
 
 
 @takes(a="quaternion", b="quaternion")

@@ -16,6 +16,10 @@ from rbjax.lanes import Vec3
 from rbjax.rotations.arguments import pack, takes, unpack
 from rbjax.rotations.coefficients import length
 
+__all__ = [
+    "Screw", "from_twist", "to_twist",
+]  # fmt: skip
+
 
 class Screw(NamedTuple):
     """The line along `axis` (unit) through `point`, `pitch` (length a radian), `magnitude`."""

@@ -21,6 +21,13 @@ from rbjax.rotations.arguments import pack, takes, unpack
 from rbjax.rotations.coefficients import inverse_jacobian_coefficient, length, stumpff
 from rbjax.rotations.jacobians import inverse_left_lanes, left_lanes
 
+__all__ = [
+    "identity", "pose", "hat", "vee", "exp", "log", "compose", "inverse", "interpolate", "distance",
+    "adjoint", "ad", "left_jacobian", "right_jacobian", "inverse_left_jacobian",
+    "inverse_right_jacobian", "rate_from_body_twist", "rate_from_space_twist", "body_twist",
+    "space_twist",
+]  # fmt: skip
+
 
 def identity(dtype=None) -> jax.Array:
     """The pose of the parent frame itself."""
