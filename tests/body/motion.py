@@ -9,14 +9,15 @@ import jax
 import numpy as np
 
 from rbjax.body import Formulation, Situation, formulations
+from tests.robots import QUICK
 
 # What holds for every attitude, and three of the minimal ones; the others take minutes to compile.
 ATTITUDE_FREE = tuple(n for n in formulations() if not n.startswith("lagrange"))
-QUICK = ("lagrange_zyz", "lagrange_mrp", "lagrange_roll_pitch_yaw")
-SLOW = tuple(n for n in formulations() if n not in ATTITUDE_FREE + QUICK)
+MINIMAL = ("lagrange_zyz", "lagrange_mrp", "lagrange_roll_pitch_yaw")
+SLOW = tuple(n for n in formulations() if n not in ATTITUDE_FREE + MINIMAL)
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)
 def _solve(f: Formulation, situation: Situation, T, V, ts, tolerance):
     solution = diffrax.diffeqsolve(
         f.term(),
@@ -27,7 +28,9 @@ def _solve(f: Formulation, situation: Situation, T, V, ts, tolerance):
         f.initial(situation.body, T, V),
         situation,
         saveat=diffrax.SaveAt(ts=ts),
-        stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+        stepsize_controller=diffrax.ClipStepSizeController(  # between steps is less accurate
+            diffrax.PIDController(rtol=tolerance, atol=tolerance), step_ts=ts
+        ),
         max_steps=100_000,
         # nothing is differentiated here; a loop without checkpoints compiles faster
         adjoint=diffrax.ForwardMode(),
@@ -44,9 +47,6 @@ def _solve(f: Formulation, situation: Situation, T, V, ts, tolerance):
 
 
 def motion(f: Formulation, situation: Situation, T, V, ts, tolerance: float = 1e-15):
-    """Poses (t, 4, 4), body twists (t, 6) and distances to the singularity (t,) at the times.
-
-    The tolerance is that of a step; between steps diffrax interpolates, which is less accurate.
-    """
+    """Poses (t, 4, 4), body twists (t, 6) and distances to the singularity (t,) at the times."""
     out = _solve(f, situation, np.asarray(T), np.asarray(V), np.asarray(ts, float), tolerance)
     return tuple(np.asarray(x) for x in out)

@@ -18,7 +18,7 @@ CASES = {
     "asym_A (I=1,2,3 generic)": 1e-11,
     "asym_low (I=1,2,3, omega=(2,0.3,0.2))": 1e-11,
     "dzhanibekov (I=1,2,3, omega=(1e-3,1,1e-3))": 1e-11,
-    # nine flips, each of which magnifies what it finds: rounding alone makes 2e-11 of it
+    # four flips, each of which magnifies what it finds: rounding alone makes 2e-11 of it
     "dzhanibekov_fast (I=1,2,3, omega=(0.01,5,0.01))": 1e-10,
 }
 
