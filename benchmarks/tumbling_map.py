@@ -1,11 +1,11 @@
 """Which formulation of a tumbling body fails where: the error after 10 s, over the first attitude.
 
-`python -m benchmarks.attitude_map`: a free body turns at about half a rad/s for 10 s, from attitudes
-on a disc of rotation vectors phi = (phi_x, phi_y, 0), |phi| <= pi: the identity is its centre, half
+`python -m benchmarks.tumbling_map`: a free body turns at half a rad/s for 10 s, from attitudes on
+a disc of rotation vectors phi = (phi_x, phi_y, 0), |phi| <= pi: the identity is its centre, half
 turns are its rim. Every formulation takes the same 100 steps of Dormand-Prince 8. Free motion is
 the same from every attitude, R(t) = R(0) S(t), so that one S, by quaternions at a tenth of the
 step, is the truth for all. Beside the error stands how near the motion came to the singularity of
-its coordinates. Written to results/ and docs/attitude_map.png.
+its coordinates. Written to results/ and docs/tumbling_map.png.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rbjax.body import Formulation, Situation, formulation
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 from rbjax.rotations import se3, so3
 
-PICTURE = Path(__file__).parents[1] / "docs" / "attitude_map.png"
+PICTURE = Path(__file__).parents[1] / "docs" / "tumbling_map.png"
 SECONDS, STEP, ACROSS = 10.0, 0.1, 41
 OFF = 1e-3  # of the grid, so that zyz does not start at the identity, where it is singular
 GOOD = 1e-10  # what the formulations agree to where they hold
@@ -160,7 +160,7 @@ def main() -> None:
     ]
     print(markdown_table(rows, list(rows[0])[:6]))
     draw(phi, found, PICTURE)
-    print(save("attitude-map", rows), PICTURE)
+    print(save("tumbling-map", rows), PICTURE)
 
 
 if __name__ == "__main__":
