@@ -108,15 +108,15 @@ def draw(phi: np.ndarray, found: dict[str, tuple[np.ndarray, np.ndarray]], path:
             shown = axis.pcolormesh(*2 * [np.degrees(x)], square, vmin=-14, vmax=0, cmap="magma")
             shown.set_clip_path(rim)
             axis.set_title(title)
-            axis.text(0, -190, f"{(error > GOOD).mean():.0%} err by more than {GOOD:.0e} rad",
+            axis.text(0, -190, f"{(error > GOOD).mean():.1%} err by more than {GOOD:.0e} rad",
                       ha="center", va="top", fontsize=9)  # fmt: skip
             axis.set(aspect="equal", xlim=(-184, 184), ylim=(-225, 184))
             axis.axis("off")
-        where = {"color": "white", "fontsize": 9, "va": "center"}
+        where = {"color": "white", "fontsize": 9, "ha": "center", "va": "center"}
         axes[0, 0].plot(0, 0, "+", color="white")
-        axes[0, 0].text(10, 0, "identity", **where)
-        axes[0, 0].text(170, -30, "half a turn\nabout x", ha="right", **where)
-        axes[0, 0].text(0, 155, "half a turn about y", ha="center", **where)
+        axes[0, 0].text(0, 18, "identity", **where)
+        axes[0, 0].text(125, 0, "half a turn\nabout x", **where)
+        axes[0, 0].text(0, 145, "half a turn\nabout y", **where)
         law = axes.flat[-1]
         for name, (title, colour) in SHOWN.items():
             error, least = found[name]
