@@ -6,7 +6,7 @@ million. Every function takes one sample and composes with jit, vmap, grad, jvp 
 
 from typing import Any
 
-from rbjax import dynamics, forces, rotations, spatial, sysid
+from rbjax import body, dynamics, forces, rotations, spatial, sysid
 from rbjax.dynamics import (
     Poses,
     bias_forces,
@@ -62,6 +62,7 @@ __all__ = [
     "UnsupportedFeature",
     "applied_forces",
     "bias_forces",
+    "body",
     "body_velocities",
     "center_of_mass",
     "centroidal_momentum",

@@ -1,9 +1,10 @@
 """One rigid body in its equivalent formulations, and the laws they come from.
 
-`formulations()` holds them all behind one signature; `lagrange` is for a user's own energies.
+`formulations()` holds them all behind one signature; `lagrange` is for a user's own energies,
+`particles` for ideal constraints, `relative_motion` for moving frames.
 """
 
-from rbjax.body import lagrange
+from rbjax.body import lagrange, particles, relative_motion, virtual_work
 from rbjax.body.added_mass import ellipsoid_added_mass
 from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange, hamel_acceleration
 from rbjax.body.forces import (
@@ -55,7 +56,10 @@ __all__ = [
     "inertia_matrix",
     "kinetic_energy",
     "lagrange",
+    "particles",
     "potential_energy",
+    "relative_motion",
     "rigid_body",
     "total_wrench",
+    "virtual_work",
 ]

@@ -121,7 +121,7 @@ class Spring(eqx.Module):
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor
         l = length((d * d).sum())
-        # of no length the line has no direction: no force but that of the rest length is lost
+        # a line of no length has no direction, and its spring no force rather than a nan
         pull = 1 - self.rest_length / jnp.where(l > 0, l, jnp.inf)
         return _world_force(T, -self.stiffness * pull * d, self.point)
 

@@ -4,7 +4,7 @@ Twists, wrenches and inertias as arrays, angular first, with leading axes as a b
 for the inside of the algorithms, the same on lanes: Motion, Force, Transform, RigidInertia.
 """
 
-from rbjax.spatial import shapes
+from rbjax.spatial import operators, shapes
 from rbjax.spatial.consistency import (
     Consistency,
     check_mass_properties,
@@ -80,6 +80,7 @@ __all__ = [
     "motion_cross_matrix",
     "motion_transform",
     "moved",
+    "operators",
     "parallel_axes",
     "power",
     "principal_axes",

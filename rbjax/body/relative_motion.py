@@ -1,0 +1,169 @@
+"""Points and frames seen from a moving frame (Olguin Diaz, ch. 4; Lynch & Park, ch. 8).
+
+A frame B moves in A: R = R_AB, origin p, angular velocity omega and acceleration alpha, velocity v
+and acceleration a of its origin, all in A's axes. A point at r in B, moving there with r', r'', has
+
+    velocity       v + omega x R r + R r'
+    acceleration   a + alpha x R r + omega x (omega x R r) + 2 omega x R r' + R r''
+                       Euler          centripetal             Coriolis        relative
+
+Who sits in B and writes R r'' = f/m - the rest meets the same terms with the opposite sign: the
+apparent forces, among them the centrifugal one, -m omega x (omega x R r).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.body.formulation import apply
+from rbjax.errors import InputError
+from rbjax.rotations import so3
+
+
+class MovingFrame(NamedTuple):
+    """B seen from A, in A's axes: R (3, 3) and five vectors (3,)."""
+
+    R: jax.Array
+    p: jax.Array
+    omega: jax.Array
+    v: jax.Array
+    alpha: jax.Array
+    a: jax.Array
+
+
+class AccelerationTerms(NamedTuple):
+    """The five terms (3,) of an acceleration, in A's axes; their sum is the acceleration."""
+
+    transport: jax.Array
+    euler: jax.Array
+    centripetal: jax.Array
+    coriolis: jax.Array
+    relative: jax.Array
+
+
+class ApparentForces(NamedTuple):
+    """What a unit of mass seems to feel in B (3,), in B's axes, besides the true forces."""
+
+    translation: jax.Array
+    euler: jax.Array
+    centrifugal: jax.Array
+    coriolis: jax.Array
+
+
+def moving_frame(path: Callable[[jax.Array], jax.Array], t: jax.Array) -> MovingFrame:
+    """The frame at time t of a path t -> pose (4, 4), by differentiation.
+
+    >>> from rbjax.rotations import se3
+    >>> turning = moving_frame(lambda t: se3.exp(t * jnp.array([0.0, 0, 2, 0, 0, 0])), 0.0)
+    >>> turning.omega.tolist(), turning.alpha.tolist()
+    ([0.0, 0.0, 2.0], [0.0, 0.0, 0.0])
+    """
+
+    def rate(t: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(path, (t,), (jnp.ones_like(t),))
+
+    t = jnp.asarray(t, jnp.result_type(float, t))
+    (T, dT), (_, ddT) = jax.jvp(rate, (t,), (jnp.ones_like(t),))
+    if T.shape != (4, 4):
+        raise InputError(f"moving_frame: the path gives shape {T.shape}, expected a pose (4, 4)")
+    R, Rt = T[:3, :3], T[:3, :3].T
+    # R'' R^T = [alpha] + [omega]^2, whose second term is symmetric
+    omega, alpha = (so3.vee(_product(d[:3, :3], Rt)) for d in (dT, ddT))
+    return MovingFrame(R, T[:3, 3], omega, dT[:3, 3], alpha, ddT[:3, 3])
+
+
+def position(frame: MovingFrame, r: jax.Array) -> jax.Array:
+    """p + R r (3,) of a point at r in B."""
+    r = _vector("position", r)
+    return frame.p + apply(frame.R, r)
+
+
+def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
+    """In A's axes (3,), of a point at r in B that moves there with rd."""
+    r, rd = _vector("velocity", r), _vector("velocity", rd)
+    return frame.v + jnp.cross(frame.omega, apply(frame.R, r)) + apply(frame.R, rd)
+
+
+def acceleration_terms(
+    frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
+) -> AccelerationTerms:
+    """The terms of the acceleration, of a point at r in B that moves there with rd and rdd."""
+    r, rd, rdd = (apply(frame.R, _vector("acceleration_terms", x)) for x in (r, rd, rdd))
+    w = frame.omega
+    return AccelerationTerms(
+        transport=frame.a,
+        euler=jnp.cross(frame.alpha, r),
+        centripetal=jnp.cross(w, jnp.cross(w, r)),
+        coriolis=2 * jnp.cross(w, rd),
+        relative=rdd,
+    )
+
+
+def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array) -> jax.Array:
+    """In A's axes (3,): the sum of `acceleration_terms`.
+
+    >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
+    >>> acceleration(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0], jnp.zeros(3)).tolist()
+    [-4.0, 12.0, 0.0]
+    """
+    return sum(acceleration_terms(frame, r, rd, rdd), start=jnp.zeros_like(frame.a))
+
+
+def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> ApparentForces:
+    """A unit of mass at r in B, moving there with rd, in B's axes: r'' = f/m + the sum of these.
+
+    >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
+    >>> forces = apparent_forces(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0])
+    >>> forces.centrifugal[0].item(), forces.coriolis[1].item()
+    (4.0, -12.0)
+    """
+    terms = acceleration_terms(frame, r, rd, jnp.zeros_like(frame.a))
+    return ApparentForces(*(-apply(frame.R.T, x) for x in terms[:4]))
+
+
+def relative_acceleration(
+    frame: MovingFrame, r: jax.Array, rd: jax.Array, a: jax.Array
+) -> jax.Array:
+    """r'' (3,) in B's axes, of a point whose acceleration in A is a (3,), f/m if A is inertial."""
+    a = apply(frame.R.T, _vector("relative_acceleration", a))
+    return sum(apparent_forces(frame, r, rd), start=a)
+
+
+def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
+    """C seen from A, of B seen from A and C seen from B.
+
+    alpha_AC = alpha_AB + R alpha_BC + omega_AB x R omega_BC
+    """
+    omega, alpha = apply(outer.R, inner.omega), apply(outer.R, inner.alpha)
+    return MovingFrame(
+        so3.compose(outer.R, inner.R),
+        position(outer, inner.p),
+        outer.omega + omega,
+        velocity(outer, inner.p, inner.v),
+        outer.alpha + alpha + jnp.cross(outer.omega, omega),
+        acceleration(outer, inner.p, inner.v, inner.a),
+    )
+
+
+def inverse(frame: MovingFrame) -> MovingFrame:
+    """A seen from B: its origin rests in A."""
+    Rt = frame.R.T
+    r = -apply(Rt, frame.p)
+    rd = -apply(Rt, frame.v + jnp.cross(frame.omega, -frame.p))
+    rdd = relative_acceleration(frame, r, rd, jnp.zeros_like(frame.a))
+    return MovingFrame(Rt, r, -apply(Rt, frame.omega), rd, -apply(Rt, frame.alpha), rdd)
+
+
+def _product(A: jax.Array, B: jax.Array) -> jax.Array:
+    return (A[:, :, None] * B[None, :, :]).sum(1)
+
+
+def _vector(where: str, x: jax.Array) -> jax.Array:
+    x = jnp.asarray(x)
+    if x.shape != (3,):
+        raise InputError(f"{where}: got shape {x.shape}, expected (3,); jax.vmap for a batch")
+    return x

@@ -1,0 +1,146 @@
+"""The cross-product operator [a], [a] b = a x b, and what its products come to.
+
+(Olguin Diaz, *3D Motion of Rigid Bodies*, appendix A.) Each function is the right-hand side of an
+identity; the tests hold it against the left-hand side.
+
+    [a]^T = -[a],  [a] b = -[b] a,  [a] a = 0            (`so3.hat`)
+    [a][b]           = b a^T - (a . b) 1                 `double_cross`
+    [a x b]          = b a^T - a b^T = [a][b] - [b][a]   `cross_of_cross`
+    [a][b][a]        = -(a . b) [a]                      `triple_cross`
+    [a]^n            = -|a|^2 [a]^(n-2)                  `cross_power`
+    [R a]            = R [a] R^T                         `rotated_cross`
+    M^T [M a] M      = det(M) [a]                        `congruent_cross`
+    [a] M + M^T [a]  = [(tr(M) 1 - M) a]                 `cross_sum`
+    n n^T, -[n]^2    = 1 - n n^T   of a unit n           `along`, `across`
+
+The extended operators, 6 by 6, are in `plucker`; their rates along a motion with body twist V:
+
+    d/dt X_AB = X_AB (V x),   d/dt X*_AB = X*_AB (V x*)   `motion_transform_rate`, `force_...`
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Mat3, Vec3
+from rbjax.rotations import so3
+from rbjax.spatial.arguments import pack, takes, unpack
+from rbjax.spatial.plucker import (
+    force_cross_matrix,
+    force_transform,
+    motion_cross_matrix,
+    motion_transform,
+)
+
+
+@takes(a="vector", b="vector")
+def double_cross(a: jax.Array, b: jax.Array) -> jax.Array:
+    """[a][b] (..., 3, 3) = b a^T - (a . b) 1.
+
+    >>> double_cross([0.0, 0.0, 1.0], [0.0, 0.0, 1.0]).diagonal().tolist()
+    [-1.0, -1.0, 0.0]
+    """
+    dot = (a * b).sum(-1)[..., None, None]
+    return _outer(b, a) - dot * jnp.eye(3, dtype=a.dtype)
+
+
+@takes(a="vector", b="vector")
+def cross_of_cross(a: jax.Array, b: jax.Array) -> jax.Array:
+    """[a x b] (..., 3, 3) = b a^T - a b^T, the commutator of [a] and [b].
+
+    >>> cross_of_cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])[0].tolist()
+    [0.0, -1.0, 0.0]
+    """
+    return _outer(b, a) - _outer(a, b)
+
+
+@takes(a="vector", b="vector")
+def triple_cross(a: jax.Array, b: jax.Array) -> jax.Array:
+    """[a][b][a] (..., 3, 3) = -(a . b) [a]."""
+    return -(a * b).sum(-1)[..., None, None] * so3.hat(a)
+
+
+@takes(["n"], a="vector")
+def cross_power(a: jax.Array, n: int) -> jax.Array:
+    """[a]^n (..., 3, 3), n >= 1: (-|a|^2)^k [a] or (-|a|^2)^k [a]^2.
+
+    >>> cross_power([0.0, 0.0, 2.0], 3)[0, 1].item()
+    8.0
+    """
+    k, odd = divmod(n - 1, 2)
+    scale = (-(a * a).sum(-1)) ** k
+    return scale[..., None, None] * (double_cross(a, a) if odd else so3.hat(a))
+
+
+@takes(R="rotation", a="vector")
+def rotated_cross(R: jax.Array, a: jax.Array) -> jax.Array:
+    """R [a] R^T (..., 3, 3) = [R a]."""
+    return so3.hat((R * a[..., None, :]).sum(-1))
+
+
+@takes(M="matrix", a="vector")
+def congruent_cross(M: jax.Array, a: jax.Array) -> jax.Array:
+    """M^T [M a] M (..., 3, 3) = det(M) [a] of any matrix."""
+    x, y, z = Mat3(*unpack(M, 2)).rows
+    return x.dot(y.cross(z))[..., None, None] * so3.hat(a)
+
+
+@takes(M="matrix", a="vector")
+def cross_sum(M: jax.Array, a: jax.Array) -> jax.Array:
+    """[a] M + M^T [a] (..., 3, 3) = [(tr(M) 1 - M) a] of any matrix."""
+    trace = jnp.trace(M, axis1=-2, axis2=-1)[..., None]
+    return so3.hat(trace * a - (M * a[..., None, :]).sum(-1))
+
+
+@takes(n="vector")
+def along(n: jax.Array) -> jax.Array:
+    """n n^T / |n|^2 (..., 3, 3): the part of a vector along n."""
+    return _outer(n, n) / (n * n).sum(-1)[..., None, None]
+
+
+@takes(n="vector")
+def across(n: jax.Array) -> jax.Array:
+    """-[n]^2 / |n|^2 (..., 3, 3): the part of a vector across n.
+
+    >>> across([0.0, 0.0, 2.0]).trace().item()
+    2.0
+    """
+    return -double_cross(n, n) / (n * n).sum(-1)[..., None, None]
+
+
+@takes(a="vector", b="vector", c="vector")
+def triple_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
+    """a . (b x c) (...), the same for every cyclic order: the volume that they span.
+
+    >>> float(triple_product([1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]))
+    6.0
+    """
+    return Vec3(*unpack(a)).dot(Vec3(*unpack(b)).cross(Vec3(*unpack(c))))
+
+
+@takes(a="vector", b="vector", c="vector")
+def double_cross_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
+    """a x (b x c) (..., 3) = (a . c) b - (a . b) c."""
+    u, v, w = (Vec3(*unpack(x)) for x in (a, b, c))
+    return pack(u.dot(w) * v - u.dot(v) * w)
+
+
+@takes(T="pose", V="twist")
+def motion_transform_rate(T: jax.Array, V: jax.Array) -> jax.Array:
+    """d/dt X_AB (..., 6, 6) = X_AB (V x), of a frame B with pose T and body twist V."""
+    return _product(motion_transform(T), motion_cross_matrix(V))
+
+
+@takes(T="pose", V="twist")
+def force_transform_rate(T: jax.Array, V: jax.Array) -> jax.Array:
+    """d/dt X*_AB (..., 6, 6) = X*_AB (V x*), of a frame B with pose T and body twist V."""
+    return _product(force_transform(T), force_cross_matrix(V))
+
+
+def _outer(a: jax.Array, b: jax.Array) -> jax.Array:
+    return a[..., :, None] * b[..., None, :]
+
+
+def _product(A: jax.Array, B: jax.Array) -> jax.Array:
+    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
