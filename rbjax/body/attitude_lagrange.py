@@ -36,6 +36,9 @@ from rbjax.body.rigid_body import (
 from rbjax.errors import InputError
 from rbjax.rotations import se3
 
+#: nearer than this (rad) to a singularity the equations have no digits left
+SINGULAR = 1e-8
+
 
 class _InCoordinates(Formulation):
     """q = (p, x), x of any representation."""
@@ -72,7 +75,16 @@ class Lagrange(_InCoordinates):
             )
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
+        """Refused right at a singularity, where values are known; `singularity_distance` is 0 there
+        in traced code, and the rates are very large."""
         q = self._coordinates(T)
+        distance = self.attitude.singularity_distance(q[3:])
+        if not isinstance(distance, jax.core.Tracer) and distance < SINGULAR:
+            raise InputError(
+                f"Lagrange: T is {float(distance):.1e} rad from where {self.attitude.name} is "
+                f"singular ({self.attitude.singular_set}), expected an attitude away from there; "
+                f"take another representation, or QuasiLagrange('unit_quaternion')"
+            )
         return State(q, self._rates(q, V))
 
     def rate(self, t: Any, y: State, args: Situation) -> State:

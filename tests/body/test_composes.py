@@ -206,7 +206,14 @@ def samples():
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.__name__)
+HEAVY = (spatial, rm, virtual_work)  # programs of a minute together
+
+
+@pytest.mark.parametrize(
+    "room",
+    [pytest.param(room, marks=pytest.mark.slow if room in HEAVY else ()) for room in ROOMS],
+    ids=lambda room: room.__name__,
+)
 def test_composes(room) -> None:
     def all_of(*x):
         return {

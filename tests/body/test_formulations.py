@@ -20,6 +20,7 @@ from rbjax.body import (
     formulations,
     lagrange,
 )
+from rbjax.errors import InputError
 from rbjax.rotations import quaternion, se3, so3
 from tests.body.motion import ATTITUDE_FREE, MINIMAL, SLOW, motion
 from tests.robots import QUICK
@@ -166,8 +167,10 @@ def test_at_a_singularity_nothing_is_nan() -> None:
     level = np.eye(4)  # zyz: its second angle is zero
     situation = body.rigid_body(PROPERTIES, EVERYTHING[:1])
     f = formulations()["lagrange_zyz"]
-    y = f.initial(situation.body, level, V)
-    assert f.singularity_distance(y) == 0
+    with pytest.raises(InputError, match=r"0\.0e\+00 rad from where zyz is singular"):
+        f.initial(situation.body, level, V)
+    y = jax.jit(f.initial)(situation.body, level, V)
+    assert f.singularity_distance(y) == 0 and np.isfinite(np.asarray(y.v)).all()
     free = formulations()["quasi_lagrange"]
     assert np.isinf(free.singularity_distance(free.initial(situation.body, level, V)))
     (_, V0), (_, dV) = rates(free, situation, level, V)
