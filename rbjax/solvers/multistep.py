@@ -14,6 +14,7 @@ or to the extrapolation of the past, scaled (BDF). Dense output: the polynomial 
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
@@ -59,25 +60,31 @@ class Step(NamedTuple):
 class AbstractMultistep(diffrax.AbstractAdaptiveSolver):
     """The start, the history, and the choice between a one-step method and the formula."""
 
-    degree: eqx.AbstractVar[int]  # of the step's dense polynomial
-    past: eqx.AbstractVar[int]  # entries of the history that the formula needs
-    root_finder: eqx.AbstractVar[optx.AbstractRootFinder]
-    root_find_max_steps: eqx.AbstractVar[int]
 
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
 
+    @property
+    @abc.abstractmethod
+    def degree(self) -> int:
+        """Of the dense polynomial of any step."""
+
+    @property
+    @abc.abstractmethod
+    def past(self) -> int:
+        """Entries of the history that the formula needs."""
+
+    @abc.abstractmethod
     def begin(self, f: Field, t0: Any, h: Any, y0: Any, f0: Any) -> Step:
         """A step without history."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def formula(self, f: Field, t0: Any, h: Any, y0: Any, f0: Any, history: History) -> Step:
         """A step with it."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def remembered(self, y0: Any, f0: Any) -> Any:
         """What the history keeps of the current state."""
-        raise NotImplementedError
 
     def init(self, terms, t0, t1, y0, args):
         # Distinct times, so that the formula stays finite where it is not used yet.
