@@ -6,7 +6,7 @@ million. Every function takes one sample and composes with jit, vmap, grad, jvp 
 
 from typing import Any
 
-from rbjax import dynamics, forces, rotations, spatial, sysid
+from rbjax import dynamics, forces, rotations, solvers, spatial, sysid
 from rbjax.dynamics import (
     Poses,
     bias_forces,
@@ -90,6 +90,7 @@ __all__ = [
     "scenes",
     "simulate",
     "site_pose",
+    "solvers",
     "spatial",
     "sysid",
     "validation",

@@ -75,15 +75,15 @@ class AbstractMultistep(diffrax.AbstractAdaptiveSolver):
         """Entries of the history that the formula needs."""
 
     @abc.abstractmethod
-    def begin(self, f: Field, t0: Any, h: Any, y0: Any, f0: Any) -> Step:
+    def begin(self, f: Field, t0: Any, h: Any, y0: Any) -> Step:
         """A step without history."""
 
     @abc.abstractmethod
-    def formula(self, f: Field, t0: Any, h: Any, y0: Any, f0: Any, history: History) -> Step:
-        """A step with it."""
+    def formula(self, f: Field, t0: Any, h: Any, y0: Any, now: Any, history: History) -> Step:
+        """A step with it; `now` is what is remembered of the current state."""
 
     @abc.abstractmethod
-    def remembered(self, y0: Any, f0: Any) -> Any:
+    def remembered(self, f: Field, t0: Any, y0: Any) -> Any:
         """What the history keeps of the current state."""
 
     def init(self, terms, t0, t1, y0, args):
@@ -97,19 +97,19 @@ class AbstractMultistep(diffrax.AbstractAdaptiveSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         f, h = field(terms, args), t1 - t0
-        f0 = f(t0, y0)
+        now = self.remembered(f, t0, y0)
         ts, values, filled = solver_state
         filled = jnp.where(made_jump, 0, filled)
         history = History(ts, values, filled)
 
         def formula():
-            return self._padded(self.formula(f, t0, h, y0, f0, history))
+            return self._padded(self.formula(f, t0, h, y0, now, history))
 
         if self.past:
             starting = filled < self.past
 
             def begin():
-                first = self._padded(self.begin(f, t0, h, y0, f0))
+                first = self._padded(self.begin(f, t0, h, y0))
                 return select(starting, first, formula())
 
             out = jax.lax.cond(eqxi.unvmap_any(starting), begin, formula)
@@ -118,9 +118,8 @@ class AbstractMultistep(diffrax.AbstractAdaptiveSolver):
         dense = {"y0": y0, "coefficients": out.coefficients}
         if self.past:
             ts = jnp.concatenate([t0[None], ts[:-1]])
-            kept = self.remembered(y0, f0)
             values = jax.tree.map(
-                lambda new, old: jnp.concatenate([new[None], old[:-1]]), kept, values
+                lambda new, old: jnp.concatenate([new[None], old[:-1]]), now, values
             )
         state = History(ts, values, jnp.minimum(filled + 1, self.past))
         return out.y1, out.error, dense, state, verdict(out.ok)
@@ -162,10 +161,10 @@ class Adams(AbstractMultistep):
     def order(self, terms):
         return self.formula_order
 
-    def remembered(self, y0, f0):
-        return f0
+    def remembered(self, f, t0, y0):
+        return f(t0, y0)
 
-    def begin(self, f, t0, h, y0, f0):
+    def begin(self, f, t0, h, y0):
         def rate(t, u):
             return f(t, combine((1.0, 1.0), (y0, u)))
 
@@ -174,9 +173,9 @@ class Adams(AbstractMultistep):
         first, last = (jax.tree.map(lambda x, i=i: x[i], k) for i in (0, -1))
         return Step(combine((1.0, 1.0), (y0, u)), error, hermite(u, first, last), True)
 
-    def formula(self, f, t0, h, y0, f0, history):
+    def formula(self, f, t0, h, y0, now, history):
         nodes = jnp.concatenate([jnp.zeros(1, t0.dtype), self._nodes(t0, h, history)])
-        rates = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old]), f0, history.values)
+        rates = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old]), now, history.values)
 
         def polynomial(nodes, rates):
             """Coefficients of the increment that interpolates h rates at nodes."""
@@ -213,7 +212,7 @@ class Adams(AbstractMultistep):
             k = scaled(h, f(t1, combine((1.0, 1.0), (y0, predicted))))
         else:
             k, ok = root(
-                residual, self.root_finder, scaled(h, f0), y0, self.root_find_max_steps
+                residual, self.root_finder, scaled(h, now), y0, self.root_find_max_steps
             )
         coefficients = corrected(k)
         u = jax.tree.map(lambda c: c.sum(0), coefficients)
@@ -256,16 +255,16 @@ class BDF(AbstractMultistep):
     def error_order(self, terms):
         return self.formula_order + 1
 
-    def remembered(self, y0, f0):
+    def remembered(self, f, t0, y0):
         return y0
 
-    def begin(self, f, t0, h, y0, f0):
-        starter, first = self._starter, scaled(h, f0)
+    def begin(self, f, t0, h, y0):
+        starter, first = self._starter, scaled(h, f(t0, y0))
         y1, k, ok = starter.solve(f, t0, h, y0, first)
         error = refused(ok, starter.estimate(f, t0, h, y0, first, k))
         return Step(y1, error, starter.polynomial(k), ok)
 
-    def formula(self, f, t0, h, y0, f0, history):
+    def formula(self, f, t0, h, y0, now, history):
         nodes = jnp.concatenate([jnp.array([1.0, 0.0], t0.dtype), self._nodes(t0, h, history)])
         from_y0 = jax.tree.map(lambda old, y: old - y, history.values, y0)
         weights = basis(nodes[1:])  # of y0, whose increment is zero, and the past
