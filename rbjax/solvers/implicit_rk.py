@@ -64,7 +64,7 @@ class ImplicitRungeKutta(diffrax.AbstractAdaptiveSolver):
     def solve(self, f: Field, t0: Any, h: Any, y0: Any, first: Any) -> tuple[Any, Any, jax.Array]:
         """y1, the stages (s, ...), and whether they were found; `first` is h f(t0, y0)."""
         s = self.tableau.stages
-        ts = t0 + jnp.asarray(self.tableau.c) * h
+        ts = t0 + jnp.asarray(self.tableau.c, jnp.result_type(h)) * h
 
         def residual(k):
             at = jax.tree.map(lambda y, dy: y + dy, y0, mixed(self.tableau.a, k))

@@ -89,11 +89,12 @@ class RosenbrockW(diffrax.AbstractAdaptiveSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         f, h = field(terms, args), t1 - t0
         alpha, gamma = np.array(self.tableau.alpha), np.array(self.tableau.gamma)
+        diagonal = float(gamma[0, 0])
         f0, jacobian = jax.linearize(lambda y: f(t0, y), y0)
         slope = jax.jvp(lambda t: f(t, y0), (t0,), (t0 * 0 + 1,))[1]
 
         def implicit(k):
-            return jax.tree.map(lambda k, j: k - h * gamma[0, 0] * j, k, jacobian(k))
+            return jax.tree.map(lambda k, j: k - h * diagonal * j, k, jacobian(k))
 
         operator = lx.FunctionLinearOperator(implicit, jax.eval_shape(lambda: y0))
         operator = lx.linearise(operator)
@@ -104,12 +105,12 @@ class RosenbrockW(diffrax.AbstractAdaptiveSolver):
             rate, drift = f0, slope
             if i:
                 at = combine((1.0, *alpha[i, :i].tolist()), (y0, *ks))
-                rate = f(t0 + alpha[i].sum() * h, at)
+                rate = f(t0 + float(alpha[i].sum()) * h, at)
             right = scaled(h, rate)
             if i and gamma[i, :i].any():
                 turned = jacobian(combine(gamma[i, :i].tolist(), ks))
                 right = combine((1.0, h), (right, turned))
-            right = combine((1.0, gamma[i].sum() * h * h), (right, drift))
+            right = combine((1.0, float(gamma[i].sum()) * h * h), (right, drift))
             solved = lx.linear_solve(
                 operator, right, self.linear_solver, state=factors, throw=False
             )

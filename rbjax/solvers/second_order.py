@@ -43,6 +43,11 @@ class Halves(eqx.Module):
     terms: Any
     args: Any
 
+    @property
+    def forwards(self) -> Any:
+        """1, or -1 where the caller's time runs backwards: q'' is this times v'."""
+        return self.terms.contr(0.0, 1.0)
+
     def acceleration(self, t: Any, y: Any) -> Any:
         return pair(field(self.terms, self.args)(t, y))[0][1]
 
@@ -92,7 +97,10 @@ class GeneralizedAlpha(AbstractGroupSolver):
                 (k, scaled(h, now), scaled(h, carried)),
             )  # h A1
             old = scaled(h, carried)
-            dq = combine((h, h * (0.5 - self.beta), h * self.beta), (velocity, old, carrying))
+            bent = halves.forwards * h
+            dq = combine(
+                (h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying)
+            )
             dv = combine((1 - self.gamma, self.gamma), (old, carrying))
             return carrying, halves.moved(y0, dq, dv)
 
@@ -139,7 +147,7 @@ class CentralDifferences(AbstractGroupSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         a0, v = halves.acceleration(t0, y0), halves.velocity(t0, y0)
-        dq = combine((h, h * h / 2), (v, a0))
+        dq = combine((h, halves.forwards * h * h / 2), (v, a0))
         a1 = halves.acceleration(t1, halves.moved(y0, dq, scaled(h, a0)))
         y1 = halves.moved(y0, dq, combine((h / 2, h / 2), (a0, a1)))
         dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)

@@ -69,7 +69,7 @@ def explicit_stages(rate: Field, tableau: Tableau, t0: Any, h: Any) -> Callable[
 
     Rolled, so that the field is traced once however many stages there are.
     """
-    a, c = jnp.array(tableau.a), jnp.array(tableau.c)
+    a, c = jnp.array(tableau.a), jnp.asarray(tableau.c, jnp.result_type(h))
 
     def stages(zero: Any) -> Any:
         ks = jax.tree.map(lambda x: jnp.zeros((tableau.stages, *x.shape), x.dtype), zero)
