@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from rbjax.rotations import quaternion
 from rbjax.solvers.groups import SO3, AbstractGroup, OnGroup, Product, Vector, unwrapped
-from rbjax.solvers.steps import AbstractGroupSolver, dense_between, field
+from rbjax.solvers.steps import AbstractGroupSolver, dense_between, field, forwards
 
 
 class RigidBody(OnGroup):
@@ -68,7 +68,7 @@ class RigidBodySplitting(AbstractGroupSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         body, h = unwrapped(terms), terms.contr(t0, t1)
         inertia = body.inertia
-        ahead = terms.contr(0.0, 1.0)  # -1 where the caller's time runs backwards
+        ahead = forwards(terms, t0)
         turn, w = y0
         m = inertia * w + h / 2 * body.moment(ahead * t0, turn, args)
         for axis, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):

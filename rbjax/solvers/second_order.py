@@ -30,6 +30,7 @@ from rbjax.solvers.steps import (
     combine,
     dense_between,
     field,
+    forwards,
     pair,
     scaled,
 )
@@ -42,11 +43,6 @@ class Halves(eqx.Module):
 
     terms: Any
     args: Any
-
-    @property
-    def forwards(self) -> Any:
-        """1, or -1 where the caller's time runs backwards: q'' is this times v'."""
-        return self.terms.contr(0.0, 1.0)
 
     def acceleration(self, t: Any, y: Any) -> Any:
         return pair(field(self.terms, self.args)(t, y))[0][1]
@@ -97,7 +93,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
                 (k, scaled(h, now), scaled(h, carried)),
             )  # h A1
             old = scaled(h, carried)
-            bent = halves.forwards * h
+            bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
             dq = combine(
                 (h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying)
             )
@@ -147,7 +143,7 @@ class CentralDifferences(AbstractGroupSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         a0, v = halves.acceleration(t0, y0), halves.velocity(t0, y0)
-        dq = combine((h, halves.forwards * h * h / 2), (v, a0))
+        dq = combine((h, forwards(terms, h) * h * h / 2), (v, a0))
         a1 = halves.acceleration(t1, halves.moved(y0, dq, scaled(h, a0)))
         y1 = halves.moved(y0, dq, combine((h / 2, h / 2), (a0, a1)))
         dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)

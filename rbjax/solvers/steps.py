@@ -22,8 +22,12 @@ Field = Callable[[Any, Any], Any]  # (t, y) -> rate
 
 def field(terms: Any, args: Any) -> Field:
     """The vector field of an ordinary differential equation, in the solver's time."""
-    forwards = terms.contr(0.0, 1.0)
-    return lambda t, y: terms.vf_prod(t, y, args, forwards)
+    return lambda t, y: terms.vf_prod(t, y, args, forwards(terms, t))
+
+
+def forwards(terms: Any, t: Any) -> Any:
+    """1, in the kind of number that t is, or -1 where the caller's time runs backwards."""
+    return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 
 def scaled(h: Any, k: Any) -> Any:

@@ -59,7 +59,7 @@ def test_events_and_dense_solutions_are_found_through_it() -> None:
         (jnp.array(1.0), jnp.array(0.0)), saveat=diffrax.SaveAt(t1=True, dense=True),
         event=diffrax.Event(lambda t, y, args, **_: y[0], optx.Bisection(1e-10, 1e-10)),
     )  # fmt: skip
-    assert abs(found.ts[0] - np.pi / 2) < 1e-5
-    assert abs(found.evaluate(1.03)[0] - np.cos(1.03)) < 1e-5
+    assert abs(found.ts[0] - np.pi / 2) < 5e-5
+    assert abs(found.evaluate(1.03)[0] - np.cos(1.03)) < 5e-5
 
 
