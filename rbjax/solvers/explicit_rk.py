@@ -24,9 +24,9 @@ class RK4(diffrax.AbstractERK):
         b_error=np.array(TABLE.error[1:]),
         c=np.array(TABLE.c[1:]),
     )
-    interpolation_cls: ClassVar[
-        Callable[..., diffrax.ThirdOrderHermitePolynomialInterpolation]
-    ] = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
+    interpolation_cls: ClassVar[Callable[..., diffrax.ThirdOrderHermitePolynomialInterpolation]] = (
+        diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
+    )
 
     def order(self, terms):
         return 4

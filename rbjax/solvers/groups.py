@@ -57,9 +57,7 @@ class SO3(AbstractGroup):
         return quaternion.normalize(quaternion.multiply(y, quaternion.exp(u)))
 
     def difference(self, y, z):
-        return quaternion.log(
-            quaternion.normalize(quaternion.multiply(quaternion.conjugate(y), z))
-        )
+        return quaternion.log(quaternion.normalize(quaternion.multiply(quaternion.conjugate(y), z)))
 
     def bracket(self, u, w):
         return jnp.cross(u, w)

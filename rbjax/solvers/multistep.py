@@ -60,7 +60,6 @@ class Step(NamedTuple):
 class AbstractMultistep(diffrax.AbstractAdaptiveSolver):
     """The start, the history, and the choice between a one-step method and the formula."""
 
-
     term_structure: ClassVar = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
 
@@ -175,7 +174,7 @@ class Adams(AbstractMultistep):
 
     def formula(self, f, t0, h, y0, now, history):
         nodes = jnp.concatenate([jnp.zeros(1, t0.dtype), self._nodes(t0, h, history)])
-        rates = jax.tree.map(lambda new, old: jnp.concatenate([new[None], old]), now, history.values)
+        rates = jax.tree.map(lambda x, old: jnp.concatenate([x[None], old]), now, history.values)
 
         def polynomial(nodes, rates):
             """Coefficients of the increment that interpolates h rates at nodes."""
@@ -211,9 +210,7 @@ class Adams(AbstractMultistep):
             ok: Any = True
             k = scaled(h, f(t1, combine((1.0, 1.0), (y0, predicted))))
         else:
-            k, ok = root(
-                residual, self.root_finder, scaled(h, now), y0, self.root_find_max_steps
-            )
+            k, ok = root(residual, self.root_finder, scaled(h, now), y0, self.root_find_max_steps)
         coefficients = corrected(k)
         u = jax.tree.map(lambda c: c.sum(0), coefficients)
         error = refused(jnp.asarray(ok), combine((1.0, -1.0), (u, predicted)))

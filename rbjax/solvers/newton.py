@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
@@ -26,22 +27,14 @@ NOISE = 1e2  # times that: where corrections that no longer shrink are rounding
 class Settled(optx.AbstractRootFinder):
     """optimistix' `Newton` or `Chord`, or diffrax' `VeryChord`, stopped by the size of corrections.
 
-    The option `scale` is the size of the state; without it 1.
+    The option `scale` is the size of the state; without it 1. Fields: inner; the others are what
+    optimistix and diffrax expect of a root finder, and not used.
     """
 
-    inner: Any
-
-    @property
-    def rtol(self):
-        return self.inner.rtol
-
-    @property
-    def atol(self):
-        return self.inner.atol
-
-    @property
-    def norm(self):
-        return self.inner.norm
+    rtol: float = 1.0
+    atol: float = 1.0
+    norm: Callable[[Any], jax.Array] = optx.max_norm
+    inner: Any = eqx.field(default_factory=lambda: _made(optx.Chord, None))
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         if "init_state" in options:  # diffrax begins the iteration of a whole step at once
@@ -78,19 +71,22 @@ class Settled(optx.AbstractRootFinder):
 
 def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
     """Full Newton: the Jacobian anew in each iteration. `lineax.GMRES` does without its matrix."""
-    solver = lx.AutoLinearSolver(well_posed=None) if linear_solver is None else linear_solver
-    return Settled(optx.Newton(1.0, 1.0, linear_solver=solver, cauchy_termination=False))
+    return Settled(inner=_made(optx.Newton, linear_solver))
 
 
 def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
     """Simplified Newton: one Jacobian a step, at the first guess."""
-    solver = lx.AutoLinearSolver(well_posed=None) if linear_solver is None else linear_solver
-    return Settled(optx.Chord(1.0, 1.0, linear_solver=solver, cauchy_termination=False))
+    return Settled(inner=_made(optx.Chord, linear_solver))
 
 
 def very_chord() -> Settled:
     """diffrax' own, for its diagonally implicit methods: one Jacobian for all stages."""
-    return Settled(diffrax.VeryChord(1.0, 1.0))
+    return Settled(inner=diffrax.VeryChord(1.0, 1.0))
+
+
+def _made(method: Any, linear_solver: lx.AbstractLinearSolver | None) -> Any:
+    solver = lx.AutoLinearSolver(well_posed=None) if linear_solver is None else linear_solver
+    return method(1.0, 1.0, linear_solver=solver, cauchy_termination=False)
 
 
 def root(
@@ -100,7 +96,7 @@ def root(
 
     Its derivatives are those of the implicit function, in both directions.
     """
-    solution = optx.root_find(
+    solution: Any = optx.root_find(
         lambda x, _: residual(x),
         finder,
         jax.lax.stop_gradient(guess),

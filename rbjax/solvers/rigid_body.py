@@ -29,8 +29,8 @@ class RigidBody(OnGroup):
     (3,) in body axes, N m, or None. Any solver of terms on groups takes it.
     """
 
-    inertia: jax.Array
-    torque: Callable[..., jax.Array] | None
+    inertia: jax.Array  # type: ignore[misc]
+    torque: Callable[..., jax.Array] | None  # type: ignore[misc]
 
     def __init__(self, inertia: Any, torque: Callable[..., jax.Array] | None = None):
         self.inertia = jnp.asarray(inertia)
@@ -57,7 +57,7 @@ def _no_field(t, y, args):
 class RigidBodySplitting(AbstractGroupSolver):
     """Exact turns about the three axes, and kicks: order 2. Its term is a `RigidBody`."""
 
-    term_structure: ClassVar = RigidBody
+    term_structure: ClassVar[Any] = RigidBody
 
     def order(self, terms):
         return 2

@@ -40,8 +40,8 @@ class SDIRK2(diffrax.AbstractSDIRK):
         c1=G,
     )
     interpolation_cls: ClassVar[Callable[..., Polynomial]] = staticmethod(_collocation)
-    root_finder: optx.AbstractRootFinder = very_chord()  # noqa: RUF009
-    root_find_max_steps: int = MAX_STEPS
+    root_finder: optx.AbstractRootFinder = very_chord()  # type: ignore[misc]
+    root_find_max_steps: int = MAX_STEPS  # type: ignore[misc]
 
     def order(self, terms):
         return 2

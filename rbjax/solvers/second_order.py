@@ -94,9 +94,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
             )  # h A1
             old = scaled(h, carried)
             bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
-            dq = combine(
-                (h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying)
-            )
+            dq = combine((h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying))
             dv = combine((1 - self.gamma, self.gamma), (old, carrying))
             return carrying, halves.moved(y0, dq, dv)
 

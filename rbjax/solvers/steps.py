@@ -106,8 +106,8 @@ def pair(y: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
 class Polynomial(diffrax.AbstractLocalInterpolation):
     """y0 exp(u(theta)), u = sum_m coefficients_m theta^(m + 1), theta from 0 at t0 to 1 at t1."""
 
-    t0: Any
-    t1: Any
+    t0: Any  # type: ignore[misc]
+    t1: Any  # type: ignore[misc]
     y0: Any
     coefficients: Any  # u's structure, with a leading axis
     group: AbstractGroup = eqx.field(default_factory=Vector)
@@ -145,7 +145,7 @@ def dense_between(group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1:
 class AbstractGroupSolver(diffrax.AbstractSolver):
     """A solver of terms `OnGroup`, and of any other as on the group `Vector`."""
 
-    term_structure: ClassVar = diffrax.AbstractTerm
+    term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
 
     def func(self, terms, t0, y0, args):

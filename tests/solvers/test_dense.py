@@ -61,5 +61,3 @@ def test_events_and_dense_solutions_are_found_through_it() -> None:
     )  # fmt: skip
     assert abs(found.ts[0] - np.pi / 2) < 5e-5
     assert abs(found.evaluate(1.03)[0] - np.cos(1.03)) < 5e-5
-
-

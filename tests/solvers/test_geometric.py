@@ -18,9 +18,7 @@ def energies(term, solver, y0, energy, dt, steps, every):
         def once(carry, i):
             y, state = carry
             t0 = i * dt
-            y, _, _, state, result = solver.step(
-                term, t0, t0 + dt, y, None, state, made_jump=False
-            )
+            y, _, _, state, _ = solver.step(term, t0, t0 + dt, y, None, state, made_jump=False)
             return (y, state), None
 
         def keep(carry, block):

@@ -73,9 +73,7 @@ def test_a_constant_twist_is_followed_exactly() -> None:
     term = rb.solvers.OnGroup(lambda t, y, args: u, GROUP)
     ts = jnp.array([0.3, 1.0])
     for solver in (rb.solvers.rkmk(4), rb.solvers.CommutatorFree4()):
-        found = diffrax.diffeqsolve(
-            term, solver, 0.0, 1.0, 1.0, y, saveat=diffrax.SaveAt(ts=ts)
-        ).ys
+        found = diffrax.diffeqsolve(term, solver, 0.0, 1.0, 1.0, y, saveat=diffrax.SaveAt(ts=ts)).ys
         for i, t in enumerate(ts):
             at = jax.tree.map(lambda x, i=i: x[i], found)
             want = pose(y) @ expm(twist(u) * float(t))

@@ -97,4 +97,3 @@ def test_a_jump_starts_anew() -> None:
 def test_bdf_beyond_six_is_refused() -> None:
     with pytest.raises(ValueError, match="zero-stable from 1 to 6"):
         bdf(7)
-

@@ -40,7 +40,7 @@ def test_explicit_methods_blow_up(name: str) -> None:
      pytest.param("ros34pw2", 3000, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_van_der_pol(name: str, most: int) -> None:
-    """mu = 1e4, over the first jump: steps do not follow the stiffness; Hairer and Wanner's form."""
+    """mu = 1e4, over the first jump, in Hairer and Wanner's form: few steps."""
     mu = 1e-4
 
     def field(t, y, _):
