@@ -12,7 +12,7 @@ ON_IT = np.array([1.0, 1.0])  # cos 0
 STIFF = np.array([-1e6, 0.0, 0.0])
 UNBOUNDED = {"adams_moulton3", "adams_moulton4", "adams_moulton5"}  # implicit, not A-stable
 IMPLICIT = [n for n in SOLVERS if SOLVERS[n].kind == "ode" and SOLVERS[n].implicit]
-QUICK = {"trapezoid", "gauss_legendre3", "radau_iia3", "sdirk2", "ros34pw2", "bdf2", "bdf6"}
+QUICK = {"trapezoid", "gauss_legendre3", "radau_iia3", "sdirk2", "ros34pw2", "bdf2"}
 
 
 @pytest.mark.parametrize(
