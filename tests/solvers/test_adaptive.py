@@ -37,7 +37,7 @@ def adaptive(name: str, solver):
 @pytest.mark.parametrize("name", NAMES)
 def test_tolerance_is_reached(name: str) -> None:
     error, steps = adaptive(name, SOLVERS[name].make())
-    assert error < 100 * TOLERANCE, (error, steps)
+    assert error < TOLERANCE * max(100, steps), (error, steps)  # the controller's is of one step
     # an estimate that sees nothing takes a handful of steps, one that shrinks wrongly, millions
     least, most = (5, 400) if SOLVERS[name].order > 2 else (20, 20_000)
     assert least <= steps < most, (error, steps)
