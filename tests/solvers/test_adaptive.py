@@ -8,7 +8,7 @@ import pytest
 from tests.solvers.scenes import SOLVERS, flat, scene
 
 TOLERANCE = 1e-6
-QUICK = "rk4 radau_iia3 ros34pw2 adams_bashforth3 pece4 bdf3 rkmk5".split()  # noqa: SIM905
+QUICK = "rk4 radau_iia3 ros34pw2 pece4 rkmk5".split()  # noqa: SIM905
 NAMES = [
     pytest.param(n, marks=() if n in QUICK else pytest.mark.slow)
     for n in SOLVERS

@@ -23,7 +23,7 @@ DENSE = {
     "yoshida4": 4,
     "rkmk4": 4,
 }
-QUICK = ("radau_iia3", "adams_bashforth4", "yoshida4", "rkmk4")
+QUICK = ("radau_iia3", "adams_bashforth4", "rkmk4")
 NAMES = [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in DENSE]
 
 

@@ -61,7 +61,9 @@ def test_rest_is_rest(make) -> None:
     np.testing.assert_allclose(found.ys[0], np.pi, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["radau_iia3", "adams_moulton3", "generalized_alpha", "rkmk4"])
+@pytest.mark.parametrize(
+    "name", ["radau_iia3", pytest.param("adams_moulton3", marks=pytest.mark.slow), "rkmk4"]
+)
 def test_single_precision_stays_single(name: str) -> None:
     solver = rb.solvers.all()[name].make()
     field = lambda t, y, _: (y[1], -jnp.sin(y[0]) * jnp.float32(2.0))  # noqa: E731
@@ -76,7 +78,9 @@ def test_single_precision_stays_single(name: str) -> None:
     np.testing.assert_allclose(found.ys[0], want.ys[0], atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["bdf2", "adams_bashforth3", "generalized_alpha", "yoshida4"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("bdf2", marks=pytest.mark.slow), "generalized_alpha", "yoshida4"]
+)
 def test_backwards_in_time_and_back_again(name: str) -> None:
     solver = rb.solvers.all()[name].make()
     field = lambda t, y, _: (y[1], -2 * jnp.sin(y[0]) + jnp.cos(t))  # noqa: E731
