@@ -36,7 +36,9 @@ def test_explicit_methods_blow_up(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("radau_iia3", 500), pytest.param("bdf3", 3000, marks=pytest.mark.slow), pytest.param("kvaerno5", 600, marks=pytest.mark.slow),
+    [("radau_iia3", 500),
+     pytest.param("bdf3", 3000, marks=pytest.mark.slow),
+     pytest.param("kvaerno5", 600, marks=pytest.mark.slow),
      pytest.param("ros34pw2", 3000, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_van_der_pol(name: str, most: int) -> None:
