@@ -6,7 +6,7 @@ million. Every function takes one sample and composes with jit, vmap, grad, jvp 
 
 from typing import Any
 
-from rbjax import body, dynamics, forces, rotations, spatial, sysid
+from rbjax import body, dynamics, forces, rotations, solvers, spatial, sysid
 from rbjax.dynamics import (
     Poses,
     bias_forces,
@@ -91,6 +91,7 @@ __all__ = [
     "scenes",
     "simulate",
     "site_pose",
+    "solvers",
     "spatial",
     "sysid",
     "validation",

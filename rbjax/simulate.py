@@ -17,12 +17,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.forward import acceleration
+from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
+from rbjax.materialize import materialize
 from rbjax.model import Model, State, Topology, spans
 from rbjax.rotations import quaternion
+from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
 from rbjax.trajectory import Trajectory, all_finite
 
 Control = Callable[[jax.Array, State], jax.Array]
@@ -49,16 +53,46 @@ def unit(top: Topology, q: jax.Array) -> jax.Array:
 
 
 class Motion(eqx.Module):
-    """The vector field of a robot under its own forces and a control, for diffrax."""
+    """The vector field of a robot under its own forces and a control, for diffrax.
+
+    tangent: the configuration's rate is v itself, for solvers that move along the manifold.
+    """
 
     control: Control | None
+    tangent: bool = eqx.field(static=True, default=False)
 
     def __call__(self, t: Any, y: State, model: Model) -> State:
         q = unit(model.topology, y.q)
         ctrl = None if self.control is None else jnp.asarray(self.control(t, State(q, y.v)))
         tau = applied(model, q, y.v, ctrl)
-        rate = configuration_rate(model.topology, y.q, y.v)
+        rate = y.v if self.tangent else configuration_rate(model.topology, y.q, y.v)
         return State(rate, acceleration(model, q, y.v, tau))
+
+
+class Manifold(AbstractGroup):
+    """The states of a robot as a Lie group: attitudes turn, everything else adds."""
+
+    topology: Topology = eqx.field(static=True)
+
+    def retract(self, y: State, u: State) -> State:
+        q = materialize(integrate_lanes(self.topology, list(y.q), list(u.q)))
+        return State(jnp.stack(q), y.v + u.v)
+
+    def difference(self, y: State, z: State) -> State:
+        dq = materialize(difference_lanes(self.topology, list(y.q), list(z.q)))
+        return State(jnp.stack(dq), z.v - y.v)
+
+    def bracket(self, u: State, w: State) -> State:
+        out = jnp.zeros_like(w.q)
+        for start in self.topology.turn_starts:
+            rows = slice(start, start + 3)
+            out = out.at[rows].set(jnp.cross(u.q[rows], w.q[rows]))
+        return State(out, jnp.zeros_like(w.v))
+
+
+def _momentum(t: Any, y: State, model: Model) -> jax.Array:
+    """M v (nv,)."""
+    return (mass_matrix(model, unit(model.topology, y.q)) * y.v).sum(-1)
 
 
 def simulate(
@@ -85,7 +119,8 @@ def simulate(
         state: initial q (nq,), v (nv,).
         ts: (T,) increasing times in seconds, the first that of the state.
         control: (t, state) -> (nu,); None for no actuation.
-        solver: any explicit diffrax solver; Tsit5 if None.
+        solver: any diffrax solver, `rb.solvers` among them; Tsit5 if None. Those for second-order
+            form, splittings and Lie groups move along the manifold of configurations.
         dt0: first step, or the fixed step where no controller is given.
         stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's; checkpointed reverse mode if None.
@@ -120,9 +155,19 @@ def simulate(
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
     top = model.topology
+    solver = diffrax.Tsit5() if solver is None else solver
+    term: diffrax.AbstractTerm = diffrax.ODETerm(Motion(control))
+    if isinstance(solver, AbstractGroupSolver):
+        term = OnGroup(Motion(control, tangent=True), Manifold(top), _momentum)
+        if not isinstance(term, solver.term_structure):
+            raise InputError(
+                f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
+                "with diffrax.diffeqsolve; robots take the other solvers"
+            )
+        state = State(unit(top, state.q), state.v)
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(Motion(control)),
-        diffrax.Tsit5() if solver is None else solver,
+        term,
+        solver,
         t0=ts[0],
         t1=ts[-1],
         dt0=dt0,

@@ -1,0 +1,112 @@
+"""Solvers of differential equations that diffrax lacks, each a diffrax solver.
+
+They take anyone's vector field, through `diffrax.diffeqsolve`, or a robot's, through
+`rbjax.simulate`. `all()` lists every one.
+
+    any vector field      RK4, implicit_midpoint, trapezoid, gauss_legendre, radau_iia,
+                          lobatto_iiia, lobatto_iiic, SDIRK2, ros2, ros34pw2,
+                          adams_bashforth, adams_moulton, pece, bdf
+    q' = v, v' = a        newmark, hht_alpha, generalized_alpha, CentralDifferences,
+                          SemiImplicitEuler, VariationalMidpoint
+    a free of v, best     symplectic_euler, stoermer_verlet, yoshida4, yoshida6
+    on a Lie group        rkmk, CrouchGrossman3, CommutatorFree4, generalized_alpha,
+                          RigidBodySplitting
+The last three rows take terms `OnGroup` (and the first of them any pair of arrays).
+"""
+
+from rbjax.solvers.explicit_rk import RK4
+from rbjax.solvers.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
+from rbjax.solvers.implicit_rk import (
+    ImplicitRungeKutta,
+    gauss_legendre,
+    implicit_midpoint,
+    lobatto_iiia,
+    lobatto_iiic,
+    radau_iia,
+    trapezoid,
+)
+from rbjax.solvers.lie import CommutatorFree4, CrouchGrossman3, MuntheKaas, rkmk
+from rbjax.solvers.multistep import BDF, Adams, adams_bashforth, adams_moulton, bdf, pece
+from rbjax.solvers.newton import Settled, chord, newton, very_chord
+from rbjax.solvers.registry import KINDS, Entry, all
+from rbjax.solvers.rigid_body import RigidBody, RigidBodySplitting
+from rbjax.solvers.rosenbrock import RosenbrockTableau, RosenbrockW, ros2, ros34pw2
+from rbjax.solvers.sdirk import SDIRK2
+from rbjax.solvers.second_order import (
+    CentralDifferences,
+    GeneralizedAlpha,
+    SemiImplicitEuler,
+    VariationalMidpoint,
+    generalized_alpha,
+    hht_alpha,
+    newmark,
+)
+from rbjax.solvers.splitting import (
+    Splitting,
+    stoermer_verlet,
+    symplectic_euler,
+    yoshida4,
+    yoshida6,
+)
+from rbjax.solvers.steps import AbstractGroupSolver
+from rbjax.solvers.tableau import Tableau
+
+__all__ = [
+    "all",
+    "Entry",
+    "KINDS",
+    # any vector field
+    "RK4",
+    "ImplicitRungeKutta",
+    "Tableau",
+    "implicit_midpoint",
+    "trapezoid",
+    "gauss_legendre",
+    "radau_iia",
+    "lobatto_iiia",
+    "lobatto_iiic",
+    "SDIRK2",
+    "RosenbrockW",
+    "RosenbrockTableau",
+    "ros2",
+    "ros34pw2",
+    "Adams",
+    "BDF",
+    "adams_bashforth",
+    "adams_moulton",
+    "pece",
+    "bdf",
+    # second order
+    "GeneralizedAlpha",
+    "newmark",
+    "hht_alpha",
+    "generalized_alpha",
+    "CentralDifferences",
+    "SemiImplicitEuler",
+    "VariationalMidpoint",
+    # splittings
+    "Splitting",
+    "symplectic_euler",
+    "stoermer_verlet",
+    "yoshida4",
+    "yoshida6",
+    # Lie groups
+    "AbstractGroup",
+    "AbstractGroupSolver",
+    "Vector",
+    "SO3",
+    "SE3",
+    "Product",
+    "OnGroup",
+    "MuntheKaas",
+    "rkmk",
+    "CrouchGrossman3",
+    "CommutatorFree4",
+    "RigidBody",
+    "RigidBodySplitting",
+    # roots
+    "Settled",
+    "newton",
+    "chord",
+    "very_chord",
+]

@@ -1,0 +1,126 @@
+"""Roots of implicit steps: optimistix' Newton and chord iterations, stopped by their corrections.
+
+optimistix stops where the residual is below a tolerance, or where the corrections shrink at a
+steady rate. In a step neither can be trusted: the residual of a stiff step is all rounding, and
+at an equilibrium the corrections are. So a wrapper stops where the correction, or what the rate of
+the corrections leaves of the next, is rounding beside the state. A root that is not reached is a
+value: `ok` is false, and with it the step's result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+
+MAX_STEPS = 20
+ROUNDING = 64  # units in the last place of the state
+NOISE = 1e2  # times that: where corrections that no longer shrink are rounding
+
+
+class Settled(optx.AbstractRootFinder):
+    """optimistix' `Newton` or `Chord`, or diffrax' `VeryChord`, stopped by the size of corrections.
+
+    The option `scale` is the size of the state; without it 1. Fields: inner; the others are what
+    optimistix and diffrax expect of a root finder, and not used.
+    """
+
+    rtol: float = 1.0
+    atol: float = 1.0
+    norm: Callable[[Any], jax.Array] = optx.max_norm
+    inner: Any = eqx.field(default_factory=lambda: _made(optx.Chord, None))
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        if "init_state" in options:  # diffrax begins the iteration of a whole step at once
+            return options["init_state"]
+        inner = self.inner.init(fn, y, args, {}, f_struct, aux_struct, tags)
+        return inner, jnp.full((), jnp.inf, _dtype(y))
+
+    def step(self, fn, y, args, options, state, tags):
+        inner, _ = state
+        before = _largest(inner.diff)
+        y, inner, aux = self.inner.step(fn, y, args, {}, inner, tags)
+        return y, (inner, before), aux
+
+    def terminate(self, fn, y, args, options, state, tags):
+        inner, before = state
+        dtype = _dtype(y)
+        scale = jnp.maximum(jnp.asarray(options.get("scale", 1.0), dtype), _largest(y))
+        near = ROUNDING * jnp.finfo(dtype).eps * scale
+        now = _largest(inner.diff)
+        rate = now / jnp.where(before > 0, before, 1.0)
+        falling = (inner.step >= 2) & (rate < 0.9)
+        next_ = jnp.where(falling, rate / (1 - jnp.where(falling, rate, 0.0)) * now, now)
+        stalled = (inner.step >= 2) & (rate > 0.5) & (now <= NOISE * near)
+        broken = ~jnp.isfinite(now) & (inner.step >= 1)
+        done = (inner.step >= 1) & ((next_ <= near) | (now == 0) | stalled)
+        failed = optx.RESULTS.where(
+            broken, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
+        )
+        return done | broken, failed
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, aux, {}
+
+
+def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
+    """Full Newton: the Jacobian anew in each iteration. `lineax.GMRES` does without its matrix."""
+    return Settled(inner=_made(optx.Newton, linear_solver))
+
+
+def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
+    """Simplified Newton: one Jacobian a step, at the first guess."""
+    return Settled(inner=_made(optx.Chord, linear_solver))
+
+
+def very_chord() -> Settled:
+    """diffrax' own, for its diagonally implicit methods: one Jacobian for all stages."""
+    return Settled(inner=diffrax.VeryChord(1.0, 1.0))
+
+
+def _made(method: Any, linear_solver: lx.AbstractLinearSolver | None) -> Any:
+    solver = lx.AutoLinearSolver(well_posed=None) if linear_solver is None else linear_solver
+    return method(1.0, 1.0, linear_solver=solver, cauchy_termination=False)
+
+
+def root(
+    residual: Callable[[Any], Any], finder: Any, guess: Any, y0: Any, max_steps: int
+) -> tuple[Any, jax.Array]:
+    """The root of `residual` beside `guess`, and whether it was found; y0 sets the scale.
+
+    Its derivatives are those of the implicit function, in both directions.
+    """
+    solution: Any = optx.root_find(
+        lambda x, _: residual(x),
+        finder,
+        jax.lax.stop_gradient(guess),
+        options={"scale": jax.lax.stop_gradient(_largest(y0))},
+        max_steps=max_steps,
+        throw=False,
+    )
+    return solution.value, solution.result == optx.RESULTS.successful
+
+
+def verdict(ok: jax.Array) -> Any:
+    """diffrax' result of a step with roots."""
+    results = diffrax.RESULTS
+    return results.where(ok, results.successful, results.nonlinear_divergence)
+
+
+def refused(ok: jax.Array, error: Any) -> Any:
+    """The error estimate, infinite where a root failed: an adaptive step is then tried shorter."""
+    return jax.tree.map(lambda x: jnp.where(ok, x, jnp.inf), error)
+
+
+def _largest(tree: Any) -> jax.Array:
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree)]))
+
+
+def _dtype(tree: Any) -> Any:
+    return jnp.result_type(*jax.tree.leaves(tree))

@@ -1,0 +1,251 @@
+"""Methods for q' = v, v' = a(t, q, v): Newmark's family, explicit and implicit.
+
+The state is a pair (q, v) whose rate is (v, a); q may live on a Lie group (`groups.OnGroup`), where
+q + u is q exp(u) and the family is that of Arnold and Bruels. With a carried acceleration A:
+
+    q1 = q0 + h v0 + h^2 ((1/2 - beta) A0 + beta A1)
+    v1 = v0 + h ((1 - gamma) A0 + gamma A1)
+    (1 - alpha_m) A1 + alpha_m A0 = (1 - alpha_f) a1 + alpha_f a0,    a1 = a(t1, q1, v1)
+Sources: Newmark 1959; Hilber, Hughes & Taylor 1977; Chung & Hulbert 1993; Arnold & Bruels,
+*Multibody System Dynamics* 18, 2007. Dense output: cubic. No error estimate: constant steps, or
+`diffrax.HalfSolver`, which compares a step with two halves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+
+from rbjax.solvers.groups import group_of, unwrapped
+from rbjax.solvers.newton import MAX_STEPS, chord, root, verdict
+from rbjax.solvers.steps import (
+    AbstractGroupSolver,
+    combine,
+    dense_between,
+    field,
+    forwards,
+    pair,
+    scaled,
+)
+
+RESULTS = diffrax.RESULTS
+
+
+class Halves(eqx.Module):
+    """One step's view of a term whose state is a pair: how q and v move, and the acceleration."""
+
+    terms: Any
+    args: Any
+
+    def acceleration(self, t: Any, y: Any) -> Any:
+        return pair(field(self.terms, self.args)(t, y))[0][1]
+
+    def velocity(self, t: Any, y: Any) -> Any:
+        return pair(field(self.terms, self.args)(t, y))[0][0]
+
+    def moved(self, y: Any, dq: Any, dv: Any) -> Any:
+        """y with q moved by dq and v by dv."""
+        _, together = pair(y)
+        return group_of(self.terms).retract(y, together([dq, dv]))
+
+
+class GeneralizedAlpha(AbstractGroupSolver):
+    """The implicit members of the family. Order 2 where gamma = 1/2 - alpha_m + alpha_f.
+
+    Fields: alpha_m, alpha_f, beta, gamma; root_finder, root_find_max_steps. The solver's state is
+    A, which begins as the acceleration and does so again after a jump.
+    """
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+    root_finder: optx.AbstractRootFinder = eqx.field(default_factory=chord)
+    root_find_max_steps: int = MAX_STEPS
+
+    def order(self, terms):
+        return 2
+
+    def init(self, terms, t0, t1, y0, args):
+        return Halves(terms, args).acceleration(t0, y0)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        (_, v0), _ = pair(y0)
+        now = halves.acceleration(t0, y0)
+        carried = solver_state
+        if made_jump is not False:
+            carried = jax.tree.map(lambda a, b: jnp.where(made_jump, a, b), now, carried)
+        velocity = halves.velocity(t0, y0)
+        m, f = self.alpha_m, self.alpha_f
+
+        def after(k):
+            """A1, and the state that it leads to, of k = h a1."""
+            carrying = combine(
+                ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)),
+                (k, scaled(h, now), scaled(h, carried)),
+            )  # h A1
+            old = scaled(h, carried)
+            bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
+            dq = combine((h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying))
+            dv = combine((1 - self.gamma, self.gamma), (old, carrying))
+            return carrying, halves.moved(y0, dq, dv)
+
+        def residual(k):
+            return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
+
+        guess = scaled(h, now)
+        k, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
+        carrying, y1 = after(k)
+        safe = jnp.where(h == 0, 1.0, h)
+        carried = jax.tree.map(lambda x, old: jnp.where(h == 0, old, x / safe), carrying, carried)
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        return y1, None, dense, carried, verdict(ok)
+
+
+def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
+    """Chung and Hulbert's: spectral radius rho_inf (0 to 1) at infinite frequency, order 2."""
+    m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
+    return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
+
+
+def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
+    """Newmark's method: order 2 if gamma is 1/2; beta 1/4 the average acceleration, A-stable."""
+    return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
+
+
+def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
+    """Hilber, Hughes and Taylor's, alpha from -1/3 (most damping) to 0: order 2, A-stable."""
+    return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
+
+
+class CentralDifferences(AbstractGroupSolver):
+    """Newmark's explicit member (beta 0, gamma 1/2): order 2, stable to h omega = 2.
+
+    Forces that see the velocity take it as v0 + h a0, so they stay explicit, and of order 2.
+    """
+
+    def order(self, terms):
+        return 2
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        a0, v = halves.acceleration(t0, y0), halves.velocity(t0, y0)
+        dq = combine((h, forwards(terms, h) * h * h / 2), (v, a0))
+        a1 = halves.acceleration(t1, halves.moved(y0, dq, scaled(h, a0)))
+        y1 = halves.moved(y0, dq, combine((h / 2, h / 2), (a0, a1)))
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        return y1, None, dense, None, RESULTS.successful
+
+
+class SemiImplicitEuler(AbstractGroupSolver):
+    """Semi-implicit Euler with damping treated implicitly, the default of robot engines.
+
+    (1 - h da/dv) (v1 - v0) = h a(t0, q0, v0),    q1 = q0 + h v1.  Order 1, no limit from damping.
+    All of da/dv is taken, Coriolis forces and gains of servos included; `linear_solver` is of
+    lineax (`lineax.GMRES` for no matrix).
+    """
+
+    linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
+
+    def order(self, terms):
+        return 1
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        (q0, v0), together = pair(y0)
+        a0, slope = jax.linearize(lambda v: halves.acceleration(t0, together([q0, v])), v0)
+        operator = lx.FunctionLinearOperator(
+            lambda dv: combine((1.0, -h), (dv, slope(dv))), jax.eval_shape(lambda: v0)
+        )
+        solved = lx.linear_solve(operator, scaled(h, a0), self.linear_solver, throw=False)
+        dv = solved.value
+        still = jax.tree.map(jnp.zeros_like, halves.velocity(t0, y0))
+        kicked = halves.moved(y0, still, dv)
+        y1 = halves.moved(kicked, scaled(h, halves.velocity(t0, kicked)), scaled(0.0, dv))
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        return y1, None, dense, None, verdict(solved.result == lx.RESULTS.successful)
+
+
+class VariationalMidpoint(AbstractGroupSolver):
+    """The discrete Euler-Lagrange equations of L_d = h L(q0 + h w / 2, w), q1 = q0 + h w.
+
+    p1 - p0 = h p'(m),  (p0 + p1) / 2 = p(m),  m = (q0 + h w / 2, w)  with p = M(q) v: symplectic in
+    (q, p), exactly, and of order 2 with any forces. The momentum is that of the term
+    (`OnGroup(..., momentum=)`); without one the mass is constant, p is v, and this is the implicit
+    midpoint rule. (Marsden & West, *Acta Numerica* 2001.)
+
+    Fields: root_finder, root_find_max_steps.
+    """
+
+    root_finder: optx.AbstractRootFinder = eqx.field(default_factory=chord)
+    root_find_max_steps: int = MAX_STEPS
+
+    def order(self, terms):
+        return 2
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        halves, h = Halves(terms, args), t1 - t0
+        (_, v0), _ = pair(y0)
+        tm = t0 + h / 2
+        momentum = self._momentum(terms, args)
+        p0 = momentum(t0, y0)
+
+        def middle(dw):
+            """The midpoint of velocity v0 + dw, its momentum, and that of half a step on."""
+            still = jax.tree.map(jnp.zeros_like, dw)
+            w = halves.velocity(tm, halves.moved(y0, scaled(0.0, still), dw))
+            at = halves.moved(y0, scaled(h / 2, w), dw)
+            a = halves.acceleration(tm, at)
+
+            def onward(s):
+                return momentum(tm, halves.moved(at, scaled(s, w), scaled(s, a)))
+
+            p, rate = jax.jvp(onward, (h * 0,), (h * 0 + 1,))
+            return w, p, rate
+
+        def residual(dw):
+            _, p, rate = middle(dw)
+            return combine((1.0, -1.0, -h / 2), (p, p0, rate))
+
+        guess = scaled(h / 2, halves.acceleration(t0, y0))
+        dw, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
+        w, p, rate = middle(dw)
+        p1 = combine((1.0, h / 2), (p, rate))
+        there = halves.moved(y0, scaled(h, w), scaled(2.0, dw))
+        (_, v), _ = pair(there)
+        t1 = t0 + h
+
+        def moment(dv):
+            return momentum(t1, halves.moved(there, scaled(0.0, w), dv))
+
+        here, linear = jax.linearize(moment, jax.tree.map(jnp.zeros_like, v))
+        operator = lx.FunctionLinearOperator(linear, jax.eval_shape(lambda: v))
+        missing = combine((1.0, -1.0), (p1, here))
+        dv = lx.linear_solve(operator, missing, lx.LU(), throw=False).value
+        y1 = halves.moved(there, scaled(0.0, w), dv)
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        return y1, None, dense, None, verdict(ok)
+
+    def _momentum(self, terms: Any, args: Any) -> Callable[[Any, Any], Any]:
+        """p(t, y), in the solver's time: reversed time reverses velocities in nothing but h."""
+        of_term = getattr(unwrapped(terms), "momentum", None)
+        if of_term is None:
+            return lambda t, y: pair(y)[0][1]
+        return lambda t, y: of_term(t, y, args)

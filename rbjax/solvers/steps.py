@@ -1,0 +1,157 @@
+"""What the steps of all solvers share: increments of pytrees, and dense output from a polynomial.
+
+A step goes by increments h f, in the solver's own time, which runs forwards; a term of diffrax
+changes the sign where the caller's runs backwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.solvers.groups import AbstractGroup, Vector, group_of
+from rbjax.solvers.tableau import Tableau
+
+Field = Callable[[Any, Any], Any]  # (t, y) -> rate
+
+
+def field(terms: Any, args: Any) -> Field:
+    """The vector field of an ordinary differential equation, in the solver's time."""
+    return lambda t, y: terms.vf_prod(t, y, args, forwards(terms, t))
+
+
+def forwards(terms: Any, t: Any) -> Any:
+    """1, in the kind of number that t is, or -1 where the caller's time runs backwards."""
+    return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
+
+
+def scaled(h: Any, k: Any) -> Any:
+    """h k."""
+    return jax.tree.map(lambda x: h * x, k)
+
+
+def combine(weights: Sequence[Any], ks: Sequence[Any]) -> Any:
+    """sum_i weights_i k_i, without those that are zero."""
+    used = [(w, k) for w, k in zip(weights, ks, strict=True) if not _zero(w)]
+    if not used:
+        return jax.tree.map(jnp.zeros_like, ks[0])
+    return jax.tree.map(lambda *xs: sum(w * x for (w, _), x in zip(used, xs, strict=True)),
+                        *(k for _, k in used))  # fmt: skip
+
+
+def _zero(weight: Any) -> bool:
+    return isinstance(weight, (int, float)) and weight == 0
+
+
+def mixed(a: Any, k: Any) -> Any:
+    """sum_j a_ij k_j over the leading axis of each leaf; a is (s,) or (r, s)."""
+
+    def mix(x):
+        rows = jnp.asarray(a, x.dtype)
+        return jnp.tensordot(rows, x, axes=1, precision=jax.lax.Precision.HIGHEST)
+
+    return jax.tree.map(mix, k)
+
+
+def select(condition: Any, a: Any, b: Any) -> Any:
+    """Leaf by leaf, a where the condition holds, else b."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
+
+
+def stacked(ks: Sequence[Any]) -> Any:
+    """Trees as one tree with a leading axis."""
+    return jax.tree.map(lambda *xs: jnp.stack(xs), *ks)
+
+
+def explicit_stages(rate: Field, tableau: Tableau, t0: Any, h: Any) -> Callable[[Any], Any]:
+    """From a zero increment, the stages k_i = h rate(t0 + c_i h, sum_j a_ij k_j), (s, ...).
+
+    Rolled, so that the field is traced once however many stages there are.
+    """
+    a, c = jnp.array(tableau.a), jnp.asarray(tableau.c, jnp.result_type(h))
+
+    def stages(zero: Any) -> Any:
+        ks = jax.tree.map(lambda x: jnp.zeros((tableau.stages, *x.shape), x.dtype), zero)
+
+        def stage(ks: Any, i: jax.Array) -> tuple[Any, None]:
+            k = scaled(h, rate(t0 + c[i] * h, mixed(a[i], ks)))
+            return jax.tree.map(lambda all_, one: all_.at[i].set(one), ks, k), None
+
+        return jax.lax.scan(stage, ks, jnp.arange(tableau.stages))[0]
+
+    return stages
+
+
+def inverse_dexp(group: AbstractGroup, u: Any, w: Any) -> Any:
+    """u' of y exp(u) that moves at w: w + [u, w] / 2 + [u, [u, w]] / 12, exact to fourth order."""
+    if isinstance(group, Vector):
+        return w
+    once = group.bracket(u, w)
+    return combine((1.0, 1 / 2, 1 / 12), (w, once, group.bracket(u, once)))
+
+
+def pair(y: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
+    """The two halves (q, v) of a state or of its rate, and how to put halves together again."""
+    halves, tree = jax.tree.flatten(y, is_leaf=lambda x: x is not y)
+    if len(halves) != 2:
+        raise ValueError(f"a state of {len(halves)} parts, expected two: positions and velocities")
+    return halves, lambda new: jax.tree.unflatten(tree, new)
+
+
+class Polynomial(diffrax.AbstractLocalInterpolation):
+    """y0 exp(u(theta)), u = sum_m coefficients_m theta^(m + 1), theta from 0 at t0 to 1 at t1."""
+
+    t0: Any  # type: ignore[misc]
+    t1: Any  # type: ignore[misc]
+    y0: Any
+    coefficients: Any  # u's structure, with a leading axis
+    group: AbstractGroup = eqx.field(default_factory=Vector)
+
+    def evaluate(self, t0, t1=None, left=True):
+        del left
+        if t1 is not None:
+            return jax.tree.map(lambda a, b: b - a, self.evaluate(t0), self.evaluate(t1))
+        length = self.t1 - self.t0
+        some = length != 0
+        theta = jnp.where(some, t0 - self.t0, 0.0) / jnp.where(some, length, 1.0)
+
+        def horner(c):
+            out = jnp.zeros_like(c[0])
+            for row in c[::-1]:
+                out = (out + row) * theta.astype(c.dtype)
+            return out
+
+        return self.group.retract(self.y0, jax.tree.map(horner, self.coefficients))
+
+
+def hermite(u: Any, k0: Any, k1: Any) -> Any:
+    """Coefficients of the cubic with u(1) = u, u'(0) = k0, u'(1) = k1."""
+    return jax.tree.map(lambda u, a, b: jnp.stack([a, 3 * u - 2 * a - b, a + b - 2 * u]), u, k0, k1)
+
+
+def dense_between(group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any) -> dict:
+    """Dense output of order four from the rates at both ends: two evaluations, spent if used."""
+    h = t1 - t0
+    u = group.difference(y0, y1)
+    k0, k1 = (scaled(h, f(t, y)) for t, y in ((t0, y0), (t1, y1)))
+    return {"y0": y0, "coefficients": hermite(u, k0, inverse_dexp(group, u, k1)), "group": group}
+
+
+class AbstractGroupSolver(diffrax.AbstractSolver):
+    """A solver of terms `OnGroup`, and of any other as on the group `Vector`."""
+
+    term_structure: ClassVar[Any] = diffrax.AbstractTerm
+    interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
+
+    def func(self, terms, t0, y0, args):
+        """The rate of the state's own numbers, also where its algebra has others."""
+        group, rate = group_of(terms), terms.vf(t0, y0, args)
+        if isinstance(group, Vector):
+            return rate
+        still = jax.tree.map(jnp.zeros_like, rate)
+        return jax.jvp(lambda u: group.retract(y0, u), (still,), (rate,))[1]

@@ -1,0 +1,226 @@
+"""Butcher tableaus: data that checks itself, and collocation methods computed from their nodes.
+
+    k_i = h f(t0 + c_i h, y0 + sum_j a_ij k_j),    y1 = y0 + sum_i b_i k_i
+A method has order p if sum_i b_i Phi_i(tree) = 1 / gamma(tree) for every rooted tree of at most p
+nodes (Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.2). A tableau that
+misses the order it claims cannot be made.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import diffrax
+import numpy as np
+from numpy.polynomial import Polynomial, legendre
+
+Tree = tuple  # of its branches; () is a leaf
+TOLERANCE = 1e-11  # of a condition: rounding of tableaus of up to 13 stages
+
+
+@functools.cache
+def trees(nodes: int) -> tuple[Tree, ...]:
+    """The rooted trees of so many nodes."""
+    return tuple(sorted(set(_forests(nodes - 1))))
+
+
+def _forests(nodes: int) -> list[tuple[Tree, ...]]:
+    if nodes == 0:
+        return [()]
+    return [
+        tuple(sorted((tree, *rest)))
+        for first in range(1, nodes + 1)
+        for tree in trees(first)
+        for rest in _forests(nodes - first)
+    ]
+
+
+def size(tree: Tree) -> int:
+    """Number of nodes."""
+    return 1 + sum(map(size, tree))
+
+
+def density(tree: Tree) -> int:
+    """gamma(tree): the nodes times the densities of the branches."""
+    return size(tree) * int(np.prod([density(branch) for branch in tree], dtype=int))
+
+
+def weights(a: np.ndarray, tree: Tree) -> np.ndarray:
+    """Phi_i(tree): the product over the branches of sum_j a_ij Phi_j(branch)."""
+    out = np.ones(len(a))
+    for branch in tree:
+        out = out * (a @ weights(a, branch))
+    return out
+
+
+def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
+    """The order of a method by its order conditions, looked for up to `at_most`."""
+    for p in range(1, at_most + 1):
+        for tree in trees(p):
+            if abs(b @ weights(a, tree) - 1 / density(tree)) > TOLERANCE:
+                return p - 1
+    return at_most
+
+
+@dataclass(frozen=True)
+class Tableau:
+    """A Runge-Kutta method.
+
+    Fields: a, b, c; order; `error`, weights of (h f(t0, y0), k_1, ..., k_s) in the error estimate,
+    empty where there is none; error_order, the power of h in which that falls; filter, the gamma of
+    (I - h gamma J)^-1 by which a stiff estimate is damped, 0 where it is not; dense, row i the
+    coefficients of theta, theta^2, ... in b_i(theta), empty where there is no polynomial.
+    """
+
+    a: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    order: int
+    error: tuple[float, ...] = ()
+    error_order: int = 0
+    filter: float = 0.0
+    dense: tuple[tuple[float, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        found = attained_order(np.array(self.a), np.array(self.b), min(self.order, 6))
+        if found < min(self.order, 6):
+            raise ValueError(f"tableau: order {found} by its conditions, {self.order} claimed")
+        if self.error and abs(sum(self.error)) > TOLERANCE:
+            raise ValueError("tableau: the weights of the error estimate do not sum to zero")
+        if self.dense and np.abs(np.sum(self.dense, 1) - self.b).max() > TOLERANCE:
+            raise ValueError("tableau: the dense output does not end in y1")
+
+    @property
+    def stages(self) -> int:
+        return len(self.b)
+
+    @functools.cached_property
+    def c(self) -> tuple[float, ...]:
+        return tuple(float(sum(row)) for row in self.a)
+
+
+def _tuples(x: np.ndarray):
+    return tuple(map(_tuples, x)) if x.ndim else float(x)
+
+
+def _shifted_legendre(s: int) -> Polynomial:
+    """P_s(2 x - 1)."""
+    inside = Polynomial([-1.0, 2.0])
+    return Polynomial(legendre.leg2poly([0] * s + [1]))(inside)
+
+
+def _roots(p: Polynomial) -> np.ndarray:
+    """Real roots to the last digit: Newton's steps after the eigenvalues."""
+    x = np.sort(np.real(p.roots()))
+    for _ in range(3):
+        x = x - p(x) / p.deriv()(x)
+    return x
+
+
+def _integrals(c: np.ndarray) -> list[Polynomial]:
+    """int_0^x l_j, of the Lagrange polynomials l_j of nodes c."""
+    out = []
+    for j in range(len(c)):
+        l = Polynomial([1.0])
+        for other in np.delete(c, j):
+            l = l * Polynomial([-other, 1.0]) / (c[j] - other)
+        out.append(l.integ())
+    return out
+
+
+def _collocation(c: np.ndarray, a: np.ndarray | None, order: int) -> Tableau:
+    """The method of nodes c: a_ij = int_0^c_i l_j, b_j = int_0^1 l_j (or other a)."""
+    s = len(c)
+    basis = _integrals(c)
+    b = np.array([l(1.0) for l in basis])
+    if a is None:
+        a = np.array([[l(x) for l in basis] for x in c])
+    dense = np.array([np.pad(l.coef[1:], (0, s - len(l.coef[1:]))) for l in basis])
+    eigenvalues = np.linalg.eigvals(a)
+    nonzero = eigenvalues[np.abs(eigenvalues) > 1e-8]
+    gamma = float(np.real(np.prod(nonzero)) ** (1 / len(nonzero)))
+    if np.abs(a[0]).max() == 0:  # the first stage is y0: leave out the last node
+        less = [l(1.0) for l in _integrals(c[:-1])]
+        error, error_order = np.array([0.0, *(b - np.append(less, 0.0))]), s
+    else:  # one more node at t0, of weight gamma
+        powers = np.vander(c, s, increasing=True).T
+        error = np.append(gamma, np.linalg.solve(powers, -gamma * np.eye(s)[0]))
+        error_order = s + 1
+    return Tableau(
+        _tuples(a), _tuples(b), order, _tuples(error), error_order, gamma, _tuples(dense)
+    )
+
+
+@functools.cache
+def gauss(stages: int) -> Tableau:
+    """Gauss-Legendre: order 2 s, A-stable, symplectic, symmetric."""
+    return _collocation(_roots(_shifted_legendre(stages)), None, 2 * stages)
+
+
+@functools.cache
+def radau_iia(stages: int) -> Tableau:
+    """Radau IIA: order 2 s - 1, L-stable, stiffly accurate."""
+    p = _shifted_legendre(stages) - _shifted_legendre(stages - 1)
+    c = _roots(p)
+    c[-1] = 1.0
+    return _collocation(c, None, 2 * stages - 1)
+
+
+def _lobatto(stages: int) -> np.ndarray:
+    inner = _shifted_legendre(stages - 1).deriv()
+    middle = _roots(inner) if stages > 2 else np.zeros(0)
+    return np.concatenate([[0.0], middle, [1.0]])
+
+
+@functools.cache
+def lobatto_iiia(stages: int) -> Tableau:
+    """Lobatto IIIA: order 2 s - 2, A-stable, symmetric; two stages are the trapezoidal rule."""
+    return _collocation(_lobatto(stages), None, 2 * stages - 2)
+
+
+@functools.cache
+def lobatto_iiic(stages: int) -> Tableau:
+    """Lobatto IIIC: order 2 s - 2, L-stable: a_i1 = b_1 and sum_j a_ij c_j^(k-1) = c_i^k / k."""
+    c = _lobatto(stages)
+    b1 = _collocation(c, None, 2 * stages - 2).b[0]
+    # columns 2..s from C(s - 1); the first is b_1
+    k = np.arange(1, stages)
+    powers = c[None, :] ** (k[:, None] - 1)  # (s - 1, s), with 0^0 = 1
+    target = c[:, None] ** k / k - b1 * powers[:, 0]
+    rest = np.linalg.solve(powers[:, 1:], target.T).T
+    return _collocation(c, np.column_stack([np.full(stages, b1), rest]), 2 * stages - 2)
+
+
+def explicit(
+    rows: tuple[tuple[float, ...], ...],
+    b: tuple[float, ...],
+    order: int,
+    error: tuple[float, ...] = (),
+) -> Tableau:
+    """An explicit method of the rows below the diagonal; `error` weighs the k_i."""
+    s = len(b)
+    a = tuple(tuple(row) + (0.0,) * (s - len(row)) for row in ((), *rows))
+    return Tableau(a, b, order, (0.0, *error) if error else (), order if error else 0)
+
+
+@functools.cache
+def of_diffrax(solver: type[diffrax.AbstractERK], order: int) -> Tableau:
+    """The tableau of one of diffrax's explicit methods."""
+    t = solver.tableau
+    assert isinstance(t, diffrax.ButcherTableau)
+    rows = tuple(tuple(float(x) for x in row) for row in t.a_lower)
+    b, error = (tuple(float(x) for x in row) for row in (t.b_sol, t.b_error))
+    return explicit(rows, b, order, error)
+
+
+EULER = explicit((), (1.0,), 1)
+MIDPOINT = explicit(((1 / 2,),), (0.0, 1.0), 2)
+HEUN = explicit(((1.0,),), (1 / 2, 1 / 2), 2, (-1 / 2, 1 / 2))
+KUTTA3 = explicit(((1 / 2,), (-1.0, 2.0)), (1 / 6, 2 / 3, 1 / 6), 3)
+#: The classical method; a fifth stage at y1 in place of the fourth is a third-order companion.
+RK4 = explicit(
+    ((1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+    (1 / 6, 1 / 3, 1 / 3, 1 / 6, 0.0),
+    4,
+    (0.0, 0.0, 0.0, 1 / 6, -1 / 6),
+)

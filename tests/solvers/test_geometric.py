@@ -1,0 +1,135 @@
+"""What structure is for: energies that do not drift, lengths and momenta that stay."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from tests.solvers.scenes import INERTIA
+
+
+def energies(term, solver, y0, energy, dt, steps, every):
+    """The energy at regular times, one compiled program, no interpolation."""
+
+    @jax.jit
+    def run(y0):
+        def once(carry, i):
+            y, state = carry
+            t0 = i * dt
+            y, _, _, state, _ = solver.step(term, t0, t0 + dt, y, None, state, made_jump=False)
+            return (y, state), None
+
+        def keep(carry, block):
+            carry, _ = jax.lax.scan(once, carry, block * every + jnp.arange(every))
+            return carry, energy(carry[0])
+
+        state = solver.init(term, 0.0 * dt, dt, y0, None)
+        return jax.lax.scan(keep, (y0, state), jnp.arange(steps // every))
+
+    (y, _), found = run(y0)
+    return y, np.asarray(found)
+
+
+def trend(found: np.ndarray) -> float:
+    """Slope of the energy over the whole run, in units of its oscillation."""
+    half = len(found) // 2
+    return abs(found[half:].mean() - found[:half].mean()) / np.ptp(found[:half])
+
+
+PENDULUM = diffrax.ODETerm(lambda t, y, _: (y[1], -jnp.sin(y[0])))
+START = (jnp.array(2.0), jnp.array(0.0))
+
+
+def swing(y):
+    return y[1] ** 2 / 2 - jnp.cos(y[0])
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["symplectic_euler", "stoermer_verlet", "yoshida4", "central_differences",
+     "implicit_midpoint", "variational_midpoint", "newmark"],
+)  # fmt: skip
+def test_symplectic_energy_does_not_drift(name: str) -> None:
+    solver = rb.solvers.all()[name].make()
+    _, found = energies(PENDULUM, solver, START, swing, jnp.asarray(0.1), 20_000, 7)
+    assert trend(found) < 0.05, trend(found)
+    assert np.ptp(found) < 0.4
+
+
+def test_the_trend_is_seen_where_there_is_one() -> None:
+    for name in ("rk4", "heun", "semi_implicit_euler"):
+        term = PENDULUM
+        if name == "semi_implicit_euler":  # damped: no symplecticity to be kept
+            term = diffrax.ODETerm(lambda t, y, _: (y[1], -jnp.sin(y[0]) - 1e-3 * y[1]))
+        solver = rb.solvers.all()[name].make()
+        _, found = energies(term, solver, START, swing, jnp.asarray(0.1), 20_000, 7)
+        assert not trend(found) < 0.5, name
+
+
+def test_variational_midpoint_on_a_double_pendulum() -> None:
+    """Configuration-dependent mass: bounded with the momentum of the term, drifting without."""
+
+    def mass(q):
+        c = jnp.cos(q[0] - q[1])
+        return jnp.array([[2.0, c], [c, 1.0]])
+
+    def energy(y):
+        q, v = y
+        return v @ mass(q) @ v / 2 - 9.81 * (2 * jnp.cos(q[0]) + jnp.cos(q[1]))
+
+    def lagrangian(q, v):
+        return v @ mass(q) @ v / 2 + 9.81 * (2 * jnp.cos(q[0]) + jnp.cos(q[1]))
+
+    def field(t, y, _):
+        q, v = y
+        turning = jax.jvp(lambda q: mass(q) @ v, (q,), (v,))[1]
+        return v, jnp.linalg.solve(mass(q), jax.grad(lagrangian)(q, v) - turning)
+
+    y0 = (jnp.array([0.8, 0.9]), jnp.zeros(2))
+    dt, solver = jnp.asarray(0.02), rb.solvers.VariationalMidpoint()
+    group = rb.solvers.Vector()
+    with_mass = rb.solvers.OnGroup(field, group, lambda t, y, _: mass(y[0]) @ y[1])
+    _, found = energies(with_mass, solver, y0, energy, dt, 20_000, 50)
+    assert trend(found) < 0.05, trend(found)
+    assert np.ptp(found) < 0.05 * abs(found[0])
+
+
+BODY = rb.solvers.RigidBody(INERTIA)
+SPIN = (jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.array([0.2, 2.0, 0.1]))
+
+
+def momentum_in_space(y):
+    turn, w = y
+    return rb.rotations.quaternion.to_matrix(turn) @ (INERTIA * w)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["rkmk4", "crouch_grossman3", "commutator_free4", "lie_generalized_alpha",
+     "rigid_body_splitting"],
+)  # fmt: skip
+def test_unit_length_over_many_steps(name: str) -> None:
+    solver = rb.solvers.all()[name].make()
+
+    def kept(y):
+        return jnp.concatenate([jnp.linalg.norm(y[0])[None], momentum_in_space(y)])
+
+    _, found = energies(BODY, solver, SPIN, kept, jnp.asarray(0.01), 20_000, 100)
+    assert np.abs(found[:, 0] - 1).max() < 1e-15
+    drift = np.abs(found[:, 1:] - np.asarray(momentum_in_space(SPIN))).max()
+    bounds = {"rigid_body_splitting": 1e-11, "lie_generalized_alpha": 1.0}
+    assert drift < bounds.get(name, 1e-3), drift
+
+
+def test_splitting_turns_the_body_over_as_dzhanibekov_saw() -> None:
+    """Spun about its middle axis the body flips, and the energy stays."""
+    solver = rb.solvers.RigidBodySplitting()
+
+    def both(y):
+        return jnp.stack([y[1][1], (INERTIA * y[1] ** 2).sum() / 2])
+
+    _, found = energies(BODY, solver, SPIN, both, jnp.asarray(0.02), 20_000, 10)
+    assert found[:, 0].min() < -1.9 and found[:, 0].max() > 1.9
+    assert trend(found[:, 1]) < 0.05

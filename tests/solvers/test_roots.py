@@ -1,0 +1,92 @@
+"""Implicit steps: roots that fail are values; Newton, chord and GMRES agree; equilibria rest."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import pytest
+
+import rbjax as rb
+from tests.solvers.scenes import SCENES
+
+SCENE = SCENES["ode"]
+
+
+def solved(solver, field, y0, dt=0.1, end=1.0, **options):
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(field), solver, 0.0, end, dt, y0, throw=False, max_steps=512, **options
+    )
+
+
+def test_a_root_that_does_not_exist_is_a_result() -> None:
+    """y1 = y0 + h y1^2 has no root from 1 at h = 1; beside it in the batch one that has."""
+
+    @jax.jit
+    @jax.vmap
+    def run(y0):
+        found = solved(rb.solvers.bdf(1), lambda t, y, _: y * y, y0, dt=1.0)
+        return found.result == diffrax.RESULTS.successful
+
+    assert run(jnp.array([1.0, 0.1, 0.2])).tolist() == [False, True, True]
+
+
+def test_a_failed_root_shortens_an_adaptive_step() -> None:
+    """The first step is far too long."""
+    found = solved(
+        rb.solvers.radau_iia(2), lambda t, y, _: y * y, jnp.array(1.0), dt=5.0, end=0.5,
+        stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-6),
+    )  # fmt: skip
+    assert found.result == diffrax.RESULTS.successful
+    assert abs(float(found.ys[0]) - 2.0) < 1e-4
+
+
+def test_root_finders_agree() -> None:
+    def end(**options):
+        solver = rb.solvers.gauss_legendre(2, **options)
+        return solved(solver, lambda t, y, _: SCENE.term.vf(t, y, SCENE.args), SCENE.y0).ys[0]
+
+    gmres = lx.GMRES(rtol=1e-10, atol=1e-12)
+    want = end(root_finder=rb.solvers.chord())
+    for finder in (rb.solvers.newton(), rb.solvers.newton(gmres)):
+        np.testing.assert_allclose(end(root_finder=finder), want, rtol=1e-13)
+
+
+@pytest.mark.parametrize("make", [rb.solvers.bdf, rb.solvers.radau_iia])
+def test_rest_is_rest(make) -> None:
+    """A pendulum hanging at q = pi, where sin is rounding and not zero: corrections are noise."""
+    field = lambda t, y, _: (y[1], 1e4 * jnp.sin(y[0]) - 3.0 * y[1])  # noqa: E731
+    found = solved(make(2), field, (jnp.array(jnp.pi), jnp.array(0.0)))
+    assert found.result == diffrax.RESULTS.successful
+    np.testing.assert_allclose(found.ys[0], np.pi, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", ["radau_iia3", pytest.param("adams_moulton3", marks=pytest.mark.slow), "rkmk4"]
+)
+def test_single_precision_stays_single(name: str) -> None:
+    solver = rb.solvers.all()[name].make()
+    field = lambda t, y, _: (y[1], -jnp.sin(y[0]) * jnp.float32(2.0))  # noqa: E731
+    y0 = (jnp.float32(1.0), jnp.float32(0.0))
+    found = diffrax.diffeqsolve(
+        diffrax.ODETerm(field), solver, jnp.float32(0), jnp.float32(1), jnp.float32(0.05), y0,
+        throw=False,
+    )  # fmt: skip
+    assert found.result == diffrax.RESULTS.successful
+    assert {x.dtype for x in jax.tree.leaves(found.ys)} == {jnp.dtype("float32")}
+    want = solved(solver, lambda t, y, _: (y[1], -2 * jnp.sin(y[0])), (1.0, 0.0), dt=0.05)
+    np.testing.assert_allclose(found.ys[0], want.ys[0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param("bdf2", marks=pytest.mark.slow), "generalized_alpha", "yoshida4"]
+)
+def test_backwards_in_time_and_back_again(name: str) -> None:
+    solver = rb.solvers.all()[name].make()
+    field = lambda t, y, _: (y[1], -2 * jnp.sin(y[0]) + jnp.cos(t))  # noqa: E731
+    y0 = (jnp.array(1.0), jnp.array(0.2))
+    there = diffrax.diffeqsolve(diffrax.ODETerm(field), solver, 0.0, 1.0, 0.002, y0)
+    end = jax.tree.map(lambda x: x[0], there.ys)
+    back = diffrax.diffeqsolve(diffrax.ODETerm(field), solver, 1.0, 0.0, -0.002, end)
+    for got, want in zip(back.ys, y0, strict=True):
+        np.testing.assert_allclose(got[0], want, atol=1e-4)
