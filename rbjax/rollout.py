@@ -22,7 +22,7 @@ from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import integrate_lanes
-from rbjax.dynamics.tracing import staged
+from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied, applied_lanes
 from rbjax.materialize import materialize
@@ -137,9 +137,7 @@ def rollout(
     step = jnp.asarray(model.timestep if dt is None else dt, state.q.dtype)
     policy = ctrls if callable(ctrls) else None
     values = None if policy is not None else ctrls
-    traced = any(
-        isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((model, state, values, step))
-    )
+    traced = opened((model, state, values, step))[0]
     run = _run if traced and (policy is not None or staged()) else _compiled
     inside = _in_kernel(model, state, policy, integrator, batched, kernel)
     args = model, state, values, step, policy, integrator, save_every, steps, batched, inside
@@ -203,10 +201,9 @@ def _kernel_march(model, q, v, ctrls, dt, save_every, steps):
         path = _march(model, q, v, ctrls, dt, None, "semi_implicit_euler", save_every, steps)
         return tuple(x[1:] for x in path)
 
-    concrete = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model))
     qs, vs = kernel_gradient.rollout(
         model, q, v, ctrls, dt, applied=applied_lanes, scan=scan, steps=steps,
-        save_every=save_every, how=kernel_rollout.choose(model, concrete),
+        save_every=save_every, how=kernel_rollout.choose(model),
     )  # fmt: skip
     return jnp.concatenate([q[None], qs]), jnp.concatenate([v[None], vs])
 

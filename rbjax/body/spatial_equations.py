@@ -37,16 +37,6 @@ class _Spatial(Spinning):
     def pose(self, body: Body, y: State) -> jax.Array:
         return pose_of(y.q)
 
-    def twist(self, body: Body, y: State) -> jax.Array:
-        V = self._velocity(body, y)
-        return (
-            V if self.about is None else spatial.transform_motion(se3.inverse(self._frame(y.q)), V)
-        )
-
-    def _velocity(self, body: Body, y: State) -> jax.Array:
-        """V in the frame of the equation."""
-        raise NotImplementedError
-
     def _frame(self, q: jax.Array) -> jax.Array:
         """The pose of the body in the frame of the equation."""
         if self.about is None:
@@ -79,8 +69,10 @@ class Spatial(_Spatial):
         A = accelerate(M, y.v, self._wrench(t, y, args))
         return State(self._coordinate_rate(args[0], y), A)
 
-    def _velocity(self, body: Body, y: State) -> jax.Array:
-        return y.v
+    def twist(self, body: Body, y: State) -> jax.Array:
+        if self.about is None:
+            return y.v
+        return spatial.transform_motion(se3.inverse(self._frame(y.q)), y.v)
 
 
 class Momentum(_Spatial):
@@ -96,9 +88,6 @@ class Momentum(_Spatial):
         if self.about is None:
             F = F - spatial.force_cross(self.twist(args[0], y), y.v)
         return State(self._coordinate_rate(args[0], y), F)
-
-    def _velocity(self, body: Body, y: State) -> jax.Array:
-        return jnp.linalg.solve(self._inertia(body, y.q), y.v)
 
     def twist(self, body: Body, y: State) -> jax.Array:
         h = y.v

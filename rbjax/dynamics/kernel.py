@@ -23,6 +23,7 @@ from rbjax.dynamics.kernel_aba import accelerations
 from rbjax.dynamics.kernel_drivers import SLOT, Cell, KernelRolled, KernelUnrolled, Memory
 from rbjax.dynamics.kernel_layout import base_links, is_plain, layout, slots
 from rbjax.dynamics.kernel_numbers import Numbers, numbers
+from rbjax.dynamics.tracing import opened
 from rbjax.lanes import Vec3
 from rbjax.materialize import inside_a_kernel
 from rbjax.model import Model
@@ -52,8 +53,7 @@ ROLLED = Plan("rolled", block=256, warps=4, programs=PROGRAMS)
 
 def plan(model: Model) -> Plan:
     """The measured choice for a model: unrolled where the tree is small and its numbers literal."""
-    concrete = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model))
-    small = model.driver == "auto" and concrete and model.nv <= UNROLLED_UP_TO
+    small = model.driver == "auto" and not opened(model)[0] and model.nv <= UNROLLED_UP_TO
     return Plan("unrolled") if model.driver == "unrolled" or small else ROLLED
 
 

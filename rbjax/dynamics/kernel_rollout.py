@@ -21,6 +21,7 @@ from rbjax.dynamics.kernel_aba import accelerations
 from rbjax.dynamics.kernel_between import Between
 from rbjax.dynamics.kernel_drivers import Cell, Memory, loop
 from rbjax.dynamics.manifold import integrate_lanes
+from rbjax.dynamics.tracing import opened
 from rbjax.lanes import as_arrays
 from rbjax.model import Model
 
@@ -176,6 +177,6 @@ def every(put: Callable, refs: Any, rows: Any, counts: Any) -> None:
         loop(lambda i, _, a=ref, b=row: (put(a, b, i), 0)[1], 0, 0, count)
 
 
-def choose(model: Model, concrete: bool) -> Plan:
-    """The plan of a rollout; `concrete` says whether the model's numbers are known."""
-    return plan(model) if concrete else ROLLED
+def choose(model: Model) -> Plan:
+    """The plan of a rollout: rolled wherever the model's numbers are not all known."""
+    return ROLLED if opened(model)[0] else plan(model)
