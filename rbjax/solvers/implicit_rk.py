@@ -8,8 +8,7 @@ so that it does not grow with the stiffness. Dense output: the collocation polyn
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -20,11 +19,11 @@ import optimistix as optx
 
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.newton import MAX_STEPS, chord, refused, root, verdict
-from rbjax.solvers.steps import Field, Polynomial, combine, field, mixed, scaled
+from rbjax.solvers.steps import AbstractPolynomialSolver, Field, combine, field, mixed, scaled
 from rbjax.solvers.tableau import Tableau
 
 
-class ImplicitRungeKutta(diffrax.AbstractAdaptiveSolver):
+class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
     """The method of a tableau.
 
     Fields: tableau; root_finder, any of optimistix (`rb.solvers.newton()`, `chord()`, which take a
@@ -38,20 +37,11 @@ class ImplicitRungeKutta(diffrax.AbstractAdaptiveSolver):
     root_finder: optx.AbstractRootFinder = eqx.field(default_factory=chord)
     root_find_max_steps: int = MAX_STEPS
 
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
-
     def order(self, terms):
         return self.tableau.order
 
     def error_order(self, terms):
         return self.tableau.error_order
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         f, h = field(terms, args), t1 - t0

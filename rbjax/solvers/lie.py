@@ -47,9 +47,6 @@ class MuntheKaas(AbstractGroupSolver):
     def error_order(self, terms):
         return self.tableau.error_order
 
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         group, f, h = group_of(terms), field(terms, args), t1 - t0
 
@@ -84,9 +81,6 @@ class CrouchGrossman3(AbstractGroupSolver):
     def order(self, terms):
         return 3
 
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         group, f, h = group_of(terms), field(terms, args), t1 - t0
         a21, a31, a32 = 3 / 4, 119 / 216, 17 / 108
@@ -103,9 +97,6 @@ class CommutatorFree4(AbstractGroupSolver):
 
     def order(self, terms):
         return 4
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         group, f, h = group_of(terms), field(terms, args), t1 - t0

@@ -15,8 +15,7 @@ or to the extrapolation of the past, scaled (BDF). Dense output: the polynomial 
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -30,8 +29,8 @@ from rbjax.solvers.implicit_rk import ImplicitRungeKutta
 from rbjax.solvers.lagrange import basis, integrals, slopes_at_one
 from rbjax.solvers.newton import MAX_STEPS, chord, refused, root, verdict
 from rbjax.solvers.steps import (
+    AbstractPolynomialSolver,
     Field,
-    Polynomial,
     combine,
     explicit_stages,
     field,
@@ -57,11 +56,8 @@ class Step(NamedTuple):
     ok: Any
 
 
-class AbstractMultistep(diffrax.AbstractAdaptiveSolver):
+class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
     """The start, the history, and the choice between a one-step method and the formula."""
-
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
 
     @property
     @abc.abstractmethod
@@ -90,9 +86,6 @@ class AbstractMultistep(diffrax.AbstractAdaptiveSolver):
         ts = t0 - (t1 - t0) * jnp.arange(1, self.past + 1, dtype=t0.dtype)
         values = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.past, *x.shape)), y0)
         return History(ts, values, jnp.array(0))
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         f, h = field(terms, args), t1 - t0

@@ -62,9 +62,6 @@ class RigidBodySplitting(AbstractGroupSolver):
     def order(self, terms):
         return 2
 
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         body, h = unwrapped(terms), terms.contr(t0, t1)
         inertia = body.inertia

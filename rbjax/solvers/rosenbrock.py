@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -22,7 +21,7 @@ import lineax as lx
 import numpy as np
 
 from rbjax.solvers.newton import refused, verdict
-from rbjax.solvers.steps import Polynomial, combine, field, hermite, scaled
+from rbjax.solvers.steps import AbstractPolynomialSolver, combine, field, hermite, scaled
 from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
@@ -68,23 +67,14 @@ class RosenbrockTableau:
                 raise ValueError(f"rosenbrock: the order conditions of {order} do not hold")
 
 
-class RosenbrockW(diffrax.AbstractAdaptiveSolver):
+class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
     """The method of a tableau; `linear_solver` is of lineax, `lineax.GMRES` for no matrix."""
 
     tableau: RosenbrockTableau = eqx.field(static=True)
     linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
 
-    term_structure: ClassVar = diffrax.AbstractTerm
-    interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
-
     def order(self, terms):
         return self.tableau.order
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
-    def func(self, terms, t0, y0, args):
-        return terms.vf(t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         f, h = field(terms, args), t1 - t0

@@ -135,9 +135,6 @@ class CentralDifferences(AbstractGroupSolver):
     def order(self, terms):
         return 2
 
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         a0, v = halves.acceleration(t0, y0), halves.velocity(t0, y0)
@@ -160,9 +157,6 @@ class SemiImplicitEuler(AbstractGroupSolver):
 
     def order(self, terms):
         return 1
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
@@ -196,9 +190,6 @@ class VariationalMidpoint(AbstractGroupSolver):
 
     def order(self, terms):
         return 2
-
-    def init(self, terms, t0, t1, y0, args):
-        return None
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0

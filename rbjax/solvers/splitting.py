@@ -68,9 +68,6 @@ class Splitting(AbstractGroupSolver):
     def order(self, terms):
         return self.formula_order
 
-    def init(self, terms, t0, t1, y0, args):
-        return None
-
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         table = _kicking(self.formula_order if self.velocity_forces else 1)

@@ -142,11 +142,22 @@ def dense_between(group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1:
     return {"y0": y0, "coefficients": hermite(u, k0, inverse_dexp(group, u, k1)), "group": group}
 
 
-class AbstractGroupSolver(diffrax.AbstractSolver):
-    """A solver of terms `OnGroup`, and of any other as on the group `Vector`."""
+class AbstractPolynomialSolver(diffrax.AbstractSolver):
+    """A solver with polynomial dense output; it keeps nothing from step to step, unless its own
+    `init` says otherwise."""
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
+
+    def init(self, terms, t0, t1, y0, args):
+        return None
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+
+class AbstractGroupSolver(AbstractPolynomialSolver):
+    """A solver of terms `OnGroup`, and of any other as on the group `Vector`."""
 
     def func(self, terms, t0, y0, args):
         """The rate of the state's own numbers, also where its algebra has others."""
