@@ -32,7 +32,7 @@ QUATERNIONS = Rotation.random(10_000, rng=np.random.default_rng(0)).as_quat(scal
 
 # ---------------------------------------------------------------- definitions, a hundred digits
 
-# phi of |p|, for p = p(phi) n (Bauchau & Trainelli; Masarati, Table A.1)
+# phi of |p|, for p = p(phi) n
 ANGLE_OF = {
     "euler_vector": lambda p: p,
     "linear": lambda p: mpmath.asin(p),
@@ -182,8 +182,8 @@ def exact_maps(to_matrix):
 
 
 @pytest.mark.parametrize("name", ANGLE_OF)
-def test_table_a1(name) -> None:
-    """Kinematic maps of the vectorial parametrizations, from 0 to pi - 1e-9 where they reach."""
+def test_vectorial_maps(name) -> None:
+    """With two derivatives, from 0 to pi - 1e-9 where they reach (Table A.1: test_vectorial.py)."""
     rep = (REPS | PARTIAL)[name]
     reach = {"linear": 1.5, "reduced_euler_rodrigues": 2.5}.get(name, np.pi)
     angles = np.array([a for a in exact.ANGLES if a <= reach])[::2]
