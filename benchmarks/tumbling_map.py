@@ -156,7 +156,8 @@ def draw(phi: np.ndarray, found: Found, path: Path) -> None:
             (0, 0): "More than three numbers", (0, 5): "Vectorial", (0, 10): "Euler angles by name",
             (1, 0): "Intrinsic Tait-Bryan angles", (1, 6): "Intrinsic proper Euler angles",
             (2, 0): "Extrinsic Tait-Bryan angles", (2, 6): "Extrinsic proper Euler angles",
-            (3, 0): "Formulations of the body: in quaternions, and Lagrange's (L.) in three numbers",
+            (3, 0): "Formulations of the body: "
+            "in quaternions, and Lagrange's (L.) in three numbers",
         }  # fmt: skip
         for place, title in groups.items():
             discs[place].text(-184, 258, title, weight="bold", fontsize=11, in_layout=False)

@@ -197,11 +197,6 @@ def test_vectorial_maps(name) -> None:
         tiny = min(np.abs(w[:, block]).max(1).min() for w in want[:1])
         assert_jets([*ours[:3], 0 * got[3]], [w[:, block] for w in want], floor=min(1e-3, tiny))
     assert np.isfinite(got[3]).all()
-    # and the table's general form: R = 1 + (sin phi / p) [p] + (1 - cos phi) / p^2 [p]^2
-    matrices = np.asarray(rep.to_matrix(x))
-    for R, p, t in zip(matrices, x, angles, strict=True):
-        K = np.asarray(so3.hat(p / (np.linalg.norm(p) or 1)))
-        assert relative_error(R, np.eye(3) + np.sin(t) * K + (1 - np.cos(t)) * K @ K) < 1e-14
     np.testing.assert_allclose(
         rep.singularity_distance(x), rep.formulas.singular_angle - angles, atol=4e-8 / (4 - reach)
     )
