@@ -15,7 +15,7 @@ from tests.oracles import load
 
 FREE, HEAVY = load("torque_free_top"), load("heavy_top")
 # The fast Dzhanibekov top magnifies what it finds in its first flip 3,000 times (its initial data:
-# 25 times), so that half a unit in the last place of omega there, 4.4e-16, makes 1.4e-12 at 20 s,
+# 20 times), so that half a unit in the last place of omega there, 4.4e-16, makes 1.4e-12 at 20 s,
 # and the plain additions of 2,000 steps 2e-11. Compensated ones (`motion`) leave 1e-13 to 1e-12,
 # and 4e-12 where R^T takes momentum or twist from world axes: rounding of the rates themselves,
 # which falls with the root of the step.
