@@ -489,18 +489,19 @@ plt.show()
 # %% [markdown]
 # ## What other libraries do at the singular points
 # At removable singularities (no turn, half a turn, a matrix in gimbal lock) there is a right
-# answer. Here is what we found where our own tests look, in f64; *lock* is gimbal lock, d the
-# distance to it in rad:
+# answer. Here is what others make of it, in f64, the worst of 500 attitudes or directions
+# (`python -m benchmarks.rotation_libraries`; manifpy was not to be had); *lock* is gimbal lock of
+# intrinsic z-y-x angles, d the distance to it in rad:
 #
 # | library | where | what it does |
 # | --- | --- | --- |
 # | jaxlie 1.5.0 | `SE3.exp` at zero | d translation / d rotation is twice too large |
-# | jaxlie 1.5.0 | `SE3.exp`, turns of 1e-3, 1e-2 | second derivatives off by 1e-6, 2e-9 |
-# | jaxlie 1.5.0 | `SE3.jlog`, identity | reverse-mode derivative is nan (forward is right) |
-# | pytransform3d 3.17 | `euler_from_matrix`, 1e-6 from lock | attitude off by 1e-10 |
-# | pytransform3d 3.17 | the same, d = 1e-7 and less | attitude off by 2 d |
-# | pytransform3d 3.17 | axis and angle, turn of pi - 1e-5 | attitude off by 1e-11 |
-# | scipy 1.17 | `as_euler`, d = 1e-7 and less from lock | warns, attitude off by 2 d |
+# | jaxlie 1.5.0 | `SE3.exp`, turns of 0, 1e-3, 1e-2 | second derivatives off by 0.7, 2e-8, 3e-11 |
+# | jaxlie 1.5.0 | `SE3.jlog`, identity | reverse-mode derivative is nan |
+# | pytransform3d 3.17 | `euler_from_matrix`, d = 1e-5, 1e-6 | attitude off by 4e-11, 5e-10 |
+# | pytransform3d 3.17 | the same, d = 1e-7 and less, but not 0 | attitude off by 2 d |
+# | pytransform3d 3.17 | axis and angle, turns of pi - 1e-5, pi - 1e-7 | attitude off by 2e-11 |
+# | scipy 1.17 | `as_euler`, d = 1e-7 and less, but not 0 | warns, attitude off by 2 d |
 # | scipy 1.17, jaxlie 1.5.0 | logarithm, turns up to pi | right to rounding |
 #
 # Ours, and scipy's as it is installed here, from intrinsic z-y-x angles to a matrix and back:

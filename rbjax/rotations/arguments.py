@@ -115,22 +115,30 @@ def unpack(x: jax.Array, axes: int = 1) -> list[jax.Array]:
 def pack(values: Iterable[Any], *shape: int) -> jax.Array:
     """Lanes, row by row, as one array (..., *shape); by default a vector. An array stays as it is.
 
-    Few lanes are chosen among by index: XLA's CPU compiler unrolls that into one loop over the
-    batch, while a concatenate of computed values makes it evaluate or copy them several times.
+    Few lanes are chosen among by index, axis by axis: XLA's CPU compiler unrolls that into one loop
+    over the batch, while a concatenate of computed values makes it evaluate or copy them several
+    times.
     """
     if isinstance(values, jax.Array):
         return values
     values = list(values)
     like = jnp.result_type(*(v for v in values if isinstance(v, jax.Array)))
     batch = jnp.broadcast_shapes(*(jnp.shape(v) for v in values))
-    values = [jnp.broadcast_to(jnp.asarray(v, like), batch)[..., None] for v in values]
+    values = [jnp.broadcast_to(jnp.asarray(v, like), batch) for v in values]
     if len(values) > 12:
-        out = jnp.concatenate(values, -1)
-    else:
-        index = jnp.arange(len(values)).reshape((1,) * len(batch) + (-1,))
-        out = _choose(index, values, 0)
-        out = jnp.broadcast_to(out, (*batch, len(values)))
-    return out.reshape(*batch, *shape) if shape else out
+        out = jnp.concatenate([v[..., None] for v in values], -1)
+        return out.reshape(*batch, *shape) if shape else out
+    return _chosen(values, shape or (len(values),))
+
+
+def _chosen(values: list[jax.Array], shape: tuple[int, ...]) -> jax.Array:
+    if not shape:
+        return values[0]
+    each = len(values) // shape[0]
+    parts = [_chosen(values[i : i + each], shape[1:]) for i in range(0, len(values), each)]
+    axis = -len(shape)
+    index = jnp.arange(shape[0]).reshape(-1, *[1] * (len(shape) - 1))
+    return _choose(index, [jnp.expand_dims(p, axis) for p in parts], 0)
 
 
 def _choose(index: jax.Array, values: list[jax.Array], first: int) -> jax.Array:
@@ -142,3 +150,15 @@ def _choose(index: jax.Array, values: list[jax.Array], first: int) -> jax.Array:
         _choose(index, values[:half], first),
         _choose(index, values[half:], first + half),
     )
+
+
+def apart(x: jax.Array, *shape: int) -> jax.Array:
+    """x (...) as (..., *shape), as though it were another number for each entry.
+
+    What is dear (a quotient, a root) and used by several entries XLA keeps in an array of its own,
+    which takes one more pass over memory. What seems to differ from entry to entry it leaves in
+    the loop over the entries, where LLVM finds that it is one and the same.
+    """
+    entry = sum(jnp.arange(n, dtype=x.dtype).reshape(-1, *[1] * k)
+                for k, n in enumerate(reversed(shape)))  # fmt: skip
+    return x.reshape(*x.shape, *[1] * len(shape)) + 0.0 * entry

@@ -11,8 +11,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import quaternion_matrix
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import apart, pack, takes, unpack
 from rbjax.rotations.coefficients import arctan_over, length, stumpff, where
 from rbjax.rotations.jacobians import (
     inverse_left_jacobian,
@@ -43,7 +42,7 @@ def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
 @takes(a="quaternion")
 def conjugate(a: jax.Array) -> jax.Array:
     """The inverse of a unit quaternion."""
-    return a * jnp.array([1.0, -1.0, -1.0, -1.0], a.dtype)
+    return jnp.where(jnp.arange(4) == 0, a, -a)
 
 
 @takes(a="quaternion")
@@ -72,8 +71,18 @@ def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
 
 @takes(a="quaternion")
 def to_matrix(a: jax.Array) -> jax.Array:
-    """Rotation matrix (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
-    return pack(quaternion_matrix(*unpack(a)), 3, 3)
+    """Rotation matrix (..., 3, 3) of quaternions (..., 4) of any nonzero length.
+
+    1 + s [u](w + [u]), s = 2 / |a|^2: `lanes.quaternion_matrix`, in one pass over memory.
+    """
+    w, x, y, z = unpack(a)
+    turn = pack([
+        y * y + z * z, x * y - w * z, x * z + w * y,
+        x * y + w * z, x * x + z * z, y * z - w * x,
+        x * z - w * y, y * z + w * x, x * x + y * y,
+    ], 3, 3)  # fmt: skip
+    s = 2 / apart(w * w + x * x + y * y + z * z, 3, 3)
+    return jnp.where(jnp.eye(3, dtype=bool), 1 - s * turn, s * turn)
 
 
 @takes(R="rotation")

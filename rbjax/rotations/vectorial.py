@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.rotations import quaternion
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import apart, pack, takes, unpack
 from rbjax.rotations.coefficients import (
     arctan_over,
     away_from_zero,
@@ -49,6 +49,7 @@ class Vectorial:
     singular_angle: float
     singular_set: str
     scale: float = 1.0  # the parameter is scale p
+    short: bool = True  # few enough operations in `parameter` for a loop over p's entries
 
     size = 3
 
@@ -56,11 +57,10 @@ class Vectorial:
         p, s = self._scaled(x)
         return self.quaternion(p, s)
 
-    def from_quaternion(self, q: list) -> list:
-        w, *u = q
+    def from_quaternion(self, q: list) -> jax.Array:
+        w, *u = (apart(a, 3) for a in q) if self.short else (a[..., None] for a in q)
         sign = where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))
-        factor = sign * self.scale * self.parameter(w * sign, u)
-        return [factor * a for a in u]
+        return sign * self.scale * self.parameter(w * sign, u) * pack(q[1:])
 
     def body_rate(self, x: list) -> list:
         p, s = self._scaled(x)
@@ -117,6 +117,7 @@ def _euler_vector() -> Vectorial:
         angle=length,
         singular_angle=2 * jnp.pi,
         singular_set="the vector has length 2 pi: rates across it turn nothing",
+        short=False,
     )
 
 

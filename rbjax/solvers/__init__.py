@@ -12,8 +12,10 @@ They take anyone's vector field, through `diffrax.diffeqsolve`, or a robot's, th
     on a Lie group        rkmk, CrouchGrossman3, CommutatorFree4, generalized_alpha,
                           RigidBodySplitting
 The last three rows take terms `OnGroup` (and the first of them any pair of arrays).
+`Compensated` around a solver of the first row keeps what its additions round off.
 """
 
+from rbjax.solvers.compensated import Compensated
 from rbjax.solvers.explicit_rk import RK4
 from rbjax.solvers.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
 from rbjax.solvers.implicit_rk import (
@@ -76,6 +78,7 @@ __all__ = [
     "adams_moulton",
     "pece",
     "bdf",
+    "Compensated",
     # second order
     "GeneralizedAlpha",
     "newmark",

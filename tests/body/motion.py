@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from rbjax.body import Formulation, Situation, formulations
+from rbjax.solvers import Compensated
 from tests.robots import QUICK
 
 # What holds for every attitude, and three of the minimal ones; the others take minutes to compile.
@@ -18,10 +19,10 @@ SLOW = tuple(n for n in formulations() if n not in ATTITUDE_FREE + MINIMAL)
 
 
 @functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)
-def _solve(f: Formulation, situation: Situation, T, V, ts, tolerance):
+def _solve(f: Formulation, situation: Situation, T, V, ts, tolerance, longest):
     solution = diffrax.diffeqsolve(
         f.term(),
-        diffrax.Dopri8(),
+        Compensated(diffrax.Dopri8()),
         ts[0],
         ts[-1],
         None,
@@ -29,7 +30,7 @@ def _solve(f: Formulation, situation: Situation, T, V, ts, tolerance):
         situation,
         saveat=diffrax.SaveAt(ts=ts),
         stepsize_controller=diffrax.ClipStepSizeController(  # between steps is less accurate
-            diffrax.PIDController(rtol=tolerance, atol=tolerance), step_ts=ts
+            diffrax.PIDController(rtol=tolerance, atol=tolerance, dtmax=longest), step_ts=ts
         ),
         max_steps=100_000,
         # nothing is differentiated here; a loop without checkpoints compiles faster
@@ -46,7 +47,14 @@ def _solve(f: Formulation, situation: Situation, T, V, ts, tolerance):
     return jax.vmap(seen)(solution.ys)
 
 
-def motion(f: Formulation, situation: Situation, T, V, ts, tolerance: float = 1e-15):
-    """Poses (t, 4, 4), body twists (t, 6) and distances to the singularity (t,) at the times."""
-    out = _solve(f, situation, np.asarray(T), np.asarray(V), np.asarray(ts, float), tolerance)
+def motion(
+    f: Formulation, situation: Situation, T, V, ts,
+    tolerance: float = 1e-15, longest: float = np.inf,
+):  # fmt: skip
+    """Poses (t, 4, 4), body twists (t, 6) and distances to the singularity (t,) at the times.
+
+    No step takes longer than `longest` (s).
+    """
+    T, V, ts = np.asarray(T), np.asarray(V), np.asarray(ts, float)
+    out = _solve(f, situation, T, V, ts, tolerance, longest)
     return tuple(np.asarray(x) for x in out)

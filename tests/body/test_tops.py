@@ -14,13 +14,13 @@ from tests.body.motion import ATTITUDE_FREE, motion
 from tests.oracles import load
 
 FREE, HEAVY = load("torque_free_top"), load("heavy_top")
-CASES = {
-    "asym_A (I=1,2,3 generic)": 1e-11,
-    "asym_low (I=1,2,3, omega=(2,0.3,0.2))": 1e-11,
-    "dzhanibekov (I=1,2,3, omega=(1e-3,1,1e-3))": 1e-11,
-    # four flips, each of which magnifies what it finds: rounding alone makes 2e-11 of it
-    "dzhanibekov_fast (I=1,2,3, omega=(0.01,5,0.01))": 1e-10,
-}
+# The fast Dzhanibekov top magnifies what it finds in its first flip 3,000 times (its initial data:
+# 20 times), so that half a unit in the last place of omega there, 4.4e-16, makes 1.4e-12 at 20 s,
+# and the plain additions of 2,000 steps 2e-11. Compensated ones (`motion`) leave 1e-13 to 1e-12,
+# and 4e-12 where R^T takes momentum or twist from world axes: rounding of the rates themselves,
+# which falls with the root of the step.
+TOLERANCE = 1e-11
+STEP = 0.0025
 
 
 class Pivot(eqx.Module):
@@ -55,15 +55,15 @@ def test_torque_free_and_heavy_top(name: str) -> None:
     about its axis, after 2 s and some 48 turns.
     """
     f = formulations()[name]
-    for label, tolerance in CASES.items():
-        case = FREE["cases"][label]
+    for label, case in FREE["cases"].items():
         V = np.r_[np.array(case["omega0"], float), 0, 0, 0]
         ts = [0.0, *map(float, case["samples"])]
-        T, V, _ = motion(f, top_of(np.diag(case["I"])), np.eye(4), V, ts)
+        step = STEP if "fast" in label else np.inf
+        T, V, _ = motion(f, top_of(np.diag(case["I"])), np.eye(4), V, ts, longest=step)
         for k, sample in enumerate(case["samples"].values(), 1):
             want = np.array(sample["omega_body"], float)
-            assert np.abs(T[k, :3, :3] - sample["R"]).max() <= tolerance, (label, ts[k])
-            assert np.abs(V[k, :3] - want).max() <= tolerance, (label, ts[k])
+            assert np.abs(T[k, :3, :3] - sample["R"]).max() <= TOLERANCE, (label, ts[k])
+            assert np.abs(V[k, :3] - want).max() <= TOLERANCE, (label, ts[k])
 
     inertia = spatial.parallel_axes(np.diag([0.234375, 0.46875, 0.234375]), 15.0, [0.0, 1.0, 0.0])
     top = top_of(inertia, 15 * 9.81)

@@ -32,7 +32,7 @@ QUATERNIONS = Rotation.random(10_000, rng=np.random.default_rng(0)).as_quat(scal
 
 # ---------------------------------------------------------------- definitions, a hundred digits
 
-# phi of |p|, for p = p(phi) n (Bauchau & Trainelli; Masarati, Table A.1)
+# phi of |p|, for p = p(phi) n
 ANGLE_OF = {
     "euler_vector": lambda p: p,
     "linear": lambda p: mpmath.asin(p),
@@ -182,8 +182,8 @@ def exact_maps(to_matrix):
 
 
 @pytest.mark.parametrize("name", ANGLE_OF)
-def test_table_a1(name) -> None:
-    """Kinematic maps of the vectorial parametrizations, from 0 to pi - 1e-9 where they reach."""
+def test_vectorial_maps(name) -> None:
+    """With two derivatives, from 0 to pi - 1e-9 where they reach (Table A.1: test_vectorial.py)."""
     rep = (REPS | PARTIAL)[name]
     reach = {"linear": 1.5, "reduced_euler_rodrigues": 2.5}.get(name, np.pi)
     angles = np.array([a for a in exact.ANGLES if a <= reach])[::2]
@@ -197,11 +197,6 @@ def test_table_a1(name) -> None:
         tiny = min(np.abs(w[:, block]).max(1).min() for w in want[:1])
         assert_jets([*ours[:3], 0 * got[3]], [w[:, block] for w in want], floor=min(1e-3, tiny))
     assert np.isfinite(got[3]).all()
-    # and the table's general form: R = 1 + (sin phi / p) [p] + (1 - cos phi) / p^2 [p]^2
-    matrices = np.asarray(rep.to_matrix(x))
-    for R, p, t in zip(matrices, x, angles, strict=True):
-        K = np.asarray(so3.hat(p / (np.linalg.norm(p) or 1)))
-        assert relative_error(R, np.eye(3) + np.sin(t) * K + (1 - np.cos(t)) * K @ K) < 1e-14
     np.testing.assert_allclose(
         rep.singularity_distance(x), rep.formulas.singular_angle - angles, atol=4e-8 / (4 - reach)
     )

@@ -1,15 +1,6 @@
 """SE(3) against matrix power series in a hundred digits, and the laws of the group.
 
-What the same checks find elsewhere (f64, run by hand beside these tests):
-
-| library | where | what |
-| --- | --- | --- |
-| jaxlie 1.5.0 | `SE3.exp`, phi = 0 | d p/d phi is -[rho], twice too much |
-| jaxlie 1.5.0 | `SE3.exp`, phi = 1e-3, 1e-2 | second derivatives off by 2e-8, 3e-11 |
-| jaxlie 1.5.0 | `SE3.jlog`, identity | derivative is nan (that of `SO3.jlog` is finite) |
-| pytransform3d 3.17 | `euler_from_matrix`, 1e-6, 1e-8 from lock | attitude off by 3e-11, 2e-9 |
-| pytransform3d 3.17 | axis and angle of a matrix, pi - 1e-5 | off by 8e-12 |
-| scipy 1.17 | `as_euler`, 1e-8 from lock | attitude off by 2e-9 (1e-16 at 1e-6) |
+What other libraries do at the same points: `python -m benchmarks.rotation_libraries`.
 """
 
 import jax

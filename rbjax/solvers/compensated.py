@@ -1,0 +1,151 @@
+"""Compensated summation: the digits that a step's addition rounds off go with the next step.
+
+    d = z(h),  of z' = f(t, y0 + z), z(0) = e0
+    y1 = y0 + d rounded,  e1 = y0 + d - y1 exactly
+
+A step then loses rounding of the increment d and of h f alone, not that of y: less by a factor of
+h |df/dy|, the smaller the steps the less (Kahan, 1965; Knuth, *The Art of Computer Programming* 2,
+4.2.2; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import InputError
+from rbjax.solvers.groups import OnGroup, unwrapped
+from rbjax.solvers.implicit_rk import ImplicitRungeKutta
+from rbjax.solvers.multistep import Adams
+from rbjax.solvers.rosenbrock import RosenbrockW
+
+#: what asks the vector field for rates and uses the state in no other way
+BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)
+
+
+class Compensated(diffrax.AbstractWrappedSolver):
+    """A solver whose additions to the state lose nothing: it carries the state's low part along.
+
+    For where rounding decides: small steps, long motions that magnify errors, f32.
+
+    Fields: solver, one that works by rates alone: explicit or fully implicit Runge-Kutta
+    (`diffrax.Dopri8`, `gauss_legendre`), Rosenbrock, Adams.
+
+    Raises:
+        InputError: the solver remembers states (BDF) or moves them in other ways, or the term is
+            on a group, where increments do not add.
+
+    Source: Hairer, Lubich & Wanner, VIII.5.
+
+    Example: ten thousand steps in single precision
+        >>> import diffrax, jax.numpy as jnp, rbjax as rb
+        >>> decay = diffrax.ODETerm(lambda t, y, args: -y)
+        >>> one = jnp.float32(1)
+        >>> for solver in (rb.solvers.RK4(), rb.solvers.Compensated(rb.solvers.RK4())):
+        ...     y = diffrax.diffeqsolve(decay, solver, 0, one, 1e-4, one, max_steps=20_000).ys[0]
+        ...     print(f"{abs(float(y) / 0.36787944117 - 1) < 1e-7}")
+        False
+        True
+    """
+
+    solver: Any  # type: ignore[misc]
+
+    def __check_init__(self):
+        if not isinstance(self.solver, BY_RATES):
+            raise InputError(
+                f"Compensated: {type(self.solver).__name__} does not work by rates alone, expected "
+                f"a Runge-Kutta, Rosenbrock or Adams method"
+            )
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):  # type: ignore[override]
+        return _Interpolation(self.solver.interpolation_cls)
+
+    @property
+    def scan_kind(self):  # diffrax sets these two, of solvers that have them
+        return self.solver.scan_kind
+
+    @property
+    def root_finder(self):
+        return self.solver.root_finder
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+    def init(self, terms, t0, t1, y0, args):
+        if isinstance(unwrapped(terms), OnGroup):
+            raise InputError(
+                f"Compensated: the term moves its state on {type(unwrapped(terms).group).__name__},"
+                f" expected a vector field, whose increments add"
+            )
+        low = jax.tree.map(jnp.zeros_like, y0)
+        return low, self.solver.init(_Increment(terms, y0), t0, t1, low, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        low, inner = solver_state
+        d, error, dense, inner, result = self.solver.step(
+            _Increment(terms, y0), t0, t1, low, args, inner, made_jump
+        )
+        y1 = jax.tree.map(jnp.add, y0, d)
+        low = jax.tree.map(_lost, y0, d, y1)
+        return y1, error, {"y0": y0, "increment": dense}, (low, inner), result
+
+
+def _lost(y: jax.Array, d: jax.Array, total: jax.Array) -> jax.Array:
+    """y + d - total, exactly, of the rounded total of any two (Knuth)."""
+    added = total - y
+    return (y - (total - added)) + (d - added)
+
+
+class _Increment(diffrax.AbstractTerm):
+    """The term of z = y - y0."""
+
+    term: diffrax.AbstractTerm
+    y0: Any
+
+    def vf(self, t, y, args):
+        return self.term.vf(t, jax.tree.map(jnp.add, self.y0, y), args)
+
+    def contr(self, t0, t1, **kwargs):
+        return self.term.contr(t0, t1, **kwargs)
+
+    def prod(self, vf, control):
+        return self.term.prod(vf, control)
+
+
+class _Shifted(diffrax.AbstractLocalInterpolation):
+    """y0 + z(t)."""
+
+    t0: Any  # type: ignore[misc]
+    t1: Any  # type: ignore[misc]
+    y0: Any
+    increment: diffrax.AbstractLocalInterpolation
+
+    def evaluate(self, t0, t1=None, left=True):
+        z = self.increment.evaluate(t0, t1, left)
+        return jax.tree.map(jnp.add, self.y0, z) if t1 is None else z
+
+
+@dataclass(frozen=True)
+class _Interpolation:
+    """Dense output from that of the increment."""
+
+    inner: Callable[..., diffrax.AbstractLocalInterpolation]
+
+    def __call__(self, *, t0: Any, t1: Any, y0: Any, increment: dict) -> _Shifted:
+        return _Shifted(t0, t1, y0, self.inner(t0=t0, t1=t1, **increment))
