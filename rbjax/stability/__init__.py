@@ -1,3 +1,13 @@
+"""The laboratory: what linear theory says of any solver, and what its code does.
+
+    stability_function, characteristic    R(z) and phi(zeta, z), exactly
+    linear_analysis                       order, error constant, limits, A-, A(alpha)-, L-stability
+    growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
+                                          of one step of the solver's own code
+    order_by_conditions, measured_order   by rooted trees, and by halving the step
+    plot_regions, plot_spectral_radius    on axes of matplotlib
+"""
+
 from rbjax.stability.linear_analysis import LinearAnalysis, linear_analysis, order_by_conditions
 from rbjax.stability.multistep_roots import (
     Characteristic,
@@ -6,6 +16,16 @@ from rbjax.stability.multistep_roots import (
     characteristic,
     pece,
 )
+from rbjax.stability.orders import MeasuredOrder, measured_order
+from rbjax.stability.oscillator import (
+    dissipation,
+    growth_factors,
+    oscillation_limit,
+    oscillator_factors,
+    period_elongation,
+    spectral_radius,
+)
+from rbjax.stability.pictures import plot_regions, plot_spectral_radius
 from rbjax.stability.regions import (
     alpha_degrees,
     imaginary_limit,
@@ -14,3 +34,34 @@ from rbjax.stability.regions import (
     stiff_stability,
 )
 from rbjax.stability.stability_function import StabilityFunction, stability_function
+
+__all__ = [
+    # linear theory
+    "LinearAnalysis",
+    "linear_analysis",
+    "StabilityFunction",
+    "stability_function",
+    "Characteristic",
+    "characteristic",
+    "adams",
+    "backward_differentiation",
+    "pece",
+    "alpha_degrees",
+    "imaginary_limit",
+    "real_limit",
+    "stability_region",
+    "stiff_stability",
+    "order_by_conditions",
+    # measured on a step of the code
+    "growth_factors",
+    "oscillator_factors",
+    "spectral_radius",
+    "dissipation",
+    "period_elongation",
+    "oscillation_limit",
+    "MeasuredOrder",
+    "measured_order",
+    # pictures
+    "plot_regions",
+    "plot_spectral_radius",
+]

@@ -26,6 +26,7 @@ from rbjax.errors import InputError
 from rbjax.stability.polynomials import (
     EPS,
     Poly,
+    added,
     common,
     derivative,
     plus,
@@ -77,8 +78,9 @@ class Characteristic:
                 for m, p in enumerate(self.by_power[: n + 1])
                 for j, c in enumerate(p)
             ]
-            if abs(sum(terms)) > 1000 * EPS * sum(map(abs, terms)):
-                return n, rational(sum(terms), 8 * EPS * sum(map(abs, terms)))
+            left, size = added(terms), added(map(abs, terms))
+            if abs(left) > 1000 * EPS * size:
+                return n, rational(left, 8 * EPS * size)
         raise AssertionError("zeta = exp(z) solves no polynomial")
 
     @property

@@ -8,6 +8,7 @@ beside it (`rational`) where their distance is what rounding explains.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Any
@@ -49,6 +50,10 @@ def rational(x: Any, noise: Any = 0) -> Fraction:
         return Fraction(0)
     simple = exact.limit_denominator(SIMPLE)
     return simple if abs(simple - exact) <= max(noise, 2 * EPS * abs(exact)) else exact
+
+
+def added(terms: Iterable[Fraction]) -> Fraction:
+    return sum(terms, Fraction(0))
 
 
 def plus(p: Poly, q: Poly, weight: Any = 1) -> Poly:
@@ -118,8 +123,8 @@ def roots(p: Poly) -> list[mpmath.mpc]:
     if len(p) < 2:
         return []
     with mpmath.workdps(DIGITS):
-        exact = [mpmath.mpf(c.numerator) / c.denominator for c in reversed(p)]
-        return list(mpmath.polyroots(exact, maxsteps=500, extraprec=200))
+        exact = [mpmath.mpf(c.numerator) / c.denominator for c in p]
+        return list(mpmath.polyroots(exact, maxsteps=500, extraprec=200, asc=True))
 
 
 def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
@@ -144,7 +149,7 @@ def between(points: Sequence[Fraction], start: Fraction) -> list[tuple[Fraction,
     The last end is `start`, standing for infinity.
     """
     ends = [start, *points]
-    inside = [((a + b) / 2, b) for a, b in zip(ends, ends[1:], strict=False)]
+    inside = [((a + b) / 2, b) for a, b in itertools.pairwise(ends)]
     return [(b, mid) for mid, b in inside] + [(start, 2 * ends[-1] + 1)]
 
 

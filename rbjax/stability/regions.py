@@ -1,7 +1,8 @@
 """Regions of absolute stability: their limits on the axes, their angle, their strip.
 
     S = {z : every root of phi(zeta, z) has |zeta| <= 1}
-    real limit: the least x <= 0 with [x, 0] in S;  imaginary limit: the largest y with i [0, y] in S
+    real limit: the least x <= 0 with [x, 0] in S
+    imaginary limit: the largest y with i [0, y] in S
     A-stable: S holds the left half-plane;  A(alpha): the sector |arg(-z)| <= alpha
     stiffly stable: the half-plane Re z <= -D;  L-stable: A-stable, and R(infinity) = 0
 The rim of S lies on the curve where a root has modulus one. For a one-step method it meets the axes
@@ -36,7 +37,6 @@ from rbjax.stability.stability_function import StabilityFunction, modulus_excess
 
 Method = StabilityFunction | Characteristic
 GROWN = 1e-9  # of a root's modulus over one, where only doubles decide
-FAR = 1e8
 ONE_SQUARED = poly([1, 0, -1])  # 1 - c^2
 
 
@@ -51,7 +51,7 @@ def real_limit(method: Method) -> float:
         crossings = [Fraction(-1), *real_roots(M, -1, 1)]
         points = sorted({-_on_real_axis(method, c, S) for c in crossings if value(S, c)} - {0})
         points = [x for x in points if x > 0]
-        end = _first_end(points, lambda x: method.radius(-float(x)) <= 1 + GROWN)
+        end = _first_end(points, lambda x: bool(method.radius(-float(x)) <= 1 + GROWN))
     else:
         end = _scanned(lambda x: method.radius(-x))
     return 0.0 - end
@@ -65,20 +65,17 @@ def imaginary_limit(method: Method) -> float:
         return math.sqrt(_first_end(points, lambda w: value(excess, w) <= 0))
     if len(method.by_power) == 2:
         N, M, S = _curve(method)
-        if not N:
-            points = []
-        else:
-            curve = [(c, value(S, c)) for c in real_roots(N, -1, 1)]
-            heights = [
-                abs(float(value(M, c) / s)) * math.sqrt(1 - c * c) for c, s in curve if s
-            ]
-            points = sorted({Fraction(y) for y in heights if y > 0})
-        return _first_end(points, lambda y: method.radius(1j * float(y)) <= 1 + GROWN)
+        # where the curve crosses the axis, or, all on it, turns: (1 - c^2) M^2 / S^2 is stationary
+        turning = plus(times(_slope(M), S), times(ONE_SQUARED, times(M, derivative(S))), -1)
+        curve = [(c, value(S, c)) for c in real_roots(N or turning, -1, 1)]
+        heights = [abs(float(value(M, c) / s)) * math.sqrt(1 - c * c) for c, s in curve if s]
+        points = sorted({Fraction(y) for y in heights if y > 0})
+        return _first_end(points, lambda y: bool(method.radius(1j * float(y)) <= 1 + GROWN))
     return _scanned(lambda y: method.radius(1j * y))
 
 
 def alpha_degrees(method: Method) -> float:
-    """The angle of A(alpha)-stability: 90 for A-stable methods, 0 where the real limit is finite."""
+    """The angle of A(alpha)-stability: 90 if A-stable, 0 where the real limit is finite."""
     if real_limit(method) > -math.inf or not _bounded(method):
         return 0.0
     if isinstance(method, StabilityFunction):
@@ -94,9 +91,7 @@ def alpha_degrees(method: Method) -> float:
         return _widest_ray(method)
     N, M, _ = _curve(method)
     # tan^2 alpha = (1 - c^2) M^2 / N^2 is least at an end or where this vanishes:
-    cM = times(poly([0, 1]), M)
-    slope = plus(times(ONE_SQUARED, derivative(M)), cM, -1)
-    stationary = plus(times(slope, N), times(ONE_SQUARED, times(M, derivative(N))), -1)
+    stationary = plus(times(_slope(M), N), times(ONE_SQUARED, times(M, derivative(N))), -1)
     angles = [90.0]
     for c in [*real_roots(stationary, -1, 1), *real_roots(M, -1, 1)]:
         n, m = value(N, c), value(M, c)
@@ -170,6 +165,11 @@ def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
                 N = plus(N, t, a * b)
                 M = plus(M, u, a * b * (1 if i > j else -1))
     return N, M, S
+
+
+def _slope(M: Poly) -> Poly:
+    """(1 - c^2) M' - c M: the derivative of sqrt(1 - c^2) M, times that root."""
+    return plus(times(ONE_SQUARED, derivative(M)), times(poly([0, 1]), M), -1)
 
 
 def _on_real_axis(method: Characteristic, c: Fraction, S: Poly) -> Fraction:

@@ -24,6 +24,7 @@ from rbjax.solvers import tableau as tables
 from rbjax.stability.polynomials import (
     EPS,
     Poly,
+    added,
     cleaned,
     magnitude,
     plus,
@@ -85,13 +86,12 @@ class StabilityFunction:
     def defect(self) -> tuple[int, Fraction]:
         """(n, C) of R(z) - exp(z) = C z^n + ...: the method has order n - 1 on linear problems."""
         for n in range(1, len(self.numerator) + len(self.denominator) + 1):
-            terms = [
-                q / math.factorial(n - k) for k, q in enumerate(self.denominator) if k <= n
-            ]
+            terms = [q / math.factorial(n - k) for k, q in enumerate(self.denominator) if k <= n]
             if n < len(self.numerator):
                 terms.append(-self.numerator[n])
-            if abs(sum(terms)) > 1000 * EPS * sum(map(abs, terms)):
-                return n, rational(-sum(terms), 8 * EPS * sum(map(abs, terms)))
+            left, size = added(terms), added(map(abs, terms))
+            if abs(left) > 1000 * EPS * size:
+                return n, rational(-left, 8 * EPS * size)
         raise AssertionError("a rational function is not the exponential")
 
 
@@ -99,12 +99,12 @@ def of_tableau(a: np.ndarray, b: np.ndarray) -> StabilityFunction:
     """R(z) of coefficients a (s, s) and b (s,); simple fractions where doubles stand for them."""
     A = [[rational(x) for x in row] for row in np.asarray(a)]
     B = [rational(x) for x in np.asarray(b)]
-    p, q = _quotient(A, B, -1)
+    exact = _quotient(A, B, -1)
     # the sums that rounding went into, all terms positive
     sizes = _quotient([[abs(x) for x in row] for row in A], [abs(x) for x in B], 1)
     p, q = (
         poly(rational(c, 8 * EPS * s) for c, s in zip(x, size, strict=True))
-        for x, size in zip((p, q), sizes, strict=True)
+        for x, size in zip(exact, sizes, strict=True)
     )
     return StabilityFunction(p, q)
 
@@ -115,17 +115,17 @@ def _quotient(A: list[list[Fraction]], b: list[Fraction], sign: int) -> tuple[li
     power = [[Fraction(i == j) for j in range(s)] for i in range(s)]
     moments, traces = [Fraction(1)], [Fraction(0)]
     for _ in range(s):
-        moments.append(sum((w * sum(row) for w, row in zip(b, power, strict=True)), Fraction(0)))
+        moments.append(added(w * added(row) for w, row in zip(b, power, strict=True)))
         power = [
-            [sum((x * y for x, y in zip(row, column, strict=True)), Fraction(0))
+            [added(x * y for x, y in zip(row, column, strict=True))
              for column in zip(*power, strict=True)]
             for row in A
         ]  # fmt: skip
-        traces.append(sum((power[i][i] for i in range(s)), Fraction(0)))
+        traces.append(added(power[i][i] for i in range(s)))
     q = [Fraction(1)]
     for k in range(1, s + 1):
-        q.append(sign * sum((traces[i] * q[k - i] for i in range(1, k + 1)), Fraction(0)) / k)
-    p = [sum((q[j] * moments[k - j] for j in range(k + 1)), Fraction(0)) for k in range(s + 1)]
+        q.append(sign * added(traces[i] * q[k - i] for i in range(1, k + 1)) / k)
+    p = [added(q[j] * moments[k - j] for j in range(k + 1)) for k in range(s + 1)]
     return p, q
 
 
@@ -235,4 +235,3 @@ def _squared(p: Poly, signed: bool = True) -> Poly:
     even = poly(sign**k * c for k, c in enumerate(p[::2]))
     odd = poly(sign**k * c for k, c in enumerate(p[1::2]))
     return plus(times(even, even), times(poly([0, 1]), times(odd, odd)))
-
