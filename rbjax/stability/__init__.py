@@ -9,6 +9,14 @@
 """
 
 from rbjax.stability.linear_analysis import LinearAnalysis, linear_analysis, order_by_conditions
+from rbjax.stability.linearisation import (
+    ROLLOUT,
+    equilibrium,
+    measured_stable_step,
+    motion_matrices,
+    stable_step,
+    state_matrix,
+)
 from rbjax.stability.multistep_roots import (
     Characteristic,
     adams,
@@ -61,6 +69,13 @@ __all__ = [
     "oscillation_limit",
     "MeasuredOrder",
     "measured_order",
+    # a robot's motion, linearised
+    "state_matrix",
+    "motion_matrices",
+    "equilibrium",
+    "stable_step",
+    "measured_stable_step",
+    "ROLLOUT",
     # pictures
     "plot_regions",
     "plot_spectral_radius",

@@ -95,6 +95,21 @@ def _prepared(solver: Solver) -> Any:
     return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, solver)
 
 
+def _pair(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.Array]:
+    K, D = stiffness_damping
+    q, v = y
+    return v, K @ q + D @ v
+
+
+def matrices_of_pair(solver: Any, K: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """The matrix (m, k, k) of one step of length one on q' = v, v' = K q + D v; K, D (m, n, n)."""
+    solver = _prepared(solver)
+    n = K.shape[-1]
+    like, args = (np.zeros(n), np.zeros(n)), np.stack([K, D], 1)
+    ones = np.ones((len(K), _size(_pair, solver, like, args[0])))
+    return _measured(_pair, solver, like, args, ones)
+
+
 def growth_factors(solver: Solver, z: Any) -> np.ndarray:
     """The factors by which a step of the code multiplies y of y' = lambda y, z = h lambda.
 
