@@ -5,6 +5,9 @@
     growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
                                           of one step of the solver's own code
     order_by_conditions, measured_order   by rooted trees, and by halving the step
+    state_matrix, stable_step, measured_stable_step
+                                          a robot's motion linearised, and the largest step there
+    recommend                             a solver and a step for a robot; also rb.solvers.recommend
     plot_regions, plot_spectral_radius    on axes of matplotlib
 """
 
@@ -34,6 +37,7 @@ from rbjax.stability.oscillator import (
     spectral_radius,
 )
 from rbjax.stability.pictures import plot_regions, plot_spectral_radius
+from rbjax.stability.recommend import Recommendation, recommend
 from rbjax.stability.regions import (
     alpha_degrees,
     imaginary_limit,
@@ -76,6 +80,8 @@ __all__ = [
     "stable_step",
     "measured_stable_step",
     "ROLLOUT",
+    "Recommendation",
+    "recommend",
     # pictures
     "plot_regions",
     "plot_spectral_radius",
