@@ -11,15 +11,9 @@
     plot_regions, plot_spectral_radius    on axes of matplotlib
 """
 
+from rbjax.stability.largest_step import ROLLOUT, measured_stable_step, stable_step
 from rbjax.stability.linear_analysis import LinearAnalysis, linear_analysis, order_by_conditions
-from rbjax.stability.linearisation import (
-    ROLLOUT,
-    equilibrium,
-    measured_stable_step,
-    motion_matrices,
-    stable_step,
-    state_matrix,
-)
+from rbjax.stability.linearisation import equilibrium, motion_matrices, state_matrix
 from rbjax.stability.multistep_roots import (
     Characteristic,
     adams,

@@ -30,7 +30,8 @@ from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.simulate import Control, simulate
-from rbjax.stability.linearisation import motion_matrices, stable_step
+from rbjax.stability.largest_step import stable_step
+from rbjax.stability.linearisation import motion_matrices
 
 TRIAL = 10.0  # seconds of motion that are run at most
 RADIANS = 5e4  # of the fastest mode in that time: a hundred thousand steps or so

@@ -54,7 +54,7 @@ def rhos(k: int) -> list[Poly]:
     return out
 
 
-@pytest.mark.parametrize("k", [1, 2, 3, 4])
+@pytest.mark.parametrize("k", [1, 2, 3, pytest.param(4, marks=pytest.mark.slow)])
 def test_first_barrier(k: int) -> None:
     """A zero-stable k-step method has order at most k + 1, k + 2 if k is even; explicit ones k."""
     found: dict[bool, set[int]] = {True: set(), False: set()}

@@ -7,7 +7,7 @@ import rbjax as rb
 from rbjax import stability
 
 WITHIN = 0.15
-QUICK = {"rk4", "stoermer_verlet", "rkmk3"}
+QUICK = {"rk4"}
 NAMES = [
     pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in rb.solvers.all()
 ]

@@ -24,7 +24,7 @@ NAMES = [
     n for n, e in rb.solvers.all().items()
     if e.kind == "ode" or n.startswith(("rkmk", "crouch", "comm"))
 ]  # fmt: skip
-QUICK = {"euler", "rk4", "radau_iia2", "ros34pw2", "pece3", "rkmk3", "crouch_grossman3"}
+QUICK = {"rk4", "ros34pw2", "pece3", "crouch_grossman3"}
 slow = pytest.mark.slow
 
 
@@ -44,6 +44,7 @@ def test_the_code_has_the_roots_of_theory(name: str) -> None:
         assert np.abs(factors).max(initial=0.0) < 1e-3, (z, roots, factors)
 
 
+@slow
 def test_diffrax_own_solvers_too() -> None:
     for solver in (diffrax.ImplicitEuler(), diffrax.Ralston()):
         R = stability.stability_function(solver)
