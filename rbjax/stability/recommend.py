@@ -267,7 +267,7 @@ def _recommended(
     good = [x for x in found.values() if x is not None]
     if not good:
         raise InputError(
-            f"recommend: none of {list(found)} keeps within {accuracy:.1e} over {horizon:.3g} s "
+            f"recommend: none of {list(found)} keeps within {accuracy:.1e} over {horizon:g} s "
             f"in {TRIES} tries each (fastest eigenvalue {abs(fastest):.2g} 1/s); ask for less, or "
             "for a shorter horizon"
         )
@@ -289,11 +289,11 @@ def _reason(
     """What decided, with its number."""
     met = (
         f"{best.name} with steps of {h:.2g} s errs by {e:.1e} of the {accuracy:.1e} asked over "
-        f"{horizon:.3g} s, for {best.evaluations / h:.2g} evaluations a second"
+        f"{horizon:g} s, for {best.evaluations / h:.2g} evaluations a second"
     )
     if best.growth == 1.0:
         return (
-            f"the horizon decides: over {horizon:.3g} s the error of a symplectic method grows "
+            f"the horizon decides: over {horizon:g} s the error of a symplectic method grows "
             f"with t, that of {explicit.name} with t^2; {met}"
         )
     if by_stability:

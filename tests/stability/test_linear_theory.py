@@ -175,6 +175,22 @@ def test_any_tableau_of_ones_own() -> None:
     assert R.at_infinity == -1.5
 
 
+@pytest.mark.parametrize("degree", [3, 4])
+def test_the_angle_of_a_one_step_method(degree: int) -> None:
+    """1 / (1 - z + z^2 / 2 - ...), Pade's (0, degree), against points all along the rim."""
+    Q = tuple(Fraction((-1) ** k, math.factorial(k)) for k in range(degree + 1))
+    R = stability.StabilityFunction((Fraction(1),), Q)
+    theta = np.linspace(0, np.pi, 10_001)
+    rim = np.concatenate([
+        np.roots([*map(float, Q[:0:-1]), 1 - np.exp(1j * t)]) for t in theta
+    ])  # fmt: skip
+    left = rim[rim.real < -1e-6]
+    angle = np.degrees(np.abs(np.arctan2(left.imag, -left.real))).min()
+    assert stability.alpha_degrees(R) == pytest.approx(angle, abs=1e-3)
+    assert 80 < angle < 90
+    assert stability.real_limit(R) == -math.inf
+
+
 def test_tableaus_of_irrational_numbers_keep_them() -> None:
     gamma = 1 - 0.5**0.5
     R = stability.stability_function("sdirk2")
