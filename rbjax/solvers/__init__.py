@@ -1,7 +1,7 @@
 """Solvers of differential equations that diffrax lacks, each a diffrax solver.
 
 They take anyone's vector field, through `diffrax.diffeqsolve`, or a robot's, through
-`rbjax.simulate`. `all()` lists every one.
+`rbjax.simulate`. `all()` lists every one, `recommend(model, state, accuracy)` chooses.
 
     any vector field      RK4, implicit_midpoint, trapezoid, gauss_legendre, radau_iia,
                           lobatto_iiia, lobatto_iiic, SDIRK2, ros2, ros34pw2,
@@ -14,6 +14,8 @@ They take anyone's vector field, through `diffrax.diffeqsolve`, or a robot's, th
 The last three rows take terms `OnGroup` (and the first of them any pair of arrays).
 `Compensated` around a solver of the first row keeps what its additions round off.
 """
+
+from typing import Any
 
 from rbjax.solvers.compensated import Compensated
 from rbjax.solvers.explicit_rk import RK4
@@ -53,8 +55,19 @@ from rbjax.solvers.splitting import (
 from rbjax.solvers.steps import AbstractGroupSolver
 from rbjax.solvers.tableau import Tableau
 
+
+def __getattr__(name: str) -> Any:
+    """`recommend` runs motions to choose a solver: it lives above, and comes when asked for."""
+    if name == "recommend":
+        from rbjax.stability.recommend import recommend
+
+        return recommend
+    raise AttributeError(f"module 'rbjax.solvers' has no attribute {name!r}")
+
+
 __all__ = [
     "all",
+    "recommend",
     "Entry",
     "KINDS",
     # any vector field

@@ -1,0 +1,82 @@
+"""The laboratory: what linear theory says of any solver, and what its code does.
+
+    stability_function, characteristic    R(z) and phi(zeta, z), exactly
+    linear_analysis                       order, error constant, limits, A-, A(alpha)-, L-stability
+    growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
+                                          of one step of the solver's own code
+    order_by_conditions, measured_order   by rooted trees, and by halving the step
+    state_matrix, stable_step, measured_stable_step
+                                          a robot's motion linearised, and the largest step there
+    recommend                             a solver and a step for a robot; also rb.solvers.recommend
+    plot_regions, plot_spectral_radius    on axes of matplotlib
+"""
+
+from rbjax.stability.largest_step import ROLLOUT, measured_stable_step, stable_step
+from rbjax.stability.linear_analysis import LinearAnalysis, linear_analysis, order_by_conditions
+from rbjax.stability.linearisation import equilibrium, motion_matrices, state_matrix
+from rbjax.stability.multistep_roots import (
+    Characteristic,
+    adams,
+    backward_differentiation,
+    characteristic,
+    pece,
+)
+from rbjax.stability.orders import MeasuredOrder, measured_order
+from rbjax.stability.oscillator import (
+    dissipation,
+    growth_factors,
+    oscillation_limit,
+    oscillator_factors,
+    period_elongation,
+    spectral_radius,
+)
+from rbjax.stability.pictures import plot_regions, plot_spectral_radius
+from rbjax.stability.recommend import Recommendation, recommend
+from rbjax.stability.regions import (
+    alpha_degrees,
+    imaginary_limit,
+    real_limit,
+    stability_region,
+    stiff_stability,
+)
+from rbjax.stability.stability_function import StabilityFunction, stability_function
+
+__all__ = [
+    # linear theory
+    "LinearAnalysis",
+    "linear_analysis",
+    "StabilityFunction",
+    "stability_function",
+    "Characteristic",
+    "characteristic",
+    "adams",
+    "backward_differentiation",
+    "pece",
+    "alpha_degrees",
+    "imaginary_limit",
+    "real_limit",
+    "stability_region",
+    "stiff_stability",
+    "order_by_conditions",
+    # measured on a step of the code
+    "growth_factors",
+    "oscillator_factors",
+    "spectral_radius",
+    "dissipation",
+    "period_elongation",
+    "oscillation_limit",
+    "MeasuredOrder",
+    "measured_order",
+    # a robot's motion, linearised
+    "state_matrix",
+    "motion_matrices",
+    "equilibrium",
+    "stable_step",
+    "measured_stable_step",
+    "ROLLOUT",
+    "Recommendation",
+    "recommend",
+    # pictures
+    "plot_regions",
+    "plot_spectral_radius",
+]

@@ -1,0 +1,208 @@
+"""The largest step at which a method stands a robot's motion: predicted, and found by running.
+
+A method is stable at a step h where every decaying mode of the linearised motion decays: h lambda
+lies in its region, for every eigenvalue lambda of A (`linearisation`). A method for q' = v,
+v' = K q + D v is asked itself: its step's matrix on that pair has no root outside the unit circle.
+Modes that grow by nature do not count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax import solvers
+from rbjax.dynamics.manifold import difference, integrate
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+from rbjax.rollout import INTEGRATORS, rollout
+from rbjax.simulate import simulate
+from rbjax.stability.multistep_roots import characteristic
+from rbjax.stability.oscillator import DOUBLE, matrices_of_pair
+from rbjax.stability.stability_function import Solver, made
+
+#: an integrator of `rb.rollout` -> the solver that takes the same step
+ROLLOUT = {"semi_implicit_euler": "symplectic_euler", "rk4": "rk4"}
+PAIRS = (
+    solvers.GeneralizedAlpha, solvers.CentralDifferences, solvers.SemiImplicitEuler,
+    solvers.VariationalMidpoint, solvers.Splitting,
+)  # fmt: skip
+SLACK = 1e-9  # of a growth factor over one
+NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| looked at
+SMALL, GROWN = 1e-9, 1e5  # a deviation, and what it grows by where a step is too large
+
+
+def stable_step(method: Solver, matrices: Any) -> float:
+    """The largest step up to which every decaying mode decays, as theory predicts it.
+
+    Args:
+        method: a name of `rb.solvers.all()`, or a solver. `ROLLOUT[integrator]` is that of
+            `rb.rollout`.
+        matrices: A (2 nv, 2 nv) or (T, 2 nv, 2 nv), of `state_matrix` or `motion_matrices`.
+
+    Returns:
+        Seconds; inf where no step is too large, 0 where none is small enough.
+
+    Raises:
+        InputError: solvers without linear theory.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> A = rb.stability.state_matrix(model, model.default_state())
+        >>> h = rb.stability.stable_step("stoermer_verlet", A)
+        >>> bool(abs(h * abs(np.linalg.eigvals(A)).max() - 2) < 0.02)
+        True
+    """
+    A = np.asarray(matrices, np.float64).reshape(-1, *np.shape(matrices)[-2:])
+    solver = made(method)
+    if isinstance(solver, PAIRS):
+        return min(_of_pair(solver, a) for a in A)
+    phi = characteristic(solver)
+    eigenvalues = np.linalg.eigvals(A).ravel()
+    size = np.abs(eigenvalues)
+    counts = (size > 1e-7 * size.max()) & (eigenvalues.real < 1e-9 * size)
+    found = np.unique(eigenvalues[counts].round(12))
+    found = found[found.imag >= 0]
+    return min((_along_ray(phi.radius, x) for x in found), default=math.inf)
+
+
+def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> float:
+    """The h up to which h lambda stays in the region."""
+
+    def unstable(h):
+        return ~(radius(h * eigenvalue) <= 1 + SLACK)
+
+    return _first(unstable, 1 / abs(eigenvalue))
+
+
+def _of_pair(solver: Any, A: np.ndarray) -> float:
+    n = len(A) // 2
+    K, D = A[n:, :n], A[n:, n:]
+    eigenvalues = np.linalg.eigvals(A)
+    natural = max(eigenvalues.real.max(), 0.0)
+
+    def unstable(h):
+        h = np.atleast_1d(h)[:, None, None]
+        grown = np.abs(np.linalg.eigvals(matrices_of_pair(solver, h * h * K, h * D))).max(-1)
+        return ~(grown <= np.exp(natural * h[:, 0, 0]) + DOUBLE)
+
+    return _first(unstable, 1 / max(np.abs(eigenvalues).max(), 1e-12))
+
+
+def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
+    """The first h at which a method is unstable, on nested grids of one size, in `scale`."""
+    grid = np.geomspace(NEAR, FAR, POINTS) * scale
+    bad = unstable(grid)
+    if not bad.any():
+        return math.inf
+    if bad[0]:
+        return 0.0
+    while grid[-1] - grid[0] > 1e-9 * grid[-1]:
+        first = int(bad.argmax())
+        grid = np.linspace(grid[first - 1], grid[first], POINTS)
+        bad = unstable(grid)
+        bad[0], bad[-1] = False, True
+    return float(grid[0])
+
+
+@eqx.filter_jit
+def _deviation(
+    model: Model, state: State, beside: State, ctrl: Any, dt: Any, method: Any, steps: int
+) -> jax.Array:
+    """How far from `state` the motion from beside it ends after so many steps, by where it began.
+
+    The state is at rest; a second motion from there would be lost to rounding like the first.
+    """
+    if isinstance(method, str):
+        ctrls = None if ctrl is None else jnp.broadcast_to(ctrl, (steps, *ctrl.shape))
+        path = rollout(
+            model, beside, ctrls, dt, integrator=method, steps=steps, save_every=steps,
+            kernel=False,
+        )  # fmt: skip
+    else:
+        control = None if ctrl is None else (lambda t, _: ctrl)
+        ts = jnp.array([0.0, 1.0]) * dt * steps * (1 - 1e-12)
+        path = simulate(
+            model, beside, ts, control, solver=method, dt0=dt, throw=False, max_steps=steps + 1,
+            adjoint=diffrax.ForwardMode(),
+        )  # fmt: skip
+
+    def away(x):
+        return jnp.linalg.norm(jnp.concatenate([difference(model, state.q, x.q), x.v - state.v]))
+
+    return away(path.state(-1)) / away(beside)
+
+
+def measured_stable_step(
+    method: Solver,
+    model: Model,
+    state: State,
+    ctrl: Any = None,
+    *,
+    near: float,
+    steps: int = 2000,
+) -> float:
+    """The largest step at which a small deviation from an equilibrium does not grow, by running.
+
+    A motion starts 1e-9 beside it and takes `steps` steps; the interval between a step that is
+    stable and one that is not is halved: sharp to about 10 / steps.
+
+    Args:
+        method: "rollout semi_implicit_euler" or "rollout rk4", the integrators of `rb.rollout`;
+            or a name of `rb.solvers.all()` or a solver, run by `rb.simulate`.
+        model: the robot.
+        state: an equilibrium under ctrl.
+        ctrl: (nu,) held control, or None.
+        near: a step to search around, from a quarter of it to four times it.
+        steps: of each run.
+
+    Returns:
+        Seconds; 0 where a quarter of `near` is unstable, inf where four times it is stable.
+
+    Raises:
+        InputError: an unknown integrator; what `rb.simulate` refuses.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> found = rb.stability.measured_stable_step(
+        ...     "rollout semi_implicit_euler", model, model.default_state(), near=0.5)
+        >>> round(found, 2)
+        0.52
+    """
+    run: Any = method
+    if isinstance(method, str) and method.startswith("rollout "):
+        run = method.removeprefix("rollout ")
+        if run not in INTEGRATORS:
+            raise InputError(
+                f"measured_stable_step: integrator {run!r}, expected one of {list(INTEGRATORS)}"
+            )
+    else:
+        run = made(method)
+    rng = np.random.default_rng(0)
+    q, v = jnp.asarray(state.q), jnp.asarray(state.v)
+    kick = SMALL * rng.normal(size=(2, model.nv))
+    beside = State(integrate(model, q, jnp.asarray(kick[0], q.dtype)), v + kick[1])
+    ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
+
+    def stable(dt: float) -> bool:
+        found = _deviation(model, State(q, v), beside, ctrl, jnp.asarray(dt, q.dtype), run, steps)
+        return bool(found < GROWN)
+
+    low, high = near / 4, near * 4
+    if not stable(low):
+        return 0.0
+    if stable(high):
+        return math.inf
+    while high - low > low / steps:
+        mid = math.sqrt(low * high)
+        low, high = (mid, high) if stable(mid) else (low, mid)
+    return low

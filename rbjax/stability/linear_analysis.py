@@ -1,0 +1,122 @@
+"""What linear theory says of a method, in one report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.solvers import tableau as tables
+from rbjax.stability import regions
+from rbjax.stability.multistep_roots import Characteristic, characteristic
+from rbjax.stability.stability_function import (
+    Solver,
+    StabilityFunction,
+    butcher,
+    made,
+    stability_function,
+)
+
+VANISHES = 1e-9  # R(infinity) of coefficients that are printed to some twelve digits
+HIGHEST = 8  # order that conditions are looked at for: 115 trees of eight nodes
+
+
+@dataclass(frozen=True)
+class LinearAnalysis:
+    """A method on y' = lambda y, z = h lambda, and the order by its conditions.
+
+    Fields: method, `StabilityFunction` or `Characteristic`; order; linear_order, on y' = lambda y;
+    error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there; real_limit <= 0 and
+    imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90: A-stable, 0: no sector);
+    stiff_D, stable where Re z <= -D (inf: nowhere); R_inf = |R(infinity)|, for multistep methods
+    the largest root; L_stable; zero_stable.
+    """
+
+    method: StabilityFunction | Characteristic
+    order: int
+    linear_order: int
+    error_constant: Fraction
+    real_limit: float
+    imaginary_limit: float
+    A_stable: bool
+    alpha: float
+    stiff_D: float
+    R_inf: float
+    L_stable: bool
+    zero_stable: bool
+
+
+def order_by_conditions(solver: Solver) -> int:
+    """The order by the order conditions: rooted trees up to 8 nodes (one-step), phi (multistep).
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.stability.order_by_conditions("rk4"), rb.stability.order_by_conditions("bdf3")
+        (4, 3)
+    """
+    solver = made(solver)
+    table = butcher(solver)
+    if table is None:
+        return _method(solver)[1].order
+    a, b = table
+    if not hasattr(solver, "tableau") or not hasattr(solver.tableau, "alpha"):
+        return tables.attained_order(a, b, HIGHEST)
+    from rbjax.solvers.rosenbrock import holds  # conditions of W-methods: any Jacobian
+
+    alpha, gamma = np.array(solver.tableau.alpha), np.array(solver.tableau.gamma)
+    return next(p for p in range(HIGHEST) if not holds(alpha, gamma, b, p + 1))
+
+
+def linear_analysis(solver: Solver) -> LinearAnalysis:
+    """The linear theory of a method: order, error constant, stability limits and verdicts.
+
+    Args:
+        solver: a name of `rb.solvers.all()`, or any Runge-Kutta, Rosenbrock or multistep solver
+            of rbjax or diffrax.
+
+    Returns:
+        `LinearAnalysis`.
+
+    Raises:
+        InputError: for methods of q' = v, v' = a alone (`spectral_radius` measures these).
+
+    Source: Hairer & Wanner, *Solving ODEs II*, IV.3, V.1.
+
+    Example:
+        >>> import rbjax as rb
+        >>> report = rb.stability.linear_analysis("rk4")
+        >>> round(report.real_limit, 6), round(report.imaginary_limit, 6), report.A_stable
+        (-2.785294, 2.828427, False)
+        >>> round(rb.stability.linear_analysis("bdf3").alpha, 4)
+        86.0324
+    """
+    solver = made(solver)
+    method, phi = _method(solver)
+    alpha = regions.alpha_degrees(method) if phi.zero_stable else 0.0
+    R_inf = regions.at_infinity(method)
+    return LinearAnalysis(
+        method=method,
+        order=order_by_conditions(solver),
+        linear_order=phi.order,
+        error_constant=phi.error_constant,
+        real_limit=regions.real_limit(method) if phi.zero_stable else 0.0,
+        imaginary_limit=regions.imaginary_limit(method) if phi.zero_stable else 0.0,
+        A_stable=alpha == 90,
+        alpha=alpha,
+        stiff_D=regions.stiff_stability(method) if phi.zero_stable else math.inf,
+        R_inf=R_inf,
+        L_stable=alpha == 90 and R_inf < VANISHES,
+        zero_stable=phi.zero_stable,
+    )
+
+
+def _method(solver: Solver) -> tuple[StabilityFunction | Characteristic, Characteristic]:
+    """The function or polynomial that knows most, and the polynomial."""
+    phi = characteristic(solver)
+    try:
+        return stability_function(solver), phi
+    except InputError:
+        return phi, phi

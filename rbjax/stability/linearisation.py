@@ -1,0 +1,128 @@
+"""Motion linearised about its states, and where it is at rest.
+
+    d/dt [dq; dv] = A [dq; dv],    A = [[-[w]x, 1], [da/dq, da/dv]],    control held
+with dq on the tangent space (body axes for attitudes, hence -[w]x) and a = FD(q, v, applied
+forces), so that springs, dampers and the gains of servos are in it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.forward import acceleration
+from rbjax.dynamics.manifold import integrate
+from rbjax.errors import InputError
+from rbjax.forces.applied import applied
+from rbjax.model import Model, State
+
+
+@algorithm("state", "ctrl")
+def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
+    """A (2 nv, 2 nv) of the linearised motion d/dt [dq; dv] = A [dq; dv], the control held.
+
+    Args:
+        model: the robot.
+        state: `State(q (nq,), v (nv,))` about which to linearise.
+        ctrl: (nu,) controls; None for no actuation.
+
+    Returns:
+        (2 nv, 2 nv) in 1/s and 1/s^2; dq on the tangent space, in the coordinates of v.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite.
+
+    Source: Carpentier & Mansard, *Analytical derivatives of rigid body dynamics*, RSS 2018.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> rb.stability.state_matrix(model, model.default_state()).shape
+        (2, 2)
+    """
+    return _linearised(model, state, ctrl)[1]
+
+
+def _linearised(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
+    """The acceleration (nv,), and A."""
+    n = model.nv
+
+    def rate(x):
+        q, v = integrate(model, state.q, x[:n]), state.v + x[n:]
+        a = acceleration(model, q, v, applied(model, q, v, ctrl))
+        return a, a
+
+    lower, a = jax.jacfwd(rate, has_aux=True)(jnp.zeros(2 * n, state.q.dtype))
+    turning = jnp.zeros((n, n), state.q.dtype)
+    for start in model.topology.turn_starts:
+        rows = slice(start, start + 3)
+        turning = turning.at[rows, rows].set(-jnp.cross(state.v[rows], jnp.eye(3)).T)
+    upper = jnp.concatenate([turning, jnp.eye(n, dtype=state.q.dtype)], 1)
+    return a, jnp.concatenate([upper, lower])
+
+
+@jax.jit
+def _matrices(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) -> jax.Array:
+    axis = None if ctrl is None or ctrl.ndim == 1 else 0
+    along = jax.vmap(lambda q, v, u: state_matrix(model, State(q, v), u), (0, 0, axis))
+    return along(q, v, ctrl)
+
+
+def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray:
+    """`state_matrix` (T, 2 nv, 2 nv) at states q (T, nq), v (T, nv); ctrl (nu,), (T, nu) or None.
+
+    Example:
+        >>> import rbjax as rb, numpy as np
+        >>> model = rb.load("pendulum")
+        >>> states = rb.State(np.zeros((9, 1)), np.zeros((9, 1)))
+        >>> np.linalg.eigvals(rb.stability.motion_matrices(model, states)).shape
+        (9, 2)
+    """
+    q, v = jnp.asarray(states.q), jnp.asarray(states.v)
+    if q.ndim != 2 or v.ndim != 2 or len(q) != len(v):
+        raise InputError(
+            f"motion_matrices: q has shape {q.shape} and v {v.shape}, expected (T, nq), (T, nv)"
+        )
+    ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
+    return np.asarray(_matrices(model, q, v, ctrl), np.float64)
+
+
+def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50) -> State:
+    """The state at rest beside `state` where nothing accelerates under a held control.
+
+    Newton's method on a(q, 0) = 0, least squares where the equilibrium is not isolated.
+
+    Args:
+        model: the robot.
+        state: where to begin; its velocity is not used.
+        ctrl: (nu,), or None.
+        steps: at most so many.
+
+    Raises:
+        InputError: if no such state is found.
+
+    Example:
+        >>> import rbjax as rb, numpy as np
+        >>> model = rb.load("pendulum")
+        >>> rest = rb.stability.equilibrium(model, rb.State(np.array([0.3]), np.zeros(1)))
+        >>> bool(abs(rest.q[0]) < 1e-9)
+        True
+    """
+    q, v = jnp.asarray(state.q), jnp.zeros_like(jnp.asarray(state.v))
+    ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
+    n, find = model.nv, jax.jit(_linearised)
+    for _ in range(steps):
+        a, A = map(np.asarray, find(model, State(q, v), ctrl))
+        if np.abs(a).max() < 1e3 * np.finfo(q.dtype).eps * (1 + np.abs(A).max()):
+            return State(q, v)
+        dq = np.linalg.lstsq(A[n:, :n], -a, rcond=1e-10)[0]
+        dq = dq * min(1.0, 0.5 / max(np.abs(dq).max(), 1e-300))
+        q = integrate(model, q, jnp.asarray(dq, q.dtype))
+    raise InputError(
+        f"equilibrium: an acceleration of {np.abs(a).max():.1e} is left after {steps} steps; "
+        "begin nearer to a state of rest, if there is one"
+    )

@@ -1,0 +1,185 @@
+"""Polynomials with exact coefficients, and their roots to all the digits of a double.
+
+    p(x) = p_0 + p_1 x + ... + p_n x^n,    coefficients `fractions.Fraction`, constant first
+Verdicts on stability are signs of polynomials that often vanish exactly; rounding would decide
+them by chance. A coefficient that comes from a tableau of doubles is taken for the simple fraction
+beside it (`rational`) where their distance is what rounding explains.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import mpmath
+import numpy as np
+
+Poly = tuple[Fraction, ...]
+
+EPS = Fraction(np.finfo(np.float64).eps)
+SIMPLE = 50_000  # largest denominator: 8! is 40,320
+DIGITS = 60  # that roots are computed with
+ZERO: Poly = ()
+ONE: Poly = (Fraction(1),)
+
+
+def poly(coefficients: Iterable[Any]) -> Poly:
+    """Coefficients, constant first, without the zeros at the end.
+
+    >>> poly([1, 0.5, 0])
+    (Fraction(1, 1), Fraction(1, 2))
+    """
+    out = [Fraction(c) for c in coefficients]
+    while out and out[-1] == 0:
+        out.pop()
+    return tuple(out)
+
+
+def rational(x: Any, noise: Any = 0) -> Fraction:
+    """The simple fraction at x, if it is within `noise` (and two units in the last place) of x.
+
+    >>> rational(1 / 3)
+    Fraction(1, 3)
+    >>> rational(2**0.5) == Fraction(2**0.5)
+    True
+    """
+    exact = Fraction(x)
+    if abs(exact) <= noise:
+        return Fraction(0)
+    simple = exact.limit_denominator(SIMPLE)
+    return simple if abs(simple - exact) <= max(noise, 2 * EPS * abs(exact)) else exact
+
+
+def added(terms: Iterable[Fraction]) -> Fraction:
+    return sum(terms, Fraction(0))
+
+
+def plus(p: Poly, q: Poly, weight: Any = 1) -> Poly:
+    """p + weight q."""
+    n = max(len(p), len(q))
+    p, q = p + (Fraction(0),) * (n - len(p)), q + (Fraction(0),) * (n - len(q))
+    return poly(a + weight * b for a, b in zip(p, q, strict=True))
+
+
+def times(p: Poly, q: Poly) -> Poly:
+    """p q."""
+    out = [Fraction(0)] * max(len(p) + len(q) - 1, 0)
+    for i, a in enumerate(p):
+        for j, b in enumerate(q):
+            out[i + j] += a * b
+    return poly(out)
+
+
+def magnitude(p: Poly) -> Poly:
+    """The same with positive coefficients: the size of what was added up in a coefficient."""
+    return tuple(abs(c) for c in p)
+
+
+def cleaned(p: Poly, size: Poly) -> Poly:
+    """p without the coefficients that are rounding beside `size`."""
+    return poly(0 if abs(c) <= 1000 * EPS * s else c for c, s in zip(p, size, strict=False))
+
+
+def derivative(p: Poly) -> Poly:
+    return poly(k * c for k, c in enumerate(p))[1:]
+
+
+def value(p: Poly, x: Any) -> Any:
+    """p(x): exact for a fraction, in doubles for numbers and arrays."""
+    exact = isinstance(x, Fraction)
+    out: Any = Fraction(0) if exact else np.zeros_like(np.asarray(x), dtype=complex)
+    for c in reversed(p):
+        out = out * x + (c if exact else float(c))
+    return out
+
+
+def divided(p: Poly, q: Poly) -> tuple[Poly, Poly]:
+    """Quotient and remainder of p by q."""
+    rest, out = list(p), [Fraction(0)] * max(len(p) - len(q) + 1, 0)
+    for i in reversed(range(len(out))):
+        out[i] = rest[i + len(q) - 1] / q[-1]
+        for j, c in enumerate(q):
+            rest[i + j] -= out[i] * c
+    return poly(out), poly(rest[: len(q) - 1])
+
+
+def common(p: Poly, q: Poly) -> Poly:
+    """The greatest common divisor, with leading coefficient one."""
+    while q:
+        p, q = q, divided(p, q)[1]
+    return tuple(c / p[-1] for c in p)
+
+
+def roots(p: Poly) -> list[mpmath.mpc]:
+    """The distinct complex roots, each once, to `DIGITS` digits.
+
+    >>> [complex(r) for r in roots(poly([1, 2, 1]))]
+    [(-1+0j)]
+    """
+    if len(p) > 2:
+        p = divided(p, common(p, derivative(p)))[0]
+    if len(p) < 2:
+        return []
+    with mpmath.workdps(DIGITS):
+        exact = [mpmath.mpf(c.numerator) / c.denominator for c in p]
+        return list(mpmath.polyroots(exact, maxsteps=500, extraprec=200, asc=True))
+
+
+def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
+    """The distinct real roots between low and high, in order, as fractions of `DIGITS` digits.
+
+    >>> [float(r) for r in real_roots(poly([-2, 0, 1]), low=0)]
+    [1.4142135623730951]
+    """
+    out = []
+    for root in roots(p):
+        if abs(root.imag) < mpmath.mpf(10) ** (-DIGITS // 2):
+            man, exp = root.real.man_exp  # without the sign
+            x = Fraction(int(mpmath.sign(root.real)) * man) * Fraction(2) ** exp
+            if (low is None or x > low) and (high is None or x < high):
+                out.append(x)
+    return sorted(out)
+
+
+def between(points: Sequence[Fraction], start: Fraction) -> list[tuple[Fraction, Fraction]]:
+    """(end, a point inside) of each interval from `start` over increasing points to infinity.
+
+    The last end is `start`, standing for infinity.
+    """
+    ends = [start, *points]
+    inside = [((a + b) / 2, b) for a, b in itertools.pairwise(ends)]
+    return [(b, mid) for mid, b in inside] + [(start, 2 * ends[-1] + 1)]
+
+
+def chebyshev(n: int) -> tuple[Poly, Poly]:
+    """T_n and U_(n-1): cos(n x) and sin(n x) / sin(x) in cos(x)."""
+    t: list[Poly] = [ONE, poly([0, 1])]
+    u: list[Poly] = [ZERO, ONE]
+    for _ in range(2, n + 1):
+        for series in (t, u):
+            series.append(plus(times(poly([0, 2]), series[-1]), series[-2], -1))
+    return t[n], u[n]
+
+
+def written(p: Poly, x: str = "z") -> str:
+    """As in a textbook.
+
+    >>> written(poly([1, Fraction(-2, 3), Fraction(1, 6)]))
+    '1 - 2z/3 + z^2/6'
+    """
+    out = ""
+    for k, c in enumerate(p):
+        if c == 0:
+            continue
+        power = "" if k == 0 else x if k == 1 else f"{x}^{k}"
+        top, bottom = abs(c).numerator, abs(c).denominator
+        if bottom > SIMPLE:
+            size = f"{float(abs(c)):.6g} {power}".strip()
+        else:
+            size = f"{top if top != 1 or not power else ''}{power}"
+            size += "" if bottom == 1 else f"/{bottom}"
+        sign = "-" if c < 0 else "+"
+        out += f" {sign} {size}" if out else f"{'-' * (c < 0)}{size}"
+    return out or "0"

@@ -1,0 +1,157 @@
+"""One step of each solver's code against theory that does not share it.
+
+First-order solvers: exact polynomials. Second-order ones: the textbook's amplification matrix of
+the generalized-alpha family in 50 digits, and closed forms.
+"""
+
+import diffrax
+import mpmath
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import stability
+from tests.oracles import load
+
+ORACLE = load("ode_theory")
+ROUNDING = 2e-14
+# A triple root, exactly so at infinite frequency, is known to the cube root of rounding (6e-6) from
+# the matrix of a step; so are the published ones, which a double precision eigenvalue gave.
+TRIPLE = 1e-5
+
+POINTS = np.array([-0.3, 2j, -1 + 1.5j, -7.0, 0.2 - 0.1j, -0.01 + 0.3j, -50.0, 3.0])
+NAMES = [
+    n for n, e in rb.solvers.all().items()
+    if e.kind == "ode" or n.startswith(("rkmk", "crouch", "comm"))
+]  # fmt: skip
+QUICK = {"rk4", "ros34pw2", "pece3", "crouch_grossman3"}
+slow = pytest.mark.slow
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else slow) for n in NAMES])
+def test_the_code_has_the_roots_of_theory(name: str) -> None:
+    """Every root of theory is a factor of a step, and every other factor is zero."""
+    phi = stability.characteristic(name)
+    got, want = stability.growth_factors(name, POINTS), phi.roots(POINTS)
+    for z, factors, roots in zip(POINTS, got, want, strict=True):
+        factors = list(factors)
+        for root in roots:
+            nearest = min(factors, key=lambda x, root=root: abs(x - root))
+            # parasitic roots near zero are multiple ones: their distance is a root of rounding
+            close = 1e-11 if len(roots) == 1 else 1e-7
+            assert abs(nearest - root) < close * max(1, abs(root)), (z, roots, factors)
+            factors.remove(nearest)
+        assert np.abs(factors).max(initial=0.0) < 1e-3, (z, roots, factors)
+
+
+@slow
+def test_diffrax_own_solvers_too() -> None:
+    for solver in (diffrax.ImplicitEuler(), diffrax.Ralston()):
+        R = stability.stability_function(solver)
+        np.testing.assert_allclose(stability.growth_factors(solver, POINTS)[:, 0], R(POINTS))
+
+
+@slow
+@pytest.mark.parametrize("name", ["rk4", "radau_iia2", "adams_bashforth3", "bdf3", "sdirk2"])
+def test_an_oscillator_is_two_scalar_equations(name: str) -> None:
+    omega = np.array([0.1, 0.4, 2.0])
+    phi = stability.characteristic(name)
+    for ratio in (0.0, 0.3):
+        z = omega * (-ratio + 1j * np.sqrt(1 - ratio**2))
+        got = stability.spectral_radius(name, omega, ratio)
+        np.testing.assert_allclose(got, phi.radius(z), rtol=1e-9)
+
+
+def textbook(omega: float, m: float, f: float, beta: float, gamma: float) -> mpmath.mpf:
+    """The spectral radius of generalized-alpha, from its amplification matrix, in 50 digits."""
+    with mpmath.workdps(50):
+        w, m, f, beta, gamma = map(mpmath.mpf, (omega, m, f, beta, gamma))
+        w2 = w * w
+        new = mpmath.matrix([[1, 0, -beta], [0, 1, -gamma], [(1 - f) * w2, 0, 1 - m]])
+        old = mpmath.matrix([[1, 1, 0.5 - beta], [0, 1, 1 - gamma], [-f * w2, 0, -m]])
+        return max(abs(x) for x in mpmath.eig(new**-1 * old, left=False, right=False))
+
+
+@pytest.mark.parametrize("rho", ["0.0", "0.5", "0.8", "0.9", "1.0"])
+def test_generalized_alpha(rho: str) -> None:
+    oracle = ORACLE["generalized_alpha"]["params"][rho]
+    solver = rb.solvers.generalized_alpha(float(rho))
+    numbers = [getattr(solver, name) for name in ("alpha_m", "alpha_f", "beta", "gamma")]
+    for name, x in zip(("alpha_m", "alpha_f", "beta", "gamma"), numbers, strict=True):
+        assert abs(x - oracle[name]) < 1e-15
+    omegas = np.concatenate([np.logspace(-2, 3, 39), [1e6]])
+    measured = stability.spectral_radius(solver, omegas)
+    exact = np.array([float(textbook(w, *numbers)) for w in (0.1, 1.0, 10.0)])
+    got = stability.spectral_radius(solver, np.array([0.1, 1.0, 10.0]))
+    np.testing.assert_allclose(got, exact, atol=1e-8)
+    at_infinity = float(textbook(1e6, *numbers))
+    assert abs(at_infinity - oracle["rho_at_Omega_1e6"]) < TRIPLE
+    assert abs(measured[-1] - at_infinity) < TRIPLE
+    assert abs(measured.max() - oracle["rho_max_over_Omega"]) < 1e-7
+    assert measured.max() < 1 + 1e-11
+
+
+def test_limits_of_newmarks_family() -> None:
+    limits = {
+        "central_differences": 2.0,
+        rb.solvers.newmark(1 / 6): 2 * np.sqrt(3),  # linear acceleration
+        "newmark": np.inf,
+    }
+    for solver, limit in limits.items():
+        assert stability.oscillation_limit(solver) == pytest.approx(limit, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", [
+    "stoermer_verlet",
+    *(pytest.param(n, marks=slow) for n in ("symplectic_euler", "semi_implicit_euler")),
+])  # fmt: skip
+def test_explicit_symplectic_methods_reach_two(name: str) -> None:
+    assert stability.oscillation_limit(name) == pytest.approx(2.0, rel=1e-12)
+
+
+def test_dissipation_and_period() -> None:
+    """Closed forms: tan(Omega' / 2) = Omega / 2 and cos(Omega') = 1 - Omega^2 / 2, no damping."""
+    omega = np.array([0.05, 0.5, 1.5])
+    slower = {
+        "newmark": 2 * np.arctan(omega / 2),
+        "central_differences": np.arccos(1 - omega**2 / 2),
+    }
+    for name, shown in slower.items():
+        elongation = stability.period_elongation(name, omega)
+        np.testing.assert_allclose(elongation, omega / shown - 1, atol=ROUNDING)
+        np.testing.assert_allclose(stability.dissipation(name, omega), 0, atol=ROUNDING)
+    damped = rb.solvers.generalized_alpha(0.5)
+    xi = stability.dissipation(damped, omega)
+    assert (np.diff(xi) > 0).all(), "high frequencies are damped more"
+    assert xi[0] < 1e-4
+    assert np.isnan(stability.period_elongation("central_differences", 2.5)), "nothing oscillates"
+
+
+@slow
+def test_other_members_of_the_family() -> None:
+    """HHT: rho at infinity (1 + alpha) / (1 - alpha); variational midpoint: no damping at all."""
+    for alpha in (-1 / 3, -0.1, 0.0):
+        got = stability.spectral_radius(rb.solvers.hht_alpha(alpha), 1e6)
+        assert abs(got - (1 + alpha) / (1 - alpha)) < 1e-4
+    omega = np.array([0.1, 1.0, 10.0])
+    for name in ("variational_midpoint", "implicit_midpoint", "gauss_legendre2"):
+        np.testing.assert_allclose(stability.spectral_radius(name, omega), 1, atol=1e-12)
+
+
+def test_f32_callers_measure_in_f64() -> None:
+    import jax
+
+    with jax.enable_x64(False):
+        factor = stability.growth_factors("rk4", -1.0)[0]
+    assert abs(factor - 0.375) < 1e-15
+
+
+def test_the_rim_is_drawn_where_theory_has_it() -> None:
+    from matplotlib.contour import QuadContourSet
+    from matplotlib.figure import Figure
+
+    ax = Figure().add_subplot()
+    stability.plot_regions(ax, {"Euler": "euler"}, (-2.5, 0.5, -1.5, 1.5), points=301)
+    _, rim = (c for c in ax.collections if isinstance(c, QuadContourSet))
+    points = np.concatenate([path.vertices for path in rim.get_paths()])
+    np.testing.assert_allclose(np.hypot(points[:, 0] + 1, points[:, 1]), 1, atol=1e-3)
