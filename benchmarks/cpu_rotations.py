@@ -1,8 +1,9 @@
-"""Rotations beside scipy's `Rotation`, a batch of a million, f64: on one core and on all.
+"""Rotations beside scipy's `Rotation`, a batch of a million: on one core and on all, f64 and f32.
 
 `python -m benchmarks.cpu_rotations`: what both have, `jit` of ours on batch-first arrays against
 scipy's method; run time only, the least of many, ours and scipy's by turns. First a process pinned
-to one core, then one with all cores and XLA's own threads (scipy uses one core whatever there is).
+to one core, then one with all cores and XLA's own threads (scipy uses one core whatever there is,
+and f64 alone); then both again with ours in f32, which is what JAX computes in unless told.
 The allocator is told to keep what is freed, for both sides alike: by default results above 32 MB
 come from fresh pages on every call, and faulting these in takes longer than any of the arithmetic.
 
@@ -21,13 +22,14 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-if sys.argv[1:] == ["one"]:
+if sys.argv[1:2] == ["one"]:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false " + os.environ.get(
         "XLA_FLAGS", ""
     )
-os.environ.setdefault("JAX_ENABLE_X64", "1")
+if sys.argv[1:]:
+    os.environ["JAX_ENABLE_X64"] = str(int(sys.argv[2] == "f64"))
 if sys.platform == "linux":  # M_MMAP_MAX, M_TRIM_THRESHOLD, M_ARENA_MAX of glibc's malloc.h
     for option, value in ((-4, 0), (-1, 2**31 - 1), (-8, 1)):
         ctypes.CDLL(None).mallopt(option, value)
@@ -40,7 +42,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from benchmarks.timing import markdown_table, save
 from rbjax.rotations import quaternion, representations
 
-CORES = "".join(sys.argv[1:])  # "one" or "all", of a process that measures
+CORES, DTYPE = sys.argv[1:] or ("", "")  # of a process that measures
 BATCH = 1_000_000
 SECONDS, TURN = 1.5, 5  # of each operation; calls at a stretch
 
@@ -113,6 +115,7 @@ def rows() -> list[dict[str, Any]]:
         fast, slow = least(SECONDS, call, theirs)
         out.append({
             "cores": CORES,
+            "dtype": DTYPE,
             "operation": name,
             "rbjax ns": fast / BATCH * 1e9,
             "scipy ns": slow / BATCH * 1e9,
@@ -128,13 +131,14 @@ def main() -> None:
     if CORES:
         print(json.dumps(rows()))
         return
-    both = []
-    for cores in ("one", "all"):
-        command = [sys.executable, "-m", "benchmarks.cpu_rotations", cores]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-        both += json.loads(done.stdout.splitlines()[-1])
-    print(markdown_table(both, both[-1]))
-    print(save("cpu-rotations", both))
+    found = []
+    for dtype in ("f64", "f32"):
+        for cores in ("one", "all"):
+            command = [sys.executable, "-m", "benchmarks.cpu_rotations", cores, dtype]
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+            found += json.loads(done.stdout.splitlines()[-1])
+    print(markdown_table(found, found[-1]))
+    print(save("cpu-rotations", found))
 
 
 if __name__ == "__main__":
