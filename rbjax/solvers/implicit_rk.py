@@ -56,7 +56,8 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         """y1 - y0 (n,), the stages (s, n), and whether they were found."""
         a, c, b = (jnp.asarray(x, here.y.dtype) for x in
                    (self.tableau.a, self.tableau.c, self.tableau.b))  # fmt: skip
-        guess = jnp.broadcast_to(h * here.rate, (self.tableau.stages, here.y.size))
+        # From rest: the first correction is then a linearly implicit step, however stiff.
+        guess = jnp.zeros((self.tableau.stages, here.y.size), here.y.dtype)
         k, ok = solve(
             f, h, here.t + c.astype(jnp.result_type(h)) * h, here.y, a, here, guess,
             self.root_finder, self.root_find_max_steps,

@@ -97,7 +97,11 @@ class GeneralizedAlpha(AbstractGroupSolver):
         def residual(k):
             return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
 
-        guess = scaled(h, now)
+        # From where q goes on at v0: the acceleration of a stiff spring leads far off.
+        still = -(0.5 - self.beta) / self.beta if self.beta else 0.0
+        guess = combine(
+            (((1 - m) * still + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
+        )
         k, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
         carrying, y1 = after(k)
         safe = jnp.where(h == 0, 1.0, h)
@@ -212,7 +216,7 @@ class VariationalMidpoint(AbstractGroupSolver):
             _, p, rate = middle(dw)
             return combine((1.0, -1.0, -h / 2), (p, p0, rate))
 
-        guess = scaled(h / 2, halves.acceleration(t0, y0))
+        guess = jax.tree.map(jnp.zeros_like, v0)
         dw, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
         w, p, rate = middle(dw)
         p1 = combine((1.0, h / 2), (p, rate))
