@@ -9,6 +9,7 @@ the vector field asks; a Jacobian is one, whatever its columns.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from typing import Any
 
@@ -82,8 +83,9 @@ def row(robot: str, name: str) -> dict[str, Any]:
     clock.append(time.process_time())
     assert compiled(model, state)[2], "a step failed"
     timed = measure(compiled, model, state, jit=False)
-    out = {"robot": robot, "nv": model.nv, "solver": name, "trace s": clock[1] - clock[0],
-           "compile s": clock[2] - clock[1], "step us": timed["run_min_s"] / STEPS * 1e6}  # fmt: skip
+    trace, build = (b - a for a, b in itertools.pairwise(clock))
+    out = {"robot": robot, "nv": model.nv, "solver": name, "trace s": trace, "compile s": build,
+           "step us": timed["run_min_s"] / STEPS * 1e6}  # fmt: skip
     if model.nu and model.nv <= 7:  # a second compilation
         counter = Counter(model.nu)
         jax.block_until_ready(jax.jit(lambda m, s: run(m, s, counter))(model, state))

@@ -64,6 +64,7 @@ class Motion(eqx.Module):
     model: Callable[[Any], Model]
     tangent: bool = eqx.field(static=True, default=False)
 
+    @eqx.filter_jit  # diffrax asks for it in many places: traced once
     def __call__(self, t: Any, y: State, args: Any) -> State:
         model = self.model(args)
         q = unit(model.topology, y.q)

@@ -57,7 +57,9 @@ def stacked(ks: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *xs: jnp.stack(xs), *ks)
 
 
-def explicit_stages(rate: Field, tableau: Tableau, t0: Any, h: Any) -> Callable[[Any], Any]:
+def explicit_stages(
+    rate: Callable[[Any, Any], Any], tableau: Tableau, t0: Any, h: Any
+) -> Callable[[Any], Any]:
     """From a zero increment, the stages k_i = h rate(t0 + c_i h, sum_j a_ij k_j), (s, ...).
 
     Rolled, so that the field is traced once however many stages there are.
