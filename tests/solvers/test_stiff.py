@@ -97,8 +97,8 @@ ROBOTS = {
     "generalized_alpha": (1e-3, 2e-2),
     "variational_midpoint": (1e-3, 2e-2),
 }
-#: those that keep a fast swing that is there at the start, at those steps
-STIRRED = {"radau_iia3", "bdf2", "gauss_legendre2", "ros34pw2", "variational_midpoint"}
+#: with roots to find from a swing that is fast at the start; newmark and generalized_alpha lose it
+STIRRED = {"radau_iia3", "bdf2", "gauss_legendre2", "variational_midpoint"}
 
 
 @pytest.mark.parametrize(
