@@ -21,6 +21,7 @@ from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
 from rbjax.materialize import materialize
@@ -55,13 +56,17 @@ def unit(top: Topology, q: jax.Array) -> jax.Array:
 class Motion(eqx.Module):
     """The vector field of a robot under its own forces and a control, for diffrax.
 
+    model: of diffrax' args, which hold what is traced of it; what is known stays known.
     tangent: the configuration's rate is v itself, for solvers that move along the manifold.
     """
 
     control: Control | None
+    model: Callable[[Any], Model]
     tangent: bool = eqx.field(static=True, default=False)
 
-    def __call__(self, t: Any, y: State, model: Model) -> State:
+    @eqx.filter_jit  # diffrax asks for it in many places: traced once
+    def __call__(self, t: Any, y: State, args: Any) -> State:
+        model = self.model(args)
         q = unit(model.topology, y.q)
         ctrl = None if self.control is None else jnp.asarray(self.control(t, State(q, y.v)))
         tau = applied(model, q, y.v, ctrl)
@@ -90,9 +95,18 @@ class Manifold(AbstractGroup):
         return State(out, jnp.zeros_like(w.v))
 
 
-def _momentum(t: Any, y: State, model: Model) -> jax.Array:
+class Momentum(eqx.Module):
     """M v (nv,)."""
-    return (mass_matrix(model, unit(model.topology, y.q)) * y.v).sum(-1)
+
+    model: Callable[[Any], Model]
+
+    def __call__(self, t: Any, y: State, args: Any) -> jax.Array:
+        model = self.model(args)
+        return (mass_matrix(model, unit(model.topology, y.q)) * y.v).sum(-1)
+
+
+def _itself(model: Model) -> Model:
+    return model
 
 
 def simulate(
@@ -156,9 +170,11 @@ def simulate(
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
     top = model.topology
     solver = diffrax.Tsit5() if solver is None else solver
-    term: diffrax.AbstractTerm = diffrax.ODETerm(Motion(control))
+    # Inside a caller's jit diffrax would trace what the caller holds constant.
+    args, of_args = opened(model) if staged() else (model, _itself)
+    term: diffrax.AbstractTerm = diffrax.ODETerm(Motion(control, of_args))
     if isinstance(solver, AbstractGroupSolver):
-        term = OnGroup(Motion(control, tangent=True), Manifold(top), _momentum)
+        term = OnGroup(Motion(control, of_args, tangent=True), Manifold(top), Momentum(of_args))
         if not isinstance(term, solver.term_structure):
             raise InputError(
                 f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
@@ -172,7 +188,7 @@ def simulate(
         t1=ts[-1],
         dt0=dt0,
         y0=state,
-        args=model,
+        args=args,
         saveat=diffrax.SaveAt(ts=ts, fn=_Saved(top)),
         stepsize_controller=stepsize_controller,
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,

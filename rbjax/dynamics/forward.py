@@ -55,11 +55,16 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
     wins = jax.default_backend() == "gpu" and q.dtype == jnp.float32
     forward = jax.custom_jvp(with_rule(plain, in_kernel) if wins else plain)
 
+    @jax.custom_jvp
+    def known(changed, q, v, tau, a):
+        """a = forward(changed, q, v, tau), which is at hand: what it says to a next derivative."""
+        return a
+
     @functools.partial(forward.defjvp, symbolic_zeros=True)
     def tangent(primals, tangents):
         changed, q, v, tau = primals
-        d, _, factors = run(changed, q, v, tau)
-        a = forward(changed, q, v, tau)
+        d, a, factors = run(changed, q, v, tau)
+        a = known(changed, q, v, tau, a)
 
         def inverse(changed, q, v):
             d = driver(rebuilt(changed), q.dtype)
@@ -74,6 +79,10 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         if dtau is None:
             return a, jnp.zeros_like(a)
         return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
+
+    @functools.partial(known.defjvp, symbolic_zeros=True)
+    def _(primals, tangents):
+        return primals[-1], tangent(primals[:-1], tangents[:-1])[1]
 
     return forward(given, q, v, tau)
 

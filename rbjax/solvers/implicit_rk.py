@@ -14,12 +14,13 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import optimistix as optx
 
 from rbjax.solvers import tableau as tables
-from rbjax.solvers.newton import MAX_STEPS, chord, refused, root, verdict
-from rbjax.solvers.steps import AbstractPolynomialSolver, Field, combine, field, mixed, scaled
+from rbjax.solvers.field import Field, flattened
+from rbjax.solvers.newton import MAX_STEPS, chord, refused, verdict
+from rbjax.solvers.stages import Start, damped, solve, start
+from rbjax.solvers.steps import AbstractPolynomialSolver, mixed
 from rbjax.solvers.tableau import Tableau
 
 
@@ -44,44 +45,32 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         return self.tableau.error_order
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        f, h = field(terms, args), t1 - t0
-        first = scaled(h, f(t0, y0))
-        y1, k, ok = self.solve(f, t0, h, y0, first)
-        error = refused(ok, self.estimate(f, t0, h, y0, first, k))
-        dense = {"y0": y0, "coefficients": self.polynomial(k)}
+        f, y = flattened(terms, args, y0)
+        h, here = t1 - t0, start(f, t0, y, self.root_finder)
+        u, k, ok = self.solve(f, h, here)
+        y1, error = f.unravel(y + u), f.unravel(refused(ok, self.estimate(f, h, here, k)))
+        dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(self.polynomial(k))}
         return y1, error, dense, solver_state, verdict(ok)
 
-    def solve(self, f: Field, t0: Any, h: Any, y0: Any, first: Any) -> tuple[Any, Any, jax.Array]:
-        """y1, the stages (s, ...), and whether they were found; `first` is h f(t0, y0)."""
-        s = self.tableau.stages
-        ts = t0 + jnp.asarray(self.tableau.c, jnp.result_type(h)) * h
+    def solve(self, f: Field, h: Any, here: Start) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """y1 - y0 (n,), the stages (s, n), and whether they were found."""
+        a, c, b = (jnp.asarray(x, here.y.dtype) for x in
+                   (self.tableau.a, self.tableau.c, self.tableau.b))  # fmt: skip
+        # From rest: the first correction is then a linearly implicit step, however stiff.
+        guess = jnp.zeros((self.tableau.stages, here.y.size), here.y.dtype)
+        k, ok = solve(
+            f, h, here.t + c.astype(jnp.result_type(h)) * h, here.y, a, here, guess,
+            self.root_finder, self.root_find_max_steps,
+        )  # fmt: skip
+        return mixed(b, k), k, ok
 
-        def residual(k):
-            at = jax.tree.map(lambda y, dy: y + dy, y0, mixed(self.tableau.a, k))
-            rates = jax.vmap(f)(ts, at)
-            return jax.tree.map(lambda k, rate: k - h * rate, k, rates)
-
-        guess = jax.tree.map(lambda x: jnp.broadcast_to(x, (s, *x.shape)), first)
-        k, ok = root(residual, self.root_finder, guess, y0, self.root_find_max_steps)
-        return jax.tree.map(lambda y, dy: y + dy, y0, mixed(self.tableau.b, k)), k, ok
-
-    def estimate(self, f: Field, t0: Any, h: Any, y0: Any, first: Any, k: Any) -> Any:
+    def estimate(self, f: Field, h: Any, here: Start, k: jax.Array) -> jax.Array:
         """The damped estimate of the error of y1."""
         at_start, *others = self.tableau.error
-        raw = combine((1.0, at_start), (mixed(others, k), first))
-        gamma = self.tableau.filter * h
+        raw = mixed(others, k) + at_start * h * here.rate
+        return damped(f, self.tableau.filter * h, here, raw, self.root_finder)
 
-        def damped(y, _):
-            return jax.tree.map(lambda y, rate: y - gamma * rate, y, f(t0, y))
-
-        return lx.linear_solve(
-            lx.JacobianLinearOperator(damped, y0),
-            raw,
-            getattr(getattr(self.root_finder, "inner", None), "linear_solver", lx.LU()),
-            throw=False,
-        ).value
-
-    def polynomial(self, k: Any) -> Any:
+    def polynomial(self, k: jax.Array) -> jax.Array:
         """Coefficients of theta, theta^2, ... of sum_i b_i(theta) k_i."""
         return mixed(tuple(zip(*self.tableau.dense, strict=True)), k)
 

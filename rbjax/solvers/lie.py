@@ -19,14 +19,13 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.solvers import tableau as tables
+from rbjax.solvers.field import Field, field
 from rbjax.solvers.groups import AbstractGroup, group_of
 from rbjax.solvers.steps import (
     AbstractGroupSolver,
-    Field,
     combine,
     dense_between,
     explicit_stages,
-    field,
     inverse_dexp,
     mixed,
     scaled,

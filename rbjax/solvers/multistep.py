@@ -23,20 +23,19 @@ import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import optimistix as optx
+from jax.flatten_util import ravel_pytree
 
 from rbjax.solvers import tableau as tables
+from rbjax.solvers.field import Field, flattened
 from rbjax.solvers.implicit_rk import ImplicitRungeKutta
 from rbjax.solvers.lagrange import basis, integrals, slopes_at_one
-from rbjax.solvers.newton import MAX_STEPS, chord, refused, root, verdict
+from rbjax.solvers.newton import MAX_STEPS, chord, refused, verdict
+from rbjax.solvers.stages import Start, solve, start
 from rbjax.solvers.steps import (
     AbstractPolynomialSolver,
-    Field,
-    combine,
     explicit_stages,
-    field,
     hermite,
     mixed,
-    scaled,
     select,
 )
 
@@ -45,14 +44,14 @@ class History(NamedTuple):
     """What was before the current state, latest first, and how much of it has been filled."""
 
     ts: jax.Array  # (n,)
-    values: Any  # leaves (n, ...): rates (Adams) or states (BDF)
+    values: jax.Array  # (n, size of the state): rates (Adams) or states (BDF)
     filled: jax.Array
 
 
 class Step(NamedTuple):
-    y1: Any
-    error: Any
-    coefficients: Any  # of the dense output
+    u: jax.Array  # (n,) y1 - y0
+    error: jax.Array | None
+    coefficients: jax.Array  # (degree, n) of the dense output
     ok: Any
 
 
@@ -70,60 +69,54 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         """Entries of the history that the formula needs."""
 
     @abc.abstractmethod
-    def begin(self, f: Field, t0: Any, h: Any, y0: Any) -> Step:
+    def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:
+        """What begin and formula need of the current state."""
+
+    @abc.abstractmethod
+    def begin(self, f: Field, h: Any, here: Start) -> Step:
         """A step without history."""
 
     @abc.abstractmethod
-    def formula(self, f: Field, t0: Any, h: Any, y0: Any, now: Any, history: History) -> Step:
-        """A step with it; `now` is what is remembered of the current state."""
+    def formula(self, f: Field, h: Any, here: Start, history: History) -> Step:
+        """A step with it."""
 
     @abc.abstractmethod
-    def remembered(self, f: Field, t0: Any, y0: Any) -> Any:
+    def remembered(self, here: Start) -> jax.Array:
         """What the history keeps of the current state."""
 
     def init(self, terms, t0, t1, y0, args):
         # Distinct times, so that the formula stays finite where it is not used yet.
         ts = t0 - (t1 - t0) * jnp.arange(1, self.past + 1, dtype=t0.dtype)
-        values = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.past, *x.shape)), y0)
+        vector, _ = ravel_pytree(y0)
+        values = jnp.broadcast_to(vector, (self.past, vector.size))
         return History(ts, values, jnp.array(0))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        f, h = field(terms, args), t1 - t0
-        now = self.remembered(f, t0, y0)
+        f, y = flattened(terms, args, y0)
+        h, here = t1 - t0, self.start(f, t0, y)
         ts, values, filled = solver_state
         filled = jnp.where(made_jump, 0, filled)
-        history = History(ts, values, filled)
-
-        def formula():
-            return self._padded(self.formula(f, t0, h, y0, now, history))
-
+        out = self._padded(self.formula(f, h, here, History(ts, values, filled)))
         if self.past:
             starting = filled < self.past
-
-            def begin():
-                first = self._padded(self.begin(f, t0, h, y0))
-                return select(starting, first, formula())
-
-            out = jax.lax.cond(eqxi.unvmap_any(starting), begin, formula)
-        else:
-            out = formula()
-        dense = {"y0": y0, "coefficients": out.coefficients}
-        if self.past:
-            ts = jnp.concatenate([t0[None], ts[:-1]])
-            values = jax.tree.map(
-                lambda new, old: jnp.concatenate([new[None], old[:-1]]), now, values
+            first = jax.lax.cond(
+                eqxi.unvmap_any(starting),
+                lambda: self._padded(self.begin(f, h, here)),
+                lambda: out,
             )
+            out = select(starting, first, out)
+            ts = jnp.concatenate([t0[None], ts[:-1]])
+            values = jnp.concatenate([self.remembered(here)[None], values[:-1]])
+        dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(out.coefficients)}
         state = History(ts, values, jnp.minimum(filled + 1, self.past))
-        return out.y1, out.error, dense, state, verdict(out.ok)
+        error = None if out.error is None else f.unravel(out.error)
+        return f.unravel(y + out.u), error, dense, state, verdict(out.ok)
 
     def _padded(self, step: Step) -> Step:
         """The same, with as many coefficients as any step of the method has."""
-
-        def pad(c):
-            return jnp.pad(c, [(0, self.degree - c.shape[0])] + [(0, 0)] * (c.ndim - 1))
-
-        ok = jnp.asarray(step.ok)
-        return Step(step.y1, step.error, jax.tree.map(pad, step.coefficients), ok)
+        missing = self.degree - step.coefficients.shape[0]
+        padded = jnp.pad(step.coefficients, ((0, missing), (0, 0)))
+        return step._replace(coefficients=padded, ok=jnp.asarray(step.ok))
 
     def _nodes(self, t0: Any, h: Any, history: History) -> jax.Array:
         """Past times in steps from t0: t0 is 0, t1 is 1."""
@@ -153,61 +146,55 @@ class Adams(AbstractMultistep):
     def order(self, terms):
         return self.formula_order
 
-    def remembered(self, f, t0, y0):
-        return f(t0, y0)
+    def start(self, f, t0, y0):
+        if self.corrector == "root":
+            return start(f, t0, y0, self.root_finder)
+        return Start(t0, y0, f(t0, y0), None)
 
-    def begin(self, f, t0, h, y0):
+    def remembered(self, here):
+        return here.rate
+
+    def begin(self, f, h, here):
         def rate(t, u):
-            return f(t, combine((1.0, 1.0), (y0, u)))
+            return f(t, here.y + u)
 
-        k = explicit_stages(rate, tables.RK4, t0, h)(jax.tree.map(jnp.zeros_like, y0))
+        k = explicit_stages(rate, tables.RK4, here.t, h)(jnp.zeros_like(here.y))
         u, error = mixed(tables.RK4.b, k), mixed(tables.RK4.error[1:], k)
-        first, last = (jax.tree.map(lambda x, i=i: x[i], k) for i in (0, -1))
-        return Step(combine((1.0, 1.0), (y0, u)), error, hermite(u, first, last), True)
+        return Step(u, error, hermite(u, k[0], k[-1]), True)
 
-    def formula(self, f, t0, h, y0, now, history):
-        nodes = jnp.concatenate([jnp.zeros(1, t0.dtype), self._nodes(t0, h, history)])
-        rates = jax.tree.map(lambda x, old: jnp.concatenate([x[None], old]), now, history.values)
+    def formula(self, f, h, here, history):
+        nodes = jnp.concatenate([jnp.zeros(1, here.t.dtype), self._nodes(here.t, h, history)])
+        rates = jnp.concatenate([here.rate[None], history.values])
 
         def polynomial(nodes, rates):
             """Coefficients of the increment that interpolates h rates at nodes."""
-            return mixed(integrals(nodes).T, scaled(h, rates))
-
-        def ahead(nodes, rates):
-            return jax.tree.map(lambda c: c.sum(0), polynomial(nodes, rates))
+            return mixed(integrals(nodes).T, h * rates)
 
         coefficients = polynomial(nodes, rates)
-        u = jax.tree.map(lambda c: c.sum(0), coefficients)
+        u = coefficients.sum(0)
         if self.corrector == "none":
-            y1 = combine((1.0, 1.0), (y0, u))
             if self.formula_order == 1:
-                return Step(y1, None, coefficients, True)
-            less = ahead(nodes[:-1], jax.tree.map(lambda x: x[:-1], rates))
-            return Step(y1, combine((1.0, -1.0), (u, less)), coefficients, True)
+                return Step(u, None, coefficients, True)
+            less = polynomial(nodes[:-1], rates[:-1]).sum(0)
+            return Step(u, u - less, coefficients, True)
 
-        predicted, t1 = u, t0 + h
-        nodes = jnp.concatenate([jnp.ones(1, t0.dtype), nodes])
-
-        def corrected(k):
-            """The polynomial with the increment k = h f(t1, y1) at its new end."""
-            new = jax.tree.map(lambda k, x: jnp.concatenate([k[None], h * x]), k, rates)
-            return mixed(integrals(nodes).T, new)
-
-        def arrived(k):
-            return jax.tree.map(lambda y, c: y + c.sum(0), y0, corrected(k))
-
-        def residual(k):
-            return combine((1.0, -h), (k, f(t1, arrived(k))))
-
+        predicted, t1 = u, here.t + h
+        nodes = jnp.concatenate([jnp.ones(1, here.t.dtype), nodes])
+        shares = integrals(nodes).T  # of k = h f(t1, y1), and of the rates before
         if self.corrector == "once":
             ok: Any = True
-            k = scaled(h, f(t1, combine((1.0, 1.0), (y0, predicted))))
+            k = h * f(t1, here.y + predicted)
         else:
-            k, ok = root(residual, self.root_finder, scaled(h, now), y0, self.root_find_max_steps)
-        coefficients = corrected(k)
-        u = jax.tree.map(lambda c: c.sum(0), coefficients)
-        error = refused(jnp.asarray(ok), combine((1.0, -1.0), (u, predicted)))
-        return Step(combine((1.0, 1.0), (y0, u)), error, coefficients, ok)
+            weights = shares.sum(0).astype(here.y.dtype)
+            base = here.y + mixed(weights[1:], h * rates)
+            found, ok = solve(
+                f, h, t1[None], base, weights[None, :1], here, h * here.rate[None],
+                self.root_finder, self.root_find_max_steps,
+            )  # fmt: skip
+            k = found[0]
+        coefficients = mixed(shares, jnp.concatenate([k[None], h * rates]))
+        u = coefficients.sum(0)
+        return Step(u, refused(jnp.asarray(ok), u - predicted), coefficients, ok)
 
 
 class BDF(AbstractMultistep):
@@ -245,36 +232,37 @@ class BDF(AbstractMultistep):
     def error_order(self, terms):
         return self.formula_order + 1
 
-    def remembered(self, f, t0, y0):
-        return y0
+    def start(self, f, t0, y0):
+        return start(f, t0, y0, self.root_finder)
 
-    def begin(self, f, t0, h, y0):
-        starter, first = self._starter, scaled(h, f(t0, y0))
-        y1, k, ok = starter.solve(f, t0, h, y0, first)
-        error = refused(ok, starter.estimate(f, t0, h, y0, first, k))
-        return Step(y1, error, starter.polynomial(k), ok)
+    def remembered(self, here):
+        return here.y
 
-    def formula(self, f, t0, h, y0, now, history):
-        nodes = jnp.concatenate([jnp.array([1.0, 0.0], t0.dtype), self._nodes(t0, h, history)])
-        from_y0 = jax.tree.map(lambda old, y: old - y, history.values, y0)
+    def begin(self, f, h, here):
+        u, k, ok = self._starter.solve(f, h, here)
+        error = refused(ok, self._starter.estimate(f, h, here, k))
+        return Step(u, error, self._starter.polynomial(k), ok)
+
+    def formula(self, f, h, here, history):
+        nodes = self._nodes(here.t, h, history)
+        nodes = jnp.concatenate([jnp.array([1.0, 0.0], here.t.dtype), nodes])
+        past = history.values - here.y
         weights = basis(nodes[1:])  # of y0, whose increment is zero, and the past
-        predicted = mixed(weights[1:].sum(1), from_y0)  # the polynomials at 1
-        nodes = nodes[:-1]
-        from_y0 = jax.tree.map(lambda x: x[:-1], from_y0)
-        slopes = slopes_at_one(nodes)
-        slope = mixed(slopes[2:], from_y0)
+        predicted = mixed(weights[1:].sum(1), past)  # the polynomials at 1
+        nodes, past = nodes[:-1], past[:-1]
+        slopes = slopes_at_one(nodes).astype(here.y.dtype)
+        known = mixed(slopes[2:], past)
 
-        def residual(k):
-            rate = f(t0 + h, combine((1.0, 1.0), (y0, k)))
-            # divided by the weight of k, so that the residual is an increment too
-            return combine((1.0, 1 / slopes[0], -h / slopes[0]), (k, slope, rate))
-
-        k, ok = root(residual, self.root_finder, predicted, y0, self.root_find_max_steps)
-        increments = jax.tree.map(lambda k, old: jnp.concatenate([k[None], old]), k, from_y0)
+        # h Q'(t1) = slopes_0 (y1 - y0) + known = k
+        found, ok = solve(
+            f, h, (here.t + h)[None], here.y - known / slopes[0], 1 / slopes[None, :1], here,
+            (slopes[0] * predicted + known)[None], self.root_finder, self.root_find_max_steps,
+        )  # fmt: skip
+        u = (found[0] - known) / slopes[0]
         rows = jnp.delete(basis(nodes), 1, axis=0)[:, 1:]
-        share = 1 / (1 - (history.ts[-1] - t0) / jnp.where(h == 0, 1.0, h))
-        error = refused(ok, combine((share, -share), (k, predicted)))
-        return Step(combine((1.0, 1.0), (y0, k)), error, mixed(rows.T, increments), ok)
+        share = 1 / (1 - (history.ts[-1] - here.t) / jnp.where(h == 0, 1.0, h))
+        error = refused(ok, share.astype(u.dtype) * (u - predicted))
+        return Step(u, error, mixed(rows.T, jnp.concatenate([u[None], past])), ok)
 
 
 def adams_bashforth(order: int) -> Adams:

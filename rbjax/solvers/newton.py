@@ -27,8 +27,9 @@ NOISE = 1e2  # times that: where corrections that no longer shrink are rounding
 class Settled(optx.AbstractRootFinder):
     """optimistix' `Newton` or `Chord`, or diffrax' `VeryChord`, stopped by the size of corrections.
 
-    The option `scale` is the size of the state; without it 1. Fields: inner; the others are what
-    optimistix and diffrax expect of a root finder, and not used.
+    The option `scale` is the size of the state; without it 1. The option `near` is a function
+    (y, args) -> (value, None) from which a chord takes its matrix instead of the residual's.
+    Fields: inner; the others are what optimistix and diffrax expect of a root finder, and not used.
     """
 
     rtol: float = 1.0
@@ -39,6 +40,7 @@ class Settled(optx.AbstractRootFinder):
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         if "init_state" in options:  # diffrax begins the iteration of a whole step at once
             return options["init_state"]
+        fn = options.get("near", fn)
         inner = self.inner.init(fn, y, args, {}, f_struct, aux_struct, tags)
         return inner, jnp.full((), jnp.inf, _dtype(y))
 
@@ -89,18 +91,40 @@ def _made(method: Any, linear_solver: lx.AbstractLinearSolver | None) -> Any:
     return method(1.0, 1.0, linear_solver=solver, cauchy_termination=False)
 
 
+def linear_solver(finder: Any) -> lx.AbstractLinearSolver:
+    """The one that a root finder solves its corrections with."""
+    return getattr(getattr(finder, "inner", finder), "linear_solver", lx.LU())
+
+
+def matrix_free(finder: Any) -> bool:
+    """Whether that asks for products alone, and for no matrix."""
+    return iterative(linear_solver(finder))
+
+
+def iterative(solver: lx.AbstractLinearSolver) -> bool:
+    """Whether a linear solver goes by products alone."""
+    return isinstance(solver, (lx.GMRES, lx.BiCGStab, lx.CG, lx.Normal))
+
+
 def root(
-    residual: Callable[[Any], Any], finder: Any, guess: Any, y0: Any, max_steps: int
+    residual: Callable[[Any], Any],
+    finder: Any,
+    guess: Any,
+    y0: Any,
+    max_steps: int,
+    near: Any = None,
 ) -> tuple[Any, jax.Array]:
     """The root of `residual` beside `guess`, and whether it was found; y0 sets the scale.
 
-    Its derivatives are those of the implicit function, in both directions.
+    `near` has a cheaper derivative, for chords. The root's derivatives are those of the implicit
+    function, in both directions.
     """
+    options = {"scale": _largest(y0)} | ({} if near is None else {"near": near})
     solution: Any = optx.root_find(
         lambda x, _: residual(x),
         finder,
         jax.lax.stop_gradient(guess),
-        options={"scale": jax.lax.stop_gradient(_largest(y0))},
+        options=_stopped(options),
         max_steps=max_steps,
         throw=False,
     )
@@ -116,6 +140,11 @@ def verdict(ok: jax.Array) -> Any:
 def refused(ok: jax.Array, error: Any) -> Any:
     """The error estimate, infinite where a root failed: an adaptive step is then tried shorter."""
     return jax.tree.map(lambda x: jnp.where(ok, x, jnp.inf), error)
+
+
+def _stopped(tree: Any) -> Any:
+    numbers, rest = eqx.partition(tree, eqx.is_array)
+    return eqx.combine(jax.lax.stop_gradient(numbers), rest)
 
 
 def _largest(tree: Any) -> jax.Array:

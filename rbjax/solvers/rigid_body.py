@@ -18,8 +18,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.rotations import quaternion
+from rbjax.solvers.field import field, forwards
 from rbjax.solvers.groups import SO3, AbstractGroup, OnGroup, Product, Vector, unwrapped
-from rbjax.solvers.steps import AbstractGroupSolver, dense_between, field, forwards
+from rbjax.solvers.steps import AbstractGroupSolver, dense_between
 
 
 class RigidBody(OnGroup):

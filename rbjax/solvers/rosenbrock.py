@@ -17,11 +17,13 @@ from typing import Any
 import diffrax
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 
-from rbjax.solvers.newton import refused, verdict
-from rbjax.solvers.steps import AbstractPolynomialSolver, combine, field, hermite, scaled
+from rbjax.solvers.field import flattened, linearized, times
+from rbjax.solvers.newton import iterative, refused, verdict
+from rbjax.solvers.steps import AbstractPolynomialSolver, hermite, mixed
 from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
@@ -77,41 +79,40 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
         return self.tableau.order
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        f, h = field(terms, args), t1 - t0
+        (f, y), h = flattened(terms, args, y0), t1 - t0
         alpha, gamma = np.array(self.tableau.alpha), np.array(self.tableau.gamma)
         diagonal = float(gamma[0, 0])
-        f0, jacobian = jax.linearize(lambda y: f(t0, y), y0)
-        slope = jax.jvp(lambda t: f(t, y0), (t0,), (t0 * 0 + 1,))[1]
-
-        def implicit(k):
-            return jax.tree.map(lambda k, j: k - h * diagonal * j, k, jacobian(k))
-
-        operator = lx.FunctionLinearOperator(implicit, jax.eval_shape(lambda: y0))
-        operator = lx.linearise(operator)
+        if iterative(self.linear_solver):
+            f0, push = jax.linearize(lambda y: f(t0, y), y)
+            operator: Any = lx.FunctionLinearOperator(
+                lambda k: k - h * diagonal * push(k), jax.eval_shape(lambda: y)
+            )
+        else:
+            f0, jacobian = linearized(f, t0, y)
+            push = functools.partial(times, jacobian)
+            one = jnp.eye(y.size, dtype=y.dtype)
+            operator = lx.MatrixLinearOperator(one - h * diagonal * jacobian)
+        slope = jax.jvp(lambda t: f(t, y), (t0,), (t0 * 0 + 1,))[1]
         factors = jax.lax.stop_gradient(self.linear_solver.init(operator, {}))
-        ks: list[Any] = []
-        ok: Any = True
-        for i in range(len(self.tableau.b)):
-            rate, drift = f0, slope
-            if i:
-                at = combine((1.0, *alpha[i, :i].tolist()), (y0, *ks))
-                rate = f(t0 + float(alpha[i].sum()) * h, at)
-            right = scaled(h, rate)
-            if i and gamma[i, :i].any():
-                turned = jacobian(combine(gamma[i, :i].tolist(), ks))
-                right = combine((1.0, h), (right, turned))
-            right = combine((1.0, float(gamma[i].sum()) * h * h), (right, drift))
+
+        def stage(ks, row):
+            i, alpha, gamma = row
+            rate = f(t0 + alpha.sum().astype(h.dtype) * h, y + mixed(alpha, ks))
+            turned = push(mixed(gamma, ks))
+            right = h * (rate + turned) + (gamma.sum() + diagonal) * h * h * slope
             solved = lx.linear_solve(
                 operator, right, self.linear_solver, state=factors, throw=False
             )
-            ks.append(solved.value)
-            ok = ok & (solved.result == lx.RESULTS.successful)
-        u = combine(self.tableau.b, ks)
-        less = tuple(a - b for a, b in zip(self.tableau.b, self.tableau.companion, strict=True))
-        y1 = combine((1.0, 1.0), (y0, u))
-        coefficients = hermite(u, scaled(h, f0), scaled(h, f(t1, y1)))
-        dense = {"y0": y0, "coefficients": coefficients}
-        return y1, refused(ok, combine(less, ks)), dense, solver_state, verdict(ok)
+            return ks.at[i].set(solved.value), solved.result == lx.RESULTS.successful
+
+        below = np.tril(gamma, -1)
+        rows = (np.arange(len(alpha)), alpha.astype(y.dtype), below.astype(y.dtype))
+        ks, ok = jax.lax.scan(stage, jnp.zeros((len(alpha), y.size), y.dtype), rows)
+        u, ok = mixed(self.tableau.b, ks), ok.all()
+        error = mixed(np.subtract(self.tableau.b, self.tableau.companion), ks)
+        coefficients = hermite(u, h * f0, h * f(t1, y + u))
+        dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(coefficients)}
+        return f.unravel(y + u), f.unravel(refused(ok, error)), dense, solver_state, verdict(ok)
 
 
 @functools.cache

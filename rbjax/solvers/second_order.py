@@ -23,17 +23,10 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 
+from rbjax.solvers.field import field, forwards
 from rbjax.solvers.groups import group_of, unwrapped
 from rbjax.solvers.newton import MAX_STEPS, chord, root, verdict
-from rbjax.solvers.steps import (
-    AbstractGroupSolver,
-    combine,
-    dense_between,
-    field,
-    forwards,
-    pair,
-    scaled,
-)
+from rbjax.solvers.steps import AbstractGroupSolver, combine, dense_between, pair, scaled
 
 RESULTS = diffrax.RESULTS
 
@@ -44,11 +37,14 @@ class Halves(eqx.Module):
     terms: Any
     args: Any
 
+    def rate(self, t: Any, y: Any) -> Any:
+        return field(self.terms, self.args)(t, y)
+
     def acceleration(self, t: Any, y: Any) -> Any:
-        return pair(field(self.terms, self.args)(t, y))[0][1]
+        return pair(self.rate(t, y))[0][1]
 
     def velocity(self, t: Any, y: Any) -> Any:
-        return pair(field(self.terms, self.args)(t, y))[0][0]
+        return pair(self.rate(t, y))[0][0]
 
     def moved(self, y: Any, dq: Any, dv: Any) -> Any:
         """y with q moved by dq and v by dv."""
@@ -79,11 +75,11 @@ class GeneralizedAlpha(AbstractGroupSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         (_, v0), _ = pair(y0)
-        now = halves.acceleration(t0, y0)
+        rate0 = halves.rate(t0, y0)
+        (velocity, now), _ = pair(rate0)
         carried = solver_state
         if made_jump is not False:
             carried = jax.tree.map(lambda a, b: jnp.where(made_jump, a, b), now, carried)
-        velocity = halves.velocity(t0, y0)
         m, f = self.alpha_m, self.alpha_f
 
         def after(k):
@@ -101,12 +97,16 @@ class GeneralizedAlpha(AbstractGroupSolver):
         def residual(k):
             return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
 
-        guess = scaled(h, now)
+        # From where q goes on at v0: the acceleration of a stiff spring leads far off.
+        still = -(0.5 - self.beta) / self.beta if self.beta else 0.0
+        guess = combine(
+            (((1 - m) * still + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
+        )
         k, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
         carrying, y1 = after(k)
         safe = jnp.where(h == 0, 1.0, h)
         carried = jax.tree.map(lambda x, old: jnp.where(h == 0, old, x / safe), carrying, carried)
-        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1, rate0)
         return y1, None, dense, carried, verdict(ok)
 
 
@@ -137,11 +137,12 @@ class CentralDifferences(AbstractGroupSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
-        a0, v = halves.acceleration(t0, y0), halves.velocity(t0, y0)
+        rate0 = halves.rate(t0, y0)
+        (v, a0), _ = pair(rate0)
         dq = combine((h, forwards(terms, h) * h * h / 2), (v, a0))
         a1 = halves.acceleration(t1, halves.moved(y0, dq, scaled(h, a0)))
         y1 = halves.moved(y0, dq, combine((h / 2, h / 2), (a0, a1)))
-        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
+        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1, rate0)
         return y1, None, dense, None, RESULTS.successful
 
 
@@ -215,7 +216,7 @@ class VariationalMidpoint(AbstractGroupSolver):
             _, p, rate = middle(dw)
             return combine((1.0, -1.0, -h / 2), (p, p0, rate))
 
-        guess = scaled(h / 2, halves.acceleration(t0, y0))
+        guess = jax.tree.map(jnp.zeros_like, v0)
         dw, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
         w, p, rate = middle(dw)
         p1 = combine((1.0, h / 2), (p, rate))

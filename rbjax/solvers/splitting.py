@@ -20,13 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.solvers import tableau as tables
+from rbjax.solvers.field import field
 from rbjax.solvers.groups import group_of
 from rbjax.solvers.second_order import Halves
 from rbjax.solvers.steps import (
     AbstractGroupSolver,
     dense_between,
     explicit_stages,
-    field,
     mixed,
     pair,
     scaled,

@@ -14,20 +14,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.solvers.field import Field
 from rbjax.solvers.groups import AbstractGroup, Vector, group_of
 from rbjax.solvers.tableau import Tableau
-
-Field = Callable[[Any, Any], Any]  # (t, y) -> rate
-
-
-def field(terms: Any, args: Any) -> Field:
-    """The vector field of an ordinary differential equation, in the solver's time."""
-    return lambda t, y: terms.vf_prod(t, y, args, forwards(terms, t))
-
-
-def forwards(terms: Any, t: Any) -> Any:
-    """1, in the kind of number that t is, or -1 where the caller's time runs backwards."""
-    return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 
 def scaled(h: Any, k: Any) -> Any:
@@ -68,7 +57,9 @@ def stacked(ks: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *xs: jnp.stack(xs), *ks)
 
 
-def explicit_stages(rate: Field, tableau: Tableau, t0: Any, h: Any) -> Callable[[Any], Any]:
+def explicit_stages(
+    rate: Callable[[Any, Any], Any], tableau: Tableau, t0: Any, h: Any
+) -> Callable[[Any], Any]:
     """From a zero increment, the stages k_i = h rate(t0 + c_i h, sum_j a_ij k_j), (s, ...).
 
     Rolled, so that the field is traced once however many stages there are.
@@ -134,11 +125,17 @@ def hermite(u: Any, k0: Any, k1: Any) -> Any:
     return jax.tree.map(lambda u, a, b: jnp.stack([a, 3 * u - 2 * a - b, a + b - 2 * u]), u, k0, k1)
 
 
-def dense_between(group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any) -> dict:
-    """Dense output of order four from the rates at both ends: two evaluations, spent if used."""
-    h = t1 - t0
+def dense_between(
+    group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any, rate0: Any = None
+) -> dict:
+    """Dense output of order four from the rates at both ends, spent if used; rate0 if known."""
+    if rate0 is None:
+        both = jax.vmap(f)(jnp.stack([t0, t1]), stacked([y0, y1]))
+        rate0, rate1 = (jax.tree.map(lambda x, i=i: x[i], both) for i in (0, 1))
+    else:
+        rate1 = f(t1, y1)
+    k0, k1 = (scaled(t1 - t0, rate) for rate in (rate0, rate1))
     u = group.difference(y0, y1)
-    k0, k1 = (scaled(h, f(t, y)) for t, y in ((t0, y0), (t1, y1)))
     return {"y0": y0, "coefficients": hermite(u, k0, inverse_dexp(group, u, k1)), "group": group}
 
 

@@ -9,6 +9,8 @@ import pytest
 import rbjax as rb
 from tests.solvers.scenes import INERTIA
 
+SLOW = pytest.mark.slow
+
 
 def energies(term, solver, y0, energy, dt, steps, every):
     """The energy at regular times, one compiled program, no interpolation."""
@@ -48,8 +50,9 @@ def swing(y):
 
 @pytest.mark.parametrize(
     "name",
-    ["symplectic_euler", "stoermer_verlet", "yoshida4", "central_differences",
-     "implicit_midpoint", "variational_midpoint", "newmark"],
+    [pytest.param(n, marks=() if n in ("stoermer_verlet", "implicit_midpoint") else SLOW)
+     for n in ("symplectic_euler", "stoermer_verlet", "yoshida4", "central_differences",
+               "implicit_midpoint", "variational_midpoint", "newmark")],
 )  # fmt: skip
 def test_symplectic_energy_does_not_drift(name: str) -> None:
     solver = rb.solvers.all()[name].make()
@@ -107,8 +110,9 @@ def momentum_in_space(y):
 
 @pytest.mark.parametrize(
     "name",
-    ["rkmk4", "crouch_grossman3", "commutator_free4", "lie_generalized_alpha",
-     "rigid_body_splitting"],
+    [pytest.param(n, marks=() if n in ("rkmk4", "rigid_body_splitting") else SLOW)
+     for n in ("rkmk4", "crouch_grossman3", "commutator_free4", "lie_generalized_alpha",
+               "rigid_body_splitting")],
 )  # fmt: skip
 def test_unit_length_over_many_steps(name: str) -> None:
     solver = rb.solvers.all()[name].make()

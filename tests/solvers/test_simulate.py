@@ -1,5 +1,7 @@
 """Robots through `simulate` with these solvers: attitudes stay on the manifold."""
 
+import functools
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -17,24 +19,45 @@ def start(model):
     return model.random_state(jax.random.key(3))
 
 
-def error(model, name: str, dt: float) -> float:
-    state = start(model)
-    exact = rb.simulate(model, state, TS, stepsize_controller=FINE, solver=diffrax.Dopri8())
-    path = rb.simulate(model, state, TS, solver=SOLVERS[name].make(), dt0=dt)
+@functools.cache
+def robot(name: str):
+    """The model, and how far a path lies from where it is at TS to rounding."""
+    model = rb.load(name)
+    exact = rb.simulate(
+        model, start(model), TS, stepsize_controller=FINE, solver=diffrax.Dopri8()
+    )
+
+    @jax.jit
+    def apart(path):
+        gap = jax.vmap(lambda a, b: rb.difference(model, a, b))(exact.q, path.q)
+        return gap, path.v - exact.v
+
+    return model, apart
+
+
+def error(scene: str, name: str, dt: float) -> float:
+    model, apart = robot(scene)
+    path = program(scene, name)(start(model), dt)
     for at in model.topology.quaternion_starts:
         lengths = np.linalg.norm(path.q[:, at : at + 4], axis=-1)
         np.testing.assert_allclose(lengths, 1, atol=4e-16)
-    gap = jax.vmap(lambda a, b: rb.difference(model, a, b))(exact.q, path.q)
-    gap, slip = np.asarray(gap), np.asarray(path.v - exact.v)
+    gap, slip = (np.asarray(x) for x in apart(path))
     return float(np.abs(gap).max() + np.abs(slip).max())  # jnp.max may drop a nan on the CPU
+
+
+@functools.cache
+def program(scene: str, name: str):
+    """One that knows its robot, whatever the step."""
+    model, _ = robot(scene)
+    solver = SOLVERS[name].make()
+    return jax.jit(lambda state, dt: rb.simulate(model, state, TS, solver=solver, dt0=dt))
 
 
 @pytest.mark.parametrize(
     "name", ["rkmk4", pytest.param("generalized_alpha", marks=pytest.mark.slow)]
 )
 def test_a_top_turns_on_its_manifold(name: str) -> None:
-    model = rb.load("spinning_top")
-    coarse, fine = (error(model, name, dt) for dt in (0.02, 0.01))
+    coarse, fine = (error("spinning_top", name, dt) for dt in (0.02, 0.01))
     assert abs(np.log2(coarse / fine) - SOLVERS[name].order) < 0.3, (coarse, fine)
 
 
@@ -46,9 +69,8 @@ QUICK = {"adams_bashforth3", "yoshida4"}
              for n in SOLVERS if n != "rigid_body_splitting"],
 )  # fmt: skip
 def test_every_solver_moves_a_robot(name: str) -> None:
-    model = rb.load("pendulum" if name in QUICK else "double_pendulum")
     bound = {1: 0.5, 2: 2e-2}.get(SOLVERS[name].order, 2e-3)
-    assert error(model, name, 0.01) < bound
+    assert error("pendulum" if name in QUICK else "double_pendulum", name, 0.01) < bound
 
 
 def test_the_splitting_of_rigid_bodies_names_its_term() -> None:

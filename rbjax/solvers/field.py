@@ -1,0 +1,87 @@
+"""The vector field of a step: traced once, and linearized once, wherever a solver asks for it.
+
+    y' = f(t, y),    J = df/dy
+A robot's field is thousands of operations, and a solver's step is traced several times over, so
+both functions here are programs of their own (`jit`), which JAX keeps by the term and by shapes.
+The stages of an implicit method are evaluated as a batch, and their derivative with respect to the
+state alone goes through J, n columns a stage, however many columns of the stage system are wanted.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+
+class Field(eqx.Module):
+    """(t, y) -> rate, in the solver's time, which runs forwards.
+
+    `unravel` puts the state together where y is given as one vector, as `flattened` has it.
+    """
+
+    terms: Any
+    args: Any
+    unravel: Any = None
+
+    def __call__(self, t: Any, y: Any) -> Any:
+        return _rate(self, t, y)
+
+
+def field(terms: Any, args: Any) -> Field:
+    """The vector field of an ordinary differential equation, in the solver's time."""
+    return Field(terms, args)
+
+
+def forwards(terms: Any, t: Any) -> Any:
+    """1, in the kind of number that t is, or -1 where the caller's time runs backwards."""
+    return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
+
+
+def flattened(terms: Any, args: Any, y: Any) -> tuple[Field, jax.Array]:
+    """The field on vectors (n,), and y as one."""
+    vector, unravel = ravel_pytree(y)
+    return Field(terms, args, unravel), vector
+
+
+@eqx.filter_jit
+def _rate(f: Field, t: Any, y: Any) -> Any:
+    if f.unravel is None:
+        return f.terms.vf_prod(t, y, f.args, forwards(f.terms, t))
+    rate = f.terms.vf_prod(t, f.unravel(y), f.args, forwards(f.terms, t))
+    return ravel_pytree(rate)[0]
+
+
+@eqx.filter_jit
+def linearized(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """f(t, y) (n,) and J (n, n), of a field on vectors."""
+    rate, push = jax.linearize(lambda y: f(t, y), y)
+    return rate, jax.vmap(push, out_axes=-1)(jnp.eye(y.size, dtype=y.dtype))
+
+
+@eqx.filter_custom_jvp
+def rates(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
+    """f of each of the stages t (s,), y (s, n)."""
+    return _batch(f, t, y)
+
+
+def _batch(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
+    return jax.vmap(f)(t, y)
+
+
+@rates.def_jvp
+def _tangent(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    f, t, y = primals
+    moving = jax.tree.leaves(tangents[:2])
+    if moving or tangents[2] is None:
+        return eqx.filter_jvp(_batch, primals, tangents)
+    rate, jacobian = jax.vmap(lambda t, y: linearized(f, t, y))(t, y)
+    return rate, times(jacobian, tangents[2])
+
+
+def times(matrix: jax.Array, x: jax.Array) -> jax.Array:
+    """matrix (..., m, n) times x (..., n), in full precision on every device."""
+    return (matrix * x[..., None, :]).sum(-1)
