@@ -6,7 +6,7 @@ million. Every function takes one sample and composes with jit, vmap, grad, jvp 
 
 from typing import Any
 
-from rbjax import body, dynamics, forces, rotations, solvers, spatial, sysid
+from rbjax import body, dynamics, forces, rotations, solvers, spatial, stability, sysid
 from rbjax.dynamics import (
     Poses,
     bias_forces,
@@ -93,6 +93,7 @@ __all__ = [
     "site_pose",
     "solvers",
     "spatial",
+    "stability",
     "sysid",
     "validation",
 ]

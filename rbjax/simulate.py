@@ -95,6 +95,23 @@ def _momentum(t: Any, y: State, model: Model) -> jax.Array:
     return (mass_matrix(model, unit(model.topology, y.q)) * y.v).sum(-1)
 
 
+def motion(
+    model: Model, state: State, solver: diffrax.AbstractSolver, control: Control | None = None
+) -> tuple[diffrax.AbstractTerm, State]:
+    """The term of a robot's motion that a solver takes, with the model as its args, and where it
+    starts: solvers on groups move along the manifold, from quaternions of unit length."""
+    if not isinstance(solver, AbstractGroupSolver):
+        return diffrax.ODETerm(Motion(control)), state
+    top = model.topology
+    term = OnGroup(Motion(control, tangent=True), Manifold(top), _momentum)
+    if not isinstance(term, solver.term_structure):
+        raise InputError(
+            f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
+            "with diffrax.diffeqsolve; robots take the other solvers"
+        )
+    return term, State(unit(top, state.q), state.v)
+
+
 def simulate(
     model: Model,
     state: State,
@@ -154,17 +171,8 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
-    top = model.topology
     solver = diffrax.Tsit5() if solver is None else solver
-    term: diffrax.AbstractTerm = diffrax.ODETerm(Motion(control))
-    if isinstance(solver, AbstractGroupSolver):
-        term = OnGroup(Motion(control, tangent=True), Manifold(top), _momentum)
-        if not isinstance(term, solver.term_structure):
-            raise InputError(
-                f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
-                "with diffrax.diffeqsolve; robots take the other solvers"
-            )
-        state = State(unit(top, state.q), state.v)
+    term, state = motion(model, state, solver, control)
     solution = diffrax.diffeqsolve(
         term,
         solver,
@@ -173,7 +181,7 @@ def simulate(
         dt0=dt0,
         y0=state,
         args=model,
-        saveat=diffrax.SaveAt(ts=ts, fn=_Saved(top)),
+        saveat=diffrax.SaveAt(ts=ts, fn=_Saved(model.topology)),
         stepsize_controller=stepsize_controller,
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps=max_steps,
