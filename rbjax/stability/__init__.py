@@ -4,6 +4,9 @@ from rbjax.stability.canonical import Hamiltonian, from_canonical, to_canonical
 from rbjax.stability.drift import Invariants, Trend, drift, trend
 from rbjax.stability.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
 from rbjax.stability.march import March
+from rbjax.stability.scenes import Arm, Body, Scene, Truth, scenes, truth
+from rbjax.stability.trials import attempt
+from rbjax.stability.verdicts import Outcome, Verdict, verdict
 
 __all__ = [
     "drift",
@@ -15,6 +18,16 @@ __all__ = [
     "Exponent",
     "gradient_growth",
     "GradientGrowth",
+    "verdict",
+    "Verdict",
+    "Outcome",
+    "attempt",
+    "scenes",
+    "Scene",
+    "Arm",
+    "Body",
+    "truth",
+    "Truth",
     "Hamiltonian",
     "to_canonical",
     "from_canonical",

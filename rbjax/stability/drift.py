@@ -185,6 +185,4 @@ def drift(
         raise InputError("drift: keep is None, expected what a term keeps: (t, y, args) -> arrays")
     else:
         term = system
-    return march(
-        term, solver, y0, dt, keep, every=steps // samples, samples=samples, args=args
-    )
+    return march(term, solver, y0, dt, keep, every=steps // samples, samples=samples, args=args)

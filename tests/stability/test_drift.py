@@ -98,7 +98,11 @@ def energy_trend(name: str, coordinates: str, steps: int, dt: float = STEP):
 
 
 # symplectic for any mass matrix: Gauss in (q, p), the variational rule in (q, v)
-SYMPLECTIC = [("implicit_midpoint", "qp"), ("gauss_legendre2", "qp"), ("variational_midpoint", "qv")]
+SYMPLECTIC = [
+    ("implicit_midpoint", "qp"),
+    ("gauss_legendre2", "qp"),
+    ("variational_midpoint", "qv"),
+]
 
 
 def test_energy_of_a_pendulum() -> None:
