@@ -15,17 +15,8 @@ from rbjax.model import Model, State
 from rbjax.simulate import motion, simulate
 from rbjax.solvers import AbstractGroupSolver, RigidBodySplitting
 from rbjax.stability.march import DONE, NO_ROOT, NOT_FINITE, march
-from rbjax.stability.scenes import (
-    SAMPLES,
-    Arm,
-    Body,
-    Scene,
-    Truth,
-    deviation,
-    kept,
-    truth,
-    tumbling,
-)
+from rbjax.stability.scenes import SAMPLES, Scene, Truth, deviation, kept, truth
+from rbjax.stability.systems import Arm, Body, tumbling
 from rbjax.stability.verdicts import MOTION, Outcome, Verdict, verdict
 from rbjax.trajectory import Trajectory
 

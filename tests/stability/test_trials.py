@@ -12,7 +12,8 @@ from scipy.integrate import solve_ivp
 
 import rbjax as rb
 from rbjax.stability import Arm, Body, Outcome, Truth, attempt, scenes, truth
-from rbjax.stability.scenes import SAMPLES, spherical, tumbling
+from rbjax.stability.scenes import SAMPLES
+from rbjax.stability.systems import spherical, tumbling
 
 SOLVERS = rb.solvers.all()
 SCENES = scenes()
