@@ -109,6 +109,27 @@ def _itself(model: Model) -> Model:
     return model
 
 
+def motion(
+    model: Model,
+    state: State,
+    solver: diffrax.AbstractSolver,
+    control: Control | None = None,
+    of_args: Callable[[Any], Model] = _itself,
+) -> tuple[diffrax.AbstractTerm, State]:
+    """The term of a robot's motion that a solver takes, and where it starts: solvers on groups move
+    along the manifold, from quaternions of unit length. The term's args hold the model."""
+    if not isinstance(solver, AbstractGroupSolver):
+        return diffrax.ODETerm(Motion(control, of_args)), state
+    top = model.topology
+    term = OnGroup(Motion(control, of_args, tangent=True), Manifold(top), Momentum(of_args))
+    if not isinstance(term, solver.term_structure):
+        raise InputError(
+            f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
+            "with diffrax.diffeqsolve; robots take the other solvers"
+        )
+    return term, State(unit(top, state.q), state.v)
+
+
 def simulate(
     model: Model,
     state: State,
@@ -168,19 +189,10 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
-    top = model.topology
     solver = diffrax.Tsit5() if solver is None else solver
     # Inside a caller's jit diffrax would trace what the caller holds constant.
     args, of_args = opened(model) if staged() else (model, _itself)
-    term: diffrax.AbstractTerm = diffrax.ODETerm(Motion(control, of_args))
-    if isinstance(solver, AbstractGroupSolver):
-        term = OnGroup(Motion(control, of_args, tangent=True), Manifold(top), Momentum(of_args))
-        if not isinstance(term, solver.term_structure):
-            raise InputError(
-                f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
-                "with diffrax.diffeqsolve; robots take the other solvers"
-            )
-        state = State(unit(top, state.q), state.v)
+    term, state = motion(model, state, solver, control, of_args)
     solution = diffrax.diffeqsolve(
         term,
         solver,
@@ -189,7 +201,7 @@ def simulate(
         dt0=dt0,
         y0=state,
         args=args,
-        saveat=diffrax.SaveAt(ts=ts, fn=_Saved(top)),
+        saveat=diffrax.SaveAt(ts=ts, fn=_Saved(model.topology)),
         stepsize_controller=stepsize_controller,
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps=max_steps,

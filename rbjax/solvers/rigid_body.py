@@ -48,7 +48,7 @@ class RigidBody(OnGroup):
 
     def moment(self, t, turn, args):
         """The torque (3,)."""
-        return jnp.zeros(3) if self.torque is None else self.torque(t, turn, args)
+        return jnp.zeros(3, turn.dtype) if self.torque is None else self.torque(t, turn, args)
 
 
 def _no_field(t, y, args):

@@ -8,12 +8,19 @@
     state_matrix, stable_step, measured_stable_step
                                           a robot's motion linearised, and the largest step there
     recommend                             a solver and a step for a robot; also rb.solvers.recommend
+    drift, trend                          invariants over a million steps, and whether they stay
+    lyapunov, gradient_growth             chaos, and how long a gradient says anything
+    verdict, attempt, scenes              how a run failed; every solver on scenes built to break it
     plot_regions, plot_spectral_radius    on axes of matplotlib
 """
 
+from rbjax.stability.canonical import Hamiltonian, from_canonical, to_canonical
+from rbjax.stability.drift import Invariants, Trend, drift, trend
 from rbjax.stability.largest_step import ROLLOUT, measured_stable_step, stable_step
 from rbjax.stability.linear_analysis import LinearAnalysis, linear_analysis, order_by_conditions
 from rbjax.stability.linearisation import equilibrium, motion_matrices, state_matrix
+from rbjax.stability.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
+from rbjax.stability.march import March
 from rbjax.stability.multistep_roots import (
     Characteristic,
     adams,
@@ -39,7 +46,11 @@ from rbjax.stability.regions import (
     stability_region,
     stiff_stability,
 )
+from rbjax.stability.scenes import Scene, Truth, scenes, truth
 from rbjax.stability.stability_function import StabilityFunction, stability_function
+from rbjax.stability.systems import Arm, Body
+from rbjax.stability.trials import attempt
+from rbjax.stability.verdicts import Outcome, Verdict, verdict
 
 __all__ = [
     # linear theory
@@ -76,6 +87,29 @@ __all__ = [
     "ROLLOUT",
     "Recommendation",
     "recommend",
+    # motions: what stays, what grows, what fails
+    "drift",
+    "trend",
+    "Trend",
+    "Invariants",
+    "March",
+    "lyapunov",
+    "Exponent",
+    "gradient_growth",
+    "GradientGrowth",
+    "verdict",
+    "Verdict",
+    "Outcome",
+    "attempt",
+    "scenes",
+    "Scene",
+    "Arm",
+    "Body",
+    "truth",
+    "Truth",
+    "Hamiltonian",
+    "to_canonical",
+    "from_canonical",
     # pictures
     "plot_regions",
     "plot_spectral_radius",
