@@ -98,7 +98,8 @@ class GeneralizedAlpha(AbstractGroupSolver):
             return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
 
         # From where q goes on at v0: the acceleration of a stiff spring leads far off.
-        still = -(0.5 - self.beta) / self.beta if self.beta else 0.0
+        explicit = self.beta == 0
+        still = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
         guess = combine(
             (((1 - m) * still + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
         )
