@@ -168,6 +168,7 @@ def known_truth(name: str) -> Truth:
     return truth(SCENES[name])
 
 
+@pytest.mark.slow
 def test_the_limit_of_verlet_is_two_over_omega() -> None:
     """h omega below and above 2, omega^2 = k / (a - c^2 / b), the stretched arm's."""
     scene = SCENES["spring_1e6"]
