@@ -10,7 +10,6 @@ and one step's intermediate values, per sample.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import jax
