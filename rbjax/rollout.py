@@ -106,8 +106,8 @@ def _in_kernel(model, state, policy, batched, kernel) -> bool:
     can = can and all(site < 0 for site in model.actuators.sites)
     if kernel and not can:
         raise InputError(
-            "rollout: kernel is True, but a kernel takes batches with no policy and no actuators at "
-            "sites; use kernel=None"
+            "rollout: kernel is True, but a kernel takes batches with no policy and no actuators "
+            "at sites; use kernel=None"
         )
     if kernel is None:
         return can and jax.default_backend() == "gpu" and state.q.dtype == jnp.float32

@@ -96,7 +96,7 @@ class Tableau:
 
     @property
     def essential(self) -> Tableau:
-        """An explicit method without its error estimate, and the last stages that only that uses."""
+        """An explicit method without error estimate and the stages that only this one uses."""
         s = max(i for i, b in enumerate(self.b) if b) + 1
         return Tableau(tuple(row[:s] for row in self.a[:s]), self.b[:s], self.order)
 
