@@ -72,17 +72,25 @@ def runge_kutta(table: Tableau, model: Model, q, v, ctrl, dt):
             ks.append(rate(_sum(row, ks)))
         u, dv = _sum(table.b, ks)
     else:
-        rows = jnp.asarray(table.a, v.dtype)
 
         def stage(ks, i):
-            row = rows[i].reshape(-1, *[1] * v.ndim)
-            k = rate([(row * k).sum(0) for k in ks])
+            k = rate(_mixed(table, ks, i))
             return tuple(x.at[i].set(y) for x, y in zip(ks, k, strict=True)), None
 
         ks = (jnp.zeros((table.stages, *v.shape), v.dtype),) * 2
         ks = jax.lax.scan(stage, ks, jnp.arange(table.stages))[0]
         u, dv = _sum(table.b, list(zip(*ks, strict=True)))
     return _moved(model, q, dt * u), v + dt * dv
+
+
+def _mixed(table: Tableau, ks, i) -> tuple:
+    """sum_j a_ij k_j; on the CPU, whose branches cost nothing, without what is zero."""
+    if jax.default_backend() == "cpu":
+        rows = [lambda ks, row=row: _sum(row, list(zip(*ks, strict=True))) for row in table.a[1:]]
+        still = lambda ks: tuple(jnp.zeros_like(k[0]) for k in ks)  # noqa: E731
+        return jax.lax.switch(i, [still, *rows], ks)
+    weights = jnp.asarray(table.a, ks[0].dtype)[i].reshape(-1, *[1] * (ks[0].ndim - 1))
+    return tuple((weights * k).sum(0) for k in ks)
 
 
 def _sum(weights, ks: list) -> tuple:

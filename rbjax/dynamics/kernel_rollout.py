@@ -198,8 +198,8 @@ def _rolled(
             return state
 
         def stage(k, _):
-            move(lambda i: scheme.sums(k, i, h), there, lambda i, x: scheme.keep(k, 0, i, x))
-            d.write(acceleration(t, there), lambda i, x: scheme.keep(k, 1, i, x))
+            move(lambda i: scheme.sums(k, i, h), there, lambda i, x: scheme.keep(k, i, x))
+            d.write(acceleration(t, there), lambda i, x: scheme.keep(k, top.nv + i, x))
             return 0
 
         loop(stage, 0, 0, scheme.stages)

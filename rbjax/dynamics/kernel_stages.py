@@ -2,10 +2,10 @@
 
     k_i = f(h sum_j a_ij k_j),    increment h sum_j b_j k_j,    f(u, w) = (u', a)
 
-Few links: the stages are written out, and all k stay in registers. More: a loop over the stages,
-with the k in rows of the memory and the coefficients, b their last row, read by index; rows above
-the diagonal are read, too (they meet zeros), since reads that do not wait for each other cost less
-than a loop.
+Very few links: the stages are written out, and all k stay in registers. Others: a loop over the
+stages, with the k in rows of the memory; for each stage a table says which of them it mixes and
+how much of each, since most coefficients of a method of high order are zero, and reading the k is
+what costs.
 """
 
 from __future__ import annotations
@@ -25,57 +25,80 @@ WRITTEN_UP_TO = 2
 
 
 def coefficients(table: Any, dtype: Any) -> jax.Array:
-    """a and b of a tableau, row after row."""
+    """For each row of a, then b: how many are not zero; pairs (j, a_ij) of these, and of zeros up
+    to the longest row."""
     if table is None:
         return jnp.zeros(1, dtype)
-    return jnp.asarray(np.vstack([table.a, table.b]).reshape(-1), dtype)
+    a = np.vstack([table.a, table.b])
+    out = np.zeros((len(a), 1 + 2 * longest(table)))
+    for row, weights in zip(out, a, strict=True):
+        used = np.flatnonzero(weights)
+        row[0] = len(used)
+        row[1 : 1 + 2 * len(used) : 2], row[2 : 2 + 2 * len(used) : 2] = used, weights[used]
+    return jnp.asarray(out.reshape(-1), dtype)
+
+
+def longest(table: Any) -> int:
+    """The most stages that are mixed at once."""
+    return int((np.vstack([table.a, table.b]) != 0).sum(1).max())
 
 
 class Scheme:
-    """A tableau in a block: `ref` holds its coefficients, `nv` rows are each half of a k."""
+    """A tableau in a block: `ref` holds its coefficients; u' and a of a stage are 2 nv rows."""
 
     def __init__(self, table: Any, ref: Any, memory: Memory, nv: int, registers: bool):
         self.table, self.ref, self.memory, self.nv = table, ref, memory, nv
-        self.stages, self.written = table.stages, registers and nv <= WRITTEN_UP_TO
+        self.stages, self.most = table.stages, longest(table)
+        self.written = registers and nv <= WRITTEN_UP_TO
         self.row = memory.take(2 * nv * self.stages)
-        if not self.written:
-            loop(lambda i, _: (memory.write(self.row + i, 0.0), 0)[1], 0, 0, 2 * nv * self.stages)
+        loop(lambda i, _: (memory.write(self.row + i, 0.0), 0)[1], 0, 0, 2 * nv)  # of weight zero
 
-    def keep(self, k: Any, half: int, i: Any, x: Any) -> None:
-        """Coordinate i of stage k: of u' (half = 0) or a (1)."""
-        self.memory.write(self.row + (2 * k + half) * self.nv + i, x)
+    def keep(self, k: Any, i: Any, x: Any) -> None:
+        """Number i of stage k: the coordinates of u', then those of a."""
+        self.memory.write(self.row + 2 * self.nv * k + i, x)
+
+    def _mixed(self, k: Any, n: Any) -> tuple[Any, Any]:
+        """The first row of the n-th stage that stage k mixes, and its weight."""
+        at = k * (1 + 2 * self.most) + 1 + 2 * n
+        return self.row + 2 * self.nv * self.ref[at].astype(jnp.int32), self.ref[at + 1]
 
     def sums(self, k: Any, i: Any, h: Any) -> tuple[jax.Array, jax.Array]:
-        """h sum_j a_kj k_j of coordinate i, of both halves; k = stages for b."""
-        weights = [self.ref[k * self.stages + j] for j in range(self.stages)]
-        out = []
-        for half in range(2):
-            rows = [self.row + (2 * j + half) * self.nv + i for j in range(self.stages)]
-            ks = [self.memory.read(row) for row in rows]
-            out.append(h * sum(w * x for w, x in zip(weights, ks, strict=True)))
-        return out[0], out[1]
+        """h sum_j a_kj k_j of coordinate i, of both halves; k = stages for b. Reads that do not
+        wait for each other: those of weight zero cost less than a loop."""
+        pairs = [self._mixed(k, n) for n in range(self.most)]
+        u, w = (
+            h * sum(weight * self.memory.read(row + half * self.nv + i) for row, weight in pairs)
+            for half in range(2)
+        )
+        return u, w
 
     def increments(self, rate: Callable, h: Any, like: jax.Array) -> tuple[list, list]:
         """(u, w) of a step on lists of lanes; rate(u, w) gives their rates."""
-        n = range(self.nv)
+        n, none = self.nv, jnp.zeros_like(like)
         if not self.written:
 
+            def all_sums(k: Any) -> tuple[list, list]:
+                def more(p, sums):
+                    row, weight = self._mixed(k, p)
+                    return [x + weight * self.memory.read(row + i) for i, x in enumerate(sums)]
+
+                count = self.ref[k * (1 + 2 * self.most)].astype(jnp.int32)
+                out = [h * x for x in jax.lax.fori_loop(0, count, more, [none] * (2 * n))]
+                return out[:n], out[n:]
+
             def stage(k, _):
-                u, w = zip(*(self.sums(k, i, h) for i in n), strict=True)
-                for half, lanes in enumerate(rate(list(u), list(w))):
-                    for i, x in enumerate(lanes):
-                        self.keep(k, half, i, x)
+                u, w = rate(*all_sums(k))
+                for i, x in enumerate(as_arrays([*u, *w], like)):
+                    self.keep(k, i, x)
                 return 0
 
             loop(stage, 0, 0, self.stages)
-            u, w = zip(*(self.sums(self.stages, i, h) for i in n), strict=True)
-            return list(u), list(w)
+            return all_sums(self.stages)
         ks: list = []
 
         def mixed(row):
             used = [(w, k) for w, k in zip(row, ks, strict=False) if w]
-            none = jnp.zeros_like(like)
-            return [[h * sum((w * k[half][i] for w, k in used), none) for i in n]
+            return [[h * sum((w * k[half][i] for w, k in used), none) for i in range(n)]
                     for half in range(2)]  # fmt: skip
 
         for row in self.table.a:
