@@ -13,6 +13,7 @@ same on a GPU). Compilation is not counted.
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import time
 import traceback
@@ -41,7 +42,8 @@ from benchmarks.work_scenes import (
 from rbjax.integrators import INTEGRATORS, TABLEAUS
 from rbjax.validation.mjx import FAST, mjx
 
-CHUNK = 8  # steps in one compiled rollout
+CHUNK = 4  # steps in one compiled rollout, or
+STIFF_CHUNK = 64
 PRECISIONS = ("f64", "f32")
 STAGES = {name: TABLEAUS[name].stages if name in TABLEAUS else 1 for name in INTEGRATORS}
 FINEST = 2e-12
@@ -120,7 +122,7 @@ class Bench:
 
 
 def _growing(first: int) -> Iterator[int]:
-    """first times 1, 1.5, 2, 3, 4, 6, 8, ..., each a multiple of first (but the second)."""
+    """first times 1, 2, 3, 4, 6, 8, 12, 16, ..."""
     k = first
     while True:
         yield k
@@ -144,20 +146,22 @@ def clocked(run: Callable[[int], Any], steps: int, often: bool) -> tuple[float, 
 
 def ours(bench: Bench, small: bool) -> None:
     """`rollout`: every integrator, in both precisions."""
-    at_sites = any(site >= 0 for site in bench.model.actuators.sites)
-    kernel = ON_GPU and not at_sites
-    big = 65_536 if bench.model.nv > 9 else 1_048_576
-    batch = SAMPLE if small else big if ON_GPU else 1024
-    most_s = 0.4 if ON_GPU else 2.0
+    large, stiff = bench.model.nv > 9, bench.scene.stiff
+    steps_in_one = STIFF_CHUNK if stiff else CHUNK
+    if ON_GPU:
+        batch, most_s = 65_536 if large else 262_144 if stiff else 1_048_576, 1.0 if stiff else 0.4
+    else:
+        batch, most_s = 128 if large or stiff else 1024, 2.0
+    batch = SAMPLE if small else batch
 
     def one(method, precision):
         model = prepared(bench.name, precision)[1]
-        ctrls = jnp.broadcast_to(jnp.asarray(bench.ctrl, float), (CHUNK, bench.m.nu))
+        ctrls = jnp.broadcast_to(jnp.asarray(bench.ctrl, float), (steps_in_one, bench.m.nu))
 
         @jax.jit
         def chunk(state, dt):
             path = rb.rollout(
-                model, state, ctrls, dt, integrator=method, save_every=CHUNK, kernel=kernel
+                model, state, ctrls, dt, integrator=method, save_every=steps_in_one, kernel=ON_GPU
             )
             return path.state(-1)
 
@@ -165,11 +169,11 @@ def ours(bench: Bench, small: bool) -> None:
 
         def run(steps):
             now, dt = state, jnp.asarray(bench.scene.seconds / steps, float)
-            for _ in range(steps // CHUNK):
+            for _ in range(steps // steps_in_one):
                 now = chunk(now, dt)
             return now.q, now.v
 
-        bench.ladder("rbjax", method, precision, run, STAGES[method], batch, CHUNK, most_s)
+        bench.ladder("rbjax", method, precision, run, STAGES[method], batch, steps_in_one, most_s)
 
     for precision in PRECISIONS:
         for method in ("dopri8", "tsit5", "rk4", "semi_implicit_euler"):
@@ -179,8 +183,33 @@ def ours(bench: Bench, small: bool) -> None:
 MJX = ("RK4", "implicitfast", "Euler")
 
 
-def mjx_runs(bench: Bench, small: bool) -> None:
+def mjx_options(march: Callable, args: tuple, steps: int) -> dict[str, Any] | None:
+    """The compiler's options that make MJX fastest on this platform: XLA's CPU fusion slows it down
+    up to a thousand times, and versions differ in what switches it off."""
+    if ON_GPU:
+        return None
+    found = {}
+    for options in (FAST, NO_FUSION, None):
+        try:
+            run = jax.jit(march, compiler_options=options).lower(*args).compile()
+        except jax.errors.JaxRuntimeError as error:
+            if "compile option" not in str(error):
+                raise
+            continue
+        jax.block_until_ready(run(*args))
+        found[clocked(lambda _, f=run: f(*args), steps, True)[0]] = options
+        if options is FAST:
+            break
+    print("mjx", {str(o): f"{t:.3g}" for t, o in found.items()}, flush=True)
+    return found[min(found)]
+
+
+NO_FUSION = {"xla_disable_hlo_passes": "fusion"}
+
+
+def mjx_runs(bench: Bench, small: bool, errors: bool = True, times: bool = True) -> None:
     """MJX's three integrators: errors on the CPU, a step's time at several batches."""
+    chosen: list = []
     if ON_GPU:
         batches = {"RK4": (8192, 65_536) + ((262_144,) if bench.m.nv <= 9 else ())}
         batches |= dict.fromkeys(("implicitfast", "Euler"), (65_536,))
@@ -201,18 +230,21 @@ def mjx_runs(bench: Bench, small: bool) -> None:
             data = jax.lax.fori_loop(0, steps[1], lambda _, d: step(at, d), data)
             return data.qpos, data.qvel
 
-        compiled = jax.jit(march, compiler_options=None if ON_GPU else FAST)
+        if not chosen:
+            args = (*bench.tiled(SAMPLE if errors else 128), jnp.array([1000, 4]))
+            chosen.append(mjx_options(march, args, 4))
+        compiled = jax.jit(march, compiler_options=chosen[0])
 
         def marching(batch):
             start = bench.tiled(batch)
             return lambda steps, of=None: compiled(*start, jnp.array([of or steps, steps]))
 
         stages = 4 if method == "RK4" else 1
-        if not ON_GPU:
+        if errors and not ON_GPU:
             run = marching(SAMPLE)
             most = 6.0 if method == "RK4" else 2.0
             bench.ladder("mjx", method, precision, run, stages, SAMPLE, 8, most, "error")
-        for batch in batches[method]:
+        for batch in batches[method] if times else ():
             run = marching(batch)
             count = 8
             jax.block_until_ready(run(1, 1000))
@@ -309,7 +341,16 @@ def solver_runs(bench: Bench, small: bool) -> None:
         bench.guarded("simulate", name, "f64", lambda a=name: points(a, makers[a]))
 
 
-PARTS = {"ours": ours, "mjx": mjx_runs, "mujoco": mujoco_runs, "solvers": solver_runs}
+PARTS: dict[str, Callable] = {
+    "ours": ours,
+    "mjx": mjx_runs,
+    "mujoco": mujoco_runs,
+    "solvers": solver_runs,
+}
+HALVES = {  # of one part, for two machines
+    "mjx-errors": functools.partial(mjx_runs, times=False),
+    "mjx-times": functools.partial(mjx_runs, errors=False),
+}
 
 
 def save_rows(name: str, rows: list[dict[str, Any]]) -> None:
@@ -323,7 +364,7 @@ def save_rows(name: str, rows: list[dict[str, Any]]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", nargs="*", default=list(SCENES))
-    parser.add_argument("--parts", nargs="*", default=["ours"] if ON_GPU else list(PARTS))
+    parser.add_argument("--parts", nargs="*", default=["ours", "mjx"] if ON_GPU else [*PARTS])
     parser.add_argument("--deadline", type=float, default=3600.0, help="seconds a scene")
     parser.add_argument("--small", action="store_true", help="a smoke test")
     opts = parser.parse_args()
@@ -331,7 +372,7 @@ def main() -> None:
     for name in opts.scenes:
         bench = Bench(name, time.monotonic() + opts.deadline)
         for part in opts.parts:
-            PARTS[part](bench, opts.small)
+            (PARTS | HALVES)[part](bench, opts.small)
             save_rows(f"work-precision-{name}", bench.rows)
 
 

@@ -87,7 +87,7 @@ def rollout(
     values = None if policy is not None else ctrls
     traced = opened((model, state, values, step))[0]
     run = _run if traced and (policy is not None or staged()) else _compiled
-    inside = _in_kernel(model, state, policy, batched, kernel)
+    inside = _in_kernel(model, state, policy, batched, kernel, run is _run)
     args = model, state, values, step, policy, integrator, save_every, steps, batched, inside
     try:
         return run(*args)
@@ -100,14 +100,13 @@ def rollout(
         ) from error
 
 
-def _in_kernel(model, state, policy, batched, kernel) -> bool:
+def _in_kernel(model, state, policy, batched, kernel, known) -> bool:
     """Whether the rollout runs in a kernel (benchmarks/results/gpu-rollout-*.json)."""
-    can = batched and policy is None and model.nv > 0
-    can = can and all(site < 0 for site in model.actuators.sites)
+    can = batched and policy is None and kernel_rollout.takes(model, known)
     if kernel and not can:
         raise InputError(
-            "rollout: kernel is True, but a kernel takes batches with no policy and no actuators "
-            "at sites; use kernel=None"
+            "rollout: kernel is True, but a kernel takes batches with no policy, and actuators at "
+            "sites only on few joints of a model that jit closes over; use kernel=None"
         )
     if kernel is None:
         return can and jax.default_backend() == "gpu" and state.q.dtype == jnp.float32

@@ -49,9 +49,11 @@ class Controls:
         return as_arrays([self.read(t, k) for k in which], like)
 
 
-def forces(applied: Any, block: Block, q: list, v: list, ctrl: list | None) -> list[jax.Array]:
-    """The model's own generalized forces, as arrays."""
-    return as_arrays(list(applied(block.known.model, q, v, ctrl)), block.like)
+def forces(
+    applied: Any, block: Block, q: list, v: list, ctrl: list | None, d: Any = None
+) -> list[jax.Array]:
+    """The model's own generalized forces, as arrays; d is the driver."""
+    return as_arrays(list(applied(block.known.model, q, v, ctrl, d)), block.like)
 
 
 def march(
@@ -105,7 +107,7 @@ def _unrolled(
 
     def acceleration(t: Any, q: list, v: list) -> list:
         d = driver(block, memory)
-        tau = forces(applied, block, q, v, ctrl.lanes(t, block.like))
+        tau = forces(applied, block, q, v, ctrl.lanes(t, block.like), d)
         return aba(d, d.joints(q, v), tau, block.gravity)[0]
 
     def advance(t: Any, state: tuple) -> tuple:
@@ -241,3 +243,10 @@ def every(put: Callable, refs: Any, rows: Any, counts: Any) -> None:
 def choose(model: Model) -> Plan:
     """The plan of a rollout: rolled wherever the model's numbers are not all known."""
     return ROLLED if opened(model)[0] else plan(model)
+
+
+def takes(model: Model, known: bool) -> bool:
+    """Whether a kernel can: with actuators at sites it is unrolled and the model closed over, whose
+    numbers `known` says will still be known in the kernel."""
+    at_sites = any(site >= 0 for site in model.actuators.sites)
+    return model.nv > 0 and (not at_sites or (known and choose(model).driver == "unrolled"))

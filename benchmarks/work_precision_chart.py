@@ -1,0 +1,223 @@
+"""Tables and pictures of the speed-accuracy benchmarks.
+
+`python -m benchmarks.work_precision_chart [folders]` reads work-*.json from benchmarks/results (and
+other folders), writes docs/work-precision-<what>.png and prints the tables.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.timing import RESULTS, markdown_table
+from benchmarks.work_scenes import SCENES
+from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
+
+DOCS = RESULTS.parents[1] / "docs"
+WANTED = 1e-6
+CPU, GPU = "CPU, one core", "H200"
+Rows = list[dict[str, Any]]
+
+
+def read(folders: list[Path]) -> tuple[Rows, Rows]:
+    """Rows of the scenes, each with its platform; rows of the stiffness sweep."""
+    scenes, stiff = [], []
+    for path in sorted(p for folder in folders for p in folder.glob("work-*.json")):
+        data = json.loads(path.read_text())
+        platform = CPU if data["provenance"]["platform"] == "cpu" else GPU
+        rows = [row | {"platform": platform} for row in data["rows"]]
+        (stiff if path.name.startswith("work-stiffness") else scenes).extend(rows)
+    return scenes, stiff
+
+
+def lines(rows: Rows, scene: str, platform: str) -> dict[tuple[str, str, str], Any]:
+    """(engine, method, precision) -> steps, errors, microseconds, evaluations; the times of MJX are
+    its steps times its fastest step."""
+    found: dict[tuple, list] = defaultdict(list)
+    step: dict[tuple, float] = {}
+    for row in rows:
+        if row["scene"] != scene:
+            continue
+        key = tuple(row.get(k) for k in ("engine", "method", "precision"))
+        if row["what"] == "step" and row["platform"] == platform:
+            step[key] = min(step.get(key, np.inf), row["us_per_step"])
+        mine = row["what"] == "point" and row["platform"] == platform
+        if mine or row["what"] == "error":
+            found[key].append([row["steps"], row["error"], row.get("us"), row["evaluations"]])
+    out = {}
+    for key, points in found.items():
+        steps, error, us, evaluations = np.array(sorted(points, key=lambda p: p[0]), float).T
+        if key[0] == "mjx":
+            if key not in step:
+                continue
+            us = steps * step[key] / SCENES[scene].seconds
+        out[key] = steps, error, us, evaluations
+    return out
+
+
+def at(error: np.ndarray, cost: np.ndarray, wanted: float = WANTED) -> tuple[float, bool]:
+    """The cost of an error, between points of the line, and whether it had to be prolonged with
+    the slope of its last points; infinite where the line ends in a floor above it."""
+    good = np.flatnonzero(error <= wanted)
+    if len(good) and good[0]:
+        i = good[0]
+        if not np.isfinite(error[i - 1]):
+            return float(cost[i]), False
+        x, y = np.log(error[i - 1 : i + 1]), np.log(cost[i - 1 : i + 1])
+        return float(np.exp(np.interp(-np.log(wanted), -x, y))), False
+    if len(good):
+        return float(cost[0]), False
+    x, y = np.log(error[-4:]), np.log(cost[-4:])
+    if len(x) < 4 or not np.isfinite(x).all() or (np.diff(x) > -0.1).any():
+        return np.inf, False
+    slope = (y[-1] - y[0]) / (x[-1] - x[0])
+    return float(np.exp(y[-1] + slope * (np.log(wanted) - x[-1]))), True
+
+
+def first(error: np.ndarray, cost: np.ndarray, wanted: float = WANTED) -> tuple[float, bool]:
+    """The cost of the first measured point with that error."""
+    good = np.flatnonzero(error <= wanted)
+    return (float(cost[good].min()), False) if len(good) else (np.inf, False)
+
+
+def table(rows: Rows) -> Rows:
+    """The fastest way to an error of 1e-6, MJX's and ours, a row for each scene and platform."""
+    out = []
+    for scene in SCENES:
+        for platform in (CPU, GPU):
+            best: dict[str, Any] = {}
+            for key, (_, error, us, _) in lines(rows, scene, platform).items():
+                engine = "rbjax" if key[0] == "simulate" else key[0]
+                cost, further = (first if engine == "rbjax" else at)(error, us)
+                name = f"{key[1]} {key[2]}" + (", prolonged" if further else "")
+                if cost < best.get(engine, (np.inf,))[0]:
+                    best[engine] = cost, name
+            row: dict[str, Any] = {"scene": SCENES[scene].title, "on": platform}
+            for engine in ("mjx", "mujoco", "rbjax"):
+                if engine in best:
+                    row[engine] = "{:.3g} us ({})".format(*best[engine])
+            for engine in ("mjx", "mujoco"):
+                if engine in best and "rbjax" in best:
+                    row[f"{engine}/rbjax"] = best[engine][0] / best["rbjax"][0]
+            out.append(row)
+    return out
+
+
+LOOK = {
+    ("rbjax", "dopri8"): (INK, "D", "-", "rbjax Dopri8"),
+    ("rbjax", "tsit5"): (PURPLE, "^", "-", "rbjax Tsit5"),
+    ("rbjax", "rk4"): (BLUE, "s", "-", "rbjax RK4"),
+    ("rbjax", "semi_implicit_euler"): (TEAL, "o", "-", "rbjax semi-implicit Euler"),
+    ("mjx", "RK4"): (RED, "s", "--", "MJX RK4"),
+    ("mjx", "implicitfast"): (ORANGE, "v", "--", "MJX implicitfast"),
+    ("mjx", "Euler"): (ORANGE, "o", "--", "MJX Euler"),
+    ("mujoco", "RK4"): (GREEN, "s", ":", "MuJoCo C RK4"),
+    ("mujoco", "implicitfast"): (GREEN, "v", ":", "MuJoCo C implicitfast"),
+    ("mujoco", "implicit"): (GREEN, "x", ":", "MuJoCo C implicit"),
+    ("mujoco", "Euler"): (GREEN, "o", ":", "MuJoCo C Euler"),
+}
+OTHERS = (INK, PURPLE, BLUE, TEAL, RED, ORANGE, GREEN)
+
+
+def picture(rows: Rows, platform: str, name: str, cost: int, scenes: tuple[str, ...]) -> None:
+    """A grid of scenes; cost is 2 for time, 3 for force evaluations."""
+    columns = min(4, len(scenes))
+    high = -(-len(scenes) // columns)
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(
+            high, columns, figsize=(3.5 * columns, 3.1 * high + 0.9), layout="constrained",
+            squeeze=False, sharey=True,
+        )  # fmt: skip
+        shown: dict[str, Any] = {}
+        for ax, scene in zip(axes.flat, scenes, strict=False):
+            for key, line in lines(rows, scene, platform).items():
+                if key[:2] not in LOOK or (key[0] != "rbjax" and key[2] == "f32"):
+                    continue
+                color, marker, style, label = LOOK[key[:2]]
+                error = np.where((line[1] < 3) & (line[1] > 0), line[1], np.nan)
+                faint = key[2] == "f32"
+                (drawn,) = ax.loglog(
+                    line[cost], error, color=color, marker=marker, ls=style, ms=3, lw=1.3,
+                    alpha=0.35 if faint else 1.0,
+                )  # fmt: skip
+                shown.setdefault(label + (", f32" if faint else ""), drawn)
+            ax.axhline(WANTED, color=INK, lw=0.7, alpha=0.5)
+            ax.set(title=SCENES[scene].title, ylim=(1e-12, 3))
+        for ax in axes.flat[len(scenes) :]:
+            ax.set_visible(False)
+        what = "us per robot and simulated second" if cost == 2 else "force evaluations a second"
+        figure.supxlabel(f"{what}, {platform}" if cost == 2 else what, fontsize=10)
+        figure.supylabel("error", fontsize=10)
+        order = [label for *_, label in LOOK.values()]
+        labels = sorted(shown, key=lambda s: (order.index(s.removesuffix(", f32")), "f32" in s))
+        handles = [shown[label] for label in labels]
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, 2 * columns))
+        figure.savefig(DOCS / f"work-precision-{name}.png")
+        plt.close(figure)
+
+
+def solvers(rows: Rows, scenes: tuple[str, ...]) -> None:
+    """Our solvers through `simulate`: error against force evaluations."""
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(
+            1, len(scenes), figsize=(5.2 * len(scenes), 4.6), layout="constrained", sharey=True
+        )
+        for ax, scene in zip(np.atleast_1d(axes), scenes, strict=True):
+            found = {k: x for k, x in lines(rows, scene, CPU).items() if k[0] == "simulate"}
+            for n, (key, line) in enumerate(found.items()):
+                error = np.where((line[1] < 3) & (line[1] > 0), line[1], np.nan)
+                ax.loglog(line[3], error, color=OTHERS[n % 7], marker="osv^Dx*"[n // 7 % 7],
+                          ms=3, lw=1, label=key[1])  # fmt: skip
+            ax.set(title=SCENES[scene].title, xlabel="force evaluations a second", ylim=(1e-12, 3))
+            ax.legend(fontsize=6, ncols=2)
+        np.atleast_1d(axes)[0].set_ylabel("error")
+        figure.savefig(DOCS / "work-precision-solvers.png")
+        plt.close(figure)
+
+
+def stiffness(rows: Rows) -> None:
+    """Time for an error of 1e-4 by the stiffness of the springs."""
+    by_method: dict[str, Rows] = defaultdict(list)
+    for row in rows:
+        if row["what"] == "stiff" and "us" in row:
+            by_method[row["method"]].append(row)
+    with plt.rc_context(STYLE):
+        figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+        for n, (method, points) in enumerate(by_method.items()):
+            style = "--" if points[0]["implicit"] else "-"
+            k = [p["stiffness"] for p in points]
+            for ax, what in ((left, "us"), (right, "steps")):
+                ax.loglog(k, [p[what] for p in points], ls=style, marker="o", ms=3,
+                          color=OTHERS[n % 7], label=method)  # fmt: skip
+        left.set(title="Time for an error of 1e-4", ylabel="us per robot and simulated second")
+        right.set(title="Steps for it", ylabel="steps a second")
+        for ax in (left, right):
+            ax.set_xlabel("stiffness of the springs [N m/rad]")
+        left.legend()
+        figure.savefig(DOCS / "work-precision-stiffness.png")
+        plt.close(figure)
+
+
+def main() -> None:
+    rows, stiff = read([RESULTS, *map(Path, sys.argv[1:])])
+    columns = ("scene", "on", "mjx", "mujoco", "rbjax", "mjx/rbjax", "mujoco/rbjax")
+    print(markdown_table(table(rows), columns))
+    scenes = tuple(SCENES)
+    picture(rows, GPU, "h200", 2, scenes)
+    picture(rows, CPU, "cpu", 2, scenes)
+    picture(rows, CPU, "evaluations", 3, scenes)
+    measured = {row["scene"] for row in rows if row.get("engine") == "simulate"}
+    if measured:
+        solvers(rows, tuple(s for s in ("pendulum", "spinning_top", "arm7") if s in measured))
+    if stiff:
+        stiffness(stiff)
+
+
+if __name__ == "__main__":
+    main()
