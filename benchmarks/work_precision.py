@@ -53,8 +53,9 @@ ON_GPU = jax.default_backend() == "gpu"
 class Bench:
     """One scene: its sample, where it ends, and the rows found."""
 
-    def __init__(self, name: str, deadline: float):
+    def __init__(self, name: str, deadline: float, precisions: tuple[str, ...] = PRECISIONS):
         self.name, self.scene, self.deadline = name, SCENES[name], deadline
+        self.precisions = precisions
         with jax.enable_x64(True):
             self.m, self.model, self.q, self.v, self.ctrl = prepared(name)
             *self.end, self.bound = (reference_by_cpu if ON_GPU else reference)(name)
@@ -175,7 +176,7 @@ def ours(bench: Bench, small: bool) -> None:
 
         bench.ladder("rbjax", method, precision, run, STAGES[method], batch, steps_in_one, most_s)
 
-    for precision in PRECISIONS:
+    for precision in bench.precisions:
         for method in ("dopri8", "tsit5", "rk4", "semi_implicit_euler"):
             bench.guarded("rbjax", method, precision, lambda a=method, b=precision: one(a, b))
 
@@ -253,7 +254,7 @@ def mjx_runs(bench: Bench, small: bool, errors: bool = True, times: bool = True)
             bench.add("step", "mjx", method, precision, batch=batch, us_per_step=us)
 
     for method in MJX:
-        for precision in PRECISIONS:
+        for precision in bench.precisions:
             bench.guarded("mjx", method, precision, lambda a=method, b=precision: one(a, b))
 
 
@@ -365,12 +366,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", nargs="*", default=list(SCENES))
     parser.add_argument("--parts", nargs="*", default=["ours", "mjx"] if ON_GPU else [*PARTS])
+    parser.add_argument("--precisions", nargs="*", default=PRECISIONS)
     parser.add_argument("--deadline", type=float, default=3600.0, help="seconds a scene")
     parser.add_argument("--small", action="store_true", help="a smoke test")
     opts = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     for name in opts.scenes:
-        bench = Bench(name, time.monotonic() + opts.deadline)
+        bench = Bench(name, time.monotonic() + opts.deadline, tuple(opts.precisions))
         for part in opts.parts:
             (PARTS | HALVES)[part](bench, opts.small)
             save_rows(f"work-precision-{name}", bench.rows)
