@@ -94,7 +94,7 @@ def table(rows: Rows) -> Rows:
             best: dict[str, Any] = {}
             for key, (_, error, us, _) in lines(rows, scene, platform).items():
                 engine = "rbjax" if key[0] == "simulate" else key[0]
-                cost, further = (first if engine == "rbjax" else at)(error, us)
+                cost, further = at(error, us)
                 name = f"{key[1]} {key[2]}" + (", prolonged" if further else "")
                 if cost < best.get(engine, (np.inf,))[0]:
                     best[engine] = cost, name

@@ -42,7 +42,8 @@ def rollout(
 ) -> Trajectory:
     """Fixed steps of one state or of a batch of states: the throughput path.
 
-    v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`), or `rk4`.
+    v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`), or an explicit Runge-Kutta
+    method on the manifold: `rk4`, `tsit5`, `dopri8`, of order 4, 5, 8 with 4, 6, 13 evaluations.
 
     Args:
         model: the robot.
@@ -50,12 +51,13 @@ def rollout(
         ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
             evaluated once a step; or None for no actuation. The last two need `steps`.
         dt: step in seconds; the model's timestep if None.
-        integrator: one of "semi_implicit_euler", "rk4".
+        integrator: one of "semi_implicit_euler", "rk4", "tsit5", "dopri8".
         save_every: keep every so many states; it must divide the number of steps.
         steps: how many steps, where ctrls does not tell.
-        kernel: whether the whole rollout runs in one GPU kernel: no forward mode, its reverse
-            gradient keeps all states. None: wherever it can on a GPU (batches in f32 under
-            `semi_implicit_euler`, with no policy and no actuators at sites).
+        kernel: whether the whole rollout runs in one GPU kernel: no forward mode; its reverse
+            gradient keeps all states, or under a Runge-Kutta method is that of the scan. None:
+            wherever it can on a GPU (batches in f32 with no policy; with actuators at sites few
+            joints of a model that jit closes over).
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
@@ -67,7 +69,8 @@ def rollout(
     Differentiable in state, ctrls and model; the reverse gradient keeps steps / save_every +
     save_every states.
 
-    Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8.
+    Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Tsitouras (2011);
+    Prince & Dormand (1981).
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
