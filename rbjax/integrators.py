@@ -70,16 +70,16 @@ def runge_kutta(table: Tableau, model: Model, q, v, ctrl, dt):
         ks = [(v, _acceleration(model, q, v, ctrl))]
         for row in table.a[1:]:
             ks.append(rate(_sum(row, ks)))
-        u, dv = _sum(table.b, ks)
     else:
 
-        def stage(ks, i):
-            k = rate(_mixed(table, ks, i))
-            return tuple(x.at[i].set(y) for x, y in zip(ks, k, strict=True)), None
+        def stage(kept, i):
+            k = rate(_mixed(table, kept, i))
+            return tuple(x.at[i].set(y) for x, y in zip(kept, k, strict=True)), None
 
-        ks = (jnp.zeros((table.stages, *v.shape), v.dtype),) * 2
-        ks = jax.lax.scan(stage, ks, jnp.arange(table.stages))[0]
-        u, dv = _sum(table.b, list(zip(*ks, strict=True)))
+        kept = (jnp.zeros((table.stages, *v.shape), v.dtype),) * 2
+        kept = jax.lax.scan(stage, kept, jnp.arange(table.stages))[0]
+        ks = list(zip(*kept, strict=True))
+    u, dv = _sum(table.b, ks)
     return _moved(model, q, dt * u), v + dt * dv
 
 

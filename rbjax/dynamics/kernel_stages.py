@@ -51,7 +51,12 @@ class Scheme:
         self.stages, self.most = table.stages, longest(table)
         self.written = registers and nv <= WRITTEN_UP_TO
         self.row = memory.take(2 * nv * self.stages)
-        loop(lambda i, _: (memory.write(self.row + i, 0.0), 0)[1], 0, 0, 2 * nv)  # of weight zero
+
+        def clear(i, _):  # what meets a weight of zero must be a number
+            memory.write(self.row + i, 0.0)
+            return 0
+
+        loop(clear, 0, 0, 2 * nv)
 
     def keep(self, k: Any, i: Any, x: Any) -> None:
         """Number i of stage k: the coordinates of u', then those of a."""
