@@ -95,8 +95,11 @@ def test_rollout_and_its_gradient(name, key):
     )
 
 
-STAGED = [("cart_pole", UNROLLED), ("spinning_top", UNROLLED), ("quadrotor", UNROLLED)]
-STAGED += [("free_body", ROLLED), pytest.param("walker", ROLLED, marks=pytest.mark.slow)]
+STAGED = [("pendulum", UNROLLED), ("quadrotor", UNROLLED), ("free_body", ROLLED)]
+STAGED += [
+    pytest.param(name, how, marks=pytest.mark.slow)
+    for name, how in (("spinning_top", UNROLLED), ("walker", ROLLED))
+]
 
 
 @pytest.mark.parametrize("name, how", STAGED, ids=str)
@@ -113,6 +116,7 @@ def test_stages(name, how, key):
         np.testing.assert_allclose(jnp.moveaxis(found, -1, 0), wanted[:, 1:], rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_gradient_of_stages_is_the_scans(key):
     model = load("cart_pole")
     q, v = (x.T for x in batch(model, 2, key))
