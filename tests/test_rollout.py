@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics.manifold import rate_lanes
 from rbjax.model import compile_model
-from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
+from rbjax.rotations import so3
+from tests.tolerances import F64_IDENTITY, F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEPS, DT = 60, 0.002
 
@@ -178,3 +180,12 @@ def test_a_motion_that_blows_up_is_a_value():
     state = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
     out = rb.rollout(model, state, None, 1.0, steps=5)
     assert not bool(out.ok)
+
+
+def test_the_rate_of_an_increment_is_the_inverse_right_jacobian():
+    top = rb.load("free_body").topology
+    u, v = (0.3 * np.sin(np.arange(k, k + 6.0)) for k in (1, 2))
+    expected = so3.inverse_right_jacobian(u[3:]) @ v[3:]
+    found = np.array(rate_lanes(top, list(jnp.asarray(u)), list(jnp.asarray(v))))
+    np.testing.assert_allclose(found[:3], v[:3])
+    assert relative_error(found[3:], expected) < F64_TRANSFORM
