@@ -1,7 +1,7 @@
 """Tables and pictures of the speed-accuracy benchmarks.
 
 `python -m benchmarks.work_precision_chart [folders]` reads work-*.json from benchmarks/results (and
-other folders), writes docs/work-precision-<what>.png and prints the tables.
+other folders) and writes docs/work-precision.md with docs/work-precision-<what>.png.
 """
 
 from __future__ import annotations
@@ -214,19 +214,80 @@ def stiffness(rows: Rows) -> None:
         plt.close(figure)
 
 
+def crossover(rows: Rows) -> str:
+    """In words, from where on an implicit method needs less time than any explicit one."""
+    best: dict[bool, dict[float, Any]] = {False: {}, True: {}}
+    for row in rows:
+        if row["what"] == "stiff" and "us" in row:
+            by_k = best[row["implicit"]]
+            if row["us"] < by_k.get(row["stiffness"], {"us": np.inf})["us"]:
+                by_k[row["stiffness"]] = row
+    both = sorted(best[False].keys() & best[True].keys())
+    ratio = np.log([best[False][k]["us"] / best[True][k]["us"] for k in both])
+    at_k = np.exp(np.interp(0.0, ratio, np.log(both)))
+    last = both[-1]
+    there = [r for r in rows if "us" in r and r["stiffness"] == last]
+    fewest = min(r["steps"] for r in there if not r["implicit"])
+    explicit, implicit = best[False][last], best[True][last]
+    return (
+        f"An implicit method takes less time from {at_k:.0f} N m/rad on. At {last:.0f} the best "
+        f"explicit methods take {fewest:,} steps (in time {explicit['method']}, "
+        f"{explicit['us']:,.0f} us), {implicit['method']} {implicit['steps']} "
+        f"({implicit['us']:,.0f} us)."
+    )
+
+
+TEXT = """# Speed against accuracy
+
+Microseconds of computing per robot and simulated second for an error of {wanted:g}, each engine at
+its fastest batch, precision and integrator; one core of the CPU, and the H200. The scenes, the
+distance of two states and the references (closed forms or runs whose own error is bounded below
+1e-11) are in `benchmarks/work_scenes.py`; `make bench-work-precision` measures and draws.
+
+{table}
+
+![H200](work-precision-h200.png)
+![CPU](work-precision-cpu.png)
+![Force evaluations](work-precision-evaluations.png)
+
+- Every engine runs the same MjModel, smooth dynamics alone; contacts, limits, friction are off.
+- MJX: steps for the error times its fastest step. Its errors are those of a small batch on a CPU;
+  on attitudes its RK4 is of second order, where MuJoCo C's and ours are of fourth. On the chain of
+  hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX's errors on the humanoid
+  and the chain were not measured; on all others its f32 ends above 1e-6, but for the pendulum.
+- MJX on the CPU runs with whatever compiler options make it fastest: without XLA's fusion emitters
+  (jax 0.10), or, where that option is gone (jax 0.11), the better of the default and no fusion.
+- "prolonged": the last points did not reach the error, and the line goes on with their slope.
+
+## Solvers of `rb.solvers` through `simulate`
+
+![Solvers](work-precision-solvers.png)
+
+A Jacobian counts as one evaluation.
+
+## Stiffness
+
+A hanging rod of six links, its springs ever stiffer, their dampers with them; error 1e-4 after 1 s.
+{crossover}
+
+![Stiffness](work-precision-stiffness.png)
+"""
+
+
 def main() -> None:
     rows, stiff = read([RESULTS, *map(Path, sys.argv[1:])])
     columns = ("scene", "on", "mjx", "mujoco", "rbjax", "mjx/rbjax", "mujoco/rbjax")
-    print(markdown_table(table(rows), columns))
+    found = markdown_table(table(rows), columns)
     scenes = tuple(SCENES)
     picture(rows, GPU, "h200", 2, scenes)
     picture(rows, CPU, "cpu", 2, scenes)
     picture(rows, CPU, "evaluations", 3, scenes)
     measured = {row["scene"] for row in rows if row.get("engine") == "simulate"}
-    if measured:
-        solvers(rows, tuple(s for s in ("pendulum", "spinning_top", "arm7") if s in measured))
-    if stiff:
-        stiffness(stiff)
+    solvers(rows, tuple(s for s in ("pendulum", "spinning_top") if s in measured))
+    stiffness(stiff)
+    text = TEXT.format(wanted=WANTED, table=found, crossover=crossover(stiff))
+    (DOCS / "work-precision.md").write_text(text)
+    print(found, crossover(stiff), sep="\n")
 
 
 if __name__ == "__main__":
