@@ -11,10 +11,10 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test test-all lint types demo bench failure-map notebooks clean
+.PHONY: help setup test test-all lint types demo bench failure-map bench-work-precision notebooks clean
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(STAMP) ## make .venv with rbjax (editable) and everything the tests need
 
@@ -55,6 +55,11 @@ bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
 
 failure-map: $(STAMP) ## every solver on scenes built to break it; docs/failure_map.png
 	$(BIN)/python -m benchmarks.failure_map
+
+bench-work-precision: $(STAMP) ## error against time, here; tables, and pictures in docs/
+	$(BIN)/python -m benchmarks.work_precision
+	$(BIN)/python -m benchmarks.work_stiffness
+	$(BIN)/python -m benchmarks.work_precision_chart
 
 notebooks: $(patsubst %.py,%.ipynb,$(wildcard notebooks/*.py)) ## execute every notebook anew
 

@@ -10,7 +10,6 @@ and one step's intermediate values, per sample.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import jax
@@ -20,65 +19,14 @@ import numpy as np
 from rbjax.dynamics import kernel_gradient, kernel_rollout
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
-from rbjax.dynamics.forward import acceleration
-from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
-from rbjax.forces.applied import applied, applied_lanes
-from rbjax.materialize import materialize
+from rbjax.forces.applied import applied_lanes
+from rbjax.integrators import INTEGRATORS, TABLEAUS
 from rbjax.model import Model, State
 from rbjax.trajectory import Trajectory, all_finite
 
 Policy = Callable[[jax.Array, State], jax.Array]
-
-
-def _motion(model: Model, u: jax.Array | None, q, v, ctrl):
-    """Rates of the tangent u and of v: (u' = v corrected for the turn u, a). Batch last."""
-    batched = functools.partial(jax.vmap, in_axes=-1, out_axes=-1)
-    force = functools.partial(applied, model)
-    tau = (batched(force) if q.ndim > 1 else force)(q, v, ctrl)
-    return (v if u is None else _uncurl(model, u, v)), acceleration(model, q, v, tau)
-
-
-def _uncurl(model: Model, u: jax.Array, v: jax.Array) -> jax.Array:
-    """u' = w + u x w / 2 + u x (u x w) / 12 for attitudes exp(u), so that RK4 keeps its order."""
-    for start in model.topology.turn_starts:
-        rows = slice(start, start + 3)
-        turn, w = u[rows], v[rows]
-        once = jnp.cross(turn, w, axis=0)
-        v = v.at[rows].add(once / 2 + jnp.cross(turn, once, axis=0) / 12)
-    return v
-
-
-def _moved(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
-    return jnp.stack(materialize(integrate_lanes(model.topology, list(q), list(dq))))
-
-
-def semi_implicit_euler(model: Model, q, v, ctrl, dt):
-    """v+ = v + dt a(q, v);  q+ = q (+) dt v+. First order, symplectic without damping."""
-    _, a = _motion(model, None, q, v, ctrl)
-    v = v + dt * a
-    return _moved(model, q, dt * v), v
-
-
-def rk4(model: Model, q, v, ctrl, dt):
-    """The classical fourth-order method, on the manifold (Munthe-Kaas 1998); ctrl held."""
-    u1, a1 = _motion(model, None, q, v, ctrl)
-    us, as_ = [u1], [a1]
-    for c in (0.5, 0.5, 1.0):
-        u = c * dt * us[-1]
-        w = v + c * dt * as_[-1]
-        du, a = _motion(model, u, _moved(model, q, u), w, ctrl)
-        us.append(du)
-        as_.append(a)
-
-    def mean(k):
-        return (k[0] + 2 * (k[1] + k[2]) + k[3]) / 6
-
-    return _moved(model, q, dt * mean(us)), v + dt * mean(as_)
-
-
-INTEGRATORS = {"semi_implicit_euler": semi_implicit_euler, "rk4": rk4}
 
 
 def rollout(
@@ -94,7 +42,8 @@ def rollout(
 ) -> Trajectory:
     """Fixed steps of one state or of a batch of states: the throughput path.
 
-    v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`), or `rk4`.
+    v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`), or an explicit Runge-Kutta
+    method on the manifold: `rk4`, `tsit5`, `dopri8`, of order 4, 5, 8 with 4, 6, 13 evaluations.
 
     Args:
         model: the robot.
@@ -102,12 +51,13 @@ def rollout(
         ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
             evaluated once a step; or None for no actuation. The last two need `steps`.
         dt: step in seconds; the model's timestep if None.
-        integrator: one of "semi_implicit_euler", "rk4".
+        integrator: one of "semi_implicit_euler", "rk4", "tsit5", "dopri8".
         save_every: keep every so many states; it must divide the number of steps.
         steps: how many steps, where ctrls does not tell.
-        kernel: whether the whole rollout runs in one GPU kernel: no forward mode, its reverse
-            gradient keeps all states. None: wherever it can on a GPU (batches in f32 under
-            `semi_implicit_euler`, with no policy and no actuators at sites).
+        kernel: whether the whole rollout runs in one GPU kernel: no forward mode; its reverse
+            gradient keeps all states, or under a Runge-Kutta method is that of the scan. None:
+            wherever it can on a GPU (batches in f32 with no policy; with actuators at sites few
+            joints of a model that jit closes over).
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
@@ -119,7 +69,8 @@ def rollout(
     Differentiable in state, ctrls and model; the reverse gradient keeps steps / save_every +
     save_every states.
 
-    Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8.
+    Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Tsitouras (2011);
+    Prince & Dormand (1981).
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -139,7 +90,7 @@ def rollout(
     values = None if policy is not None else ctrls
     traced = opened((model, state, values, step))[0]
     run = _run if traced and (policy is not None or staged()) else _compiled
-    inside = _in_kernel(model, state, policy, integrator, batched, kernel)
+    inside = _in_kernel(model, state, policy, batched, kernel, run is _run)
     args = model, state, values, step, policy, integrator, save_every, steps, batched, inside
     try:
         return run(*args)
@@ -152,14 +103,13 @@ def rollout(
         ) from error
 
 
-def _in_kernel(model, state, policy, integrator, batched, kernel) -> bool:
+def _in_kernel(model, state, policy, batched, kernel, known) -> bool:
     """Whether the rollout runs in a kernel (benchmarks/results/gpu-rollout-*.json)."""
-    can = batched and policy is None and integrator == "semi_implicit_euler" and model.nv > 0
-    can = can and all(site < 0 for site in model.actuators.sites)
+    can = batched and policy is None and kernel_rollout.takes(model, known)
     if kernel and not can:
         raise InputError(
-            "rollout: kernel is True, but a kernel takes batches under semi_implicit_euler, with "
-            "no policy and no actuators at sites; use kernel=None"
+            "rollout: kernel is True, but a kernel takes batches with no policy, and actuators at "
+            "sites only on few joints of a model that jit closes over; use kernel=None"
         )
     if kernel is None:
         return can and jax.default_backend() == "gpu" and state.q.dtype == jnp.float32
@@ -177,7 +127,7 @@ def _run(
         return _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps)
 
     if kernel:
-        qs, vs = _kernel_march(model, q, v, ctrls, dt, save_every, steps)
+        qs, vs = _kernel_march(model, q, v, ctrls, dt, integrator, save_every, steps)
     elif batched and jax.default_backend() == "cpu":
         axes = [-1, -1, -1 if ctrls is not None and ctrls.ndim == 3 else None]
         qs, vs = chunks(lambda x: march(*x), [q, v, ctrls], axes, q.shape[-1], -1)
@@ -194,16 +144,16 @@ _compiled = jax.jit(
 )
 
 
-def _kernel_march(model, q, v, ctrls, dt, save_every, steps):
+def _kernel_march(model, q, v, ctrls, dt, integrator, save_every, steps):
     """`_march` in a kernel."""
 
     def scan(model, q, v, ctrls, dt):
-        path = _march(model, q, v, ctrls, dt, None, "semi_implicit_euler", save_every, steps)
+        path = _march(model, q, v, ctrls, dt, None, integrator, save_every, steps)
         return tuple(x[1:] for x in path)
 
     qs, vs = kernel_gradient.rollout(
         model, q, v, ctrls, dt, applied=applied_lanes, scan=scan, steps=steps,
-        save_every=save_every, how=kernel_rollout.choose(model),
+        save_every=save_every, how=kernel_rollout.choose(model), table=TABLEAUS.get(integrator),
     )  # fmt: skip
     return jnp.concatenate([q[None], qs]), jnp.concatenate([v[None], vs])
 

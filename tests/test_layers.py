@@ -22,8 +22,9 @@ FLOORS = {
     "constraints": "forces",
     "solvers": "rotations",
     "trajectory": "model",
-    "rollout": "constraints trajectory",
-    "simulate": "constraints solvers rollout",
+    "integrators": "constraints solvers",
+    "rollout": "integrators trajectory",
+    "simulate": "rollout",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "simulate")  # noqa: SIM905

@@ -1,5 +1,6 @@
 """Rollouts: against MuJoCo C's own steps, order, batches, memory and derivatives."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -7,8 +8,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics.manifold import rate_lanes
 from rbjax.model import compile_model
-from tests.tolerances import F64_PARITY, GRADIENT, relative_error
+from rbjax.rotations import so3
+from tests.tolerances import F64_IDENTITY, F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEPS, DT = 60, 0.002
 
@@ -38,20 +41,42 @@ def test_semi_implicit_euler_is_mujoco_s(scene, key):
     assert relative_error(out.v[-1], d.qvel) < F64_PARITY
 
 
-@pytest.mark.parametrize(("integrator", "order"), [("semi_implicit_euler", 1), ("rk4", 4)])
-def test_order_with_free_attitudes(integrator, order, key):
+@pytest.mark.parametrize(
+    ("integrator", "order", "steps"),
+    [("semi_implicit_euler", 1, 256), ("rk4", 4, 128), ("tsit5", 5, 128), ("dopri8", 8, 32)],
+)
+def test_order_with_free_attitudes(integrator, order, steps):
     """Halving the step divides the error by 2^order, on the manifold too."""
     model = rb.load("spinning_top").replace(driver="rolled")
-    state = model.random_state(key)
+    start = model.random_state(jax.random.key(0))
 
-    def end(n, integrator=integrator):
-        out = rb.rollout(model, state, None, 0.4 / n, integrator=integrator, steps=n, save_every=n)
-        return np.concatenate([out.q[-1], out.v[-1]])
+    def ends(integrator, *counts):
+        @jax.jit
+        def some(state, dt):
+            path = rb.rollout(model, state, None, dt, integrator=integrator, steps=8, save_every=8)
+            return path.state(-1)
 
-    finest = end(1024, "rk4")
-    errors = [np.abs(end(n) - finest).max() for n in (32, 64, 128)]
-    measured = np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
-    assert np.abs(np.array(measured) - order).max() < 0.25
+        for n in counts:
+            state = start
+            for _ in range(n // 8):
+                state = some(state, 2.0 / n)
+            yield np.concatenate([state.q, state.v])
+
+    (exact,) = ends("dopri8", 512)
+    coarse, fine = (np.abs(x - exact).max() for x in ends(integrator, steps, 2 * steps))
+    assert abs(np.log2(coarse / fine) - order) < 0.45
+
+
+@pytest.mark.parametrize(("integrator", "solver"), [("tsit5", "Tsit5"), ("dopri8", "Dopri8")])
+def test_tableaus_are_diffrax_s_without_attitudes(integrator, solver, key):
+    """On hinges the manifold is flat, and a step is that of the same tableau in `simulate`."""
+    model = rb.load("double_pendulum")
+    state, steps, dt = model.random_state(key), 5, 0.02
+    here = rb.rollout(model, state, None, dt, integrator=integrator, steps=steps)
+    ts = jnp.array([0.0, steps * dt])
+    there = rb.simulate(model, state, ts, solver=getattr(diffrax, solver)(), dt0=dt * (1 + 1e-13))
+    assert relative_error(here.q[-1], there.q[-1]) < F64_IDENTITY
+    assert relative_error(here.v[-1], there.v[-1]) < F64_IDENTITY
 
 
 def test_batch_is_a_loop_and_padding_is_unseen(key):
@@ -88,7 +113,7 @@ def test_save_every_keeps_a_subset(key):
     assert some.state(-1).q.shape == (1,)
 
 
-@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4", "dopri8"])
 def test_reverse_gradient_is_the_difference_quotient(integrator, key):
     """With respect to controls, state and a leaf of the model at once."""
     model = rb.load("cart_pole")
@@ -155,3 +180,12 @@ def test_a_motion_that_blows_up_is_a_value():
     state = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))
     out = rb.rollout(model, state, None, 1.0, steps=5)
     assert not bool(out.ok)
+
+
+def test_the_rate_of_an_increment_is_the_inverse_right_jacobian():
+    top = rb.load("free_body").topology
+    u, v = (0.3 * np.sin(np.arange(k, k + 6.0)) for k in (1, 2))
+    expected = so3.inverse_right_jacobian(u[3:]) @ v[3:]
+    found = np.array(rate_lanes(top, list(jnp.asarray(u)), list(jnp.asarray(v))))
+    np.testing.assert_allclose(found[:3], v[:3])
+    assert relative_error(found[3:], expected) < F64_TRANSFORM

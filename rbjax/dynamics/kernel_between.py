@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.kernel_drivers import loop
 from rbjax.dynamics.kernel_layout import ACTUATOR, JOINT, SINGLE, Q, single_links
-from rbjax.dynamics.manifold import integrate_lanes
+from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
 from rbjax.lanes import as_arrays
 from rbjax.model import JOINT_SIZES
 
@@ -83,3 +83,7 @@ class Between:
     def rest_moved(self, q: list, dq: list) -> list[jax.Array]:
         """Their configuration q + dq."""
         return as_arrays(integrate_lanes(self._part, q, dq), self.like)
+
+    def rest_rates(self, u: list, v: list) -> list[jax.Array]:
+        """Rates of their increments u at speeds v."""
+        return as_arrays(rate_lanes(self._part, u, v), self.like)

@@ -31,15 +31,17 @@ from rbjax.model import Model
 
 def rollout(
     model: Model, q: jax.Array, v: jax.Array, ctrls: jax.Array | None, dt: jax.Array, *,
-    applied: Callable, scan: Callable, steps: int, save_every: int, how: Plan,
+    applied: Callable, scan: Callable, steps: int, save_every: int, how: Plan, table: Any = None,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
     """`kernel_rollout.march` with a reverse gradient: one more kernel for state and controls, and
-    `scan(model, q, v, ctrls, dt)` where the model or dt is differentiated. No forward mode."""
+    `scan(model, q, v, ctrls, dt)` where the model or dt is differentiated, a tableau is given or
+    actuators are at sites. No forward mode."""
     given, whole = opened((model, dt))
+    plain_only = table is not None or any(site >= 0 for site in model.actuators.sites)
 
     def run(others, q, v, ctrls, every):
         model, dt = whole(others)
-        return march(model, applied, q, v, ctrls, jnp.asarray(dt), steps, every, how)
+        return march(model, applied, q, v, ctrls, jnp.asarray(dt), steps, every, how, table)
 
     @jax.custom_vjp
     def f(others, q, v, ctrls):
@@ -47,7 +49,7 @@ def rollout(
 
     def forward(*args):
         others, q, v, ctrls = jax.tree.map(lambda x: x.value, args, is_leaf=_is_primal)
-        if any(x.perturbed for x in args[0]):
+        if plain_only or any(x.perturbed for x in args[0]):
 
             def plain(others, q, v, ctrls):
                 model, dt = whole(others)

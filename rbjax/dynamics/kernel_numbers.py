@@ -154,9 +154,12 @@ def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
     gravity = [moved(g[None] if isinstance(g, jax.core.Tracer) else g) for g in prepared.gravity]
     shapes = prepared.columns if dynamic else columns
     fixed = [_structural(model.topology, i, shapes, columns) for i in range(model.nv)]
-    out.prepared = SimpleNamespace(columns=columns, gravity=gravity, link=fixed.__getitem__)
+    out.prepared = SimpleNamespace(
+        columns=columns, gravity=gravity, link=fixed.__getitem__,
+        body_R=prepared.body_R, body_p=prepared.body_p,
+    )  # fmt: skip
     out.model = SimpleNamespace(
-        topology=model.topology, nq=model.nq, nv=model.nv, nu=model.nu, sites=None,
+        topology=model.topology, nq=model.nq, nv=model.nv, nu=model.nu, sites=model.sites,
         joints=SimpleNamespace(**{n: moved(getattr(model.joints, n)) for n in _JOINTS}),
         actuators=SimpleNamespace(
             joints=model.actuators.joints, sites=model.actuators.sites,

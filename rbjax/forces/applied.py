@@ -8,20 +8,35 @@ K acts on the tangent of the configuration (MuJoCo, *Computation*: passive and a
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers import Unrolled, driver
 from rbjax.dynamics.jacobians import moment_arms
 from rbjax.dynamics.kinematics import body_poses, link_poses
 from rbjax.dynamics.manifold import difference, difference_lanes
 from rbjax.dynamics.packing import pack
-from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, total
-from rbjax.model import JOINT_SIZES, Model, State
+from rbjax.lanes import (
+    Lane,
+    Mat3,
+    Vec3,
+    add,
+    inner,
+    is_literal,
+    is_zero,
+    mul,
+    neg,
+    quaternion_matrix,
+    total,
+)
+from rbjax.model import JOINT_SIZES, WORLD, Model, State
 from rbjax.model.links import lane, matrix_apply, matrix_product
 from rbjax.rotations import quaternion
+from rbjax.spatial import Force, Transform
 
 
 def _table(x: jax.Array, dtype):
@@ -61,13 +76,16 @@ def passive_lanes(model: Model, q: jax.Array, v: jax.Array) -> list[Lane]:
     return out
 
 
-def site_moments(model: Model, q: jax.Array) -> dict[int, jax.Array]:
+def site_moments(model: Model, q: Any, v: Any, d: Any = None) -> dict[int, Any]:
     """Moment arms (nv,) of each actuator whose gear is a wrench [force; torque] at a site."""
     top, actuators, sites = model.topology, model.actuators, model.sites
     driven = [i for i, site in enumerate(actuators.sites) if site >= 0]
     if not driven:
         return {}
-    d = driver(model, q.dtype)
+    d = d or driver(model, q.dtype)
+    if isinstance(d, Unrolled):
+        joints = d.joints(q, v)
+        return {i: _carried(model, d, joints, i, v[0].dtype) for i in driven}
     R, p = link_poses(d, q)
     poses = body_poses(d, R, p)
     at = [actuators.sites[i] for i in driven]
@@ -83,11 +101,37 @@ def site_moments(model: Model, q: jax.Array) -> dict[int, jax.Array]:
     return {i: arms[k] for k, i in enumerate(driven)}
 
 
+def _carried(model: Model, d: Unrolled, joints: list, i: int, dtype: Any) -> list[Lane]:
+    """The same of one actuator, its wrench carried from link to link down to the base."""
+    top, sites = model.topology, model.sites
+    site = model.actuators.sites[i]
+    body = top.site_bodies[site]
+    position, orientation = (_table(x, dtype) for x in (sites.position, sites.orientation))
+    gear, body_R, body_p = model.actuators.gear, d.prepared.body_R, d.prepared.body_p
+    gear = _table(gear, dtype)
+    force, torque = (Vec3(*(lane(gear[:, k + n], i) for n in range(3))) for k in (0, 3))
+    placed = Transform(
+        quaternion_matrix(*(lane(orientation[:, k], site) for k in range(4))),
+        Vec3(*(lane(position[:, k], site) for k in range(3))),
+    )
+    weld = Transform(
+        Mat3(*(lane(body_R[:, j, k], body) for j in range(3) for k in range(3))),
+        Vec3(*(lane(body_p[:, k], body) for k in range(3))),
+    )
+    wrench, arms = weld.T(placed.T(Force(torque, force))), [0.0] * top.nv
+    at = top.body_links[body]
+    while at != WORLD:
+        arms[at] = joints[at].S.dot(wrench)
+        wrench = joints[at].transform(d.constants[at]).T(wrench)
+        at = top.links[at].parent
+    return arms
+
+
 def _moment(model: Model, q, i: int, at_sites: dict) -> tuple[dict[int, Lane], Lane]:
     """Row of the moment arms of actuator i as {velocity coordinate: arm}, and its length."""
     top, joint = model.topology, model.actuators.joints[i]
     if i in at_sites:
-        return {n: at_sites[i][n] for n in range(model.nv)}, 0.0
+        return {n: at_sites[i][n] for n in range(model.nv) if not is_zero(at_sites[i][n])}, 0.0
     if joint < 0:
         return {}, 0.0
     gear = _table(model.actuators.gear, q[0].dtype)
@@ -102,14 +146,14 @@ def _moment(model: Model, q, i: int, at_sites: dict) -> tuple[dict[int, Lane], L
     return arms, 0.0
 
 
-def actuator_lanes(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) -> list[Lane]:
+def actuator_lanes(model: Model, q: Any, v: Any, ctrl: Any, d: Any = None) -> list[Lane]:
     """Actuator forces on the velocity coordinates, limits of joints included."""
     top, actuators, dtype = model.topology, model.actuators, v[0].dtype
     gain, bias = _table(actuators.gain, dtype), _table(actuators.bias, dtype)
     ctrlrange = _table(actuators.ctrlrange, dtype)
     forcerange = _table(actuators.forcerange, dtype)
     out: list[Lane] = [0.0] * model.nv
-    at_sites = site_moments(model, q)
+    at_sites = site_moments(model, q, v, d)
     for i in range(model.nu):
         arms, length = _moment(model, q, i, at_sites)
         if not arms:
@@ -129,11 +173,11 @@ def actuator_lanes(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array) ->
     return out
 
 
-def applied_lanes(model: Model, q, v, ctrl) -> list[Lane]:
-    """`applied_forces` on arrays or lists of lanes."""
+def applied_lanes(model: Model, q, v, ctrl, d: Any = None) -> list[Lane]:
+    """`applied_forces` on arrays or lists of lanes; d is the driver where the model has none."""
     lanes = passive_lanes(model, q, v)
     if ctrl is not None:
-        driven = actuator_lanes(model, q, v, ctrl)
+        driven = actuator_lanes(model, q, v, ctrl, d)
         lanes = [add(a, b) for a, b in zip(lanes, driven, strict=True)]
     return lanes
 

@@ -94,6 +94,12 @@ class Tableau:
     def stages(self) -> int:
         return len(self.b)
 
+    @property
+    def essential(self) -> Tableau:
+        """An explicit method without error estimate and the stages that only this one uses."""
+        s = max(i for i, b in enumerate(self.b) if b) + 1
+        return Tableau(tuple(row[:s] for row in self.a[:s]), self.b[:s], self.order)
+
     @functools.cached_property
     def c(self) -> tuple[float, ...]:
         return tuple(float(sum(row)) for row in self.a)
@@ -224,3 +230,5 @@ RK4 = explicit(
     4,
     (0.0, 0.0, 0.0, 1 / 6, -1 / 6),
 )
+#: The classical method alone.
+KUTTA4 = RK4.essential

@@ -9,8 +9,10 @@ import pytest
 import rbjax as rb
 from rbjax.dynamics import kernel, kernel_gradient
 from rbjax.dynamics.forward import acceleration
+from rbjax.dynamics.kernel_rollout import march
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied_lanes
+from rbjax.integrators import TABLEAUS
 
 WALKER = """
 <mujoco><worldbody><body><freejoint/>
@@ -42,6 +44,7 @@ TWO_ROOTS = MIXED.replace(
 WRITTEN = {"walker": WALKER, "mixed": MIXED, "two roots": TWO_ROOTS}
 ROLLED = kernel.Plan("rolled", block=4, warps=1, programs=1)
 UNROLLED = kernel.Plan("unrolled", block=4, warps=1)
+TABLE, DT = TABLEAUS["tsit5"], jnp.asarray(0.01)
 CASES = [("cart_pole", UNROLLED)]
 CASES += [(name, ROLLED) for name in ("cart_pole", "free_body", *WRITTEN)]
 
@@ -90,6 +93,67 @@ def test_rollout_and_its_gradient(name, key):
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9), found, expected
     )
+
+
+STAGED = [("pendulum", UNROLLED), ("quadrotor", UNROLLED), ("free_body", ROLLED)]
+STAGED += [
+    pytest.param(name, how, marks=pytest.mark.slow)
+    for name, how in (("spinning_top", UNROLLED), ("walker", ROLLED))
+]
+
+
+@pytest.mark.parametrize("name, how", STAGED, ids=str)
+def test_stages(name, how, key):
+    """A Runge-Kutta method in the kernel, its stages written out or in a loop, actuators at sites
+    among them."""
+    model = load(name)
+    q, v = batch(model, 3, key)
+    ctrls = jax.random.uniform(key, (4, model.nu, 3))
+    run = jax.jit(lambda q, v: march(model, applied_lanes, q, v, ctrls, DT, 4, 2, how, TABLE))
+    state, each = rb.State(q.T, v.T), jnp.moveaxis(ctrls, -1, 0)
+    expected = rb.rollout(model, state, each, DT, integrator="tsit5", save_every=2, kernel=False)
+    for found, wanted in zip(run(q, v), (expected.q, expected.v), strict=True):
+        np.testing.assert_allclose(jnp.moveaxis(found, -1, 0), wanted[:, 1:], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_gradient_of_stages_is_the_scans(key):
+    model = load("cart_pole")
+    q, v = (x.T for x in batch(model, 2, key))
+
+    def loss(v, kernel):
+        out = rb.rollout(
+            model, rb.State(q, v), None, 0.01, steps=2, integrator="rk4", kernel=kernel
+        )
+        return (out.q**2).sum()
+
+    found, expected = (jax.jit(jax.grad(loss), static_argnums=1)(v, k) for k in (True, False))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("precision", [jnp.float32, jnp.float64], ids=["f32", "f64"])
+@pytest.mark.parametrize(
+    "name, how",
+    [
+        ("pendulum", kernel.Plan("unrolled")),
+        ("quadrotor", kernel.Plan("unrolled")),
+        ("walker", kernel.ROLLED),
+    ],
+    ids=str,
+)
+def test_triton_takes_stages(name, how, precision, monkeypatch):
+    monkeypatch.setattr(kernel, "INTERPRET", False)
+    model = load(name)
+    with jax.enable_x64(precision == jnp.float64):
+        q, v, ctrls = (
+            jnp.zeros(s, precision) for s in [(model.nq, 512), (model.nv, 512), (4, model.nu, 512)]
+        )
+
+        def run(q, v, ctrls):
+            return march(model, applied_lanes, q, v, ctrls, jnp.asarray(DT, precision), 4, 2,
+                         how, TABLE)  # fmt: skip
+
+        jax.jit(run).trace(q, v, ctrls).lower(lowering_platforms=("cuda",))
 
 
 def test_gradient_of_the_model_is_the_scans(key):

@@ -1,0 +1,294 @@
+"""Tables and pictures of the speed-accuracy benchmarks.
+
+`python -m benchmarks.work_precision_chart [folders]` reads work-*.json from benchmarks/results (and
+other folders) and writes docs/work-precision.md with docs/work-precision-<what>.png.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.timing import RESULTS, markdown_table
+from benchmarks.work_scenes import SCENES
+from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
+
+DOCS = RESULTS.parents[1] / "docs"
+WANTED = 1e-6
+CPU, GPU = "CPU, one core", "H200"
+Rows = list[dict[str, Any]]
+
+
+def read(folders: list[Path]) -> tuple[Rows, Rows]:
+    """Rows of the scenes, each with its platform; rows of the stiffness sweep."""
+    scenes, stiff = [], []
+    for path in sorted(p for folder in folders for p in folder.glob("work-*.json")):
+        data = json.loads(path.read_text())
+        platform = CPU if data["provenance"]["platform"] == "cpu" else GPU
+        rows = [row | {"platform": platform} for row in data["rows"]]
+        (stiff if path.name.startswith("work-stiffness") else scenes).extend(rows)
+    return scenes, stiff
+
+
+def lines(rows: Rows, scene: str, platform: str) -> dict[tuple[str, str, str], Any]:
+    """(engine, method, precision) -> steps, errors, microseconds, evaluations; the times of MJX are
+    its steps times its fastest step."""
+    found: dict[tuple, list] = defaultdict(list)
+    step: dict[tuple, float] = {}
+    for row in rows:
+        if row["scene"] != scene:
+            continue
+        key = tuple(row.get(k) for k in ("engine", "method", "precision"))
+        if row["what"] == "step" and row["platform"] == platform:
+            step[key] = min(step.get(key, np.inf), row["us_per_step"])
+        mine = row["what"] == "point" and row["platform"] == platform
+        if mine or row["what"] == "error":
+            found[key].append([row["steps"], row["error"], row.get("us"), row["evaluations"]])
+    if scene == "chain":  # hinges alone: MJX's RK4 is MuJoCo's, whose errors were affordable
+        found["mjx", "RK4", "f64"] = [
+            [row["steps"], row["error"], None, row["evaluations"]]
+            for row in rows
+            if row["scene"] == scene and (row.get("engine"), row.get("method")) == ("mujoco", "RK4")
+        ]
+    out = {}
+    for key, points in found.items():
+        steps, error, us, evaluations = np.array(sorted(points, key=lambda p: p[0]), float).T
+        if key[0] == "mjx":
+            if key not in step:
+                continue
+            us = steps * step[key] / SCENES[scene].seconds
+        out[key] = steps, error, us, evaluations
+    return out
+
+
+def at(error: np.ndarray, cost: np.ndarray, wanted: float = WANTED) -> tuple[float, bool]:
+    """The cost of an error, between points of the line, and whether it had to be prolonged with
+    the slope of its last two points; infinite where the line ends in a floor above it."""
+    good = np.flatnonzero(error <= wanted)
+    if len(good) and good[0]:
+        i = good[0]
+        if not np.isfinite(error[i - 1]):
+            return float(cost[i]), False
+        x, y = np.log(error[i - 1 : i + 1]), np.log(cost[i - 1 : i + 1])
+        return float(np.exp(np.interp(-np.log(wanted), -x, y))), False
+    if len(good):
+        return float(cost[0]), False
+    falling = np.flatnonzero(np.isfinite(error))[-2:]
+    x, y = np.log(error[falling]), np.log(cost[falling])
+    if len(x) < 2 or x[1] > x[0] - 0.1:
+        return np.inf, False
+    slope = (y[1] - y[0]) / (x[1] - x[0])
+    return float(np.exp(y[1] + slope * (np.log(wanted) - x[1]))), True
+
+
+def table(rows: Rows) -> Rows:
+    """The fastest way to an error of 1e-6, MJX's and ours, a row for each scene and platform."""
+    out = []
+    for scene in SCENES:
+        for platform in (CPU, GPU):
+            best: dict[str, Any] = {}
+            for key, (_, error, us, _) in lines(rows, scene, platform).items():
+                engine = "rbjax" if key[0] == "simulate" else key[0]
+                cost, further = at(error, us)
+                name = f"{key[1]} {key[2]}" + (", prolonged" if further else "")
+                if cost < best.get(engine, (np.inf,))[0]:
+                    best[engine] = cost, name
+            row: dict[str, Any] = {"scene": SCENES[scene].title, "on": platform}
+            for engine in ("mjx", "mujoco", "rbjax"):
+                if engine in best:
+                    row[engine] = "{:.3g} us ({})".format(*best[engine])
+            for engine in ("mjx", "mujoco"):
+                if engine in best and "rbjax" in best:
+                    row[f"{engine}/rbjax"] = best[engine][0] / best["rbjax"][0]
+            out.append(row)
+    return out
+
+
+LOOK = {
+    ("rbjax", "dopri8"): (INK, "D", "-", "rbjax Dopri8"),
+    ("rbjax", "tsit5"): (PURPLE, "^", "-", "rbjax Tsit5"),
+    ("rbjax", "rk4"): (BLUE, "s", "-", "rbjax RK4"),
+    ("rbjax", "semi_implicit_euler"): (TEAL, "o", "-", "rbjax semi-implicit Euler"),
+    ("mjx", "RK4"): (RED, "s", "--", "MJX RK4"),
+    ("mjx", "implicitfast"): (ORANGE, "v", "--", "MJX implicitfast"),
+    ("mjx", "Euler"): (ORANGE, "o", "--", "MJX Euler"),
+    ("mujoco", "RK4"): (GREEN, "s", ":", "MuJoCo C RK4"),
+    ("mujoco", "implicitfast"): (GREEN, "v", ":", "MuJoCo C implicitfast"),
+    ("mujoco", "implicit"): (GREEN, "x", ":", "MuJoCo C implicit"),
+    ("mujoco", "Euler"): (GREEN, "o", ":", "MuJoCo C Euler"),
+}
+OTHERS = (INK, PURPLE, BLUE, TEAL, RED, ORANGE, GREEN)
+
+
+def visible(error: np.ndarray) -> np.ndarray:
+    """Errors without those of no meaning: MuJoCo starts anew where a motion blows up."""
+    return np.where((error < 0.9) & (error > 0), error, np.nan)
+
+
+def picture(rows: Rows, platform: str, name: str, cost: int, scenes: tuple[str, ...]) -> None:
+    """A grid of scenes; cost is 2 for time, 3 for force evaluations."""
+    columns = min(4, len(scenes))
+    high = -(-len(scenes) // columns)
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(
+            high, columns, figsize=(3.5 * columns, 3.1 * high + 0.9), layout="constrained",
+            squeeze=False, sharey=True,
+        )  # fmt: skip
+        shown: dict[str, Any] = {}
+        for ax, scene in zip(axes.flat, scenes, strict=False):
+            for key, line in lines(rows, scene, platform).items():
+                if key[:2] not in LOOK or (key[0] != "rbjax" and key[2] == "f32"):
+                    continue
+                color, marker, style, label = LOOK[key[:2]]
+                error = visible(line[1])
+                faint = key[2] == "f32"
+                (drawn,) = ax.loglog(
+                    line[cost], error, color=color, marker=marker, ls=style, ms=3, lw=1.3,
+                    alpha=0.35 if faint else 1.0,
+                )  # fmt: skip
+                shown.setdefault(label + (", f32" if faint else ""), drawn)
+            ax.axhline(WANTED, color=INK, lw=0.7, alpha=0.5)
+            ax.set(title=SCENES[scene].title, ylim=(1e-12, 2))
+        for ax in axes.flat[len(scenes) :]:
+            ax.set_visible(False)
+        what = "us per robot and simulated second" if cost == 2 else "force evaluations a second"
+        for ax in axes[-1]:
+            ax.set_xlabel(what, fontsize=8.5)
+        for ax in axes[:, 0]:
+            ax.set_ylabel("error")
+        if cost == 2:
+            figure.suptitle(f"Error of the final state against computing time, {platform}")
+        order = [label for *_, label in LOOK.values()]
+        labels = sorted(shown, key=lambda s: (order.index(s.removesuffix(", f32")), "f32" in s))
+        handles = [shown[label] for label in labels]
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, 2 * columns))
+        figure.savefig(DOCS / f"work-precision-{name}.png")
+        plt.close(figure)
+
+
+def solvers(rows: Rows, scenes: tuple[str, ...]) -> None:
+    """Our solvers through `simulate`: error against force evaluations."""
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(
+            1, len(scenes), figsize=(5.2 * len(scenes), 4.6), layout="constrained", sharey=True
+        )
+        for ax, scene in zip(np.atleast_1d(axes), scenes, strict=True):
+            found = {k: x for k, x in lines(rows, scene, CPU).items() if k[0] == "simulate"}
+            for n, (key, line) in enumerate(found.items()):
+                error = visible(line[1])
+                ax.loglog(line[3], error, color=OTHERS[n % 7], marker="osv^Dx*"[n // 7 % 7],
+                          ms=3, lw=1, label=key[1])  # fmt: skip
+            ax.set(title=SCENES[scene].title, xlabel="force evaluations a second", ylim=(1e-12, 3))
+            ax.legend(fontsize=6, ncols=2)
+        np.atleast_1d(axes)[0].set_ylabel("error")
+        figure.savefig(DOCS / "work-precision-solvers.png")
+        plt.close(figure)
+
+
+def stiffness(rows: Rows) -> None:
+    """Time for an error of 1e-4 by the stiffness of the springs."""
+    by_method: dict[str, Rows] = defaultdict(list)
+    for row in rows:
+        if row["what"] == "stiff" and "us" in row:
+            by_method[row["method"]].append(row)
+    with plt.rc_context(STYLE):
+        figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+        for n, (method, points) in enumerate(by_method.items()):
+            style = "--" if points[0]["implicit"] else "-"
+            k = [p["stiffness"] for p in points]
+            for ax, what in ((left, "us"), (right, "steps")):
+                ax.loglog(k, [p[what] for p in points], ls=style, marker="o", ms=3,
+                          color=OTHERS[n % 7], label=method)  # fmt: skip
+        left.set(title="Time for an error of 1e-4", ylabel="us per robot and simulated second")
+        right.set(title="Steps for it", ylabel="steps a second")
+        for ax in (left, right):
+            ax.set_xlabel("stiffness of the springs [N m/rad]")
+        left.legend()
+        figure.savefig(DOCS / "work-precision-stiffness.png")
+        plt.close(figure)
+
+
+def crossover(rows: Rows) -> str:
+    """In words, from where on an implicit method needs less time than any explicit one."""
+    best: dict[bool, dict[float, Any]] = {False: {}, True: {}}
+    for row in rows:
+        if row["what"] == "stiff" and "us" in row:
+            by_k = best[row["implicit"]]
+            if row["us"] < by_k.get(row["stiffness"], {"us": np.inf})["us"]:
+                by_k[row["stiffness"]] = row
+    both = sorted(best[False].keys() & best[True].keys())
+    ratio = np.log([best[False][k]["us"] / best[True][k]["us"] for k in both])
+    at_k = np.exp(np.interp(0.0, ratio, np.log(both)))
+    last = both[-1]
+    there = [r for r in rows if "us" in r and r["stiffness"] == last]
+    fewest = min(r["steps"] for r in there if not r["implicit"])
+    explicit, implicit = best[False][last], best[True][last]
+    return (
+        f"An implicit method takes less time from {at_k:.0f} N m/rad on. At {last:.0f} the best "
+        f"explicit methods take {fewest:,} steps (in time {explicit['method']}, "
+        f"{explicit['us']:,.0f} us), {implicit['method']} {implicit['steps']} "
+        f"({implicit['us']:,.0f} us)."
+    )
+
+
+TEXT = """# Speed against accuracy
+
+Microseconds of computing per robot and simulated second for an error of {wanted:g}, each engine at
+its fastest batch, precision and integrator; one core of the CPU, and the H200. The scenes, the
+distance of two states and the references (closed forms or runs whose own error is bounded below
+1e-11) are in `benchmarks/work_scenes.py`; `make bench-work-precision` measures and draws.
+
+{table}
+
+![H200](work-precision-h200.png)
+![CPU](work-precision-cpu.png)
+![Force evaluations](work-precision-evaluations.png)
+
+- Every engine runs the same MjModel, smooth dynamics alone; contacts, limits, friction are off.
+- MJX: steps for the error times its fastest step. Its errors are those of a small batch on a CPU;
+  on attitudes its RK4 is of second order, where MuJoCo C's and ours are of fourth. On the chain of
+  hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX's errors on the humanoid
+  and the chain were not measured; on all others its f32 ends above 1e-6, but for the pendulum.
+- MJX on the CPU runs with whatever compiler options make it fastest: without XLA's fusion emitters
+  (jax 0.10), or, where that option is gone (jax 0.11), the better of the default and no fusion.
+- "prolonged": the last points did not reach the error, and the line goes on with their slope.
+
+## Solvers of `rb.solvers` through `simulate`
+
+![Solvers](work-precision-solvers.png)
+
+A Jacobian counts as one evaluation.
+
+## Stiffness
+
+A hanging rod of six links, its springs ever stiffer, their dampers with them; error 1e-4 after 1 s.
+{crossover}
+
+![Stiffness](work-precision-stiffness.png)
+"""
+
+
+def main() -> None:
+    rows, stiff = read([RESULTS, *map(Path, sys.argv[1:])])
+    columns = ("scene", "on", "mjx", "mujoco", "rbjax", "mjx/rbjax", "mujoco/rbjax")
+    found = markdown_table(table(rows), columns)
+    scenes = tuple(SCENES)
+    picture(rows, GPU, "h200", 2, scenes)
+    picture(rows, CPU, "cpu", 2, scenes)
+    picture(rows, CPU, "evaluations", 3, scenes)
+    measured = {row["scene"] for row in rows if row.get("engine") == "simulate"}
+    solvers(rows, tuple(s for s in ("pendulum", "spinning_top") if s in measured))
+    stiffness(stiff)
+    text = TEXT.format(wanted=WANTED, table=found, crossover=crossover(stiff))
+    (DOCS / "work-precision.md").write_text(text)
+    print(found, crossover(stiff), sep="\n")
+
+
+if __name__ == "__main__":
+    main()
