@@ -13,9 +13,10 @@
 # %% [markdown]
 # # Choosing a solver
 #
-# `rb.solvers.all()` lists 55 of them. Which one, and with which step, is a question about the robot:
-# how stiff it is, how long it runs, and how right it must be. This notebook asks linear theory, then
-# one robot, then runs that are built to fail, and at the end the function that does it all.
+# `rb.solvers.all()` lists 55 of them. Which one, and with which step, is a question about the
+# robot: how stiff it is, how long it runs, and how right it must be. This notebook asks linear
+# theory, then one robot, then runs that are built to fail, and at the end the function that does it
+# all.
 
 # %%
 import jax
@@ -79,8 +80,9 @@ for method in ("rollout rk4", "stoermer_verlet"):
 
 # %% [markdown]
 # ## What stays, and what drifts
-# Energy of a pendulum without friction over twenty thousand steps of 0.1 s. A method can be more accurate and
-# still drift; a symplectic one stays within a band. `trend` decides by the slope and its error.
+# Energy of a pendulum without friction over twenty thousand steps of 0.1 s. A method can be more
+# accurate and still drift; a symplectic one stays within a band. `trend` decides by the slope and
+# its error.
 
 # %%
 pendulum = rb.load("pendulum")
@@ -100,8 +102,8 @@ figure.tight_layout()
 # %% [markdown]
 # ## How long a gradient lasts
 # A double pendulum is chaotic: neighbours part at the Lyapunov exponent, and so does the derivative
-# of the end by the beginning. Where its norm has reached one over the machine's precision, a gradient
-# through the motion is noise.
+# of the end by the beginning. Where its norm has reached one over the machine's precision, a
+# gradient through the motion is noise.
 
 # %%
 wild = rb.State(jnp.array([2.0, 2.4]), jnp.zeros(2))
@@ -112,9 +114,9 @@ print(f"Lyapunov exponent {exponent.value:.2f} +- {exponent.error:.2f} 1/s; grad
 
 # %% [markdown]
 # ## How solvers fail
-# Fourteen scenes are built to break solvers; `attempt` runs one and tells what became of it, with the
-# number: an error, the time of a blow-up, the distance from the manifold, a drift. `make failure-map`
-# does this for every solver (`docs/failure_map.png`).
+# Fourteen scenes are built to break solvers; `attempt` runs one and tells what became of it, with
+# the number: an error, the time of a blow-up, the distance from the manifold, a drift. `make
+# failure-map` does this for every solver (`docs/failure_map.png`).
 
 # %%
 scenes = lab.scenes()

@@ -21,15 +21,21 @@ import numpy as np
 from rbjax import solvers
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.errors import InputError
+from rbjax.integrators import INTEGRATORS
 from rbjax.model import Model, State
-from rbjax.rollout import INTEGRATORS, rollout
+from rbjax.rollout import rollout
 from rbjax.simulate import simulate
 from rbjax.stability.multistep_roots import characteristic
 from rbjax.stability.oscillator import DOUBLE, matrices_of_pair
 from rbjax.stability.stability_function import Solver, made
 
 #: an integrator of `rb.rollout` -> the solver that takes the same step
-ROLLOUT = {"semi_implicit_euler": "symplectic_euler", "rk4": "rk4"}
+ROLLOUT: dict[str, Solver] = {
+    "semi_implicit_euler": "symplectic_euler",
+    "rk4": "rk4",
+    "tsit5": diffrax.Tsit5(),
+    "dopri8": diffrax.Dopri8(),
+}
 PAIRS = (
     solvers.GeneralizedAlpha, solvers.CentralDifferences, solvers.SemiImplicitEuler,
     solvers.VariationalMidpoint, solvers.Splitting,
@@ -156,8 +162,7 @@ def measured_stable_step(
     stable and one that is not is halved: sharp to about 10 / steps.
 
     Args:
-        method: "rollout semi_implicit_euler" or "rollout rk4", the integrators of `rb.rollout`;
-            or a name of `rb.solvers.all()` or a solver, run by `rb.simulate`.
+        method: "rollout rk4", likewise with the other integrators of `rb.rollout`; or a name of `rb.solvers.all()` or a solver, run by `rb.simulate`.
         model: the robot.
         state: an equilibrium under ctrl.
         ctrl: (nu,) held control, or None.

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import rbjax as rb
 from rbjax import stability
+from rbjax.integrators import INTEGRATORS
 from tests.robots import QUICK
 from tests.tolerances import GRADIENT, relative_error
 
@@ -73,8 +74,8 @@ def test_a_spring_is_seen() -> None:
 @pytest.mark.parametrize(
     "method",
     [m if m == FIRST else pytest.param(m, marks=slow) for m in (
-        "rollout semi_implicit_euler", "rollout rk4", "rk4", "stoermer_verlet",
-        "central_differences", "adams_bashforth3", "rkmk3", "pece4", "yoshida4",
+        "rollout semi_implicit_euler", "rollout rk4", "rollout tsit5", "rollout dopri8", "rk4",
+        "stoermer_verlet", "central_differences", "adams_bashforth3", "rkmk3", "pece4", "yoshida4",
     )],
 )  # fmt: skip
 def test_largest_step_of_a_pendulum(method: str) -> None:
@@ -84,6 +85,10 @@ def test_largest_step_of_a_pendulum(method: str) -> None:
     predicted = stability.stable_step(solver, stability.state_matrix(model, state))
     measured = stability.measured_stable_step(method, model, state, near=predicted)
     assert measured == pytest.approx(predicted, rel=SHARP)
+
+
+def test_every_integrator_of_rollout_has_its_solver() -> None:
+    assert stability.ROLLOUT.keys() == INTEGRATORS.keys()
 
 
 @slow
