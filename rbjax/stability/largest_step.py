@@ -162,7 +162,8 @@ def measured_stable_step(
     stable and one that is not is halved: sharp to about 10 / steps.
 
     Args:
-        method: "rollout rk4", likewise with the other integrators of `rb.rollout`; or a name of `rb.solvers.all()` or a solver, run by `rb.simulate`.
+        method: "rollout rk4", likewise with the other integrators of `rb.rollout`; or a name of
+            `rb.solvers.all()` or a solver, run by `rb.simulate`.
         model: the robot.
         state: an equilibrium under ctrl.
         ctrl: (nu,) held control, or None.

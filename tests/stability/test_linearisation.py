@@ -74,9 +74,9 @@ def test_a_spring_is_seen() -> None:
 @pytest.mark.parametrize(
     "method",
     [m if m == FIRST else pytest.param(m, marks=slow) for m in (
-        "rollout semi_implicit_euler", "rollout rk4", "rollout tsit5", "rollout dopri8", "rk4",
-        "stoermer_verlet", "central_differences", "adams_bashforth3", "rkmk3", "pece4", "yoshida4",
-    )],
+        "rollout semi_implicit_euler", "rollout rk4", "rk4", "stoermer_verlet",
+        "central_differences", "adams_bashforth3", "rkmk3", "pece4", "yoshida4",
+    )],  # Tsit5 and Dopri8 leave the region beside the imaginary axis too slowly to be seen
 )  # fmt: skip
 def test_largest_step_of_a_pendulum(method: str) -> None:
     model = rb.load("pendulum")
