@@ -176,17 +176,24 @@ def solvers(rows: Rows, scenes: tuple[str, ...]) -> None:
     """Our solvers through `simulate`: error against force evaluations."""
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
-            1, len(scenes), figsize=(5.2 * len(scenes), 4.6), layout="constrained", sharey=True
+            1, len(scenes), figsize=(6.4 * len(scenes), 6.8), layout="constrained", sharey=True
         )
+        shown: dict[str, Any] = {}
+        names = sorted({r["method"] for r in rows if r.get("engine") == "simulate"})
         for ax, scene in zip(np.atleast_1d(axes), scenes, strict=True):
-            found = {k: x for k, x in lines(rows, scene, CPU).items() if k[0] == "simulate"}
-            for n, (key, line) in enumerate(found.items()):
-                error = visible(line[1])
-                ax.loglog(line[3], error, color=OTHERS[n % 7], marker="osv^Dx*"[n // 7 % 7],
-                          ms=3, lw=1, label=key[1])  # fmt: skip
-            ax.set(title=SCENES[scene].title, xlabel="force evaluations a second", ylim=(1e-12, 3))
-            ax.legend(fontsize=6, ncols=2)
+            for key, line in lines(rows, scene, CPU).items():
+                if key[0] != "simulate":
+                    continue
+                n = names.index(key[1])
+                (shown[key[1]],) = ax.loglog(
+                    line[3], visible(line[1]), color=OTHERS[n % 7], marker="osv^Dx*P+"[n // 7 % 9],
+                    ms=3.5, lw=1,
+                )  # fmt: skip
+            ax.set(title=SCENES[scene].title, xlabel="force evaluations a second", ylim=(1e-12, 2))
         np.atleast_1d(axes)[0].set_ylabel("error")
+        labels = [name for name in names if name in shown]
+        handles = [shown[name] for name in labels]
+        figure.legend(handles, labels, loc="outside lower center", ncols=7, fontsize=8)
         figure.savefig(DOCS / "work-precision-solvers.png")
         plt.close(figure)
 
