@@ -8,6 +8,7 @@ backwards. Loops over time are in Python: MJX compiles slowly, and twice more in
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 from typing import Any
 
@@ -22,8 +23,24 @@ from rbjax.validation.reference import Array, Samples
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
     from mujoco import mjx  # says at every import that it found no warp
 
-# XLA's CPU fusion emitters make MJX up to a thousand times slower.
-FAST = {"xla_cpu_use_fusion_emitters": False}
+#: XLA's CPU fusion makes MJX up to a thousand times slower; what switches it off, newest last
+UNFUSED = ({"xla_cpu_use_fusion_emitters": False}, {"xla_disable_hlo_passes": "fusion"})
+
+
+@functools.cache
+def fast() -> dict[str, Any] | None:
+    """The first of `UNFUSED` that this jaxlib knows (0.11 lost the first); None off the CPU."""
+    if jax.default_backend() != "cpu":
+        return None
+    for options in UNFUSED:
+        try:
+            jax.jit(lambda x: x + 1, compiler_options=options).lower(1.0).compile()
+        except jax.errors.JaxRuntimeError as error:
+            if "compile option" not in str(error):
+                raise
+            continue
+        return options
+    return {}
 
 
 class Mjx:
@@ -32,7 +49,8 @@ class Mjx:
     def __init__(self, m: mujoco.MjModel):
         self.reference, self.model = m, mjx.put_model(m)
         self.blank = mjx.make_data(m)
-        options = FAST | quick() if jax.default_backend() == "cpu" else None
+        options = fast()
+        options = options if options is None else options | quick()
         step = jax.vmap(self._step, (None, 0, 0, 0))
         self.step = jax.jit(step, compiler_options=options)
         self.pull = jax.jit(jax.vmap(self._pull, (None, 0, 0, 0, 0)), compiler_options=options)
@@ -116,6 +134,5 @@ def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, ctrl: Any, seconds:
         data = jax.lax.fori_loop(0, steps, lambda _, d: step(model, d), data)
         return data.qpos, data.qvel
 
-    options = FAST if jax.default_backend() == "cpu" else None
-    compiled = jax.jit(run, compiler_options=options)
+    compiled = jax.jit(run, compiler_options=fast())
     return lambda steps: compiled(model, q, v, steps)
