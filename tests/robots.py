@@ -16,6 +16,7 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.model import compile_model
+from rbjax.validation.mjx import fast
 from tests.oracles.models import MODELS, switch_off_constraints
 from tests.oracles.random_trees import random_state, random_tree
 
@@ -23,7 +24,7 @@ Array = np.ndarray
 
 QUICK = {  # two thirds of the time to compile; what these programs are asked for is right, not fast
     "xla_backend_optimization_level": 0,
-    "xla_cpu_use_fusion_emitters": False,
+    **(fast() or {}),
 }
 """Options of `jax.jit` for programs that are run once."""
 

@@ -21,6 +21,9 @@ def spread(model, count, key):
     return jax.jit(jax.vmap(model.random_state))(jax.random.split(key, count))
 
 
+SLOW_DOPRI8 = pytest.param("dopri8", marks=pytest.mark.slow)
+
+
 @pytest.mark.parametrize("scene", ["cart_pole", "arm7", "quadrotor"])
 def test_semi_implicit_euler_is_mujoco_s(scene, key):
     model, m = rb.load(scene), compile_model(scene)
@@ -113,7 +116,7 @@ def test_save_every_keeps_a_subset(key):
     assert some.state(-1).q.shape == (1,)
 
 
-@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4", "dopri8"])
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4", SLOW_DOPRI8])
 def test_reverse_gradient_is_the_difference_quotient(integrator, key):
     """With respect to controls, state and a leaf of the model at once."""
     model = rb.load("cart_pole")

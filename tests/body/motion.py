@@ -14,7 +14,7 @@ from tests.robots import QUICK
 
 # What holds for every attitude, and three of the minimal ones; the others take minutes to compile.
 ATTITUDE_FREE = tuple(n for n in formulations() if not n.startswith("lagrange"))
-MINIMAL = ("lagrange_zyz", "lagrange_mrp", "lagrange_roll_pitch_yaw")
+MINIMAL = ("lagrange_zyz", "lagrange_mrp")
 SLOW = tuple(n for n in formulations() if n not in ATTITUDE_FREE + MINIMAL)
 
 

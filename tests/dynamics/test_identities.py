@@ -20,7 +20,7 @@ STEP = 6e-6  # of central differences: the cube root of the rounding unit
 CASES = [  # robot, driver
     "double_pendulum, unrolled",
     "small, rolled",
-    "quadruped, rolled",
+    pytest.param("quadruped, rolled", marks=pytest.mark.slow),
     pytest.param("small, unrolled", marks=pytest.mark.slow),
     pytest.param("free_body, unrolled", marks=pytest.mark.slow),
     pytest.param("arm7, rolled", marks=pytest.mark.slow),

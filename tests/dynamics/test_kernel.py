@@ -46,7 +46,8 @@ ROLLED = kernel.Plan("rolled", block=4, warps=1, programs=1)
 UNROLLED = kernel.Plan("unrolled", block=4, warps=1)
 TABLE, DT = TABLEAUS["tsit5"], jnp.asarray(0.01)
 CASES = [("cart_pole", UNROLLED)]
-CASES += [(name, ROLLED) for name in ("cart_pole", "free_body", *WRITTEN)]
+CASES += [(name, ROLLED) for name in ("cart_pole", "free_body", "mixed")]
+CASES += [pytest.param(n, ROLLED, marks=pytest.mark.slow) for n in ("walker", "two roots")]
 
 
 def load(name: str) -> rb.Model:

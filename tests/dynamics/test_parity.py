@@ -28,7 +28,7 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     ("tree:1", "rolled", True),
     ("tree:2", "rolled", False),
     ("tree:3", "rolled", False),
-    ("tree:4", "rolled", True),
+    pytest.param("tree:4", "rolled", True, marks=pytest.mark.slow),
     ("tree:5", "rolled", False),
     ("gymnasium/half_cheetah.xml", "unrolled", False),
     ("frax/franka_panda/panda.urdf", "rolled", False),
