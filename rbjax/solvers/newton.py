@@ -20,8 +20,8 @@ import lineax as lx
 import optimistix as optx
 
 MAX_STEPS = 20
-ROUNDING = 64  # units in the last place of the state
-NOISE = 1e2  # times that: where corrections that no longer shrink are rounding
+ROUNDING = 4  # units in the last place of the state
+NOISE = 1.6e3  # times that: where corrections that no longer shrink are rounding
 
 
 class Settled(optx.AbstractRootFinder):
