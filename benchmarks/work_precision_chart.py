@@ -264,7 +264,7 @@ distance of two states and the references (closed forms or runs whose own error 
   and the chain were not measured; on all others its f32 ends above 1e-6, but for the pendulum.
 - MJX on the CPU runs with whatever compiler options make it fastest: without XLA's fusion emitters
   (jax 0.10), or, where that option is gone (jax 0.11), the better of the default and no fusion.
-- On the CPU (Intel Xeon; the humanoid AMD EPYC) ours is unrolled, as `model.replace(driver="unrolled")`.
+- On the CPU (Intel Xeon; the humanoid AMD EPYC) ours is `model.replace(driver="unrolled")`.
 - "prolonged": the last points did not reach the error, and the line goes on with their slope.
 
 ## Solvers of `rb.solvers` through `simulate`
