@@ -27,8 +27,6 @@ CASES = [  # robot, driver
     pytest.param("tree:0, rolled", marks=pytest.mark.slow),
     pytest.param("tree:4, rolled", marks=pytest.mark.slow),
 ]
-# their programs are larger
-PARTIAL = [*CASES[:2], pytest.param(CASES[2], marks=pytest.mark.slow), *CASES[3:]]
 
 
 def both_sides(model: rb.Model, q, v, a, w):
@@ -104,7 +102,7 @@ def test_identities(case: str) -> None:
         assert error.max() <= F64_IDENTITY, name
 
 
-@pytest.mark.parametrize("case", PARTIAL)
+@pytest.mark.parametrize("case", CASES)
 def test_partial_derivatives(case: str) -> None:
     """Of inverse and forward dynamics with respect to q (tangent), v, and a or tau."""
     sample = robot(*case.split(", "))
