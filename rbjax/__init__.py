@@ -4,9 +4,10 @@ A robot file goes in; fast, accurate, differentiable motion comes out, in a batc
 million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
+import importlib
 from typing import Any
 
-from rbjax import body, dynamics, forces, rotations, solvers, spatial, stability, sysid
+from rbjax import body, dynamics, forces, rotations, solvers, spatial, sysid
 from rbjax.dynamics import (
     Poses,
     bias_forces,
@@ -43,11 +44,11 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    """`rbjax.validation` comes when it is asked for: it imports MJX, which takes seconds."""
-    if name == "validation":
-        import rbjax.validation
-
-        return rbjax.validation
+    """Rooms that come when they are asked for, for what they import: `validation` MJX, which takes
+    seconds, `stability` SciPy's integrators and mpmath, which take as long as a third of the rest.
+    """
+    if name in ("stability", "validation"):
+        return importlib.import_module(f"rbjax.{name}")
     raise AttributeError(f"module 'rbjax' has no attribute {name!r}")
 
 __all__ = [

@@ -10,6 +10,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
+from rbjax.solvers.rosenbrock import RosenbrockW, holds
 from rbjax.stability import regions
 from rbjax.stability.multistep_roots import Characteristic, characteristic
 from rbjax.stability.stability_function import (
@@ -62,10 +63,9 @@ def order_by_conditions(solver: Solver) -> int:
     if table is None:
         return _method(solver)[1].order
     a, b = table
-    if not hasattr(solver, "tableau") or not hasattr(solver.tableau, "alpha"):
+    if not isinstance(solver, RosenbrockW):
         return tables.attained_order(a, b, HIGHEST)
-    from rbjax.solvers.rosenbrock import holds  # conditions of W-methods: any Jacobian
-
+    # conditions of W-methods: any Jacobian
     alpha, gamma = np.array(solver.tableau.alpha), np.array(solver.tableau.gamma)
     return next(p for p in range(HIGHEST) if not holds(alpha, gamma, b, p + 1))
 
