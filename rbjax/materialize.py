@@ -133,8 +133,8 @@ def _polynomial(x):
     turns = jnp.floor(x * (2 / jnp.pi) + 0.5)
     r = ((x - turns * _PI_2[0]) - turns * _PI_2[1]) - turns * _PI_2[2]
     z = r * r
-    sine = r + r * z * _horner(_SIN, z)
-    cosine = 1.0 - 0.5 * z + z * z * _horner(_COS, z)
+    sine = r + r * z * horner(_SIN, z)
+    cosine = 1.0 - 0.5 * z + z * z * horner(_COS, z)
     quarter = turns - 4.0 * jnp.floor(turns * 0.25)
     odd = (quarter == 1.0) | (quarter == 3.0)
     s, c = jnp.where(odd, cosine, sine), jnp.where(odd, sine, cosine)
@@ -144,7 +144,8 @@ def _polynomial(x):
     ]
 
 
-def _horner(coefficients, z):
+def horner(coefficients, z):
+    """sum_k coefficients_k z^k."""
     out = coefficients[-1]
     for a in coefficients[-2::-1]:
         out = out * z + a

@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.materialize import sincos
+from rbjax.materialize import horner, sincos
 
 
 def where(condition: jax.Array, a: Any, b: Any) -> jax.Array:
@@ -92,7 +92,7 @@ def _series(x: jax.Array, k: int) -> jax.Array:
     """Enough terms that what is left out, and its second derivative, is below rounding."""
     double = x.dtype == jnp.float64
     terms = (13 if double else 8) if k < 2 else (16 if double else 10)
-    return _horner([(-1) ** j / math.factorial(2 * j + k) for j in range(terms)], x)
+    return horner([(-1) ** j / math.factorial(2 * j + k) for j in range(terms)], x)
 
 
 def _closed(x: jax.Array, k: int) -> jax.Array:
@@ -107,11 +107,4 @@ def _closed(x: jax.Array, k: int) -> jax.Array:
 def _arctan_series(x: jax.Array) -> jax.Array:
     """atan(t) / t, x = t^2, for t up to tan(pi/16)."""
     terms = 13 if x.dtype == jnp.float64 else 6
-    return _horner([(-1) ** j / (2 * j + 1) for j in range(terms)], x)
-
-
-def _horner(coefficients: list[float], x: jax.Array) -> jax.Array:
-    out = jnp.full_like(x, coefficients[-1])
-    for a in coefficients[-2::-1]:
-        out = out * x + a
-    return out
+    return horner([(-1) ** j / (2 * j + 1) for j in range(terms)], x)

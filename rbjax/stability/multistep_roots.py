@@ -29,6 +29,7 @@ from rbjax.stability.polynomials import (
     added,
     common,
     derivative,
+    divided,
     plus,
     poly,
     rational,
@@ -97,7 +98,7 @@ class Characteristic:
         """The roots of rho but for zeta = 1, largest first, complex."""
         rest = plus(self.rho, ())
         while rest and value(rest, Fraction(1)) == 0:
-            rest = _without_one(rest)
+            rest = divided(rest, poly([-1, 1]))[0]
         found = np.array([complex(r) for r in roots(rest)])
         return found[np.argsort(-np.abs(found), kind="stable")]
 
@@ -128,14 +129,6 @@ class Characteristic:
     def radius(self, z: Any) -> np.ndarray:
         """The largest |zeta|."""
         return np.abs(self.roots(z)).max(-1)
-
-
-def _without_one(p: Poly) -> Poly:
-    """p / (zeta - 1)."""
-    out: list[Fraction] = []
-    for c in reversed(p[1:]):
-        out.append(c + (out[-1] if out else 0))
-    return poly(reversed(out))
 
 
 def adams(order: int, implicit: bool) -> Characteristic:

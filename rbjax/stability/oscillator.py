@@ -22,7 +22,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from rbjax.errors import InputError
-from rbjax.solvers import GeneralizedAlpha, RigidBodySplitting
+from rbjax.solvers import Adams, GeneralizedAlpha, RigidBodySplitting
 from rbjax.solvers.multistep import AbstractMultistep
 from rbjax.solvers.newton import very_chord
 from rbjax.stability.stability_function import Solver, made
@@ -175,8 +175,8 @@ def _powers(solver: Any, n: int) -> np.ndarray:
     if isinstance(solver, GeneralizedAlpha):
         return np.array([0, 1, 2])
     past = (n - 2) // 2
-    rates = isinstance(solver, AbstractMultistep) and not hasattr(solver, "_starter")
-    return np.array([0, 1] + [int(rates)] * past + [1 + int(rates)] * past)
+    rates = int(isinstance(solver, Adams))
+    return np.array([0, 1] + [rates] * past + [1 + rates] * past)
 
 
 def _size(field: Any, solver: Any, like: Any, args: Any) -> int:
