@@ -41,7 +41,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         return d, d.pack(qdd, tau), factors
 
     def plain(changed, q, v, tau):
-        return run(changed, q, v, tau, values=True)[1]
+        return run(changed, q, v, tau, values=not given)[1]
 
     def in_kernel(size, axes, changed, q, v, tau):
         if q.ndim > 2 or any(axis == 0 for axis in axes[0]):  # a batch of batches, or of robots
