@@ -77,9 +77,10 @@ def provenance() -> dict[str, Any]:
     }
 
 
-def save(name: str, rows: list[dict[str, Any]]) -> Path:
-    """Write rows with their provenance to results/<name>-<device>.json, over an older run there."""
-    source = provenance()
+def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = None) -> Path:
+    """Write rows with their provenance (this process', or another's) to
+    results/<name>-<device>.json, over an older run there."""
+    source = source or provenance()
     device = source["cpu"] if source["platform"] == "cpu" else source["device"]
     slug = re.sub(r"[^a-z0-9]+", "-", device.lower()).strip("-")
     RESULTS.mkdir(exist_ok=True)

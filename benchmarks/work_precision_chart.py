@@ -49,7 +49,7 @@ def lines(rows: Rows, scene: str, platform: str) -> dict[tuple[str, str, str], A
             step[key] = min(step.get(key, np.inf), row["us_per_step"])
         mine = row["what"] == "point" and row["platform"] == platform
         if mine or row["what"] == "error":
-            found[key].append([row["steps"], row["error"], row.get("us"), row["evaluations"]])
+            found[key].append([row["steps"], row["error"], row.get("us"), row.get("evaluations")])
     if scene == "chain":  # hinges alone: MJX's RK4 is MuJoCo's, whose errors were affordable
         found["mjx", "RK4", "f64"] = [
             [row["steps"], row["error"], None, row["evaluations"]]
