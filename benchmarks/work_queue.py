@@ -2,7 +2,7 @@
 
 `python -m benchmarks.work_queue --jobs 28 --gpus 2 --deadline 560` writes work-solvers-*.json into
 results/ (one of the CPU, one of the GPUs), renewed every few seconds. A second call takes what the
-files there (or those of `--resume`) say is done as done and goes on with the rest.
+files there say was done on such a CPU (or those of `--resume`, wherever) and goes on with the rest.
 
 A task is (scene, solver, precision): see `benchmarks.work_solvers`. Each CPU worker has a core to
 itself (on a machine with hyperthreads, half of one), so that times are those of one core of a busy
@@ -29,11 +29,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.timing import RESULTS, save
+from benchmarks.timing import RESULTS, cpu_model, save
 from benchmarks.work_scenes import SCENES
 from benchmarks.work_solvers import FIRST, IMPLICIT, MAKERS, applicable
 
 NAME = "work-solvers"
+EARLIER = ("cpu", "cores", "date", "commit", "dirty")  # what is told of runs resumed
 Rows = list[dict[str, Any]]
 
 
@@ -71,14 +72,20 @@ class Board:
         self.platform, self.deadline, self.name = platform, deadline, name
         self.found: dict[Task, Rows] = {}
         self.source: dict[str, Any] | None = None
+        self.earlier: list[dict[str, Any]] = []
         self.waiting, self.lock = wanted, threading.Lock()
 
-    def resume(self, paths: Iterable[Path]) -> None:
+    def resume(self, paths: Iterable[Path], cpu: str | None) -> None:
+        """Take what files say is done, on this CPU (None: on any)."""
         for path in paths:
             data = json.loads(path.read_text())
-            if (data["provenance"]["platform"] == "cpu") != (self.platform == "cpu"):
+            source = data["provenance"]
+            if (source["platform"] == "cpu") != (self.platform == "cpu"):
                 continue
-            self.source = data["provenance"]
+            if cpu not in (None, source["cpu"]):
+                continue
+            self.source = source
+            self.earlier += [*source.pop("earlier", []), {k: source[k] for k in EARLIER}]
             by_task: dict[Task, Rows] = {}
             for row in data["rows"]:
                 if row.get("engine") == "simulate":
@@ -242,7 +249,8 @@ def write(boards: list[Board], folder: Path, kept: Rows) -> None:
     for board in boards:
         if board.source is None:
             continue
-        path = save(board.name, [*ends, *kept, *board.rows(counts)], board.source)
+        source = board.source | ({"earlier": board.earlier} if board.earlier else {})
+        path = save(board.name, [*ends, *kept, *board.rows(counts)], source)
         copy = os.environ.get("RBJAX_RESULTS")
         if copy:
             shutil.copy(path, copy)
@@ -262,7 +270,7 @@ def main() -> None:
     parser.add_argument("--no-cpu", action="store_true")
     parser.add_argument("--deadline", type=float, default=36_000.0, help="seconds in all")
     parser.add_argument("--task-limit", type=float, default=240.0, help="seconds a task")
-    parser.add_argument("--resume", nargs="*", type=Path, default=[RESULTS], help="folders, files")
+    parser.add_argument("--resume", nargs="*", type=Path, help="folders or files, of any CPU")
     opts = parser.parse_args()
     os.environ["JAX_PLATFORMS"] = "cpu"  # this process leaves the GPUs alone
     deadline = time.monotonic() + opts.deadline - 5.0
@@ -275,8 +283,9 @@ def main() -> None:
         name = NAME if opts.gpu_platform != "cpu" else f"rehearsal-{NAME}"
         boards.append(Board("gpu", tasks(opts.scenes, opts.solvers, on_gpu), deadline, name))
     for board in boards:
-        for where in opts.resume:
-            board.resume(sorted(where.glob(f"{NAME}-*.json")) if where.is_dir() else [where])
+        for where in [RESULTS] if opts.resume is None else opts.resume:
+            paths = sorted(where.glob(f"{NAME}-*.json")) if where.is_dir() else [where]
+            board.resume(paths, cpu_model() if opts.resume is None else None)
         print(board.platform, len(board.found), "tasks done before,", len(board.waiting), "to do")
     note = "takes rigid bodies alone, and the robot is none"
     not_applicable = [
