@@ -1,7 +1,7 @@
 """Speed against accuracy of every solver of `rb.solvers` through `simulate`, with constant steps.
 
 A task is one solver on one scene in one precision: one program is compiled (vmapped over the batch,
-the step traced), and run at 16, 32, 64, ... steps. Rows are those of `benchmarks.work_ladder`, then
+the step traced), and run at 4, 8, 16, ... steps. Rows are those of `benchmarks.work_ladder`, then
 one "done" with the seconds that tracing and compiling took ("first_s") and the whole task.
 A motion that a solver gives up (a step's equations not solved), or that ends in no number, has an
 infinite error. Explicit solvers run on the unrolled driver; implicit ones, whose programs hold the
@@ -121,7 +121,7 @@ def points(bench: Bench, method: str, precision: str, reference: Callable) -> No
     model = prepared(bench.name, precision)[1]
     if not implicit:
         model = model.replace(driver="unrolled")
-    ctrl, batch, first = jnp.asarray(bench.ctrl, float), batch_of(model), 16
+    ctrl, batch, first = jnp.asarray(bench.ctrl, float), batch_of(model), 4
     state = rb.State(*bench.tiled(batch))
 
     def dt(steps):  # a hair more, so that rounding leaves no step over
