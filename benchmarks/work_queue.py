@@ -9,7 +9,8 @@ itself (on a machine with hyperthreads, half of one), so that times are those of
 machine; GPU workers compile side by side on the cores left and run one at a time on each GPU. Tasks
 go by importance: f64 before f32, the most telling solvers first; counts of evaluations last. One
 that would not end in time, by what others of its kind took, is not begun. What was left out, or
-failed, or does not apply, is a row that says so, and a second call tries again what failed. Linux alone: it pins processes to cores.
+failed, or does not apply, is a row that says so, and a second call tries again what failed.
+Linux alone, since processes are pinned to cores.
 """
 
 from __future__ import annotations
