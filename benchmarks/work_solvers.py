@@ -4,9 +4,9 @@ A task is one solver on one scene in one precision: one program is compiled (vma
 the step traced), and run at 4, 8, 16, ... steps. Rows are those of `benchmarks.work_ladder`, then
 one "done" with the seconds that tracing and compiling took ("first_s") and the whole task.
 A motion that a solver gives up (a step's equations not solved), or that ends in no number, has an
-infinite error. Explicit solvers run on the unrolled driver; implicit ones, whose programs hold the
-field's Jacobian too, on the driver that "auto" takes: the humanoid's is rolled, since unrolled it
-would compile for minutes.
+infinite error. On the CPU explicit solvers run on the unrolled driver; implicit ones, whose
+programs hold the field's Jacobian too, and all on a GPU, on the driver that "auto" takes: the
+humanoid's is rolled, since unrolled it would compile for minutes.
 
 Force evaluations a step are counted by a second program with a callback, of one robot, in f64, on
 the CPU: once for an explicit solver, whose count is constant, and for an implicit one on every
@@ -119,7 +119,7 @@ def points(bench: Bench, method: str, precision: str, reference: Callable) -> No
     begin = time.perf_counter()
     implicit, large = method in IMPLICIT, bench.model.nv > 9
     model = prepared(bench.name, precision)[1]
-    if not implicit:
+    if not implicit and not ON_GPU:
         model = model.replace(driver="unrolled")
     ctrl, batch, first = jnp.asarray(bench.ctrl, float), batch_of(model), 4
     state = rb.State(*bench.tiled(batch))

@@ -120,10 +120,11 @@ def solver_tables(rows: Rows) -> str:
             for scene in SCENES:
                 row: dict[str, Any] = {"scene": SCENES[scene].title}
                 for kind, methods in by_family(rows, scene, platform, precision).items():
-                    first = best(methods, TIME, WANTED, precision)
-                    if first:
+                    if first := best(methods, TIME, WANTED, precision):
                         cost, further, method, _ = first
                         row[kind] = f"{'~' * further}{cost:.3g} {method}"
+                    elif first := best(methods, TIME, COARSE, precision):
+                        row[kind] = f"({first[0]:.3g} {first[2]})"
                 table.append(row)
             out += [
                 f"{platform}, {precision}:",
