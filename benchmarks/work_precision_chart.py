@@ -188,8 +188,8 @@ times, and is prolonged (f64).
 
 - Thin: every solver; bold and named, the fastest first: the best of its family to {wanted:g} (f32:
   to 1e-4).
-- Batches: CPU 128 (the humanoid 32), H200 16,384 (the arm 4,096, the humanoid 2,048). The cores of
-  the CPU were all busy, one solver each: times compare with each other, less with those above.
+- Batches: CPU 128 (humanoid, chain 32), H200 16,384 (arm, chain 4,096, humanoid 2,048). The cores
+  of the CPU were all busy, one solver each: times compare with each other, less with those above.
 - On the CPU explicit solvers run on the unrolled driver, implicit ones on "auto".
 - Evaluations are those of one robot: each stage one, a Jacobian one, dense output's too.
 - `rigid_body_splitting` takes single rigid bodies: the free body and the top.

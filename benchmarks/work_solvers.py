@@ -61,10 +61,11 @@ def applicable(scene: str, method: str) -> bool:
     return method != "rigid_body_splitting" or scene in RIGID
 
 
-def batch_of(model: rb.Model) -> int:
+def batch_of(bench: Bench) -> int:
+    nv, stiff = bench.model.nv, bench.scene.stiff
     if ON_GPU:
-        return 16_384 if model.nv <= 6 else 4096 if model.nv <= 9 else 2048
-    return 128 if model.nv <= 9 else 32
+        return 2048 if nv > 9 else 4096 if nv > 6 or stiff else 16_384
+    return 32 if nv > 9 or stiff else 128
 
 
 def solved(bench: Bench, model: rb.Model, method: str, control: Callable) -> Callable:
@@ -117,11 +118,11 @@ def doubling(first: int) -> Iterator[int]:
 def points(bench: Bench, method: str, precision: str, reference: Callable) -> None:
     """Errors and times of one solver; it compiles while the reference may still be looked for."""
     begin = time.perf_counter()
-    implicit, large = method in IMPLICIT, bench.model.nv > 9
+    implicit, large = method in IMPLICIT, bench.model.nv > 9 or bench.scene.stiff
     model = prepared(bench.name, precision)[1]
     if not implicit and not ON_GPU:
         model = model.replace(driver="unrolled")
-    ctrl, batch, first = jnp.asarray(bench.ctrl, float), batch_of(model), 4
+    ctrl, batch, first = jnp.asarray(bench.ctrl, float), batch_of(bench), 4
     state = rb.State(*bench.tiled(batch))
 
     def dt(steps):  # a hair more, so that rounding leaves no step over
@@ -138,6 +139,7 @@ def points(bench: Bench, method: str, precision: str, reference: Callable) -> No
     with alone():
         jax.block_until_ready(run(first))
     most_s = (0.5 if ON_GPU else 3.0 if implicit else 1.5) * (2 if large else 1)
+    most_s *= 2 if ON_GPU and bench.scene.stiff else 1
     bench.ladder(
         "simulate", method, precision, run, np.nan, batch, first, most_s, rungs=doubling(first)
     )
