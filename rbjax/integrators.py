@@ -23,6 +23,7 @@ from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
 from rbjax.forces.applied import applied
 from rbjax.materialize import materialize
 from rbjax.model import Model
+from rbjax.solvers.dop853 import DOP853
 from rbjax.solvers.steps import combine, explicit_stages, scaled
 from rbjax.solvers.tableau import KUTTA4, Tableau, of_diffrax
 
@@ -33,6 +34,7 @@ TABLEAUS = {
     "rk4": KUTTA4,
     "tsit5": of_diffrax(diffrax.Tsit5, 5).essential,
     "dopri8": of_diffrax(diffrax.Dopri8, 8).essential,
+    "dop853": DOP853,
 }
 
 
