@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.rnea import momentum
 from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
@@ -100,9 +100,10 @@ class Momentum(eqx.Module):
 
     model: Callable[[Any], Model]
 
+    @eqx.filter_jit
     def __call__(self, t: Any, y: State, args: Any) -> jax.Array:
         model = self.model(args)
-        return (mass_matrix(model, unit(model.topology, y.q)) * y.v).sum(-1)
+        return momentum(model, unit(model.topology, y.q), y.v)
 
 
 def _itself(model: Model) -> Model:

@@ -145,13 +145,14 @@ def hermite(u: Any, k0: Any, k1: Any) -> Any:
 
 
 def dense_between(
-    group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any, rate0: Any = None
-) -> dict:
-    """Dense output of order four from the rates at both ends, spent if used; rate0 if known."""
+    group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any, rate0: Any = None,
+    rate1: Any = None,
+) -> dict:  # fmt: skip
+    """Dense output of order four from the rates at both ends, those that are known given."""
     if rate0 is None:
         both = jax.vmap(f)(jnp.stack([t0, t1]), stacked([y0, y1]))
         rate0, rate1 = (jax.tree.map(lambda x, i=i: x[i], both) for i in (0, 1))
-    else:
+    elif rate1 is None:
         rate1 = f(t1, y1)
     k0, k1 = (scaled(t1 - t0, rate) for rate in (rate0, rate1))
     u = group.difference(y0, y1)
