@@ -58,6 +58,7 @@ failure-map: $(STAMP) ## every solver on scenes built to break it; docs/failure_
 
 bench-work-precision: $(STAMP) ## error against time, here; tables, and pictures in docs/
 	$(BIN)/python -m benchmarks.work_precision
+	$(BIN)/python -m benchmarks.work_queue
 	$(BIN)/python -m benchmarks.work_stiffness
 	$(BIN)/python -m benchmarks.work_precision_chart
 

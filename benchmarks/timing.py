@@ -64,7 +64,7 @@ def provenance() -> dict[str, Any]:
         "device": device.device_kind,
         "platform": device.platform,
         "devices": jax.device_count(),
-        "cpu": _cpu_model(),
+        "cpu": cpu_model(),
         "cores": os.cpu_count(),
         "x64": jax.numpy.result_type(float) == "float64",
         "python": platform.python_version(),
@@ -77,9 +77,10 @@ def provenance() -> dict[str, Any]:
     }
 
 
-def save(name: str, rows: list[dict[str, Any]]) -> Path:
-    """Write rows with their provenance to results/<name>-<device>.json, over an older run there."""
-    source = provenance()
+def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = None) -> Path:
+    """Write rows with their provenance (this process', or another's) to
+    results/<name>-<device>.json, over an older run there."""
+    source = source or provenance()
     device = source["cpu"] if source["platform"] == "cpu" else source["device"]
     slug = re.sub(r"[^a-z0-9]+", "-", device.lower()).strip("-")
     RESULTS.mkdir(exist_ok=True)
@@ -115,7 +116,8 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _cpu_model() -> str:
+def cpu_model() -> str:
+    """The name of this machine's processor."""
     try:
         found = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.M)
     except OSError:  # not Linux

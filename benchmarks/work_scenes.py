@@ -245,4 +245,5 @@ def _euler(I: Array, w: Array, t: float) -> Array:
 
 if __name__ == "__main__":
     q, v, bound = reference(sys.argv[1])
-    np.savez(sys.argv[2], q=q, v=v, bound=bound)
+    np.savez(f"{sys.argv[2]}.part.npz", q=q, v=v, bound=bound)
+    os.replace(f"{sys.argv[2]}.part.npz", sys.argv[2])  # whole, or not there

@@ -19,7 +19,7 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.robots import as_model
-from benchmarks.work_precision import clocked, save_rows
+from benchmarks.work_ladder import clocked, save_rows
 from benchmarks.work_scenes import SAMPLE, bare, chain, distance
 
 WANTED, SECONDS = 1e-4, 1.0

@@ -6,6 +6,11 @@ axis of two equal rows survives the simplifier, fuses with what feeds it into on
 with many results, and is not itself copied. Measured on a prototype: a 7-link ABA at
 batch 1,024 takes 0.4 us with it and 5 us to minutes without. On other platforms: the identity.
 
+What passes is written and read again, and each array costs a call of the compiled program 0.1 us
+more, whatever the batch: the runtime makes anew a buffer for every parameter of every reducer
+(humanoid: 1,000 arrays, 150 us a call; a loop inside the program pays it once). So pass what is
+dear to compute again, and no more.
+
 `sincos` beside it: in f64 XLA's own sine and cosine cost three times this one.
 """
 

@@ -18,7 +18,6 @@ import jax
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.joints import JointMotion
 from rbjax.lanes import Lane, Sym3, Vec3, add, is_zero, mul, sub
-from rbjax.materialize import materialize
 from rbjax.model import LinkConstants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
 
@@ -92,7 +91,6 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
         link, joint, motion, tau = x
         p_A = bias_force(link.inertia, motion.w) + message[1]
         I_a, factor = eliminate(link, joint.S, motion.X, link.inertia.articulated() + message[0])
-        I_a, factor = materialize((I_a, factor))
         u = sub(tau, joint.S.dot(p_A))
         p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)
         mass = rigid_mass(link, joint.S, message[0])

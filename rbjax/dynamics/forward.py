@@ -35,13 +35,13 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
     """
     given, rebuilt = opened(model)
 
-    def run(changed, q, v, tau):
-        d = driver(rebuilt(changed), q.dtype)
+    def run(changed, q, v, tau, values=False):
+        d = driver(rebuilt(changed), q.dtype, values=values)
         qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
         return d, d.pack(qdd, tau), factors
 
     def plain(changed, q, v, tau):
-        return run(changed, q, v, tau)[1]
+        return run(changed, q, v, tau, values=not given)[1]
 
     def in_kernel(size, axes, changed, q, v, tau):
         if q.ndim > 2 or any(axis == 0 for axis in axes[0]):  # a batch of batches, or of robots
