@@ -133,8 +133,8 @@ class GeneralizedAlpha(AbstractGroupSolver):
             select(h == 0, old, scaled(per_step, x)) for x, old in ((k, now), (carrying, carried))
         )
         rate1 = together([halves.velocity(t1, y1), a1])
-        f = field(terms, args)
-        dense = dense_between(group_of(terms), f, t0, t1, y0, y1, rate0, rate1)
+        rates = field(terms, args)
+        dense = dense_between(group_of(terms), rates, t0, t1, y0, y1, rate0, rate1)
         return y1, None, dense, (carried, jnp.array(False)), verdict(ok)
 
 
