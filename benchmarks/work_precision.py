@@ -69,7 +69,7 @@ def ours(bench: Bench, small: bool) -> None:
         bench.ladder("rbjax", method, precision, run, STAGES[method], batch, steps_in_one, most_s)
 
     for precision in bench.precisions:
-        for method in ("dopri8", "tsit5", "rk4", "semi_implicit_euler"):
+        for method in ("dopri8", "dop853", "tsit5", "rk4", "semi_implicit_euler"):
             bench.guarded("rbjax", method, precision, lambda a=method, b=precision: one(a, b))
 
 

@@ -47,6 +47,7 @@ def table(rows: Rows) -> Rows:
 
 LOOK = {
     ("rbjax", "dopri8"): (INK, "D", "-", "rbjax Dopri8"),
+    ("rbjax", "dop853"): (INK, "d", "--", "rbjax DOP853"),
     ("rbjax", "tsit5"): (PURPLE, "^", "-", "rbjax Tsit5"),
     ("rbjax", "rk4"): (BLUE, "s", "-", "rbjax RK4"),
     ("rbjax", "semi_implicit_euler"): (TEAL, "o", "-", "rbjax semi-implicit Euler"),

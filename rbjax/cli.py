@@ -134,7 +134,8 @@ def _tree(model: Model, file: str) -> Tree:
     return tree
 
 
-SOLVERS = ("tsit5", "dopri5", "dopri8", "semi_implicit_euler", "rk4")
+FIXED = ("semi_implicit_euler", "rk4", "dop853")
+SOLVERS = ("tsit5", "dopri5", "dopri8", *FIXED)
 
 
 @app.command()
@@ -186,7 +187,7 @@ def _simulate(
     if keyframe is not None:
         state = model.keyframe(keyframe)
         ctrl = model.keyframes.ctrl[model.keyframe_names.index(keyframe)]
-    if solver in ("semi_implicit_euler", "rk4"):
+    if solver in FIXED:
         step = model.timestep if dt is None else dt
         steps = max(1, round(seconds / step))
         ctrls = jnp.broadcast_to(ctrl, (steps, model.nu))

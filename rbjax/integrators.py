@@ -23,6 +23,8 @@ from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
 from rbjax.forces.applied import applied
 from rbjax.materialize import materialize
 from rbjax.model import Model
+from rbjax.solvers.dop853 import DOP853
+from rbjax.solvers.steps import combine, explicit_stages, scaled
 from rbjax.solvers.tableau import KUTTA4, Tableau, of_diffrax
 
 #: stages times velocity coordinates up to which the stages of a step are written out
@@ -32,6 +34,7 @@ TABLEAUS = {
     "rk4": KUTTA4,
     "tsit5": of_diffrax(diffrax.Tsit5, 5).essential,
     "dopri8": of_diffrax(diffrax.Dopri8, 8).essential,
+    "dop853": DOP853,
 }
 
 
@@ -62,41 +65,14 @@ def semi_implicit_euler(model: Model, q, v, ctrl, dt):
 def runge_kutta(table: Tableau, model: Model, q, v, ctrl, dt):
     """A step of an explicit tableau; its stages are written out, or a loop where they are many."""
 
-    def rate(k):
-        u, w = dt * k[0], v + dt * k[1]
+    def rate(t, k):
+        u, w = k[0], v + k[1]
         return _rate(model, u, w), _acceleration(model, _moved(model, q, u), w, ctrl)
 
-    if table.stages * model.nv <= WRITTEN_UP_TO:
-        ks = [(v, _acceleration(model, q, v, ctrl))]
-        for row in table.a[1:]:
-            ks.append(rate(_sum(row, ks)))
-    else:
-
-        def stage(kept, i):
-            k = rate(_mixed(table, kept, i))
-            return tuple(x.at[i].set(y) for x, y in zip(kept, k, strict=True)), None
-
-        kept = (jnp.zeros((table.stages, *v.shape), v.dtype),) * 2
-        kept = jax.lax.scan(stage, kept, jnp.arange(table.stages))[0]
-        ks = list(zip(*kept, strict=True))
-    u, dv = _sum(table.b, ks)
-    return _moved(model, q, dt * u), v + dt * dv
-
-
-def _mixed(table: Tableau, ks, i) -> tuple:
-    """sum_j a_ij k_j; on the CPU, whose branches cost nothing, without what is zero."""
-    if jax.default_backend() == "cpu":
-        rows = [lambda ks, row=row: _sum(row, list(zip(*ks, strict=True))) for row in table.a[1:]]
-        still = lambda ks: tuple(jnp.zeros_like(k[0]) for k in ks)  # noqa: E731
-        return jax.lax.switch(i, [still, *rows], ks)
-    weights = jnp.asarray(table.a, ks[0].dtype)[i].reshape(-1, *[1] * (ks[0].ndim - 1))
-    return tuple((weights * k).sum(0) for k in ks)
-
-
-def _sum(weights, ks: list) -> tuple:
-    """sum_j weights_j k_j of pairs, without what is zero."""
-    used = [(w, k) for w, k in zip(weights, ks, strict=False) if w]
-    return tuple(sum(w * k[n] for w, k in used) for n in range(2))
+    written = table.stages * model.nv <= WRITTEN_UP_TO
+    stages = explicit_stages(rate, table, 0 * dt, dt, written=written)
+    u, dv = scaled(dt, combine(table.b, stages((jnp.zeros_like(v), jnp.zeros_like(v)))))
+    return _moved(model, q, u), v + dv
 
 
 INTEGRATORS: dict[str, Callable[..., Any]] = {"semi_implicit_euler": semi_implicit_euler}

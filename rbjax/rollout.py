@@ -43,7 +43,9 @@ def rollout(
     """Fixed steps of one state or of a batch of states: the throughput path.
 
     v+ = v + dt a(q, v, u), q+ = q (+) dt v+ (`semi_implicit_euler`), or an explicit Runge-Kutta
-    method on the manifold: `rk4`, `tsit5`, `dopri8`, of order 4, 5, 8 with 4, 6, 13 evaluations.
+    method on the manifold: `rk4`, `tsit5`, `dopri8`, `dop853`, of order 4, 5, 8, 8 with 4, 6, 13,
+    12 evaluations. In f64 `dop853` needs 10 to 15 % fewer than `dopri8` for an error of 1e-6 (on
+    an arm and a humanoid); in f32 it comes down to 1.1e-6, `dopri8` to 2.4e-7.
 
     Args:
         model: the robot.
@@ -51,7 +53,7 @@ def rollout(
         ctrls: (steps, nu), or (B, steps, nu) for a batch; or a policy (t, state) -> (nu,),
             evaluated once a step; or None for no actuation. The last two need `steps`.
         dt: step in seconds; the model's timestep if None.
-        integrator: one of "semi_implicit_euler", "rk4", "tsit5", "dopri8".
+        integrator: one of "semi_implicit_euler", "rk4", "tsit5", "dopri8", "dop853".
         save_every: keep every so many states; it must divide the number of steps.
         steps: how many steps, where ctrls does not tell.
         kernel: whether the whole rollout runs in one GPU kernel: no forward mode; its reverse
@@ -70,7 +72,8 @@ def rollout(
     save_every states.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Tsitouras (2011);
-    Prince & Dormand (1981).
+    Prince & Dormand (1981); Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*,
+    II.5 (`dop853`).
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp

@@ -17,15 +17,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.rnea import momentum
 from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
 from rbjax.materialize import materialize
-from rbjax.model import Model, State, Topology, spans
+from rbjax.model import Model, State, Topology, made_ahead, spans
 from rbjax.rotations import quaternion
 from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
 from rbjax.trajectory import Trajectory, all_finite
@@ -100,9 +100,10 @@ class Momentum(eqx.Module):
 
     model: Callable[[Any], Model]
 
+    @eqx.filter_jit
     def __call__(self, t: Any, y: State, args: Any) -> jax.Array:
         model = self.model(args)
-        return (mass_matrix(model, unit(model.topology, y.q)) * y.v).sum(-1)
+        return momentum(model, unit(model.topology, y.q), y.v)
 
 
 def _itself(model: Model) -> Model:
@@ -191,6 +192,9 @@ def simulate(
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
     solver = diffrax.Tsit5() if solver is None else solver
     # Inside a caller's jit diffrax would trace what the caller holds constant.
+    # Outside, the model is an argument: a number that changes does not compile anew.
+    if not staged() or model.zeros is not None:
+        model = made_ahead(model, state.q.dtype)
     args, of_args = opened(model) if staged() else (model, _itself)
     term, state = motion(model, state, solver, control, of_args)
     solution = diffrax.diffeqsolve(

@@ -46,7 +46,13 @@ def test_semi_implicit_euler_is_mujoco_s(scene, key):
 
 @pytest.mark.parametrize(
     ("integrator", "order", "steps"),
-    [("semi_implicit_euler", 1, 256), ("rk4", 4, 128), ("tsit5", 5, 128), ("dopri8", 8, 32)],
+    [
+        ("semi_implicit_euler", 1, 256),
+        ("rk4", 4, 128),
+        ("tsit5", 5, 128),
+        ("dopri8", 8, 32),
+        ("dop853", 8, 32),
+    ],
 )
 def test_order_with_free_attitudes(integrator, order, steps):
     """Halving the step divides the error by 2^order, on the manifold too."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.tolerances import GRADIENT, relative_error
+from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
 TIGHT = diffrax.PIDController(rtol=1e-11, atol=1e-11)
 
@@ -79,6 +79,27 @@ def test_a_blow_up_with_fixed_steps_is_said(key):
     ts = jnp.array([0.0, 50.0])
     out = rb.simulate(model, state, ts, dt0=1.0, throw=False)
     assert not bool(out.ok)
+
+
+def test_a_robot_of_other_numbers_is_not_compiled_anew(key):
+    """Outside of jit the model is an argument whose zeros are known; a new zero pattern counts."""
+    model, traces = rb.load("cart_pole"), []
+    state, ts = model.random_state(key), jnp.linspace(0, 0.3, 3)
+
+    def control(t, state):
+        traces.append(t)
+        return -state.v[:1]
+
+    inside = jax.jit(lambda m: rb.simulate(m, state, ts, lambda t, s: -s.v[:1], dt0=0.01).q)
+    bodies = model.bodies
+    heavier = model.replace(bodies=bodies.replace(mass=2 * bodies.mass, com=1.1 * bodies.com))
+    tilted = model.replace(gravity=jnp.array([1.0, 0.5, -9.0]))
+    counts = []
+    for m in (model, heavier, tilted, heavier.fix_zeros()):
+        path = rb.simulate(m, state, ts, control, dt0=0.01)
+        counts.append(len(traces))
+        assert relative_error(path.q, inside(m)) < F64_IDENTITY
+    assert counts[0] == counts[1] < counts[2]
 
 
 def test_gradient_through_diffrax(key):

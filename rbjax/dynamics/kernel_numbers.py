@@ -133,7 +133,7 @@ def numbers(model: Model, dtype: Any, *, dynamic: bool) -> Numbers:
     """The numbers of a model. `dynamic`: links are visited by index, so that columns that are not
     all zero or all one travel even where they are concrete."""
     out = Numbers(None, None, vector=[jnp.zeros(1, dtype)])
-    prepared = prepare(model, dtype)
+    prepared = prepare(model.replace(prepared=None, zeros=None), dtype)
 
     def moved(x: Any, always: bool = False) -> Any:
         if isinstance(x, (int, float)):

@@ -51,6 +51,11 @@ def _run(model: Model, q, v, a, gravity: Vec3 | None = None) -> jax.Array:
     return d.pack(tau, jnp.zeros(model.nv, q.dtype))
 
 
+def momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+    """p = M(q) v (nv,): the forces that accelerate at v from rest, without gravity."""
+    return _run(model, q, None, v, gravity=Vec3.zero())
+
+
 @algorithm("q", "v", "a", "wrenches")
 def inverse_dynamics(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array, wrenches: jax.Array | None = None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -65,6 +66,37 @@ def cells(x: Any, pattern: tuple[float | None, ...], known: bool) -> np.ndarray:
     for i, value in enumerate(pattern):
         out[i] = Cell(flat[i]) if value is None else value
     return out.reshape(x.shape)
+
+
+@jax.tree_util.register_pytree_node_class
+class Sparse:
+    """A column as a pytree: its zeros (and ones) part of the program, the other numbers not."""
+
+    def __init__(self, pattern: tuple[float | None, ...], others: Any):
+        self.pattern, self.others = pattern, others
+
+    @classmethod
+    def of(cls, column: np.ndarray, dtype: Any, *, units: bool = False) -> Sparse:
+        """Of numbers, or of cells."""
+        fixed = (0.0, 1.0, -1.0) if units else (0.0,)
+        lanes = [lane_of(x) for x in column]
+        pattern = tuple(x if is_literal(x) and x in fixed else None for x in lanes)
+        others = [x for x, known in zip(lanes, pattern, strict=True) if known is None]
+        if all(map(is_literal, others)):
+            return cls(pattern, np.array(others, dtype))
+        return cls(pattern, jnp.stack([jnp.asarray(x, dtype) for x in others]))
+
+    def column(self) -> np.ndarray:
+        """The column, of literals and cells."""
+        others = iter(self.others)
+        return np.array([Cell(next(others)) if x is None else x for x in self.pattern], object)
+
+    def tree_flatten(self) -> tuple[tuple, tuple]:
+        return (self.others,), self.pattern
+
+    @classmethod
+    def tree_unflatten(cls, pattern: tuple, children: tuple) -> Sparse:
+        return cls(pattern, *children)
 
 
 def stacked(x: np.ndarray, dtype: Any) -> Any:

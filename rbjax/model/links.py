@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import Lane, Mat3, Sym3, Vec3, quaternion_matrix
-from rbjax.model.cells import Cell, all_literal, cells, lane_of, stacked
+from rbjax.model.cells import Cell, Sparse, all_literal, cells, lane_of, stacked
 from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia
@@ -63,6 +63,8 @@ def prepare(model: Model, dtype: Any) -> Prepared:
     its body's frame, A z = s. With B the body's frame in its carrier's and F a link's frame in its
     body, the pose of a link in its parent link is F_parent^-1 B F.
     """
+    if model.prepared is not None:
+        return _again(model.prepared)
     leaves = (model.bodies, model.joints, model.gravity)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
         if model.zeros is None:
@@ -73,6 +75,39 @@ def prepare(model: Model, dtype: Any) -> Prepared:
     leaves = jax.tree.map(lambda x: np.asarray(x, np.float64), leaves)
     bodies, joints, gravity = leaves
     return _prepare(model.topology, bodies, joints, gravity, np, np.float64)
+
+
+def made_ahead(model: Model, dtype: Any) -> Model:
+    """The model with the numbers of its links made, for programs of which it is an argument: they
+    need not make them, and know the zeros. As it is where nobody knows them."""
+    leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
+    unknown = any(isinstance(x, jax.core.Tracer) for x in leaves) and model.zeros is None
+    if model.prepared is not None or unknown:
+        return model
+
+    def sparse(columns: Any, units: bool = False) -> Any:
+        return jax.tree.map(lambda x: Sparse.of(x, dtype, units=units), columns)
+
+    made = prepare(model, dtype)
+    c, gravity = made.columns, np.array([_cell(x) for x in made.gravity], object)
+    columns = LinkConstants(
+        sparse(c.R, units=True), *map(sparse, (c.p, c.inertia, c.armature, c.reference))
+    )
+    body_R, body_p = (x.astype(dtype) for x in (made.body_R, made.body_p))
+    return model.replace(prepared=(columns, body_R, body_p, sparse(gravity)))
+
+
+def _again(made: Any) -> Prepared:
+    """Of `made_ahead`, what `prepare` returns."""
+    columns, body_R, body_p, gravity = jax.tree.map(
+        lambda x: x.column() if isinstance(x, Sparse) else x, made,
+        is_leaf=lambda x: isinstance(x, Sparse),
+    )  # fmt: skip
+    return Prepared(columns, body_R, body_p, Vec3(*map(lane_of, gravity)))
+
+
+def _cell(x: Lane) -> Any:
+    return x if isinstance(x, float) else Cell(x)
 
 
 def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:

@@ -136,6 +136,8 @@ class Model(Record):
     driver: str = eqx.field(static=True, default="auto")
     #: entries of leaves that are part of the program (`fix_zeros`), or None
     zeros: tuple | None = eqx.field(static=True, default=None)
+    #: the links' numbers, where they have been made before a loop (`made_ahead`), or None
+    prepared: Any = None
 
     @property
     def nq(self) -> int:

@@ -27,7 +27,6 @@ from rbjax.solvers.steps import (
     dense_between,
     explicit_stages,
     inverse_dexp,
-    mixed,
     scaled,
 )
 from rbjax.solvers.tableau import Tableau
@@ -54,10 +53,10 @@ class MuntheKaas(AbstractGroupSolver):
 
         zero = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(f, t0, y0))
         k = explicit_stages(rate, self.tableau, t0, h)(zero)
-        u = mixed(self.tableau.b, k)
+        u = scaled(h, combine(self.tableau.b, k))
         y1, error = group.retract(y0, u), None
         if self.tableau.error:
-            other = combine((1.0, -1.0), (u, mixed(self.tableau.error[1:], k)))
+            other = combine((1.0, -h), (u, combine(self.tableau.error[1:], k)))
             error = jax.tree.map(lambda a, b: a - b, y1, group.retract(y0, other))
         return y1, error, dense_between(group, f, t0, t1, y0, y1), None, RESULTS.successful
 

@@ -33,6 +33,7 @@ from rbjax.solvers.newton import MAX_STEPS, chord, refused, verdict
 from rbjax.solvers.stages import Start, solve, start
 from rbjax.solvers.steps import (
     AbstractPolynomialSolver,
+    combine,
     explicit_stages,
     hermite,
     mixed,
@@ -159,8 +160,8 @@ class Adams(AbstractMultistep):
             return f(t, here.y + u)
 
         k = explicit_stages(rate, tables.RK4, here.t, h)(jnp.zeros_like(here.y))
-        u, error = mixed(tables.RK4.b, k), mixed(tables.RK4.error[1:], k)
-        return Step(u, error, hermite(u, k[0], k[-1]), True)
+        u, error = (h * combine(weights, k) for weights in (tables.RK4.b, tables.RK4.error[1:]))
+        return Step(u, error, hermite(u, h * k[0], h * k[-1]), True)
 
     def formula(self, f, h, here, history):
         nodes = jnp.concatenate([jnp.zeros(1, here.t.dtype), self._nodes(here.t, h, history)])

@@ -103,14 +103,17 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
             solved = lx.linear_solve(
                 operator, right, self.linear_solver, state=factors, throw=False
             )
-            return ks.at[i].set(solved.value), solved.result == lx.RESULTS.successful
+            sound = solved.result == lx.RESULTS.successful
+            return ks.at[i].set(solved.value, mode="drop"), (rate, sound)
 
-        below = np.tril(gamma, -1)
+        # One more than there are, at y1, for its rate alone: the loop's body is compiled anyway.
+        alpha = np.vstack([alpha, self.tableau.b])
+        below = np.vstack([np.tril(gamma, -1), np.zeros(len(gamma))])
         rows = (np.arange(len(alpha)), alpha.astype(y.dtype), below.astype(y.dtype))
-        ks, ok = jax.lax.scan(stage, jnp.zeros((len(alpha), y.size), y.dtype), rows)
-        u, ok = mixed(self.tableau.b, ks), ok.all()
+        ks, (rates, sound) = jax.lax.scan(stage, jnp.zeros((len(gamma), y.size), y.dtype), rows)
+        u, ok = mixed(self.tableau.b, ks), sound[:-1].all()
         error = mixed(np.subtract(self.tableau.b, self.tableau.companion), ks)
-        coefficients = hermite(u, h * f0, h * f(t1, y + u))
+        coefficients = hermite(u, h * f0, h * rates[-1])
         dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(coefficients)}
         return f.unravel(y + u), f.unravel(refused(ok, error)), dense, solver_state, verdict(ok)
 

@@ -22,11 +22,13 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
+from jax.flatten_util import ravel_pytree
 
-from rbjax.solvers.field import field, forwards
-from rbjax.solvers.groups import group_of, unwrapped
+from rbjax.solvers.field import Field, field, forwards
+from rbjax.solvers.groups import AbstractGroup, group_of, unwrapped
 from rbjax.solvers.newton import MAX_STEPS, chord, root, verdict
-from rbjax.solvers.steps import AbstractGroupSolver, combine, dense_between, pair, scaled
+from rbjax.solvers.stages import Chord, start
+from rbjax.solvers.steps import AbstractGroupSolver, combine, dense_between, pair, scaled, select
 
 RESULTS = diffrax.RESULTS
 
@@ -52,11 +54,22 @@ class Halves(eqx.Module):
         return group_of(self.terms).retract(y, together([dq, dv]))
 
 
+class Beside(eqx.Module):
+    """y0 moved by an increment (2 n,) of q and v."""
+
+    group: AbstractGroup
+    y0: Any
+    unravel: Callable[[jax.Array], Any]
+
+    def __call__(self, u: jax.Array) -> Any:
+        return self.group.retract(self.y0, self.unravel(u))
+
+
 class GeneralizedAlpha(AbstractGroupSolver):
     """The implicit members of the family. Order 2 where gamma = 1/2 - alpha_m + alpha_f.
 
     Fields: alpha_m, alpha_f, beta, gamma; root_finder, root_find_max_steps. The solver's state is
-    A, which begins as the acceleration and does so again after a jump.
+    A, and whether it is still to begin, as the acceleration; a jump makes it begin again.
     """
 
     alpha_m: float
@@ -70,45 +83,65 @@ class GeneralizedAlpha(AbstractGroupSolver):
         return 2
 
     def init(self, terms, t0, t1, y0, args):
-        return Halves(terms, args).acceleration(t0, y0)
+        return pair(_no_rate(terms, args, t0, y0))[0][1], jnp.array(True)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         (_, v0), _ = pair(y0)
-        rate0 = halves.rate(t0, y0)
-        (velocity, now), _ = pair(rate0)
-        carried = solver_state
-        if made_jump is not False:
-            carried = jax.tree.map(lambda a, b: jnp.where(made_jump, a, b), now, carried)
+        still, unravel = ravel_pytree(_no_rate(terms, args, t0, y0))
+        around = Field(terms, args, Beside(group_of(terms), y0, unravel))
+        here = start(around, t0, still, self.root_finder)
+        rate0 = unravel(here.rate)
+        (velocity, now), together = pair(rate0)
+        carried, begins = solver_state
+        carried = select(begins | made_jump, now, carried)
         m, f = self.alpha_m, self.alpha_f
+        bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
+        share = (1 - f) / (1 - m)  # of k in h A1
 
         def after(k):
             """A1, and the state that it leads to, of k = h a1."""
-            carrying = combine(
-                ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)),
-                (k, scaled(h, now), scaled(h, carried)),
-            )  # h A1
             old = scaled(h, carried)
-            bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
+            carrying = combine((share, f / (1 - m), -m / (1 - m)), (k, scaled(h, now), old))  # h A1
             dq = combine((h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying))
             dv = combine((1 - self.gamma, self.gamma), (old, carrying))
             return carrying, halves.moved(y0, dq, dv)
 
-        def residual(k):
-            return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
-
         # From where q goes on at v0: the acceleration of a stiff spring leads far off.
         explicit = self.beta == 0
-        still = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
+        free = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
         guess = combine(
-            (((1 - m) * still + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
+            (((1 - m) * free + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
         )
-        k, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
+        guess, vector = ravel_pytree(guess)
+
+        def residual(k):
+            a1 = halves.acceleration(t1, after(vector(k[0]))[1])
+            return k - h * ravel_pytree(a1)[0]
+
+        near = None
+        if here.jacobian is not None:  # of the acceleration, by q and by v
+            n = guess.size
+            by_q, by_v = here.jacobian[-n:, :-n], here.jacobian[-n:, -n:]
+            slope = share * (bent * self.beta * by_q + self.gamma * by_v)
+            near = Chord(h, jnp.ones((1, 1), guess.dtype), slope)
+        k, ok = root(residual, self.root_finder, guess[None], v0, self.root_find_max_steps, near)
+        k = vector(k[0])
         carrying, y1 = after(k)
-        safe = jnp.where(h == 0, 1.0, h)
-        carried = jax.tree.map(lambda x, old: jnp.where(h == 0, old, x / safe), carrying, carried)
-        dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1, rate0)
-        return y1, None, dense, carried, verdict(ok)
+        per_step = 1 / jnp.where(h == 0, 1.0, h)
+        a1, carried = (
+            select(h == 0, old, scaled(per_step, x)) for x, old in ((k, now), (carrying, carried))
+        )
+        rate1 = together([halves.velocity(t1, y1), a1])
+        rates = field(terms, args)
+        dense = dense_between(group_of(terms), rates, t0, t1, y0, y1, rate0, rate1)
+        return y1, None, dense, (carried, jnp.array(False)), verdict(ok)
+
+
+def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
+    """Zeros in the place of the rate."""
+    rate = jax.eval_shape(field(terms, args), t, y)
+    return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), rate)
 
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
@@ -201,26 +234,25 @@ class VariationalMidpoint(AbstractGroupSolver):
         p0 = momentum(t0, y0)
 
         def middle(dw):
-            """The midpoint of velocity v0 + dw, its momentum, and that of half a step on."""
+            """The velocity of q at v0 + dw, and the midpoint."""
             still = jax.tree.map(jnp.zeros_like, dw)
             w = halves.velocity(tm, halves.moved(y0, scaled(0.0, still), dw))
-            at = halves.moved(y0, scaled(h / 2, w), dw)
+            return w, halves.moved(y0, scaled(h / 2, w), dw)
+
+        def residual(dw):
+            w, at = middle(dw)
             a = halves.acceleration(tm, at)
 
             def onward(s):
                 return momentum(tm, halves.moved(at, scaled(s, w), scaled(s, a)))
 
             p, rate = jax.jvp(onward, (h * 0,), (h * 0 + 1,))
-            return w, p, rate
-
-        def residual(dw):
-            _, p, rate = middle(dw)
             return combine((1.0, -1.0, -h / 2), (p, p0, rate))
 
         guess = jax.tree.map(jnp.zeros_like, v0)
         dw, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
-        w, p, rate = middle(dw)
-        p1 = combine((1.0, h / 2), (p, rate))
+        w, at = middle(dw)
+        p1 = combine((2.0, -1.0), (momentum(tm, at), p0))
         there = halves.moved(y0, scaled(h, w), scaled(2.0, dw))
         (_, v), _ = pair(there)
         t1 = t0 + h

@@ -25,9 +25,9 @@ from rbjax.solvers.groups import group_of
 from rbjax.solvers.second_order import Halves
 from rbjax.solvers.steps import (
     AbstractGroupSolver,
+    combine,
     dense_between,
     explicit_stages,
-    mixed,
     pair,
     scaled,
 )
@@ -84,7 +84,8 @@ class Splitting(AbstractGroupSolver):
                 return halves.acceleration(t, halves.moved(y, still, dv))
 
             zero = jax.tree.map(jnp.zeros_like, v)
-            dv = mixed(table.b, explicit_stages(rate, table, t, kick * h)(zero))
+            k = explicit_stages(rate, table, t, kick * h)(zero)
+            dv = scaled(kick * h, combine(table.b, k))
             y = halves.moved(y, still, dv)
             return halves.moved(y, scaled(drift * h, halves.velocity(t, y)), zero), None
 

@@ -57,25 +57,44 @@ def stacked(ks: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *xs: jnp.stack(xs), *ks)
 
 
+def unstacked(ks: Any, count: int) -> list[Any]:
+    """The inverse of `stacked`."""
+    return [jax.tree.map(lambda x, i=i: x[i], ks) for i in range(count)]
+
+
 def explicit_stages(
-    rate: Callable[[Any, Any], Any], tableau: Tableau, t0: Any, h: Any
-) -> Callable[[Any], Any]:
-    """From a zero increment, the stages k_i = h rate(t0 + c_i h, sum_j a_ij k_j), (s, ...).
+    rate: Callable[[Any, Any], Any], tableau: Tableau, t0: Any, h: Any, *, written: bool = False
+) -> Callable[[Any], list[Any]]:
+    """From a zero increment, the stages k_i = rate(t0 + c_i h, h sum_j a_ij k_j).
 
-    Rolled, so that the field is traced once however many stages there are.
+    A loop, so that the field is traced once however many stages there are; or `written` out.
     """
-    a, c = jnp.array(tableau.a), jnp.asarray(tableau.c, jnp.result_type(h))
+    s, c = tableau.stages, jnp.asarray(tableau.c, jnp.result_type(h))
 
-    def stages(zero: Any) -> Any:
-        ks = jax.tree.map(lambda x: jnp.zeros((tableau.stages, *x.shape), x.dtype), zero)
-
+    def loop(zero: Any) -> list[Any]:
         def stage(ks: Any, i: jax.Array) -> tuple[Any, None]:
-            k = scaled(h, rate(t0 + c[i] * h, mixed(a[i], ks)))
+            k = rate(t0 + c[i] * h, scaled(h, _mixed_row(tableau, i, ks)))
             return jax.tree.map(lambda all_, one: all_.at[i].set(one), ks, k), None
 
-        return jax.lax.scan(stage, ks, jnp.arange(tableau.stages))[0]
+        ks = jax.tree.map(lambda x: jnp.zeros((s, *x.shape), x.dtype), zero)
+        return unstacked(jax.lax.scan(stage, ks, jnp.arange(s))[0], s)
 
-    return stages
+    def one_by_one(zero: Any) -> list[Any]:
+        ks: list[Any] = []
+        for i, row in enumerate(tableau.a):
+            ks.append(rate(t0 + c[i] * h, scaled(h, combine(row[:i], ks)) if i else zero))
+        return ks
+
+    return one_by_one if written else loop
+
+
+def _mixed_row(tableau: Tableau, i: jax.Array, ks: Any) -> Any:
+    """sum_j a_ij k_j; on the CPU, whose branches cost nothing, without what is zero."""
+    if jax.default_backend() != "cpu":
+        row = jnp.array(tableau.a)[i]
+        return jax.tree.map(lambda k: (row.astype(k.dtype) * k.T).T.sum(0), ks)
+    rows = [lambda ks, row=row: combine(row, unstacked(ks, len(row))) for row in tableau.a]
+    return jax.lax.switch(i, rows, ks)
 
 
 def inverse_dexp(group: AbstractGroup, u: Any, w: Any) -> Any:
@@ -126,13 +145,14 @@ def hermite(u: Any, k0: Any, k1: Any) -> Any:
 
 
 def dense_between(
-    group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any, rate0: Any = None
-) -> dict:
-    """Dense output of order four from the rates at both ends, spent if used; rate0 if known."""
+    group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any, rate0: Any = None,
+    rate1: Any = None,
+) -> dict:  # fmt: skip
+    """Dense output of order four from the rates at both ends, those that are known given."""
     if rate0 is None:
         both = jax.vmap(f)(jnp.stack([t0, t1]), stacked([y0, y1]))
         rate0, rate1 = (jax.tree.map(lambda x, i=i: x[i], both) for i in (0, 1))
-    else:
+    elif rate1 is None:
         rate1 = f(t1, y1)
     k0, k1 = (scaled(t1 - t0, rate) for rate in (rate0, rate1))
     u = group.difference(y0, y1)

@@ -25,6 +25,7 @@ from rbjax.integrators import INTEGRATORS
 from rbjax.model import Model, State
 from rbjax.rollout import rollout
 from rbjax.simulate import simulate
+from rbjax.solvers.dop853 import DOP853
 from rbjax.stability.multistep_roots import characteristic
 from rbjax.stability.oscillator import DOUBLE, matrices_of_pair
 from rbjax.stability.stability_function import Solver, made
@@ -35,6 +36,7 @@ ROLLOUT: dict[str, Solver] = {
     "rk4": "rk4",
     "tsit5": diffrax.Tsit5(),
     "dopri8": diffrax.Dopri8(),
+    "dop853": solvers.MuntheKaas(DOP853),
 }
 PAIRS = (
     solvers.GeneralizedAlpha, solvers.CentralDifferences, solvers.SemiImplicitEuler,

@@ -49,7 +49,7 @@ def _remembered(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
         full = state.ts.shape[0]
         return state.values, lambda old: state._replace(values=old, filled=jnp.array(full))
     if isinstance(solver, GeneralizedAlpha):
-        return state, lambda carried: carried
+        return state[0], lambda carried: (carried, jnp.array(False))
     return (), lambda nothing: state
 
 

@@ -14,8 +14,9 @@ Numerical Integration*, X.3), otherwise with t: nothing is promised beyond for c
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +42,10 @@ FINEST = 1e-10  # accuracy beside which the reference's own error counts
 MOST_STEPS = 2_000_000
 LOOSE = 1e-3  # accuracy for which order three is enough where the motion is stiff
 TRIES = 14  # runs of a candidate
+ROLLED_ABOVE = 4  # velocity coordinates, from which a program of loops compiles in half the time
+BRIEF = 1e4  # radians of the fastest mode, up to which that saves more than it costs
+
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -157,6 +162,7 @@ def recommend(
     *,
     horizon: float = 1.0,
     control: Control | None = None,
+    progress: bool = True,
 ) -> Recommendation:
     """A solver and a constant step for this robot from this state, and why.
 
@@ -169,6 +175,7 @@ def recommend(
             rad, from 1e-10 on.
         horizon: seconds of motion; beyond 10 the first 10 are run and the error extrapolated.
         control: (t, state) -> (nu,), as `rb.simulate` takes it; None for no actuation.
+        progress: show on the terminal what is compiled and run.
 
     Returns:
         `Recommendation`: solver, name, dt, predicted_error, evaluations, reason.
@@ -201,7 +208,28 @@ def recommend(
     with jax.enable_x64(True):
         model = jax.tree.map(_double, model)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
-        return _recommended(model, state, float(accuracy), float(horizon), control)
+        with _told(progress) as say:
+            return _recommended(model, state, float(accuracy), float(horizon), control, say)
+
+
+@contextlib.contextmanager
+def _told(progress: bool) -> Iterator[Say]:
+    """A line on stderr, where that is a terminal, which goes away."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, force_jupyter=False)
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("recommend: {task.description}"))
+    quiet = not (progress and console.is_terminal)
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task("")
+        yield lambda text: bar.update(task, description=text)
+
+
+def _light(model: Model) -> Model:
+    """The robot in the form that compiles soonest."""
+    rolls = model.driver == "auto" and model.nv > ROLLED_ABOVE
+    return model.replace(driver="rolled") if rolls else model
 
 
 def _double(x: Any) -> Any:
@@ -210,10 +238,12 @@ def _double(x: Any) -> Any:
 
 
 def _recommended(
-    model: Model, state: State, accuracy: float, horizon: float, control: Control | None
+    model: Model, state: State, accuracy: float, horizon: float, control: Control | None, say: Say
 ) -> Recommendation:
+    light = _light(model)
+    say("linearising the motion")
     start = State(*(jnp.tile(x, (LOOKS, 1)) for x in (state.q, state.v)))
-    A = motion_matrices(model, start, _controls(control, np.zeros(LOOKS), start))
+    A = motion_matrices(light, start, _controls(control, np.zeros(LOOKS), start))
     fastest = _fastest(A)
     trial = min(horizon, TRIAL)
     # vibrations have to be followed; what only decays need not be, and an implicit reference does
@@ -221,6 +251,8 @@ def _recommended(
     trial = trial if following else RADIANS / abs(fastest)
     stiff = abs(fastest) * trial > RADIANS
     method = solvers.radau_iia(3) if stiff else diffrax.Dopri8()
+    model = light if abs(fastest) * trial < BRIEF else model
+    say(f"the motion itself, by {type(method).__name__}")
     ts = jnp.linspace(0.0, trial, POINTS)
     longer = horizon / trial
     tolerance = jnp.asarray(max(1e-13, 1e-4 * accuracy / longer**2))
@@ -233,7 +265,7 @@ def _recommended(
         )
     looks = np.linspace(0, POINTS - 1, LOOKS).astype(int)
     along = State(truth.q[looks], truth.v[looks])
-    A = motion_matrices(model, along, _controls(control, np.asarray(ts[looks]), along))
+    A = motion_matrices(light, along, _controls(control, np.asarray(ts[looks]), along))
     fastest = _fastest(A)
 
     nv = model.nv
@@ -243,6 +275,7 @@ def _recommended(
         scale = longer ** (c.growth if conservative else 1.0)
 
         def error(h: float) -> float:
+            say(f"{c.name} with steps of {h:.2g} s")
             return scale * float(
                 _error(model, state, ts, control, c.solver, jnp.asarray(h), truth.q)
             )

@@ -1,6 +1,8 @@
 """The GPU kernels in Pallas's interpreter, against the recursions under XLA; and that Triton takes
 them, which lowering for CUDA shows without a GPU."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -62,7 +64,7 @@ def batch(model: rb.Model, size: int, key: jax.Array) -> tuple[jax.Array, jax.Ar
 @pytest.mark.parametrize("closed", [True, False], ids=["closed over", "argument"])
 @pytest.mark.parametrize("name, how", CASES, ids=str)
 def test_forward_dynamics(name, how, closed, key):
-    model = load(name)
+    model = load(name) if closed else load(name).fix_zeros()
     q, v = batch(model, 6, key)  # two blocks, the second padded
     tau = jax.random.normal(key, v.shape)
 
@@ -115,6 +117,19 @@ def test_stages(name, how, key):
     expected = rb.rollout(model, state, each, DT, integrator="tsit5", save_every=2, kernel=False)
     for found, wanted in zip(run(q, v), (expected.q, expected.v), strict=True):
         np.testing.assert_allclose(jnp.moveaxis(found, -1, 0), wanted[:, 1:], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [UNROLLED, ROLLED], ids=str)
+def test_stages_of_every_method(how, key):
+    model = load("pendulum")
+    q, v = batch(model, 3, key)
+    for name, table in TABLEAUS.items():
+        run = partial(march, model, applied_lanes, ctrls=None, dt=DT, steps=2, save_every=1)
+        state = rb.State(q.T, v.T)
+        wanted = rb.rollout(model, state, None, DT, integrator=name, steps=2, kernel=False)
+        got = jnp.moveaxis(jax.jit(partial(run, how=how, table=table))(q, v)[0], -1, 0)
+        np.testing.assert_allclose(got, wanted.q[:, 1:], rtol=1e-12, atol=1e-12, err_msg=name)
 
 
 @pytest.mark.slow

@@ -1,9 +1,12 @@
 """Tableaus against published stability functions, and against their own order conditions."""
 
+import diffrax
 import numpy as np
 import pytest
+from scipy.integrate._ivp import dop853_coefficients as hairer
 
 from rbjax.solvers import RosenbrockTableau, Tableau, tableau
+from rbjax.solvers.dop853 import DOP853
 from rbjax.solvers.rosenbrock import _ros34pw2, holds
 from rbjax.solvers.tableau import attained_order, density, size, trees
 from tests.oracles import load
@@ -39,6 +42,15 @@ def test_stability_function(name: str) -> None:
     far = np.linalg.det(one - z * a + z * np.outer(np.ones(len(b)), b)) / np.linalg.det(one - z * a)
     assert abs(far - float(oracle["R_inf"])) < 1e-6
     assert attained_order(a, b, 6) == min(oracle["order"], 6) == method.order
+
+
+def test_coefficients_of_order_eight() -> None:
+    """DOP853 is SciPy's; it and Prince and Dormand's satisfy all 200 conditions of order 8."""
+    s = hairer.N_STAGES
+    np.testing.assert_array_equal(DOP853.a, hairer.A[:s, :s])
+    np.testing.assert_array_equal(DOP853.b, hairer.B)
+    for method in (DOP853, tableau.of_diffrax(diffrax.Dopri8, 8)):
+        assert attained_order(np.array(method.a), np.array(method.b), 9) == 8
 
 
 def test_symplectic_condition_of_gauss() -> None:

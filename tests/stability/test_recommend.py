@@ -30,8 +30,8 @@ def fine(model, state):
     ).q
 
 
-def test_a_smooth_motion_is_decided_by_accuracy() -> None:
-    """A pendulum, against SciPy on its own equation."""
+def test_a_smooth_motion_is_decided_by_accuracy(capfd: pytest.CaptureFixture) -> None:
+    """A pendulum, against SciPy on its own equation; silent where nobody looks on."""
     model = rb.load("pendulum")
     state = rb.State(np.array([0.5]), np.zeros(1))
     still = rb.State(*np.zeros((2, 9, 1)))
@@ -49,6 +49,7 @@ def test_a_smooth_motion_is_decided_by_accuracy() -> None:
         assert r.predicted_error < accuracy
         assert r.reason.startswith("accuracy decides: stability would allow rk4 steps of 0.74 s")
         assert f"steps of {r.dt:.2g} s errs by {r.predicted_error:.1e}" in r.reason
+    assert capfd.readouterr() == ("", "")
 
 
 @slow
@@ -72,6 +73,18 @@ def test_a_stiff_motion_is_decided_by_stability() -> None:
         assert float(said[1]) == pytest.approx(fastest, rel=0.05)
         assert float(said[2]) == pytest.approx(2.83 / fastest, rel=0.05)
         assert r.dt > 10 * float(said[2])
+
+
+@slow
+def test_an_arm_falls(capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tried in the form that compiles soonest, delivered in the usual one; told on a terminal."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    model = rb.load("arm7")
+    state = model.default_state()
+    r = rb.solvers.recommend(model, state, 1e-5)
+    assert "recommend: rk4 with steps of" in capfd.readouterr().err
+    assert r.name == "rk4"
+    assert delivered(model, state, r, fine(model, state)) < 2e-5
 
 
 @slow
