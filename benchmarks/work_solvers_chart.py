@@ -136,14 +136,18 @@ def solver_tables(rows: Rows) -> str:
 
 
 def gaps(rows: Rows) -> str:
-    """What was left out or failed, a line for each platform and reason."""
-    found: dict[tuple[str, str], dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
+    """What was left out or failed, a line for each platform, scene and precision."""
+    done: dict[tuple, list[str]] = defaultdict(list)
+    missed: dict[tuple, list[str]] = defaultdict(list)
     for row in rows:
-        if row.get("engine") == "simulate" and row["what"] in ("left out", "failed"):
-            where = f"{row['scene']} {row['precision']}"
-            found[row["platform"], row["what"]][row["method"]].append(where)
+        if row.get("engine") == "simulate":
+            of = row["platform"], row["scene"], row["precision"]
+            if row["what"] == "done":
+                done[of].append(row["method"])
+            elif row["what"] in ("left out", "failed"):
+                missed[of].append(row["method"])
     out = []
-    for (platform, what), methods in sorted(found.items()):
-        each = "; ".join(f"{method}: {', '.join(where)}" for method, where in methods.items())
-        out.append(f"- {platform}, {what}: {each}.")
+    for of, methods in sorted(missed.items()):
+        which = f"all but {', '.join(done[of])}" if len(methods) > len(done[of]) else ""
+        out.append(f"- Left out for time: {' '.join(of)}: {which or ', '.join(methods)}.")
     return "\n".join(out)
