@@ -46,10 +46,36 @@ class Halves(eqx.Module):
     def velocity(self, t: Any, y: Any) -> Any:
         return pair(self.rate(t, y))[0][0]
 
+    def kicked(self, y: Any, dv: Any) -> Any:
+        """y with v changed by dv, and q not even rounded."""
+        (q, v), together = pair(y)
+        return together([q, combine((1.0, 1.0), (v, dv))])
+
     def moved(self, y: Any, dq: Any, dv: Any) -> Any:
         """y with q moved by dq and v by dv."""
         _, together = pair(y)
         return group_of(self.terms).retract(y, together([dq, dv]))
+
+
+def in_momenta(
+    momentum: Callable[[Any, Any], Any],
+    place: Callable[[Any], Any],
+    residual: Callable[[Any], Any],
+    guess: Any,
+) -> tuple[Callable[[Any], Any], Callable[[Any, Any], Any]]:
+    """M residual(k) of an equation of accelerations, with M at the guess; and the function
+    M(place(k)) residual(k), whose slope leads to the root from farther off: the force of a stiff
+    spring is linear in q, and M(q)^-1 times it is not."""
+    held = jax.lax.stop_gradient(place(guess))
+    _, inertia = jax.linearize(lambda v: momentum(held, v), guess)
+
+    def weighed(k):
+        return inertia(residual(k))
+
+    def where_it_leads(k, _):
+        return momentum(place(k), residual(k)), None
+
+    return weighed, where_it_leads
 
 
 class GeneralizedAlpha(AbstractGroupSolver):
@@ -103,7 +129,16 @@ class GeneralizedAlpha(AbstractGroupSolver):
         guess = combine(
             (((1 - m) * still + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
         )
-        k, ok = root(residual, self.root_finder, guess, v0, self.root_find_max_steps)
+        function, slope, momentum = residual, None, getattr(unwrapped(terms), "momentum", None)
+        if momentum is not None:
+            together = pair(y0)[1]
+            function, slope = in_momenta(
+                lambda q, v: momentum(t1, together([q, v]), args),
+                lambda k: pair(after(k)[1])[0][0], residual, guess,
+            )  # fmt: skip
+        k, ok = root(
+            function, self.root_finder, guess, v0, self.root_find_max_steps, slope=slope
+        )  # fmt: skip
         carrying, y1 = after(k)
         safe = jnp.where(h == 0, 1.0, h)
         carried = jax.tree.map(lambda x, old: jnp.where(h == 0, old, x / safe), carrying, carried)
@@ -169,8 +204,7 @@ class SemiImplicitEuler(AbstractGroupSolver):
         )
         solved = lx.linear_solve(operator, scaled(h, a0), self.linear_solver, throw=False)
         dv = solved.value
-        still = jax.tree.map(jnp.zeros_like, halves.velocity(t0, y0))
-        kicked = halves.moved(y0, still, dv)
+        kicked = halves.kicked(y0, dv)
         y1 = halves.moved(kicked, scaled(h, halves.velocity(t0, kicked)), scaled(0.0, dv))
         dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
         return y1, None, dense, None, verdict(solved.result == lx.RESULTS.successful)
@@ -202,8 +236,7 @@ class VariationalMidpoint(AbstractGroupSolver):
 
         def middle(dw):
             """The midpoint of velocity v0 + dw, its momentum, and that of half a step on."""
-            still = jax.tree.map(jnp.zeros_like, dw)
-            w = halves.velocity(tm, halves.moved(y0, scaled(0.0, still), dw))
+            w = halves.velocity(tm, halves.kicked(y0, dw))
             at = halves.moved(y0, scaled(h / 2, w), dw)
             a = halves.acceleration(tm, at)
 
@@ -226,13 +259,13 @@ class VariationalMidpoint(AbstractGroupSolver):
         t1 = t0 + h
 
         def moment(dv):
-            return momentum(t1, halves.moved(there, scaled(0.0, w), dv))
+            return momentum(t1, halves.kicked(there, dv))
 
         here, linear = jax.linearize(moment, jax.tree.map(jnp.zeros_like, v))
         operator = lx.FunctionLinearOperator(linear, jax.eval_shape(lambda: v))
         missing = combine((1.0, -1.0), (p1, here))
         dv = lx.linear_solve(operator, missing, lx.LU(), throw=False).value
-        y1 = halves.moved(there, scaled(0.0, w), dv)
+        y1 = halves.kicked(there, dv)
         dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
         return y1, None, dense, None, verdict(ok)
 
