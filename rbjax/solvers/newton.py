@@ -152,8 +152,8 @@ def root(
     """The root of `residual` beside `guess`, and whether it was found; y0 sets the scale.
 
     `near` has a cheaper derivative, for chords; `slope` the residual's value at the guess, its
-    roots, and a derivative that leads there sooner. The root's own derivatives are those of the implicit
-    function, in both directions.
+    roots, and a derivative that leads there sooner. The root's own derivatives are those of the
+    implicit function, in both directions.
     """
     options = {"scale": _largest(y0)}
     options |= {name: f for name, f in (("near", near), ("slope", slope)) if f is not None}
