@@ -215,10 +215,20 @@ def angle_lanes(w: jax.Array, u: list) -> jax.Array:
 
 
 def turned(q: list, phi: list) -> list:
-    """Lanes of q exp(phi / 2), of unit length: the rotation q followed by phi in body axes."""
-    out = product(q, exp_lanes(phi))
-    shrink = jax.lax.rsqrt(sum(a * a for a in out))
-    return [a * shrink for a in out]
+    """Lanes of q exp(phi / 2) / |q|: the unit quaternion q followed by phi in body axes.
+
+    As q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once, after the addition. A
+    product divided by its length rounds again: a length wrong by a unit in the last place takes
+    whole units off the components, more or less by their leading digits. That repeats each turn.
+    """
+    px, py, pz = phi
+    square = (px * px + py * py + pz * pz) / 4
+    sine, versine = stumpff(square, 1, 2)
+    scale = sine / 2
+    step = product(q, [-square * versine, px * scale, py * scale, pz * scale])
+    length_squared = sum(a * a for a in q)
+    missing = (1 - length_squared) / (jnp.sqrt(length_squared) + length_squared)  # 1 / |q| - 1
+    return [a + (missing * a + (1 + missing) * b) for a, b in zip(q, step, strict=True)]
 
 
 def _conjugate(q: list) -> list:

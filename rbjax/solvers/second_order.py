@@ -22,12 +22,10 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
-from jax.flatten_util import ravel_pytree
 
-from rbjax.solvers.field import Field, field, forwards
-from rbjax.solvers.groups import AbstractGroup, group_of, unwrapped
+from rbjax.solvers.field import field, forwards
+from rbjax.solvers.groups import group_of, unwrapped
 from rbjax.solvers.newton import MAX_STEPS, chord, root, verdict
-from rbjax.solvers.stages import Chord, start
 from rbjax.solvers.steps import AbstractGroupSolver, combine, dense_between, pair, scaled, select
 
 RESULTS = diffrax.RESULTS
@@ -48,21 +46,36 @@ class Halves(eqx.Module):
     def velocity(self, t: Any, y: Any) -> Any:
         return pair(self.rate(t, y))[0][0]
 
+    def kicked(self, y: Any, dv: Any) -> Any:
+        """y with v changed by dv, and q not even rounded."""
+        (q, v), together = pair(y)
+        return together([q, combine((1.0, 1.0), (v, dv))])
+
     def moved(self, y: Any, dq: Any, dv: Any) -> Any:
         """y with q moved by dq and v by dv."""
         _, together = pair(y)
         return group_of(self.terms).retract(y, together([dq, dv]))
 
 
-class Beside(eqx.Module):
-    """y0 moved by an increment (2 n,) of q and v."""
+def in_momenta(
+    momentum: Callable[[Any, Any], Any],
+    place: Callable[[Any], Any],
+    residual: Callable[[Any], Any],
+    guess: Any,
+) -> tuple[Callable[[Any], Any], Callable[[Any, Any], Any]]:
+    """M residual(k) of an equation of accelerations, with M at the guess; and the function
+    M(place(k)) residual(k), whose slope leads to the root from farther off: the force of a stiff
+    spring is linear in q, and M(q)^-1 times it is not."""
+    held = jax.lax.stop_gradient(place(guess))
+    _, inertia = jax.linearize(lambda v: momentum(held, v), guess)
 
-    group: AbstractGroup
-    y0: Any
-    unravel: Callable[[jax.Array], Any]
+    def weighed(k):
+        return inertia(residual(k))
 
-    def __call__(self, u: jax.Array) -> Any:
-        return self.group.retract(self.y0, self.unravel(u))
+    def where_it_leads(k, _):
+        return momentum(place(k), residual(k)), None
+
+    return weighed, where_it_leads
 
 
 class GeneralizedAlpha(AbstractGroupSolver):
@@ -88,10 +101,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         halves, h = Halves(terms, args), t1 - t0
         (_, v0), _ = pair(y0)
-        still, unravel = ravel_pytree(_no_rate(terms, args, t0, y0))
-        around = Field(terms, args, Beside(group_of(terms), y0, unravel))
-        here = start(around, t0, still, self.root_finder)
-        rate0 = unravel(here.rate)
+        rate0 = halves.rate(t0, y0)
         (velocity, now), together = pair(rate0)
         carried, begins = solver_state
         carried = select(begins | made_jump, now, carried)
@@ -107,26 +117,24 @@ class GeneralizedAlpha(AbstractGroupSolver):
             dv = combine((1 - self.gamma, self.gamma), (old, carrying))
             return carrying, halves.moved(y0, dq, dv)
 
+        def residual(k):
+            return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
+
         # From where q goes on at v0: the acceleration of a stiff spring leads far off.
         explicit = self.beta == 0
         free = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
         guess = combine(
             (((1 - m) * free + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
         )
-        guess, vector = ravel_pytree(guess)
-
-        def residual(k):
-            a1 = halves.acceleration(t1, after(vector(k[0]))[1])
-            return k - h * ravel_pytree(a1)[0]
-
-        near = None
-        if here.jacobian is not None:  # of the acceleration, by q and by v
-            n = guess.size
-            by_q, by_v = here.jacobian[-n:, :-n], here.jacobian[-n:, -n:]
-            slope = share * (bent * self.beta * by_q + self.gamma * by_v)
-            near = Chord(h, jnp.ones((1, 1), guess.dtype), slope)
-        k, ok = root(residual, self.root_finder, guess[None], v0, self.root_find_max_steps, near)
-        k = vector(k[0])
+        function, slope, momentum = residual, None, getattr(unwrapped(terms), "momentum", None)
+        if momentum is not None:
+            of_state = pair(y0)[1]
+            function, slope = in_momenta(
+                lambda q, v: momentum(t1, of_state([q, v]), args),
+                lambda k: pair(after(k)[1])[0][0], residual, guess,
+            )  # fmt: skip
+        max_steps = self.root_find_max_steps
+        k, ok = root(function, self.root_finder, guess, v0, max_steps, slope=slope)
         carrying, y1 = after(k)
         per_step = 1 / jnp.where(h == 0, 1.0, h)
         a1, carried = (
@@ -202,8 +210,7 @@ class SemiImplicitEuler(AbstractGroupSolver):
         )
         solved = lx.linear_solve(operator, scaled(h, a0), self.linear_solver, throw=False)
         dv = solved.value
-        still = jax.tree.map(jnp.zeros_like, halves.velocity(t0, y0))
-        kicked = halves.moved(y0, still, dv)
+        kicked = halves.kicked(y0, dv)
         y1 = halves.moved(kicked, scaled(h, halves.velocity(t0, kicked)), scaled(0.0, dv))
         dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
         return y1, None, dense, None, verdict(solved.result == lx.RESULTS.successful)
@@ -235,8 +242,7 @@ class VariationalMidpoint(AbstractGroupSolver):
 
         def middle(dw):
             """The velocity of q at v0 + dw, and the midpoint."""
-            still = jax.tree.map(jnp.zeros_like, dw)
-            w = halves.velocity(tm, halves.moved(y0, scaled(0.0, still), dw))
+            w = halves.velocity(tm, halves.kicked(y0, dw))
             return w, halves.moved(y0, scaled(h / 2, w), dw)
 
         def residual(dw):
@@ -258,13 +264,13 @@ class VariationalMidpoint(AbstractGroupSolver):
         t1 = t0 + h
 
         def moment(dv):
-            return momentum(t1, halves.moved(there, scaled(0.0, w), dv))
+            return momentum(t1, halves.kicked(there, dv))
 
         here, linear = jax.linearize(moment, jax.tree.map(jnp.zeros_like, v))
         operator = lx.FunctionLinearOperator(linear, jax.eval_shape(lambda: v))
         missing = combine((1.0, -1.0), (p1, here))
         dv = lx.linear_solve(operator, missing, lx.LU(), throw=False).value
-        y1 = halves.moved(there, scaled(0.0, w), dv)
+        y1 = halves.kicked(there, dv)
         dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
         return y1, None, dense, None, verdict(ok)
 

@@ -30,6 +30,7 @@ from rbjax.solvers.steps import (
     explicit_stages,
     pair,
     scaled,
+    select,
 )
 
 _CUBE = 2 ** (1 / 3)
@@ -78,16 +79,15 @@ class Splitting(AbstractGroupSolver):
             kick, drift, time = (w.astype(h.dtype) for w in weights)
             t = t0 + time * h
             (_, v), _ = pair(y)
-            still = jax.tree.map(jnp.zeros_like, halves.velocity(t, y))
 
             def rate(_, dv):
-                return halves.acceleration(t, halves.moved(y, still, dv))
+                return halves.acceleration(t, halves.kicked(y, dv))
 
             zero = jax.tree.map(jnp.zeros_like, v)
             k = explicit_stages(rate, table, t, kick * h)(zero)
-            dv = scaled(kick * h, combine(table.b, k))
-            y = halves.moved(y, still, dv)
-            return halves.moved(y, scaled(drift * h, halves.velocity(t, y)), zero), None
+            y = halves.kicked(y, scaled(kick * h, combine(table.b, k)))
+            drifted = halves.moved(y, scaled(drift * h, halves.velocity(t, y)), zero)
+            return select(drift == 0, y, drifted), None  # the last: no drift, and no rounding
 
         weights = tuple(map(jnp.asarray, (self.kicks, drifts, times)))
         y1, _ = jax.lax.scan(part, y0, weights)

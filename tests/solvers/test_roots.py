@@ -1,4 +1,7 @@
-"""Implicit steps: roots that fail are values; Newton, chord and GMRES agree; equilibria rest."""
+"""Implicit steps: roots that fail are values; Newton, chord and GMRES agree; equilibria rest.
+
+And stiff or ill-conditioned ones are found: two point masses on massless rods, in absolute angles.
+"""
 
 import diffrax
 import jax
@@ -6,6 +9,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import pytest
+from scipy.optimize import root
 
 import rbjax as rb
 from tests.solvers.scenes import SCENES
@@ -90,3 +94,78 @@ def test_backwards_in_time_and_back_again(name: str) -> None:
     back = diffrax.diffeqsolve(diffrax.ODETerm(field), solver, 1.0, 0.0, -0.002, end)
     for got, want in zip(back.ys, y0, strict=True):
         np.testing.assert_allclose(got[0], want, atol=1e-4)
+
+
+def rods(q, v, args, xp):
+    """The mass matrix and the force, of an upper mass, a spring at the shoulder."""
+    upper, stiffness = args
+    c, s = xp.cos(q[0] - q[1]), xp.sin(q[0] - q[1])
+    mass = xp.array([[upper + 1, c], [c, 1.0]])
+    weight = -9.81 * xp.array([upper + 1, 1.0]) * xp.sin(q)
+    turning = xp.array([-s * v[1] ** 2, s * v[0] ** 2])
+    return mass, weight + turning - xp.array([stiffness * q[0], 0.0])
+
+
+def rates(t, y, args):
+    mass, force = rods(*y, args, jnp)
+    return y[1], jnp.linalg.solve(mass, force)
+
+
+RODS = rb.solvers.OnGroup(
+    rates, rb.solvers.Vector(), lambda t, y, args: rods(*y, args, jnp)[0] @ y[1]
+)
+
+
+def swung(solver, q, args, dt, steps):
+    """States (steps, 2), the last where a root was not found."""
+    out = diffrax.diffeqsolve(
+        RODS, solver, 0.0, dt * steps, dt * (1 + 1e-12), (jnp.array(q), jnp.zeros(2)),
+        tuple(map(jnp.asarray, args)), saveat=diffrax.SaveAt(steps=True), throw=False,
+        max_steps=steps,
+    )  # fmt: skip
+    assert out.result == diffrax.RESULTS.successful
+    return np.asarray(out.ys[0]), np.asarray(out.ys[1])
+
+
+@pytest.mark.parametrize("make", [rb.solvers.VariationalMidpoint])
+def test_masses_a_million_to_one(make) -> None:
+    """The matrix makes 1e-10 of the state of what is rounding in the residual."""
+    q, v = swung(make(), [0.5, 0.5], (1e-6, 0.0), 1e-3, 200)
+    mass, height = (np.array([rods(a, b, (1e-6, 0.0), np)[0] for a, b in zip(q, v, strict=True)]),
+                    -9.81 * (np.cos(q) @ [1 + 1e-6, 1.0]))  # fmt: skip
+    energy = np.einsum("ti,tij,tj->t", v, mass, v) / 2 + height
+    assert np.abs(energy + 9.81 * np.cos(0.5) * (2 + 1e-6)).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "name", ["newmark", *(pytest.param(n, marks=pytest.mark.slow)
+                          for n in ("hht_alpha", "generalized_alpha"))]
+)  # fmt: skip
+def test_a_stiff_spring_that_shakes_a_heavy_arm(name: str) -> None:
+    """h omega = 10 from 0.02 rad, 200 J: each step turns the arm far enough to change its mass."""
+    solver, h, args = rb.solvers.all()[name].make(), 1e-2, (1.0, 1e6)
+    q, v = swung(solver, [0.02, 1.0], args, h, 40)
+
+    def acceleration(q, v):
+        return np.linalg.solve(*rods(q, v, args, np))
+
+    m, f, beta, gamma = solver.alpha_m, solver.alpha_f, solver.beta, solver.gamma
+    old = np.array([0.02, 1.0]), np.zeros(2)
+    carried = acceleration(*old)
+    for step in range(3):
+        now, (q0, v0) = acceleration(*old), old
+
+        def after(k, q0=q0, v0=v0, now=now, A0=carried):
+            A1 = ((1 - f) * k + f * now - m * A0) / (1 - m)
+            q1 = q0 + h * v0 + h * h * ((0.5 - beta) * A0 + beta * A1)
+            return q1, v0 + h * ((1 - gamma) * A0 + gamma * A1), A1
+
+        def residual(k, after=after):
+            q1, v1, _ = after(k)
+            mass, force = rods(q1, v1, args, np)
+            return mass @ k - force
+
+        found = root(residual, -now, tol=1e-13)
+        *old, carried = after(found.x)
+        np.testing.assert_allclose(q[step], old[0], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(v[step], old[1], rtol=0, atol=1e-7)
