@@ -193,7 +193,7 @@ def simulate(
     solver = diffrax.Tsit5() if solver is None else solver
     # Inside a caller's jit diffrax would trace what the caller holds constant.
     # Outside, the model is an argument: a number that changes does not compile anew.
-    if not staged() or model.zeros is not None:
+    if not staged() or opened(model)[0]:
         model = made_ahead(model, state.q.dtype)
     args, of_args = opened(model) if staged() else (model, _itself)
     term, state = motion(model, state, solver, control, of_args)

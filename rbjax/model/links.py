@@ -79,16 +79,19 @@ def prepare(model: Model, dtype: Any) -> Prepared:
 
 def made_ahead(model: Model, dtype: Any) -> Model:
     """The model with the numbers of its links made, for programs of which it is an argument: they
-    need not make them, and know the zeros. As it is where nobody knows them."""
+    need not make them wherever they use them, and know the zeros that are known here."""
+    if model.prepared is not None:
+        return model
     leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
     unknown = any(isinstance(x, jax.core.Tracer) for x in leaves) and model.zeros is None
-    if model.prepared is not None or unknown:
-        return model
 
     def sparse(columns: Any, units: bool = False) -> Any:
         return jax.tree.map(lambda x: Sparse.of(x, dtype, units=units), columns)
 
     made = prepare(model, dtype)
+    if unknown:
+        g = model.gravity.astype(dtype)
+        return model.replace(prepared=(made.columns, made.body_R, made.body_p, g))
     c, gravity = made.columns, np.array([_cell(x) for x in made.gravity], object)
     columns = LinkConstants(
         sparse(c.R, units=True), *map(sparse, (c.p, c.inertia, c.armature, c.reference))
@@ -103,7 +106,7 @@ def _again(made: Any) -> Prepared:
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),
     )  # fmt: skip
-    return Prepared(columns, body_R, body_p, Vec3(*map(lane_of, gravity)))
+    return Prepared(columns, body_R, body_p, Vec3(*(lane(gravity, i) for i in range(3))))
 
 
 def _cell(x: Lane) -> Any:

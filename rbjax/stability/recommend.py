@@ -29,7 +29,7 @@ import numpy as np
 from rbjax import solvers
 from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
-from rbjax.model import Model, State
+from rbjax.model import Model, State, made_ahead
 from rbjax.simulate import Control, simulate
 from rbjax.stability.largest_step import stable_step
 from rbjax.stability.linearisation import motion_matrices
@@ -42,7 +42,7 @@ FINEST = 1e-10  # accuracy beside which the reference's own error counts
 MOST_STEPS = 2_000_000
 LOOSE = 1e-3  # accuracy for which order three is enough where the motion is stiff
 TRIES = 14  # runs of a candidate
-ROLLED_ABOVE = 4  # velocity coordinates, from which a program of loops compiles in half the time
+ROLLED_ABOVE = 6  # velocity coordinates, from which a program of loops compiles in half the time
 BRIEF = 1e4  # radians of the fastest mode, up to which that saves more than it costs
 
 Say = Callable[[str], None]
@@ -206,7 +206,7 @@ def recommend(
     if not model.nv:
         raise InputError("recommend: the model has no joints, so nothing moves")
     with jax.enable_x64(True):
-        model = jax.tree.map(_double, model)
+        model = made_ahead(jax.tree.map(_double, model), jnp.float64)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
         with _told(progress) as say:
             return _recommended(model, state, float(accuracy), float(horizon), control, say)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics.rnea import momentum
 from tests.robots import QUICK, at, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 
@@ -54,6 +55,7 @@ def both_sides(model: rb.Model, q, v, a, w):
             jax.jacfwd(functools.partial(rb.inverse_dynamics, model, q, v))(zero),
         ),
         "M M^-1 = 1": (M @ rb.inverse_mass_matrix(model, q), jnp.eye(model.nv)),
+        "M v = p": (M @ v, momentum(model, q, v)),
         "M a + b - J^T w = tau": (M @ a + b - Jw, tau),
         "wrenches are J^T w": (rb.dynamics.generalized_forces(model, q, w), Jw),
         "velocities are J v": (rb.body_velocities(model, q, v)[jnp.array(some)], J @ v),
