@@ -1,7 +1,7 @@
 """Every public function under plain jit, batch 1,024, beside its fastest compiled form.
 
 `python -m benchmarks.cpu_forms`: one core, f64, Panda, default flags. Forms: plain
-`jit(vmap(f))` with the driver "auto" (what a user writes); the other driver; chunks of 128
+`jit(vmap(f))` with the driver "auto" (what a user writes); the other driver; chunks of 240
 (`lax.map`); XLA's fusion pass off; its fusion emitters off. The figure is plain over the fastest.
 """
 
@@ -54,7 +54,7 @@ def main() -> None:
             return plain(*x, model=model.replace(driver="rolled"))
 
         def mapped(*x, f=f, model=model):
-            return jax.lax.map(lambda one: f(model, *one), x, batch_size=128)
+            return jax.lax.map(lambda one: f(model, *one), x, batch_size=240)
 
         forms = {
             "plain": (plain, None),

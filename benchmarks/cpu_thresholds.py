@@ -2,7 +2,7 @@
 
 `python -m benchmarks.cpu_thresholds`, about three minutes: one core, f64. For serial chains of
 hinges, forward dynamics in both drivers: seconds to compile it and its gradient, and nanoseconds a
-sample in chunks of 128 (`drivers.UNROLLED_UP_TO`). For the Panda and G1, nanoseconds by the width
+sample in chunks of 240 (`drivers.UNROLLED_UP_TO`). For the Panda and G1, nanoseconds by the width
 of a chunk.
 """
 
@@ -22,7 +22,7 @@ from benchmarks.timing import markdown_table, measure, save
 
 BATCH = 1024
 LENGTHS = (4, 6, 8, 10, 12, 16)
-WIDTHS = (64, 128, 256, 512, 1024)
+WIDTHS = (64, 128, 144, 208, 240, 256, 512, 1024)
 
 
 def chain(n: int) -> mujoco.MjModel:
@@ -67,12 +67,12 @@ def by_length() -> list[dict]:
         batch = states(m, BATCH)
         for driver in ("unrolled", "rolled"):
             one = model.replace(driver=driver)
-            timed = measure(chunked(one, 128), *batch, budget_s=0.3)
+            timed = measure(chunked(one, 240), *batch, budget_s=0.3)
             rows.append(
                 {
                     "robot": f"chain of {n}",
                     "driver": driver,
-                    "chunk": 128,
+                    "chunk": 240,
                     "compile_s": timed["lower_s"] + timed["compile_s"],
                     "gradient_compile_s": compile_gradient_s(one, batch),
                     "ns": timed["run_min_s"] / BATCH * 1e9,

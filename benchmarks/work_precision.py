@@ -42,7 +42,7 @@ def ours(bench: Bench, small: bool) -> None:
     if ON_GPU:
         batch, most_s = 65_536 if large else 262_144 if stiff else 1_048_576, 1.0 if stiff else 0.4
     else:
-        batch, most_s = 128 if large or stiff else 1024, 2.0
+        batch, most_s = 240 if stiff else 1024, 2.0
     batch = SAMPLE if small else batch
 
     def one(method, precision):

@@ -165,11 +165,11 @@ distance of two states and the references (closed forms or runs whose own error 
 - Every engine runs the same MjModel, smooth dynamics alone; contacts, limits, friction are off.
 - MJX: steps for the error times its fastest step. Its errors are those of a small batch on a CPU;
   on attitudes its RK4 is of second order, where MuJoCo C's and ours are of fourth. On the chain of
-  hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX's errors on the humanoid
-  and the chain were not measured; on all others its f32 ends above 1e-6, but for the pendulum.
+  hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX ends above 1e-6 but on
+  the pendulum (1.1e-6 on the humanoid; on the chain it was not run that far).
 - MJX on the CPU runs with whatever compiler options make it fastest: without XLA's fusion emitters
   (jax 0.10), or, where that option is gone (jax 0.11), the better of the default and no fusion.
-- On the CPU (Intel Xeon; the humanoid AMD EPYC) ours is `model.replace(driver="unrolled")`.
+- CPU: Intel Xeon, jax 0.11; the arm and the humanoid AMD EPYC, jax 0.10, ours and MJX's alike.
 - "prolonged": the last points did not reach the error, and the line goes on with their slope.
 
 ## Solvers of `rb.solvers` through `simulate`
