@@ -56,7 +56,7 @@ bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
 failure-map: $(STAMP) ## every solver on scenes built to break it; docs/failure_map.png
 	$(BIN)/python -m benchmarks.failure_map
 
-bench-work-precision: $(STAMP) ## error against time, here; tables, and pictures in docs/
+bench-work-precision: $(STAMP) ## error against time, here, hours; tables, and pictures in docs/
 	$(BIN)/python -m benchmarks.work_precision
 	$(BIN)/python -m benchmarks.work_queue
 	$(BIN)/python -m benchmarks.work_stiffness
