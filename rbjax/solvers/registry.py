@@ -19,7 +19,7 @@ from rbjax.solvers import (
     second_order,
     splitting,
 )
-from rbjax.solvers.newton import very_chord
+from rbjax.solvers.newton import MAX_STEPS, very_chord
 
 KINDS = ("ode", "second-order", "split", "lie")
 
@@ -76,7 +76,7 @@ def all() -> dict[str, Entry]:
         (diffrax.Kvaerno4, 4),
         (diffrax.Kvaerno5, 5),
     ):
-        make = partial(kvaerno, root_finder=very_chord(), root_find_max_steps=20)
+        make = partial(kvaerno, root_finder=very_chord(), root_find_max_steps=MAX_STEPS)
         add(kvaerno.__name__.lower(), make, order, implicit=True)
     add("ros2", rosenbrock.ros2, 2, implicit=True)
     add("ros34pw2", rosenbrock.ros34pw2, 3, implicit=True)
