@@ -14,6 +14,7 @@ from benchmarks.work_scenes import SCENES
 
 DOCS = RESULTS.parents[1] / "docs"
 WANTED = 1e-6
+FARTHEST = 300  # times the error wanted, from where a line is prolonged to it
 CPU, GPU = "CPU, one core", "H200"
 Rows = list[dict[str, Any]]
 
@@ -65,7 +66,7 @@ def lines(rows: Rows, scene: str, platform: str) -> dict[tuple[str, str, str], A
 
 def at(error: np.ndarray, cost: np.ndarray, wanted: float = WANTED) -> tuple[float, bool]:
     """The cost of an error, between points of the line, and whether it had to be prolonged with
-    the slope of its last two points; infinite where the line ends in a floor above it."""
+    the slope of its last two points; infinite where the line ends in a floor above it, or far."""
     good = np.flatnonzero(error <= wanted)
     if len(good) and good[0]:
         i = good[0]
@@ -77,7 +78,7 @@ def at(error: np.ndarray, cost: np.ndarray, wanted: float = WANTED) -> tuple[flo
         return float(cost[0]), False
     falling = np.flatnonzero(np.isfinite(error))[-2:]
     x, y = np.log(error[falling]), np.log(cost[falling])
-    if len(x) < 2 or x[1] > x[0] - 0.1:
+    if len(x) < 2 or x[1] > x[0] - 0.1 or x[1] > np.log(FARTHEST * wanted):
         return np.inf, False
     slope = (y[1] - y[0]) / (x[1] - x[0])
     return float(np.exp(y[1] + slope * (np.log(wanted) - x[1]))), True

@@ -169,7 +169,8 @@ distance of two states and the references (closed forms or runs whose own error 
   the pendulum (1.1e-6 on the humanoid; on the chain it was not run that far).
 - MJX on the CPU runs with whatever compiler options make it fastest: without XLA's fusion emitters
   (jax 0.10), or, where that option is gone (jax 0.11), the better of the default and no fusion.
-- CPU: AMD EPYC, jax 0.10, all engines alike; errors of MJX from several machines.
+- CPU: AMD EPYC, jax 0.10, all engines alike; its other core was at work, so lines have kinks.
+  Errors of MJX are from several machines.
 - "prolonged": the last points did not reach the error, and the line goes on with their slope.
 
 ## Solvers of `rb.solvers` through `simulate`
