@@ -10,9 +10,7 @@ from __future__ import annotations
 import argparse
 import concurrent.futures
 import multiprocessing
-import os
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -104,10 +102,7 @@ def report(rows: list[dict], failed: dict) -> None:
     """Save, and print the comparison."""
     rows.sort(key=lambda row: -row.get("rbjax max", np.inf))
     rows += [{"model": k, "note": v} for k, v in failed.items()]
-    path = save("gpu-accuracy", rows)
-    copy = os.environ.get("RBJAX_RESULTS")
-    if copy:
-        (Path(copy) / path.name).write_bytes(path.read_bytes())
+    save("gpu-accuracy", rows)
     print(markdown_table(rows, ("model", "nv", *(f"{e} {w}" for e in ENGINES for w in WHAT))))
     both = [row for row in rows if "MJX median" in row and "rbjax median" in row]
     for what in WHAT:

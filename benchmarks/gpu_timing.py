@@ -67,9 +67,6 @@ def options(description: str) -> argparse.Namespace:
 
 
 def finish(name: str, rows: list[dict[str, Any]]) -> None:
-    """Save and print; a copy goes where RBJAX_RESULTS says."""
-    path = save(name, rows)
-    copy = os.environ.get("RBJAX_RESULTS")
-    if copy:
-        (Path(copy) / path.name).write_bytes(path.read_bytes())
+    """Save and print."""
+    save(name, rows)
     print(markdown_table(rows, COLUMNS))

@@ -79,7 +79,7 @@ def provenance() -> dict[str, Any]:
 
 def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = None) -> Path:
     """Write rows with their provenance (this process', or another's) to
-    results/<name>-<device>.json, over an older run there."""
+    results/<name>-<device>.json, over an older run there; a copy goes where RBJAX_RESULTS says."""
     source = source or provenance()
     device = source["cpu"] if source["platform"] == "cpu" else source["device"]
     slug = re.sub(r"[^a-z0-9]+", "-", device.lower()).strip("-")
@@ -87,6 +87,8 @@ def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = 
     path = RESULTS / f"{name}-{slug}.json"
     each = ",\n".join(json.dumps(row) for row in rows)  # a line each: small, and told apart by git
     path.write_text(f'{{"provenance": {json.dumps(source)},\n"rows": [\n{each}\n]}}\n')
+    if copies := os.environ.get("RBJAX_RESULTS"):
+        (Path(copies) / path.name).write_bytes(path.read_bytes())
     return path
 
 

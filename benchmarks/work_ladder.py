@@ -6,11 +6,9 @@ simulated second; "error", steps and error alone; "failed" and "left out" with a
 
 from __future__ import annotations
 
-import os
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.gpu_timing import alone
-from benchmarks.timing import save
 from benchmarks.work_scenes import (
     SAMPLE,
     SCENES,
@@ -83,11 +80,11 @@ class Bench:
 
     def ladder(
         self, engine: str, method: str, precision: str, run: Callable[[int], Any],
-        stages: float, batch: int, first: int, most_s: float, what: str = "point",
+        stages: float | None, batch: int, first: int, most_s: float, what: str = "point",
         rungs: Iterator[int] | None = None,
     ) -> None:  # fmt: skip
         """Points at growing numbers of steps (`rungs`, of a program that has run), until the error
-        is at its floor or time is up."""
+        is at its floor or time is up; with force evaluations, where the stages a step are known."""
         errors: list[float] = []
         begin = time.perf_counter()
         if rungs is None:
@@ -100,7 +97,8 @@ class Bench:
             errors.append(self.error(*last))
             each = 1e6 * seconds / batch / self.scene.seconds
             row = {"steps": steps, "error": errors[-1], "batch": batch, "run_s": seconds}
-            row["evaluations"] = stages * steps / self.scene.seconds
+            if stages is not None:
+                row["evaluations"] = stages * steps / self.scene.seconds
             if what == "point":
                 row["us"] = each
             self.add(what, engine, method, precision, **row)
@@ -131,11 +129,3 @@ def clocked(run: Callable[[int], Any], steps: int, often: bool) -> tuple[float, 
             best = min(best, time.perf_counter() - begin)
             spent, count = spent + time.perf_counter() - begin, count + 1
     return best, last
-
-
-def save_rows(name: str, rows: list[dict[str, Any]]) -> None:
-    """Save; a copy goes where RBJAX_RESULTS says."""
-    path = save(name, rows)
-    copy = os.environ.get("RBJAX_RESULTS")
-    if copy:
-        (Path(copy) / path.name).write_bytes(path.read_bytes())

@@ -25,7 +25,8 @@ import numpy as np
 from mujoco import rollout as native
 
 import rbjax as rb
-from benchmarks.work_ladder import ON_GPU, PRECISIONS, Bench, clocked, save_rows
+from benchmarks.timing import save
+from benchmarks.work_ladder import ON_GPU, PRECISIONS, Bench, clocked
 from benchmarks.work_scenes import SAMPLE, SCENES, prepared
 from rbjax.integrators import INTEGRATORS, TABLEAUS
 from rbjax.validation.mjx import UNFUSED, mjx
@@ -201,7 +202,7 @@ def main() -> None:
         bench = Bench(name, time.monotonic() + opts.deadline, tuple(opts.precisions))
         for part in opts.parts:
             (PARTS | HALVES)[part](bench, opts.small)
-            save_rows(f"work-precision-{name}", bench.rows)
+            save(f"work-precision-{name}", bench.rows)
 
 
 if __name__ == "__main__":

@@ -239,7 +239,7 @@ def references(scenes: list[str], folder: Path) -> list[subprocess.Popen]:
 
 
 def write(boards: list[Board], folder: Path, kept: Rows) -> None:
-    """Files of results; a copy goes where RBJAX_RESULTS says."""
+    """Files of results, and beside their copies the workers' log."""
     ends: Rows = []
     for path in sorted(folder.glob("*.npz")):
         if path.stem in SCENES:
@@ -251,12 +251,10 @@ def write(boards: list[Board], folder: Path, kept: Rows) -> None:
         if board.source is None:
             continue
         source = board.source | ({"earlier": board.earlier} if board.earlier else {})
-        path = save(board.name, [*ends, *kept, *board.rows(counts)], source)
-        copy = os.environ.get("RBJAX_RESULTS")
-        if copy:
-            shutil.copy(path, copy)
-            if (folder / "log").exists():
-                shutil.copy(folder / "log", Path(copy) / f"{NAME}.log")
+        save(board.name, [*ends, *kept, *board.rows(counts)], source)
+    copies = os.environ.get("RBJAX_RESULTS")
+    if copies and (folder / "log").exists():
+        shutil.copy(folder / "log", Path(copies) / f"{NAME}.log")
 
 
 def main() -> None:

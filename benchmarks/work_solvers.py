@@ -141,10 +141,8 @@ def points(bench: Bench, method: str, precision: str, reference: Callable) -> No
     most_s = (0.5 if ON_GPU else 3.0 if implicit else 1.5) * (2 if large else 1)
     most_s *= 2 if ON_GPU and bench.scene.stiff else 1
     bench.ladder(
-        "simulate", method, precision, run, np.nan, batch, first, most_s, rungs=doubling(first)
+        "simulate", method, precision, run, None, batch, first, most_s, rungs=doubling(first)
     )
-    for row in bench.rows:
-        row.pop("evaluations", None)  # `work_queue` knows them
     bench.add("done", "simulate", method, precision, first_s=first_s)
 
 

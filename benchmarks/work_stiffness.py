@@ -19,7 +19,8 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.robots import as_model
-from benchmarks.work_ladder import clocked, save_rows
+from benchmarks.timing import save
+from benchmarks.work_ladder import clocked
 from benchmarks.work_scenes import SAMPLE, bare, chain, distance
 
 WANTED, SECONDS = 1e-4, 1.0
@@ -122,7 +123,7 @@ def sweep(
                 break
             # bound by stability, so in proportion to k: begin a little below; or not at all
             steps = max(steps * 2 // unit, 1) * unit if make is explicit else 8
-        save_rows("work-stiffness", rows)
+        save("work-stiffness", rows)
     return rows
 
 

@@ -52,9 +52,11 @@ def lane_of(x: Any) -> Lane:
 
 
 def literals(x: Any, *, units: bool) -> tuple[float | None, ...]:
-    """For each entry of an array its value, where that is 0 (or 1 or -1, with `units`)."""
+    """For each entry of an array, of numbers or cells, its value where that is 0 (or 1 or -1, with
+    `units`)."""
     known = (0.0, 1.0, -1.0) if units else (0.0,)
-    return tuple(float(v) if v in known else None for v in np.asarray(x, np.float64).ravel())
+    lanes = map(lane_of, np.asarray(x).ravel())
+    return tuple(v if is_literal(v) and v in known else None for v in lanes)
 
 
 def cells(x: Any, pattern: tuple[float | None, ...], known: bool) -> np.ndarray:
@@ -78,10 +80,8 @@ class Sparse:
     @classmethod
     def of(cls, column: np.ndarray, dtype: Any, *, units: bool = False) -> Sparse:
         """Of numbers, or of cells."""
-        fixed = (0.0, 1.0, -1.0) if units else (0.0,)
-        lanes = [lane_of(x) for x in column]
-        pattern = tuple(x if is_literal(x) and x in fixed else None for x in lanes)
-        others = [x for x, known in zip(lanes, pattern, strict=True) if known is None]
+        pattern = literals(column, units=units)
+        others = [lane_of(x) for x, known in zip(column, pattern, strict=True) if known is None]
         if all(map(is_literal, others)):
             return cls(pattern, np.array(others, dtype))
         return cls(pattern, jnp.stack([jnp.asarray(x, dtype) for x in others]))

@@ -107,12 +107,13 @@ class GeneralizedAlpha(AbstractGroupSolver):
         carried = select(begins | made_jump, now, carried)
         m, f = self.alpha_m, self.alpha_f
         bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
-        share = (1 - f) / (1 - m)  # of k in h A1
 
         def after(k):
             """A1, and the state that it leads to, of k = h a1."""
             old = scaled(h, carried)
-            carrying = combine((share, f / (1 - m), -m / (1 - m)), (k, scaled(h, now), old))  # h A1
+            carrying = combine(
+                ((1 - f) / (1 - m), f / (1 - m), -m / (1 - m)), (k, scaled(h, now), old)
+            )  # h A1
             dq = combine((h, bent * (0.5 - self.beta), bent * self.beta), (velocity, old, carrying))
             dv = combine((1 - self.gamma, self.gamma), (old, carrying))
             return carrying, halves.moved(y0, dq, dv)
