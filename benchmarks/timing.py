@@ -81,15 +81,33 @@ def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = 
     """Write rows with their provenance (this process', or another's) to
     results/<name>-<device>.json, over an older run there; a copy goes where RBJAX_RESULTS says."""
     source = source or provenance()
-    device = source["cpu"] if source["platform"] == "cpu" else source["device"]
-    slug = re.sub(r"[^a-z0-9]+", "-", device.lower()).strip("-")
     RESULTS.mkdir(exist_ok=True)
-    path = RESULTS / f"{name}-{slug}.json"
+    path = _path(name, source)
     each = ",\n".join(json.dumps(row) for row in rows)  # a line each: small, and told apart by git
     path.write_text(f'{{"provenance": {json.dumps(source)},\n"rows": [\n{each}\n]}}\n')
     if copies := os.environ.get("RBJAX_RESULTS"):
         (Path(copies) / path.name).write_bytes(path.read_bytes())
     return path
+
+
+def _path(name: str, source: dict[str, Any]) -> Path:
+    device = source["cpu"] if source["platform"] == "cpu" else source["device"]
+    return RESULTS / f"{name}-{re.sub(r'[^a-z0-9]+', '-', device.lower()).strip('-')}.json"
+
+
+def others(name: str, rows: list[dict[str, Any]], keys: Iterable[str]) -> list[dict[str, Any]]:
+    """The rows of an older run there that differ from all of these in the keys, each with its
+    commit: what a run that renews a part must keep."""
+    path = _path(name, provenance())
+    if not path.exists():
+        return []
+    data = json.loads(path.read_text())
+    keys = list(keys)
+    renewed = {tuple(row.get(key) for key in keys) for row in rows}
+    older = {"commit": data["provenance"]["commit"]}
+    return [
+        older | row for row in data["rows"] if tuple(row.get(key) for key in keys) not in renewed
+    ]
 
 
 def markdown_table(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str:

@@ -1,13 +1,15 @@
 """Speed against accuracy: error of a motion by computing time and by force evaluations.
 
 `python -m benchmarks.work_precision --scenes arm7 --parts ours mjx mujoco` writes
-results/work-precision-<scene>-<device>.json; `benchmarks.work_precision_chart` draws all of them,
-and what `benchmarks.work_queue` wrote of the solvers of `simulate`.
+results/work-precision-<scene>-<device>.json, where it keeps what other parts found before;
+`benchmarks.work_precision_chart` draws all of them, and what `benchmarks.work_queue` wrote of the
+solvers of `simulate`.
 
 Rows: those of `benchmarks.work_ladder`, and "step", microseconds per robot and step at a batch.
 MJX's time for an error is its steps for that error times its fastest step, whatever the
 batch; errors are taken on the CPU, where a small sample costs less (they are the algorithm's, the
-same on a GPU). Compilation is not counted.
+same on a GPU). Compilation is not counted. "options": on the CPU, the seconds that both engines
+take under several options of the compiler; the fastest are taken.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from __future__ import annotations
 import argparse
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
@@ -25,15 +27,36 @@ import numpy as np
 from mujoco import rollout as native
 
 import rbjax as rb
-from benchmarks.timing import save
+from benchmarks.timing import others, save
 from benchmarks.work_ladder import ON_GPU, PRECISIONS, Bench, clocked
 from benchmarks.work_scenes import SAMPLE, SCENES, prepared
+from rbjax.compiling import WIDE, WITHOUT_EMITTERS, takes
 from rbjax.integrators import INTEGRATORS, TABLEAUS
 from rbjax.validation.mjx import UNFUSED, mjx
 
 CHUNK = 4  # steps in one rollout, or
 STIFF_CHUNK = 64
 STAGES = {name: TABLEAUS[name].stages if name in TABLEAUS else 1 for name in INTEGRATORS}
+
+
+def fastest(
+    bench: Bench, engine: str, precision: str, march: Callable, args: tuple, steps: int,
+    candidates: Iterable[dict[str, Any] | None],
+) -> dict[str, Any] | None:  # fmt: skip
+    """The options of the CPU's compiler, of those that this jaxlib knows, under which a program
+    runs fastest; a row tells the times of all."""
+    if ON_GPU:
+        return None
+    found: dict[float, dict[str, Any] | None] = {}
+    for options in candidates:
+        if not all(takes(*option) for option in (options or {}).items()):
+            continue
+        run = jax.jit(march, compiler_options=options).lower(*args).compile()
+        jax.block_until_ready(run(*args))
+        found[clocked(lambda _, f=run: f(*args), steps, True)[0]] = options
+    seconds = {" ".join(options or {}) or "none": t for t, options in found.items()}
+    bench.add("options", engine, "-", precision, seconds=seconds)
+    return found[min(found)]
 
 
 def ours(bench: Bench, small: bool) -> None:
@@ -45,6 +68,7 @@ def ours(bench: Bench, small: bool) -> None:
     else:
         batch, most_s = 240 if stiff else 1024, 2.0
     batch = SAMPLE if small else batch
+    chosen: dict[str, Any] = {}
 
     def one(method, precision):
         model = prepared(bench.name, precision)[1]
@@ -56,15 +80,19 @@ def ours(bench: Bench, small: bool) -> None:
             )
             return path.state(-1)
 
-        @jax.jit
         def march(state, dt, times):  # one call, as MJX gets, whatever the number of steps
             return jax.lax.fori_loop(0, times, lambda _, now: some(now, dt), state)
 
         state = rb.State(*bench.tiled(batch))
+        if precision not in chosen:
+            args = state, jnp.asarray(bench.scene.seconds / 1000, float), 4
+            of = bench, "rbjax", precision, march, args, 4
+            chosen[precision] = fastest(*of, (None, dict([WIDE]), rb.compiler_options()))
+        compiled = jax.jit(march, compiler_options=chosen[precision])
 
         def run(steps):
             dt = jnp.asarray(bench.scene.seconds / steps, float)
-            now = march(state, dt, steps // steps_in_one)
+            now = compiled(state, dt, steps // steps_in_one)
             return now.q, now.v
 
         bench.ladder("rbjax", method, precision, run, STAGES[method], batch, steps_in_one, most_s)
@@ -77,25 +105,11 @@ def ours(bench: Bench, small: bool) -> None:
 MJX = ("RK4", "implicitfast", "Euler")
 
 
-def mjx_options(march: Callable, args: tuple, steps: int) -> dict[str, Any] | None:
-    """The compiler's options that make MJX fastest on this platform: XLA's CPU fusion slows it down
-    up to a thousand times, and versions differ in what switches it off."""
-    if ON_GPU:
-        return None
-    found = {}
-    for options in (*UNFUSED, None):
-        try:
-            run = jax.jit(march, compiler_options=options).lower(*args).compile()
-        except jax.errors.JaxRuntimeError as error:
-            if "compile option" not in str(error):
-                raise
-            continue
-        jax.block_until_ready(run(*args))
-        found[clocked(lambda _, f=run: f(*args), steps, True)[0]] = options
-        if options is UNFUSED[0]:
-            break
-    print("mjx", {str(o): f"{t:.3g}" for t, o in found.items()}, flush=True)
-    return found[min(found)]
+def mjx_options() -> tuple[dict[str, Any] | None, ...]:
+    """XLA's CPU fusion slows MJX down, up to a thousand times; jaxlibs differ in what stops it."""
+    if takes(*WITHOUT_EMITTERS):
+        return dict([WITHOUT_EMITTERS]), dict([WITHOUT_EMITTERS, WIDE])
+    return dict([UNFUSED[-1]]), None
 
 
 def mjx_runs(bench: Bench, small: bool, errors: bool = True, times: bool = True) -> None:
@@ -123,7 +137,7 @@ def mjx_runs(bench: Bench, small: bool, errors: bool = True, times: bool = True)
 
         if not chosen:
             args = (*bench.tiled(SAMPLE if errors else 128), jnp.array([1000, 4]))
-            chosen.append(mjx_options(march, args, 4))
+            chosen.append(fastest(bench, "mjx", precision, march, args, 4, mjx_options()))
         compiled = jax.jit(march, compiler_options=chosen[0])
 
         def marching(batch):
@@ -202,7 +216,8 @@ def main() -> None:
         bench = Bench(name, time.monotonic() + opts.deadline, tuple(opts.precisions))
         for part in opts.parts:
             (PARTS | HALVES)[part](bench, opts.small)
-            save(f"work-precision-{name}", bench.rows)
+            kept = others(f"work-precision-{name}", bench.rows, ("what", "engine"))
+            save(f"work-precision-{name}", [*bench.rows, *kept])
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import importlib
 from typing import Any
 
 from rbjax import body, dynamics, forces, rotations, solvers, spatial, sysid
+from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
     bias_forces,
@@ -67,6 +68,7 @@ __all__ = [
     "body_velocities",
     "center_of_mass",
     "centroidal_momentum",
+    "compiler_options",
     "coriolis_matrix",
     "difference",
     "dynamics",

@@ -10,7 +10,8 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 # What a room stands on directly; it may import that and all below it.
 FLOORS = {
     "errors": "",
-    "materialize": "errors",
+    "compiling": "errors",
+    "materialize": "compiling",
     "lanes": "materialize",
     "rotations": "lanes",
     "spatial": "rotations",

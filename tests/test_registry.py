@@ -23,6 +23,7 @@ from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_err
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
 
 ELSEWHERE = {  # public functions that are not functions of a model and arrays, and who tests them
+    "compiler_options": "tests/test_compiling.py",
     "load": "tests/model/test_load.py",
     "scenes": "tests/model/test_load.py",
     "simulate": "tests/simulate",

@@ -8,7 +8,6 @@ backwards. Loops over time are in Python: MJX compiles slowly, and twice more in
 from __future__ import annotations
 
 import contextlib
-import functools
 import io
 from typing import Any
 
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from rbjax.compiling import WITHOUT_EMITTERS, takes
 from rbjax.validation.ours import quick
 from rbjax.validation.reference import Array, Samples
 
@@ -24,23 +24,14 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.St
     from mujoco import mjx  # says at every import that it found no warp
 
 #: XLA's CPU fusion makes MJX up to a thousand times slower; what switches it off, newest last
-UNFUSED = ({"xla_cpu_use_fusion_emitters": False}, {"xla_disable_hlo_passes": "fusion"})
+UNFUSED = (WITHOUT_EMITTERS, ("xla_disable_hlo_passes", "fusion"))
 
 
-@functools.cache
 def fast() -> dict[str, Any] | None:
     """The first of `UNFUSED` that this jaxlib knows (0.11 lost the first); None off the CPU."""
     if jax.default_backend() != "cpu":
         return None
-    for options in UNFUSED:
-        try:
-            jax.jit(lambda x: x + 1, compiler_options=options).lower(1.0).compile()
-        except jax.errors.JaxRuntimeError as error:
-            if "compile option" not in str(error):
-                raise
-            continue
-        return options
-    return {}
+    return dict([next(option for option in UNFUSED if takes(*option))])
 
 
 class Mjx:

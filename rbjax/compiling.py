@@ -1,0 +1,52 @@
+"""Options of XLA's compiler under which programs on lanes run fastest on the CPU.
+
+LLVM uses vectors of 256 bits unless told otherwise, also where a core has 512. And jaxlib 0.10's
+fusion emitters, on by default, compile a loop with many results (`materialize`) slower and to
+slower code than what they replace; jaxlib 0.11 has nothing else.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+
+WIDE = ("xla_cpu_prefer_vector_width", 512)
+WITHOUT_EMITTERS = ("xla_cpu_use_fusion_emitters", False)
+
+
+@functools.cache
+def takes(option: str, value: Any) -> bool:
+    """Whether this jaxlib's compiler knows an option: jaxlibs come and go with them."""
+    try:
+        jax.jit(lambda x: x + 1, compiler_options={option: value}).lower(1.0).compile()
+    except jax.errors.JaxRuntimeError as error:
+        if "compile option" not in str(error):
+            raise
+        return False
+    return True
+
+
+def compiler_options() -> dict[str, Any]:
+    """Options for `jax.jit` under which rbjax runs fastest on the CPU; none on other platforms.
+
+    Vectors of 512 bits (a core that has fewer uses what it has), and no fusion emitters where
+    jaxlib can do without: forward dynamics of an arm in f64 takes 0.7 of the time, of a humanoid
+    0.9, and compiles in 0.7 (benchmarks/results/work-precision-*.json, "options"). JAX takes them
+    at the outermost `jit` alone, so they are the caller's to give; a `rollout` that is outside of
+    any `jit` has them.
+
+    Returns:
+        what this jaxlib knows of them, name -> value.
+
+    Example:
+        >>> import rbjax as rb, jax
+        >>> model = rb.load("pendulum")
+        >>> run = jax.jit(rb.mass_matrix, compiler_options=rb.compiler_options())
+        >>> run(model, model.default_state().q).shape
+        (1, 1)
+    """
+    if jax.default_backend() != "cpu":
+        return {}
+    return dict(option for option in (WIDE, WITHOUT_EMITTERS) if takes(*option))

@@ -1,0 +1,32 @@
+"""The options are known to this jaxlib, change no result, and stay out of another `jit`."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rbjax as rb
+from rbjax.compiling import takes
+from tests.tolerances import F64_ROUNDING
+
+
+def test_every_option_is_known_and_an_unknown_one_is_told() -> None:
+    options = rb.compiler_options()
+    assert options and all(takes(name, value) for name, value in options.items())
+    assert not takes("xla_cpu_no_such_option", True)
+
+
+def test_rollout_gives_the_same_alone_within_jit_and_differentiated() -> None:
+    """Alone it is compiled with options, which JAX refuses inside of another `jit`."""
+    model = rb.load("double_pendulum")
+    start = rb.State(jnp.array([[0.3, -0.2], [1.0, 0.4]]), jnp.zeros((2, 2)))
+
+    def end(state):
+        return rb.rollout(model, state, dt=0.01, integrator="rk4", steps=8, save_every=8).q[:, -1]
+
+    alone = end(start)
+    within = jax.jit(lambda: end(start))()  # nothing of it is traced, but the program around it is
+    np.testing.assert_allclose(within, alone, atol=F64_ROUNDING)
+    np.testing.assert_allclose(jax.jit(end)(start), alone, atol=F64_ROUNDING)
+    _, linear = jax.linearize(end, start)
+    rate = jax.jvp(end, (start,), (start,))[1]
+    np.testing.assert_allclose(jax.jit(linear)(start), rate, atol=F64_ROUNDING)
