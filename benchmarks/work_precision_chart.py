@@ -167,10 +167,10 @@ distance of two states and the references (closed forms or runs whose own error 
   on attitudes its RK4 is of second order, where MuJoCo C's and ours are of fourth. On the chain of
   hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX ends above 1e-6 but on
   the pendulum (1.1e-6 on the humanoid; on the chain it was not run that far).
-- MJX on the CPU runs with whatever compiler options make it fastest: without XLA's fusion emitters
-  (jax 0.10), or, where that option is gone (jax 0.11), the better of the default and no fusion.
-- CPU: AMD EPYC, jax 0.10, all engines alike; its other core was at work, so lines have kinks.
-  Errors of MJX are from several machines.
+- On the CPU MJX and rbjax run with whichever of the compiler's options make each fastest on a
+  scene. MJX: without XLA's fusion emitters. rbjax: `rb.compiler_options()`, or the wide vectors of
+  it alone; without options it takes {options} ("options" in the data).
+- CPU: AMD EPYC, jax 0.10, one machine for all engines. Errors of MJX are from several machines.
 - "prolonged": the last points did not reach the error, and the line goes on with their slope.
 
 ## Solvers of `rb.solvers` through `simulate`
@@ -206,6 +206,13 @@ A hanging rod of six links, its springs ever stiffer, their dampers with them; e
 """
 
 
+def without_options(rows: Rows) -> str:
+    """How many times as long ours takes under the compiler's default options."""
+    times = [r["seconds"] for r in rows if (r["what"], r.get("engine")) == ("options", "rbjax")]
+    ratios = [seconds["none"] / min(seconds.values()) for seconds in times]
+    return f"{min(ratios):.2f} to {max(ratios):.2f} times as long" if ratios else "longer"
+
+
 def main() -> None:
     rows, stiff = read([RESULTS, *map(Path, sys.argv[1:])])
     columns = ("scene", "on", "mjx", "mujoco", "rbjax", "mjx/rbjax", "mujoco/rbjax")
@@ -219,6 +226,7 @@ def main() -> None:
     text = TEXT.format(
         wanted=WANTED, table=found, crossover=crossover(stiff), solvers=solver_tables(rows),
         gaps=gaps(rows), count=len(MAKERS),
+        options=without_options(rows),
     )  # fmt: skip
     (DOCS / "work-precision.md").write_text(text)
     print(found, crossover(stiff), sep="\n")

@@ -150,4 +150,4 @@ def gaps(rows: Rows) -> str:
     for of, methods in sorted(missed.items()):
         which = f"all but {', '.join(done[of])}" if len(methods) > len(done[of]) else ""
         out.append(f"- Left out for time: {' '.join(of)}: {which or ', '.join(methods)}.")
-    return "\n".join(out)
+    return "\n".join(out) or "- None was left out."
