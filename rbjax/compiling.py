@@ -34,8 +34,8 @@ def compiler_options() -> dict[str, Any]:
     Vectors of 512 bits (a core that has fewer uses what it has), and no fusion emitters where
     jaxlib can do without: forward dynamics of an arm in f64 takes 0.7 of the time, of a humanoid
     0.9, and compiles in 0.7 (benchmarks/results/work-precision-*.json, "options"). JAX takes them
-    at the outermost `jit` alone, so they are the caller's to give; a `rollout` that is outside of
-    any `jit` has them.
+    at the outermost `jit` alone, so they are the caller's to give; an algorithm or a `rollout` that
+    is called with nothing around it has them.
 
     Returns:
         what this jaxlib knows of them, name -> value.

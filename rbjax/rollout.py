@@ -10,18 +10,16 @@ and one step's intermediate values, per sample.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiling import compiler_options
 from rbjax.dynamics import kernel_gradient, kernel_rollout
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
-from rbjax.dynamics.tracing import opened, staged
+from rbjax.dynamics.tracing import compiled, opened, staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied_lanes
 from rbjax.integrators import INTEGRATORS, TABLEAUS
@@ -93,10 +91,9 @@ def rollout(
     step = jnp.asarray(model.timestep if dt is None else dt, state.q.dtype)
     policy = ctrls if callable(ctrls) else None
     values = None if policy is not None else ctrls
-    traced, within = opened((model, state, values, step))[0], staged()
-    known = bool(traced) and (policy is not None or within)
-    run = _run if known else _compiled if traced or within else _alone()
-    inside = _in_kernel(model, state, policy, batched, kernel, known)
+    traced = opened((model, state, values, step))[0]
+    run = _run if traced and (policy is not None or staged()) else _compiled
+    inside = _in_kernel(model, state, policy, batched, kernel, run is _run)
     args = model, state, values, step, policy, integrator, save_every, steps, batched, inside
     try:
         return run(*args)
@@ -145,17 +142,9 @@ def _run(
     return Trajectory(ts, qs, vs, all_finite(qs, vs), stats={"steps": steps})
 
 
-_jit = functools.partial(
-    jax.jit,
-    static_argnames=("policy", "integrator", "save_every", "steps", "batched", "kernel"),
+_compiled = compiled(
+    _run, static_argnames=("policy", "integrator", "save_every", "steps", "batched", "kernel")
 )
-_compiled = _jit(_run)
-
-
-@functools.cache
-def _alone() -> Callable[..., Trajectory]:
-    """`_compiled` where nothing is around it, whose options the compiler then takes."""
-    return _jit(_run, compiler_options=compiler_options())
 
 
 def _kernel_march(model, q, v, ctrls, dt, integrator, save_every, steps):

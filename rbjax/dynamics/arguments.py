@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.batching import in_chunks
-from rbjax.dynamics.tracing import opened, staged
+from rbjax.dynamics.tracing import compiled, opened, staged
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 
@@ -56,7 +56,7 @@ def algorithm(*names: str) -> Callable[[Callable], Callable]:
 
             return in_chunks(run)(moving) if moving else run(moving)
 
-        compiled = jax.jit(inlined, static_argnames=static)
+        program = compiled(inlined, static_argnames=static)
 
         @functools.wraps(f)
         def call(model: Model, *args: Any, **kwargs: Any) -> Any:
@@ -64,7 +64,7 @@ def algorithm(*names: str) -> Callable[[Callable], Callable]:
             given = {n: bound.arguments[n] for n in names if n in bound.arguments}
             bound.arguments.update(check_arrays(f.__name__, model, given))
             inside = opened((bound.args, bound.kwargs))[0] and staged()
-            return (inlined if inside else compiled)(*bound.args, **bound.kwargs)
+            return (inlined if inside else program)(*bound.args, **bound.kwargs)
 
         return call
 

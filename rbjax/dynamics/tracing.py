@@ -7,12 +7,16 @@ among them; `opened` parts the two.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
+from jax.extend.core import get_opaque_trace_state
+
+from rbjax.compiling import compiler_options
 
 
 def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
@@ -32,7 +36,32 @@ def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
 def staged() -> bool:
     """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
     a vmap or grad outside of any jit)."""
-    return isinstance(jnp.zeros(()), jax.core.Tracer)
+    return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
+
+
+def alone() -> bool:
+    """Whether nothing is around a call: no program that is recorded, nothing transformed."""
+    return get_opaque_trace_state() == _outside()
+
+
+@functools.cache
+def _outside() -> Any:
+    with jax.ensure_compile_time_eval():
+        return get_opaque_trace_state()
+
+
+def compiled(f: Callable, **how: Any) -> Callable:
+    """`jax.jit(f, **how)`, with `compiler_options` for calls that stand alone: JAX takes options at
+    the outermost `jit` and nowhere else."""
+
+    @functools.cache
+    def program(with_options: bool) -> Callable:
+        return jax.jit(f, compiler_options=compiler_options() if with_options else None, **how)
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        return program(alone())(*args, **kwargs)
+
+    return call
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:
