@@ -2,8 +2,9 @@
 
 `python -m benchmarks.cpu_implicit [ROBOT ...] [--solvers NAME ...]`. f64, one sample, constant
 steps of 10 ms through `rb.simulate`, the model an argument. Compiling is in seconds of CPU, which a
-busy machine leaves as they are. Evaluations are counted by the control, which every evaluation of
-the vector field asks; a Jacobian is one, whatever its columns.
+busy machine leaves as they are; both that and a step also under `rb.compiler_options()`.
+Evaluations are counted by the control, which every evaluation of the vector field asks; a Jacobian
+is one, whatever its columns.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ jax.config.update("jax_enable_x64", True)
 ROBOTS = ("double_pendulum", "arm7", "humanoid")
 SOLVERS = ("rk4", "implicit_midpoint", "gauss_legendre2", "radau_iia3", "bdf2", "kvaerno3",
            "ros34pw2", "generalized_alpha", "variational_midpoint")  # fmt: skip
-COLUMNS = ("robot", "nv", "solver", "trace s", "compile s", "step us", "fields", "jacobians")
+COLUMNS = ("robot", "nv", "solver", "trace s", "compile s", "step us", "compile s, options",
+           "step us, options", "fields", "jacobians")  # fmt: skip
 STEPS, DT = 20, 0.01
 FINDERS = {"newton": rb.solvers.newton}
 
@@ -76,16 +78,18 @@ def row(robot: str, name: str) -> dict[str, Any]:
         path = rb.simulate(model, state, ts, control, solver=solver, dt0=DT, throw=False)
         return path.q, path.v, path.ok
 
-    clock = [time.process_time()]
-    lowered = jax.jit(run).lower(model, state)
-    clock.append(time.process_time())
-    compiled = lowered.compile()
-    clock.append(time.process_time())
-    assert compiled(model, state)[2], "a step failed"
-    timed = measure(compiled, model, state, jit=False)
-    trace, build = (b - a for a, b in itertools.pairwise(clock))
-    out = {"robot": robot, "nv": model.nv, "solver": name, "trace s": trace, "compile s": build,
-           "step us": timed["run_min_s"] / STEPS * 1e6}  # fmt: skip
+    out: dict[str, Any] = {"robot": robot, "nv": model.nv, "solver": name}
+    for which, options in (("", None), (", options", rb.compiler_options())):
+        clock = [time.process_time()]
+        lowered = jax.jit(run, compiler_options=options).lower(model, state)
+        clock.append(time.process_time())
+        compiled = lowered.compile()
+        clock.append(time.process_time())
+        assert compiled(model, state)[2], "a step failed"
+        timed = measure(compiled, model, state, jit=False)
+        trace, build = (b - a for a, b in itertools.pairwise(clock))
+        out.setdefault("trace s", trace)
+        out |= {f"compile s{which}": build, f"step us{which}": timed["run_min_s"] / STEPS * 1e6}
     if model.nu and model.nv <= 7:  # a second compilation
         counter = Counter(model.nu)
         jax.block_until_ready(jax.jit(lambda m, s: run(m, s, counter))(model, state))

@@ -1,5 +1,8 @@
 """The options are known to this jaxlib, change no result, and stay out of another `jit`."""
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,3 +33,17 @@ def test_rollout_gives_the_same_alone_within_jit_and_differentiated() -> None:
     _, linear = jax.linearize(end, start)
     rate = jax.jvp(end, (start,), (start,))[1]
     np.testing.assert_allclose(jax.jit(linear)(start), rate, atol=F64_ROUNDING)
+
+
+def test_rbjax_may_be_imported_within_a_program() -> None:
+    """What stands around a call is told by what stood around the import."""
+    code = """
+import jax
+def f(x):
+    import rbjax as rb
+    model = rb.load("pendulum")
+    return x * rb.mass_matrix(model, model.default_state().q)
+print(jax.jit(f)(0.0), f(0.0))
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert out.stdout.split() == ["[[0.]]", "[[0.]]"], out.stderr

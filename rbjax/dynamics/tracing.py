@@ -18,6 +18,8 @@ from jax.extend.core import get_opaque_trace_state
 
 from rbjax.compiling import compiler_options
 
+_AT_IMPORT = get_opaque_trace_state()
+
 
 def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
     """The traced leaves of a pytree, and the function that puts others in their places."""
@@ -41,13 +43,13 @@ def staged() -> bool:
 
 def alone() -> bool:
     """Whether nothing is around a call: no program that is recorded, nothing transformed."""
-    return get_opaque_trace_state() == _outside()
+    return get_opaque_trace_state() == _AT_IMPORT and _imported_alone()
 
 
 @functools.cache
-def _outside() -> Any:
-    with jax.ensure_compile_time_eval():
-        return get_opaque_trace_state()
+def _imported_alone() -> bool:
+    """Asked first where it is as at the import."""
+    return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
 def compiled(f: Callable, **how: Any) -> Callable:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.sharding import AbstractDevice, AbstractMesh, use_abstract_mesh
 
 import rbjax as rb
 from rbjax.dynamics import kernel, kernel_gradient
@@ -50,6 +51,13 @@ TABLE, DT = TABLEAUS["tsit5"], jnp.asarray(0.01)
 CASES = [("cart_pole", UNROLLED)]
 CASES += [(name, ROLLED) for name in ("cart_pole", "free_body", "mixed")]
 CASES += [pytest.param(n, ROLLED, marks=pytest.mark.slow) for n in ("walker", "two roots")]
+
+
+def lowered_for_a_gpu(f, *args) -> None:
+    """Which none of this machine's need be."""
+    gpu = AbstractDevice("NVIDIA H200", 132, "gpu")
+    with use_abstract_mesh(AbstractMesh((1,), ("x",), abstract_device=gpu)):
+        jax.jit(f).trace(*args).lower(lowering_platforms=("cuda",))
 
 
 def load(name: str) -> rb.Model:
@@ -169,7 +177,7 @@ def test_triton_takes_stages(name, how, precision, monkeypatch):
             return march(model, applied_lanes, q, v, ctrls, jnp.asarray(DT, precision), 4, 2,
                          how, TABLE)  # fmt: skip
 
-        jax.jit(run).trace(q, v, ctrls).lower(lowering_platforms=("cuda",))
+        lowered_for_a_gpu(run, q, v, ctrls)
 
 
 def test_gradient_of_the_model_is_the_scans(key):
@@ -208,7 +216,7 @@ def test_triton_takes_them(name, how, monkeypatch):
             )  # fmt: skip
             return (qs**2).sum() + (vs**2).sum()
 
-        jax.jit(jax.grad(loss, (0, 1, 2))).trace(q, v, ctrls).lower(lowering_platforms=("cuda",))
+        lowered_for_a_gpu(jax.grad(loss, (0, 1, 2)), q, v, ctrls)
 
 
 def test_a_tangent_is_refused_in_a_sentence(key):
