@@ -32,10 +32,11 @@ def compiler_options() -> dict[str, Any]:
     """Options for `jax.jit` under which rbjax runs fastest on the CPU; none on other platforms.
 
     Vectors of 512 bits (a core that has fewer uses what it has), and no fusion emitters where
-    jaxlib can do without: forward dynamics of an arm in f64 takes 0.7 of the time, of a humanoid
-    0.9, and compiles in 0.7 (benchmarks/results/work-precision-*.json, "options"). JAX takes them
-    at the outermost `jit` alone, so they are the caller's to give; an algorithm or a `rollout` that
-    is called with nothing around it has them.
+    jaxlib can do without: rollouts of an arm in f64 take 0.7 of the time, of a humanoid 0.9
+    (benchmarks/results/work-precision-*.json, "options"), implicit methods on an arm 0.5 to 0.9 of
+    the time to compile (benchmarks/results/cpu-implicit-*.json). JAX takes them at the outermost
+    `jit` alone, so they are the caller's to give; an algorithm or a `rollout` that is called with
+    nothing around it has them.
 
     Returns:
         what this jaxlib knows of them, name -> value.

@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.tracing import jvp_of
 
@@ -64,11 +65,13 @@ def divided(size: int) -> tuple[int, int]:
     if count == 1:
         return 1, size
     chunk = -(-size // (16 * count)) * 16  # whole vectors
-    return count, chunk if chunk % ALIASED else chunk + 16
+    chunk += 0 if chunk % ALIASED else 16
+    return -(-size // chunk), chunk
 
 
 def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_axis: int = 0) -> Any:
-    """many(args) on slices of a batch, one after another; the last one is padded.
+    """many(args) on slices of a batch, one after another, each written to its place in the result;
+    the last one takes samples of its neighbour to be as long. (To pad it would copy the result.)
 
     Args:
         many: takes the arguments in the layout given, works on any number of samples.
@@ -80,16 +83,13 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
     count, chunk = divided(size)
     if count == 1:
         return many(args)
-    padding = count * chunk - size
+    starts = np.minimum(chunk * np.arange(count), size - chunk)
 
     def split(x: jax.Array, axis: int) -> jax.Array:
         x = jnp.moveaxis(x, axis, 0)
-        x = jnp.concatenate([x, jnp.repeat(x[-1:], padding, 0)]) if padding else x
+        if starts[-1] % chunk:
+            x = jnp.concatenate([x[: chunk * (count - 1)], x[-chunk:]])
         return jnp.moveaxis(x.reshape(count, chunk, *x.shape[1:]), 1, axis if axis else 1)
-
-    def join(x: jax.Array) -> jax.Array:
-        x = jnp.moveaxis(x, out_axis if out_axis else 1, 1)
-        return jnp.moveaxis(x.reshape(count * chunk, *x.shape[2:])[:size], 0, out_axis)
 
     slices = [split(x, a) for x, a in zip(args, axes, strict=True) if a is not None]
 
@@ -97,4 +97,13 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
         rest = iter(some)
         return many([x if a is None else next(rest) for x, a in zip(args, axes, strict=True)])
 
-    return jax.tree.map(join, jax.lax.map(run, slices))
+    def whole(x: jax.ShapeDtypeStruct) -> jax.Array:
+        return jnp.zeros((*x.shape[:-1], size) if out_axis else (size, *x.shape[1:]), x.dtype)
+
+    def once(out: Any, x: tuple) -> tuple[Any, None]:
+        place = functools.partial(jax.lax.dynamic_update_slice_in_dim, axis=out_axis)
+        return jax.tree.map(lambda all_, some: place(all_, some, x[0]), out, run(x[1])), None
+
+    first = jax.eval_shape(run, [x[0] for x in slices])
+    out, _ = jax.lax.scan(once, jax.tree.map(whole, first), (jnp.asarray(starts), slices))
+    return out
