@@ -225,8 +225,7 @@ def main() -> None:
     stiffness(stiff)
     text = TEXT.format(
         wanted=WANTED, table=found, crossover=crossover(stiff), solvers=solver_tables(rows),
-        gaps=gaps(rows), count=len(MAKERS),
-        options=without_options(rows),
+        gaps=gaps(rows), count=len(MAKERS), options=without_options(rows),
     )  # fmt: skip
     (DOCS / "work-precision.md").write_text(text)
     print(found, crossover(stiff), sep="\n")

@@ -48,7 +48,7 @@ def alone() -> bool:
 
 @functools.cache
 def _imported_alone() -> bool:
-    """Asked first where it is as at the import."""
+    """Whether no program was recorded around the import; asked where all is as it was then."""
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
