@@ -87,12 +87,13 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
 
     def split(x: jax.Array, axis: int) -> jax.Array:
         x = jnp.moveaxis(x, axis, 0)
-        if starts[-1] % chunk:
+        if size % chunk:
             x = jnp.concatenate([x[: chunk * (count - 1)], x[-chunk:]])
         return jnp.moveaxis(x.reshape(count, chunk, *x.shape[1:]), 1, axis if axis else 1)
 
     slices = [split(x, a) for x, a in zip(args, axes, strict=True) if a is not None]
 
+    @functools.partial(jax.jit, inline=True)  # traced once, for the shapes and in the loop
     def run(some: list) -> Any:
         rest = iter(some)
         return many([x if a is None else next(rest) for x, a in zip(args, axes, strict=True)])
@@ -101,9 +102,12 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
         return jnp.zeros((*x.shape[:-1], size) if out_axis else (size, *x.shape[1:]), x.dtype)
 
     def once(out: Any, x: tuple) -> tuple[Any, None]:
-        place = functools.partial(jax.lax.dynamic_update_slice_in_dim, axis=out_axis)
-        return jax.tree.map(lambda all_, some: place(all_, some, x[0]), out, run(x[1])), None
+        start, some = x
+        place = functools.partial(
+            jax.lax.dynamic_update_slice_in_dim, start_index=start, axis=out_axis
+        )
+        return jax.tree.map(place, out, run(some)), None
 
-    first = jax.eval_shape(run, [x[0] for x in slices])
-    out, _ = jax.lax.scan(once, jax.tree.map(whole, first), (jnp.asarray(starts), slices))
-    return out
+    one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in slices]
+    places = jax.tree.map(whole, jax.eval_shape(run, one))
+    return jax.lax.scan(once, places, (jnp.asarray(starts), slices))[0]
