@@ -40,7 +40,7 @@ STAGES = {name: TABLEAUS[name].stages if name in TABLEAUS else 1 for name in INT
 
 
 def fastest(
-    bench: Bench, engine: str, precision: str, march: Callable, args: tuple, steps: int,
+    bench: Bench, engine: str, precision: str, march: Callable, args: tuple,
     candidates: Iterable[dict[str, Any] | None],
 ) -> dict[str, Any] | None:  # fmt: skip
     """The options of the CPU's compiler, of those that this jaxlib knows, under which a program
@@ -53,7 +53,7 @@ def fastest(
             continue
         run = jax.jit(march, compiler_options=options).lower(*args).compile()
         jax.block_until_ready(run(*args))
-        found[clocked(lambda _, f=run: f(*args), steps, True)[0]] = options
+        found[clocked(lambda _, f=run: f(*args), 1, True)[0]] = options
     seconds = {" ".join(options or {}) or "none": t for t, options in found.items()}
     bench.add("options", engine, "-", precision, seconds=seconds)
     return found[min(found)]
@@ -86,8 +86,8 @@ def ours(bench: Bench, small: bool) -> None:
         state = rb.State(*bench.tiled(batch))
         if precision not in chosen:
             args = state, jnp.asarray(bench.scene.seconds / 1000, float), 4
-            of = bench, "rbjax", precision, march, args, 4
-            chosen[precision] = fastest(*of, (None, dict([WIDE]), rb.compiler_options()))
+            candidates = None, dict([WIDE]), rb.compiler_options()
+            chosen[precision] = fastest(bench, "rbjax", precision, march, args, candidates)
         compiled = jax.jit(march, compiler_options=chosen[precision])
 
         def run(steps):
@@ -137,7 +137,7 @@ def mjx_runs(bench: Bench, small: bool, errors: bool = True, times: bool = True)
 
         if not chosen:
             args = (*bench.tiled(SAMPLE if errors else 128), jnp.array([1000, 4]))
-            chosen.append(fastest(bench, "mjx", precision, march, args, 4, mjx_options()))
+            chosen.append(fastest(bench, "mjx", precision, march, args, mjx_options()))
         compiled = jax.jit(march, compiler_options=chosen[0])
 
         def marching(batch):
