@@ -171,7 +171,6 @@ distance of two states and the references (closed forms or runs whose own error 
   scene. MJX: without XLA's fusion emitters. rbjax: `rb.compiler_options()`, or the wide vectors of
   it alone; without options it takes {options} ("options" in the data).
 - CPU: AMD EPYC, jax 0.10, one machine for all engines. Errors of MJX are from several machines.
-- On the H200 MJX's implicitfast and Euler were not timed on the humanoid.
 - "prolonged": the last points did not reach the error, and the line goes on with their slope.
 
 ## Solvers of `rb.solvers` through `simulate`
