@@ -74,7 +74,7 @@ def picture(rows: Rows, platform: str, name: str, cost: int, scenes: tuple[str, 
         shown: dict[str, Any] = {}
         for ax, scene in zip(axes.flat, scenes, strict=False):
             for key, line in lines(rows, scene, platform).items():
-                if key[:2] not in LOOK or (key[0] != "rbjax" and key[2] == "f32"):
+                if key[:2] not in LOOK:
                     continue
                 color, marker, style, label = LOOK[key[:2]]
                 error = visible(line[1])
