@@ -35,8 +35,8 @@ def compiler_options() -> dict[str, Any]:
     jaxlib can do without: rollouts of an arm in f64 take 0.7 of the time, of a humanoid 0.9
     (benchmarks/results/work-precision-*.json, "options"), implicit methods on an arm 0.5 to 0.9 of
     the time to compile (benchmarks/results/cpu-implicit-*.json). JAX takes them at the outermost
-    `jit` alone, so they are the caller's to give; an algorithm or a `rollout` that is called with
-    nothing around it has them.
+    `jit` alone, so they are the caller's to give; an algorithm, a `rollout` or a `simulate` that is
+    called with nothing around it has them.
 
     Returns:
         what this jaxlib knows of them, name -> value.

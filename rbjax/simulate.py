@@ -21,7 +21,7 @@ from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.rnea import momentum
-from rbjax.dynamics.tracing import opened, staged
+from rbjax.dynamics.tracing import compiled, opened, staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
 from rbjax.materialize import materialize
@@ -197,7 +197,7 @@ def simulate(
         model = made_ahead(model, state.q.dtype)
     args, of_args = opened(model) if staged() else (model, _itself)
     term, state = motion(model, state, solver, control, of_args)
-    solution = diffrax.diffeqsolve(
+    solution = _diffeqsolve(
         term,
         solver,
         t0=ts[0],
@@ -222,6 +222,9 @@ def simulate(
             "adaptive stepsize_controller, or throw=False to look at the trajectory",
         )
     return Trajectory(ts, q, v, ok, solution.result, solution.stats)
+
+
+_diffeqsolve = compiled(diffrax.diffeqsolve, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):

@@ -52,13 +52,13 @@ def _imported_alone() -> bool:
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
-def compiled(f: Callable, **how: Any) -> Callable:
-    """`jax.jit(f, **how)`, with `compiler_options` for calls that stand alone: JAX takes options at
+def compiled(f: Callable, jit: Callable = jax.jit, **how: Any) -> Callable:
+    """`jit(f, **how)`, with `compiler_options` for calls that stand alone: JAX takes options at
     the outermost `jit` and nowhere else."""
 
     @functools.cache
     def program(with_options: bool) -> Callable:
-        return jax.jit(f, compiler_options=compiler_options() if with_options else None, **how)
+        return jit(f, compiler_options=compiler_options() if with_options else None, **how)
 
     def call(*args: Any, **kwargs: Any) -> Any:
         return program(alone())(*args, **kwargs)
