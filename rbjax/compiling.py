@@ -8,10 +8,14 @@ slower code than what they replace; jaxlib 0.11 has nothing else.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+from jax.extend.core import get_opaque_trace_state
 
+_AT_IMPORT = get_opaque_trace_state()
 WIDE = ("xla_cpu_prefer_vector_width", 512)
 WITHOUT_EMITTERS = ("xla_cpu_use_fusion_emitters", False)
 
@@ -48,6 +52,45 @@ def compiler_options() -> dict[str, Any]:
         >>> run(model, model.default_state().q).shape
         (1, 1)
     """
+    return _known(WIDE, WITHOUT_EMITTERS)
+
+
+def wide_vectors() -> dict[str, Any]:
+    """The option for arctangents and logarithms, which without the emitters are computed twice."""
+    return _known(WIDE)
+
+
+def _known(*options: tuple[str, Any]) -> dict[str, Any]:
     if jax.default_backend() != "cpu":
         return {}
-    return dict(option for option in (WIDE, WITHOUT_EMITTERS) if takes(*option))
+    return dict(option for option in options if takes(*option))
+
+
+def alone() -> bool:
+    """Whether nothing is around a call: no program that is recorded, nothing transformed."""
+    return get_opaque_trace_state() == _AT_IMPORT and _imported_alone()
+
+
+@functools.cache
+def _imported_alone() -> bool:
+    """Whether no program was recorded around the import; asked where all is as it was then."""
+    return not isinstance(jnp.zeros(()), jax.core.Tracer)
+
+
+def compiled(
+    f: Callable,
+    jit: Callable = jax.jit,
+    options: Callable[[], dict[str, Any]] = compiler_options,
+    **how: Any,
+) -> Callable:
+    """`jit(f, **how)`, with `options` for calls that stand alone: JAX takes options at the
+    outermost `jit` and nowhere else."""
+
+    @functools.cache
+    def program(with_options: bool) -> Callable:
+        return jit(f, compiler_options=options() if with_options else None, **how)
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        return program(alone())(*args, **kwargs)
+
+    return call

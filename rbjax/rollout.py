@@ -16,10 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiling import compiled
 from rbjax.dynamics import kernel_gradient, kernel_rollout
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
-from rbjax.dynamics.tracing import compiled, opened, staged
+from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied_lanes
 from rbjax.integrators import INTEGRATORS, TABLEAUS

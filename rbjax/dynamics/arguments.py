@@ -17,8 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiling import compiled
 from rbjax.dynamics.batching import in_chunks
-from rbjax.dynamics.tracing import compiled, opened, staged
+from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 

@@ -7,18 +7,14 @@ among them; `opened` parts the two.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
-from jax.extend.core import get_opaque_trace_state
 
-from rbjax.compiling import compiler_options
-
-_AT_IMPORT = get_opaque_trace_state()
+from rbjax.compiling import alone
 
 
 def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
@@ -39,31 +35,6 @@ def staged() -> bool:
     """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
     a vmap or grad outside of any jit)."""
     return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
-
-
-def alone() -> bool:
-    """Whether nothing is around a call: no program that is recorded, nothing transformed."""
-    return get_opaque_trace_state() == _AT_IMPORT and _imported_alone()
-
-
-@functools.cache
-def _imported_alone() -> bool:
-    """Whether no program was recorded around the import; asked where all is as it was then."""
-    return not isinstance(jnp.zeros(()), jax.core.Tracer)
-
-
-def compiled(f: Callable, jit: Callable = jax.jit, **how: Any) -> Callable:
-    """`jit(f, **how)`, with `compiler_options` for calls that stand alone: JAX takes options at
-    the outermost `jit` and nowhere else."""
-
-    @functools.cache
-    def program(with_options: bool) -> Callable:
-        return jit(f, compiler_options=compiler_options() if with_options else None, **how)
-
-    def call(*args: Any, **kwargs: Any) -> Any:
-        return program(alone())(*args, **kwargs)
-
-    return call
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiling import compiled, wide_vectors
 from rbjax.errors import InputError
 
 #: kind of argument -> shape of one sample
@@ -44,7 +45,7 @@ def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Call
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
-        compiled = jax.jit(f, static_argnames=static)
+        program = compiled(f, options=wide_vectors, static_argnames=static)
 
         @functools.wraps(f)
         def call(*args: Any, **kwargs: Any) -> Any:
@@ -62,7 +63,7 @@ def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Call
                 return f(*bound.args, **bound.kwargs)
             for name, x in given.items():
                 _check_values(f.__name__, name, np.asarray(x), kinds[name])
-            return compiled(*bound.args, **bound.kwargs)
+            return program(*bound.args, **bound.kwargs)
 
         return call
 
