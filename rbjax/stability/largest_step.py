@@ -27,7 +27,7 @@ from rbjax.rollout import rollout
 from rbjax.simulate import simulate
 from rbjax.solvers.dop853 import DOP853
 from rbjax.stability.multistep_roots import characteristic
-from rbjax.stability.oscillator import DOUBLE, matrices_of_pair
+from rbjax.stability.oscillator import matrices_of_pair
 from rbjax.stability.stability_function import Solver, made
 
 #: an integrator of `rb.rollout` -> the solver that takes the same step
@@ -43,6 +43,8 @@ PAIRS = (
     solvers.VariationalMidpoint, solvers.Splitting,
 )  # fmt: skip
 SLACK = 1e-9  # of a growth factor over one
+GREW = 1e-6  # the same of a step's matrix, which knows a double root to the root of rounding
+ROUNDING = 1e-14  # of the largest factor, in the others
 NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| looked at
 SMALL, GROWN = 1e-9, 1e5  # a deviation, and what it grows by where a step is too large
 
@@ -92,17 +94,25 @@ def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> floa
 
 
 def _of_pair(solver: Any, A: np.ndarray) -> float:
+    """The h from which more factors grow than the motion of q' = v, v' = K q + D v has modes that do.
+
+    One by one they cannot be told apart: a step too large for a mode turns it into another.
+    """
     n = len(A) // 2
     K, D = A[n:, :n], A[n:, n:]
-    eigenvalues = np.linalg.eigvals(A)
-    natural = max(eigenvalues.real.max(), 0.0)
+    rates = np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [K, D]]))
 
     def unstable(h):
-        h = np.atleast_1d(h)[:, None, None]
-        grown = np.abs(np.linalg.eigvals(matrices_of_pair(solver, h * h * K, h * D))).max(-1)
-        return ~(grown <= np.exp(natural * h[:, 0, 0]) + DOUBLE)
+        h = h[:, None, None]
+        step = matrices_of_pair(solver, h * h * K, h * D)
+        broken = ~np.isfinite(step).all((-2, -1))
+        step = np.where(broken[:, None, None], 0, step)
+        factors = np.abs(np.linalg.eigvals(step))
+        rounding = ROUNDING * factors.max(-1, keepdims=True)  # of the others, where one is huge
+        natural = h[:, 0] * rates.real > GREW / 2
+        return broken | ((factors > 1 + GREW + rounding).sum(-1) > natural.sum(-1))
 
-    return _first(unstable, 1 / max(np.abs(eigenvalues).max(), 1e-12))
+    return _first(unstable, 1 / max(np.abs(rates).max(), 1e-12))
 
 
 def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
