@@ -206,6 +206,10 @@ def _first_end(points: list[Fraction], stable: Callable[[Fraction], bool]) -> fl
 
 def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
     """N, M, S in c = cos theta: rho / sigma at exp(i theta) is (N + i sin(theta) M) / S."""
+    if len(method.by_power) > 2:
+        raise InputError(
+            "regions: a multistep method with z^2, expected rho - z sigma for its angle and strip"
+        )
     rho, sigma = method.rho, method.sigma
     N, M, S = (poly([]) for _ in range(3))
     for j, b in enumerate(sigma):

@@ -203,6 +203,10 @@ def test_a_polynomial_of_one_step_is_a_stability_function() -> None:
     cubed = stability.Characteristic((*FAMILIES["AB2"].by_power, (), (Fraction(1),)))
     with pytest.raises(rb.InputError, match=r"z\^3, expected at most z\^2"):
         stability.imaginary_limit(cubed)
+    newest = tuple(map(Fraction, (0, 0, 1)))
+    squared = stability.Characteristic((*FAMILIES["BDF2"].by_power, newest))
+    with pytest.raises(rb.InputError, match=r"with z\^2, expected rho - z sigma"):
+        stability.alpha_degrees(squared)
 
 
 def test_half_solver_takes_two_half_steps() -> None:
@@ -272,7 +276,7 @@ def test_ninety_degrees_are_a_stability() -> None:
     ("solver", "order"),
     [(rb.solvers.gauss_legendre(5), 10), (rb.solvers.radau_iia(5), 9),
      (rb.solvers.lobatto_iiic(6), 10), (rb.solvers.gauss_legendre(4), 8), (diffrax.Dopri8(), 8)],
-    ids=str,
+    ids=["gauss5", "radau5", "lobatto6", "gauss4", "dopri8"],
 )  # fmt: skip
 def test_orders_above_eight_by_simplifying_assumptions(solver, order: int) -> None:
     assert stability.order_by_conditions(solver) == order
