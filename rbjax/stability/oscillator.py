@@ -25,6 +25,8 @@ from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha, RigidBodySplitting
 from rbjax.solvers.multistep import AbstractMultistep
 from rbjax.solvers.newton import very_chord
+from rbjax.stability.multistep_roots import characteristic
+from rbjax.stability.regions import imaginary_limit
 from rbjax.stability.stability_function import Solver, made
 
 DOUBLE = 1e-7  # a double root of modulus one is known to the root of rounding
@@ -152,7 +154,7 @@ def oscillator_factors(solver: Solver, h_omega: Any, damping_ratio: float = 0.0)
         (..., k) complex, k = 2 and what the method remembers.
 
     Raises:
-        InputError: solvers of other equations.
+        InputError: solvers of other equations; an h_omega that is not positive.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -162,6 +164,14 @@ def oscillator_factors(solver: Solver, h_omega: Any, damping_ratio: float = 0.0)
     """
     solver = _prepared(solver)
     omega = np.asarray(h_omega, float)
+    wrong = ~((omega > 0) & np.isfinite(omega))
+    if wrong.any():
+        raise InputError(
+            f"oscillator_factors: h_omega has {omega[wrong][0]}, expected h times omega, positive "
+            "and finite; at zero nothing oscillates"
+        )
+    if not np.isfinite(damping_ratio):
+        raise InputError(f"oscillator_factors: damping_ratio is {damping_ratio}, expected a number")
     w = omega.ravel()
     like = (np.zeros(()), np.zeros(()))
     rows = np.stack([w**2, 2 * damping_ratio * w], -1)
@@ -250,13 +260,23 @@ def period_elongation(solver: Solver, h_omega: Any) -> np.ndarray:
 def oscillation_limit(solver: Solver, highest: float = 20.0) -> float:
     """The largest h omega up to which an undamped oscillation does not grow; inf above `highest`.
 
-    By halving, of the code's step; limits nearer to zero than `highest` / 500 are zero.
+    Exact (`imaginary_limit`) where there is linear theory. Otherwise, as for methods of q' = v,
+    v' = a, by halving, of the code's step: |zeta| may exceed one by 1e-7, and limits nearer to zero
+    than `highest` / 500 are zero.
 
     Example:
         >>> import rbjax as rb
         >>> round(rb.stability.oscillation_limit("central_differences"), 9)
         2.0
     """
+    try:
+        exact = imaginary_limit(characteristic(solver))
+    except InputError:  # no linear theory: by its code
+        return _measured_limit(solver, highest)
+    return exact if exact <= highest else np.inf
+
+
+def _measured_limit(solver: Solver, highest: float) -> float:
     grid = np.linspace(0, highest, 501)[1:]
     grown = spectral_radius(solver, grid) > 1 + DOUBLE
     if not grown.any():
