@@ -103,6 +103,29 @@ ad.primitive_transposes[_materialize] = lambda cts, *xs: _bind_nonzero(cts)
 batching.primitive_batchers[_materialize] = lambda xs, dims: (_materialize.bind(*xs), dims)
 
 
+_batch_first = Primitive("batch_first")
+
+
+def batch_first(tree: Any) -> Any:
+    """The same pytree; under `vmap` its arrays have the batch first.
+
+    What a function with a custom rule returns, and what the rule returns, must have it in one
+    place: JAX mixes the two up where `vmap` meets the function inside a `jit`.
+    """
+    if getattr(_here, "kernel", False):
+        return tree
+    return jax.tree.map(_batch_first.bind, tree)
+
+
+_batch_first.def_impl(lambda x: x)
+_batch_first.def_abstract_eval(lambda x: x)
+mlir.register_lowering(_batch_first, lambda ctx, x: [x])
+ad.deflinear2(_batch_first, lambda t, x: [t])
+batching.primitive_batchers[_batch_first] = lambda xs, dims: (
+    _batch_first.bind(jnp.moveaxis(xs[0], dims[0], 0)), 0
+)  # fmt: skip
+
+
 _sincos = Primitive("sincos")
 _sincos.multiple_results = True
 

@@ -137,6 +137,39 @@ def test_composes(name: str) -> None:
     assert abs(by_reverse - weight @ rate) <= F64_IDENTITY * scale, "vjp"
 
 
+@pytest.mark.parametrize("name", REGISTRY)
+def test_a_compiled_function_mapped_and_differentiated(name: str) -> None:
+    """jvp of vmap of jit: results of a custom rule keep their axes (JAX trusts the rule)."""
+    entry, model = REGISTRY[name], robot("small", "unrolled").model
+    xs = samples(entry.arrays)
+
+    @jax.jit
+    def f(*arrays):
+        return entry.function(model, *arrays, **entry.rest)
+
+    one = jax.eval_shape(f, *(x[0] for x in xs))
+    value, rate = jax.eval_shape(lambda *x: jax.jvp(jax.vmap(f), x, x), *xs)
+    want = jax.tree.map(lambda x: (3, *x.shape), one)
+    assert jax.tree.map(jnp.shape, value) == jax.tree.map(jnp.shape, rate) == want
+
+
+def test_a_batch_as_large_as_the_robot() -> None:
+    """The same in numbers, where axes mixed up would go unseen."""
+    model = robot("double_pendulum", "unrolled").model
+    q, v = np.random.default_rng(3).normal(size=(2, 2, 2))
+
+    def f(q, v):
+        return rb.forward_dynamics(model, q, v, -v)
+
+    def both(f, q, v):
+        return jax.jvp(f, (q, v), (v, q))
+
+    mapped = jax.jit(lambda q, v: both(jax.vmap(jax.jit(f)), q, v))(q, v)
+    looped = [jax.jit(lambda q, v: both(f, q, v))(*x) for x in zip(q, v, strict=True)]
+    for got, want in zip(mapped, zip(*looped, strict=True), strict=True):
+        assert relative_error(got, np.stack(want)) <= F64_TRANSFORM
+
+
 def test_derivatives_with_respect_to_the_model() -> None:
     """jvp = central difference = vjp along a direction in which every float leaf moves."""
     q, v, a, w = (x[0] for x in samples(("q", "v", "a", "wrenches")))

@@ -24,6 +24,7 @@ from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import wrench_forces
 from rbjax.dynamics.rnea import rnea
 from rbjax.dynamics.tracing import jvp_of, opened
+from rbjax.materialize import batch_first
 from rbjax.model import Model
 
 
@@ -41,7 +42,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         return d, d.pack(qdd, tau), factors
 
     def plain(changed, q, v, tau):
-        return run(changed, q, v, tau, values=not given)[1]
+        return batch_first(run(changed, q, v, tau, values=not given)[1])
 
     def in_kernel(size, axes, changed, q, v, tau):
         if q.ndim > 2 or any(axis == 0 for axis in axes[0]):  # a batch of batches, or of robots
@@ -58,7 +59,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
     @jax.custom_jvp
     def known(changed, q, v, tau, a):
         """a = forward(changed, q, v, tau), which is at hand: what it says to a next derivative."""
-        return a
+        return batch_first(a)
 
     @functools.partial(forward.defjvp, symbolic_zeros=True)
     def tangent(primals, tangents):
@@ -77,12 +78,12 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         elif dtau is not None:
             dtau = -dtau
         if dtau is None:
-            return a, jnp.zeros_like(a)
-        return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
+            return batch_first((a, jnp.zeros_like(a)))
+        return batch_first((a, d.pack(solve(d, factors, d.lanes(dtau)), tau)))
 
     @functools.partial(known.defjvp, symbolic_zeros=True)
     def _(primals, tangents):
-        return primals[-1], tangent(primals[:-1], tangents[:-1])[1]
+        return batch_first(primals[-1]), tangent(primals[:-1], tangents[:-1])[1]
 
     return forward(given, q, v, tau)
 

@@ -11,16 +11,20 @@ from __future__ import annotations
 
 from typing import Any
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from rbjax.materialize import batch_first
+
 
 class Field(eqx.Module):
     """(t, y) -> rate, in the solver's time, which runs forwards.
 
-    `unravel` puts the state together where y is given as one vector, as `flattened` has it.
+    `terms`: diffrax', or a function (t, y, *args) -> rate; `unravel` puts the state together where
+    y is given as one vector, as `flattened` has it.
     """
 
     terms: Any
@@ -41,14 +45,27 @@ def forwards(terms: Any, t: Any) -> Any:
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 
-def flattened(terms: Any, args: Any, y: Any) -> tuple[Field, jax.Array]:
-    """The field on vectors (n,), and y as one."""
+def flattened(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
+    """The field on vectors (n,), and y as one.
+
+    Derivatives by rules of our own see arguments alone, so what is differentiated and closed over
+    by the caller's function becomes one.
+    """
     vector, unravel = ravel_pytree(y)
-    return Field(terms, args, unravel), vector
+    f = Field(terms, args, unravel)
+    numbers, rest = eqx.partition(f, eqx.is_array)
+
+    def rate(t, y, numbers):
+        return eqx.combine(numbers, rest)(t, y)
+
+    opened, closed_over = jax.closure_convert(rate, t, vector, numbers)
+    return Field(opened, (numbers, *closed_over), unravel) if closed_over else f, vector
 
 
 @eqx.filter_jit
 def _rate(f: Field, t: Any, y: Any) -> Any:
+    if not isinstance(f.terms, diffrax.AbstractTerm):
+        return f.terms(t, y, *f.args)
     if f.unravel is None:
         return f.terms.vf_prod(t, y, f.args, forwards(f.terms, t))
     rate = f.terms.vf_prod(t, f.unravel(y), f.args, forwards(f.terms, t))
@@ -65,7 +82,7 @@ def linearized(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
 @eqx.filter_custom_jvp
 def rates(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
     """f of each of the stages t (s,), y (s, n)."""
-    return _batch(f, t, y)
+    return batch_first(_batch(f, t, y))
 
 
 def _batch(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
@@ -77,9 +94,9 @@ def _tangent(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     f, t, y = primals
     moving = jax.tree.leaves(tangents[:2])
     if moving or tangents[2] is None:
-        return eqx.filter_jvp(_batch, primals, tangents)
+        return batch_first(eqx.filter_jvp(_batch, primals, tangents))
     rate, jacobian = jax.vmap(lambda t, y: linearized(f, t, y))(t, y)
-    return rate, times(jacobian, tangents[2])
+    return batch_first((rate, times(jacobian, tangents[2])))
 
 
 def times(matrix: jax.Array, x: jax.Array) -> jax.Array:

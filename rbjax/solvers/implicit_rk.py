@@ -45,7 +45,7 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         return self.tableau.error_order
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        f, y = flattened(terms, args, y0)
+        f, y = flattened(terms, args, t0, y0)
         h, here = t1 - t0, start(f, t0, y, self.root_finder)
         u, k, ok = self.solve(f, h, here)
         y1, error = f.unravel(y + u), f.unravel(refused(ok, self.estimate(f, h, here, k)))

@@ -93,7 +93,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         return History(ts, values, jnp.array(0))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        f, y = flattened(terms, args, y0)
+        f, y = flattened(terms, args, t0, y0)
         h, here = t1 - t0, self.start(f, t0, y)
         ts, values, filled = solver_state
         filled = jnp.where(made_jump, 0, filled)

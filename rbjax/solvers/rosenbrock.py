@@ -79,7 +79,7 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
         return self.tableau.order
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        (f, y), h = flattened(terms, args, y0), t1 - t0
+        (f, y), h = flattened(terms, args, t0, y0), t1 - t0
         alpha, gamma = np.array(self.tableau.alpha), np.array(self.tableau.gamma)
         diagonal = float(gamma[0, 0])
         if iterative(self.linear_solver):

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 
+from rbjax.materialize import batch_first
 from rbjax.solvers.field import Field, linearized, rates, times
 from rbjax.solvers.newton import linear_solver, matrix_free, root
 from rbjax.solvers.steps import mixed
@@ -37,7 +38,7 @@ def start(f: Field, t: Any, y: jax.Array, finder: Any) -> Start:
 
 @eqx.filter_custom_jvp
 def _held(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return linearized(f, t, y)
+    return batch_first(linearized(f, t, y))
 
 
 @_held.def_jvp
@@ -45,7 +46,7 @@ def _(primals: Any, tangents: Any) -> Any:
     """The roots, and the size of an error, do not depend on the matrix that finds them."""
     rate, jacobian = _held(*primals)
     _, moving = eqx.filter_jvp(lambda f, t, y: f(t, y), primals, tangents)
-    return (rate, jacobian), (moving, jnp.zeros_like(jacobian))
+    return (rate, jacobian), batch_first((moving, jnp.zeros_like(jacobian)))
 
 
 class Stages(eqx.Module):

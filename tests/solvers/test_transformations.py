@@ -1,11 +1,14 @@
 """Every solver under jit, vmap, and both directions of differentiation."""
 
+import functools
+
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import rbjax as rb
 from tests.solvers.scenes import SOLVERS, flat, scene, solve
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -78,3 +81,31 @@ def stepped(name: str) -> tuple[jax.Array, jax.Array]:
 def test_a_step_compiled_is_a_step_op_by_op(name: str) -> None:
     eager, compiled = stepped(name)
     assert relative_error(eager, compiled) < F64_TRANSFORM
+
+
+CLOSED_OVER = "radau_iia2 newmark".split()  # noqa: SIM905
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in CLOSED_OVER else pytest.mark.slow) for n in SOLVERS
+     if n != "rigid_body_splitting"],
+)  # fmt: skip
+def test_a_gain_that_the_control_of_a_robot_closes_over(name: str) -> None:
+    model, solver = rb.load("pendulum"), SOLVERS[name].make()
+    start, ts = rb.State(jnp.array([0.5]), jnp.zeros(1)), jnp.array([0.0, 0.1])
+
+    @functools.partial(jax.jit, static_argnums=1)
+    def end(gain, adjoint=None):
+        def control(t, state):
+            return -gain * state.q
+
+        found = rb.simulate(model, start, ts, control, solver=solver, dt0=0.02, adjoint=adjoint)
+        return found.q[-1, 0]
+
+    back = jax.grad(end)(2.0)
+    ahead = jax.jacfwd(lambda gain: end(gain, diffrax.ForwardMode()))(2.0)
+    difference = (end(2.0 + H) - end(2.0 - H)) / (2 * H)
+    assert abs(back) > 1e-4
+    assert abs(back - ahead) < DERIVATIVE * abs(back)
+    assert abs(back - difference) < 1e-5 * abs(back)  # of second order
