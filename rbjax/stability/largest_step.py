@@ -26,9 +26,10 @@ from rbjax.model import Model, State
 from rbjax.rollout import rollout
 from rbjax.simulate import simulate
 from rbjax.solvers.dop853 import DOP853
-from rbjax.stability.multistep_roots import characteristic
+from rbjax.stability.linearisation import at_rest
+from rbjax.stability.methods import Solver, made, stepping
+from rbjax.stability.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.oscillator import DOUBLE, matrices_of_pair
-from rbjax.stability.stability_function import Solver, made
 
 #: an integrator of `rb.rollout` -> the solver that takes the same step
 ROLLOUT: dict[str, Solver] = {
@@ -47,19 +48,19 @@ NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| looked at
 SMALL, GROWN = 1e-9, 1e5  # a deviation, and what it grows by where a step is too large
 
 
-def stable_step(method: Solver, matrices: Any) -> float:
+def stable_step(method: Method, matrices: Any) -> float:
     """The largest step up to which every decaying mode decays, as theory predicts it.
 
     Args:
-        method: a name of `rb.solvers.all()`, or a solver. `ROLLOUT[integrator]` is that of
-            `rb.rollout`.
+        method: what `linear_analysis` takes (a name, a solver, a tableau or a polynomial), or a
+            solver of q' = v, v' = a. `ROLLOUT[integrator]` is that of `rb.rollout`.
         matrices: A (2 nv, 2 nv) or (T, 2 nv, 2 nv), of `state_matrix` or `motion_matrices`.
 
     Returns:
         Seconds; inf where no step is too large, 0 where none is small enough.
 
     Raises:
-        InputError: solvers without linear theory.
+        InputError: solvers without linear theory; matrices that are not finite, or not square.
 
     Example:
         >>> import rbjax as rb
@@ -69,8 +70,14 @@ def stable_step(method: Solver, matrices: Any) -> float:
         >>> bool(abs(h * abs(np.linalg.eigvals(A)).max() - 2) < 0.02)
         True
     """
-    A = np.asarray(matrices, np.float64).reshape(-1, *np.shape(matrices)[-2:])
-    solver = made(method)
+    A = np.asarray(matrices, np.float64)
+    if A.ndim < 2 or A.shape[-1] != A.shape[-2] or not A.size or not np.isfinite(A).all():
+        raise InputError(
+            f"stable_step: matrices have shape {A.shape}, expected (2 nv, 2 nv), or (T, 2 nv, "
+            "2 nv), all finite"
+        )
+    A = A.reshape(-1, *A.shape[-2:])
+    solver = method if isinstance(method, Theory) else made(method)
     if isinstance(solver, PAIRS):
         return min(_of_pair(solver, a) for a in A)
     phi = characteristic(solver)
@@ -165,18 +172,19 @@ def measured_stable_step(
 
     Args:
         method: "rollout rk4", likewise with the other integrators of `rb.rollout`; or a name of
-            `rb.solvers.all()` or a solver, run by `rb.simulate`.
+            `rb.solvers.all()`, a solver or an `rb.solvers.Tableau`, run by `rb.simulate`.
         model: the robot.
-        state: an equilibrium under ctrl.
+        state: a stable equilibrium under ctrl (`equilibrium` finds one).
         ctrl: (nu,) held control, or None.
         near: a step to search around, from a quarter of it to four times it.
-        steps: of each run.
+        steps: of each run, at least 10.
 
     Returns:
         Seconds; 0 where a quarter of `near` is unstable, inf where four times it is stable.
 
     Raises:
-        InputError: an unknown integrator; what `rb.simulate` refuses.
+        InputError: an unknown integrator or method; a state that is no equilibrium, or one from
+            which the motion itself departs; `near` not positive, `steps` too few; shapes.
 
     Example:
         >>> import rbjax as rb
@@ -194,9 +202,15 @@ def measured_stable_step(
                 f"measured_stable_step: integrator {run!r}, expected one of {list(INTEGRATORS)}"
             )
     else:
-        run = made(method)
+        run = stepping(method)
+    if not (0 < near < math.inf and steps >= 10):
+        raise InputError(
+            f"measured_stable_step: got near {near} s and {steps} steps, expected a positive time "
+            "and at least 10"
+        )
+    state = at_rest("measured_stable_step", model, state, ctrl)
     rng = np.random.default_rng(0)
-    q, v = jnp.asarray(state.q), jnp.asarray(state.v)
+    q, v = state.q, state.v
     kick = SMALL * rng.normal(size=(2, model.nv))
     beside = State(integrate(model, q, jnp.asarray(kick[0], q.dtype)), v + kick[1])
     ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
