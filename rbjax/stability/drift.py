@@ -87,8 +87,7 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
     if bad:
         raise InputError(
             f"trend: {bad} of {len(t)} samples are not finite, expected all; a run of drift that "
-            "ended early (ending other than DONE) has no times from there on: say that, or take "
-            "what np.isfinite(ts) leaves"
+            "ended early (its ending is not DONE) has no times from there on, np.isfinite(ts) tells"
         )
     if not (np.diff(t) > 0).all():
         raise InputError("trend: ts must increase from the first to the last")
