@@ -91,7 +91,7 @@ class Tableau:
 
     def __post_init__(self) -> None:
         s = len(self.b)
-        shapes = {"a": [(s, s)], "b": [(s,)], "error": [(s + 1,), (0,)]}
+        shapes: dict[str, list[tuple]] = {"a": [(s, s)], "b": [(s,)], "error": [(s + 1,), (0,)]}
         for name in ("a", "b", "error", "dense"):
             given = getattr(self, name)
             try:

@@ -190,12 +190,12 @@ def drift(
         raise InputError(
             f"drift: got {steps} steps and {samples} samples, expected a multiple of the samples"
         )
-    solver = stepping(solver)
+    one = stepping(solver)
     if isinstance(system, Model):
-        term, y0 = motion(system, y0, solver)
+        term, y0 = motion(system, y0, one)
         args, keep = system, Invariants() if keep is None else keep
     elif keep is None:
         raise InputError("drift: keep is None, expected what a term keeps: (t, y, args) -> arrays")
     else:
         term = system
-    return march(term, solver, y0, dt, keep, every=steps // samples, samples=samples, args=args)
+    return march(term, one, y0, dt, keep, every=steps // samples, samples=samples, args=args)

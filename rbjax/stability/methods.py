@@ -24,7 +24,7 @@ def made(solver: Any) -> Any:
         InputError: a class in the place of its instance, and what is no method that steps.
 
     >>> made("rk4")
-    RK4(scan_kind=None)
+    RK4()
     """
     if isinstance(solver, str):
         known = solvers.all()

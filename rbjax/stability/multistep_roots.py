@@ -294,20 +294,20 @@ def characteristic(solver: Method) -> Characteristic:
         return solver
     if isinstance(solver, StabilityFunction):
         return of_one_step(solver)
-    solver = made(solver)
-    if isinstance(solver, solvers.BDF):
-        return backward_differentiation(solver.formula_order)
-    if isinstance(solver, solvers.Adams):
-        if solver.corrector == "once":
-            return pece(solver.formula_order)
-        return adams(solver.formula_order, implicit=solver.corrector == "root")
-    if isinstance(solver, diffrax.LeapfrogMidpoint):
+    one = made(solver)
+    if isinstance(one, solvers.BDF):
+        return backward_differentiation(one.formula_order)
+    if isinstance(one, solvers.Adams):
+        if one.corrector == "once":
+            return pece(one.formula_order)
+        return adams(one.formula_order, implicit=one.corrector == "root")
+    if isinstance(one, diffrax.LeapfrogMidpoint):
         return Characteristic((poly([-1, 0, 1]), poly([0, -2])))
     try:
-        return of_one_step(stability_function(solver))
+        return of_one_step(stability_function(one))
     except InputError as error:
         raise InputError(
-            f"characteristic: {type(solver).__name__} has no linear theory here, expected a "
+            f"characteristic: {type(one).__name__} has no linear theory here, expected a "
             "multistep, Runge-Kutta or Rosenbrock method; spectral_radius(solver, h_omega) "
             "measures those of q' = v, v' = a"
         ) from error

@@ -84,13 +84,13 @@ def _measured(*args: Any) -> np.ndarray:
 
 def _prepared(solver: Solver) -> Any:
     """The solver, with numbers in the place of constants, so that all of a kind share a program."""
-    solver = stepping(solver)
-    if isinstance(solver, LOST) or solver.term_structure is not diffrax.AbstractTerm:
+    one = stepping(solver)
+    if isinstance(one, LOST) or one.term_structure is not diffrax.AbstractTerm:
         raise InputError(
-            f"stability: {type(solver).__name__} does not step a linear equation from a state "
+            f"stability: {type(one).__name__} does not step a linear equation from a state "
             "alone, expected a solver of vector fields, or of q' = v, v' = a"
         )
-    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, solver)
+    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, one)
 
 
 def _pair(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.Array]:

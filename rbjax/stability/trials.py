@@ -56,16 +56,16 @@ def attempt(
     """
     if jnp.result_type(float) != jnp.float64:
         raise InputError('attempt: f64 is off; jax.config.update("jax_enable_x64", True)')
-    solver = made(solver)
-    if isinstance(solver, RigidBodySplitting) and isinstance(scene.system, Arm):
+    one = made(solver)
+    if isinstance(one, RigidBodySplitting) and isinstance(scene.system, Arm):
         return None
-    if scene.adaptive and not estimates(solver):
+    if scene.adaptive and not estimates(one):
         return None
-    run = (_adaptively if scene.adaptive else _equally)(solver, scene)
+    run = (_adaptively if scene.adaptive else _equally)(one, scene)
     if scene.single:
         in_f64 = run.q
         if run.ending is None:
-            run = _equally(solver, scene, np.float32)
+            run = _equally(one, scene, np.float32)
         return _judged(scene, run, in_f64)
     return _judged(scene, run, (truth(scene) if true is None else true).observed)
 

@@ -8,6 +8,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.stability import gradient_growth, lyapunov
+
 SADDLE = diffrax.ODETerm(lambda t, y, rates: rates * y)
 RATES = np.array([0.3, -2.0])
 

@@ -136,6 +136,6 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
         (state, None, "accuracy is None, expected a number"),
     ):
         with pytest.raises(rb.InputError, match=words):
-            rb.solvers.recommend(model, start, accuracy)  # type: ignore[arg-type]
+            rb.solvers.recommend(model, start, accuracy)
     with pytest.raises(AttributeError, match="no attribute 'recommended'"):
         rb.solvers.recommended  # noqa: B018
