@@ -90,7 +90,7 @@ class Tableau:
     dense: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        s = len(self.b)
+        s = np.size(self.b)
         shapes: dict[str, list[tuple]] = {"a": [(s, s)], "b": [(s,)], "error": [(s + 1,), (0,)]}
         for name in ("a", "b", "error", "dense"):
             given = getattr(self, name)

@@ -68,17 +68,19 @@ def _linearised(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.A
 _both = jax.jit(_linearised)
 
 
-def _left(a: np.ndarray, A: np.ndarray, dtype: Any) -> bool:
-    """Whether an acceleration is more than rounding."""
-    return bool(np.abs(a).max() >= 1e3 * np.finfo(dtype).eps * (1 + np.abs(A).max()))
+def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
+    """Whether an acceleration is rounding alone."""
+    return bool(np.abs(a).max() < 1e3 * np.finfo(A.dtype).eps * (1 + np.abs(A).max()))
 
 
 def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
     """The state, in arrays, refused if it moves, accelerates, or departs from rest by itself."""
     found = check_arrays(where, model, {"state": state, "ctrl": ctrl})
+    if not model.nv:
+        raise InputError(f"{where}: the model has no joints, so nothing moves")
     state = found["state"]
     a, A = map(np.asarray, _both(model, state, found.get("ctrl")))
-    if np.abs(state.v).max() > 0 or _left(a, A, A.dtype):
+    if np.abs(state.v).max() > 0 or not _vanishes(a, A):
         raise InputError(
             f"{where}: the state moves at {np.abs(state.v).max():.1e} and accelerates at "
             f"{np.abs(a).max():.1e}, expected one at rest; rb.stability.equilibrium(model, state, "
@@ -133,7 +135,7 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         steps: at most so many.
 
     Raises:
-        InputError: if no such state is found.
+        InputError: if no such state is found; shapes, values that are not finite.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -142,12 +144,12 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         >>> bool(abs(rest.q[0]) < 1e-9)
         True
     """
-    q, v = jnp.asarray(state.q), jnp.zeros_like(jnp.asarray(state.v))
-    ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
+    found = check_arrays("equilibrium", model, {"state": state, "ctrl": ctrl})
+    q, v, ctrl = found["state"].q, jnp.zeros_like(found["state"].v), found.get("ctrl")
     n = model.nv
     for _ in range(steps):
         a, A = map(np.asarray, _both(model, State(q, v), ctrl))
-        if not _left(a, A, q.dtype):
+        if _vanishes(a, A):
             return State(q, v)
         dq = np.linalg.lstsq(A[n:, :n], -a, rcond=1e-10)[0]
         dq = dq * min(1.0, 0.5 / max(np.abs(dq).max(), 1e-300))

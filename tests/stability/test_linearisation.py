@@ -122,6 +122,8 @@ def test_what_has_no_equilibrium_says_so() -> None:
     state = model.default_state()
     with pytest.raises(rb.InputError, match=r"an acceleration of .* is left after 50 steps"):
         stability.equilibrium(model, state, np.array([5.0]))  # more than its weight can hold
+    with pytest.raises(rb.InputError, match=r"equilibrium: q\[0\] is nan"):
+        stability.equilibrium(model, rb.State(np.array([np.nan]), np.zeros(1)))
     with pytest.raises(rb.InputError, match=r"expected one of .*'rk4'"):
         stability.measured_stable_step("rollout euler", model, state, near=1.0)
     bent, upright, moving = (

@@ -87,6 +87,7 @@ def test_a_tableau_without_error_weights_takes_constant_steps() -> None:
         (([[0, 0], [1]], [1, 0], 1), "a is .*expected numbers in rows"),
         (([[0.0]], [0.5, 0.5], 1), r"a has shape \(1, 1\), expected \(2, 2\)"),
         (([[np.nan]], [1.0], 1), "all finite"),
+        (([[0.0]], 1.0, 1), r"b has shape \(\), expected \(1,\)"),
         (([[0.0]], [1.0], 1, [0.0]), r"error has shape \(1,\), expected \(2,\)"),
         (([[0.0]], [1.0], 2), "order 1 by its conditions, 2 claimed"),
     ],
