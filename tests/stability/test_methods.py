@@ -155,7 +155,6 @@ def test_unstable_methods_have_a_report() -> None:
         (lambda: stability.linear_analysis(diffrax.Tsit5), "class Tsit5"),
         (lambda: stability.growth_factors("newmark", -1.0), "1 parts, expected two"),
         (lambda: stability.growth_factors(diffrax.KenCarp3(), -1.0), "KenCarp3 does not step"),
-        (lambda: stability.stable_step("rk4", np.eye(3)[:2]), r"shape \(2, 3\), expected"),
     ],
 )
 def test_what_is_no_method(call, words: str) -> None:
