@@ -18,7 +18,7 @@ from numpy.polynomial import Polynomial, legendre
 from rbjax.errors import InputError
 
 Tree = tuple  # of its branches; () is a leaf
-TOLERANCE = 1e-11  # of a condition: rounding of tableaus of up to 13 stages
+TOLERANCE = 1e-11  # of a condition, beside its terms: tableaus printed to 11 digits or so
 
 
 @functools.cache
@@ -60,9 +60,34 @@ def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
     """The order of a method by its order conditions, looked for up to `at_most`."""
     for p in range(1, at_most + 1):
         for tree in trees(p):
-            if abs(b @ weights(a, tree) - 1 / density(tree)) > TOLERANCE:
+            sizes = np.abs(b) @ weights(np.abs(a), tree) + 1 / density(tree)
+            if abs(b @ weights(a, tree) - 1 / density(tree)) > TOLERANCE * sizes:
                 return p - 1
     return at_most
+
+
+def proven_order(a: np.ndarray, b: np.ndarray) -> int:
+    """An order from Butcher's simplifying assumptions, which high orders are made by; or too low.
+
+    B(p), C(eta), D(zeta) give the order min(p, eta + zeta + 1, 2 eta + 2) (HNW, II, Theorem 7.4).
+    """
+    c, size = a.sum(1), np.abs(a).sum(1)
+
+    def holding(excess, terms) -> int:
+        powers = range(1, 2 * len(b) + 1)
+        fails = (k for k in powers if (abs(excess(k)) > TOLERANCE * terms(k)).any())
+        return next(fails, 2 * len(b) + 1) - 1
+
+    p = holding(lambda k: b @ c ** (k - 1) - 1 / k, lambda k: np.abs(b) @ size ** (k - 1) + 1 / k)
+    eta = holding(
+        lambda k: a @ c ** (k - 1) - c**k / k,
+        lambda k: np.abs(a) @ size ** (k - 1) + size**k / k,
+    )
+    zeta = holding(
+        lambda k: (b * c ** (k - 1)) @ a - b * (1 - c**k) / k,
+        lambda k: np.abs(b * size ** (k - 1)) @ np.abs(a) + np.abs(b) * (1 + size**k) / k,
+    )
+    return min(p, eta + zeta + 1, 2 * eta + 2)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
     multistep, rb.solvers.Tableau         methods of one's own, which all that follows takes
     linear_analysis                       order, error constant, limits, A-, A(alpha)-, L-stability
     growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
-                                          of one step of the solver's own code
+                                          of one step of the solver's own code (the limit: exact
+                                          where there is linear theory)
     order_by_conditions, measured_order   by rooted trees, and by halving the step
     state_matrix, stable_step, measured_stable_step
                                           a robot's motion linearised, and the largest step there

@@ -24,11 +24,12 @@ HIGHEST = 8  # order that conditions are looked at for: 115 trees of eight nodes
 class LinearAnalysis:
     """A method on y' = lambda y, z = h lambda, and the order by its conditions.
 
-    Fields: method, `StabilityFunction` or `Characteristic`; order, below 1 where not consistent;
-    linear_order, on y' = lambda y; error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1)
-    there; real_limit <= 0 and imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90:
-    A-stable, 0: no sector); stiff_D, stable where Re z <= -D (inf: nowhere); R_inf = |R(infinity)|,
-    for multistep methods the largest root; L_stable; zero_stable.
+    Fields: method, `StabilityFunction` or `Characteristic`; order, below 1 where not consistent, of
+    Runge-Kutta methods above 8 what Butcher's simplifying assumptions prove; linear_order, on
+    y' = lambda y; error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there; real_limit <= 0
+    and imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90: A-stable, 0: no sector);
+    stiff_D, stable where Re z <= -D (inf: nowhere); R_inf = |R(infinity)|, for multistep methods
+    the largest root; L_stable; zero_stable.
     """
 
     method: StabilityFunction | Characteristic
@@ -49,6 +50,7 @@ def order_by_conditions(solver: Method) -> int:
     """The order by the order conditions: rooted trees up to 8 nodes (one-step), phi (multistep).
 
     Takes what `linear_analysis` does; a `StabilityFunction` knows linear problems alone.
+    Above 8: what Butcher's simplifying assumptions B(p), C(eta), D(zeta) prove, at least 8.
 
     Example:
         >>> import rbjax as rb
@@ -63,7 +65,8 @@ def order_by_conditions(solver: Method) -> int:
         return _method(solver)[1].order
     a, b = table
     if not isinstance(solver, RosenbrockW):
-        return tables.attained_order(a, b, HIGHEST)
+        found = tables.attained_order(a, b, HIGHEST)
+        return found if found < HIGHEST else max(found, tables.proven_order(a, b))
     # conditions of W-methods: any Jacobian
     alpha, gamma = np.array(solver.tableau.alpha), np.array(solver.tableau.gamma)
     return next(p for p in range(HIGHEST) if not holds(alpha, gamma, b, p + 1))

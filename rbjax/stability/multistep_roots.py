@@ -19,13 +19,16 @@ from fractions import Fraction
 from typing import Any
 
 import diffrax
+import mpmath
 import numpy as np
 
 from rbjax import solvers
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, made
 from rbjax.stability.polynomials import (
+    DIGITS,
     EPS,
+    PRINTED,
     Poly,
     added,
     common,
@@ -92,7 +95,7 @@ class Characteristic:
                 for j, c in enumerate(p)
             ]
             left, size = added(terms), added(map(abs, terms))
-            if abs(left) > 1000 * EPS * size:
+            if abs(left) > PRINTED * size:
                 return n, rational(left, 8 * EPS * size)
         raise AssertionError("zeta = exp(z) solves no polynomial")
 
@@ -143,6 +146,21 @@ class Characteristic:
     def radius(self, z: Any) -> np.ndarray:
         """The largest |zeta|."""
         return np.abs(self.roots(z)).max(-1)
+
+    def largest(self, x: Fraction, y: Fraction) -> mpmath.mpf:
+        """The largest |zeta| at z = x + i y, to `DIGITS` digits."""
+        with mpmath.workdps(DIGITS):
+            z = mpmath.mpc(*(mpmath.mpf(w.numerator) / w.denominator for w in (x, y)))
+            row = [mpmath.mpc(0)] * (self.steps + 1)
+            for m, p in enumerate(self.by_power):
+                for j, c in enumerate(p):
+                    row[j] += z**m * c.numerator / c.denominator
+            if row[-1] == 0:
+                return mpmath.inf
+            while row[0] == 0:
+                row.pop(0)
+            found = mpmath.polyroots(row, maxsteps=500, extraprec=200, asc=True)
+            return max(map(abs, found), default=mpmath.mpf(0))
 
 
 Theory = (StabilityFunction, Characteristic)  # what is all theory, and no code

@@ -26,6 +26,7 @@ from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
 from rbjax.stability.methods import Solver, stepping
 from rbjax.stability.multistep_roots import Method, Theory, characteristic
+from rbjax.stability.regions import imaginary_limit
 
 DOUBLE = 1e-7  # a double root of modulus one is known to the root of rounding
 LOST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
@@ -153,7 +154,7 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
         (..., k) complex, k = 2 and what the method remembers.
 
     Raises:
-        InputError: solvers of other equations.
+        InputError: solvers of other equations; an h_omega that is not positive.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -162,6 +163,14 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
         True
     """
     omega = np.asarray(h_omega, float)
+    wrong = ~((omega > 0) & np.isfinite(omega))
+    if wrong.any():
+        raise InputError(
+            f"oscillator_factors: h_omega has {omega[wrong][0]}, expected h times omega, positive "
+            "and finite; at zero nothing oscillates"
+        )
+    if not np.isfinite(damping_ratio):
+        raise InputError(f"oscillator_factors: damping_ratio is {damping_ratio}, expected a number")
     if isinstance(solver, Theory):  # two scalar equations
         pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
         roots = characteristic(solver).roots(omega[..., None] * pair)
@@ -255,13 +264,23 @@ def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
 def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
     """The largest h omega up to which an undamped oscillation does not grow; inf above `highest`.
 
-    By halving, of the code's step; limits nearer to zero than `highest` / 500 are zero.
+    Exact (`imaginary_limit`) where there is linear theory. Otherwise, as for methods of q' = v,
+    v' = a, by halving, of the code's step: |zeta| may exceed one by 1e-7, and limits nearer to zero
+    than `highest` / 500 are zero.
 
     Example:
         >>> import rbjax as rb
         >>> round(rb.stability.oscillation_limit("central_differences"), 9)
         2.0
     """
+    try:
+        exact = imaginary_limit(characteristic(solver))
+    except InputError:  # no linear theory: by its code
+        return _measured_limit(solver, highest)
+    return exact if exact <= highest else np.inf
+
+
+def _measured_limit(solver: Method, highest: float) -> float:
     grid = np.linspace(0, highest, 501)[1:]
     grown = spectral_radius(solver, grid) > 1 + DOUBLE
     if not grown.any():

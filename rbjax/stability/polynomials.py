@@ -17,10 +17,12 @@ import mpmath
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.solvers.tableau import TOLERANCE
 
 Poly = tuple[Fraction, ...]
 
 EPS = Fraction(np.finfo(np.float64).eps)
+PRINTED = Fraction(TOLERANCE)  # the same for R(z) as for the order conditions of its tableau
 SIMPLE = 50_000  # largest denominator: 8! is 40,320
 DIGITS = 60  # that roots are computed with
 ZERO: Poly = ()
@@ -96,8 +98,8 @@ def magnitude(p: Poly) -> Poly:
 
 
 def cleaned(p: Poly, size: Poly) -> Poly:
-    """p without the coefficients that are rounding beside `size`."""
-    return poly(0 if abs(c) <= 1000 * EPS * s else c for c, s in zip(p, size, strict=False))
+    """p without the coefficients that are rounding, or a print's last digit, beside `size`."""
+    return poly(0 if abs(c) <= PRINTED * s else c for c, s in zip(p, size, strict=False))
 
 
 def derivative(p: Poly) -> Poly:

@@ -24,6 +24,7 @@ from rbjax.solvers import tableau as tables
 from rbjax.stability.methods import Solver, made
 from rbjax.stability.polynomials import (
     EPS,
+    PRINTED,
     Poly,
     added,
     cleaned,
@@ -90,7 +91,7 @@ class StabilityFunction:
             if n < len(self.numerator):
                 terms.append(-self.numerator[n])
             left, size = added(terms), added(map(abs, terms))
-            if abs(left) > 1000 * EPS * size:
+            if abs(left) > PRINTED * size:
                 return n, rational(-left, 8 * EPS * size)
         raise AssertionError("a rational function is not the exponential")
 

@@ -8,6 +8,7 @@ import math
 from fractions import Fraction
 
 import diffrax
+import mpmath
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ import rbjax as rb
 from rbjax import stability
 from rbjax.solvers import tableau
 from rbjax.stability.polynomials import value
+from rbjax.stability.stability_function import of_tableau
 from tests.oracles import load
 
 ORACLE = load("ode_theory")
@@ -126,7 +128,7 @@ def test_brute_force_agrees(name: str) -> None:
     def stable(z):
         return (phi.radius(np.asarray(z)) <= 1 + 1e-9).all()
 
-    inside = np.linspace(1e-3, 1, 200)
+    inside = np.linspace(1e-3, 1 - 1e-6, 200)  # at the end two roots may meet on the circle
     if report.real_limit == -math.inf:
         assert stable(-np.logspace(-4, 6, 300))
     else:
@@ -150,6 +152,61 @@ def test_brute_force_agrees(name: str) -> None:
         strip = 1j * np.linspace(0, 30, 3000)
         assert stable(-report.stiff_D * 1.0001 + strip)
         assert not stable(-report.stiff_D * 0.999 + strip)
+
+
+def growth(phi: stability.Characteristic, y: float) -> mpmath.mpf:
+    """|zeta| - 1 of the largest root at i y, in 60 digits."""
+    with mpmath.workdps(60):
+        row = [mpmath.mpc(0)] * (phi.steps + 1)
+        for m, p in enumerate(phi.by_power):
+            for j, c in enumerate(p):
+                row[j] += mpmath.mpc(0, y) ** m * c.numerator / c.denominator
+        while not row[0]:
+            row.pop(0)
+        found = mpmath.polyroots(row, maxsteps=500, extraprec=300, asc=True)
+        return max(map(abs, found)) - 1
+
+
+FAMILIES = {
+    **{f"AB{k}": stability.adams(k, implicit=False) for k in range(2, 9)},
+    **{f"AM{k}": stability.adams(k, implicit=True) for k in range(3, 9)},
+    **{f"PECE{k}": stability.pece(k) for k in range(3, 9)},
+    **{f"BDF{k}": stability.backward_differentiation(k) for k in range(1, 8)},
+}
+WEAK = {"AB6", "PECE6", "AM7"}  # by 3e-11, 6e-15 and 5e-19 at 0.05 i, 0.02 i and 0.01 i
+
+
+@pytest.mark.parametrize("name", [
+    n if n in WEAK else pytest.param(n, marks=pytest.mark.slow) for n in FAMILIES
+])  # fmt: skip
+def test_imaginary_limits_of_multistep_methods(name: str) -> None:
+    """Against a scan that knows a growth of 1e-40: inside all along, outside just beyond."""
+    phi = FAMILIES[name]
+    limit = stability.imaginary_limit(phi)
+    if limit == 0:
+        assert all(growth(phi, y) > 0 for y in (1e-3, 0.01, 0.02, 0.05))
+    elif limit == math.inf:
+        assert all(growth(phi, y) < 1e-50 for y in np.logspace(-3, 3, 30))
+    else:
+        assert all(growth(phi, y) < 0 for y in limit * np.linspace(0.001, 0.999, 40))
+        assert growth(phi, limit * 1.001) > 0
+    if name in WEAK:
+        assert limit == 0
+
+
+def test_a_polynomial_of_one_step_is_a_stability_function() -> None:
+    """Radau IIA's has z^2: limits and angle are those of its R."""
+    phi, R = stability.characteristic("radau_iia2"), stability.stability_function("radau_iia2")
+    for of in (stability.imaginary_limit, stability.real_limit, stability.alpha_degrees,
+               stability.stiff_stability):  # fmt: skip
+        assert of(phi) == of(R)
+    cubed = stability.Characteristic((*FAMILIES["AB2"].by_power, (), (Fraction(1),)))
+    with pytest.raises(rb.InputError, match=r"z\^3, expected at most z\^2"):
+        stability.imaginary_limit(cubed)
+    newest = tuple(map(Fraction, (0, 0, 1)))
+    squared = stability.Characteristic((*FAMILIES["BDF2"].by_power, newest))
+    with pytest.raises(rb.InputError, match=r"with z\^2, expected rho - z sigma"):
+        stability.alpha_degrees(squared)
 
 
 def test_half_solver_takes_two_half_steps() -> None:
@@ -188,6 +245,41 @@ def test_the_angle_of_a_one_step_method(degree: int) -> None:
     assert stability.alpha_degrees(R) == pytest.approx(angle, abs=1e-3)
     assert 80 < angle < 90
     assert stability.real_limit(R) == -math.inf
+    assert stability.stiff_stability(R) == pytest.approx(-rim.real.min(), abs=1e-6)
+
+
+def test_a_tableau_with_printed_digits() -> None:
+    """Alexander's SDIRK3: gamma of ten digits leaves 1e-11 of the order conditions."""
+    for gamma in (0.4358665215, 0.435866521508459):
+        late = (1 + gamma) / 2
+        b = [-(6 * gamma**2 - 16 * gamma + 1) / 4, (6 * gamma**2 - 20 * gamma + 5) / 4, gamma]
+        a = np.array([[gamma, 0, 0], [late - gamma, gamma, 0], b])
+        R = of_tableau(a, np.array(b))
+        assert tableau.attained_order(a, np.array(b)) == R.defect[0] - 1 == 3
+        assert (stability.imaginary_limit(R), stability.alpha_degrees(R)) == (math.inf, 90)
+        assert -float(R.defect[1]) == pytest.approx(0.0258970846, rel=1e-8)
+
+
+def test_ninety_degrees_are_a_stability() -> None:
+    """Radau IIA with 1/6 + e: |P|^2 - |Q|^2 = 2 e w - (1/6 + e)^2 w^2, above zero by 4e-15."""
+    for e, A_stable in ((Fraction(1, 10**8), False), (-Fraction(1, 10**8), True)):
+        Q = (Fraction(1), -Fraction(2, 3), Fraction(1, 6) + e)
+        R = stability.StabilityFunction((Fraction(1), Fraction(1, 3)), Q)
+        assert (stability.imaginary_limit(R) == math.inf) is A_stable
+        assert (stability.alpha_degrees(R) == 90) is A_stable
+        assert (stability.stiff_stability(R) == 0) is A_stable
+        assert stability.stiff_stability(R) < 1e-6
+        assert stability.alpha_degrees(R) > 89.99
+
+
+@pytest.mark.parametrize(
+    ("solver", "order"),
+    [(rb.solvers.gauss_legendre(5), 10), (rb.solvers.radau_iia(5), 9),
+     (rb.solvers.lobatto_iiic(6), 10), (rb.solvers.gauss_legendre(4), 8), (diffrax.Dopri8(), 8)],
+    ids=["gauss5", "radau5", "lobatto6", "gauss4", "dopri8"],
+)  # fmt: skip
+def test_orders_above_eight_by_simplifying_assumptions(solver, order: int) -> None:
+    assert stability.order_by_conditions(solver) == order
 
 
 def test_tableaus_of_irrational_numbers_keep_them() -> None:

@@ -117,6 +117,40 @@ def test_implicit_methods_have_no_largest_step() -> None:
     assert stability.stable_step("rk4", falling) > 0.5  # of the mode that decays alone
 
 
+def beside(k: float, d: float) -> np.ndarray:
+    """A pair's matrix (4, 4): q_1'' = k q_1, q_2'' = -1e4 q_2, and d v_j into either's equation."""
+    A = np.zeros((4, 4))
+    A[:2, 2:] = np.eye(2)
+    A[2:, :2] = np.diag([k, -1e4 if d == 0 else 0.0])
+    A[2:, 2:] = np.array([[0, d], [d, 0]])
+    return A
+
+
+@pytest.mark.parametrize(
+    ("method", "vibrating", "turning"),
+    [
+        ("newmark", np.inf, np.inf),
+        ("stoermer_verlet", 0.02, 4 / 3),  # half kicks by an explicit method that reaches -2
+        *(pytest.param(*row, marks=slow) for row in (
+            ("symplectic_euler", 0.02, 2 / 3), ("central_differences", 0.02, 2 / 3),
+            ("semi_implicit_euler", 0.02, np.inf), ("generalized_alpha", np.inf, np.inf),
+            ("variational_midpoint", np.inf, np.inf), ("yoshida4", 0.0157340194743, None),
+        )),
+    ],
+)  # fmt: skip
+def test_modes_that_grow_do_not_count_for_second_order_methods(
+    method: str, vibrating: float, turning: float | None
+) -> None:
+    """They neither hold back a method nor hide a vibration, omega = 100, that it makes grow.
+
+    Turning about the middle axis, omega' = D omega, has the rates +-3: 1 - 3 h of an explicit
+    step leaves at 2 / 3. yoshida4: the trace of its three steps' matrix is 2 at 1.57340195.
+    """
+    assert stability.stable_step(method, beside(25.0, 0.0)) == pytest.approx(vibrating, rel=1e-6)
+    if turning is not None:
+        assert stability.stable_step(method, beside(0.0, 3.0)) == pytest.approx(turning, rel=1e-6)
+
+
 def test_what_has_no_equilibrium_says_so() -> None:
     model = rb.load("pendulum")
     state = model.default_state()

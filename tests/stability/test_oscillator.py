@@ -109,6 +109,55 @@ def test_explicit_symplectic_methods_reach_two(name: str) -> None:
     assert stability.oscillation_limit(name) == pytest.approx(2.0, rel=1e-12)
 
 
+EXACT_LIMITS = {
+    "heun": 0.0, "adams_bashforth5": 0.0, "adams_moulton4": 0.0, "pece5": 0.0, "bdf4": 0.0,
+    "rk4": 2 * np.sqrt(2), "trapezoid": np.inf, "pece3": 1.2, "rkmk3": np.sqrt(3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EXACT_LIMITS)
+def test_limits_of_first_order_methods_are_exact(name: str) -> None:
+    """Zero for a weak instability of 1e-12 a step; likewise the largest step of a vibration."""
+    limit, omega = EXACT_LIMITS[name], 7.0
+    assert stability.oscillation_limit(name) == pytest.approx(limit, rel=1e-14)
+    for real in (0.0, 1e-12, -1e-12):  # of rounding size
+        vibration = np.array([[0.0, 1.0], [-(omega**2), 2 * omega * real]])
+        assert stability.stable_step(name, vibration) == pytest.approx(limit / omega, rel=1e-9)
+
+
+def test_limits_of_high_order_methods_on_the_axis() -> None:
+    for solver, limit in ((diffrax.Dopri8(), 0.0), (diffrax.Tsit5(), 0.4779788688827523)):
+        assert stability.oscillation_limit(solver) == pytest.approx(limit, rel=1e-14)
+        step = stability.stable_step(solver, np.array([[0.0, 1.0], [-4.0, 0.0]]))
+        assert step == pytest.approx(limit / 2, rel=1e-9)
+    R = stability.stability_function(diffrax.Tsit5())
+    assert float(R.radius(0.477j)) < 1 < float(R.radius(0.48j))
+    assert stability.oscillation_limit("rk4", highest=2.0) == np.inf
+
+
+def test_damping_as_small_as_one_likes_beside_the_axis() -> None:
+    """Heun, lambda = -e + i: 1 - e y + y^4 / 8 leaves at y^3 = 8 e."""
+    for e in (1e-4, 1e-6, 1e-8):
+        A = np.array([[0.0, 1.0], [-1.0, -2 * e]])
+        assert stability.stable_step("heun", A) == pytest.approx(2 * np.cbrt(e), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: stability.spectral_radius("rk4", 0.0), "h_omega has 0.0, expected"),
+        (lambda: stability.dissipation("rk4", [1.0, np.nan]), "h_omega has nan, expected"),
+        (lambda: stability.spectral_radius("rk4", 1.0, np.nan), "damping_ratio is nan"),
+        (lambda: stability.stable_step("rk4", np.full((2, 2), np.nan)), "matrices are not finite"),
+        (lambda: stability.stable_step("newmark", np.ones((2, 4))), r"have shape \(2, 4\)"),
+        (lambda: stability.stable_step("rk4", np.ones((3, 3))), r"have shape \(3, 3\)"),
+    ],
+)
+def test_what_is_no_vibration_is_refused_in_a_sentence(call, words: str) -> None:
+    with pytest.raises(rb.InputError, match=words):
+        call()
+
+
 def test_dissipation_and_period() -> None:
     """Closed forms: tan(Omega' / 2) = Omega / 2 and cos(Omega') = 1 - Omega^2 / 2, no damping."""
     omega = np.array([0.05, 0.5, 1.5])
