@@ -156,7 +156,9 @@ def root(
     implicit function, in both directions.
     """
     options = {"scale": _largest(y0)}
-    options |= {name: f for name, f in (("near", near), ("slope", slope)) if f is not None}
+    for name, f in (("near", near), ("slope", slope)):
+        if f is not None:  # what it closes over becomes leaves, which `_stopped` stops
+            options[name] = eqx.filter_closure_convert(f, guess, None)
     solution: Any = optx.root_find(
         lambda x, _: residual(x),
         finder,
