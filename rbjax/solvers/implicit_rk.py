@@ -20,12 +20,12 @@ from rbjax.solvers import tableau as tables
 from rbjax.solvers.field import Field, flattened
 from rbjax.solvers.newton import MAX_STEPS, chord, refused, verdict
 from rbjax.solvers.stages import Start, damped, solve, start
-from rbjax.solvers.steps import AbstractPolynomialSolver, mixed
+from rbjax.solvers.steps import AbstractPolynomialSolver, hermite, mixed
 from rbjax.solvers.tableau import Tableau
 
 
 class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
-    """The method of a tableau.
+    """The method of a tableau; constant steps where that has no error weights.
 
     Fields: tableau; root_finder, any of optimistix (`rb.solvers.newton()`, `chord()`, which take a
     linear solver of lineax); root_find_max_steps.
@@ -48,9 +48,15 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         f, y = flattened(terms, args, t0, y0)
         h, here = t1 - t0, start(f, t0, y, self.root_finder)
         u, k, ok = self.solve(f, h, here)
-        y1, error = f.unravel(y + u), f.unravel(refused(ok, self.estimate(f, h, here, k)))
-        dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(self.polynomial(k))}
-        return y1, error, dense, solver_state, verdict(ok)
+        error = None
+        if self.tableau.error:
+            error = f.unravel(refused(ok, self.estimate(f, h, here, k)))
+        if self.tableau.dense:
+            coefficients = self.polynomial(k)
+        else:
+            coefficients = hermite(u, h * here.rate, h * f(t1, y + u))
+        dense = {"y0": y0, "coefficients": jax.vmap(f.unravel)(coefficients)}
+        return f.unravel(y + u), error, dense, solver_state, verdict(ok)
 
     def solve(self, f: Field, h: Any, here: Start) -> tuple[jax.Array, jax.Array, jax.Array]:
         """y1 - y0 (n,), the stages (s, n), and whether they were found."""

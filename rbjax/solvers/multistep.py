@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 
+from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.field import Field, flattened
 from rbjax.solvers.implicit_rk import ImplicitRungeKutta
@@ -125,7 +126,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
 
 
 class Adams(AbstractMultistep):
-    """Adams methods of order 1 to 6.
+    """Adams methods of order 1 to 6; implicit ones, and PECE, from 2.
 
     Fields: formula_order; corrector, "none" (Adams-Bashforth), "once" (PECE: predicted, evaluated,
     corrected, evaluated) or "root" (Adams-Moulton); root_finder, root_find_max_steps for the last.
@@ -135,6 +136,11 @@ class Adams(AbstractMultistep):
     corrector: str = eqx.field(static=True, default="none")
     root_finder: optx.AbstractRootFinder = eqx.field(default_factory=chord)
     root_find_max_steps: int = MAX_STEPS
+
+    def __check_init__(self):
+        least = 1 if self.corrector == "none" else 2
+        if not least <= self.formula_order <= 6:
+            raise InputError(f"Adams of order {self.formula_order}: from {least} to 6 alone")
 
     @property
     def past(self) -> int:
@@ -210,7 +216,7 @@ class BDF(AbstractMultistep):
 
     def __check_init__(self):
         if not 1 <= self.formula_order <= 6:
-            raise ValueError(f"BDF of order {self.formula_order}: zero-stable from 1 to 6 alone")
+            raise InputError(f"BDF of order {self.formula_order}: zero-stable from 1 to 6 alone")
 
     @property
     def past(self) -> int:

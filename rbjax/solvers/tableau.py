@@ -15,6 +15,8 @@ import diffrax
 import numpy as np
 from numpy.polynomial import Polynomial, legendre
 
+from rbjax.errors import InputError
+
 Tree = tuple  # of its branches; () is a leaf
 TOLERANCE = 1e-11  # of a condition, beside its terms: tableaus printed to 11 digits or so
 
@@ -95,7 +97,13 @@ class Tableau:
     Fields: a, b, c; order; `error`, weights of (h f(t0, y0), k_1, ..., k_s) in the error estimate,
     empty where there is none; error_order, the power of h in which that falls; filter, the gamma of
     (I - h gamma J)^-1 by which a stiff estimate is damped, 0 where it is not; dense, row i the
-    coefficients of theta, theta^2, ... in b_i(theta), empty where there is no polynomial.
+    coefficients of theta, theta^2, ... in b_i(theta), empty where there is no polynomial. Any
+    sequences or arrays are taken. Without `error` steps are constant; without `dense` a cubic
+    between y0 and y1 is the output.
+
+    Raises:
+        InputError: shapes; an order that the conditions deny (looked at to 6); weights of the error
+            that do not sum to zero, or of a dense output that does not end in y1.
     """
 
     a: tuple[tuple[float, ...], ...]
@@ -107,13 +115,27 @@ class Tableau:
     dense: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
+        s = np.size(self.b)
+        shapes: dict[str, list[tuple]] = {"a": [(s, s)], "b": [(s,)], "error": [(s + 1,), (0,)]}
+        for name in ("a", "b", "error", "dense"):
+            given = getattr(self, name)
+            try:
+                x = np.asarray(given, float)
+            except (TypeError, ValueError) as error:
+                raise InputError(f"tableau: {name} is {given}, expected numbers in rows") from error
+            expected = shapes.get(name, [(0,), (s, *x.shape[1:2])])
+            if x.shape not in expected or not np.isfinite(x).all():
+                raise InputError(
+                    f"tableau: {name} has shape {x.shape}, expected {expected[0]}, all finite"
+                )
+            object.__setattr__(self, name, _tuples(x))
         found = attained_order(np.array(self.a), np.array(self.b), min(self.order, 6))
         if found < min(self.order, 6):
-            raise ValueError(f"tableau: order {found} by its conditions, {self.order} claimed")
+            raise InputError(f"tableau: order {found} by its conditions, {self.order} claimed")
         if self.error and abs(sum(self.error)) > TOLERANCE:
-            raise ValueError("tableau: the weights of the error estimate do not sum to zero")
+            raise InputError("tableau: the weights of the error estimate do not sum to zero")
         if self.dense and np.abs(np.sum(self.dense, 1) - self.b).max() > TOLERANCE:
-            raise ValueError("tableau: the dense output does not end in y1")
+            raise InputError("tableau: the dense output does not end in y1")
 
     @property
     def stages(self) -> int:

@@ -1,6 +1,7 @@
 """The laboratory: what linear theory says of any solver, and what its code does.
 
     stability_function, characteristic    R(z) and phi(zeta, z), exactly
+    multistep, rb.solvers.Tableau         methods of one's own, which all that follows takes
     linear_analysis                       order, error constant, limits, A-, A(alpha)-, L-stability
     growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
                                           of one step of the solver's own code (the limit: exact
@@ -21,12 +22,13 @@ from rbjax.stability.largest_step import ROLLOUT, measured_stable_step, stable_s
 from rbjax.stability.linear_analysis import LinearAnalysis, linear_analysis, order_by_conditions
 from rbjax.stability.linearisation import equilibrium, motion_matrices, state_matrix
 from rbjax.stability.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
-from rbjax.stability.march import March
+from rbjax.stability.march import DONE, NO_ROOT, NOT_FINITE, March
 from rbjax.stability.multistep_roots import (
     Characteristic,
     adams,
     backward_differentiation,
     characteristic,
+    multistep,
     pece,
 )
 from rbjax.stability.orders import MeasuredOrder, measured_order
@@ -61,6 +63,7 @@ __all__ = [
     "stability_function",
     "Characteristic",
     "characteristic",
+    "multistep",
     "adams",
     "backward_differentiation",
     "pece",
@@ -94,6 +97,9 @@ __all__ = [
     "Trend",
     "Invariants",
     "March",
+    "DONE",
+    "NOT_FINITE",
+    "NO_ROOT",
     "lyapunov",
     "Exponent",
     "gradient_growth",

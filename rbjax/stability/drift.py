@@ -32,6 +32,7 @@ from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
 from rbjax.simulate import motion, unit
 from rbjax.stability.march import March, march
+from rbjax.stability.methods import Solver, stepping
 
 BLOCKS = 64  # means of a series that the slope is fitted to
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
@@ -59,11 +60,12 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
     s = sum (t - t_) x / sum (t - t_)^2 over the means of 64 blocks.
 
     Args:
-        ts: (T,) times, increasing.
+        ts: (T,) times, increasing. Those of a run of `drift` that ended early are nan from there.
         xs: (T,) the series.
 
     Raises:
-        InputError: shapes, values that are not finite, fewer than 16 samples.
+        InputError: shapes, values that are not finite, times that do not increase, fewer than 16
+            samples.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8.
 
@@ -81,8 +83,14 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
         raise InputError(
             f"trend: got ts {t.shape} and xs {x.shape}, expected one shape (T,), T at least 16"
         )
-    if not (np.isfinite(t).all() and np.isfinite(x).all()):
-        raise InputError("trend: got values that are not finite, expected a series that is")
+    bad = int(np.sum(~(np.isfinite(t) & np.isfinite(x))))
+    if bad:
+        raise InputError(
+            f"trend: {bad} of {len(t)} samples are not finite, expected all; a run of drift that "
+            "ended early (its ending is not DONE) has no times from there on, np.isfinite(ts) tells"
+        )
+    if not (np.diff(t) > 0).all():
+        raise InputError("trend: ts must increase from the first to the last")
     blocks = min(BLOCKS, len(t) // 4)
     bt, bx = (np.array([part.mean() for part in np.array_split(a, blocks)]) for a in (t, x))
     away = bt - bt.mean()
@@ -133,7 +141,7 @@ def drift(
     y0: Any,
     keep: Callable[[Any, Any, Any], Any] | None = None,
     *,
-    solver: diffrax.AbstractSolver,
+    solver: Solver,
     dt: float,
     steps: int,
     samples: int = 1000,
@@ -149,17 +157,21 @@ def drift(
             that of the whole run.
         keep: (t, y, args) -> anything; for a robot energy, momentum and manifold if None
             (`rb.stability.Invariants`).
-        solver: any of `rb.solvers.all()` or diffrax's, with equal steps.
+        solver: a name of `rb.solvers.all()`, any solver of rbjax or diffrax, or an
+            `rb.solvers.Tableau`, with equal steps.
         dt: step, s. In f32 over more than some thousand steps it must be a power of two.
         steps: how many; a multiple of `samples`.
         samples: how many times to keep.
         args: the term's; a robot's is the model.
 
     Returns:
-        `March`: ts (samples + 1,), kept, y, steps, ending.
+        `March`: ts (samples + 1,), kept, y, steps, ending. Where a run ended early (ending is not
+        `DONE`) ts is nan from there on, and `trend` refuses it.
 
     Raises:
-        InputError: steps that samples do not divide; times that the type cannot tell apart.
+        UnknownName: a solver's name that is not there.
+        InputError: steps that samples do not divide; times that the type cannot tell apart; a
+            system or a solver of the wrong kind.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8, X.
 
@@ -167,7 +179,7 @@ def drift(
         >>> import rbjax as rb, diffrax, jax.numpy as jnp
         >>> swing = diffrax.ODETerm(lambda t, y, args: (y[1], -jnp.sin(y[0])))
         >>> energy = lambda t, y, args: y[1] ** 2 / 2 - jnp.cos(y[0])
-        >>> for solver in rb.solvers.RK4(), rb.solvers.stoermer_verlet():
+        >>> for solver in "rk4", "stoermer_verlet":
         ...     run = rb.stability.drift(
         ...         swing, (2.0, 0.0), energy, solver=solver, dt=0.1, steps=10_000)
         ...     print(rb.stability.trend(run.ts, run.kept).drifts)
@@ -178,11 +190,12 @@ def drift(
         raise InputError(
             f"drift: got {steps} steps and {samples} samples, expected a multiple of the samples"
         )
+    one = stepping(solver)
     if isinstance(system, Model):
-        term, y0 = motion(system, y0, solver)
+        term, y0 = motion(system, y0, one)
         args, keep = system, Invariants() if keep is None else keep
     elif keep is None:
         raise InputError("drift: keep is None, expected what a term keeps: (t, y, args) -> arrays")
     else:
         term = system
-    return march(term, solver, y0, dt, keep, every=steps // samples, samples=samples, args=args)
+    return march(term, one, y0, dt, keep, every=steps // samples, samples=samples, args=args)

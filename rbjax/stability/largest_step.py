@@ -26,10 +26,11 @@ from rbjax.model import Model, State
 from rbjax.rollout import rollout
 from rbjax.simulate import simulate
 from rbjax.solvers.dop853 import DOP853
-from rbjax.stability.multistep_roots import characteristic
+from rbjax.stability.linearisation import at_rest
+from rbjax.stability.methods import Solver, made, stepping
+from rbjax.stability.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.oscillator import matrices_of_pair
 from rbjax.stability.regions import imaginary_limit
-from rbjax.stability.stability_function import Solver, made
 
 #: an integrator of `rb.rollout` -> the solver that takes the same step
 ROLLOUT: dict[str, Solver] = {
@@ -51,7 +52,7 @@ NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| looked at
 SMALL, GROWN = 1e-9, 1e5  # a deviation, and what it grows by where a step is too large
 
 
-def stable_step(method: Solver, matrices: Any) -> float:
+def stable_step(method: Method, matrices: Any) -> float:
     """The largest step up to which no mode grows that does not by nature, as theory predicts it.
 
     A mode that vibrates undamped counts: for it the limit of a first-order method is exact,
@@ -61,8 +62,8 @@ def stable_step(method: Solver, matrices: Any) -> float:
     and |zeta| may exceed one by 1e-6.
 
     Args:
-        method: a name of `rb.solvers.all()`, or a solver. `ROLLOUT[integrator]` is that of
-            `rb.rollout`.
+        method: what `linear_analysis` takes (a name, a solver, a tableau or a polynomial), or a
+            solver of q' = v, v' = a. `ROLLOUT[integrator]` is that of `rb.rollout`.
         matrices: A (2 nv, 2 nv) or (T, 2 nv, 2 nv), of `state_matrix` or `motion_matrices`.
 
     Returns:
@@ -80,7 +81,7 @@ def stable_step(method: Solver, matrices: Any) -> float:
         True
     """
     A = _square(matrices)
-    solver = made(method)
+    solver = method if isinstance(method, Theory) else made(method)
     if isinstance(solver, PAIRS):
         return min(_of_pair(solver, a) for a in A)
     phi = characteristic(solver)
@@ -204,18 +205,19 @@ def measured_stable_step(
 
     Args:
         method: "rollout rk4", likewise with the other integrators of `rb.rollout`; or a name of
-            `rb.solvers.all()` or a solver, run by `rb.simulate`.
+            `rb.solvers.all()`, a solver or an `rb.solvers.Tableau`, run by `rb.simulate`.
         model: the robot.
-        state: an equilibrium under ctrl.
+        state: a stable equilibrium under ctrl (`equilibrium` finds one).
         ctrl: (nu,) held control, or None.
         near: a step to search around, from a quarter of it to four times it.
-        steps: of each run.
+        steps: of each run, at least 10.
 
     Returns:
         Seconds; 0 where a quarter of `near` is unstable, inf where four times it is stable.
 
     Raises:
-        InputError: an unknown integrator; what `rb.simulate` refuses.
+        InputError: an unknown integrator or method; a state that is no equilibrium, or one from
+            which the motion itself departs; `near` not positive, `steps` too few; shapes.
 
     Example:
         >>> import rbjax as rb
@@ -233,9 +235,15 @@ def measured_stable_step(
                 f"measured_stable_step: integrator {run!r}, expected one of {list(INTEGRATORS)}"
             )
     else:
-        run = made(method)
+        run = stepping(method)
+    if not (0 < near < math.inf and steps >= 10):
+        raise InputError(
+            f"measured_stable_step: got near {near} s and {steps} steps, expected a positive time "
+            "and at least 10"
+        )
+    state = at_rest("measured_stable_step", model, state, ctrl)
     rng = np.random.default_rng(0)
-    q, v = jnp.asarray(state.q), jnp.asarray(state.v)
+    q, v = state.q, state.v
     kick = SMALL * rng.normal(size=(2, model.nv))
     beside = State(integrate(model, q, jnp.asarray(kick[0], q.dtype)), v + kick[1])
     ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)

@@ -12,14 +12,9 @@ from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.rosenbrock import RosenbrockW, holds
 from rbjax.stability import regions
-from rbjax.stability.multistep_roots import Characteristic, characteristic
-from rbjax.stability.stability_function import (
-    Solver,
-    StabilityFunction,
-    butcher,
-    made,
-    stability_function,
-)
+from rbjax.stability.methods import made
+from rbjax.stability.multistep_roots import Characteristic, Method, Theory, characteristic
+from rbjax.stability.stability_function import StabilityFunction, butcher, stability_function
 
 VANISHES = 1e-9  # R(infinity) of coefficients that are printed to some twelve digits
 HIGHEST = 8  # order that conditions are looked at for: 115 trees of eight nodes
@@ -29,10 +24,10 @@ HIGHEST = 8  # order that conditions are looked at for: 115 trees of eight nodes
 class LinearAnalysis:
     """A method on y' = lambda y, z = h lambda, and the order by its conditions.
 
-    Fields: method, `StabilityFunction` or `Characteristic`; order, of Runge-Kutta methods above 8
-    what Butcher's simplifying assumptions prove; linear_order, on y' = lambda y;
-    error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there; real_limit <= 0 and
-    imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90: A-stable, 0: no sector);
+    Fields: method, `StabilityFunction` or `Characteristic`; order, below 1 where not consistent, of
+    Runge-Kutta methods above 8 what Butcher's simplifying assumptions prove; linear_order, on
+    y' = lambda y; error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there; real_limit <= 0
+    and imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90: A-stable, 0: no sector);
     stiff_D, stable where Re z <= -D (inf: nowhere); R_inf = |R(infinity)|, for multistep methods
     the largest root; L_stable; zero_stable.
     """
@@ -40,7 +35,7 @@ class LinearAnalysis:
     method: StabilityFunction | Characteristic
     order: int
     linear_order: int
-    error_constant: Fraction
+    error_constant: Fraction | float
     real_limit: float
     imaginary_limit: float
     A_stable: bool
@@ -51,9 +46,10 @@ class LinearAnalysis:
     zero_stable: bool
 
 
-def order_by_conditions(solver: Solver) -> int:
+def order_by_conditions(solver: Method) -> int:
     """The order by the order conditions: rooted trees up to 8 nodes (one-step), phi (multistep).
 
+    Takes what `linear_analysis` does; a `StabilityFunction` knows linear problems alone.
     Above 8: what Butcher's simplifying assumptions B(p), C(eta), D(zeta) prove, at least 8.
 
     Example:
@@ -61,6 +57,8 @@ def order_by_conditions(solver: Solver) -> int:
         >>> rb.stability.order_by_conditions("rk4"), rb.stability.order_by_conditions("bdf3")
         (4, 3)
     """
+    if isinstance(solver, Theory):
+        return characteristic(solver).order
     solver = made(solver)
     table = butcher(solver)
     if table is None:
@@ -74,18 +72,20 @@ def order_by_conditions(solver: Solver) -> int:
     return next(p for p in range(HIGHEST) if not holds(alpha, gamma, b, p + 1))
 
 
-def linear_analysis(solver: Solver) -> LinearAnalysis:
+def linear_analysis(solver: Method) -> LinearAnalysis:
     """The linear theory of a method: order, error constant, stability limits and verdicts.
 
     Args:
-        solver: a name of `rb.solvers.all()`, or any Runge-Kutta, Rosenbrock or multistep solver
-            of rbjax or diffrax.
+        solver: a name of `rb.solvers.all()`, any Runge-Kutta, Rosenbrock or multistep solver of
+            rbjax or diffrax, or a method of one's own: an `rb.solvers.Tableau`, a
+            `StabilityFunction`, or a `Characteristic` (`multistep`, `adams`, ...).
 
     Returns:
         `LinearAnalysis`.
 
     Raises:
-        InputError: for methods of q' = v, v' = a alone (`spectral_radius` measures these).
+        InputError: for methods of q' = v, v' = a alone (`spectral_radius` measures these), and
+            what is no method.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.3, V.1.
 
@@ -96,8 +96,9 @@ def linear_analysis(solver: Solver) -> LinearAnalysis:
         (-2.785294, 2.828427, False)
         >>> round(rb.stability.linear_analysis("bdf3").alpha, 4)
         86.0324
+        >>> rb.stability.linear_analysis(rb.stability.backward_differentiation(7)).zero_stable
+        False
     """
-    solver = made(solver)
     method, phi = _method(solver)
     alpha = regions.alpha_degrees(method) if phi.zero_stable else 0.0
     R_inf = regions.at_infinity(method)
@@ -117,9 +118,11 @@ def linear_analysis(solver: Solver) -> LinearAnalysis:
     )
 
 
-def _method(solver: Solver) -> tuple[StabilityFunction | Characteristic, Characteristic]:
+def _method(solver: Method) -> tuple[StabilityFunction | Characteristic, Characteristic]:
     """The function or polynomial that knows most, and the polynomial."""
     phi = characteristic(solver)
+    if isinstance(solver, Characteristic):
+        return phi, phi
     try:
         return stability_function(solver), phi
     except InputError:

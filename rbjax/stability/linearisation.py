@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.arguments import algorithm, check_arrays
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import integrate
 from rbjax.errors import InputError
@@ -65,6 +65,38 @@ def _linearised(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.A
     return a, jnp.concatenate([upper, lower])
 
 
+_both = jax.jit(_linearised)
+
+
+def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
+    """Whether an acceleration is rounding alone."""
+    return bool(np.abs(a).max() < 1e3 * np.finfo(A.dtype).eps * (1 + np.abs(A).max()))
+
+
+def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
+    """The state, in arrays, refused if it moves, accelerates, or departs from rest by itself."""
+    found = check_arrays(where, model, {"state": state, "ctrl": ctrl})
+    if not model.nv:
+        raise InputError(f"{where}: the model has no joints, so nothing moves")
+    state = found["state"]
+    a, A = map(np.asarray, _both(model, state, found.get("ctrl")))
+    if np.abs(state.v).max() > 0 or not _vanishes(a, A):
+        raise InputError(
+            f"{where}: the state moves at {np.abs(state.v).max():.1e} and accelerates at "
+            f"{np.abs(a).max():.1e}, expected one at rest; rb.stability.equilibrium(model, state, "
+            "ctrl) finds one beside it"
+        )
+    eigenvalues = np.linalg.eigvals(A)
+    grows = eigenvalues.real.max()
+    # a double root, as of a free coordinate, is known to the root of rounding
+    if grows > 10 * np.sqrt(np.finfo(A.dtype).eps) * np.abs(eigenvalues).max():
+        raise InputError(
+            f"{where}: this equilibrium is unstable, the motion itself departs from it as "
+            f"exp({grows:.2g} t), whatever the step; expected a stable one"
+        )
+    return state
+
+
 @jax.jit
 def _matrices(model: Model, q: jax.Array, v: jax.Array, ctrl: jax.Array | None) -> jax.Array:
     axis = None if ctrl is None or ctrl.ndim == 1 else 0
@@ -103,7 +135,7 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         steps: at most so many.
 
     Raises:
-        InputError: if no such state is found.
+        InputError: if no such state is found; shapes, values that are not finite.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -112,12 +144,12 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         >>> bool(abs(rest.q[0]) < 1e-9)
         True
     """
-    q, v = jnp.asarray(state.q), jnp.zeros_like(jnp.asarray(state.v))
-    ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
-    n, find = model.nv, jax.jit(_linearised)
+    found = check_arrays("equilibrium", model, {"state": state, "ctrl": ctrl})
+    q, v, ctrl = found["state"].q, jnp.zeros_like(found["state"].v), found.get("ctrl")
+    n = model.nv
     for _ in range(steps):
-        a, A = map(np.asarray, find(model, State(q, v), ctrl))
-        if np.abs(a).max() < 1e3 * np.finfo(q.dtype).eps * (1 + np.abs(A).max()):
+        a, A = map(np.asarray, _both(model, State(q, v), ctrl))
+        if _vanishes(a, A):
             return State(q, v)
         dq = np.linalg.lstsq(A[n:, :n], -a, rcond=1e-10)[0]
         dq = dq * min(1.0, 0.5 / max(np.abs(dq).max(), 1e-300))

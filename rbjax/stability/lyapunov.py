@@ -24,6 +24,7 @@ from rbjax.model import Model
 from rbjax.simulate import motion
 from rbjax.solvers import rkmk
 from rbjax.stability.march import as_floats, check_times, finite
+from rbjax.stability.methods import Solver, stepping
 
 BLOCKS = 16  # of the run, whose means give the error of the whole
 
@@ -63,7 +64,7 @@ def lyapunov(
     *,
     dt: float,
     steps: int,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: Solver | None = None,
     every: int = 10,
     transient: float = 0.1,
     args: Any = None,
@@ -77,8 +78,8 @@ def lyapunov(
         y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
         dt: step, s.
         steps: how many.
-        solver: with equal steps; rb.solvers.rkmk(4) if None, which is RK4 where nothing turns and
-            keeps attitudes, and so their tangents, on their manifold.
+        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None, which is RK4 where
+            nothing turns and keeps attitudes, and so their tangents, on their manifold.
         every: m, steps between two normalizations.
         transient: share of the run that is left out at its beginning.
         args: the term's; a robot's is the model.
@@ -87,6 +88,7 @@ def lyapunov(
         `Exponent`. About 0 for regular motion (it falls as log t / t), negative at a sink.
 
     Raises:
+        UnknownName: a solver's name that is not there.
         InputError: steps too few; times that the type cannot tell apart.
 
     Source: Benettin et al., *Meccanica* 15, 1980.
@@ -98,7 +100,6 @@ def lyapunov(
         >>> round(found.value, 6)
         0.5
     """
-    solver = rkmk(4) if solver is None else solver
     samples = steps // every if every > 0 else 0
     skip = int(transient * samples)
     if not 0 <= transient < 1 or samples - skip < 16:
@@ -125,7 +126,7 @@ def gradient_growth(
     *,
     dt: float,
     steps: int,
-    solver: diffrax.AbstractSolver | None = None,
+    solver: Solver | None = None,
     samples: int = 100,
     args: Any = None,
 ) -> GradientGrowth:
@@ -138,7 +139,7 @@ def gradient_growth(
         y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
         dt: step, s.
         steps: how many; a multiple of `samples`.
-        solver: with equal steps; rb.solvers.rkmk(4) if None.
+        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None.
         samples: how many times to keep; the tangents are made orthogonal as often.
         args: the term's; a robot's is the model.
 
@@ -146,6 +147,7 @@ def gradient_growth(
         `GradientGrowth`. The state is of mixed units (rad, rad/s), and so is the norm.
 
     Raises:
+        UnknownName: a solver's name that is not there.
         InputError: steps that samples do not divide; times that the type cannot tell apart.
 
     Source: Metz et al., *Gradients are not all you need*, 2021.
@@ -161,7 +163,6 @@ def gradient_growth(
         raise InputError(
             f"gradient_growth: got {steps} steps and {samples} samples, expected a multiple"
         )
-    solver = rkmk(4) if solver is None else solver
     term, solver, y0, args = _opened(system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
     every = steps // samples
@@ -188,6 +189,7 @@ def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
 
 
 def _opened(system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int) -> tuple:
+    solver = rkmk(4) if solver is None else stepping(solver)
     if isinstance(system, Model):
         term, y0 = motion(system, y0, solver)
         args = system

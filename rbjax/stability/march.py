@@ -3,7 +3,7 @@
     y_{n+1} = step(t_n, h, y_n),    t_n = n h;    keep(t, y, args) every so many steps
 The steps are the solver's own, without interpolation, controller or checkpoints. A run stops where
 the next state would not be finite, or where the root of an implicit step is not found; it says so
-in `ending`, and what it kept stays as it last was, so that nothing returned is ever nan.
+in `ending`. What it kept then stays as it last was, finite, at times that are nan.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> what is kept
 class March(eqx.Module):
     """What is left of a run.
 
-    Fields: ts (K + 1,) s; kept, what `keep` returned, each leaf (K + 1, ...); y, the last state;
-    steps (), how many were taken; ending (), one of `DONE`, `NOT_FINITE`, `NO_ROOT`.
+    Fields: ts (K + 1,) s, nan where the run did not come to; kept, what `keep` returned, each leaf
+    (K + 1, ...), of the last state y where ts is nan; y; steps (), how many were taken; ending (),
+    one of `DONE`, `NOT_FINITE`, `NO_ROOT` of `rb.stability`.
     """
 
     ts: jax.Array
@@ -75,14 +76,18 @@ def _march(term, solver, y0, dt, keep, every, samples, args) -> March:
     def sample(state, _):
         until = state[0] + every
         state = jax.lax.while_loop(lambda s: (s[0] < until) & sound(s), once, state)
-        return state, keep(state[0] * dt, state[2], args)
+        t = state[0] * dt
+        reached = jnp.where(sound(state), t, jnp.nan)
+        return state, (reached, keep(t, state[2], args))
 
     memory = solver.init(term, 0 * dt, dt, y0, args)
     start = (jnp.zeros((), jnp.int32), jnp.full((), DONE), y0, memory)
-    (steps, ending, y, _), kept = jax.lax.scan(sample, start, length=samples)
-    first = keep(0 * dt, y0, args)
-    kept = jax.tree.map(lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b]), first, kept)
-    return March(dt * every * jnp.arange(samples + 1), kept, y, steps, ending)
+    (steps, ending, y, _), later = jax.lax.scan(sample, start, length=samples)
+    first = (0 * dt, keep(0 * dt, y0, args))
+    ts, kept = jax.tree.map(
+        lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b]), first, later
+    )
+    return March(ts, kept, y, steps, ending)
 
 
 def finite(y: Any) -> jax.Array:

@@ -24,6 +24,7 @@ import numpy as np
 
 from rbjax import solvers
 from rbjax.errors import InputError
+from rbjax.stability.methods import Solver, made
 from rbjax.stability.polynomials import (
     DIGITS,
     EPS,
@@ -33,6 +34,7 @@ from rbjax.stability.polynomials import (
     common,
     derivative,
     divided,
+    exact,
     plus,
     poly,
     rational,
@@ -40,7 +42,7 @@ from rbjax.stability.polynomials import (
     times,
     value,
 )
-from rbjax.stability.stability_function import Solver, StabilityFunction, made, stability_function
+from rbjax.stability.stability_function import StabilityFunction, stability_function
 
 RIM = 1e-14  # a root so far from the unit circle is on it
 
@@ -49,7 +51,11 @@ RIM = 1e-14  # a root so far from the unit circle is on it
 class Characteristic:
     """phi(zeta, z) = sum_m z^m c_m(zeta), exactly.
 
-    Field: by_power, c_0 = rho, c_1 = -sigma, ... each constant first.
+    Field: by_power, c_0 = rho, c_1 = -sigma, ... each constant first; `multistep(rho, sigma)` makes
+    one of two. Doubles are taken for the simple fractions beside them.
+
+    Raises:
+        InputError: coefficients that are not finite numbers; rho or all the others zero.
 
     Example:
         >>> import rbjax as rb
@@ -59,6 +65,12 @@ class Characteristic:
     """
 
     by_power: tuple[Poly, ...]
+
+    def __post_init__(self) -> None:
+        powers = tuple(exact(p, "Characteristic: a polynomial") for p in self.by_power)
+        if not (powers and powers[0] and any(powers[1:])):
+            raise InputError(f"Characteristic: got {powers}, expected (rho, -sigma), neither zero")
+        object.__setattr__(self, "by_power", powers)
 
     @property
     def rho(self) -> Poly:
@@ -89,12 +101,14 @@ class Characteristic:
 
     @property
     def order(self) -> int:
+        """Consistent from 1 on; 0 where rho(1) = 0, but not rho'(1) = sigma(1); else -1."""
         return self._defect[0] - 1
 
     @property
-    def error_constant(self) -> Fraction:
-        """C, by rho'(1)."""
-        return self._defect[1] / value(derivative(self.rho), Fraction(1))
+    def error_constant(self) -> Fraction | float:
+        """C, by rho'(1); inf where that is zero."""
+        slope = value(derivative(self.rho), Fraction(1))
+        return self._defect[1] / slope if slope else math.inf
 
     @functools.cached_property
     def spurious_roots(self) -> np.ndarray:
@@ -149,14 +163,67 @@ class Characteristic:
             return max(map(abs, found), default=mpmath.mpf(0))
 
 
+Theory = (StabilityFunction, Characteristic)  # what is all theory, and no code
+Method = Solver | StabilityFunction | Characteristic
+
+
+def multistep(rho: Any, sigma: Any) -> Characteristic:
+    """The linear multistep method of two polynomials, made exact.
+
+    sum_j rho_j y_(n+j) = h sum_j sigma_j f_(n+j), j = 0 ... k from the oldest to the newest.
+
+    Args:
+        rho: (k + 1,) numbers, doubles or fractions; the last, that of the newest y, not zero.
+        sigma: at most k + 1; explicit methods end in 0, or are shorter.
+
+    Returns:
+        `Characteristic`. Its order says whether the method is consistent: from 1 on it is; 0 where
+        rho'(1) = sigma(1) fails, -1 where rho(1) = 0 does.
+
+    Raises:
+        InputError: lengths, numbers that are not finite, a last rho or all of sigma zero.
+
+    Source: Hairer, Norsett & Wanner, *Solving ODEs I*, III.2 (2.1).
+
+    Example:
+        >>> import rbjax as rb
+        >>> leapfrog = rb.stability.multistep([-1, 0, 1], [0, 2])
+        >>> leapfrog.order, leapfrog.error_constant, leapfrog.zero_stable
+        (2, Fraction(1, 6), True)
+    """
+    sizes = np.shape(rho), np.shape(sigma)
+    if not (len(sizes[0]) == len(sizes[1]) == 1 and 1 <= sizes[1][0] <= sizes[0][0] > 1):
+        raise InputError(
+            f"multistep: got rho {sizes[0]} and sigma {sizes[1]}, expected (k + 1,), k >= 1, and "
+            "at most as many"
+        )
+    a, b = exact(rho, "multistep: rho"), exact(sigma, "multistep: sigma")
+    if len(a) < sizes[0][0]:
+        raise InputError(
+            "multistep: the last rho is zero, expected that of the newest y; coefficients go from "
+            "the oldest to the newest"
+        )
+    if not b:
+        raise InputError("multistep: sigma is zero, expected the weights of the rates")
+    return Characteristic((a, poly(-c for c in b)))
+
+
+def _ordered(name: str, order: Any, least: int = 1) -> None:
+    if not isinstance(order, (int, np.integer)) or order < least:
+        raise InputError(f"{name}: order is {order!r}, expected a whole number from {least} on")
+
+
 def adams(order: int, implicit: bool) -> Characteristic:
     """Adams-Bashforth, or Adams-Moulton, whose rates are those of the last `order` times.
+
+    InputError below order 1. Implicit ones of order 1 and 2: backward Euler, the trapezoidal rule.
 
     Example:
         >>> from rbjax.stability import adams
         >>> adams(2, implicit=False).error_constant, adams(2, implicit=True).error_constant
         (Fraction(5, 12), Fraction(-1, 12))
     """
+    _ordered("adams", order)
     steps = max(order - 1, 1) if implicit else order
     last = steps if implicit else steps - 1
     nodes = list(range(last, last - order, -1))  # times of the rates, the last first
@@ -173,13 +240,16 @@ def adams(order: int, implicit: bool) -> Characteristic:
 
 
 def backward_differentiation(order: int) -> Characteristic:
-    """BDF: sum_j (1/j) nabla^j y = h f; of any order, those above 6 being unstable.
+    """BDF: sum_j (1/j) nabla^j y = h f; of any order from 1, those above 6 being unstable.
+
+    InputError below.
 
     Example:
         >>> from rbjax.stability import backward_differentiation
         >>> bool(abs(backward_differentiation(7).spurious_roots[0]) > 1.02)
         True
     """
+    _ordered("backward_differentiation", order)
     rho, difference = poly([]), poly([1])
     for j in range(1, order + 1):
         difference = times(difference, poly([-1, 1]))
@@ -191,11 +261,14 @@ def backward_differentiation(order: int) -> Characteristic:
 def pece(order: int) -> Characteristic:
     """Predicted by Adams-Bashforth of order - 1, evaluated, corrected by Adams-Moulton, evaluated.
 
+    InputError below order 2.
+
     Example:
         >>> from rbjax.stability import pece
         >>> pece(2).by_power[2]  # h^2 lambda^2 y_n / 2: Heun's method
         (Fraction(-1, 2),)
     """
+    _ordered("pece", order, 2)
     corrector, predictor = adams(order, implicit=True), adams(order - 1, implicit=False)
     k = corrector.steps
     shift = poly([0] * (k - predictor.steps) + [1])
@@ -213,12 +286,13 @@ def of_one_step(R: StabilityFunction) -> Characteristic:
     return Characteristic(tuple(poly([-a, b]) for a, b in zip(p, q, strict=True)))
 
 
-def characteristic(solver: Solver) -> Characteristic:
+def characteristic(solver: Method) -> Characteristic:
     """phi(zeta, z), whose roots are the growth factors of a method on y' = lambda y, exactly.
 
     Args:
-        solver: a name of `rb.solvers.all()`, or any multistep, Runge-Kutta or Rosenbrock solver of
-            rbjax or diffrax. Steps are equal.
+        solver: a name of `rb.solvers.all()`, any multistep, Runge-Kutta or Rosenbrock solver of
+            rbjax or diffrax, an `rb.solvers.Tableau`, a `StabilityFunction`, or a polynomial that
+            is known already. Steps are equal.
 
     Returns:
         `Characteristic`: order, error_constant, zero_stable, spurious_roots, roots(z), radius(z).
@@ -234,20 +308,24 @@ def characteristic(solver: Solver) -> Characteristic:
         >>> phi.order, phi.error_constant
         (2, Fraction(-1, 12))
     """
-    solver = made(solver)
-    if isinstance(solver, solvers.BDF):
-        return backward_differentiation(solver.formula_order)
-    if isinstance(solver, solvers.Adams):
-        if solver.corrector == "once":
-            return pece(solver.formula_order)
-        return adams(solver.formula_order, implicit=solver.corrector == "root")
-    if isinstance(solver, diffrax.LeapfrogMidpoint):
+    if isinstance(solver, Characteristic):
+        return solver
+    if isinstance(solver, StabilityFunction):
+        return of_one_step(solver)
+    one = made(solver)
+    if isinstance(one, solvers.BDF):
+        return backward_differentiation(one.formula_order)
+    if isinstance(one, solvers.Adams):
+        if one.corrector == "once":
+            return pece(one.formula_order)
+        return adams(one.formula_order, implicit=one.corrector == "root")
+    if isinstance(one, diffrax.LeapfrogMidpoint):
         return Characteristic((poly([-1, 0, 1]), poly([0, -2])))
     try:
-        return of_one_step(stability_function(solver))
+        return of_one_step(stability_function(one))
     except InputError as error:
         raise InputError(
-            f"characteristic: {type(solver).__name__} has no linear theory here, expected a "
+            f"characteristic: {type(one).__name__} has no linear theory here, expected a "
             "multistep, Runge-Kutta or Rosenbrock method; spectral_radius(solver, h_omega) "
             "measures those of q' = v, v' = a"
         ) from error

@@ -25,8 +25,9 @@ from rbjax.solvers import (
     MuntheKaas,
     RigidBody,
     RigidBodySplitting,
+    Tableau,
 )
-from rbjax.stability.stability_function import Solver, made
+from rbjax.stability.methods import Solver, stepping
 
 END = 2.0
 INERTIA = np.array([1.0, 2.0, 3.5])
@@ -99,14 +100,16 @@ def measured_order(solver: Solver) -> MeasuredOrder:
 
     Args:
         solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field, of
-            q' = v, v' = a, or on Lie groups. Implicit ones of diffrax need a root finder that
-            brings its own tolerances (`rb.solvers.very_chord()`).
+            q' = v, v' = a, or on Lie groups, or an `rb.solvers.Tableau`. A root finder whose
+            tolerances are a controller's is replaced by `rb.solvers.very_chord()`.
 
     Returns:
         `MeasuredOrder`: the order, and the steps and errors it is taken from.
 
     Raises:
-        InputError: if no two halvings have errors between rounding and coarseness.
+        UnknownName: a name that is not there.
+        InputError: what has no code to step; if no two halvings have errors between rounding and
+            coarseness.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, II.4.
 
@@ -115,12 +118,13 @@ def measured_order(solver: Solver) -> MeasuredOrder:
         >>> round(rb.stability.measured_order("rk4").order, 1)
         4.0
     """
-    solver = made(solver)
+    own = isinstance(solver, Tableau)  # which claims its order for vector fields
+    solver = stepping(solver)
     steps: list[int] = []
     errors: list[float] = []
     n = COARSEST
     with jax.enable_x64(True):
-        term, start, truth = _problem(isinstance(solver, ON_GROUPS))
+        term, start, truth = _problem(not own and isinstance(solver, ON_GROUPS))
         while n <= FINEST and (not errors or not errors[-1] < SMALL):
             y, ok = _end(term, solver, start, jnp.array(float(n)))
             steps.append(n)

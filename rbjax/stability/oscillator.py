@@ -22,15 +22,14 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from rbjax.errors import InputError
-from rbjax.solvers import Adams, GeneralizedAlpha, RigidBodySplitting
+from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
-from rbjax.solvers.newton import very_chord
-from rbjax.stability.multistep_roots import characteristic
+from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.regions import imaginary_limit
-from rbjax.stability.stability_function import Solver, made
 
 DOUBLE = 1e-7  # a double root of modulus one is known to the root of rounding
-LOST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun, RigidBodySplitting)
+LOST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
 
 
 def _scalar(t: Any, y: Any, z: jax.Array) -> jax.Array:
@@ -86,15 +85,13 @@ def _measured(*args: Any) -> np.ndarray:
 
 def _prepared(solver: Solver) -> Any:
     """The solver, with numbers in the place of constants, so that all of a kind share a program."""
-    solver = made(solver)
-    if isinstance(solver, LOST):
+    one = stepping(solver)
+    if isinstance(one, LOST) or one.term_structure is not diffrax.AbstractTerm:
         raise InputError(
-            f"stability: {type(solver).__name__} does not step a linear equation from a state "
+            f"stability: {type(one).__name__} does not step a linear equation from a state "
             "alone, expected a solver of vector fields, or of q' = v, v' = a"
         )
-    if isinstance(solver, diffrax.AbstractImplicitSolver):  # tolerances are a controller's
-        solver = eqx.tree_at(lambda s: s.root_finder, solver, very_chord())
-    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, solver)
+    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, one)
 
 
 def _pair(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -112,11 +109,12 @@ def matrices_of_pair(solver: Any, K: np.ndarray, D: np.ndarray) -> np.ndarray:
     return _measured(_pair, solver, like, args, ones)
 
 
-def growth_factors(solver: Solver, z: Any) -> np.ndarray:
+def growth_factors(solver: Method, z: Any) -> np.ndarray:
     """The factors by which a step of the code multiplies y of y' = lambda y, z = h lambda.
 
     Args:
-        solver: a name of `rb.solvers.all()`, or a diffrax solver of any vector field.
+        solver: a name of `rb.solvers.all()`, a diffrax solver of any vector field, or an
+            `rb.solvers.Tableau`; of a `StabilityFunction` or a `Characteristic`, the roots.
         z: complex, any shape (...).
 
     Returns:
@@ -131,8 +129,10 @@ def growth_factors(solver: Solver, z: Any) -> np.ndarray:
         >>> float(factor[0].real)
         0.5
     """
-    solver = _prepared(solver)
     z = np.asarray(z, complex)
+    if isinstance(solver, Theory):
+        return _sorted(characteristic(solver).roots(z))
+    solver = _prepared(solver)
     rows = np.stack([z.real.ravel(), z.imag.ravel()], -1)
     ones = np.ones((len(rows), _size(_scalar, solver, np.zeros(2), rows[0])))
     real = _measured(_scalar, solver, np.zeros(2), rows, ones)
@@ -141,12 +141,12 @@ def growth_factors(solver: Solver, z: Any) -> np.ndarray:
     return _sorted(np.linalg.eigvals(matrix)).reshape(*z.shape, -1)
 
 
-def oscillator_factors(solver: Solver, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
+def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
     """The factors by which a step of the code multiplies an oscillation, largest first.
 
     Args:
         solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field or of
-            q' = v, v' = a.
+            q' = v, v' = a; or what else `growth_factors` takes.
         h_omega: Omega = h omega (...), step times natural angular frequency, positive.
         damping_ratio: xi of q'' + 2 xi omega q' + omega^2 q = 0.
 
@@ -162,7 +162,6 @@ def oscillator_factors(solver: Solver, h_omega: Any, damping_ratio: float = 0.0)
         >>> bool(abs(factors - [1j, -1j]).max() < 1e-6)
         True
     """
-    solver = _prepared(solver)
     omega = np.asarray(h_omega, float)
     wrong = ~((omega > 0) & np.isfinite(omega))
     if wrong.any():
@@ -172,6 +171,11 @@ def oscillator_factors(solver: Solver, h_omega: Any, damping_ratio: float = 0.0)
         )
     if not np.isfinite(damping_ratio):
         raise InputError(f"oscillator_factors: damping_ratio is {damping_ratio}, expected a number")
+    if isinstance(solver, Theory):  # two scalar equations
+        pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
+        roots = characteristic(solver).roots(omega[..., None] * pair)
+        return _sorted(roots.reshape(*omega.shape, -1))
+    solver = _prepared(solver)
     w = omega.ravel()
     like = (np.zeros(()), np.zeros(()))
     rows = np.stack([w**2, 2 * damping_ratio * w], -1)
@@ -201,7 +205,7 @@ def _sorted(factors: np.ndarray) -> np.ndarray:
     return np.take_along_axis(factors, np.argsort(-np.abs(factors), axis=-1, kind="stable"), -1)
 
 
-def spectral_radius(solver: Solver, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
+def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
     """The largest growth factor's modulus on an oscillator of h omega (...), of the code's step.
 
     Example:
@@ -213,7 +217,7 @@ def spectral_radius(solver: Solver, h_omega: Any, damping_ratio: float = 0.0) ->
     return np.abs(oscillator_factors(solver, h_omega, damping_ratio)).max(-1)
 
 
-def _principal(solver: Solver, h_omega: Any) -> np.ndarray:
+def _principal(solver: Method, h_omega: Any) -> np.ndarray:
     """The factor that stands for exp(i Omega); nan where none oscillates."""
     factors = oscillator_factors(solver, h_omega)
     distance = np.abs(factors - np.exp(1j * np.asarray(h_omega, float))[..., None])
@@ -221,7 +225,7 @@ def _principal(solver: Solver, h_omega: Any) -> np.ndarray:
     return np.where(factor.imag > 0, factor, np.nan)
 
 
-def dissipation(solver: Solver, h_omega: Any) -> np.ndarray:
+def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
     """The numerical damping ratio xi' of an undamped oscillation, of the code's step.
 
     xi' = -ln |zeta| / arg zeta, of the factor zeta that stands for exp(i Omega).
@@ -244,7 +248,7 @@ def dissipation(solver: Solver, h_omega: Any) -> np.ndarray:
     return -np.log(np.abs(factor)) / np.angle(factor)
 
 
-def period_elongation(solver: Solver, h_omega: Any) -> np.ndarray:
+def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
     """(T' - T) / T of an undamped oscillation, of the code's step: Omega / arg zeta - 1.
 
     Args, and where it is nan: as `dissipation`. Newmark's average acceleration: Omega^2 / 12.
@@ -257,7 +261,7 @@ def period_elongation(solver: Solver, h_omega: Any) -> np.ndarray:
     return np.asarray(h_omega, float) / np.angle(_principal(solver, h_omega)) - 1
 
 
-def oscillation_limit(solver: Solver, highest: float = 20.0) -> float:
+def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
     """The largest h omega up to which an undamped oscillation does not grow; inf above `highest`.
 
     Exact (`imaginary_limit`) where there is linear theory. Otherwise, as for methods of q' = v,
@@ -276,7 +280,7 @@ def oscillation_limit(solver: Solver, highest: float = 20.0) -> float:
     return exact if exact <= highest else np.inf
 
 
-def _measured_limit(solver: Solver, highest: float) -> float:
+def _measured_limit(solver: Method, highest: float) -> float:
     grid = np.linspace(0, highest, 501)[1:]
     grown = spectral_radius(solver, grid) > 1 + DOUBLE
     if not grown.any():

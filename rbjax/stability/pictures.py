@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.stability.multistep_roots import Characteristic, characteristic
+from rbjax.stability.multistep_roots import Method, characteristic
 from rbjax.stability.oscillator import spectral_radius
 from rbjax.stability.regions import stability_region
-from rbjax.stability.stability_function import Solver, StabilityFunction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +23,7 @@ Window = tuple[float, float, float, float]
 
 def plot_regions(
     ax: Axes,
-    methods: Mapping[str, Solver | Characteristic | StabilityFunction],
+    methods: Mapping[str, Method],
     window: Window = (-5.0, 1.0, -4.0, 4.0),
     points: int = 401,
 ) -> None:
@@ -32,7 +31,7 @@ def plot_regions(
 
     Args:
         ax: axes of matplotlib; its colour cycle is used.
-        methods: label -> solver, its name, or a polynomial of `characteristic`.
+        methods: label -> what `characteristic` takes: a solver, its name, a tableau, a polynomial.
         window: (left, right, bottom, top) in the plane of z.
         points: of the grid, each way.
 
@@ -53,9 +52,7 @@ def plot_regions(
     ax.axhline(0, color="0.6", lw=0.8, zorder=1)
     ax.axvline(0, color="0.6", lw=0.8, zorder=1)
     for label, method in methods.items():
-        known = isinstance(method, (Characteristic, StabilityFunction))
-        phi = method if known else characteristic(method)  # type: ignore[arg-type]
-        grown = np.minimum(stability_region(phi, x, y) - 1 - 1e-9, 1.0)  # type: ignore[arg-type]
+        grown = np.minimum(stability_region(characteristic(method), x, y) - 1 - 1e-9, 1.0)
         (line,) = ax.plot([], [], label=label)
         color = line.get_color()
         ax.contourf(x, y, grown, [-2.0, 0.0], colors=[color], alpha=0.08)
@@ -65,12 +62,12 @@ def plot_regions(
     ax.legend()
 
 
-def plot_spectral_radius(ax: Axes, methods: Mapping[str, Solver], h_omega: np.ndarray) -> None:
+def plot_spectral_radius(ax: Axes, methods: Mapping[str, Method], h_omega: np.ndarray) -> None:
     """Spectral radii over h omega, measured on one step of each solver's code.
 
     Args:
         ax: axes of matplotlib.
-        methods: label -> solver of q' = v, v' = a, or of any vector field, or its name.
+        methods: label -> what `spectral_radius` takes.
         h_omega: (n,) positive, increasing.
 
     Raises:

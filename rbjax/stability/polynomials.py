@@ -16,6 +16,7 @@ from typing import Any
 import mpmath
 import numpy as np
 
+from rbjax.errors import InputError
 from rbjax.solvers.tableau import TOLERANCE
 
 Poly = tuple[Fraction, ...]
@@ -53,6 +54,22 @@ def rational(x: Any, noise: Any = 0) -> Fraction:
         return Fraction(0)
     simple = exact.limit_denominator(SIMPLE)
     return simple if abs(simple - exact) <= max(noise, 2 * EPS * abs(exact)) else exact
+
+
+def exact(coefficients: Iterable[Any], where: str) -> Poly:
+    """`poly` of numbers of any type, where doubles are the simple fractions beside them.
+
+    >>> exact(np.array([1 / 3, 1.0]), "rho")
+    (Fraction(1, 3), Fraction(1, 1))
+    """
+    try:
+        return poly(
+            c if isinstance(c, Fraction) else rational(np.asarray(c).item()) for c in coefficients
+        )
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{where} is {coefficients}, expected finite numbers, the constant first"
+        ) from error
 
 
 def added(terms: Iterable[Fraction]) -> Fraction:

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import solvers
+from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
 from rbjax.model import Model, State, made_ahead
@@ -181,8 +182,9 @@ def recommend(
         `Recommendation`: solver, name, dt, predicted_error, evaluations, reason.
 
     Raises:
-        InputError: an accuracy or a horizon that is not positive, or too fine; a motion that is
-            not finite, or that no candidate follows as asked.
+        InputError: a state of the wrong type or shape, or not finite; an accuracy or a horizon that
+            is not a number, not positive, or too fine; a motion that is not finite, or that no
+            candidate follows as asked.
 
     It compiles one program for the reference, one for the linearisation and one for each candidate
     (one to three), in f64 whatever the caller works in.
@@ -196,6 +198,9 @@ def recommend(
         >>> r.name, "accuracy decides" in r.reason, r.predicted_error <= 1e-6
         ('rk4', True, True)
     """
+    for name, x in (("accuracy", accuracy), ("horizon", horizon)):
+        if np.ndim(x) or np.asarray(x).dtype.kind not in "iuf":
+            raise InputError(f"recommend: {name} is {x!r}, expected a number")
     if not accuracy >= FINEST:
         raise InputError(
             f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}: the reference "
@@ -203,9 +208,10 @@ def recommend(
         )
     if not 0 < horizon < math.inf:
         raise InputError(f"recommend: horizon is {horizon}, expected seconds, positive")
-    if not model.nv:
-        raise InputError("recommend: the model has no joints, so nothing moves")
     with jax.enable_x64(True):
+        state = check_arrays("recommend", model, {"state": state})["state"]
+        if not model.nv:
+            raise InputError("recommend: the model has no joints, so nothing moves")
         model = made_ahead(jax.tree.map(_double, model), jnp.float64)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
         with _told(progress) as say:

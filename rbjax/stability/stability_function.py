@@ -19,14 +19,16 @@ import diffrax
 import numpy as np
 
 from rbjax import solvers
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
+from rbjax.stability.methods import Solver, made
 from rbjax.stability.polynomials import (
     EPS,
     PRINTED,
     Poly,
     added,
     cleaned,
+    exact,
     magnitude,
     plus,
     poly,
@@ -36,23 +38,15 @@ from rbjax.stability.polynomials import (
     written,
 )
 
-Solver = diffrax.AbstractSolver | str
-Tableau = tuple[np.ndarray, np.ndarray]  # a, b
-
-
-def made(solver: Solver) -> diffrax.AbstractSolver:
-    """A solver, or the one of that name in `rb.solvers.all()`."""
-    if not isinstance(solver, str):
-        return solver
-    known = solvers.all()
-    if solver not in known:
-        raise UnknownName("solver", solver, known)
-    return known[solver].make()
+Coefficients = tuple[np.ndarray, np.ndarray]  # a, b
 
 
 @dataclass(frozen=True)
 class StabilityFunction:
     """R(z) = numerator / denominator; polynomials with exact coefficients, constant first.
+
+    Doubles are taken for the simple fractions beside them; InputError for what is not finite, and
+    for a denominator of zero.
 
     Example:
         >>> import rbjax as rb
@@ -62,6 +56,12 @@ class StabilityFunction:
 
     numerator: Poly
     denominator: Poly
+
+    def __post_init__(self) -> None:
+        for name in ("numerator", "denominator"):
+            object.__setattr__(self, name, exact(getattr(self, name), f"StabilityFunction: {name}"))
+        if not self.denominator:
+            raise InputError("StabilityFunction: the denominator is zero, expected a polynomial")
 
     def __call__(self, z: Any) -> Any:
         """R(z) of complex numbers of any shape."""
@@ -131,14 +131,14 @@ def _quotient(A: list[list[Fraction]], b: list[Fraction], sign: int) -> tuple[li
 
 
 @functools.singledispatch
-def butcher(solver: Any) -> Tableau | None:
+def butcher(solver: Any) -> Coefficients | None:
     """a (s, s) and b (s,) of a Runge-Kutta or Rosenbrock method; None for what is neither."""
     del solver
     return None
 
 
 @butcher.register(diffrax.AbstractRungeKutta)
-def _(solver) -> Tableau | None:
+def _(solver) -> Coefficients | None:
     t = solver.tableau
     if not isinstance(t, diffrax.ButcherTableau):
         return None  # two fields, each with its own
@@ -152,44 +152,44 @@ def _(solver) -> Tableau | None:
 
 @butcher.register(solvers.ImplicitRungeKutta)
 @butcher.register(solvers.MuntheKaas)
-def _(solver) -> Tableau:
+def _(solver) -> Coefficients:
     return np.array(solver.tableau.a), np.array(solver.tableau.b)
 
 
 @butcher.register
-def _(solver: solvers.RosenbrockW) -> Tableau:
+def _(solver: solvers.RosenbrockW) -> Coefficients:
     t = solver.tableau
     return np.add(t.alpha, t.gamma), np.array(t.b)
 
 
 @butcher.register
-def _(solver: diffrax.Euler) -> Tableau:
+def _(solver: diffrax.Euler) -> Coefficients:
     return np.array(tables.EULER.a), np.array(tables.EULER.b)
 
 
 @butcher.register
-def _(solver: diffrax.ImplicitEuler) -> Tableau:
+def _(solver: diffrax.ImplicitEuler) -> Coefficients:
     return np.ones((1, 1)), np.ones(1)
 
 
 @butcher.register
-def _(solver: solvers.CommutatorFree4) -> Tableau:
+def _(solver: solvers.CommutatorFree4) -> Coefficients:
     """Where exponentials commute, the classical method."""
     return np.array(tables.RK4.a), np.array(tables.RK4.b)
 
 
 @butcher.register
-def _(solver: solvers.CrouchGrossman3) -> Tableau:
+def _(solver: solvers.CrouchGrossman3) -> Coefficients:
     t = tables.explicit(((3 / 4,), (119 / 216, 17 / 108)), (13 / 51, -2 / 3, 24 / 17), 3)
     return np.array(t.a), np.array(t.b)
 
 
-def stability_function(solver: Solver) -> StabilityFunction:
+def stability_function(solver: Solver | StabilityFunction) -> StabilityFunction:
     """R(z) of a one-step method, y1 = R(h lambda) y0 on y' = lambda y, exactly.
 
     Args:
-        solver: a name of `rb.solvers.all()`, or any Runge-Kutta, Rosenbrock or Munthe-Kaas solver
-            of rbjax or diffrax, also in a `diffrax.HalfSolver`.
+        solver: a name of `rb.solvers.all()`, any Runge-Kutta, Rosenbrock or Munthe-Kaas solver
+            of rbjax or diffrax, also in a `diffrax.HalfSolver`, or an `rb.solvers.Tableau`.
 
     Returns:
         `StabilityFunction`, with numerator and denominator.
@@ -206,6 +206,8 @@ def stability_function(solver: Solver) -> StabilityFunction:
         (1 + z + z^2/2 + z^3/6 + z^4/24) / (1)
         (None, (0.375+0j))
     """
+    if isinstance(solver, StabilityFunction):
+        return solver
     solver = made(solver)
     if isinstance(solver, diffrax.HalfSolver):
         whole = stability_function(solver.solver)

@@ -15,6 +15,7 @@ from rbjax.model import Model, State
 from rbjax.simulate import motion, simulate
 from rbjax.solvers import AbstractGroupSolver, RigidBodySplitting
 from rbjax.stability.march import DONE, NO_ROOT, NOT_FINITE, march
+from rbjax.stability.methods import Solver, made, stepping
 from rbjax.stability.scenes import SAMPLES, Scene, Truth, deviation, kept, truth
 from rbjax.stability.systems import Arm, Body, tumbling
 from rbjax.stability.verdicts import MOTION, Outcome, Verdict, verdict
@@ -24,14 +25,15 @@ TOLERANCE, BUDGET = 1e-6, 10_000
 
 
 def attempt(
-    solver: diffrax.AbstractSolver, scene: Scene, true: Truth | None = None
+    solver: Solver, scene: Scene, true: Truth | None = None
 ) -> Verdict | None:
     """What becomes of a scene under a solver; None where the solver does not take it.
 
     max_k |x_k - r_k| at 201 samples, or the way of failing.
 
     Args:
-        solver: of `rb.solvers.all()` or diffrax's.
+        solver: a name of `rb.solvers.all()`, any solver of rbjax or diffrax, or an
+            `rb.solvers.Tableau`.
         scene: of `rb.stability.scenes()`.
         true: the scene's `truth`, if at hand.
 
@@ -39,26 +41,31 @@ def attempt(
         `Verdict`: errors are angles in rad. None: a controller needs an error estimate, robots are
         not for `RigidBodySplitting`.
 
+    Raises:
+        UnknownName: a solver's name that is not there.
+        InputError: f64 off; what is no solver.
+
     Source: Hairer & Wanner, *Solving ODEs II*, IV.2; Hairer, Lubich & Wanner, *Geometric Numerical
     Integration*, I.
 
     Example:
-        >>> import rbjax as rb, diffrax
+        >>> import rbjax as rb
         >>> scene = rb.stability.scenes()["fast_top"]
-        >>> rb.stability.attempt(diffrax.Euler(), scene).outcome.value
+        >>> rb.stability.attempt("euler", scene).outcome.value
         'blows up'
     """
     if jnp.result_type(float) != jnp.float64:
         raise InputError('attempt: f64 is off; jax.config.update("jax_enable_x64", True)')
-    if isinstance(solver, RigidBodySplitting) and isinstance(scene.system, Arm):
+    one = made(solver)
+    if isinstance(one, RigidBodySplitting) and isinstance(scene.system, Arm):
         return None
-    if scene.adaptive and not estimates(solver):
+    if scene.adaptive and not estimates(one):
         return None
-    run = (_adaptively if scene.adaptive else _equally)(solver, scene)
+    run = (_adaptively if scene.adaptive else _equally)(one, scene)
     if scene.single:
         in_f64 = run.q
         if run.ending is None:
-            run = _equally(solver, scene, np.float32)
+            run = _equally(one, scene, np.float32)
         return _judged(scene, run, in_f64)
     return _judged(scene, run, (truth(scene) if true is None else true).observed)
 
@@ -85,6 +92,7 @@ class Run(NamedTuple):
 
 
 def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:
+    solver = stepping(solver)
     state = jax.tree.map(lambda x: jnp.asarray(x, dtype), scene.state)
     term: Any
     args: Any

@@ -129,7 +129,10 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
             f"verdict: got ts {t.shape} and xs {x.shape}, expected (T,), and (T,) or (T, n)"
         )
     if not np.isfinite(t).all():
-        raise InputError("verdict: got times that are not finite")
+        raise InputError(
+            "verdict: got times that are not finite; a run of drift that ended early has none from "
+            "there on: give those of the whole run, and its ending"
+        )
     r = None if reference is None else np.asarray(reference, np.float64)
     if r is not None and r.shape != x.shape:
         raise InputError(f"verdict: got a reference {r.shape}, expected that of xs, {x.shape}")

@@ -60,7 +60,9 @@ def test_a_constant_has_no_slope() -> None:
     [
         (np.arange(5.0), np.arange(5.0), "at least 16"),
         (np.arange(20.0), np.arange(21.0), r"\(20,\) and xs \(21,\)"),
-        (np.arange(20.0), np.full(20, np.nan), "not finite"),
+        (np.arange(20.0), np.full(20, np.nan), "20 of 20 samples are not finite"),
+        (np.full(20, 3.0), np.arange(20.0), "ts must increase"),
+        (np.arange(20.0)[::-1], np.arange(20.0), "ts must increase"),
     ],
 )
 def test_series_that_have_no_slope_are_refused(ts, xs, words: str) -> None:
@@ -245,10 +247,29 @@ def test_a_run_that_blows_up_keeps_its_last_sound_state() -> None:
         term, jnp.ones(2), lambda t, y, args: y, solver=diffrax.Euler(), dt=0.01, steps=2000,
         samples=20,
     )  # fmt: skip
-    assert int(run.ending) == rb.stability.march.NOT_FINITE
+    assert int(run.ending) == rb.stability.NOT_FINITE
     assert 100 < int(run.steps) < 200
     assert np.isfinite(np.asarray(run.kept)).all()
     assert (np.asarray(run.kept)[-1] == np.asarray(run.y)).all()
+    # it came to the second sample, and no trend is read from what is frozen after it
+    np.testing.assert_array_equal(run.ts, [0.0, 1.0, *[np.nan] * 19])
+    with pytest.raises(rb.InputError, match=r"19 of 21 samples.* ended early"):
+        trend(run.ts, run.kept[:, 0])
+
+
+def test_an_end_within_the_last_sample_is_told_too() -> None:
+    """y' = y^2 by Euler from 1, 150 steps of the 200 that two samples would take."""
+    term = diffrax.ODETerm(lambda t, y, args: y**2)
+    run = rb.stability.drift(
+        term, 1.0, lambda t, y, args: (y, jnp.round(y).astype(int)), solver="euler", dt=0.01,
+        steps=200, samples=2,
+    )  # fmt: skip
+    np.testing.assert_array_equal(run.ts, [0.0, 1.0, np.nan])
+    whole = rb.stability.drift(
+        term, -1.0, lambda t, y, args: y, solver="euler", dt=0.01, steps=200, samples=2
+    )
+    assert int(whole.ending) == rb.stability.DONE
+    np.testing.assert_allclose(whole.ts, [0.0, 1.0, 2.0], rtol=1e-15)
 
 
 def test_a_root_that_is_not_found_ends_the_run() -> None:
@@ -257,8 +278,9 @@ def test_a_root_that_is_not_found_ends_the_run() -> None:
         term, jnp.ones(2), lambda t, y, args: y, solver=rb.solvers.implicit_midpoint(), dt=0.3,
         steps=20, samples=20,
     )  # fmt: skip
-    assert int(run.ending) == rb.stability.march.NO_ROOT
+    assert int(run.ending) == rb.stability.NO_ROOT
     assert int(run.steps) < 4
+    assert np.isfinite(np.asarray(run.ts)).sum() == int(run.steps) + 1
     assert np.isfinite(np.asarray(run.kept)).all()
 
 

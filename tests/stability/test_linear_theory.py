@@ -224,7 +224,7 @@ def test_leapfrog_is_stable_on_the_axis_alone() -> None:
 
 def test_any_tableau_of_ones_own() -> None:
     """The theta method with 0.4: implicit, and stable to -2 / (1 - 2 theta)."""
-    R = of_tableau(np.array([[0.0, 0.0], [0.6, 0.4]]), np.array([0.6, 0.4]))
+    R = stability.stability_function(rb.solvers.Tableau([[0, 0], [0.6, 0.4]], [0.6, 0.4], 1))
     assert str(R) == "(1 + 3z/5) / (1 - 2z/5)"
     assert abs(stability.real_limit(R) + 10) < 1e-12
     assert stability.alpha_degrees(R) == 0

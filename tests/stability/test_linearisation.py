@@ -156,7 +156,23 @@ def test_what_has_no_equilibrium_says_so() -> None:
     state = model.default_state()
     with pytest.raises(rb.InputError, match=r"an acceleration of .* is left after 50 steps"):
         stability.equilibrium(model, state, np.array([5.0]))  # more than its weight can hold
+    with pytest.raises(rb.InputError, match=r"equilibrium: q\[0\] is nan"):
+        stability.equilibrium(model, rb.State(np.array([np.nan]), np.zeros(1)))
     with pytest.raises(rb.InputError, match=r"expected one of .*'rk4'"):
         stability.measured_stable_step("rollout euler", model, state, near=1.0)
+    bent, upright, moving = (
+        rb.State(np.array([q]), np.array([v])) for q, v in ((0.5, 0.0), (np.pi, 0.0), (0.0, 1.0))
+    )
+    for start, options, words in (
+        (bent, {}, r"accelerates at .*expected one at rest.*equilibrium"),
+        (moving, {}, "moves at 1.0"),
+        (upright, {}, r"unstable, the motion itself departs from it as exp\(3.8 t\)"),
+        (state, {"near": 0.0}, "near 0.0 s and 2000 steps"),
+        (state, {"near": -1.0}, "expected a positive time"),
+        (state, {"steps": 0}, "0 steps, expected .* at least 10"),
+        (np.zeros(1), {}, "state is ndarray"),
+    ):
+        with pytest.raises(rb.InputError, match=words):
+            stability.measured_stable_step("rk4", model, start, **{"near": 0.3, **options})
     with pytest.raises(rb.InputError, match=r"expected \(T, nq\)"):
         stability.motion_matrices(model, state)

@@ -196,7 +196,9 @@ def test_on_a_group_and_off_it() -> None:
 
 def test_what_does_not_apply() -> None:
     assert attempt(solver("rigid_body_splitting"), SCENES["spring_1e2"], NOTHING) is None
-    assert attempt(solver("euler"), SCENES["spring_adaptive"], NOTHING) is None
+    assert attempt("euler", SCENES["spring_adaptive"], NOTHING) is None
+    with pytest.raises(rb.InputError, match="class Euler"):
+        attempt(diffrax.Euler, SCENES["spring_1e2"], NOTHING)
 
 
 @pytest.mark.slow

@@ -1,0 +1,56 @@
+"""What the laboratory takes for a method that steps: a name, a solver, a tableau of one's own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import numpy as np
+
+from rbjax import solvers
+from rbjax.errors import InputError, UnknownName
+from rbjax.solvers import Tableau
+from rbjax.solvers.newton import very_chord
+
+Solver = diffrax.AbstractSolver | str | Tableau
+
+
+def made(solver: Any) -> Any:
+    """The solver: itself, the one of a name in `rb.solvers.all()`, or that of a tableau.
+
+    Raises:
+        UnknownName: a name that is not there.
+        InputError: a class in the place of its instance, and what is no method that steps.
+
+    >>> made("rk4")
+    RK4()
+    """
+    if isinstance(solver, str):
+        known = solvers.all()
+        if solver not in known:
+            raise UnknownName("solver", solver, known)
+        return known[solver].make()
+    if isinstance(solver, Tableau):
+        explicit = not np.triu(solver.a).any()
+        return solvers.MuntheKaas(solver) if explicit else solvers.ImplicitRungeKutta(solver)
+    if isinstance(solver, diffrax.AbstractSolver):
+        return solver
+    expected = "a name of rb.solvers.all(), a solver of rbjax or diffrax, or an rb.solvers.Tableau"
+    if isinstance(solver, type) and issubclass(solver, diffrax.AbstractSolver):
+        name = solver.__name__
+        raise InputError(f"solver: got the class {name}, call it: {name}(); expected {expected}")
+    got = type(solver).__name__
+    raise InputError(f"solver: got {got}, which does not step; expected {expected}")
+
+
+def stepping(solver: Any) -> Any:
+    """`made`, for equal steps: no root finder waits for the tolerances of a controller.
+
+    Diagonally implicit methods of diffrax come with one that does.
+    """
+    solver = made(solver)
+    if not isinstance(solver, diffrax.AbstractImplicitSolver):
+        return solver
+    own = isinstance(getattr(solver.root_finder, "rtol", 0.0), (int, float))
+    return solver if own else eqx.tree_at(lambda s: s.root_finder, solver, very_chord())
