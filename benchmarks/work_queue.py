@@ -139,7 +139,7 @@ class Board:
             rows = [rows[-1] for task, rows in self.found.items() if task.precision == "count"]
         out = {}
         for row in rows:
-            if row["what"] == "count":
+            if row["what"] == "count" and row["of_steps"]:
                 scene = row["scene"] if row["method"] in IMPLICIT else ""
                 out[scene, row["method"]] = row["of_steps"], row["a_step"]
         return out
