@@ -11,10 +11,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
+
+from rbjax.errors import InputError
+from rbjax.solvers.groups import OnGroup, Vector
+
+IN_TIME = (diffrax.ODETerm, OnGroup)  # dy = f dt: f times the length of a step
+IN_OTHERS = (diffrax.ControlTerm, diffrax.UnderdampedLangevinDiffusionTerm)
 
 
 class Field(eqx.Module):
@@ -27,6 +34,14 @@ class Field(eqx.Module):
     args: Any
     unravel: Any = None
 
+    def __check_init__(self):
+        for part in _parts(self.terms):
+            if isinstance(part, IN_OTHERS):
+                raise InputError(
+                    f"{type(part).__name__}: the solver takes rates, expected a term in time alone; "
+                    "ControlTerm.to_ode() makes one of a control that has a derivative"
+                )
+
     def __call__(self, t: Any, y: Any) -> Any:
         return _rate(self, t, y)
 
@@ -38,11 +53,29 @@ def field(terms: Any, args: Any) -> Field:
 
 def forwards(terms: Any, t: Any) -> Any:
     """1, in the kind of number that t is, or -1 where the caller's time runs backwards."""
+    return jax.tree.leaves(_unit(terms, t))[0]  # a sum of terms has as many
+
+
+def _unit(terms: Any, t: Any) -> Any:
+    """The control of a unit of the solver's time."""
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
+
+
+def _parts(terms: Any) -> list[Any]:
+    """The terms that a sum is made of, without what diffrax wraps around."""
+    whole = (*IN_TIME, *IN_OTHERS)
+    return jax.tree.leaves(terms, is_leaf=lambda x: isinstance(x, whole))
 
 
 def flattened(terms: Any, args: Any, y: Any) -> tuple[Field, jax.Array]:
     """The field on vectors (n,), and y as one."""
+    for part in _parts(terms):
+        if isinstance(part, OnGroup) and not isinstance(part.group, Vector):
+            raise InputError(
+                f"{type(part).__name__}: the term moves its state on the group "
+                f"{type(part.group).__name__}, expected a vector field, as diffrax.ODETerm; "
+                "rb.solvers.rkmk(4) and others for Lie groups take the term"
+            )
     vector, unravel = ravel_pytree(y)
     return Field(terms, args, unravel), vector
 
@@ -50,8 +83,8 @@ def flattened(terms: Any, args: Any, y: Any) -> tuple[Field, jax.Array]:
 @eqx.filter_jit
 def _rate(f: Field, t: Any, y: Any) -> Any:
     if f.unravel is None:
-        return f.terms.vf_prod(t, y, f.args, forwards(f.terms, t))
-    rate = f.terms.vf_prod(t, f.unravel(y), f.args, forwards(f.terms, t))
+        return f.terms.vf_prod(t, y, f.args, _unit(f.terms, t))
+    rate = f.terms.vf_prod(t, f.unravel(y), f.args, _unit(f.terms, t))
     return ravel_pytree(rate)[0]
 
 
