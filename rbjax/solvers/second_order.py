@@ -57,6 +57,13 @@ class Halves(eqx.Module):
         return group_of(self.terms).retract(y, together([dq, dv]))
 
 
+def momentum_of(terms: Any, args: Any) -> Callable[[Any, Any], Any] | None:
+    """The term's p(t, y), if it has one, t in the solver's time. Reversed time reverses v in
+    nothing but h: p is that of the state as it is."""
+    of_term = getattr(unwrapped(terms), "momentum", None)
+    return of_term and (lambda t, y: of_term(forwards(terms, t) * t, y, args))
+
+
 def in_momenta(
     momentum: Callable[[Any, Any], Any],
     place: Callable[[Any], Any],
@@ -127,11 +134,11 @@ class GeneralizedAlpha(AbstractGroupSolver):
         guess = combine(
             (((1 - m) * free + m) / (1 - f), -f / (1 - f)), (scaled(h, carried), scaled(h, now))
         )
-        function, slope, momentum = residual, None, getattr(unwrapped(terms), "momentum", None)
+        function, slope, momentum = residual, None, momentum_of(terms, args)
         if momentum is not None:
             of_state = pair(y0)[1]
             function, slope = in_momenta(
-                lambda q, v: momentum(t1, of_state([q, v]), args),
+                lambda q, v: momentum(t1, of_state([q, v])),
                 lambda k: pair(after(k)[1])[0][0], residual, guess,
             )  # fmt: skip
         max_steps = self.root_find_max_steps
@@ -238,7 +245,7 @@ class VariationalMidpoint(AbstractGroupSolver):
         halves, h = Halves(terms, args), t1 - t0
         (_, v0), _ = pair(y0)
         tm = t0 + h / 2
-        momentum = self._momentum(terms, args)
+        momentum = momentum_of(terms, args) or (lambda t, y: pair(y)[0][1])
         p0 = momentum(t0, y0)
 
         def middle(dw):
@@ -251,7 +258,7 @@ class VariationalMidpoint(AbstractGroupSolver):
             a = halves.acceleration(tm, at)
 
             def onward(s):
-                return momentum(tm, halves.moved(at, scaled(s, w), scaled(s, a)))
+                return momentum(tm + s, halves.moved(at, scaled(s, w), scaled(s, a)))
 
             p, rate = jax.jvp(onward, (h * 0,), (h * 0 + 1,))
             return combine((1.0, -1.0, -h / 2), (p, p0, rate))
@@ -270,14 +277,7 @@ class VariationalMidpoint(AbstractGroupSolver):
         here, linear = jax.linearize(moment, jax.tree.map(jnp.zeros_like, v))
         operator = lx.FunctionLinearOperator(linear, jax.eval_shape(lambda: v))
         missing = combine((1.0, -1.0), (p1, here))
-        dv = lx.linear_solve(operator, missing, lx.LU(), throw=False).value
-        y1 = halves.kicked(there, dv)
+        solved = lx.linear_solve(operator, missing, lx.LU(), throw=False)
+        y1 = halves.kicked(there, solved.value)
         dense = dense_between(group_of(terms), field(terms, args), t0, t1, y0, y1)
-        return y1, None, dense, None, verdict(ok)
-
-    def _momentum(self, terms: Any, args: Any) -> Callable[[Any, Any], Any]:
-        """p(t, y), in the solver's time: reversed time reverses velocities in nothing but h."""
-        of_term = getattr(unwrapped(terms), "momentum", None)
-        if of_term is None:
-            return lambda t, y: pair(y)[0][1]
-        return lambda t, y: of_term(t, y, args)
+        return y1, None, dense, None, verdict(ok & (solved.result == lx.RESULTS.successful))
