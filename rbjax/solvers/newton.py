@@ -200,7 +200,7 @@ def stopped(tree: Any) -> Any:
 
 
 def _largest(tree: Any) -> jax.Array:
-    return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree)]))
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree) if x.size]))
 
 
 def _dtype(tree: Any) -> Any:

@@ -1,0 +1,28 @@
+"""The numbers that a solver is made of, checked where it is made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from rbjax.errors import InputError
+
+
+def check_whole(solver: str, what: str, value: Any, low: int, high: int, why: str = "") -> None:
+    """`InputError` unless value is a whole number from low to high."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not (whole and low <= value <= high):
+        raise InputError(
+            f"{solver} of {what} {value!r}: expected a whole number from {low} to {high}{why}"
+        )
+
+
+def check_between(solver: str, what: str, value: Any, low: float, high: float) -> None:
+    """`InputError` unless value is from low to high. Traced, it is the caller's to know."""
+    if isinstance(value, jax.core.Tracer):
+        return
+    numbers = np.asarray(value)
+    if not ((low <= numbers) & (numbers <= high)).all():
+        raise InputError(f"{solver}: {what} = {value}, expected a number from {low} to {high}")
