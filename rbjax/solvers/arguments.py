@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import diffrax
 import jax
 import numpy as np
 
@@ -26,3 +27,18 @@ def check_between(solver: str, what: str, value: Any, low: float, high: float) -
     numbers = np.asarray(value)
     if not ((low <= numbers) & (numbers <= high)).all():
         raise InputError(f"{solver}: {what} = {value}, expected a number from {low} to {high}")
+
+
+def check_solver(function: str, solver: Any) -> None:
+    """`InputError` unless solver is one of diffrax', and not what makes one."""
+    if isinstance(solver, diffrax.AbstractSolver):
+        return
+    got, fix = repr(solver), ""
+    if isinstance(solver, str):
+        fix = f": rb.solvers.all()[{solver!r}].make()"
+    elif hasattr(solver, "make"):
+        fix = ": the entry's make()"
+    elif hasattr(solver, "__name__"):
+        got = f"the {'class' if isinstance(solver, type) else 'function'} {solver.__name__}"
+        fix = f": {solver.__name__}()"
+    raise InputError(f"{function}: solver is {got}, expected a solver of diffrax{fix}")

@@ -24,7 +24,6 @@ from rbjax.solvers.stages import Start, damped, solve, start
 from rbjax.solvers.steps import AbstractPolynomialSolver, mixed
 from rbjax.solvers.tableau import Tableau
 
-
 MOST_STAGES = 10  # with more, the coefficients computed from the nodes are rounding
 
 

@@ -35,7 +35,7 @@ from rbjax.solvers.tableau import Tableau
 RESULTS = diffrax.RESULTS
 
 
-class MuntheKaas(AbstractGroupSolver):
+class MuntheKaas(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     """RKMK of an explicit tableau of order at most 5; the error estimate is the tableau's."""
 
     tableau: Tableau = eqx.field(static=True)

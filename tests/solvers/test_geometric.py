@@ -138,9 +138,7 @@ def grown(name: str):
     return lambda *args: np.concatenate(run(*args))
 
 
-@pytest.mark.parametrize(
-    "name", ["variational_midpoint", pytest.param("newmark", marks=SLOW)]
-)
+@pytest.mark.parametrize("name", ["variational_midpoint", pytest.param("newmark", marks=SLOW)])
 @pytest.mark.parametrize(("t0", "t1"), [(0.0, 1.0), (1.0, 0.0)])
 def test_a_momentum_that_time_changes(name: str, t0: float, t1: float) -> None:
     """Order 2, whichever way time runs: the caller's time is what the momentum is asked at."""

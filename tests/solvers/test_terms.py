@@ -1,4 +1,4 @@
-"""The terms that the solvers take: in time alone, sums of them, on the groups that each moves on."""
+"""The terms that solvers take: in time alone, sums of them, on the groups that each moves on."""
 
 import diffrax
 import jax.numpy as jnp
