@@ -39,7 +39,8 @@ class Field(eqx.Module):
             if isinstance(part, IN_OTHERS):
                 raise InputError(
                     f"{type(part).__name__}: the solver takes rates, "
-                    "expected a term in time alone; ControlTerm.to_ode() makes one of a control that has a derivative"
+                    "expected a term in time alone; ControlTerm.to_ode() makes one of a control "
+                    "that has a derivative"
                 )
 
     def __call__(self, t: Any, y: Any) -> Any:

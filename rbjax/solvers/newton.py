@@ -166,7 +166,7 @@ def root(
     roots, and a derivative that leads there sooner. The root's own derivatives are those of the
     implicit function, in both directions.
     """
-    options = {"scale": _largest(y0)}
+    options: dict[str, Any] = {"scale": _largest(y0)}
     for name, f in (("near", near), ("slope", slope)):
         if f is not None:  # what it closes over becomes leaves, which `stopped` stops
             options[name] = eqx.filter_closure_convert(f, guess, None)

@@ -104,7 +104,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
 
     def order(self, terms):
         """A member whose numbers are traced is not known to be of order 2."""
-        off = self.gamma - (1 / 2 - self.alpha_m + self.alpha_f)
+        off: Any = self.gamma - (1 / 2 - self.alpha_m + self.alpha_f)
         return 2 if not isinstance(off, jax.core.Tracer) and abs(off) < ROUNDING else 1
 
     def init(self, terms, t0, t1, y0, args):
