@@ -191,6 +191,12 @@ def simulate(
         raise InputError("simulate: the model has no joints, so nothing moves")
     solver = diffrax.Tsit5() if solver is None else solver
     check_solver("simulate", solver)
+    # Inside a caller's jit diffrax would trace what the caller holds constant.
+    # Outside, the model is an argument: a number that changes does not compile anew.
+    if not staged() or opened(model)[0]:
+        model = made_ahead(model, state.q.dtype)
+    args, of_args = opened(model) if staged() else (model, _itself)
+    term, state = motion(model, state, solver, control, of_args)
     if stepsize_controller is None:
         if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
@@ -200,12 +206,6 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
-    # Inside a caller's jit diffrax would trace what the caller holds constant.
-    # Outside, the model is an argument: a number that changes does not compile anew.
-    if not staged() or opened(model)[0]:
-        model = made_ahead(model, state.q.dtype)
-    args, of_args = opened(model) if staged() else (model, _itself)
-    term, state = motion(model, state, solver, control, of_args)
     solution = _diffeqsolve(
         term,
         solver,
