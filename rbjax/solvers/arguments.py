@@ -16,7 +16,7 @@ def check_whole(solver: str, what: str, value: Any, low: int, high: int, why: st
     whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if not (whole and low <= value <= high):
         raise InputError(
-            f"{solver} of {what} {value!r}: expected a whole number from {low} to {high}{why}"
+            f"{solver}: {what} = {value!r}, expected a whole number from {low} to {high}{why}"
         )
 
 
