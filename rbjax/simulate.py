@@ -29,6 +29,7 @@ from rbjax.materialize import materialize
 from rbjax.model import Model, State, Topology, made_ahead, spans
 from rbjax.rotations import quaternion
 from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
+from rbjax.solvers.arguments import check_solver
 from rbjax.trajectory import Trajectory, all_finite
 
 Control = Callable[[jax.Array, State], jax.Array]
@@ -169,7 +170,8 @@ def simulate(
         `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`.
 
     Raises:
-        InputError: shapes, dtypes, times that do not increase.
+        InputError: shapes, dtypes, times that do not increase; no solver, or one without an
+            estimate of its error and no dt0.
 
     Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
 
@@ -187,17 +189,23 @@ def simulate(
     ts = _times(ts, state.q.dtype)
     if not model.nv:
         raise InputError("simulate: the model has no joints, so nothing moves")
-    if stepsize_controller is None:
-        tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
-        adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
-        stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
     solver = diffrax.Tsit5() if solver is None else solver
+    check_solver("simulate", solver)
     # Inside a caller's jit diffrax would trace what the caller holds constant.
     # Outside, the model is an argument: a number that changes does not compile anew.
     if not staged() or opened(model)[0]:
         model = made_ahead(model, state.q.dtype)
     args, of_args = opened(model) if staged() else (model, _itself)
     term, state = motion(model, state, solver, control, of_args)
+    if stepsize_controller is None:
+        if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
+            raise InputError(
+                f"simulate: {type(solver).__name__} estimates no error to choose steps by, "
+                "expected dt0, the fixed step; or diffrax.HalfSolver around the solver"
+            )
+        tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
+        adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
+        stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
     solution = _diffeqsolve(
         term,
         solver,

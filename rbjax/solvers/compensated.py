@@ -28,7 +28,7 @@ from rbjax.solvers.rosenbrock import RosenbrockW
 BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)
 
 
-class Compensated(diffrax.AbstractWrappedSolver):
+class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver):
     """A solver whose additions to the state lose nothing: it carries the state's low part along.
 
     For where rounding decides: small steps, long motions that magnify errors, f32.

@@ -17,7 +17,12 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
+from rbjax.errors import InputError
 from rbjax.materialize import batch_first
+from rbjax.solvers.groups import OnGroup, Vector
+
+IN_TIME = (diffrax.ODETerm, OnGroup)  # dy = f dt: f times the length of a step
+IN_OTHERS = (diffrax.ControlTerm, diffrax.UnderdampedLangevinDiffusionTerm)
 
 
 class Field(eqx.Module):
@@ -31,6 +36,15 @@ class Field(eqx.Module):
     args: Any
     unravel: Any = None
 
+    def __check_init__(self):
+        for part in _parts(self.terms):
+            if isinstance(part, IN_OTHERS):
+                raise InputError(
+                    f"{type(part).__name__}: the solver takes rates, "
+                    "expected a term in time alone; ControlTerm.to_ode() makes one of a control "
+                    "that has a derivative"
+                )
+
     def __call__(self, t: Any, y: Any) -> Any:
         return _rate(self, t, y)
 
@@ -42,7 +56,18 @@ def field(terms: Any, args: Any) -> Field:
 
 def forwards(terms: Any, t: Any) -> Any:
     """1, in the kind of number that t is, or -1 where the caller's time runs backwards."""
+    return jax.tree.leaves(_unit(terms, t))[0]  # a sum of terms has as many
+
+
+def _unit(terms: Any, t: Any) -> Any:
+    """The control of a unit of the solver's time."""
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
+
+
+def _parts(terms: Any) -> list[Any]:
+    """The terms that a sum is made of, without what diffrax wraps around."""
+    whole = (*IN_TIME, *IN_OTHERS)
+    return jax.tree.leaves(terms, is_leaf=lambda x: isinstance(x, whole))
 
 
 def flattened(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
@@ -51,6 +76,13 @@ def flattened(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
     Derivatives by rules of our own see arguments alone, so what is differentiated and closed over
     by the caller's function becomes one.
     """
+    for part in _parts(terms):
+        if isinstance(part, OnGroup) and not isinstance(part.group, Vector):
+            raise InputError(
+                f"{type(part).__name__}: the term moves its state on the group "
+                f"{type(part.group).__name__}, expected a vector field, as diffrax.ODETerm; "
+                "rb.solvers.rkmk(4) and others for Lie groups take the term"
+            )
     vector, unravel = ravel_pytree(y)
     f = Field(terms, args, unravel)
     numbers, rest = eqx.partition(f, eqx.is_array)
@@ -67,8 +99,8 @@ def _rate(f: Field, t: Any, y: Any) -> Any:
     if not isinstance(f.terms, diffrax.AbstractTerm):
         return f.terms(t, y, *f.args)
     if f.unravel is None:
-        return f.terms.vf_prod(t, y, f.args, forwards(f.terms, t))
-    rate = f.terms.vf_prod(t, f.unravel(y), f.args, forwards(f.terms, t))
+        return f.terms.vf_prod(t, y, f.args, _unit(f.terms, t))
+    rate = f.terms.vf_prod(t, f.unravel(y), f.args, _unit(f.terms, t))
     return ravel_pytree(rate)[0]
 
 

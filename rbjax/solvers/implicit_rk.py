@@ -17,11 +17,14 @@ import jax.numpy as jnp
 import optimistix as optx
 
 from rbjax.solvers import tableau as tables
+from rbjax.solvers.arguments import check_whole
 from rbjax.solvers.field import Field, flattened
 from rbjax.solvers.newton import MAX_STEPS, chord, refused, verdict
 from rbjax.solvers.stages import Start, damped, solve, start
 from rbjax.solvers.steps import AbstractPolynomialSolver, hermite, mixed
 from rbjax.solvers.tableau import Tableau
+
+MOST_STAGES = 9  # with more, the coefficients computed from the nodes are rounding
 
 
 class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
@@ -93,19 +96,23 @@ def trapezoid(**options) -> ImplicitRungeKutta:
 
 def gauss_legendre(stages: int = 2, **options) -> ImplicitRungeKutta:
     """Gauss-Legendre: order 2 s, A-stable, symplectic."""
+    check_whole("gauss_legendre", "stages", stages, 1, MOST_STAGES)
     return ImplicitRungeKutta(tables.gauss(stages), **options)
 
 
 def radau_iia(stages: int = 3, **options) -> ImplicitRungeKutta:
     """Radau IIA: order 2 s - 1, L-stable, for stiff equations; one stage is backward Euler."""
+    check_whole("radau_iia", "stages", stages, 1, MOST_STAGES)
     return ImplicitRungeKutta(tables.radau_iia(stages), **options)
 
 
 def lobatto_iiia(stages: int = 3, **options) -> ImplicitRungeKutta:
     """Lobatto IIIA: order 2 s - 2, A-stable, symmetric."""
+    check_whole("lobatto_iiia", "stages", stages, 2, MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiia(stages), **options)
 
 
 def lobatto_iiic(stages: int = 3, **options) -> ImplicitRungeKutta:
     """Lobatto IIIC: order 2 s - 2, L-stable."""
+    check_whole("lobatto_iiic", "stages", stages, 2, MOST_STAGES)
     return ImplicitRungeKutta(tables.lobatto_iiic(stages), **options)

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.solvers import tableau as tables
+from rbjax.solvers.arguments import check_whole
 from rbjax.solvers.field import Field, field
 from rbjax.solvers.groups import AbstractGroup, group_of
 from rbjax.solvers.steps import (
@@ -34,7 +35,7 @@ from rbjax.solvers.tableau import Tableau
 RESULTS = diffrax.RESULTS
 
 
-class MuntheKaas(AbstractGroupSolver):
+class MuntheKaas(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     """RKMK of an explicit tableau of order at most 5; the error estimate is the tableau's."""
 
     tableau: Tableau = eqx.field(static=True)
@@ -63,7 +64,12 @@ class MuntheKaas(AbstractGroupSolver):
 
 def rkmk(order: int) -> MuntheKaas:
     """Munthe-Kaas' method on Heun's (2), Bogacki and Shampine's (3), the classical (4) or Dormand
-    and Prince's method (5)."""
+    and Prince's method (5).
+
+    Raises:
+        InputError: another order.
+    """
+    check_whole("rkmk", "order", order, 2, 5)
     table = {
         2: tables.HEUN,
         3: tables.of_diffrax(diffrax.Bosh3, 3),

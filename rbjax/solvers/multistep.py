@@ -27,6 +27,7 @@ from jax.flatten_util import ravel_pytree
 
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
+from rbjax.solvers.arguments import check_whole
 from rbjax.solvers.field import Field, flattened
 from rbjax.solvers.implicit_rk import ImplicitRungeKutta
 from rbjax.solvers.lagrange import basis, integrals, slopes_at_one
@@ -125,11 +126,15 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         return (history.ts - t0) / jnp.where(h == 0, 1.0, h)
 
 
-class Adams(AbstractMultistep):
-    """Adams methods of order 1 to 6; implicit ones, and PECE, from 2.
+ADAMS = {"none": ("Adams-Bashforth", 1), "once": ("PECE", 2), "root": ("Adams-Moulton", 2)}
 
-    Fields: formula_order; corrector, "none" (Adams-Bashforth), "once" (PECE: predicted, evaluated,
-    corrected, evaluated) or "root" (Adams-Moulton); root_finder, root_find_max_steps for the last.
+
+class Adams(AbstractMultistep):
+    """Adams methods, to order 5: that of what RK4 starts, whose errors are of order 5 in each step.
+
+    Fields: formula_order, from 1, with a corrector from 2; corrector, "none" (Adams-Bashforth),
+    "once" (PECE: predicted, evaluated, corrected, evaluated) or "root" (Adams-Moulton);
+    root_finder, root_find_max_steps for the last.
     """
 
     formula_order: int = eqx.field(static=True)
@@ -138,9 +143,12 @@ class Adams(AbstractMultistep):
     root_find_max_steps: int = MAX_STEPS
 
     def __check_init__(self):
-        least = 1 if self.corrector == "none" else 2
-        if not least <= self.formula_order <= 6:
-            raise InputError(f"Adams of order {self.formula_order}: from {least} to 6 alone")
+        if self.corrector not in ADAMS:
+            expected = ", ".join(map(repr, ADAMS))
+            raise InputError(f"Adams: corrector {self.corrector!r}, expected {expected}")
+        name, least = ADAMS[self.corrector]
+        why = ", the order of its start; backward Euler is bdf(1)"
+        check_whole(name, "order", self.formula_order, least, 5, why)
 
     @property
     def past(self) -> int:
@@ -215,8 +223,7 @@ class BDF(AbstractMultistep):
     root_find_max_steps: int = MAX_STEPS
 
     def __check_init__(self):
-        if not 1 <= self.formula_order <= 6:
-            raise InputError(f"BDF of order {self.formula_order}: zero-stable from 1 to 6 alone")
+        check_whole("BDF", "order", self.formula_order, 1, 6, ", where it is zero-stable")
 
     @property
     def past(self) -> int:
@@ -273,20 +280,21 @@ class BDF(AbstractMultistep):
 
 
 def adams_bashforth(order: int) -> Adams:
-    """Explicit, `order` rates, the new one among them, one evaluation a step."""
+    """Explicit, of order 1 to 5: so many rates, the new one among them, one evaluation a step."""
     return Adams(order)
 
 
 def adams_moulton(order: int, **options) -> Adams:
-    """Implicit; order 2 is the trapezoidal rule."""
+    """Implicit, of order 2, the trapezoidal rule, to 5."""
     return Adams(order, "root", **options)
 
 
 def pece(order: int) -> Adams:
-    """Adams-Bashforth of order - 1, evaluated, corrected by Adams-Moulton, evaluated."""
+    """Adams-Bashforth of order - 1, evaluated, corrected by Adams-Moulton, evaluated: order 2 to
+    5."""
     return Adams(order, "once")
 
 
 def bdf(order: int, **options) -> BDF:
-    """BDF of a given order; order 1 is backward Euler."""
+    """BDF of order 1, backward Euler, to 6."""
     return BDF(order, **options)

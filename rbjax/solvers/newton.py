@@ -22,6 +22,7 @@ import lineax as lx
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 
+from rbjax.errors import InputError
 from rbjax.solvers.field import times
 
 MAX_STEPS = 100  # a chord's are cheap, and slow where a stiff spring shakes a heavy arm
@@ -91,7 +92,17 @@ def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
 
 
 def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
-    """Simplified Newton: one Jacobian a step, at the first guess."""
+    """Simplified Newton: one Jacobian a step, at the first guess.
+
+    Raises:
+        InputError: a linear solver that goes by products alone: there is nothing to hold.
+    """
+    if linear_solver is not None and iterative(linear_solver):
+        name = type(linear_solver).__name__
+        raise InputError(
+            f"chord: got lineax.{name}, expected a linear solver of the matrix that a chord holds; "
+            f"newton({name}(...)) does without one"
+        )
     return Settled(inner=_made(optx.Chord, linear_solver or Inverse()))
 
 
@@ -157,13 +168,13 @@ def root(
     """
     options: dict[str, Any] = {"scale": _largest(y0)}
     for name, f in (("near", near), ("slope", slope)):
-        if f is not None:  # what it closes over becomes leaves, which `_stopped` stops
+        if f is not None:  # what it closes over becomes leaves, which `stopped` stops
             options[name] = eqx.filter_closure_convert(f, guess, None)
     solution: Any = optx.root_find(
         lambda x, _: residual(x),
         finder,
         jax.lax.stop_gradient(guess),
-        options=_stopped(options),
+        options=stopped(options),
         max_steps=max_steps,
         throw=False,
     )
@@ -181,13 +192,15 @@ def refused(ok: jax.Array, error: Any) -> Any:
     return jax.tree.map(lambda x: jnp.where(ok, x, jnp.inf), error)
 
 
-def _stopped(tree: Any) -> Any:
+def stopped(tree: Any) -> Any:
+    """The same without derivatives; what is no array, as the functions in the state of a linear
+    solver without a matrix, stays as it is."""
     numbers, rest = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.lax.stop_gradient(numbers), rest)
 
 
 def _largest(tree: Any) -> jax.Array:
-    return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree)]))
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(tree) if x.size]))
 
 
 def _dtype(tree: Any) -> Any:

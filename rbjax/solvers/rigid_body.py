@@ -16,7 +16,9 @@ from typing import Any, ClassVar
 import diffrax
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.errors import InputError
 from rbjax.solvers.field import field, forwards
 from rbjax.solvers.groups import SO3, AbstractGroup, OnGroup, Product, Vector, unwrapped
 from rbjax.solvers.steps import AbstractGroupSolver, dense_between
@@ -27,6 +29,9 @@ class RigidBody(OnGroup):
 
     inertia (3,): principal moments, kg m^2, along the body axes; torque: (t, quaternion, args) ->
     (3,) in body axes, N m, or None. Any solver of terms on groups takes it.
+
+    Raises:
+        InputError: an inertia of another shape, or that is not positive.
     """
 
     inertia: jax.Array  # type: ignore[misc]
@@ -34,6 +39,14 @@ class RigidBody(OnGroup):
 
     def __init__(self, inertia: Any, torque: Callable[..., jax.Array] | None = None):
         self.inertia = jnp.asarray(inertia)
+        if self.inertia.shape != (3,):
+            raise InputError(
+                f"RigidBody: inertia has shape {self.inertia.shape}, expected (3,): the principal "
+                "moments, along the body axes"
+            )
+        known = not isinstance(self.inertia, jax.core.Tracer)
+        if known and not (np.asarray(self.inertia) > 0).all():
+            raise InputError(f"RigidBody: inertia {self.inertia}, expected positive moments")
         self.torque = torque
         self.group: AbstractGroup = Product((SO3(), Vector()))
         self.vector_field = _no_field

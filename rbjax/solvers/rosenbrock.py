@@ -22,7 +22,7 @@ import lineax as lx
 import numpy as np
 
 from rbjax.solvers.field import flattened, linearized, times
-from rbjax.solvers.newton import iterative, refused, verdict
+from rbjax.solvers.newton import iterative, refused, stopped, verdict
 from rbjax.solvers.steps import AbstractPolynomialSolver, hermite, mixed
 from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
@@ -93,7 +93,7 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
             one = jnp.eye(y.size, dtype=y.dtype)
             operator = lx.MatrixLinearOperator(one - h * diagonal * jacobian)
         slope = jax.jvp(lambda t: f(t, y), (t0,), (t0 * 0 + 1,))[1]
-        factors = jax.lax.stop_gradient(self.linear_solver.init(operator, {}))
+        factors = stopped(self.linear_solver.init(operator, {}))
 
         def stage(ks, row):
             i, alpha, gamma = row

@@ -108,9 +108,14 @@ def inverse_dexp(group: AbstractGroup, u: Any, w: Any) -> Any:
 
 def pair(y: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
     """The two halves (q, v) of a state or of its rate, and how to put halves together again."""
+    if isinstance(y, dict):
+        raise InputError(
+            f"a state that is a dict, whose order is that of its keys, {sorted(y)}: expected a "
+            "tuple (q, v)"
+        )
     halves, tree = jax.tree.flatten(y, is_leaf=lambda x: x is not y)
     if len(halves) != 2:
-        raise InputError(f"a state of {len(halves)} parts, expected two: positions and velocities")
+        raise InputError(f"a state of {len(halves)} parts, expected a tuple (q, v)")
     return halves, lambda new: jax.tree.unflatten(tree, new)
 
 

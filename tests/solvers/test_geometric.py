@@ -1,10 +1,13 @@
 """What structure is for: energies that do not drift, lengths and momenta that stay."""
 
+import functools
+
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import rbjax as rb
 from tests.solvers.scenes import INERTIA
@@ -101,6 +104,65 @@ def test_variational_midpoint_on_a_double_pendulum() -> None:
 
 BODY = rb.solvers.RigidBody(INERTIA)
 SPIN = (jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.array([0.2, 2.0, 0.1]))
+
+
+def growing(t, q, xp):
+    """A mass that time and place change, with its slopes by both."""
+    shape = 1 + xp.sin(q) ** 2 / 2
+    return (1 + t) * shape, shape, (1 + t) * xp.sin(q) * xp.cos(q)
+
+
+def growing_rate(t, q, v, xp):
+    """v' of L = m v^2 / 2 + cos q."""
+    mass, by_time, by_place = growing(t, q, xp)
+    return -(xp.sin(q) + by_time * v + by_place * v * v / 2) / mass
+
+
+GROWING = rb.solvers.OnGroup(
+    lambda t, y, _: (y[1], growing_rate(t, *y, jnp)),
+    rb.solvers.Vector(),
+    lambda t, y, _: growing(t, y[0], jnp)[0] * y[1],
+)
+
+
+@functools.cache
+def grown(name: str):
+    """(t0, t1, y0, steps) -> y1, one program forwards and backwards."""
+    solver = rb.solvers.all()[name].make()
+
+    @jax.jit
+    def run(t0, t1, y0, steps):
+        dt = (t1 - t0) / steps * (1 + 1e-12)
+        return diffrax.diffeqsolve(GROWING, solver, t0, t1, dt, y0, max_steps=128).ys
+
+    return lambda *args: np.concatenate(run(*args))
+
+
+@pytest.mark.parametrize("name", ["variational_midpoint", pytest.param("newmark", marks=SLOW)])
+@pytest.mark.parametrize(("t0", "t1"), [(0.0, 1.0), (1.0, 0.0)])
+def test_a_momentum_that_time_changes(name: str, t0: float, t1: float) -> None:
+    """Order 2, whichever way time runs: the caller's time is what the momentum is asked at."""
+    y0 = (0.7, -0.4)
+    exact = solve_ivp(
+        lambda t, y: [y[1], growing_rate(t, *y, np)], (t0, t1), y0, method="DOP853",
+        rtol=1e-13, atol=1e-13,
+    ).y[:, -1]  # fmt: skip
+    found = [np.abs(grown(name)(t0, t1, y0, n) - exact).max() for n in (25.0, 50.0, 100.0)]
+    assert found[-1] < 1e-4, found
+    np.testing.assert_allclose(np.log2(np.divide(found[:-1], found[1:])), 2, atol=0.1)
+
+
+def test_a_singular_mass_is_a_result() -> None:
+    """It vanishes at the end of the step: no velocity belongs to the momentum there."""
+    term = rb.solvers.OnGroup(
+        lambda t, y, _: (y[1], y[1] / (1 - t)), rb.solvers.Vector(),
+        lambda t, y, _: (1 - t) * y[1],
+    )  # fmt: skip
+    y0 = (jnp.array(0.0), jnp.array(1.0))
+    solver = rb.solvers.VariationalMidpoint()
+    for end, ok in ((0.75, True), (1.0, False)):
+        out = diffrax.diffeqsolve(term, solver, 0.5, end, 0.5, y0, throw=False)
+        assert (out.result == diffrax.RESULTS.successful) == ok
 
 
 def momentum_in_space(y):

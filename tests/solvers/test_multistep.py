@@ -92,8 +92,3 @@ def test_a_jump_starts_anew() -> None:
     told = {"jump_ts": jnp.array([1.0])}
     assert error(40, **told) < error(20, **told) / 10
     assert error(40, **told) < error(40) / 100
-
-
-def test_bdf_beyond_six_is_refused() -> None:
-    with pytest.raises(ValueError, match="zero-stable from 1 to 6"):
-        bdf(7)

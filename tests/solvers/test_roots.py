@@ -56,6 +56,44 @@ def test_root_finders_agree() -> None:
         np.testing.assert_allclose(end(root_finder=finder), want, rtol=1e-13)
 
 
+def linearly_implicit(**options):
+    """args -> a number at the end of ten steps."""
+    solver = rb.solvers.ros2(**options)
+
+    def end(args):
+        found = diffrax.diffeqsolve(SCENE.term, solver, 0.0, 1.0, 0.1, SCENE.y0, args)
+        return (found.ys**2).sum()
+
+    return end
+
+
+def test_a_linearly_implicit_step_without_a_matrix() -> None:
+    """Its values and its gradients are those with one."""
+    (got, slope), (want, exact) = (
+        jax.jit(jax.value_and_grad(linearly_implicit(**options)))(SCENE.args)
+        for options in ({"linear_solver": lx.GMRES(1e-12, 1e-12)}, {})
+    )
+    np.testing.assert_allclose(got, want, rtol=1e-11)
+    np.testing.assert_allclose(slope, exact, rtol=1e-10)
+
+
+@pytest.mark.slow
+def test_a_linearly_implicit_step_by_bicgstab() -> None:
+    """No gradient: lineax' BiCGStab finds no solution of a right-hand side of zero, as the adjoint
+    of what is not used has."""
+    got, want = (
+        jax.jit(linearly_implicit(**options))(SCENE.args)
+        for options in ({"linear_solver": lx.BiCGStab(1e-12, 1e-12)}, {})
+    )
+    np.testing.assert_allclose(got, want, rtol=1e-11)
+
+
+@pytest.mark.parametrize("linear", [lx.GMRES(1e-9, 1e-9), lx.BiCGStab(1e-9, 1e-9)])
+def test_a_chord_without_a_matrix_is_refused(linear) -> None:
+    with pytest.raises(rb.InputError, match=r"chord: got .*, expected .* newton\("):
+        rb.solvers.chord(linear)
+
+
 @pytest.mark.parametrize("make", [rb.solvers.bdf, rb.solvers.radau_iia])
 def test_rest_is_rest(make) -> None:
     """A pendulum hanging at q = pi, where sin is rounding and not zero: corrections are noise."""

@@ -79,6 +79,33 @@ def test_the_splitting_of_rigid_bodies_names_its_term() -> None:
         rb.simulate(model, model.default_state(), TS, solver=rb.solvers.RigidBodySplitting())
 
 
+@pytest.mark.parametrize(
+    ("solver", "message"),
+    [
+        (rb.solvers.RK4, r"solver is the class RK4, expected a solver of diffrax: RK4\(\)"),
+        (rb.solvers.newmark, r"solver is the function newmark, expected .*: newmark\(\)"),
+        ("rk4", r"solver is 'rk4', expected .*: rb.solvers.all\(\)\['rk4'\]\.make\(\)"),
+        (SOLVERS["rk4"], r"solver is Entry\(.*, expected .*: the entry's make\(\)"),
+        (4, r"solver is 4, expected a solver of diffrax"),
+        (rb.solvers.newmark(), r"GeneralizedAlpha estimates no error.* expected dt0"),
+    ],
+)
+def test_what_is_no_solver_or_has_no_steps_is_named(solver, message: str) -> None:
+    model = rb.load("pendulum")
+    with pytest.raises(rb.InputError, match=message):
+        rb.simulate(model, model.default_state(), TS, solver=solver)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "solver", [rb.solvers.rkmk(3), rb.solvers.Compensated(rb.solvers.RK4())], ids=("rkmk", "sum")
+)
+def test_whatever_estimates_its_error_chooses_its_steps(solver) -> None:
+    model, apart = robot("pendulum")
+    gap, _ = apart(rb.simulate(model, start(model), TS, solver=solver))
+    assert np.abs(gap).max() < 1e-6
+
+
 @pytest.mark.slow
 def test_gradients_along_the_manifold() -> None:
     model = rb.load("spinning_top")

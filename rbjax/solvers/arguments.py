@@ -1,0 +1,44 @@
+"""The numbers that a solver is made of, checked where it is made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import diffrax
+import jax
+import numpy as np
+
+from rbjax.errors import InputError
+
+
+def check_whole(solver: str, what: str, value: Any, low: int, high: int, why: str = "") -> None:
+    """`InputError` unless value is a whole number from low to high."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not (whole and low <= value <= high):
+        raise InputError(
+            f"{solver}: {what} = {value!r}, expected a whole number from {low} to {high}{why}"
+        )
+
+
+def check_between(solver: str, what: str, value: Any, low: float, high: float) -> None:
+    """`InputError` unless value is from low to high. Traced, it is the caller's to know."""
+    if isinstance(value, jax.core.Tracer):
+        return
+    numbers = np.asarray(value)
+    if not ((low <= numbers) & (numbers <= high)).all():
+        raise InputError(f"{solver}: {what} = {value}, expected a number from {low} to {high}")
+
+
+def check_solver(function: str, solver: Any) -> None:
+    """`InputError` unless solver is one of diffrax', and not what makes one."""
+    if isinstance(solver, diffrax.AbstractSolver):
+        return
+    got, fix = repr(solver), ""
+    if isinstance(solver, str):
+        fix = f": rb.solvers.all()[{solver!r}].make()"
+    elif hasattr(solver, "make"):
+        fix = ": the entry's make()"
+    elif hasattr(solver, "__name__"):
+        got = f"the {'class' if isinstance(solver, type) else 'function'} {solver.__name__}"
+        fix = f": {solver.__name__}()"
+    raise InputError(f"{function}: solver is {got}, expected a solver of diffrax{fix}")
