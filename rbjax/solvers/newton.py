@@ -27,7 +27,7 @@ from rbjax.solvers.field import times
 
 MAX_STEPS = 100  # a chord's are cheap, and slow where a stiff spring shakes a heavy arm
 ROUNDING = 4  # units in the last place of the state
-NOISE = 1.6e3  # times that: where corrections that no longer shrink are rounding
+LOST = 0.2  # of the digits, to conditioning: so large, corrections that stay are rounding
 FAST = 0.1  # rate after which corrections that grow are rounding, below sqrt(eps) of the state
 
 
@@ -67,14 +67,15 @@ class Settled(optx.AbstractRootFinder):
         inner, before, pace = state
         dtype = _dtype(y)
         scale = jnp.maximum(jnp.asarray(options.get("scale", 1.0), dtype), _largest(y))
-        near = ROUNDING * jnp.finfo(dtype).eps * scale
+        eps = jnp.finfo(dtype).eps
+        near = ROUNDING * eps * scale
         now = _largest(inner.diff)
         rate = now / jnp.where(before > 0, before, 1.0)
         falling = (inner.step >= 2) & (rate < 0.9)
         next_ = jnp.where(falling, rate / (1 - jnp.where(falling, rate, 0.0)) * now, now)
-        small = (FAST * before <= pace) & (now <= jnp.sqrt(jnp.finfo(dtype).eps) * scale)
+        small = (FAST * before <= pace) & (now <= jnp.sqrt(eps) * scale)
         grown = (inner.step >= 3) & (rate >= 1) & small
-        stalled = (inner.step >= 2) & (rate > 0.5) & (now <= NOISE * near)
+        stalled = (inner.step >= 2) & (rate > 0.5) & (now <= eps**-LOST * near)
         broken = ~jnp.isfinite(now) & (inner.step >= 1)
         done = (inner.step >= 1) & ((next_ <= near) | (now == 0) | stalled | grown)
         failed = optx.RESULTS.where(

@@ -15,6 +15,7 @@ ON_IT = np.array([1.0, 1.0])  # cos 0
 STIFF = np.array([-1e6, 0.0, 0.0])
 UNBOUNDED = {"adams_moulton3", "adams_moulton4", "adams_moulton5"}  # implicit, not A-stable
 IMPLICIT = [n for n in SOLVERS if SOLVERS[n].kind == "ode" and SOLVERS[n].implicit]
+SLOW_IN_F32 = "lobatto_iiic3 bdf4".split()  # noqa: SIM905
 QUICK = {"radau_iia3", "kvaerno3", "ros34pw2", "bdf2"}  # whose programs test_orders has
 
 
@@ -125,3 +126,26 @@ def test_a_stiff_robot_with_large_steps(name: str) -> None:
             stirred = run(0.02, dt)
             assert stirred.ok
             assert abs(stirred.q[-1, 0] - locked(1.0)) < 2e-2 + bound, dt
+
+
+@pytest.mark.parametrize(
+    "name", ["radau_iia3", *(pytest.param(n, marks=pytest.mark.slow) for n in SLOW_IN_F32)]
+)
+def test_robertson_in_single_precision(name: str) -> None:
+    """A chord that diverges slowly is not taken for one that has settled into rounding."""
+
+    def field(t, y, _):
+        slow, fast, back = 0.04 * y[0], 3e7 * y[1] ** 2, 1e4 * y[1] * y[2]
+        return jnp.stack([back - slow, slow - back - fast, fast])
+
+    found = diffrax.diffeqsolve(
+        diffrax.ODETerm(field), SOLVERS[name].make(), np.float32(0.0), np.float32(400.0), None,
+        jnp.array([1.0, 0.0, 0.0], jnp.float32), max_steps=200, throw=False,
+        stepsize_controller=diffrax.PIDController(rtol=1e-4, atol=1e-7),
+    )  # fmt: skip
+    assert found.result == diffrax.RESULTS.successful
+    exact = solve_ivp(
+        lambda t, y: np.asarray(field(t, y, None)), (0.0, 400.0), [1.0, 0.0, 0.0], method="Radau",
+        rtol=1e-6, atol=1e-12,
+    )  # fmt: skip
+    np.testing.assert_allclose(found.ys[0], exact.y[:, -1], rtol=1e-3)
