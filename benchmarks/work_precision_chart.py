@@ -110,7 +110,7 @@ def stiffness(rows: Rows) -> None:
         if row["what"] == "stiff" and "us" in row:
             by_method[row["method"]].append(row)
     with plt.rc_context(STYLE):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+        figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
         for n, (method, points) in enumerate(by_method.items()):
             style = "--" if points[0]["implicit"] else "-"
             k = [p["stiffness"] for p in points]
@@ -121,7 +121,7 @@ def stiffness(rows: Rows) -> None:
         right.set(title="Steps for it", ylabel="steps a second")
         for ax in (left, right):
             ax.set_xlabel("stiffness of the springs [N m/rad]")
-        left.legend()
+        figure.legend(*left.get_legend_handles_labels(), loc="outside right center")
         figure.savefig(DOCS / "work-precision-stiffness.png")
         plt.close(figure)
 
@@ -137,12 +137,14 @@ def crossover(rows: Rows) -> str:
     both = sorted(best[False].keys() & best[True].keys())
     ratio = np.log([best[False][k]["us"] / best[True][k]["us"] for k in both])
     at_k = np.exp(np.interp(0.0, ratio, np.log(both)))
-    last = both[-1]
-    there = [r for r in rows if "us" in r and r["stiffness"] == last]
+    there = [r for r in rows if r["what"] == "stiff" and "us" in r]
+    methods = {r["method"] for r in there}
+    last = max(k for k in both if methods == {r["method"] for r in there if r["stiffness"] == k})
+    there = [r for r in there if r["stiffness"] == last]
     fewest = min(r["steps"] for r in there if not r["implicit"])
     explicit, implicit = best[False][last], best[True][last]
     return (
-        f"An implicit method takes less time from {at_k:.0f} N m/rad on. At {last:.0f} the best "
+        f"An implicit method takes less time from {at_k:.0f} N m/rad on. At {last:,.0f} the best "
         f"explicit methods take {fewest:,} steps (in time {explicit['method']}, "
         f"{explicit['us']:,.0f} us), {implicit['method']} {implicit['steps']} "
         f"({implicit['us']:,.0f} us)."
