@@ -208,6 +208,28 @@ def test_unit_length_over_a_million_steps(name: str) -> None:
     assert error < 5e-7, error
 
 
+POSES = "rkmk2 rkmk3 rkmk4 rkmk5 crouch_grossman3 commutator_free4".split()  # noqa: SIM905
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", POSES)
+def test_poses_over_a_million_steps(name: str) -> None:
+    """On SE(3): a body that turns and moves by a twist of its own."""
+
+    def twist(t, y, args):
+        return jnp.stack([jnp.cos(t), 2.0 + y[1][0], jnp.sin(3 * t)]), jnp.cos(t) * jnp.arange(3.0)
+
+    term = rb.solvers.OnGroup(twist, rb.solvers.SE3())
+    start = (jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(3))
+    run = rb.stability.drift(
+        term, start, lambda t, y, args: {"length": jnp.sqrt((y[0] ** 2).sum()), "at": y[1]},
+        solver=SOLVERS[name].make(), dt=2.0**-7, steps=1_000_000, samples=100,
+    )  # fmt: skip
+    assert int(run.steps) == 1_000_000
+    assert np.isfinite(run.kept["at"]).all()
+    assert np.abs(np.asarray(run.kept["length"]) - 1).max() < 1e-15
+
+
 @pytest.mark.slow
 def test_the_splitting_keeps_the_momentum_in_space() -> None:
     momentum = length_error("rigid_body_splitting", 1_000_000)[1]
