@@ -1,7 +1,7 @@
 """Rotations beside scipy's `Rotation`, a batch of a million: on one core and on all, f64 and f32.
 
-`python -m benchmarks.cpu_rotations`: what both have, `jit` of ours on batch-first arrays against
-scipy's method; run time only, the least of many, ours and scipy's by turns. First a process pinned
+`python -m benchmarks.cpu_rotations`: what both have, `jit` of ours on batch-first arrays, with the
+option that a call which stands alone has, against scipy's method; run time only, the least of many, ours and scipy's by turns. First a process pinned
 to one core, then one with all cores and XLA's own threads (scipy uses one core whatever there is,
 and f64 alone); then both again with ours in f32, which is what JAX computes in unless told.
 The allocator is told to keep what is freed, for both sides alike: by default results above 32 MB
@@ -40,6 +40,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from benchmarks.timing import markdown_table, save
+from rbjax.compiling import wide_vectors
 from rbjax.rotations import quaternion, representations
 
 CORES, DTYPE = sys.argv[1:] or ("", "")  # of a process that measures
@@ -104,7 +105,7 @@ def rows() -> list[dict[str, Any]]:
     for name, ours, arguments, theirs in cases():
         arguments = tuple(jnp.asarray(x) for x in arguments)
         start = time.perf_counter()
-        compiled = jax.jit(ours).lower(*arguments).compile()
+        compiled = jax.jit(ours, compiler_options=wide_vectors()).lower(*arguments).compile()
         compile_s = time.perf_counter() - start
         result = jax.block_until_ready(compiled(*arguments))
         moved = sum(x.nbytes for x in jax.tree.leaves((arguments, result)))

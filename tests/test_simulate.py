@@ -124,6 +124,9 @@ def test_bad_times_and_states_are_named():
     state = model.default_state()
     with pytest.raises(rb.InputError, match="ts must increase"):
         rb.simulate(model, state, jnp.array([0.0, 1.0, 0.5]))
+    for dt0 in (0.0, -0.1, np.nan):
+        with pytest.raises(rb.InputError, match="expected a positive step"):
+            rb.simulate(model, model.default_state(), jnp.array([0.0, 1.0]), dt0=dt0)
     with pytest.raises(rb.InputError, match="at least 2 times"):
         rb.simulate(model, state, jnp.array([0.0]))
     with pytest.raises(rb.InputError, match="expected finite values"):
