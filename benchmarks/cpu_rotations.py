@@ -1,9 +1,10 @@
 """Rotations beside scipy's `Rotation`, a batch of a million: on one core and on all, f64 and f32.
 
 `python -m benchmarks.cpu_rotations`: what both have, `jit` of ours on batch-first arrays, with the
-option that a call which stands alone has, against scipy's method; run time only, the least of many, ours and scipy's by turns. First a process pinned
-to one core, then one with all cores and XLA's own threads (scipy uses one core whatever there is,
-and f64 alone); then both again with ours in f32, which is what JAX computes in unless told.
+option that a call which stands alone has, against scipy's method; run time only, the least of many,
+ours and scipy's by turns. First a process pinned to one core, then one with all cores and XLA's own
+threads (scipy uses one core whatever there is, and f64 alone); then both again with ours in f32,
+which is what JAX computes in unless told.
 The allocator is told to keep what is freed, for both sides alike: by default results above 32 MB
 come from fresh pages on every call, and faulting these in takes longer than any of the arithmetic.
 

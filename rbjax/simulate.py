@@ -141,7 +141,7 @@ def simulate(
     control: Control | None = None,
     *,
     solver: diffrax.AbstractSolver | None = None,
-    dt0: float | None = None,
+    dt0: float | jax.Array | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: None = None,
