@@ -167,13 +167,11 @@ def counts(bench: Bench, method: str) -> None:
     found = {}
     for steps in COUNTED_STIFF if bench.scene.stiff else COUNTED:
         calls[0] = 0
-        end = one(start, bench.scene.seconds / steps * (1 + 1e-12))
+        end = jax.block_until_ready(one(start, bench.scene.seconds / steps * (1 + 1e-12)))
+        jax.effects_barrier()
         if all(np.isfinite(x).all() for x in end):
-            jax.effects_barrier()
             found[steps] = calls[0] / steps
-    bench.add(
-        "count", "simulate", method, "f64", of_steps=[*found], a_step=[*found.values()]
-    )  # fmt: skip
+    bench.add("count", "simulate", method, "f64", of_steps=[*found], a_step=[*found.values()])
 
 
 def rows_of(scene: str, method: str, precision: str, reference: Callable) -> list[dict[str, Any]]:

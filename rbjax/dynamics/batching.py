@@ -15,8 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.tracing import jvp_of
-from rbjax.materialize import batch_first
+from rbjax.dynamics.tracing import jvp_of, with_jvp
 
 #: samples that go together on the CPU, at most: more outgrow the cache
 CPU_CHUNK = 240
@@ -46,14 +45,11 @@ def in_chunks(f: Callable[[list], Any]) -> Callable[[list], Any]:
     def rule(size, axes, args):
         return chunks(jax.vmap(f, in_axes=axes), args, axes[0], size)
 
-    chunked = jax.custom_jvp(with_rule(lambda args: batch_first(f(args)), rule))
-
-    @functools.partial(chunked.defjvp, symbolic_zeros=True)
-    def _(primals, tangents):
+    def tangent(primals, tangents):
         out, rate = jvp_of(f, primals, tangents)
-        return batch_first((out, jax.tree.map(jnp.zeros_like, out) if rate is None else rate))
+        return out, jax.tree.map(jnp.zeros_like, out) if rate is None else rate
 
-    return chunked
+    return with_jvp(with_rule(f, rule), tangent)
 
 
 def divided(size: int) -> tuple[int, int]:

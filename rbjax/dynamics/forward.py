@@ -10,8 +10,6 @@ one tangent of RNEA and one solve with the factors that ABA has left (Carpentier
 
 from __future__ import annotations
 
-import functools
-
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
@@ -23,8 +21,7 @@ from rbjax.dynamics.batching import with_rule
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import wrench_forces
 from rbjax.dynamics.rnea import rnea
-from rbjax.dynamics.tracing import jvp_of, opened
-from rbjax.materialize import batch_first
+from rbjax.dynamics.tracing import jvp_of, opened, with_jvp
 from rbjax.model import Model
 
 
@@ -42,7 +39,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         return d, d.pack(qdd, tau), factors
 
     def plain(changed, q, v, tau):
-        return batch_first(run(changed, q, v, tau, values=not given)[1])
+        return run(changed, q, v, tau, values=not given)[1]
 
     def in_kernel(size, axes, changed, q, v, tau):
         if q.ndim > 2 or any(axis == 0 for axis in axes[0]):  # a batch of batches, or of robots
@@ -54,14 +51,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         return kernel.forward_dynamics(rebuilt(changed), *lanes).T
 
     wins = jax.default_backend() == "gpu" and q.dtype == jnp.float32
-    forward = jax.custom_jvp(with_rule(plain, in_kernel) if wins else plain)
 
-    @jax.custom_jvp
-    def known(changed, q, v, tau, a):
-        """a = forward(changed, q, v, tau), which is at hand: what it says to a next derivative."""
-        return batch_first(a)
-
-    @functools.partial(forward.defjvp, symbolic_zeros=True)
     def tangent(primals, tangents):
         changed, q, v, tau = primals
         d, a, factors = run(changed, q, v, tau)
@@ -78,13 +68,15 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         elif dtau is not None:
             dtau = -dtau
         if dtau is None:
-            return batch_first((a, jnp.zeros_like(a)))
-        return batch_first((a, d.pack(solve(d, factors, d.lanes(dtau)), tau)))
+            return a, jnp.zeros_like(a)
+        return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
 
-    @functools.partial(known.defjvp, symbolic_zeros=True)
-    def _(primals, tangents):
-        return batch_first(primals[-1]), tangent(primals[:-1], tangents[:-1])[1]
+    def at_hand(at, moving):
+        return at[-1], tangent(at[:-1], moving[:-1])[1]
 
+    # a = forward(changed, q, v, tau), which is at hand: what it says to a next derivative
+    known = with_jvp(lambda *at: at[-1], at_hand)
+    forward = with_jvp(with_rule(plain, in_kernel) if wins else plain, tangent)
     return forward(given, q, v, tau)
 
 

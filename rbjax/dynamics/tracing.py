@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from rbjax.compiling import alone
+from rbjax.materialize import batch_first
 
 
 def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
@@ -35,6 +36,14 @@ def staged() -> bool:
     """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
     a vmap or grad outside of any jit)."""
     return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
+
+
+def with_jvp(f: Callable, rule: Callable) -> Callable:
+    """f, whose derivative is rule(primals, tangents) -> (value, rate); tangents may be symbolic
+    zeros. Under `vmap` both return the batch first, as JAX takes for granted."""
+    ruled = jax.custom_jvp(lambda *args: batch_first(f(*args)))
+    ruled.defjvp(lambda *given: batch_first(rule(*given)), symbolic_zeros=True)
+    return ruled
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:
