@@ -169,7 +169,8 @@ _SERIES = {
 }  # fmt: skip
 
 
-def _polynomial(x):
+def polynomial_sincos(x: jax.Array) -> list:
+    """cos x and sin x by polynomials of the angle reduced to |r| <= pi / 4."""
     if x.dtype not in _SERIES:
         return _native(x)
     (first, second, third), sines, cosines = _SERIES[x.dtype]
@@ -202,13 +203,13 @@ def _jvp(f, xs, ts):
     return [c, s], [-s * t, c * t]
 
 
-_in_kernel = jax.custom_jvp(_polynomial)
+_in_kernel = jax.custom_jvp(polynomial_sincos)
 _in_kernel.defjvp(functools.partial(_jvp, _in_kernel))
 
 
 _sincos.def_impl(_native)
 _sincos.def_abstract_eval(lambda x: [x, x])
 mlir.register_lowering(_sincos, mlir.lower_fun(_native, multiple_results=True))
-mlir.register_lowering(_sincos, mlir.lower_fun(_polynomial, multiple_results=True), platform="cpu")
+mlir.register_lowering(_sincos, mlir.lower_fun(polynomial_sincos, multiple_results=True), platform="cpu")
 ad.primitive_jvps[_sincos] = functools.partial(_jvp, _sincos.bind)
 batching.primitive_batchers[_sincos] = lambda xs, dims: (_sincos.bind(*xs), [dims[0], dims[0]])

@@ -1,0 +1,1 @@
+"""Any function of one sample as one GPU thread."""

@@ -1,0 +1,229 @@
+"""Small arrays as a thread holds them.
+
+Three forms: a numpy array whose entries are known; an object array of `Value`s, each in a register;
+a `View` of memory, which alone may be indexed by what is not known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rbjax.threads.program import I32, Array, Builder, Value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """array[base + offset + sum of index * stride], with a shape."""
+
+    array: Array
+    base: Value | None
+    offset: int
+    strides: tuple[int, ...]
+    shape: tuple[int, ...]
+
+    @staticmethod
+    def of(array: Array, shape: Sequence[int]) -> View:
+        """All of an array, row by row."""
+        return View(array, None, 0, row_major(shape), tuple(shape))
+
+    @property
+    def dtype(self) -> np.dtype:
+        return self.array.dtype
+
+    @property
+    def ndim(self) -> int:
+        return len(self.shape)
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
+
+    def same(self, other: Any) -> bool:
+        """Whether the other is the same place."""
+        return isinstance(other, View) and all(
+            a is b or a == b
+            for a, b in (
+                (self.array, other.array), (self.base, other.base), (self.offset, other.offset),
+                (self.strides, other.strides), (self.shape, other.shape),
+            )
+        )  # fmt: skip
+
+    def places(self) -> np.ndarray:
+        """The known part of each entry's address."""
+        out = np.full(self.shape, self.offset)
+        for axis, (n, stride) in enumerate(zip(self.shape, self.strides, strict=True)):
+            out += (np.arange(n) * stride).reshape([-1 if k == axis else 1 for k in range(self.ndim)])
+        return out
+
+    def at(self, b: Builder, axis: int, index: Value) -> View:
+        """The slice at an index along an axis, which disappears."""
+        stride = self.strides[axis]
+        strides, shape = (
+            tuple(x for k, x in enumerate(xs) if k != axis) for xs in (self.strides, self.shape)
+        )
+        moved = self.moved(b, (index, stride))
+        return replace(moved, strides=strides, shape=shape)
+
+    def moved(self, b: Builder, *terms: tuple[Value, int]) -> View:
+        """The view from value * stride entries further on."""
+        known = sum(int(v) * s for v, s in terms if isinstance(v, np.generic))
+        unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
+        base = b.index(self.array, *unknown)
+        if self.base is not None and base is not None:
+            base = b.op("add", self.array.index, self.base, base)
+        return replace(
+            self, base=self.base if base is None else base, offset=self.offset + known
+        )
+
+    def sliced(self, slices: Sequence[slice]) -> View:
+        """A rectangle of it; slices have start, stop and a step that may be negative."""
+        offset = self.offset + sum(
+            s.start * k for s, k in zip(slices, self.strides, strict=True)
+        )
+        shape = tuple(len(range(s.start, s.stop, s.step or 1)) for s in slices)
+        strides = tuple(k * (s.step or 1) for s, k in zip(slices, self.strides, strict=True))
+        return replace(self, offset=offset, strides=strides, shape=shape)
+
+    def reshaped(self, shape: Sequence[int]) -> View | None:
+        """The same entries under another shape, or None where they would have to move."""
+        shape = tuple(shape)
+        kept = [(n, s) for n, s in zip(self.shape, self.strides, strict=True) if n != 1]
+        groups: list[tuple[int, int]] = []  # runs that one stride walks through: (entries, stride)
+        for n, s in kept:
+            if groups and groups[-1][1] == n * s:
+                groups[-1] = (groups[-1][0] * n, s)
+            else:
+                groups.append((n, s))
+        strides: list[int] = []
+        left = list(groups)
+        for n in reversed(shape):
+            if n == 1 or not left:
+                strides.append(0)
+                continue
+            count, stride = left.pop()
+            if count % n:
+                return None
+            strides.append(stride)
+            if count > n:
+                left.append((count // n, stride * n))
+        if any(count != 1 for count, _ in left):
+            return None
+        return replace(self, strides=tuple(reversed(strides)), shape=shape)
+
+    def transposed(self, permutation: Sequence[int]) -> View:
+        return replace(
+            self,
+            strides=tuple(self.strides[k] for k in permutation),
+            shape=tuple(self.shape[k] for k in permutation),
+        )
+
+    def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> View:
+        """As `jax.lax.broadcast_in_dim`: axis k of the view is axis axes[k] of the result."""
+        strides = [0] * len(shape)
+        for k, axis in enumerate(axes):
+            strides[axis] = self.strides[k] if self.shape[k] == shape[axis] else 0
+        return replace(self, strides=tuple(strides), shape=tuple(shape))
+
+
+Small = Any  # np.ndarray of numbers, np.ndarray of Values, or View
+
+
+def row_major(shape: Sequence[int]) -> tuple[int, ...]:
+    """Strides, in entries, of an array that is written row by row."""
+    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
+
+
+def is_known(x: Small) -> bool:
+    """Whether all entries are numbers."""
+    return isinstance(x, np.ndarray) and x.dtype != object
+
+
+def objects(x: np.ndarray) -> np.ndarray:
+    """Entries, known or not, as an object array of Values."""
+    if x.dtype == object:
+        return x
+    out = np.empty(x.shape, object)
+    flat = out.reshape(-1) if x.ndim else out
+    for i, value in enumerate(x.reshape(-1)):
+        flat[i if x.ndim else ()] = value
+    return out
+
+
+def scalars(b: Builder, x: Small) -> np.ndarray:
+    """The entries as an array of Values, read from memory where they are there."""
+    if not isinstance(x, View):
+        return objects(x)
+    out = np.empty(x.shape, object)
+    places = x.places()
+    for i in np.ndindex(x.shape):
+        out[i] = b.load(x.array, x.base, int(places[i]))
+    return out
+
+
+def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
+    """An object array as known numbers, where every entry is."""
+    if x.dtype != object or not x.size:
+        return x if x.dtype != object else x.astype(dtype)
+    if all(isinstance(v, np.generic) for v in x.flat):
+        return np.array([v for v in x.flat], dtype).reshape(x.shape)
+    return x
+
+
+def in_memory(b: Builder, x: Small, dtype: Any) -> View:
+    """The entries where they can be indexed: a table of numbers, or a local copy of registers."""
+    if isinstance(x, View):
+        return x
+    x = tidy(x, dtype)
+    if is_known(x):
+        return View.of(b.table(np.ascontiguousarray(x)), x.shape)
+    view = View.of(b.local(dtype, x.size), x.shape)
+    write(b, view, x)
+    return view
+
+
+def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
+    """Copy x to a place in memory; large pieces by a loop."""
+    if isinstance(x, View) and x.same(to):
+        return
+    if x.size > loop_above and (isinstance(x, View) or is_known(x)):
+        source = in_memory(b, x, to.dtype)
+        each(b, to.shape, lambda *i: put(b, to, i, get(b, source, i)))
+        return
+    values, places = scalars(b, x), to.places()
+    for i in np.ndindex(to.shape):
+        b.store(to.array, to.base, int(places[i]), values[i])
+
+
+def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
+    """A local copy that may be changed."""
+    view = View.of(b.local(dtype, x.size), x.shape)
+    write(b, view, x)
+    return view
+
+
+def get(b: Builder, view: View, index: Sequence[Value]) -> Value:
+    """One entry."""
+    there = view.moved(b, *zip(index, view.strides, strict=True))
+    return b.load(there.array, there.base, there.offset)
+
+
+def put(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
+    """Change one entry."""
+    there = view.moved(b, *zip(index, view.strides, strict=True))
+    b.store(there.array, there.base, there.offset, value)
+
+
+def each(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
+    """f(*index) for every index of a shape, in nested loops."""
+    if not shape:
+        f(*index)
+    elif shape[0] == 1:
+        each(b, shape[1:], f, *index, I32.type(0))
+    else:
+        with b.loop(shape[0]) as counter:
+            each(b, shape[1:], f, *index, counter)

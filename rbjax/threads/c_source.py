@@ -1,0 +1,237 @@
+"""A program as C: the text that NVRTC and a host's C compiler both take.
+
+Only the frame around it (`frame`) knows which of the two it is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from rbjax.threads.lowering import Unsupported
+from rbjax.threads.program import (
+    Array,
+    Assign,
+    Block,
+    Declare,
+    If,
+    Load,
+    Loop,
+    Op,
+    Reserve,
+    Store,
+    Value,
+    Var,
+    While,
+)
+
+C_TYPES = {
+    "float32": "float", "float64": "double", "bool": "bool", "int8": "signed char",
+    "uint8": "unsigned char", "int16": "short", "uint16": "unsigned short", "int32": "int",
+    "uint32": "unsigned", "int64": "long long", "uint64": "unsigned long long",
+}  # fmt: skip
+
+INFIX = {
+    "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=",
+    "eq": "==", "ne": "!=", "and": "&", "or": "|", "xor": "^",
+}  # fmt: skip
+#: functions of C's mathematics, f appended for float
+MATH = {
+    "sqrt": "sqrt", "cbrt": "cbrt", "exp": "exp", "exp2": "exp2", "expm1": "expm1", "log": "log",
+    "log1p": "log1p", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos",
+    "atan": "atan", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "asinh": "asinh",
+    "acosh": "acosh", "atanh": "atanh", "erf": "erf", "erfc": "erfc", "erfinv": "erfinv",
+    "lgamma": "lgamma", "floor": "floor", "ceil": "ceil", "rint": "rint", "round": "round",
+    "atan2": "atan2", "pow": "pow", "fmod": "fmod", "nextafter": "nextafter",
+    "copysign": "copysign",
+}  # fmt: skip
+
+#: what C leaves undefined, as XLA defines it
+PREAMBLE = """
+template <class T> QUALIFIED T idiv(T a, T b) {
+  if (b == 0) return (T)-1;
+  return b == (T)-1 && (T)-1 < 0 ? (T)(0 - a) : (T)(a / b);
+}
+template <class T> QUALIFIED T irem(T a, T b) {
+  if (b == 0) return a;
+  return b == (T)-1 && (T)-1 < 0 ? (T)0 : (T)(a % b);
+}
+template <class T> QUALIFIED T shl(T a, T b) {
+  return b >= 0 && b < 8 * (int)sizeof(T) ? (T)((unsigned long long)a << b) : (T)0;
+}
+template <class T> QUALIFIED T sar(T a, T b) {
+  const int most = 8 * sizeof(T) - 1;
+  return a >> (b >= 0 && b <= most ? (int)b : most);
+}
+template <class T> QUALIFIED int popcount(T a) {
+  int n = 0;
+  for (unsigned i = 0; i < 8 * sizeof(T); i++) n += (int)((a >> i) & 1);
+  return n;
+}
+template <class T> QUALIFIED int clz(T a) {
+  int n = 0;
+  for (int i = 8 * (int)sizeof(T) - 1; i >= 0 && !((a >> i) & 1); i--) n++;
+  return n;
+}
+template <class I, class F> QUALIFIED I to_integer(F x) {
+  const I most = (I)(((unsigned long long)~0ull) >> (64 - 8 * sizeof(I) + ((I)-1 < 0)));
+  const I least = (I)-1 < 0 ? (I)(-most - 1) : (I)0;
+  if (x != x) return 0;
+  if (x >= (F)most) return most;
+  return x <= (F)least ? least : (I)x;
+}
+template <class T, class S> QUALIFIED T bits_of(S x) {
+  union { S from; T to; } both;
+  both.from = x;
+  return both.to;
+}
+"""
+
+
+def c_type(dtype: Any) -> str:
+    return C_TYPES[np.dtype(dtype).name]
+
+
+def literal(x: Any) -> str:
+    """A known number."""
+    kind = x.dtype.kind
+    if kind == "b":
+        return "true" if x else "false"
+    if kind in "iu":
+        suffix = {"int64": "ll", "uint64": "ull", "uint32": "u"}.get(x.dtype.name, "")
+        if x.dtype == np.int64 and x == np.iinfo(np.int64).min:
+            return "(-9223372036854775807ll-1)"
+        if x.dtype == np.int32 and x == np.iinfo(np.int32).min:
+            return "(-2147483647-1)"
+        text = f"{int(x)}{suffix}"
+        return f"({text})" if x < 0 else text
+    f = "f" if x.dtype == np.float32 else ""
+    if np.isnan(x):
+        return f"((c_{c_type(x.dtype)})NAN)"
+    if np.isinf(x):
+        return f"({'-' if x < 0 else ''}(c_{c_type(x.dtype)})INFINITY)"
+    text = f"{float(x)!r}{f}"
+    return f"({text})" if np.signbit(x) else text
+
+
+class Printer:
+    """Prints blocks; `address(array)` gives the C name of an array that is indexed."""
+
+    def __init__(self, names: dict[int, str]):
+        self.names = names
+
+    def value(self, x: Value) -> str:
+        return f"t{x.id}" if isinstance(x, Var) else literal(x)
+
+    def place(self, array: Array, base: Value | None, offset: int) -> str:
+        name = self.names.get(array.id, f"a{array.id}")
+        if base is None:
+            return f"{name}[{offset}]"
+        return f"{name}[{self.value(base)}{f'+{offset}' if offset > 0 else offset or ''}]"
+
+    def lines(self, block: Block) -> Iterator[str]:
+        for statement in block.statements:
+            yield from self._lines(statement)
+
+    def _lines(self, statement: Any) -> Iterator[str]:
+        v = self.value
+        match statement:
+            case Op(dest=dest):
+                yield f"const {c_type(dest.dtype)} {v(dest)}={self.expression(statement)};"
+            case Load(dest=dest, array=array, base=base, offset=offset):
+                yield f"const {c_type(dest.dtype)} {v(dest)}={self.place(array, base, offset)};"
+            case Store(array=array, base=base, offset=offset, value=value):
+                yield f"{self.place(array, base, offset)}={v(value)};"
+            case Declare(var=var, value=None):
+                yield f"{c_type(var.dtype)} {v(var)};"
+            case Declare(var=var, value=value):
+                yield f"{c_type(var.dtype)} {v(var)}={v(value)};"
+            case Assign(var=var, value=value):
+                yield f"{v(var)}={v(value)};"
+            case Reserve(array=array):
+                yield f"{c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
+            case Loop(counter=counter, count=count, reverse=reverse, body=body):
+                i = v(counter)
+                yield "#pragma unroll 1"
+                if reverse:
+                    yield f"for(int {i}={count - 1};{i}>=0;{i}--){{"
+                else:
+                    yield f"for(int {i}=0;{i}<{count};{i}++){{"
+                yield from self.lines(body)
+                yield "}"
+            case While(test=test, condition=condition, body=body):
+                yield "#pragma unroll 1"
+                yield "for(;;){"
+                yield from self.lines(test)
+                yield f"if(!({v(condition)}))break;"
+                yield from self.lines(body)
+                yield "}"
+            case If(condition=condition, then=then, otherwise=otherwise):
+                yield f"if({v(condition)}){{"
+                yield from self.lines(then)
+                if otherwise.statements:
+                    yield "}else{"
+                    yield from self.lines(otherwise)
+                yield "}"
+            case _:
+                raise TypeError(f"no such statement: {statement}")
+
+    def expression(self, op: Op) -> str:
+        x = [self.value(a) for a in op.args]
+        kind, name = op.dest.dtype, op.name
+        f = "f" if kind == np.float32 else ""
+        if name in INFIX:
+            return self._narrow(kind, f"{x[0]}{INFIX[name]}{x[1]}")
+        if name == "neg":
+            return self._narrow(kind, f"-{x[0]}")
+        if name == "not":
+            return f"!{x[0]}" if kind == bool else self._narrow(kind, f"~{x[0]}")
+        if name == "select":
+            return f"{x[0]}?{x[1]}:{x[2]}"
+        if name == "cast":
+            return self._cast(op, x[0])
+        if name in ("max", "min"):
+            if kind == bool:
+                return f"{x[0]}{'|' if name == 'max' else '&'}{x[1]}"
+            test = f"{x[0]}{'>' if name == 'max' else '<'}{x[1]}"
+            nan = f"||{x[0]}!={x[0]}" if kind.kind == "f" else ""
+            return f"({test}{nan})?{x[0]}:{x[1]}"
+        if name == "abs":
+            return f"fabs{f}({x[0]})" if kind.kind == "f" else f"{x[0]}<0?-{x[0]}:{x[0]}"
+        if name == "rsqrt":
+            return f"RSQRT{f}({x[0]})"
+        if name == "isfinite":
+            return f"(bool)isfinite({x[0]})"
+        if name == "bitcast":
+            return f"bits_of<{c_type(kind)},{c_type(op.args[0].dtype)}>({x[0]})"
+        if name in ("idiv", "irem", "shl", "sar"):
+            return f"{name}<{c_type(kind)}>({x[0]},{x[1]})"
+        if name == "shr":
+            unsigned = C_TYPES[f"uint{8 * kind.itemsize}"]
+            inside = f"{x[1]}>=0&&{x[1]}<{8 * kind.itemsize}"
+            return f"({inside})?({c_type(kind)})(({unsigned}){x[0]}>>{x[1]}):({c_type(kind)})0"
+        if name in ("popcount", "clz"):
+            unsigned = C_TYPES[f"uint{8 * kind.itemsize}"]
+            return f"({c_type(kind)}){name}<{unsigned}>(({unsigned}){x[0]})"
+        if name in MATH and kind.kind == "f":
+            return f"{MATH[name]}{f}({','.join(x)})"
+        raise Unsupported(f"operation {name} of {kind}")
+
+    def _cast(self, op: Op, x: str) -> str:
+        to, source = op.dest.dtype, op.args[0].dtype
+        if source.kind == "f" and to.kind in "iu":
+            return f"to_integer<{c_type(to)},{c_type(source)}>({x})"
+        return f"({c_type(to)}){x}"
+
+    def _narrow(self, kind: np.dtype, text: str) -> str:
+        """Integers narrower than int compute as int in C."""
+        return f"({c_type(kind)})({text})" if kind.kind in "iu" and kind.itemsize < 4 else text
+
+
+def table(array: Array, qualifier: str) -> str:
+    """The definition of a constant array."""
+    assert array.data is not None
+    numbers = ",".join(literal(x) for x in array.data) or "0"
+    return f"{qualifier} {c_type(array.dtype)} a{array.id}[{max(array.size, 1)}]={{{numbers}}};"

@@ -1,0 +1,240 @@
+"""Rules of loops, branches and nested calls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Literal
+
+from rbjax.threads.arrays import Small, View, in_memory, is_known, owned_copy, write
+from rbjax.threads.lowering import Lowering, called, rule, writer
+from rbjax.threads.program import BOOL, Block, If, Value, Var, While
+
+#: a value that a loop carries has its entries in registers up to this many
+REGISTERS = 256
+INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", "scatter", "scatter-add",
+           "scatter_add", "scatter_mul", "scatter_min", "scatter_max"}  # fmt: skip
+
+
+def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
+    """The inputs of a jaxpr that are indexed by what is not known: they belong in memory."""
+    jaxpr = closed.jaxpr
+    varying = {v for v, u in zip(jaxpr.invars, unknown, strict=True) if u}
+    origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable is a version of
+    found: set[int] = set()
+
+    def is_varying(atom: Any) -> bool:
+        return not isinstance(atom, Literal) and atom in varying
+
+    def of(atom: Any) -> set[int]:
+        return set() if isinstance(atom, Literal) else origin.get(atom, set())
+
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        if any(map(is_varying, eqn.invars)):
+            varying.update(eqn.outvars)
+        if name in INDEXED:
+            index = eqn.invars[1:] if name == "dynamic_slice" else eqn.invars[1:2]
+            if name == "dynamic_update_slice":
+                index = eqn.invars[2:]
+            if any(map(is_varying, index)):
+                found |= of(eqn.invars[0])
+            if name.startswith(("dynamic_update", "scatter")):
+                origin[eqn.outvars[0]] = of(eqn.invars[0])
+            continue
+        for inner, atoms in _inner(eqn):
+            flags = [is_varying(a) for a in atoms]
+            if name in ("scan", "while"):
+                flags = [True] * len(atoms)
+            for k in indexed(inner, flags):
+                found |= of(atoms[k])
+    return found
+
+
+def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
+    P, atoms = eqn.params, list(eqn.invars)
+    match eqn.primitive.name:
+        case "cond":
+            return [(branch, atoms[1:]) for branch in P["branches"]]
+        case "while":
+            nc, nb = P["cond_nconsts"], P["body_nconsts"]
+            return [
+                (P["cond_jaxpr"], atoms[:nc] + atoms[nc + nb :]),
+                (P["body_jaxpr"], atoms[nc:]),
+            ]
+    inner = called(eqn)
+    return [] if inner is None or len(inner.jaxpr.invars) != len(atoms) else [(inner, atoms)]
+
+
+class Carry:
+    """What a loop hands from turn to turn: variables, or local arrays."""
+
+    def __init__(self, low: Lowering, init: Sequence[Small], avals: Sequence[Any], memory: set):
+        self.low, self.values = low, []
+        for k, (x, aval) in enumerate(zip(init, avals, strict=True)):
+            if k in memory or aval.size > REGISTERS:
+                self.values.append(self._array(x, aval))
+            else:
+                entries, out = low.scalars(x), np.empty(aval.shape, object)
+                for i in np.ndindex(aval.shape):
+                    out[i] = low.b.declare(aval.dtype, entries[i])
+                self.values.append(out)
+
+    def _array(self, x: Small, aval: Any) -> View:
+        free = isinstance(x, View) and x.array.space == "local" and not x.array.owners
+        return x if free else owned_copy(self.low.b, x, aval.dtype)
+
+    def advance(self, new: Sequence[Small]) -> None:
+        """All at once: what is read of the old values is read before any changes."""
+        b = self.low.b
+        old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
+        arrays = {x.array for x in self.values if isinstance(x, View)}
+        moves: list[tuple[Var, Value]] = []
+        copies: list[tuple[View, Small]] = []
+        for to, x in zip(self.values, new, strict=True):
+            if isinstance(to, View):
+                if isinstance(x, View) and x.same(to):
+                    continue
+                if isinstance(x, View) and x.array in arrays:
+                    x = owned_copy(b, x, to.dtype)
+                copies.append((to, x))
+                continue
+            for var, value in zip(to.flat, self.low.scalars(x).flat, strict=True):
+                if value is var:
+                    continue
+                if isinstance(value, Var) and value.id in old:
+                    value = b.declare(value.dtype, value)
+                moves.append((var, value))
+        for to, x in copies:
+            write(b, to, x)
+        for var, value in moves:
+            b.assign(var, value)
+
+
+@writer("scan")
+def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    P, b = eqn.params, low.b
+    length, body = P["length"], P["jaxpr"]
+    nk = len(eqn.outvars) - _over_time(eqn.outvars, body.jaxpr.outvars)
+    nc = len(eqn.invars) - nk - _over_time(eqn.invars, body.jaxpr.invars)
+    consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
+    avals = [v.aval for v in body.jaxpr.invars]
+    ys: list[View] = []
+    for var, place in zip(eqn.outvars[nk:], places[nk:], strict=True):
+        aval = var.aval
+        ys.append(place or View.of(b.local(aval.dtype, max(aval.size, 1)), aval.shape))
+    if not length:
+        return [*init, *ys]
+    unknown = [not is_known(x) for x in consts] + [True] * (len(avals) - nc)
+    wanted = indexed(body, unknown)
+    consts = [
+        in_memory(b, x, a.dtype) if k in wanted and not isinstance(x, View) else x
+        for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
+    ]
+    xs = [in_memory(b, x, a.dtype) for x, a in zip(xs, avals[nc + nk :], strict=True)]
+    carry = Carry(low, init, avals[nc : nc + nk], {k - nc for k in wanted if nc <= k < nc + nk})
+    with (
+        low.held([*consts, *xs, *ys]),
+        b.loop(length, reverse=P["reverse"]) as counter,
+    ):
+        rows = [x.at(b, 0, counter) for x in xs]
+        spots = [y.at(b, 0, counter) for y in ys]
+        out = low.closed(body, [*consts, *carry.values, *rows], [None] * nk + spots)
+        carry.advance(out[:nk])
+    return [*carry.values, *ys]
+
+
+def _over_time(outside: list, inside: list) -> int:
+    """How many arguments or results of a scan have an axis of time (jax 0.11 states no counts)."""
+    return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
+
+
+@rule("while")
+def _while(low: Lowering, eqn: Any, ins: list) -> list:
+    P, b = eqn.params, low.b
+    nc, nb = P["cond_nconsts"], P["body_nconsts"]
+    test_consts, body_consts, init = ins[:nc], ins[nc : nc + nb], ins[nc + nb :]
+    test, body = P["cond_jaxpr"], P["body_jaxpr"]
+    n = len(init)
+    memory = {
+        k - len(consts)
+        for closed, consts in ((test, test_consts), (body, body_consts))
+        for k in indexed(closed, [not is_known(x) for x in consts] + [True] * n)
+        if k >= len(consts)
+    }
+    carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
+    loop = While(Block(), None, Block())
+    b.block.statements.append(loop)
+    with low.held([*test_consts, *body_consts]):
+        with b.inside(loop.test), low.held(carry.values):
+            (goes,) = low.closed(test, [*test_consts, *carry.values])
+            loop.condition = low.scalars(goes)[()]
+        with b.inside(loop.body):
+            carry.advance(low.closed(body, [*body_consts, *carry.values]))
+    return carry.values
+
+
+@writer("cond")
+def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    branches, args = eqn.params["branches"], ins[1:]
+    which = low.scalars(ins[0])[()]
+    if not isinstance(which, Var):
+        chosen = branches[min(max(int(which), 0), len(branches) - 1)]
+        return low.closed(chosen, args, places)
+    b, outs = low.b, []
+    for var, place in zip(eqn.outvars, places, strict=True):
+        aval = var.aval
+        if place is not None:
+            outs.append(place)
+        elif aval.size > REGISTERS:
+            outs.append(View.of(b.local(aval.dtype, aval.size), aval.shape))
+        else:
+            entries = np.empty(aval.shape, object)
+            for i in np.ndindex(aval.shape):
+                entries[i] = b.declare(aval.dtype)
+            outs.append(entries)
+
+    def run(branch: ClosedJaxpr) -> None:
+        spots = [x if isinstance(x, View) else None for x in outs]
+        found = low.closed(branch, args, spots)
+        for to, x in zip(outs, found, strict=True):
+            if not isinstance(to, View):
+                for var, value in zip(to.flat, low.scalars(x).flat, strict=True):
+                    b.assign(var, value)
+
+    def choose(first: int) -> None:
+        if first == len(branches) - 1:
+            run(branches[first])
+            return
+        here = which if which.dtype == BOOL else b.op("le", BOOL, which, which.dtype.type(first))
+        node = If(here, Block(), Block())
+        b.block.statements.append(node)
+        blocks = (node.then, node.otherwise)
+        if which.dtype == BOOL:  # branch 1 where it holds
+            blocks = (node.otherwise, node.then)
+        with b.inside(blocks[0]):
+            run(branches[first])
+        with b.inside(blocks[1]):
+            choose(first + 1)
+
+    with low.held(args):
+        choose(0)
+    return outs
+
+
+@rule("platform_index")
+def _platform(low: Lowering, eqn: Any, ins: list) -> list:
+    groups = eqn.params["platforms"]
+    here = [k for k, group in enumerate(groups) if group is None or "cuda" in group]
+    return [np.asarray(here[0] if here else len(groups) - 1, np.int32)]
+
+
+@rule("custom_linear_solve")
+def _custom_linear_solve(low: Lowering, eqn: Any, ins: list) -> list:
+    counts, jaxprs = eqn.params["const_lengths"], eqn.params["jaxprs"]
+    sizes = [counts.matvec, counts.vecmat, counts.solve, counts.transpose_solve]
+    start = sum(sizes[:2])
+    solve = ins[start : start + counts.solve]
+    return low.closed(jaxprs.solve, [*solve, *ins[sum(sizes) :]])

@@ -1,0 +1,331 @@
+"""Rules of primitives that work entry by entry, and of reductions."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.materialize import polynomial_sincos
+from rbjax.threads.arrays import Small, View, each, get, in_memory, objects, put
+from rbjax.threads.lowering import Lowering, Unsupported, rule
+from rbjax.threads.program import BOOL, FOLD, Value
+
+#: arrays of more entries are worked through by loops over memory
+LOOP_ABOVE = 512
+
+#: primitives that are one operation, and how many arguments it has
+SAME = {
+    "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "lt": "lt",
+    "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
+    "xor": "xor", "not": "not", "sqrt": "sqrt", "rsqrt": "rsqrt", "cbrt": "cbrt", "exp": "exp",
+    "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "sin": "sin", "cos": "cos",
+    "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh",
+    "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "erf": "erf",
+    "erfc": "erfc", "erf_inv": "erfinv", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
+    "abs": "abs", "atan2": "atan2", "nextafter": "nextafter", "is_finite": "isfinite",
+    "max": "max", "min": "min", "population_count": "popcount", "clz": "clz",
+    "shift_left": "shl", "shift_right_logical": "shr", "shift_right_arithmetic": "sar",
+    "copysign": "copysign",
+}  # fmt: skip
+
+
+def entrywise(low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small) -> Small:
+    """f of the entries of arrays of one shape (or of shape ())."""
+    if np.prod(shape, dtype=int) > LOOP_ABOVE:
+        b = low.b
+        sources = [in_memory(b, x, x.dtype if x.dtype != object else _dtype(x)) for x in xs]
+        sources = [s if s.shape == shape else s.broadcast(shape, ()) for s in sources]
+        out = View.of(b.local(dtype, int(np.prod(shape))), shape)
+        each(b, shape, lambda *i: put(b, out, i, f(*(get(b, s, i) for s in sources))))
+        return out
+    arrays = [np.broadcast_to(low.scalars(x), shape) for x in xs]
+    out = np.empty(shape, object)
+    for i in np.ndindex(shape):
+        out[i] = f(*(x[i] for x in arrays))
+    return out
+
+
+def _dtype(x: np.ndarray) -> np.dtype:
+    return x.flat[0].dtype
+
+
+def _shape(eqn: Any) -> tuple[int, ...]:
+    return eqn.outvars[0].aval.shape
+
+
+def _one(low: Lowering, eqn: Any, ins: list) -> list:
+    name, dtype = SAME[eqn.primitive.name], eqn.outvars[0].aval.dtype
+    if name in FOLD and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
+        with np.errstate(all="ignore"):
+            if name != "shl":
+                return [np.asarray(FOLD[name](*ins), dtype)]
+    f = functools.partial(low.b.op, name, dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+rule(*SAME)(_one)
+
+
+@rule("div")
+def _div(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = eqn.outvars[0].aval.dtype
+    if dtype.kind == "f" and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
+        with np.errstate(all="ignore"):
+            return [np.asarray(np.divide(*ins), dtype)]
+    f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("rem")
+def _rem(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = eqn.outvars[0].aval.dtype
+    f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("pow")
+def _pow(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = eqn.outvars[0].aval.dtype
+    if dtype.kind != "f":
+        raise Unsupported("pow of integers")
+    f = lambda x, y: low.b.op("pow", dtype, x, low.b.cast(y, dtype))  # noqa: E731
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("square")
+def _square(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = eqn.outvars[0].aval.dtype
+    return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
+
+
+@rule("integer_pow")
+def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, y = eqn.outvars[0].aval.dtype, eqn.params["y"]
+
+    def power(x: Value) -> Value:
+        n, square, out = abs(y), x, None
+        while n:
+            if n & 1:
+                out = square if out is None else low.b.op("mul", dtype, out, square)
+            n >>= 1
+            if n:
+                square = low.b.op("mul", dtype, square, square)
+        out = dtype.type(1) if out is None else out
+        return low.b.op("div", dtype, dtype.type(1), out) if y < 0 else out
+
+    return [entrywise(low, dtype, _shape(eqn), power, *ins)]
+
+
+@rule("logistic")
+def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    one = dtype.type(1)
+
+    def f(x: Value) -> Value:
+        e = b.op("exp", dtype, b.op("neg", dtype, x))
+        return b.op("div", dtype, one, b.op("add", dtype, e, one))
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("sign")
+def _sign(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    zero = dtype.type(0)
+
+    def f(x: Value) -> Value:  # x itself where it is zero or nan
+        below = x if dtype.kind == "u" else b.select(
+            b.op("lt", BOOL, x, zero), dtype.type(-1), x
+        )  # fmt: skip
+        return b.select(b.op("gt", BOOL, x, zero), dtype.type(1), below)
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("round")
+def _round(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    to_even = int(eqn.params["rounding_method"]) == 1
+    f = functools.partial(b.op, "rint" if to_even else "round", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("clamp")
+def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = eqn.outvars[0].aval.dtype, low.b
+
+    def f(least: Value, x: Value, most: Value) -> Value:
+        return b.op("min", dtype, b.op("max", dtype, x, least), most)
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("select_n")
+def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = eqn.outvars[0].aval.dtype, low.b
+
+    def f(which: Value, *cases: Value) -> Value:
+        if len(cases) == 1:
+            return cases[0]
+        if which.dtype == BOOL:
+            return b.select(which, cases[1], cases[0])
+        out = cases[-1]
+        for k in reversed(range(len(cases) - 1)):
+            out = b.select(b.op("eq", BOOL, which, which.dtype.type(k)), cases[k], out)
+        return out
+
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("convert_element_type", "reduce_precision")
+def _convert(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    if eqn.primitive.name == "reduce_precision":
+        bits = (eqn.params["exponent_bits"], eqn.params["mantissa_bits"])
+        if bits != {4: (8, 23), 8: (11, 52)}[dtype.itemsize]:
+            raise Unsupported(f"reduce_precision to {bits}")
+        return list(ins)
+    x = ins[0]
+    if isinstance(x, View) and x.dtype == dtype:
+        return [x]
+    if isinstance(x, np.ndarray) and x.dtype != object and dtype.kind == "f":
+        return [x.astype(dtype)]
+
+    def f(x: Value) -> Value:
+        if dtype == BOOL:
+            return b.op("ne", BOOL, x, x.dtype.type(0)) if x.dtype != BOOL else x
+        return b.cast(x, dtype)
+
+    return [entrywise(low, dtype, _shape(eqn), f, x)]
+
+
+@rule("bitcast_convert_type")
+def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype = eqn.outvars[0].aval.dtype
+    if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
+        raise Unsupported("bitcast_convert_type to another size")
+    f = functools.partial(low.b.op, "bitcast", dtype)
+    return [entrywise(low, dtype, _shape(eqn), f, *ins)]
+
+
+@rule("sincos")
+def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
+    """Cosine and sine by polynomials of one reduced angle."""
+    aval = jax.ShapeDtypeStruct((), eqn.invars[0].aval.dtype)
+    closed = _traced(polynomial_sincos, aval.dtype)
+    x = low.scalars(ins[0])
+    out = np.empty(x.shape, object), np.empty(x.shape, object)
+    for i in np.ndindex(x.shape):
+        pair = low.closed(closed, [objects(np.asarray(x[i], object))])
+        for k in (0, 1):
+            out[k][i] = low.scalars(pair[k])[()]
+    return list(out)
+
+
+@functools.cache
+def _traced(f: Callable, dtype: np.dtype) -> Any:
+    return jax.make_jaxpr(f)(jnp.zeros((), dtype))
+
+
+# ------------------------------------------------------------------- reductions
+
+
+def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Small:
+    """Entries combined along axes by f of two values."""
+    axes = tuple(axes)
+    kept = [k for k in range(x.ndim) if k not in axes]
+    shape = tuple(x.shape[k] for k in kept)
+    count = int(np.prod([x.shape[k] for k in axes], dtype=int))
+    if x.size > LOOP_ABOVE and count:
+        return _looped(low, in_memory(low.b, x, dtype), kept, list(axes), dtype, f)
+    entries = low.scalars(x).transpose(*kept, *axes).reshape(*shape, count)
+    out = np.empty(shape, object)
+    for i in np.ndindex(shape):
+        out[i] = functools.reduce(f, entries[i])
+    return out
+
+
+def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Callable) -> View:
+    b = low.b
+    x = x.transposed([*kept, *axes])
+    shape, rest = x.shape[: len(kept)], x.shape[len(kept) :]
+    out = View.of(b.local(dtype, int(np.prod(shape, dtype=int))), shape)
+
+    def one(*i: Value) -> None:
+        zero = np.int32(0)
+        first = get(b, x, (*i, *(zero for _ in rest)))
+        total, started = b.declare(dtype, first), b.declare(BOOL, np.bool_(False))
+
+        def more(*k: Value) -> None:
+            value = get(b, x, (*i, *k))
+            b.assign(total, b.select(started, f(total, value), value))
+            b.assign(started, np.bool_(True))
+
+        each(b, rest, more)
+        put(b, out, i, total)
+
+    each(b, shape, one)
+    return out
+
+
+REDUCTIONS = {
+    "reduce_sum": ("add", 0), "reduce_prod": ("mul", 1), "reduce_max": ("max", None),
+    "reduce_min": ("min", None), "reduce_and": ("and", None), "reduce_or": ("or", None),
+    "reduce_xor": ("xor", None),
+}  # fmt: skip
+
+
+def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
+    name, neutral = REDUCTIONS[eqn.primitive.name]
+    dtype, x = eqn.outvars[0].aval.dtype, ins[0]
+    if not x.size:
+        if neutral is None:
+            raise Unsupported(f"{eqn.primitive.name} of nothing")
+        return [np.full(_shape(eqn), neutral, dtype)]
+    f = functools.partial(low.b.op, name, dtype)
+    return [reduced(low, x, eqn.params["axes"], dtype, f)]
+
+
+rule(*REDUCTIONS)(_reduce)
+
+
+@rule("argmax", "argmin")
+def _arg(low: Lowering, eqn: Any, ins: list) -> list:
+    (axis,), dtype = eqn.params["axes"], eqn.outvars[0].aval.dtype
+    b, better = low.b, "gt" if eqn.primitive.name == "argmax" else "lt"
+    x = np.moveaxis(low.scalars(ins[0]), axis, -1)
+    out = np.empty(x.shape[:-1], object)
+    for i in np.ndindex(out.shape):
+        best, at = x[i][0], dtype.type(0)
+        for k, value in enumerate(x[i][1:], 1):
+            wins = b.op(better, BOOL, value, best)
+            if best.dtype.kind == "f":  # the first nan is the answer
+                nan = b.op("and", BOOL, b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best))
+                wins = b.op("or", BOOL, wins, nan)
+            best, at = b.select(wins, value, best), b.select(wins, dtype.type(k), at)
+        out[i] = at
+    return [out]
+
+
+CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+
+
+def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
+    name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
+    dtype = eqn.outvars[0].aval.dtype
+    x = np.moveaxis(low.scalars(ins[0]), axis, 0)
+    x = x[::-1] if eqn.params["reverse"] else x
+    out = x.copy()
+    for k in range(1, len(x)):
+        for i in np.ndindex(x.shape[1:]):
+            out[(k, *i)] = low.b.op(name, dtype, out[(k - 1, *i)], x[(k, *i)])
+    out = out[::-1] if eqn.params["reverse"] else out
+    return [np.moveaxis(out, 0, axis)]
+
+
+rule(*CUMULATIVE)(_cumulative)

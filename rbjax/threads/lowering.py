@@ -1,0 +1,212 @@
+"""From the jaxpr of one sample to the program of one thread.
+
+`Lowering.run` walks the equations; a rule for each primitive (`RULES`) turns small arrays into
+small arrays. Moving entries about (slices, reshapes, transposes) costs nothing: it renames them.
+A result that is written entry by entry (the stacked outputs of a scan) is written where it is
+needed, so a trajectory goes straight to the kernel's result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+from rbjax.threads.arrays import Small, View, scalars, tidy, write
+from rbjax.threads.program import Builder
+
+Rule = Callable[["Lowering", Any, list], list]
+RULES: dict[str, Rule] = {}
+#: rules that write a result where they are told: f(lowering, equation, inputs, places)
+WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
+
+
+class Unsupported(Exception):
+    """A primitive or a type that threads do not know."""
+
+
+#: the types of numbers that a thread knows
+DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
+
+
+def rule(*names: str) -> Callable[[Rule], Rule]:
+    """Register how primitives of these names become statements."""
+
+    def register(f: Rule) -> Rule:
+        RULES.update(dict.fromkeys(names, f))
+        return f
+
+    return register
+
+
+def writer(*names: str) -> Callable:
+    """The same, for rules that take the places of their results."""
+
+    def register(f: Callable) -> Callable:
+        WRITERS.update(dict.fromkeys(names, f))
+        return f
+
+    return register
+
+
+class Lowering:
+    """Writes the program of a jaxpr with a `Builder`."""
+
+    def __init__(self, builder: Builder):
+        self.b = builder
+
+    def closed(
+        self, closed: ClosedJaxpr, args: Sequence[Small], places: Sequence[View | None] = ()
+    ) -> list[Small]:
+        return self.run(closed.jaxpr, closed.consts, args, places)
+
+    def run(
+        self,
+        jaxpr: Jaxpr,
+        consts: Sequence[Any],
+        args: Sequence[Small],
+        places: Sequence[View | None] = (),
+    ) -> list[Small]:
+        """The results of a jaxpr; those with a place are written there."""
+        last = _last_uses(jaxpr)
+        env: dict[Any, Small] = {}
+
+        def bind(var: Any, value: Small) -> None:
+            if var in last:
+                env[var] = value
+                _own(value, 1)
+
+        def read(atom: Any) -> Small:
+            return known(atom.val) if isinstance(atom, Literal) else env[atom]
+
+        for var, const in zip(jaxpr.constvars, consts, strict=True):
+            bind(var, const if isinstance(const, View) or _is_objects(const) else known(const))
+        for var, arg in zip(jaxpr.invars, args, strict=True):
+            bind(var, arg)
+        wanted = _places(jaxpr, places)
+        for n, eqn in enumerate(jaxpr.eqns):
+            ins = [read(atom) for atom in eqn.invars]
+            for var in {v for v in eqn.invars if not isinstance(v, Literal) and last[v] == n}:
+                _own(env.pop(var), -1)
+            outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
+            for var, out in zip(eqn.outvars, outs, strict=True):
+                bind(var, out)
+        outs = [read(atom) for atom in jaxpr.outvars]
+        for value in env.values():
+            _own(value, -1)
+        for i, place in enumerate(places):
+            if place is not None:
+                write(self.b, place, outs[i])
+                outs[i] = place
+        return outs
+
+    def _equation(self, eqn: Any, ins: list[Small], places: list[View | None]) -> list[Small]:
+        name = eqn.primitive.name
+        for var in eqn.outvars:
+            dtype = getattr(var.aval, "dtype", None)
+            if dtype is not None and dtype not in DTYPES:
+                raise Unsupported(f"{name} of type {dtype}")
+        if name in WRITERS:
+            return WRITERS[name](self, eqn, ins, places)
+        if name in RULES:
+            return [
+                tidy(out, var.aval.dtype) if isinstance(out, np.ndarray) else out
+                for out, var in zip(RULES[name](self, eqn, ins), eqn.outvars, strict=True)
+            ]
+        inner = called(eqn)
+        if inner is None:
+            raise Unsupported(name)
+        return self.closed(inner, ins, places)
+
+    @contextmanager
+    def held(self, values: Sequence[Small]) -> Iterator[None]:
+        """Nothing that is read again later is updated in place meanwhile."""
+        for value in values:
+            _own(value, 1)
+        try:
+            yield
+        finally:
+            for value in values:
+                _own(value, -1)
+
+    def scalars(self, x: Small) -> np.ndarray:
+        return scalars(self.b, x)
+
+    def evaluate(self, f: Callable, *args: Small, avals: Sequence[Any]) -> list[Small]:
+        """The results of a JAX function, traced for arguments of these shapes and types."""
+        return self.closed(jax.make_jaxpr(f)(*avals), args)
+
+
+def known(x: Any) -> np.ndarray:
+    """A constant as numpy."""
+    return np.asarray(x)
+
+
+def called(eqn: Any) -> ClosedJaxpr | None:
+    """The jaxpr that an equation calls: of `jit`, of custom derivatives, of a checkpoint."""
+    for name in ("jaxpr", "call_jaxpr", "call", "fun_jaxpr"):
+        inner = eqn.params.get(name)
+        if isinstance(inner, ClosedJaxpr):
+            return inner
+        if isinstance(inner, Jaxpr):
+            return ClosedJaxpr(inner, ())
+    if eqn.primitive.name == "custom_linear_solve":
+        return None
+    return None
+
+
+def _is_objects(x: Any) -> bool:
+    return isinstance(x, np.ndarray) and x.dtype == object
+
+
+def _own(value: Small, change: int) -> None:
+    if isinstance(value, View):
+        value.array.owners += change
+
+
+def _last_uses(jaxpr: Jaxpr) -> dict[Any, int]:
+    """For each variable that is used, the last equation that uses it."""
+    last: dict[Any, int] = {}
+    for n, eqn in enumerate(jaxpr.eqns):
+        last.update((v, n) for v in eqn.invars if not isinstance(v, Literal))
+    end = len(jaxpr.eqns)
+    last.update((v, end) for v in jaxpr.outvars if not isinstance(v, Literal))
+    return last
+
+
+def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
+    """Where results shall be, handed back through equations that only move entries."""
+    wanted: dict[Any, View] = {}
+    inputs = {*jaxpr.invars, *jaxpr.constvars}
+
+    def want(var: Any, place: View | None) -> None:
+        if place is not None and not isinstance(var, Literal) and var not in inputs:
+            wanted.setdefault(var, place)
+
+    for var, place in zip(jaxpr.outvars, places, strict=False):
+        want(var, place)
+    if not wanted:
+        return wanted
+    for eqn in reversed(jaxpr.eqns):
+        place = wanted.get(eqn.outvars[0]) if eqn.outvars else None
+        if place is None:
+            continue
+        match eqn.primitive.name:
+            case "reshape" | "squeeze" | "expand_dims":
+                want(eqn.invars[0], place.reshaped(eqn.invars[0].aval.shape))
+            case "broadcast_in_dim" if eqn.invars[0].aval.size == eqn.outvars[0].aval.size:
+                if not isinstance(eqn.invars[0], Literal):
+                    want(eqn.invars[0], place.reshaped(eqn.invars[0].aval.shape))
+            case "concatenate":
+                start, axis = 0, eqn.params["dimension"]
+                for var in eqn.invars:
+                    stop = start + var.aval.shape[axis]
+                    box = [slice(0, n, 1) for n in place.shape]
+                    box[axis] = slice(start, stop, 1)
+                    want(var, place.sliced(box))
+                    start = stop
+    return wanted

@@ -1,0 +1,381 @@
+"""The program of one thread: scalars in registers, arrays in memory, loops and branches.
+
+A traced function is rewritten into this form (`lowering`), and a back end prints it (`c_source`).
+A value is a `Var`, or a numpy scalar where it is known. The builder folds what is known, and
+computes equal expressions once.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+BOOL, I32, I64 = np.dtype(bool), np.dtype(np.int32), np.dtype(np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Var:
+    """A scalar that is computed when the program runs."""
+
+    id: int
+    dtype: np.dtype
+
+
+Value = Any  # Var or np.generic
+
+
+@dataclass(slots=True, eq=False)
+class Array:
+    """Memory of one thread, addressed by element.
+
+    space: "local" (of the thread), "constant" (known numbers, `data`), "operand" (read only) or
+    "result" (what the thread returns).
+    """
+
+    id: int
+    dtype: np.dtype
+    size: int
+    space: str
+    data: np.ndarray | None = None
+    #: the type that counts its elements: int64 where int32 is too small
+    index: np.dtype = I32
+    #: live names for it while the program is written; an array with none may be updated in place
+    owners: int = 0
+    #: where in `Builder` time it was last written
+    version: int = 0
+
+    @property
+    def mutable(self) -> bool:
+        return self.space in ("local", "result")
+
+
+@dataclass(slots=True)
+class Op:
+    """dest = name(args)."""
+
+    dest: Var
+    name: str
+    args: tuple
+
+
+@dataclass(slots=True)
+class Load:
+    """dest = array[base + offset]; base is None for 0."""
+
+    dest: Var
+    array: Array
+    base: Value | None
+    offset: int
+
+
+@dataclass(slots=True)
+class Store:
+    """array[base + offset] = value."""
+
+    array: Array
+    base: Value | None
+    offset: int
+    value: Value
+
+
+@dataclass(slots=True)
+class Declare:
+    """A variable that is assigned to later; its first value, or None."""
+
+    var: Var
+    value: Value | None
+
+
+@dataclass(slots=True)
+class Assign:
+    """var = value."""
+
+    var: Var
+    value: Value
+
+
+@dataclass(slots=True)
+class Reserve:
+    """A local array begins to exist."""
+
+    array: Array
+
+
+@dataclass(slots=True)
+class Loop:
+    """`counter` runs over 0 ... count - 1, or backwards."""
+
+    counter: Var
+    count: int
+    reverse: bool
+    body: Block
+
+
+@dataclass(slots=True)
+class While:
+    """Repeat: run `test`; leave where `condition` is false; run `body`."""
+
+    test: Block
+    condition: Value
+    body: Block
+
+
+@dataclass(slots=True)
+class If:
+    """One of two blocks."""
+
+    condition: Value
+    then: Block
+    otherwise: Block
+
+
+@dataclass(slots=True)
+class Block:
+    """Statements in a row."""
+
+    statements: list = field(default_factory=list)
+
+
+def walk(block: Block) -> Iterator[Any]:
+    """All statements, those of inner blocks after the statement that holds them."""
+    for statement in block.statements:
+        yield statement
+        match statement:
+            case Loop(body=body):
+                yield from walk(body)
+            case While(test=test, body=body):
+                yield from walk(test)
+                yield from walk(body)
+            case If(then=then, otherwise=otherwise):
+                yield from walk(then)
+                yield from walk(otherwise)
+
+
+def _shift(f):
+    return lambda a, b: f(a, b) if 0 <= int(b) < a.dtype.itemsize * 8 else a.dtype.type(0)
+
+
+FOLD = {
+    "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative,
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
+    "eq": np.equal, "ne": np.not_equal,
+    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
+    "shl": _shift(np.left_shift), "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "sin": np.sin,
+    "cos": np.cos, "tan": np.tan, "tanh": np.tanh, "floor": np.floor, "ceil": np.ceil,
+    "rint": np.rint, "abs": np.abs, "max": np.maximum, "min": np.minimum, "pow": np.power,
+    "atan2": np.arctan2, "isfinite": np.isfinite,
+}  # fmt: skip
+"""How numpy computes an operation of known values; what is missing is left to the program."""
+
+COMMUTATIVE = {"add", "mul", "and", "or", "xor", "eq", "ne"}
+
+
+class Builder:
+    """Writes statements; equal expressions within reach of each other become one variable."""
+
+    def __init__(self) -> None:
+        self.block = Block()
+        self.ids = itertools.count()
+        self.time = 0  # advances whenever what was read of memory may be out of date
+        self._tables: dict[tuple, Array] = {}
+        self._known: dict[tuple, Value] = {}
+        self._scopes: list[list[tuple]] = [[]]
+        self._negated: dict[int, Value] = {}
+        self._entered = 0  # blocks entered and left: a loop's second turn finds other memory
+
+    # ---------------------------------------------------------------- scalars
+
+    def var(self, dtype: Any) -> Var:
+        return Var(next(self.ids), np.dtype(dtype))
+
+    def op(self, name: str, dtype: Any, *args: Value) -> Value:
+        """name(args), of the given type."""
+        dtype = np.dtype(dtype)
+        if not any(isinstance(a, Var) for a in args):
+            folded = _fold(name, dtype, args)
+            if folded is not None:
+                return folded
+        simple = self._simpler(name, args)
+        if simple is not None:
+            return simple
+        key = (name, dtype.char, *_keys(name, args))
+        dest = self._known.get(key)
+        if dest is None:
+            dest = self.var(dtype)
+            self.block.statements.append(Op(dest, name, args))
+            self._remember(key, dest)
+            if name == "neg":
+                self._negated[dest.id] = args[0]
+        return dest
+
+    def cast(self, x: Value, dtype: Any) -> Value:
+        """x as another type."""
+        return x if x.dtype == dtype else self.op("cast", dtype, x)
+
+    def select(self, condition: Value, yes: Value, no: Value) -> Value:
+        """yes where the condition holds, else no."""
+        return self.op("select", yes.dtype, condition, yes, no)
+
+    def _simpler(self, name: str, args: tuple) -> Value | None:
+        """What the operation is equal to, where a known argument or a double negation says so."""
+        match name, args:
+            case ("select", (c, a, b)) if not isinstance(c, Var):
+                return a if c else b
+            case ("select", (_, a, b)) if a is b:
+                return a
+            case ("neg", (a,)) if isinstance(a, Var) and a.id in self._negated:
+                return self._negated[a.id]
+            case ("add", (a, b)) if _is(b, 0):
+                return a
+            case ("add", (a, b)) if _is(a, 0):
+                return b
+            case ("sub", (a, b)) if _is(b, 0):
+                return a
+            case ("sub", (a, b)) if _is(a, 0):
+                return self.op("neg", b.dtype, b)
+            case ("mul" | "div", (a, b)) if _is(b, 1):
+                return a
+            case ("mul", (a, b)) if _is(a, 1):
+                return b
+            case ("mul", (a, b)) if _is(b, -1):
+                return self.op("neg", a.dtype, a)
+            case ("mul", (a, b)) if _is(a, -1):
+                return self.op("neg", b.dtype, b)
+            case ("mul", (a, b)) if a.dtype.kind in "iu" and (_is(a, 0) or _is(b, 0)):
+                return a.dtype.type(0)
+            case ("and", (a, b)) if a.dtype == BOOL and not isinstance(a, Var):
+                return b if a else a
+            case ("and", (a, b)) if b.dtype == BOOL and not isinstance(b, Var):
+                return a if b else b
+            case ("or", (a, b)) if a.dtype == BOOL and not isinstance(a, Var):
+                return a if a else b
+            case ("or", (a, b)) if b.dtype == BOOL and not isinstance(b, Var):
+                return b if b else a
+        return None
+
+    def declare(self, dtype: Any, value: Value | None = None) -> Var:
+        """A variable that is assigned to later."""
+        var = self.var(dtype)
+        self.block.statements.append(Declare(var, value))
+        return var
+
+    def assign(self, var: Var, value: Value) -> None:
+        if var is not value:
+            self.block.statements.append(Assign(var, value))
+
+    # ---------------------------------------------------------------- memory
+
+    def local(self, dtype: Any, size: int) -> Array:
+        array = Array(next(self.ids), np.dtype(dtype), size, "local")
+        self.block.statements.append(Reserve(array))
+        return array
+
+    def outside(self, dtype: Any, size: int, space: str, index: Any = I32) -> Array:
+        """An operand or a result."""
+        return Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
+
+    def table(self, data: np.ndarray) -> Array:
+        """Known numbers in memory; the same numbers once."""
+        key = (data.dtype.char, data.tobytes())
+        if key not in self._tables:
+            flat = data.reshape(-1)
+            self._tables[key] = Array(next(self.ids), data.dtype, data.size, "constant", flat)
+        return self._tables[key]
+
+    @property
+    def tables(self) -> list[Array]:
+        return list(self._tables.values())
+
+    def load(self, array: Array, base: Value | None, offset: int) -> Value:
+        """array[base + offset]."""
+        base, offset = _at(base, offset)
+        if array.data is not None and base is None:
+            return array.data[offset]
+        since = (array.version, self._entered) if array.mutable else 0
+        key = ("load", array.id, base.id if base is not None else None, offset, since)
+        dest = self._known.get(key)
+        if dest is None:
+            dest = self.var(array.dtype)
+            self.block.statements.append(Load(dest, array, base, offset))
+            self._remember(key, dest)
+        return dest
+
+    def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
+        """array[base + offset] = value."""
+        base, offset = _at(base, offset)
+        self.block.statements.append(Store(array, base, offset, value))
+        self.written(array)
+
+    def written(self, array: Array) -> None:
+        """What was read of an array earlier is read again from here on."""
+        self.time += 1
+        array.version = self.time
+
+    # ---------------------------------------------------------------- blocks
+
+    @contextmanager
+    def inside(self, block: Block) -> Iterator[None]:
+        """Write into an inner block; what is computed there is out of reach after it."""
+        outer, self.block = self.block, block
+        self._scopes.append([])
+        self._entered += 1
+        try:
+            yield
+        finally:
+            for key in self._scopes.pop():
+                self._known.pop(key, None)
+            self._entered += 1
+            self.block = outer
+
+    @contextmanager
+    def loop(self, count: int, *, reverse: bool = False) -> Iterator[Var]:
+        """A loop over a counter."""
+        counter, body = self.var(I32), Block()
+        self.block.statements.append(Loop(counter, count, reverse, body))
+        with self.inside(body):
+            yield counter
+
+    def _remember(self, key: tuple, value: Value) -> None:
+        self._known[key] = value
+        self._scopes[-1].append(key)
+
+    def index(self, array: Array, *terms: tuple[Value, int]) -> Value | None:
+        """Sum of value * stride over the terms, in the array's type of index; None for 0."""
+        total: Value = array.index.type(0)
+        for value, stride in terms:
+            step = self.op(
+                "mul", array.index, self.cast(value, array.index), array.index.type(stride)
+            )
+            total = self.op("add", array.index, total, step)
+        return None if _is(total, 0) else total
+
+
+def _fold(name: str, dtype: np.dtype, args: tuple) -> Value | None:
+    with np.errstate(all="ignore"):
+        if name == "cast":
+            return dtype.type(args[0]) if args[0].dtype.kind in "biu" or dtype.kind == "f" else None
+        if name == "div" and dtype.kind == "f":
+            return dtype.type(np.divide(*args))
+        if name in FOLD:
+            return dtype.type(FOLD[name](*args))
+    return None
+
+
+def _is(x: Value, number: int) -> bool:
+    return not isinstance(x, Var) and x.dtype != BOOL and x == number
+
+
+def _keys(name: str, args: Sequence[Value]) -> list:
+    keys: list = [a.id if isinstance(a, Var) else (a.dtype.char, a.tobytes()) for a in args]
+    return sorted(keys, key=str) if name in COMMUTATIVE else keys
+
+
+def _at(base: Value | None, offset: int) -> tuple[Var | None, int]:
+    if base is None or isinstance(base, Var):
+        return base, offset
+    return None, offset + int(base)

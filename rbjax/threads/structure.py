@@ -1,0 +1,152 @@
+"""Rules of primitives that move entries about and compute nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from rbjax.threads.arrays import Small, View, owned_copy, tidy, write
+from rbjax.threads.elementwise import LOOP_ABOVE
+from rbjax.threads.lowering import Lowering, Unsupported, rule, writer
+
+
+@rule("materialize", "batch_first", "copy", "copy_p", "stop_gradient", "optimization_barrier",
+      "device_put", "sharding_constraint", "name", "pvary", "nonbatchable", "unvmap_any",
+      "unvmap_all", "noinline_identity")  # fmt: skip
+def _identity(low: Lowering, eqn: Any, ins: list) -> list:
+    return list(ins)
+
+
+@rule("slice")
+def _slice(low: Lowering, eqn: Any, ins: list) -> list:
+    P = eqn.params
+    steps = P["strides"] or [1] * len(P["start_indices"])
+    box = tuple(
+        slice(a, z, k) for a, z, k in zip(P["start_indices"], P["limit_indices"], steps, strict=True)
+    )
+    return [ins[0].sliced(box) if isinstance(ins[0], View) else ins[0][box]]
+
+
+@rule("squeeze", "reshape", "expand_dims")
+def _reshape(low: Lowering, eqn: Any, ins: list) -> list:
+    return [reshaped(low, ins[0], eqn.outvars[0].aval.shape)]
+
+
+def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
+    """x under another shape."""
+    if isinstance(x, View):
+        out = x.reshaped(shape)
+        return owned_copy(low.b, x, x.dtype).reshaped(shape) if out is None else out
+    return x.reshape(shape)
+
+
+@rule("transpose")
+def _transpose(low: Lowering, eqn: Any, ins: list) -> list:
+    x, order = ins[0], eqn.params["permutation"]
+    return [x.transposed(order) if isinstance(x, View) else x.transpose(order)]
+
+
+@rule("rev")
+def _rev(low: Lowering, eqn: Any, ins: list) -> list:
+    x, axes = ins[0], eqn.params["dimensions"]
+    if not isinstance(x, View):
+        return [np.flip(x, axes)]
+    box = [slice(n - 1, -1, -1) if k in axes else slice(0, n, 1) for k, n in enumerate(x.shape)]
+    return [x.sliced(box)]
+
+
+@rule("broadcast_in_dim")
+def _broadcast(low: Lowering, eqn: Any, ins: list) -> list:
+    x, shape, axes = ins[0], eqn.params["shape"], eqn.params["broadcast_dimensions"]
+    if isinstance(x, View):
+        return [x.broadcast(shape, axes)]
+    wide = [1] * len(shape)
+    for k, axis in enumerate(axes):
+        wide[axis] = x.shape[k]
+    return [np.broadcast_to(x.reshape(wide), shape)]
+
+
+@writer("concatenate")
+def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
+    if place is None and out.size > LOOP_ABOVE:
+        place = View.of(low.b.local(out.dtype, out.size), out.shape)
+    if place is None:
+        return [tidy(np.concatenate([low.scalars(x) for x in ins], axis), out.dtype)]
+    start = 0
+    for x in ins:
+        box = [slice(0, n, 1) for n in place.shape]
+        box[axis] = slice(start, start + x.shape[axis], 1)
+        write(low.b, place.sliced(box), x)
+        start += x.shape[axis]
+    return [place]
+
+
+@rule("stack")
+def _stack(low: Lowering, eqn: Any, ins: list) -> list:
+    axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
+    return [np.stack([low.scalars(x) for x in ins], axis)]
+
+
+@rule("unstack")
+def _unstack(low: Lowering, eqn: Any, ins: list) -> list:
+    axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
+    return _split(low, ins[0], axis, [1] * ins[0].shape[axis], squeeze=True)
+
+
+@rule("split")
+def _splits(low: Lowering, eqn: Any, ins: list) -> list:
+    return _split(low, ins[0], eqn.params["axis"], eqn.params["sizes"])
+
+
+def _split(low: Lowering, x: Small, axis: int, sizes: Any, squeeze: bool = False) -> list:
+    out, start = [], 0
+    for size in sizes:
+        box = [slice(0, n, 1) for n in x.shape]
+        box[axis] = slice(start, start + size, 1)
+        part = x.sliced(box) if isinstance(x, View) else x[tuple(box)]
+        shape = tuple(n for k, n in enumerate(part.shape) if k != axis)
+        out.append(reshaped(low, part, shape) if squeeze else part)
+        start += size
+    return out
+
+
+@rule("pad")
+def _pad(low: Lowering, eqn: Any, ins: list) -> list:
+    x, fill = low.scalars(ins[0]), low.scalars(ins[1])[()]
+    config = eqn.params["padding_config"]
+    # lay out with gaps between entries, then add to the sides; negative sides cut
+    spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
+    wide = np.full(spread, fill, object)
+    wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
+    for axis, (before, after, _) in enumerate(config):
+        for side, amount in ((0, before), (1, after)):
+            if amount > 0:
+                shape = list(wide.shape)
+                shape[axis] = amount
+                more = np.full(shape, fill, object)
+                wide = np.concatenate([wide, more] if side else [more, wide], axis)
+            elif amount < 0:
+                cut = slice(None, amount) if side else slice(-amount, None)
+                wide = wide[tuple(cut if k == axis else slice(None) for k in range(wide.ndim))]
+    return [wide]
+
+
+@rule("iota", "full")
+def _constant(low: Lowering, eqn: Any, ins: list) -> list:
+    aval, P = eqn.outvars[0].aval, eqn.params
+    if eqn.primitive.name == "full":
+        return [np.full(aval.shape, P["fill_value"], aval.dtype)]
+    axis = P["dimension"]
+    row = np.arange(aval.shape[axis], dtype=aval.dtype)
+    shape = [-1 if k == axis else 1 for k in range(len(aval.shape))]
+    return [np.broadcast_to(row.reshape(shape), aval.shape)]
+
+
+@rule("pure_callback", "debug_callback")
+def _callback(low: Lowering, eqn: Any, ins: list) -> list:
+    if eqn.outvars and not all(isinstance(v, jax.core.DropVar) for v in eqn.outvars):
+        raise Unsupported(eqn.primitive.name)
+    return []
