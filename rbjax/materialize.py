@@ -19,10 +19,7 @@ many results scalar, f32 algorithms of an arm take 1.2 times as long with it, th
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import threading
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -35,28 +32,12 @@ _materialize = Primitive("materialize")
 _materialize.multiple_results = True
 
 
-_here = threading.local()
-
-
-@contextlib.contextmanager
-def inside_a_kernel() -> Iterator[None]:
-    """While tracing the body of a Pallas kernel, whose compiler knows no primitives of ours."""
-    before = getattr(_here, "kernel", False)
-    _here.kernel = True
-    try:
-        yield
-    finally:
-        _here.kernel = before
-
-
 def materialize(tree: Any, known: Any = ()) -> Any:
     """The same pytree; its arrays are computed once, here. Literals stay literals.
 
     Arrays that are also in `known` are passed by. (They must be: what goes through together is
     transposed together, so constants of a linear solve must not go with its unknowns.)
     """
-    if getattr(_here, "kernel", False):
-        return tree
     leaves, treedef = jax.tree.flatten(tree)
     passed = {id(x) for x in jax.tree.leaves(known)}
     fresh = {
@@ -114,8 +95,6 @@ def batch_first(tree: Any) -> Any:
     What a function with a custom rule returns, and what the rule returns, must have it in one
     place: JAX mixes the two up where `vmap` meets the function inside a `jit`.
     """
-    if getattr(_here, "kernel", False):
-        return tree
     return jax.tree.map(_batch_first.bind, tree)
 
 
@@ -133,12 +112,8 @@ _sincos.multiple_results = True
 
 
 def sincos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """cos x and sin x. On the CPU, and in f64 in kernels, to 1.2e-16 for |x| <= 1e6 (f64) and to
-    8e-8 for |x| <= 1e4 (f32), beyond to the spacing of x; elsewhere XLA's own. (The same in f32 in
-    kernels: rollouts of an arm on an H200 take 0.86 of the time, compiling 1.25.)"""
-    if getattr(_here, "kernel", False):
-        c, s = _in_kernel(x) if x.dtype == jnp.float64 else _native(x)
-        return c, s
+    """cos x and sin x. On the CPU and in GPU threads to 1.2e-16 for |x| <= 1e6 (f64) and to 8e-8
+    for |x| <= 1e4 (f32), beyond to the spacing of x; elsewhere XLA's own."""
     c, s = _sincos.bind(x)
     return c, s
 
@@ -203,13 +178,11 @@ def _jvp(f, xs, ts):
     return [c, s], [-s * t, c * t]
 
 
-_in_kernel = jax.custom_jvp(polynomial_sincos)
-_in_kernel.defjvp(functools.partial(_jvp, _in_kernel))
-
-
 _sincos.def_impl(_native)
 _sincos.def_abstract_eval(lambda x: [x, x])
 mlir.register_lowering(_sincos, mlir.lower_fun(_native, multiple_results=True))
-mlir.register_lowering(_sincos, mlir.lower_fun(polynomial_sincos, multiple_results=True), platform="cpu")
+mlir.register_lowering(
+    _sincos, mlir.lower_fun(polynomial_sincos, multiple_results=True), platform="cpu"
+)
 ad.primitive_jvps[_sincos] = functools.partial(_jvp, _sincos.bind)
 batching.primitive_batchers[_sincos] = lambda xs, dims: (_sincos.bind(*xs), [dims[0], dims[0]])

@@ -1,11 +1,12 @@
 """`rollout`: fixed steps for throughput.
 
-The batch is the last axis of everything inside, so that a lane is contiguous. On the CPU time runs
-inside a chunk of the batch (`dynamics.batching`).
+On a GPU all steps of a sample are one thread (`march`). Elsewhere the batch is the last axis of
+everything inside, so that a lane is contiguous, and on the CPU time runs inside a chunk of the
+batch (`dynamics.batching`).
 
-Memory of the reverse gradient: the scan over saved states keeps one state each; between two saved
-states only the first is kept and the steps are run again. So (T / save_every + save_every) states
-and one step's intermediate values, per sample.
+Memory of the reverse gradient of the latter: the scan over saved states keeps one state each;
+between two saved states only the first is kept and the steps are run again. So (T / save_every +
+save_every) states and one step's intermediate values, per sample.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled
-from rbjax.dynamics import kernel_gradient, kernel_rollout
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
-from rbjax.forces.applied import applied_lanes
-from rbjax.integrators import INTEGRATORS, TABLEAUS
+from rbjax.integrators import INTEGRATORS
+from rbjax.march import on_threads
 from rbjax.model import Model, State
+from rbjax.threads import wanted
 from rbjax.trajectory import Trajectory, all_finite
 
 Policy = Callable[[jax.Array, State], jax.Array]
@@ -40,6 +41,7 @@ def rollout(
     save_every: int = 1,
     steps: int | None = None,
     kernel: bool | None = None,
+    memory: float = 2**31,
 ) -> Trajectory:
     """Fixed steps of one state or of a batch of states: the throughput path.
 
@@ -57,10 +59,9 @@ def rollout(
         integrator: one of "semi_implicit_euler", "rk4", "tsit5", "dopri8", "dop853".
         save_every: keep every so many states; it must divide the number of steps.
         steps: how many steps, where ctrls does not tell.
-        kernel: whether the whole rollout runs in one GPU kernel: no forward mode; its reverse
-            gradient keeps all states, or under a Runge-Kutta method is that of the scan. None:
-            wherever it can on a GPU (batches in f32 with no policy; with actuators at sites few
-            joints of a model that jit closes over).
+        kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.
+        memory: bytes that a reverse gradient of threads may keep states in, for the whole batch: the
+            fewer, the more steps run twice.
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
@@ -69,8 +70,9 @@ def rollout(
     Raises:
         InputError: shapes, dtypes, values that are not finite, unknown integrator.
 
-    Differentiable in state, ctrls and model; the reverse gradient keeps steps / save_every +
-    save_every states.
+    Differentiable in state, ctrls, model and what a policy closes over, forward and in reverse. The
+    reverse gradient keeps steps / save_every + save_every states a sample; on a GPU every k-th
+    state, with the smallest divisor k of save_every for which they fit into `memory`.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Tsitouras (2011);
     Prince & Dormand (1981); Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*,
@@ -94,35 +96,35 @@ def rollout(
     values = None if policy is not None else ctrls
     traced = opened((model, state, values, step))[0]
     run = _run if traced and (policy is not None or staged()) else _compiled
-    inside = _in_kernel(model, state, policy, batched, kernel, run is _run)
-    args = model, state, values, step, policy, integrator, save_every, steps, batched, inside
-    try:
-        return run(*args)
-    except TypeError as error:
-        if not inside or "forward-mode" not in str(error):
-            raise
-        raise InputError(
-            "rollout: got a tangent (jvp, jacfwd) for a rollout in a kernel, which has a reverse "
-            "mode alone; use kernel=False, or grad, vjp or jacrev"
-        ) from error
-
-
-def _in_kernel(model, state, policy, batched, kernel, known) -> bool:
-    """Whether the rollout runs in a kernel (benchmarks/results/gpu-rollout-*.json)."""
-    can = batched and policy is None and kernel_rollout.takes(model, known)
-    if kernel and not can:
-        raise InputError(
-            "rollout: kernel is True, but a kernel takes batches with no policy, and actuators at "
-            "sites only on few joints of a model that jit closes over; use kernel=None"
-        )
-    if kernel is None:
-        return can and jax.default_backend() == "gpu" and state.q.dtype == jnp.float32
-    return kernel
+    threads = wanted() if kernel is None else kernel
+    return run(
+        model, state, values, step, policy, integrator, save_every, steps, batched, threads, memory
+    )
 
 
 def _run(
-    model, state, ctrls, dt, policy, integrator, save_every, steps, batched, kernel
+    model, state, ctrls, dt, policy, integrator, save_every, steps, batched, threads, memory
 ) -> Trajectory:
+    if threads:
+        qs, vs = on_threads(
+            model, state, ctrls, dt, policy, integrator, save_every, steps, batched, memory
+        )
+    else:
+        qs, vs = _on_lanes(model, state, ctrls, dt, policy, integrator, save_every, steps, batched)
+    ts = dt * jnp.arange(0, steps + 1, save_every, dtype=qs.dtype)
+    return Trajectory(ts, qs, vs, all_finite(qs, vs), stats={"steps": steps})
+
+
+_compiled = compiled(
+    _run,
+    static_argnames=(
+        "policy", "integrator", "save_every", "steps", "batched", "threads", "memory"
+    ),
+)  # fmt: skip
+
+
+def _on_lanes(model, state, ctrls, dt, policy, integrator, save_every, steps, batched):
+    """The states (..., T, nq) and (..., T, nv), under XLA."""
     q, v = (x.T if batched else x for x in (state.q, state.v))
     if ctrls is not None:
         ctrls = jnp.moveaxis(ctrls, 0, -1) if ctrls.ndim == 3 else ctrls
@@ -130,36 +132,12 @@ def _run(
     def march(q, v, ctrls):
         return _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps)
 
-    if kernel:
-        qs, vs = _kernel_march(model, q, v, ctrls, dt, integrator, save_every, steps)
-    elif batched and jax.default_backend() == "cpu":
+    if batched and jax.default_backend() == "cpu":
         axes = [-1, -1, -1 if ctrls is not None and ctrls.ndim == 3 else None]
         qs, vs = chunks(lambda x: march(*x), [q, v, ctrls], axes, q.shape[-1], -1)
     else:
         qs, vs = march(q, v, ctrls)
-    if batched:
-        qs, vs = (jnp.moveaxis(x, -1, 0) for x in (qs, vs))
-    ts = dt * jnp.arange(0, steps + 1, save_every, dtype=q.dtype)
-    return Trajectory(ts, qs, vs, all_finite(qs, vs), stats={"steps": steps})
-
-
-_compiled = compiled(
-    _run, static_argnames=("policy", "integrator", "save_every", "steps", "batched", "kernel")
-)
-
-
-def _kernel_march(model, q, v, ctrls, dt, integrator, save_every, steps):
-    """`_march` in a kernel."""
-
-    def scan(model, q, v, ctrls, dt):
-        path = _march(model, q, v, ctrls, dt, None, integrator, save_every, steps)
-        return tuple(x[1:] for x in path)
-
-    qs, vs = kernel_gradient.rollout(
-        model, q, v, ctrls, dt, applied=applied_lanes, scan=scan, steps=steps,
-        save_every=save_every, how=kernel_rollout.choose(model), table=TABLEAUS.get(integrator),
-    )  # fmt: skip
-    return jnp.concatenate([q[None], qs]), jnp.concatenate([v[None], vs])
+    return [jnp.moveaxis(x, -1, 0) for x in (qs, vs)] if batched else (qs, vs)
 
 
 def _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps):

@@ -25,7 +25,8 @@ FLOORS = {
     "solvers": "rotations",
     "trajectory": "model",
     "integrators": "constraints solvers",
-    "rollout": "integrators trajectory",
+    "march": "integrators",
+    "rollout": "march trajectory",
     "simulate": "rollout",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
@@ -37,7 +38,7 @@ TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" i
 GUESTS = {  # packages that only some files may import
     "mujoco": ("model/load", "model/urdf", "validation/", "plotting", "cli"),
     "optax": ("sysid", "control", "demo"),
-    "jax.config": (),  # the caller's
+    "jax.config": ("threads/nvrtc",),  # the caller's; read to keep kernels beside JAX's cache
 }
 
 

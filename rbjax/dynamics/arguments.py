@@ -3,7 +3,8 @@
 Outside traced code an algorithm checks its arguments' values and runs compiled, with the model's
 numbers as arguments (changing one never recompiles); so it does under a `vmap` or `grad` that is
 outside of any `jit`. Inside traced code it is inlined: then a model that is closed over is
-constant, and its zeros vanish from the program. `batching` says how a batch runs.
+constant, and its zeros vanish from the program. On a CPU `batching` says how a batch runs; on a GPU
+it runs one sample a thread (`rbjax.threads`).
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ import numpy as np
 
 from rbjax.compiling import compiled
 from rbjax.dynamics.batching import in_chunks
+from rbjax.dynamics.drivers import on_threads
 from rbjax.dynamics.tracing import opened, staged
 from rbjax.errors import InputError
 from rbjax.model import Model, State
+from rbjax.threads import threaded, wanted
 
 #: argument name -> its shape in terms of the model
 SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
@@ -49,13 +52,16 @@ def algorithm(*names: str) -> Callable[[Callable], Callable]:
 
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
-            moving, closed = opened((args, kwargs))
+            on_gpu = wanted()
+            moving, closed = opened((for_threads(args) if on_gpu else args, kwargs))
 
             def run(moving: list) -> Any:
                 args, kwargs = closed(moving)
                 return f(*args, **kwargs)
 
-            return in_chunks(run)(moving) if moving else run(moving)
+            if not moving:
+                return run(moving)
+            return (threaded if on_gpu else in_chunks)(run)(moving)
 
         program = compiled(inlined, static_argnames=static)
 
@@ -70,6 +76,11 @@ def algorithm(*names: str) -> Callable[[Callable], Callable]:
         return call
 
     return decorate
+
+
+def for_threads(args: tuple) -> tuple:
+    """The arguments, with models on the driver that suits a GPU thread."""
+    return tuple(on_threads(x) if isinstance(x, Model) else x for x in args)
 
 
 def check_arrays(where: str, model: Model, given: dict[str, Any]) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""How a batch runs: rules for `vmap` where lanes as long as the whole batch would be slow.
+"""How a batch runs on the CPU, where lanes as long as the whole batch would be slow.
 
-On the CPU a lane of the whole batch outgrows the cache, so a large batch goes chunk by chunk
-(benchmarks/results/cpu-thresholds-*.json has the widths). On a GPU forward dynamics runs in a
-kernel (`forward`). Derivatives are those of the plain function.
+A lane of the whole batch outgrows the cache, so a large batch goes chunk by chunk
+(benchmarks/results/cpu-thresholds-*.json has the widths). Derivatives are those of the plain
+function. (On a GPU a batch runs one sample a thread: `rbjax.threads`.)
 """
 
 from __future__ import annotations

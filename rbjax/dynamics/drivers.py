@@ -36,6 +36,11 @@ UNROLLED_UP_TO = 8
 VALUES_UNROLLED_UP_TO = 40
 
 
+#: the same in a GPU thread: up to some 8,000 statements fetching instructions costs nothing, and
+#: what is written out runs three to four times as fast
+THREADS_UNROLLED_UP_TO = 26
+
+
 class Unrolled:
     """Steps written out one after another. Per-link values are lists."""
 
@@ -128,3 +133,11 @@ def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
         most = VALUES_UNROLLED_UP_TO if few else UNROLLED_UP_TO
         name = "unrolled" if model.nv <= most else "rolled"
     return DRIVERS[name](model, prepare(model, dtype))
+
+
+def on_threads(model: Model) -> Model:
+    """The model with the driver that suits a GPU thread, where it asks for none."""
+    if model.driver != "auto":
+        return model
+    few = model.nv <= THREADS_UNROLLED_UP_TO
+    return model.replace(driver="unrolled" if few else "rolled")

@@ -14,15 +14,14 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from rbjax.dynamics import kernel
 from rbjax.dynamics.aba import aba, factorize, solve
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.batching import with_rule
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import wrench_forces
 from rbjax.dynamics.rnea import rnea
 from rbjax.dynamics.tracing import jvp_of, opened, with_jvp
-from rbjax.model import Model
+from rbjax.model import Model, made_ahead
+from rbjax.threads import wanted
 
 
 def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
@@ -40,17 +39,6 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
 
     def plain(changed, q, v, tau):
         return run(changed, q, v, tau, values=not given)[1]
-
-    def in_kernel(size, axes, changed, q, v, tau):
-        if q.ndim > 2 or any(axis == 0 for axis in axes[0]):  # a batch of batches, or of robots
-            return jax.vmap(plain, in_axes=axes)(changed, q, v, tau)
-        lanes = [
-            jnp.moveaxis(x if axis == 0 else jnp.broadcast_to(x, (size, *x.shape)), 0, -1)
-            for x, axis in zip((q, v, tau), axes[1:], strict=True)
-        ]
-        return kernel.forward_dynamics(rebuilt(changed), *lanes).T
-
-    wins = jax.default_backend() == "gpu" and q.dtype == jnp.float32
 
     def tangent(primals, tangents):
         changed, q, v, tau = primals
@@ -76,7 +64,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
 
     # a = forward(changed, q, v, tau), which is at hand: what it says to a next derivative
     known = with_jvp(lambda *at: at[-1], at_hand)
-    forward = with_jvp(with_rule(plain, in_kernel) if wins else plain, tangent)
+    forward = with_jvp(plain, tangent)
     return forward(given, q, v, tau)
 
 
@@ -110,6 +98,8 @@ def forward_dynamics(
     """
     if not model.nv:
         return jnp.zeros(0, q.dtype)
+    if wanted():  # what all samples share, outside of the rule that a thread's derivative follows
+        model = made_ahead(model, q.dtype)
     if wrenches is not None:
         tau = tau + wrench_forces(driver(model, q.dtype), q, wrenches)
     return acceleration(model, q, v, tau)

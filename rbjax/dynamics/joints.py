@@ -49,20 +49,17 @@ class PosedJoint(JointMotion):
     """A joint motion that knows the link's pose already."""
 
     pose: Transform
-    #: cosine, sine and speed of a hinge, where a kernel met all joints as hinges
-    hinge: tuple[Lane, Lane, Lane] | None
 
-    def __init__(self, motion: JointMotion, link: LinkConstants, hinge: Any = None):
+    def __init__(self, motion: JointMotion, link: LinkConstants):
         super().__init__(motion.J, motion.slide, motion.S, motion.rate, motion.qd)
         object.__setattr__(self, "pose", motion.transform(link))
-        object.__setattr__(self, "hinge", hinge)
 
     def transform(self, link: LinkConstants) -> Transform:
         return self.pose
 
 
 def joint_lanes(
-    link: Link, constants: LinkConstants, q: list[Lane], v: list[Lane], i: int, trig=sincos
+    link: Link, constants: LinkConstants, q: list[Lane], v: list[Lane], i: int
 ) -> JointMotion:
     """The motion of one link, for the unrolled driver."""
     qd = v[i]
@@ -75,7 +72,7 @@ def joint_lanes(
     if link.q is None:
         return JointMotion(Mat3.identity(), 0.0, _HINGE, Vec3.zero(), qd)
     angle = sub(q[link.q], constants.reference)
-    return JointMotion(rotation_z(*trig(angle)), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
+    return JointMotion(rotation_z(*sincos(angle)), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
 
 
 def joint_columns(

@@ -40,10 +40,7 @@ from rbjax.spatial import Force, Transform
 
 
 def _table(x: jax.Array, dtype):
-    """Numbers as numpy where they are known while tracing, so that zeros cost nothing.
-
-    A kernel's own tables (`dynamics.kernel_numbers`) stay what they are.
-    """
+    """Numbers as numpy where they are known while tracing, so that zeros cost nothing."""
     if isinstance(x, jax.core.Tracer):
         return x.astype(dtype)
     return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
@@ -53,8 +50,7 @@ def _clip(x: Lane, limits, i: int) -> Lane:
     low, high = lane(limits[:, 0], i), lane(limits[:, 1], i)
     if is_literal(low) and np.isneginf(low) and np.isposinf(high):
         return x
-    low, high = (jnp.broadcast_to(jnp.asarray(a, x.dtype), x.shape) for a in (low, high))
-    return jnp.clip(x, low, high)  # of one shape: Triton lowers the derivative only then
+    return jnp.clip(x, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
 
 
 def passive_lanes(model: Model, q: jax.Array, v: jax.Array) -> list[Lane]:

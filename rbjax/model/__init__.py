@@ -1,6 +1,6 @@
 """Models: what a robot is (`Topology`), its numbers (`Model`), how a file becomes one (`load`)."""
 
-from rbjax.model.links import LinkConstants, Prepared, made_ahead, prepare
+from rbjax.model.links import LinkConstants, Prepared, known_zeros, made_ahead, prepare
 from rbjax.model.load import compile_model, load, scenes
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites, State
 from rbjax.model.topology import JOINT_SIZES, WORLD, Link, Topology, spans
@@ -20,6 +20,7 @@ __all__ = [
     "State",
     "Topology",
     "compile_model",
+    "known_zeros",
     "load",
     "made_ahead",
     "prepare",

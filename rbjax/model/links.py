@@ -100,6 +100,16 @@ def made_ahead(model: Model, dtype: Any) -> Model:
     return model.replace(prepared=(columns, body_R, body_p, sparse(gravity)))
 
 
+def known_zeros(model: Model) -> Model:
+    """The model with the zeros of its known leaves declared, where some are traced and some are not:
+    a gradient by masses then keeps the structure of placements and axes."""
+    leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
+    traced = [isinstance(x, jax.core.Tracer) for x in leaves]
+    partly = any(traced) and not all(traced)
+    declared = model.zeros is not None or model.prepared is not None
+    return model.fix_zeros() if partly and not declared else model
+
+
 def _again(made: Any) -> Prepared:
     """Of `made_ahead`, what `prepare` returns."""
     columns, body_R, body_p, gravity = jax.tree.map(

@@ -201,7 +201,13 @@ class Model(Record):
         """
         leaves = {**_numbers(self.bodies), **_numbers(self.joints), "gravity": self.gravity}
         zeros = tuple(
-            (name, literals(x, units=name in ("axis", "orientation"))) for name, x in leaves.items()
+            (
+                name,
+                (None,) * x.size  # of what is traced nothing is known
+                if isinstance(x, jax.core.Tracer)
+                else literals(x, units=name in ("axis", "orientation")),
+            )
+            for name, x in leaves.items()
         )
         return self.replace(zeros=zeros)
 

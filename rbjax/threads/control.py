@@ -10,7 +10,7 @@ from jax.extend.core import ClosedJaxpr, Literal
 
 from rbjax.threads.arrays import Small, View, in_memory, is_known, owned_copy, write
 from rbjax.threads.lowering import Lowering, called, rule, writer
-from rbjax.threads.program import BOOL, Block, If, Value, Var, While
+from rbjax.threads.program import BOOL, I32, Block, If, Value, Var, While
 
 #: a value that a loop carries has its entries in registers up to this many
 REGISTERS = 256
@@ -127,6 +127,11 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         ys.append(place or View.of(b.local(aval.dtype, max(aval.size, 1)), aval.shape))
     if not length:
         return [*init, *ys]
+    if length == 1:
+        first = [x.at(b, 0, I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
+        spots = [y.at(b, 0, I32.type(0)) for y in ys]
+        out = low.closed(body, [*consts, *init, *first], [None] * nk + spots)
+        return [*out[:nk], *ys]
     unknown = [not is_known(x) for x in consts] + [True] * (len(avals) - nc)
     wanted = indexed(body, unknown)
     consts = [

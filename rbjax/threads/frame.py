@@ -21,12 +21,6 @@ from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
 from rbjax.threads.program import I32, I64, Array, Builder, Op, walk
 
-#: bytes of constant memory that tables may take; what is beyond is read through the cache
-CONSTANT_BYTES = 48 * 1024
-#: bytes of shared memory that a block stages its rows in
-SHARED_BYTES = 46 * 1024
-
-
 @dataclass(frozen=True)
 class Layout:
     """Where an array of the batch has its samples.
@@ -129,7 +123,8 @@ def _array(b: Builder, dtype: Any, layout: Layout, space: str) -> Array:
     return b.outside(dtype, math.prod(layout.sample), space, index)
 
 
-def _parameters(program: Written, restrict: str) -> str:
+def parameters(program: Written, restrict: str) -> str:
+    """The pointers that a function of the program takes: operands, then results."""
     reads = [
         f"const {c_type(a.dtype)}* {restrict} p{k}" for k, a in enumerate(program.operands)
     ]
@@ -137,7 +132,7 @@ def _parameters(program: Written, restrict: str) -> str:
     return ", ".join(reads + writes)
 
 
-def _sample_index(batch: tuple[int, ...]) -> list[str]:
+def sample_index(batch: tuple[int, ...]) -> list[str]:
     """The place along each axis of the batch, from the running number b."""
     out, rest = [], "b"
     for k in reversed(range(len(batch))):
@@ -149,7 +144,8 @@ def _sample_index(batch: tuple[int, ...]) -> list[str]:
     return list(reversed(out))
 
 
-def _offset(layout: Layout, index: list[str]) -> str:
+def offset(layout: Layout, index: list[str]) -> str:
+    """Where a sample begins, as C."""
     terms = [f"{i}*{step}ll" for i, step in zip(index, layout.steps, strict=True) if step]
     return "+".join(terms) or "0"
 
@@ -169,11 +165,11 @@ using std::isfinite;
 def host_source(program: Written, name: str = "run") -> str:
     """A C++ function over the whole batch, for a host's compiler: name(pointers)."""
     ops, outs = program.layouts
-    index = _sample_index(program.batch)
+    index = sample_index(program.batch)
     names, body = {}, []
     for k, (array, layout) in enumerate(zip(program.operands, ops, strict=True)):
         names[array.id] = f"x{k}"
-        body.append(f"const {c_type(array.dtype)}* x{k}=p{k}+({_offset(layout, index)});")
+        body.append(f"const {c_type(array.dtype)}* x{k}=p{k}+({offset(layout, index)});")
     after = []
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
@@ -182,16 +178,14 @@ def host_source(program: Written, name: str = "run") -> str:
             body.append(f"{c_type(array.dtype)} y{k}[{n}];")
             after.append(f"for(int i=0;i<{array.size};i++)r{k}[i]+=y{k}[i];")
         else:
-            body.append(f"{c_type(array.dtype)}* y{k}=r{k}+({_offset(layout, index)});")
+            body.append(f"{c_type(array.dtype)}* y{k}=r{k}+({offset(layout, index)});")
     lines = Printer(names).lines(program.builder.block)
     tables = [table(a, "static const") for a in program.builder.tables]
     clear = [
         f"for(int i=0;i<{a.size};i++)r{k}[i]=0;"
         for k, a in enumerate(program.results) if program.summed[k]
     ]  # fmt: skip
-    return "\n".join(
-        [HOST_HEAD, PREAMBLE, *tables]
-        + [f'extern "C" void {name}({_parameters(program, "")}){{', *clear]
-        + [f"for(long long b=0;b<{math.prod(program.batch)}ll;b++){{", *body, *lines, *after]
-        + ["}}"]
-    )
+    head = f'extern "C" void {name}({parameters(program, "")}){{'
+    loop = f"for(long long b=0;b<{math.prod(program.batch)}ll;b++){{"
+    parts = [HOST_HEAD, PREAMBLE, *tables, head, *clear, loop, *body, *lines, *after, "}}"]
+    return "\n".join(parts)

@@ -81,10 +81,11 @@ class Lowering:
                 _own(value, 1)
 
         def read(atom: Any) -> Small:
-            return known(atom.val) if isinstance(atom, Literal) else env[atom]
+            return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
 
         for var, const in zip(jaxpr.constvars, consts, strict=True):
-            bind(var, const if isinstance(const, View) or _is_objects(const) else known(const))
+            held = isinstance(const, View) or _is_objects(const)
+            bind(var, const if held else known(const, var.aval))
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
         wanted = _places(jaxpr, places)
@@ -141,9 +142,9 @@ class Lowering:
         return self.closed(jax.make_jaxpr(f)(*avals), args)
 
 
-def known(x: Any) -> np.ndarray:
-    """A constant as numpy."""
-    return np.asarray(x)
+def known(x: Any, aval: Any) -> np.ndarray:
+    """A constant as numpy, of the type that the jaxpr gives it."""
+    return np.asarray(x, aval.dtype)
 
 
 def called(eqn: Any) -> ClosedJaxpr | None:

@@ -1,0 +1,267 @@
+"""Fixed steps of one sample as one program of a thread, with a reverse gradient of known memory.
+
+The forward program keeps the state before every k-th step. The reverse one walks back over these:
+it takes the k steps again, holds their states in the thread's own memory, and transposes them from
+the last to the first. So a sample keeps steps / k states, and k of them at a time beside it.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics import drivers
+from rbjax.dynamics.operations import operation_count
+from rbjax.integrators import INTEGRATORS
+from rbjax.model import Model, State, known_zeros, made_ahead
+from rbjax.threads.function import trace
+from rbjax.threads.primitive import Program, run, traced
+from rbjax.threads.uniform import split
+
+Arrays = tuple[jax.Array, ...]
+
+
+@dataclass(frozen=True)
+class March:
+    """Steps of `step(i, *state, control, *others) -> state`, which has no control if not `driven`.
+
+    size: arrays of the state; k: steps from one kept state to the next, a divisor of save_every.
+    """
+
+    step: Program
+    size: int
+    steps: int
+    save_every: int
+    driven: bool
+    k: int
+
+    def program(self) -> Program:
+        """(*state, controls (steps, nu), *others) -> states (1 + steps / save_every, ...)."""
+        avals = list(self.step.inputs[1:])
+        if self.driven:
+            u = avals[self.size]
+            avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
+        plain = traced(lambda *args: self._forward(args)[0], *avals)
+        keeping = traced(lambda *args: sum(self._forward(args), []), *avals)
+        # where every kept state is also a result, the results serve
+        whole = self.k == self.save_every
+        return Program(
+            plain.closed, pull=self._pull, keeping=plain if whole else keeping,
+            reads=0 if whole else self.size,
+        )  # fmt: skip
+
+    def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
+        state, rest = args[: self.size], args[self.size :]
+        if not self.driven:
+            return state, None, rest
+        return state, rest[0].reshape(*self._turns, *rest[0].shape[1:]), rest[1:]
+
+    @property
+    def _turns(self) -> tuple[int, int, int]:
+        """Saved states, kept states to each of them, steps to each of these."""
+        return self.steps // self.save_every, self.save_every // self.k, self.k
+
+    def _forward(self, args: Sequence[Any]) -> tuple[list, list]:
+        state, controls, others = self._parts(args)
+        saved, kept, k = self._turns
+
+        def once(carry: Any, u: Any) -> tuple[Any, None]:
+            i, state = carry
+            return (i + 1, tuple(self.step(i, *state, *_given(u), *others))), None
+
+        def chunk(carry: Any, us: Any) -> tuple[Any, Arrays]:
+            return jax.lax.scan(once, carry, us, length=k)[0], carry[1]
+
+        def segment(carry: Any, us: Any) -> tuple[Any, tuple[Arrays, Arrays]]:
+            carry, before = jax.lax.scan(chunk, carry, us, length=kept)
+            return carry, (carry[1], before)
+
+        start = (jnp.int32(0), tuple(state))
+        _, (after, before) = jax.lax.scan(segment, start, controls, length=saved)
+        states = [jnp.concatenate([x[None], y]) for x, y in zip(state, after, strict=True)]
+        return states, [x.reshape(-1, *x.shape[2:]) for x in before]
+
+    def _pull(self, moving: Sequence[bool], args: Sequence[Any], kept: Any, bars: Any) -> list:
+        state, controls, others = self._parts(args)
+        saved, chunks, k = self._turns
+        if self.k == self.save_every:  # the results, without the last
+            kept = [x[:-1] for x in kept]
+        kept = tuple(x.reshape(saved, chunks, *x.shape[1:]) for x in kept)
+        bars = [
+            jnp.zeros((saved + 1, *x.shape), x.dtype) if bar is None else bar
+            for x, bar in zip(state, bars, strict=True)
+        ]
+        first = self.size + self.driven  # of the others
+        which = [n for n in range(len(others)) if moving[first + n]]
+        steered = self.driven and moving[self.size]
+
+        def once(carry: Any, x: Any) -> tuple[Any, Any]:
+            i, bar, sums = carry
+            state, u = x
+            new, u_bar, more = self._transposed(others, which, steered, i - 1, state, u, bar)
+            sums = tuple(a + b for a, b in zip(sums, more, strict=True))
+            return (i - 1, new, sums), u_bar
+
+        def chunk(carry: Any, x: Any) -> tuple[Any, Any]:
+            start, us = x
+            if k == 1:
+                u = None if us is None else us[0]
+                carry, u_bar = once(carry, (start, u))
+                return carry, None if u_bar is None else u_bar[None]
+
+            def again(c: Any, u: Any) -> tuple[Any, Arrays]:
+                i, state = c
+                return (i + 1, tuple(self.step(i, *state, *_given(u), *others))), state
+
+            states = jax.lax.scan(again, (carry[0] - k, start), us, length=k)[1]
+            return jax.lax.scan(once, carry, (states, us), length=k, reverse=True)
+
+        def segment(carry: Any, x: Any) -> tuple[Any, Any]:
+            (i, bar, sums), (more, starts, us) = carry, x
+            carry = i, tuple(a + b for a, b in zip(bar, more, strict=True)), sums
+            return jax.lax.scan(chunk, carry, (starts, us), length=chunks, reverse=True)
+
+        carry = (
+            jnp.int32(self.steps),
+            tuple(jnp.zeros_like(x) for x in state),
+            tuple(jnp.zeros_like(others[n]) for n in which),
+        )
+        xs = tuple(bar[1:] for bar in bars), kept, controls
+        (_, bar, sums), u_bar = jax.lax.scan(segment, carry, xs, length=saved, reverse=True)
+        out = [
+            own + saved_first[0]
+            for own, saved_first, m in zip(bar, bars, moving[: self.size], strict=True) if m
+        ]  # fmt: skip
+        if steered:
+            control = self.step.inputs[1 + self.size]
+            out.append(u_bar.reshape(self.steps, *control.shape))
+        return out + list(sums)
+
+    def _transposed(self, others, which, steered, i, state, u, bar):
+        """Cotangents of the state, the control and the other operands, of those after a step."""
+
+        def f(some: Any, state: Arrays, u: Any) -> list:
+            full = list(others)
+            for n, x in zip(which, some, strict=True):
+                full[n] = x
+            return self.step(i, *state, *_given(u), *full)
+
+        some = tuple(others[n] for n in which)
+        if steered:
+            more, new, u_bar = jax.vjp(f, some, state, u)[1](list(bar))
+        else:
+            more, new = jax.vjp(lambda a, b: f(a, b, u), some, state)[1](list(bar))
+            u_bar = None
+        return tuple(new), u_bar, more
+
+
+def _given(u: Any) -> tuple:
+    return () if u is None else (u,)
+
+
+def keep_every(save_every: int, steps: int, bytes_each: int, budget: float) -> int:
+    """The smallest divisor k of save_every for which steps / k states fit into the budget, or
+    save_every where none does.
+
+    >>> keep_every(100, 1000, 4, 4000), keep_every(100, 1000, 4, 500), keep_every(7, 7, 4, 1)
+    (1, 10, 7)
+    """
+    for k in range(1, save_every + 1):
+        if save_every % k == 0 and math.ceil(steps / k) * bytes_each <= budget:
+            return k
+    return save_every
+
+
+#: a policy of more operations runs between the steps
+POLICY_UP_TO = 4_000
+
+
+def on_threads(
+    model: Model, state: Any, ctrls: Any, dt: jax.Array, policy: Any, integrator: str,
+    save_every: int, steps: int, batched: bool, memory: float,
+) -> list[jax.Array]:  # fmt: skip
+    """The states (..., T, nq) and (..., T, nv) of a rollout, one sample a thread.
+
+    A policy of few operations is part of the thread. A larger one is evaluated for the whole batch
+    between the steps, by XLA's matrix products.
+    """
+    q, v = state.q, state.v
+    model = made_ahead(known_zeros(drivers.on_threads(model)), q.dtype)
+    one = [x[0] if batched else x for x in (q, v)]
+    between = policy is not None and _is_large(policy, dt, one)
+    driven = ctrls is not None or between
+
+    def once(i: jax.Array, q: jax.Array, v: jax.Array, *u: jax.Array) -> list[jax.Array]:
+        ctrl = u[0] if driven else None
+        if policy is not None and not between:
+            ctrl = jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
+        return list(INTEGRATORS[integrator](model, q, v, ctrl, dt))
+
+    control = [jnp.zeros(model.nu, q.dtype)] if driven else []
+    step, shared = trace(once, [jnp.int32(0), *one, *control])
+    known = [True] * len(shared) + [False] * (3 + driven)
+    step, shared = split(step, known, [*shared, *[None] * (3 + driven)])
+    if between:
+        return _between(step, shared, policy, q, v, dt, save_every, steps, batched, memory)
+    march = functools.partial(March, step, 2, steps, save_every, driven)
+    each = sum(x.size * x.dtype.itemsize for x in one)
+
+    @functools.cache
+    def sized(batch: int) -> Program:
+        return march(keep_every(save_every, steps, batch * each, memory)).program()
+
+    program = Program(march(save_every).program().closed, sized=sized)
+    own = [q, v] if ctrls is None else [q, v, ctrls]
+    f = functools.partial(_run, program)
+    if batched:
+        shapes = [2, 2, 3][: len(own)]
+        axes = [0 if x.ndim == n else None for x, n in zip(own, shapes, strict=True)]
+        f = jax.vmap(f, in_axes=(*axes, *[None] * len(shared)))
+    return f(*own, *shared)
+
+
+def _run(program: Program, *operands: jax.Array) -> list[jax.Array]:
+    return run(program, operands)
+
+
+def _is_large(policy: Callable, dt: jax.Array, one: list[jax.Array]) -> bool:
+    count = operation_count(lambda q, v: policy(0 * dt, State(q, v)), *one)
+    return count.total > POLICY_UP_TO
+
+
+def _between(
+    step: Program, shared: list, policy: Callable, q: jax.Array, v: jax.Array, dt: jax.Array,
+    save_every: int, steps: int, batched: bool, memory: float,
+) -> list[jax.Array]:  # fmt: skip
+    """A rollout whose policy is evaluated by XLA, and whose steps are a kernel each."""
+
+    def act(i: jax.Array, q: jax.Array, v: jax.Array) -> jax.Array:
+        return jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
+
+    def advance(i: jax.Array, q: jax.Array, v: jax.Array, u: jax.Array) -> list[jax.Array]:
+        return run(step, [i, q, v, u, *shared])
+
+    if batched:
+        act = jax.vmap(act, in_axes=(None, 0, 0))
+        advance = jax.vmap(advance, in_axes=(None, 0, 0, 0))
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)  # the network's inside is not kept
+    def once(carry: Any, _: None) -> tuple[Any, None]:
+        i, q, v = carry
+        return (i + 1, *advance(i, q, v, act(i, q, v))), None
+
+    def segment(carry: Any, _: None) -> tuple[Any, Any]:
+        carry, _ = jax.lax.scan(once, carry, None, length=save_every)
+        return carry, carry[1:]
+
+    if steps * sum(x.size * x.dtype.itemsize for x in (q, v)) > memory:
+        segment = jax.checkpoint(segment, prevent_cse=False)
+    _, saved = jax.lax.scan(segment, (jnp.int32(0), q, v), None, length=steps // save_every)
+    states = [jnp.concatenate([x[None], y]) for x, y in zip((q, v), saved, strict=True)]
+    return [jnp.moveaxis(x, 0, 1) for x in states] if batched else states

@@ -1,0 +1,120 @@
+"""`rb.threads(f)`: f of one sample, whose `vmap` on a GPU is one kernel."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.compiling import alone
+from rbjax.threads.primitive import Program, run
+
+
+@functools.cache
+def wanted() -> bool:
+    """Whether there is a GPU that kernels could run on."""
+    try:
+        return bool(jax.devices("cuda"))
+    except RuntimeError:
+        return False
+
+
+def threads(f: Callable) -> Callable:
+    """f of one sample, whose `vmap` on a GPU runs as one kernel, one thread a sample.
+
+    g = threads(f); jax.vmap(g)(xs)[i] = f(xs[i])
+
+    Where there is no GPU this is f itself. Derivatives of it (`jax.jvp`, `vjp`, `grad`, `jacfwd`,
+    `hessian`) run as kernels too, each compiled from the derivative of f; the reverse ones compute
+    the forward values again. A primitive that the compiler does not know makes the function run
+    under XLA, and a warning names it.
+
+    Args:
+        f: a function of arrays, or of pytrees of them, that returns such; all of one sample, and
+            small. It may close over arrays: what all samples share (weights, a model) is read
+            through the cache.
+
+    Returns:
+        The same function of one sample: to be batched with `jax.vmap`.
+
+    Raises:
+        TypeError: f is not a function.
+
+    Source: the idea of one thread a trajectory is that of DiffEqGPU.jl (Utkarsh et al. 2024).
+
+    Example:
+        >>> import rbjax as rb, jax, jax.numpy as jnp
+        >>> act = rb.threads(lambda x: jnp.tanh(x).sum())
+        >>> jax.vmap(act)(jnp.zeros((4, 3))).shape
+        (4,)
+    """
+    if not callable(f):
+        raise TypeError(f"threads: got {type(f).__name__}, expected a function of one sample")
+
+    @functools.wraps(f)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        return whole(*args, **kwargs) if wanted() else f(*args, **kwargs)
+
+    whole = threaded(f)
+    return call
+
+
+def threaded(f: Callable, reverse: Any = None) -> Callable:
+    """`threads` whether or not there is a GPU."""
+
+    def bound(*args: Any, **kwargs: Any) -> Any:
+        leaves, tree = jax.tree.flatten((args, kwargs))
+        leaves = [jnp.asarray(x) for x in leaves]
+        shape: list[Any] = []
+
+        def flat(*xs: Any) -> list[Any]:
+            args, kwargs = jax.tree.unflatten(tree, xs)
+            out, treedef = jax.tree.flatten(f(*args, **kwargs))
+            shape.append(treedef)
+            return [jnp.asarray(x) for x in out]
+
+        program, closed_over = trace(flat, leaves)
+        return jax.tree.unflatten(shape[0], run(program, [*closed_over, *leaves]))
+
+    compiled = jax.jit(bound)
+
+    @functools.wraps(f)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        # outside of a program JAX keeps what it has compiled for f
+        return (bound if _recorded() else compiled)(*args, **kwargs)
+
+    return call
+
+
+def _recorded() -> bool:
+    """Whether a program is being recorded around this call (by jit, scan ...)."""
+    return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
+
+
+def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:
+    """The program of a flat function, of what it closes over that is traced, and of its arguments;
+    and what it closes over."""
+    avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
+    closed = jax.make_jaxpr(f)(*avals)
+    return opened(closed)
+
+
+def opened(closed: Any) -> tuple[Program, list[Any]]:
+    """A jaxpr with its traced constants as first arguments."""
+    from jax.extend.core import ClosedJaxpr, Jaxpr
+
+    jaxpr, consts = closed.jaxpr, closed.consts
+    traced = [isinstance(c, jax.core.Tracer) for c in consts]
+    if not any(traced):
+        return Program(closed), []
+    pairs = list(zip(jaxpr.constvars, consts, traced, strict=True))
+    known = [(v, c) for v, c, t in pairs if not t]
+    moving = [(v, c) for v, c, t in pairs if t]
+    whole = Jaxpr(
+        [v for v, _ in known], [v for v, _ in moving] + list(jaxpr.invars), jaxpr.outvars,
+        jaxpr.eqns, jaxpr.effects,
+    )  # fmt: skip
+    return Program(ClosedJaxpr(whole, [c for _, c in known])), [c for _, c in moving]

@@ -1,0 +1,81 @@
+"""A kernel inside a jitted program.
+
+XLA loads PTX and launches it in order with everything else, with no Python at run time. The name of
+its custom call is XLA's own, and this is the one file that uses it. Where a version of XLA takes
+it away, the way out is a typed FFI handler (`jax.ffi.register_ffi_target`): a compiled function
+that is handed the stream and calls `cuLaunchKernel` on a module that it has loaded once.
+"""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import mlir
+
+from rbjax.threads.cuda import Kernel
+from rbjax.threads.nvrtc import CompileError, ptx
+
+TARGET = "__gpu$xla.gpu.ptx"
+
+
+def capability() -> str:
+    """The compute capability of the GPU."""
+    return str(jax.devices("cuda")[0].compute_capability)
+
+
+_kernel = Primitive("gpu_kernel")
+_kernel.multiple_results = True
+_kernel.def_abstract_eval(lambda *operands, results, **how: list(results))
+
+
+def launch(kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[Any]) -> list[jax.Array]:
+    """The kernel's results, of these shapes and types. Only in a program that is lowered for CUDA."""
+    code = ptx(kernel.source, capability())
+    how = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
+    return _kernel.bind(*operands, results=tuple(results), **how)
+
+
+def _lower(ctx: Any, *operands: Any, results: Any, name: str, code: str, grid: int, block: int):
+    one = np.int32(1)
+    return jax.ffi.ffi_lowering(TARGET)(
+        ctx, *operands, name=name, kernel_type="ptx", kernel_data=code,
+        grid_x=np.int32(grid), grid_y=one, grid_z=one,
+        block_x=np.int32(block), block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
+    )  # fmt: skip
+
+
+mlir.register_lowering(_kernel, _lower, platform="cuda")
+
+SELF_TEST = """
+extern "C" __global__ void self_test(const float* x, float* y) {
+  y[threadIdx.x] = 2.0f * x[threadIdx.x];
+}
+"""
+
+
+@functools.cache
+def works() -> bool:
+    """Whether kernels run here: NVRTC compiles, XLA launches. Tried once; a failure is said."""
+    x = np.arange(32, dtype=np.float32)
+    try:
+        test = Kernel(SELF_TEST, "self_test", 32, 1, (False,))
+        run = jax.jit(lambda x: launch(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
+        y = run(jax.device_put(x, jax.devices("cuda")[0]))
+        if np.array_equal(np.asarray(y), 2 * x):
+            return True
+        problem = "the self-test's result is wrong"
+    except (CompileError, RuntimeError) as error:  # JAX's runtime errors are RuntimeErrors
+        problem = str(error)[:300]
+    warnings.warn(
+        f"rbjax: kernels of threads do not run here ({problem}), so batches run under XLA, several "
+        'times slower. Install what they need with pip install "rbjax[cuda]", and a recent jax.',
+        stacklevel=2,
+    )
+    return False

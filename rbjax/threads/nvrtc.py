@@ -1,0 +1,101 @@
+"""CUDA C to PTX by NVRTC, which comes with `jax[cuda12]` and `jax[cuda13]`; kept on disk.
+
+PTX is kept beside JAX's own compilation cache, where the caller has switched that on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import functools
+import glob
+import hashlib
+import importlib.util
+import os
+import tempfile
+from pathlib import Path
+
+import jax
+
+OPTIONS = ("--std=c++17", "--restrict", "-default-device")
+
+
+class CompileError(RuntimeError):
+    """NVRTC is missing, or refuses a program."""
+
+
+@functools.cache
+def library() -> ctypes.CDLL:
+    """NVRTC of the installed CUDA packages, or of the system."""
+    places = []
+    with contextlib.suppress(ImportError, ValueError):
+        spec = importlib.util.find_spec("nvidia")
+        for root in spec.submodule_search_locations or () if spec else ():
+            places += sorted(glob.glob(f"{root}/**/libnvrtc.so*", recursive=True), reverse=True)
+    places += [f"libnvrtc.so.{n}" for n in (13, 12)] + ["libnvrtc.so"]
+    places += sorted(glob.glob("/usr/local/cuda*/lib64/libnvrtc.so*"), reverse=True)
+    for place in places:
+        with contextlib.suppress(OSError):
+            return ctypes.CDLL(place)
+    raise CompileError('found no libnvrtc; install it with pip install "rbjax[cuda]"')
+
+
+def ptx(source: str, capability: str) -> str:
+    """The PTX of a CUDA C source for a device of this compute capability ("9.0")."""
+    arch = f"compute_{capability.replace('.', '')}"
+    key = hashlib.sha256("\n".join((source, arch, *OPTIONS, version())).encode()).hexdigest()
+    kept = _folder()
+    if kept is not None and (kept / f"{key}.ptx").exists():
+        return (kept / f"{key}.ptx").read_text()
+    text = _compile(source, arch)
+    if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=kept, delete=False) as file:
+            file.write(text)
+        os.replace(file.name, kept / f"{key}.ptx")  # whole or not at all
+    return text
+
+
+def _folder() -> Path | None:
+    folder = jax.config.jax_compilation_cache_dir
+    if not folder or "://" in folder or not jax.config.jax_enable_compilation_cache:
+        return None
+    return Path(folder) / "rbjax-threads"
+
+
+@functools.cache
+def version() -> str:
+    """NVRTC's version."""
+    major, minor = ctypes.c_int(), ctypes.c_int()
+    library().nvrtcVersion(ctypes.byref(major), ctypes.byref(minor))
+    return f"{major.value}.{minor.value}"
+
+
+def _compile(source: str, arch: str) -> str:
+    nvrtc, program = library(), ctypes.c_void_p()
+    _check(nvrtc.nvrtcCreateProgram(
+        ctypes.byref(program), source.encode(), b"threads.cu", 0, None, None))  # fmt: skip
+    try:
+        options = [f"--gpu-architecture={arch}".encode(), *(o.encode() for o in OPTIONS)]
+        failed = nvrtc.nvrtcCompileProgram(
+            program, len(options), (ctypes.c_char_p * len(options))(*options)
+        )
+        if failed:
+            log = _text(nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, program)
+            raise CompileError(f"NVRTC refuses a kernel: {log[:2000]}")
+        return _text(nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, program)
+    finally:
+        nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+
+
+def _text(size_of, read, program: ctypes.c_void_p) -> str:
+    size = ctypes.c_size_t()
+    _check(size_of(program, ctypes.byref(size)))
+    buffer = ctypes.create_string_buffer(size.value)
+    _check(read(program, buffer))
+    return buffer.value.decode()
+
+
+def _check(status: int) -> None:
+    if status:
+        raise CompileError(f"NVRTC fails with status {status}")

@@ -1,0 +1,421 @@
+"""`threads`: a function of one sample, whose batch runs as one kernel.
+
+Two primitives. `threads_p` evaluates a `Program` for a batch; `tangent_p` its derivative along
+tangents, in which it is linear. Under `vmap` an axis is added to the batch, and operands stay where
+they lie; what depends on no sample is computed once, outside of the kernel. In reverse mode the
+kernel of the transposed function computes the forward values again, in registers: nothing is kept
+in memory but the arguments, and what a `Program` says it keeps.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.core import ShapedArray
+from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
+
+from rbjax.threads.cuda import kernel
+from rbjax.threads.frame import Layout, write_program
+from rbjax.threads.launch import launch, works
+from rbjax.threads.lowering import Lowering, Unsupported, rule
+from rbjax.threads.uniform import split
+
+Axes = tuple[int | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A function of one sample, traced.
+
+    pull: the transposed derivative, pull(moving, args, kept, bars) -> cotangents of the arguments
+        that move, of the cotangents of the results (None for zero); if None, that of the jaxpr,
+        which needs the arguments alone.
+    keeping: the program to run in place of this one where a derivative is asked for: its results
+        are these, and more that `pull` reads.
+    reads: the first of its results that `pull` reads, as `kept`.
+    sized: the program that takes this one's place where a batch of a given size is differentiated.
+    """
+
+    closed: ClosedJaxpr
+    pull: Callable | None = None
+    keeping: Program | None = None
+    reads: int = 0
+    sized: Callable[[int], Program] | None = None
+    derived: dict[Any, Program] = field(default_factory=dict)
+
+    @property
+    def inputs(self) -> list[Any]:
+        return [v.aval for v in self.closed.jaxpr.invars]
+
+    @property
+    def outputs(self) -> list[Any]:
+        return [v.aval for v in self.closed.jaxpr.outvars]
+
+    @property
+    def kept(self) -> list[Any]:
+        """What a derivative is handed beside the arguments."""
+        return self.keeping.outputs[self.reads :] if self.keeping else []
+
+    def __call__(self, *args: Any) -> list[Any]:
+        return jaxpr_as_fun(self.closed)(*args)
+
+    def derive(self, key: Any, f: Callable, *avals: Any) -> Program:
+        """Another program made of this one; made once."""
+        if key not in self.derived:
+            self.derived[key] = traced(f, *avals)
+        return self.derived[key]
+
+    def tangent(self, moving: tuple[bool, ...]) -> Program:
+        """(args, kept, tangents of those that move) -> tangents of all results."""
+
+        def f(*xs: Any) -> list[Any]:
+            args = xs[: len(moving)]
+            still = list(args)
+            rates = list(xs[len(moving) + len(self.kept) :])
+
+            def along(*changed: Any) -> list[Any]:
+                rest = iter(changed)
+                return self(*(next(rest) if m else x for m, x in zip(moving, still, strict=True)))
+
+            given = [x for m, x in zip(moving, args, strict=True) if m]
+            return jax.jvp(along, given, rates)[1]
+
+        rates = [a for m, a in zip(moving, self.inputs, strict=True) if m]
+        return self.derive(("tangent", moving), f, *self.inputs, *self.kept, *rates)
+
+    def transposed(self, moving: tuple[bool, ...], weighed: tuple[bool, ...]) -> Program:
+        """(args, kept, cotangents of the weighed results) -> cotangents of those that move."""
+
+        def f(*xs: Any) -> list[Any]:
+            n, end = len(moving), len(moving) + len(self.kept)
+            args, kept, given = xs[:n], xs[n:end], iter(xs[end:])
+            if self.pull is not None:
+                bars = [next(given) if w else None for w in weighed]
+                return self.pull(moving, args, kept, bars)
+
+            def along(*changed: Any) -> list[Any]:
+                rest = iter(changed)
+                full = self(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
+                return [y for w, y in zip(weighed, full, strict=True) if w]
+
+            moved = [x for m, x in zip(moving, args, strict=True) if m]
+            return list(jax.vjp(along, *moved)[1](list(given)))
+
+        bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
+        return self.derive(("pull", moving, weighed), f, *self.inputs, *self.kept, *bars)
+
+
+def traced(f: Callable, *avals: Any) -> Program:
+    """The program of a function of flat arguments that closes over nothing that is traced."""
+    return Program(jax.make_jaxpr(f)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))
+
+
+# ------------------------------------------------------------------- evaluation
+
+threads_p = Primitive("threads")
+threads_p.multiple_results = True
+
+
+def run(
+    program: Program, operands: Sequence[Any], batch: tuple[int, ...] = (),
+    ins: Sequence[Axes] | None = None, outs: Sequence[Axes] | None = None,
+) -> list[Any]:  # fmt: skip
+    """The program for a batch. `ins`, `outs`: the place of each axis of the batch in each operand
+    and result; a result with no place is the sum over the batch."""
+    first = tuple(range(len(batch)))
+    ins = tuple(ins) if ins is not None else ((None,) * len(batch),) * len(operands)
+    outs = tuple(outs) if outs is not None else (first,) * len(program.outputs)
+    return threads_p.bind(*operands, program=program, batch=batch, ins=ins, outs=outs)
+
+
+def _shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple[int, ...]:
+    """The shape of an array with these axes of the batch."""
+    sizes = {axis: n for axis, n in zip(axes, batch, strict=True) if axis is not None}
+    rest = iter(sample)
+    return tuple(sizes[k] if k in sizes else next(rest) for k in range(len(sizes) + len(sample)))
+
+
+@threads_p.def_abstract_eval
+def _(*operands, program, batch, ins, outs):
+    return [
+        ShapedArray(_shape(a.shape, batch, axes), a.dtype)
+        for a, axes in zip(program.outputs, outs, strict=True)
+    ]
+
+
+threads_p.def_impl(functools.partial(jax.interpreters.xla.apply_primitive, threads_p))
+
+
+def _inner(axes: Axes, level: int) -> int | None:
+    """The place of an axis of the batch where those before it are gone."""
+    axis = axes[level]
+    return None if axis is None else axis - sum(a is not None and a < axis for a in axes[:level])
+
+
+def under_xla(*operands, program, batch, ins, outs):
+    """The same by `vmap` of the traced function."""
+    f: Callable = program
+    for level in reversed(range(len(batch))):
+        axes = [_inner(a, level) for a in ins]
+        if all(a is None for a in axes):  # nothing has this axis: one for all
+            f = functools.partial(_repeated, f, batch[level])
+        else:
+            f = jax.vmap(f, in_axes=axes)
+    return [
+        placed(x, len(batch), axes) for x, axes in zip(f(*operands), outs, strict=True)
+    ]
+
+
+def _repeated(f: Callable, size: int, *args: Any) -> list[Any]:
+    return [jnp.broadcast_to(x, (size, *x.shape)) for x in f(*args)]
+
+
+def placed(x: Any, levels: int, axes: Axes) -> Any:
+    """A result that has the batch first, with the axes where they shall be, or summed."""
+    gone = tuple(k for k, axis in enumerate(axes) if axis is None)
+    x = x.sum(gone) if gone else x
+    there = [axis for axis in axes if axis is not None]
+    return jnp.moveaxis(x, range(len(there)), there)
+
+
+def on_gpu(*operands, program, batch, ins, outs):
+    """The same by a kernel; under XLA where the compiler does not know a primitive."""
+    if not works():
+        return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
+    if 0 in batch:
+        return [jnp.zeros(a.shape, a.dtype) for a in threads_p.abstract_eval(
+            *operands, program=program, batch=batch, ins=ins, outs=outs)[0]]  # fmt: skip
+    summed = tuple(bool(batch) and all(a is None for a in axes) for axes in outs)
+    try:
+        code = _kernel(program, batch, ins, outs, tuple(x.shape for x in operands), summed)
+    except Unsupported as reason:
+        _say(str(reason))
+        return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
+    results = [
+        ShapedArray((code.grid, *a.shape) if s else _shape(a.shape, batch, axes), a.dtype)
+        for a, axes, s in zip(program.outputs, outs, summed, strict=True)
+    ]
+    found = launch(code, operands, results)
+    return [x.sum(0) if s else x for x, s in zip(found, summed, strict=True)]
+
+
+@functools.lru_cache(maxsize=256)
+def _kernel(program, batch, ins, outs, shapes, summed):
+    operands = [Layout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
+    results = [
+        Layout(a.shape, ()) if s else Layout(_shape(a.shape, batch, axes), axes)
+        for a, axes, s in zip(program.outputs, outs, summed, strict=True)
+    ]
+    return kernel(write_program(program.closed, batch, operands, results, summed))
+
+
+@functools.cache
+def _say(reason: str) -> None:
+    warnings.warn(
+        f"rbjax.threads: no kernel for {reason}; the function runs under XLA", stacklevel=2
+    )
+
+
+mlir.register_lowering(threads_p, mlir.lower_fun(under_xla, multiple_results=True))
+mlir.register_lowering(
+    threads_p, mlir.lower_fun(on_gpu, multiple_results=True), platform="cuda"
+)
+
+
+@rule("threads")
+def _inside(low: Lowering, eqn: Any, ins: list) -> list:
+    """A program that a thread calls itself; a batch of it is worked through by that thread."""
+    program, how = eqn.params["program"], eqn.params
+    if not how["batch"]:
+        return low.closed(program.closed, ins)
+    f = functools.partial(under_xla, **how)
+    return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
+
+
+@rule("threads_tangent")
+def _tangent_inside(low: Lowering, eqn: Any, ins: list) -> list:
+    f = functools.partial(_evaluate, **eqn.params)
+    return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
+
+
+# ------------------------------------------------------------------- batches
+
+
+def _batched(operands, dims, program, batch, ins, outs):
+    """The same with one axis more, before the others."""
+    size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
+    known = tuple(
+        d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
+    )
+    if any(known) and program.pull is None and program.sized is None:
+        program, more = split(program, known, operands)
+        operands = [x for x, k in zip(operands, known, strict=True) if not k] + more
+        dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)
+        nowhere = (None,) * len(batch)
+        ins = [a for a, k in zip(ins, known, strict=True) if not k] + [nowhere] * len(more)
+    moved = tuple(
+        (d, *(a if a is None or d is None or a < d else a + 1 for a in axes))
+        for d, axes in zip(dims, ins, strict=True)
+    )
+    last = _lies_last(operands, dims, ins)
+    new, where = [], []
+    for a, axes in zip(program.outputs, outs, strict=True):
+        if all(x is None for x in axes) and batch:  # a sum is taken afterwards, sample by sample
+            axes = tuple(range(len(batch)))
+        at = len(a.shape) + sum(x is not None for x in axes) if last else 0
+        new.append((at, *(x if x is None or x < at else x + 1 for x in axes)))
+        where.append(at)
+    found = run(program, operands, (size, *batch), moved, new)
+    out = []
+    for x, axes, at in zip(found, outs, where, strict=True):
+        if all(k is None for k in axes) and batch:
+            inner = tuple(k for k in range(x.ndim) if k in new[len(out)][1:])
+            x, at = x.sum(inner), at - sum(k < at for k in inner)
+        out.append(x)
+        where[len(out) - 1] = at
+    return out, where
+
+
+def _lies_last(operands, dims, ins) -> bool:
+    """Whether all that has the new axis has it at its end, behind entries of the sample."""
+    found = [
+        d == x.ndim - 1 and x.ndim > 1 + sum(a is not None for a in axes)
+        for x, d, axes in zip(operands, dims, ins, strict=True)
+        if d is not None and x.ndim > 1 + sum(a is not None for a in axes)
+    ]
+    return bool(found) and all(found)
+
+
+batching.primitive_batchers[threads_p] = lambda operands, dims, **how: _batched(
+    operands, dims, **how
+)
+
+# ------------------------------------------------------------------- derivatives
+
+tangent_p = Primitive("threads_tangent")
+tangent_p.multiple_results = True
+"""Operands: arguments, what the program keeps, and the tangents of those arguments that move."""
+
+
+def _as_threads(program, moving, batch, ins):
+    outs = (tuple(range(len(batch))),) * len(program.outputs)
+    return {"program": program.tangent(moving), "batch": batch, "ins": ins, "outs": outs}
+
+
+@tangent_p.def_abstract_eval
+def _(*operands, program, moving, batch, ins):
+    return [ShapedArray((*batch, *a.shape), a.dtype) for a in program.outputs]
+
+
+def _evaluate(*operands, program, moving, batch, ins):
+    return threads_p.bind(*operands, **_as_threads(program, moving, batch, ins))
+
+
+tangent_p.def_impl(_evaluate)
+mlir.register_lowering(tangent_p, mlir.lower_fun(_evaluate, multiple_results=True))
+
+
+def _batched_tangent(operands, dims, program, moving, batch, ins):
+    size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
+    moved = tuple(
+        (d, *(a if a is None or d is None or a < d else a + 1 for a in axes))
+        for d, axes in zip(dims, ins, strict=True)
+    )
+    out = tangent_p.bind(
+        *operands, program=program, moving=moving, batch=(size, *batch), ins=moved
+    )
+    return out, [0] * len(out)
+
+
+batching.primitive_batchers[tangent_p] = lambda operands, dims, **how: _batched_tangent(
+    operands, dims, **how
+)
+
+
+def _rates(primals, tangents):
+    """Which arguments move, and their tangents."""
+    moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in zip(
+        primals, tangents, strict=True))  # fmt: skip
+    return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
+
+
+def _is_float(x: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(x), jnp.floating)
+
+
+def _jvp(primals, tangents, *, program, batch, ins, outs):
+    moving, rates = _rates(primals, tangents)
+    if not any(moving):
+        found = run(program, primals, batch, ins, outs)
+        return found, [ad.Zero.from_primal_value(x) for x in found]
+    if program.sized is not None:
+        program = program.sized(math.prod(batch))
+    n, first, kept = len(program.outputs), tuple(range(len(batch))), []
+    if program.keeping is None:
+        found = run(program, primals, batch, ins, outs)
+    else:
+        more = len(program.keeping.outputs) - n
+        found = run(program.keeping, primals, batch, ins, (*outs, *(first,) * more))
+        kept = [
+            _batch_leads(x, axes)
+            for x, axes in zip(found, (*outs, *(first,) * more), strict=True)
+        ][program.reads :]
+    axes = (*ins, *(first,) * len(kept), *(a for a, m in zip(ins, moving, strict=True) if m))
+    rate = tangent_p.bind(
+        *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes
+    )
+    return found[:n], [
+        placed(t, len(batch), a) if _is_float(t) else ad.Zero.from_primal_value(x)
+        for t, a, x in zip(rate, outs, found[:n], strict=True)
+    ]
+
+
+def _batch_leads(x, axes):
+    """A result with the axes of the batch moved to the front."""
+    return jnp.moveaxis(x, axes, range(len(axes)))
+
+
+ad.primitive_jvps[threads_p] = _jvp
+
+
+def _jvp_of_tangent(primals, tangents, *, program, moving, batch, ins):
+    return _jvp(primals, tangents, **_as_threads(program, moving, batch, ins))
+
+
+ad.primitive_jvps[tangent_p] = _jvp_of_tangent
+
+
+def _transpose(bars, *operands, program, moving, batch, ins):
+    n = len(moving) + len(program.kept)
+    weighed = tuple(type(bar) is not ad.Zero for bar in bars)
+    if not any(weighed):
+        return [None] * n + [ad.Zero(x.aval) if ad.is_undefined_primal(x) else None
+                             for x in operands[n:]]  # fmt: skip
+    given = [bar for bar, w in zip(bars, weighed, strict=True) if w]
+    first = tuple(range(len(batch)))
+    axes, outs = ins[n:], []
+    for a in axes:  # summed in the kernel where an operand has no batch at all
+        whole = all(k is not None for k in a) or all(k is None for k in a)
+        outs.append(a if whole else first)
+    found = run(
+        program.transposed(moving, weighed), [*operands[:n], *given], batch,
+        [*ins[:n], *(first,) * len(given)], outs,
+    )  # fmt: skip
+    found = [
+        x if o == a else placed(x, len(batch), a)
+        for x, o, a in zip(found, outs, axes, strict=True)
+    ]
+    return [None] * n + [
+        x if ad.is_undefined_primal(y) else None for x, y in zip(found, operands[n:], strict=True)
+    ]
+
+
+ad.primitive_transposes[tangent_p] = _transpose
