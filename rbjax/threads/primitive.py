@@ -188,8 +188,6 @@ def placed(x: Any, levels: int, axes: Axes) -> Any:
 
 def on_gpu(*operands, program, batch, ins, outs):
     """The same by a kernel; under XLA where the compiler does not know a primitive."""
-    if not works():
-        return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
     if 0 in batch:
         return [jnp.zeros(a.shape, a.dtype) for a in threads_p.abstract_eval(
             *operands, program=program, batch=batch, ins=ins, outs=outs)[0]]  # fmt: skip
@@ -225,9 +223,14 @@ def _say(reason: str) -> None:
 
 
 mlir.register_lowering(threads_p, mlir.lower_fun(under_xla, multiple_results=True))
-mlir.register_lowering(
-    threads_p, mlir.lower_fun(on_gpu, multiple_results=True), platform="cuda"
-)
+
+
+def _lower_for_gpu(ctx, *operands, **how):
+    how_to = on_gpu if works() else under_xla
+    return mlir.lower_fun(how_to, multiple_results=True)(ctx, *operands, **how)
+
+
+mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
 
 @rule("threads")
