@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from rbjax.materialize import polynomial_sincos
 from rbjax.threads.arrays import Small, View, each, get, in_memory, objects, put
-from rbjax.threads.lowering import Lowering, Unsupported, rule
+from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import BOOL, FOLD, Value
 
 #: arrays of more entries are worked through by loops over memory
@@ -26,7 +27,7 @@ SAME = {
     "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "sin": "sin", "cos": "cos",
     "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh",
     "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "erf": "erf",
-    "erfc": "erfc", "erf_inv": "erfinv", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
+    "erfc": "erfc", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
     "abs": "abs", "atan2": "atan2", "nextafter": "nextafter", "is_finite": "isfinite",
     "max": "max", "min": "min", "population_count": "popcount", "clz": "clz",
     "shift_left": "shl", "shift_right_logical": "shr", "shift_right_arithmetic": "sar",
@@ -34,15 +35,17 @@ SAME = {
 }  # fmt: skip
 
 
-def entrywise(low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small) -> Small:
+def entrywise(
+    low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
+) -> Small:
     """f of the entries of arrays of one shape (or of shape ())."""
-    if np.prod(shape, dtype=int) > LOOP_ABOVE:
+    if math.prod(shape) > LOOP_ABOVE:
         b = low.b
         sources = [in_memory(b, x, x.dtype if x.dtype != object else _dtype(x)) for x in xs]
         sources = [s if s.shape == shape else s.broadcast(shape, ()) for s in sources]
-        out = View.of(b.local(dtype, int(np.prod(shape))), shape)
-        each(b, shape, lambda *i: put(b, out, i, f(*(get(b, s, i) for s in sources))))
-        return out
+        view = View.of(b.local(dtype, math.prod(shape)), shape)
+        each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
+        return view
     arrays = [np.broadcast_to(low.scalars(x), shape) for x in xs]
     out = np.empty(shape, object)
     for i in np.ndindex(shape):
@@ -59,7 +62,7 @@ def _shape(eqn: Any) -> tuple[int, ...]:
 
 
 def _one(low: Lowering, eqn: Any, ins: list) -> list:
-    name, dtype = SAME[eqn.primitive.name], eqn.outvars[0].aval.dtype
+    name, dtype = SAME[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
     if name in FOLD and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
         with np.errstate(all="ignore"):
             if name != "shl":
@@ -73,7 +76,7 @@ rule(*SAME)(_one)
 
 @rule("div")
 def _div(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     if dtype.kind == "f" and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*ins), dtype)]
@@ -83,14 +86,14 @@ def _div(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("rem")
 def _rem(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("pow")
 def _pow(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     if dtype.kind != "f":
         raise Unsupported("pow of integers")
     f = lambda x, y: low.b.op("pow", dtype, x, low.b.cast(y, dtype))  # noqa: E731
@@ -99,13 +102,13 @@ def _pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("square")
 def _square(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
 
 
 @rule("integer_pow")
 def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, y = eqn.outvars[0].aval.dtype, eqn.params["y"]
+    dtype, y = dtype_of(eqn.outvars[0].aval), eqn.params["y"]
 
     def power(x: Value) -> Value:
         n, square, out = abs(y), x, None
@@ -123,7 +126,7 @@ def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("logistic")
 def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     one = dtype.type(1)
 
     def f(x: Value) -> Value:
@@ -135,7 +138,7 @@ def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("sign")
 def _sign(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     zero = dtype.type(0)
 
     def f(x: Value) -> Value:  # x itself where it is zero or nan
@@ -149,7 +152,7 @@ def _sign(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("round")
 def _round(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     to_even = int(eqn.params["rounding_method"]) == 1
     f = functools.partial(b.op, "rint" if to_even else "round", dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
@@ -157,7 +160,7 @@ def _round(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("clamp")
 def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(least: Value, x: Value, most: Value) -> Value:
         return b.op("min", dtype, b.op("max", dtype, x, least), most)
@@ -167,7 +170,7 @@ def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("select_n")
 def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(which: Value, *cases: Value) -> Value:
         if len(cases) == 1:
@@ -184,7 +187,7 @@ def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("convert_element_type", "reduce_precision")
 def _convert(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     if eqn.primitive.name == "reduce_precision":
         bits = (eqn.params["exponent_bits"], eqn.params["mantissa_bits"])
         if bits != {4: (8, 23), 8: (11, 52)}[dtype.itemsize]:
@@ -206,7 +209,7 @@ def _convert(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("bitcast_convert_type")
 def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
         raise Unsupported("bitcast_convert_type to another size")
     f = functools.partial(low.b.op, "bitcast", dtype)
@@ -282,7 +285,7 @@ REDUCTIONS = {
 
 def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
     name, neutral = REDUCTIONS[eqn.primitive.name]
-    dtype, x = eqn.outvars[0].aval.dtype, ins[0]
+    dtype, x = dtype_of(eqn.outvars[0].aval), ins[0]
     if not x.size:
         if neutral is None:
             raise Unsupported(f"{eqn.primitive.name} of nothing")
@@ -296,7 +299,7 @@ rule(*REDUCTIONS)(_reduce)
 
 @rule("argmax", "argmin")
 def _arg(low: Lowering, eqn: Any, ins: list) -> list:
-    (axis,), dtype = eqn.params["axes"], eqn.outvars[0].aval.dtype
+    (axis,), dtype = eqn.params["axes"], dtype_of(eqn.outvars[0].aval)
     b, better = low.b, "gt" if eqn.primitive.name == "argmax" else "lt"
     x = np.moveaxis(low.scalars(ins[0]), axis, -1)
     out = np.empty(x.shape[:-1], object)
@@ -305,8 +308,8 @@ def _arg(low: Lowering, eqn: Any, ins: list) -> list:
         for k, value in enumerate(x[i][1:], 1):
             wins = b.op(better, BOOL, value, best)
             if best.dtype.kind == "f":  # the first nan is the answer
-                nan = b.op("and", BOOL, b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best))
-                wins = b.op("or", BOOL, wins, nan)
+                is_nan, was_not = b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best)
+                wins = b.op("or", BOOL, wins, b.op("and", BOOL, is_nan, was_not))
             best, at = b.select(wins, value, best), b.select(wins, dtype.type(k), at)
         out[i] = at
     return [out]
@@ -317,7 +320,7 @@ CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min
 
 def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
     name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     x = np.moveaxis(low.scalars(ins[0]), axis, 0)
     x = x[::-1] if eqn.params["reverse"] else x
     out = x.copy()

@@ -15,11 +15,23 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rbjax.threads import control, elementwise, indexing, linear, structure  # noqa: F401 (rules)
+from rbjax.threads import (  # noqa: F401 (rules)
+    control,
+    effects,
+    elementwise,
+    factorise,
+    indexing,
+    linear,
+    random,
+    sorting,
+    special,
+    structure,
+)
 from rbjax.threads.arrays import View, row_major
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
 from rbjax.threads.program import I32, I64, Array, Builder, Op, walk
+from rbjax.threads.prune import prune
 
 #: bytes of constant memory that tables may take; what is beyond is read through the cache
 CONSTANT_BYTES = 48 * 1024
@@ -117,6 +129,7 @@ def write_program(
     ]
     with Lowering(b).held(args):
         Lowering(b).closed(closed, args, places)
+    prune(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)
 
@@ -189,9 +202,6 @@ def host_source(program: Written, name: str = "run") -> str:
         f"for(int i=0;i<{a.size};i++)r{k}[i]=0;"
         for k, a in enumerate(program.results) if program.summed[k]
     ]  # fmt: skip
-    return "\n".join(
-        [HOST_HEAD, PREAMBLE, *tables]
-        + [f'extern "C" void {name}({_parameters(program, "")}){{', *clear]
-        + [f"for(long long b=0;b<{math.prod(program.batch)}ll;b++){{", *body, *lines, *after]
-        + ["}}"]
-    )
+    head = [HOST_HEAD, PREAMBLE, *tables, f'extern "C" void {name}({_parameters(program, "")}){{']
+    loop = f"for(long long b=0;b<{math.prod(program.batch)}ll;b++){{"
+    return "\n".join([*head, *clear, loop, *body, *lines, *after, "}}"])

@@ -15,8 +15,8 @@ import numpy as np
 from jax.lax import GatherScatterMode
 
 from rbjax.threads.arrays import Small, View, in_memory, is_known, objects, owned_copy, tidy, write
-from rbjax.threads.lowering import Lowering, Unsupported, rule
-from rbjax.threads.program import BOOL, I32, Block, If, Value, Var
+from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
+from rbjax.threads.program import BOOL, I32, Value, Var
 
 #: an array in registers of at most so many entries is indexed by selections
 SELECT_UP_TO = 8
@@ -49,7 +49,7 @@ def in_bounds(low: Lowering, index: Value, most: int) -> Value:
 
 def changeable(low: Lowering, x: Small, dtype: Any) -> View:
     """x where it may be updated: in place if nothing reads it later, else a copy."""
-    if isinstance(x, View) and x.array.space == "local" and not x.array.owners:
+    if isinstance(x, View) and x.changeable:
         return x
     return owned_copy(low.b, x, dtype)
 
@@ -71,7 +71,7 @@ def _dynamic_slice(low: Lowering, eqn: Any, ins: list) -> list:
         return [x.sliced(box) if isinstance(x, View) else x[box]]
     if not isinstance(x, View) and not is_known(x) and x.size <= SELECT_UP_TO:
         return [_selected(low, x, starts, sizes)]
-    return [_moved(low, in_memory(low.b, x, eqn.outvars[0].aval.dtype), starts, sizes)]
+    return [_moved(low, in_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)]
 
 
 def _selected(low: Lowering, x: np.ndarray, starts: list, sizes: Sequence[int]) -> np.ndarray:
@@ -93,7 +93,7 @@ def _selected(low: Lowering, x: np.ndarray, starts: list, sizes: Sequence[int]) 
 @rule("dynamic_update_slice")
 def _dynamic_update_slice(low: Lowering, eqn: Any, ins: list) -> list:
     x, update, *index = ins
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     starts = [
         clamped(low, low.scalars(i)[()], n - size)
         for i, n, size in zip(index, x.shape, update.shape, strict=True)
@@ -106,9 +106,9 @@ def _dynamic_update_slice(low: Lowering, eqn: Any, ins: list) -> list:
     if not isinstance(x, View) and x.size <= SELECT_UP_TO:
         return [_updated(low, objects(x), low.scalars(update), starts)]
     with low.held([update]):
-        out = changeable(low, x, dtype)
-    write(low.b, _moved(low, out, starts, update.shape), update)
-    return [out]
+        whole = changeable(low, x, dtype)
+    write(low.b, _moved(low, whole, starts, update.shape), update)
+    return [whole]
 
 
 def _updated(low: Lowering, x: np.ndarray, update: np.ndarray, starts: list) -> np.ndarray:
@@ -159,8 +159,8 @@ def _gather(low: Lowering, eqn: Any, ins: list) -> list:
     most = [n - size for n, size in zip(x.shape, sizes, strict=True)]
     dynamic = any(isinstance(v, Var) for v in indices.flat)
     if dynamic or isinstance(x, View):
-        x = in_memory(b, x, aval.dtype)
-    fill = _fill(P.get("fill_value"), aval.dtype)
+        x = in_memory(b, x, dtype_of(aval))
+    fill = _fill(P.get("fill_value"), dtype_of(aval))
     out = np.empty(aval.shape, object)
     for at in np.ndindex(*(aval.shape[k] for k in batch_dims)):
         starts = _starts(low, indices, at, dims.start_index_map, len(x.shape))
@@ -210,7 +210,7 @@ COMBINE = {
 @rule(*COMBINE)
 def _scatter(low: Lowering, eqn: Any, ins: list) -> list:
     x, b, P = ins[0], low.b, eqn.params
-    dtype, dims, mode = eqn.outvars[0].aval.dtype, P["dimension_numbers"], P["mode"]
+    dtype, dims, mode = dtype_of(eqn.outvars[0].aval), P["dimension_numbers"], P["mode"]
     name = COMBINE[eqn.primitive.name]
     combine: Callable = (lambda old, new: new) if name is None else functools.partial(
         b.op, name, dtype
@@ -273,9 +273,7 @@ def _stored(
     if not isinstance(inside, Var):
         store()
         return
-    then = Block()
-    b.block.statements.append(If(inside, then, Block()))
-    with b.inside(then):
+    with b.when(inside):
         store()
 
 

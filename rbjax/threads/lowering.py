@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
@@ -23,6 +24,10 @@ Rule = Callable[["Lowering", Any, list], list]
 RULES: dict[str, Rule] = {}
 #: rules that write a result where they are told: f(lowering, equation, inputs, places)
 WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
+
+
+#: a key of threefry: its first number is the low half
+KEY = np.dtype(np.uint64)
 
 
 class Unsupported(Exception):
@@ -107,14 +112,14 @@ class Lowering:
     def _equation(self, eqn: Any, ins: list[Small], places: list[View | None]) -> list[Small]:
         name = eqn.primitive.name
         for var in eqn.outvars:
-            dtype = getattr(var.aval, "dtype", None)
+            dtype = dtype_of(var.aval)
             if dtype is not None and dtype not in DTYPES:
                 raise Unsupported(f"{name} of type {dtype}")
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)
         if name in RULES:
             return [
-                tidy(out, var.aval.dtype) if isinstance(out, np.ndarray) else out
+                tidy(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
                 for out, var in zip(RULES[name](self, eqn, ins), eqn.outvars, strict=True)
             ]
         inner = called(eqn)
@@ -141,8 +146,21 @@ class Lowering:
         return self.closed(jax.make_jaxpr(f)(*avals), args)
 
 
+def dtype_of(aval: Any) -> Any:
+    """The type of an array's entries; a random key is one number of 64 bits."""
+    dtype: Any = getattr(aval, "dtype", None)
+    return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
+
+
+def is_key(dtype: Any) -> bool:
+    """Whether it is a type of random keys."""
+    return jnp.issubdtype(dtype, jax.dtypes.prng_key)
+
+
 def known(x: Any) -> np.ndarray:
     """A constant as numpy."""
+    if is_key(getattr(x, "dtype", None)):
+        return np.asarray(jax.random.key_data(x)).view(KEY)[..., 0]
     return np.asarray(x)
 
 
@@ -154,8 +172,6 @@ def called(eqn: Any) -> ClosedJaxpr | None:
             return inner
         if isinstance(inner, Jaxpr):
             return ClosedJaxpr(inner, ())
-    if eqn.primitive.name == "custom_linear_solve":
-        return None
     return None
 
 
@@ -187,6 +203,9 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
         if place is not None and not isinstance(var, Literal) and var not in inputs:
             wanted.setdefault(var, place)
 
+    def same_entries(var: Any, place: View) -> None:
+        want(var, place.reshaped(var.aval.shape))
+
     for var, place in zip(jaxpr.outvars, places, strict=False):
         want(var, place)
     if not wanted:
@@ -197,16 +216,20 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
             continue
         match eqn.primitive.name:
             case "reshape" | "squeeze" | "expand_dims":
-                want(eqn.invars[0], place.reshaped(eqn.invars[0].aval.shape))
-            case "broadcast_in_dim" if eqn.invars[0].aval.size == eqn.outvars[0].aval.size:
-                if not isinstance(eqn.invars[0], Literal):
-                    want(eqn.invars[0], place.reshaped(eqn.invars[0].aval.shape))
+                same_entries(eqn.invars[0], place)
+            case "broadcast_in_dim" if _size(eqn.invars[0]) == _size(eqn.outvars[0]):
+                same_entries(eqn.invars[0], place)
             case "concatenate":
                 start, axis = 0, eqn.params["dimension"]
-                for var in eqn.invars:
+                atoms: list[Any] = eqn.invars
+                for var in atoms:
                     stop = start + var.aval.shape[axis]
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(start, stop, 1)
                     want(var, place.sliced(box))
                     start = stop
     return wanted
+
+
+def _size(atom: Any) -> int:
+    return atom.aval.size

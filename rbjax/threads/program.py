@@ -162,6 +162,7 @@ def _shift(f):
 
 FOLD = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative,
+    "index_add": np.add, "index_mul": np.multiply,
     "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
     "eq": np.equal, "ne": np.not_equal,
     "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
@@ -172,7 +173,7 @@ FOLD = {
 }  # fmt: skip
 """How numpy computes an operation of known values; what is missing is left to the program."""
 
-COMMUTATIVE = {"add", "mul", "and", "or", "xor", "eq", "ne"}
+COMMUTATIVE = {"add", "mul", "index_add", "index_mul", "and", "or", "xor", "eq", "ne"}
 
 
 class Builder:
@@ -230,23 +231,21 @@ class Builder:
                 return a
             case ("neg", (a,)) if isinstance(a, Var) and a.id in self._negated:
                 return self._negated[a.id]
-            case ("add", (a, b)) if _is(b, 0):
+            case ("add" | "index_add", (a, b)) if _is(b, 0):
                 return a
-            case ("add", (a, b)) if _is(a, 0):
+            case ("add" | "index_add", (a, b)) if _is(a, 0):
                 return b
             case ("sub", (a, b)) if _is(b, 0):
                 return a
-            case ("sub", (a, b)) if _is(a, 0):
-                return self.op("neg", b.dtype, b)
-            case ("mul" | "div", (a, b)) if _is(b, 1):
+            case ("mul" | "index_mul" | "div", (a, b)) if _is(b, 1):
                 return a
-            case ("mul", (a, b)) if _is(a, 1):
+            case ("mul" | "index_mul", (a, b)) if _is(a, 1):
                 return b
             case ("mul", (a, b)) if _is(b, -1):
                 return self.op("neg", a.dtype, a)
             case ("mul", (a, b)) if _is(a, -1):
                 return self.op("neg", b.dtype, b)
-            case ("mul", (a, b)) if a.dtype.kind in "iu" and (_is(a, 0) or _is(b, 0)):
+            case ("mul" | "index_mul", (a, b)) if a.dtype.kind in "iu" and (_is(a, 0) or _is(b, 0)):
                 return a.dtype.type(0)
             case ("and", (a, b)) if a.dtype == BOOL and not isinstance(a, Var):
                 return b if a else a
@@ -340,6 +339,14 @@ class Builder:
         with self.inside(body):
             yield counter
 
+    @contextmanager
+    def when(self, condition: Value) -> Iterator[None]:
+        """Statements that run where a condition holds."""
+        then = Block()
+        self.block.statements.append(If(condition, then, Block()))
+        with self.inside(then):
+            yield
+
     def _remember(self, key: tuple, value: Value) -> None:
         self._known[key] = value
         self._scopes[-1].append(key)
@@ -349,9 +356,9 @@ class Builder:
         total: Value = array.index.type(0)
         for value, stride in terms:
             step = self.op(
-                "mul", array.index, self.cast(value, array.index), array.index.type(stride)
+                "index_mul", array.index, self.cast(value, array.index), array.index.type(stride)
             )
-            total = self.op("add", array.index, total, step)
+            total = self.op("index_add", array.index, total, step)
         return None if _is(total, 0) else total
 
 
