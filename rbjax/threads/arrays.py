@@ -161,6 +161,13 @@ def objects(x: np.ndarray) -> np.ndarray:
     return out
 
 
+def filled(shape: Sequence[int], value: Value) -> np.ndarray:
+    """One value everywhere (which `np.full` would make a number of Python)."""
+    out = np.empty(shape, object)
+    out[...] = value
+    return out
+
+
 def scalars(b: Builder, x: Small) -> np.ndarray:
     """The entries as an array of Values, read from memory where they are there."""
     if not isinstance(x, View):

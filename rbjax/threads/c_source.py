@@ -209,7 +209,10 @@ class Printer:
             return f"(bool)isfinite({x[0]})"
         if name == "bitcast":
             return f"bits_of<{c_type(kind)},{c_type(op.args[0].dtype)}>({x[0]})"
-        if name in ("idiv", "irem", "shl", "sar"):
+        if name == "sar":
+            signed = C_TYPES[f"int{8 * kind.itemsize}"]
+            return f"({c_type(kind)})sar<{signed}>(({signed}){x[0]},({signed}){x[1]})"
+        if name in ("idiv", "irem", "shl"):
             return f"{name}<{c_type(kind)}>({x[0]},{x[1]})"
         if name == "shr":
             unsigned = C_TYPES[f"uint{8 * kind.itemsize}"]

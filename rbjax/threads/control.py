@@ -10,13 +10,13 @@ from jax.extend.core import ClosedJaxpr, Literal
 
 from rbjax.threads.arrays import Small, View, in_memory, is_known, owned_copy, write
 from rbjax.threads.effects import only_reports
+from rbjax.threads.gather import COMBINE
 from rbjax.threads.lowering import Lowering, called, dtype_of, rule, writer
 from rbjax.threads.program import BOOL, Block, If, Value, Var, While
 
 #: a value that a loop carries has its entries in registers up to this many
 REGISTERS = 256
-INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", "scatter", "scatter-add",
-           "scatter_add", "scatter_mul", "scatter_min", "scatter_max"}  # fmt: skip
+INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
 def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
@@ -65,6 +65,8 @@ def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
                 (P["cond_jaxpr"], atoms[:nc] + atoms[nc + nb :]),
                 (P["body_jaxpr"], atoms[nc:]),
             ]
+        case "scan":
+            return [(P["jaxpr"], atoms)]
     inner = called(eqn)
     return [] if inner is None or len(inner.jaxpr.invars) != len(atoms) else [(inner, atoms)]
 

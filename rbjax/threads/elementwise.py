@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.materialize import polynomial_sincos
-from rbjax.threads.arrays import Small, View, each, get, in_memory, objects, put
+from rbjax.threads.arrays import Small, View, each, filled, get, in_memory, put
 from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import BOOL, FOLD, Value
 
 #: arrays of more entries are worked through by loops over memory
 LOOP_ABOVE = 512
+#: and arrays of more entries that lie in memory already
+LOOP_ABOVE_IN_MEMORY = 64
 
 #: primitives that are one operation, and how many arguments it has
 SAME = {
@@ -38,11 +40,12 @@ SAME = {
 def entrywise(
     low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
 ) -> Small:
-    """f of the entries of arrays of one shape (or of shape ())."""
-    if math.prod(shape) > LOOP_ABOVE:
+    """f of the entries of arrays of one shape, or of 1 entry along some axes, or of shape ()."""
+    in_place = any(isinstance(x, View) for x in xs)
+    if math.prod(shape) > (LOOP_ABOVE_IN_MEMORY if in_place else LOOP_ABOVE):
         b = low.b
         sources = [in_memory(b, x, x.dtype if x.dtype != object else _dtype(x)) for x in xs]
-        sources = [s if s.shape == shape else s.broadcast(shape, ()) for s in sources]
+        sources = [s.broadcast(shape, range(len(shape) - s.ndim, len(shape))) for s in sources]
         view = View.of(b.local(dtype, math.prod(shape)), shape)
         each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
         return view
@@ -224,7 +227,7 @@ def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
     x = low.scalars(ins[0])
     out = np.empty(x.shape, object), np.empty(x.shape, object)
     for i in np.ndindex(x.shape):
-        pair = low.closed(closed, [objects(np.asarray(x[i], object))])
+        pair = low.closed(closed, [filled((), x[i])])
         for k in (0, 1):
             out[k][i] = low.scalars(pair[k])[()]
     return list(out)
@@ -253,6 +256,22 @@ def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Sm
     return out
 
 
+@rule("reduce")
+def _reduce_by_function(low: Lowering, eqn: Any, ins: list) -> list:
+    body, axes = eqn.params["jaxpr"], eqn.params["dimensions"]
+    n, shape = len(ins) // 2, _shape(eqn)
+    kept = [k for k in range(ins[0].ndim) if k not in axes]
+    rows = [low.scalars(x).transpose(*kept, *axes).reshape(*shape, -1) for x in ins[:n]]
+    outs = [np.empty(shape, object) for _ in range(n)]
+    for i in np.ndindex(shape):
+        totals = list(ins[n:])
+        for k in range(rows[0].shape[-1]):
+            totals = low.closed(body, [*totals, *(filled((), row[(*i, k)]) for row in rows)])
+        for out, total in zip(outs, totals, strict=True):
+            out[i] = low.scalars(total)[()]
+    return list(outs)
+
+
 def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Callable) -> View:
     b = low.b
     x = x.transposed([*kept, *axes])
@@ -277,19 +296,32 @@ def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Calla
 
 
 REDUCTIONS = {
-    "reduce_sum": ("add", 0), "reduce_prod": ("mul", 1), "reduce_max": ("max", None),
-    "reduce_min": ("min", None), "reduce_and": ("and", None), "reduce_or": ("or", None),
-    "reduce_xor": ("xor", None),
+    "reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min",
+    "reduce_and": "and", "reduce_or": "or", "reduce_xor": "xor",
 }  # fmt: skip
 
 
+def _neutral(name: str, dtype: np.dtype) -> Any:
+    """What a reduction of nothing is."""
+    if name in ("add", "or", "xor"):
+        return 0
+    if name == "and":
+        return np.invert(dtype.type(0))
+    if name == "mul":
+        return 1
+    sign = -1 if name == "max" else 1
+    if dtype.kind == "f":
+        return sign * np.inf
+    if dtype == BOOL:
+        return name == "min"
+    return np.iinfo(dtype).min if name == "max" else np.iinfo(dtype).max
+
+
 def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
-    name, neutral = REDUCTIONS[eqn.primitive.name]
+    name = REDUCTIONS[eqn.primitive.name]
     dtype, x = dtype_of(eqn.outvars[0].aval), ins[0]
     if not x.size:
-        if neutral is None:
-            raise Unsupported(f"{eqn.primitive.name} of nothing")
-        return [np.full(_shape(eqn), neutral, dtype)]
+        return [np.full(_shape(eqn), _neutral(name, dtype), dtype)]
     f = functools.partial(low.b.op, name, dtype)
     return [reduced(low, x, eqn.params["axes"], dtype, f)]
 

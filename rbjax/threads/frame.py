@@ -20,6 +20,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
     effects,
     elementwise,
     factorise,
+    gather,
     indexing,
     linear,
     random,

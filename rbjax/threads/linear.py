@@ -12,7 +12,7 @@ from rbjax.threads.lowering import Lowering, dtype_of, rule
 from rbjax.threads.program import Value
 
 #: products of more terms are loops
-UNROLL_UP_TO = 1024
+UNROLL_UP_TO = 512
 
 
 @rule("dot_general")

@@ -164,8 +164,17 @@ def known(x: Any) -> np.ndarray:
     return np.asarray(x)
 
 
+#: primitives that call a jaxpr once
+CALLS = {
+    "jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
+    "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call",
+}  # fmt: skip
+
+
 def called(eqn: Any) -> ClosedJaxpr | None:
     """The jaxpr that an equation calls: of `jit`, of custom derivatives, of a checkpoint."""
+    if eqn.primitive.name not in CALLS:
+        return None
     for name in ("jaxpr", "call_jaxpr", "call", "fun_jaxpr"):
         inner = eqn.params.get(name)
         if isinstance(inner, ClosedJaxpr):

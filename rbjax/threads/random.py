@@ -21,11 +21,18 @@ ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 
 @rule("threefry2x32")
 def _threefry(low: Lowering, eqn: Any, ins: list) -> list:
-    arrays = [low.scalars(x) for x in ins]
+    arrays = np.broadcast_arrays(*(low.scalars(x) for x in ins))
     outs = np.empty(eqn.outvars[0].aval.shape, object), np.empty(eqn.outvars[0].aval.shape, object)
     for i in np.ndindex(outs[0].shape):
         outs[0][i], outs[1][i] = threefry(low, *(x[i] for x in arrays))
     return list(outs)
+
+
+@rule("iota_2x32_shape")
+def _counters(low: Lowering, eqn: Any, ins: list) -> list:
+    shape = eqn.outvars[0].aval.shape
+    count = np.arange(np.prod(shape, dtype=np.int64), dtype=np.uint64).reshape(shape)
+    return [(count >> np.uint64(32)).astype(U32), count.astype(U32)]
 
 
 def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[Value, Value]:
@@ -112,9 +119,11 @@ def _split(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("random_fold_in")
 def _fold_in(low: Lowering, eqn: Any, ins: list) -> list:
-    aval, message = (v.aval for v in eqn.invars)
-    args = [unwrapped(low, ins[0]), ins[1]]
-    (out,) = _each(low, _impl(aval.dtype).fold_in, aval.shape, args, [U32, message.dtype])
+    key, message = (v.aval for v in eqn.invars)
+    shape = eqn.outvars[0].aval.shape
+    keys = np.broadcast_to(unwrapped(low, ins[0]), (*shape, 2))
+    args = [keys, np.broadcast_to(low.scalars(ins[1]), shape)]
+    (out,) = _each(low, _impl(key.dtype).fold_in, shape, args, [U32, message.dtype])
     return [wrapped(low, out)]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import Small, View, owned_copy, tidy, write
+from rbjax.threads.arrays import Small, View, filled, owned_copy, tidy, write
 from rbjax.threads.elementwise import LOOP_ABOVE
 from rbjax.threads.lowering import Lowering, rule, writer
 
@@ -81,6 +81,11 @@ def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     return [place]
 
 
+@rule("tile")
+def _tile(low: Lowering, eqn: Any, ins: list) -> list:
+    return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
+
+
 @rule("stack")
 def _stack(low: Lowering, eqn: Any, ins: list) -> list:
     axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
@@ -116,14 +121,14 @@ def _pad(low: Lowering, eqn: Any, ins: list) -> list:
     config = eqn.params["padding_config"]
     # lay out with gaps between entries, then add to the sides; negative sides cut
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
-    wide = np.full(spread, fill, object)
+    wide = filled(spread, fill)
     wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
     for axis, (before, after, _) in enumerate(config):
         for side, amount in ((0, before), (1, after)):
             if amount > 0:
                 shape = list(wide.shape)
                 shape[axis] = amount
-                more = np.full(shape, fill, object)
+                more = filled(shape, fill)
                 wide = np.concatenate([wide, more] if side else [more, wide], axis)
             elif amount < 0:
                 cut = slice(None, amount) if side else slice(-amount, None)
