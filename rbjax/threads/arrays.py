@@ -181,8 +181,10 @@ def scalars(b: Builder, x: Small) -> np.ndarray:
 
 def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
     """An object array as known numbers, where every entry is."""
-    if x.dtype != object or not x.size:
-        return x if x.dtype != object else x.astype(dtype)
+    if x.dtype != object:
+        return x
+    if not x.shape:
+        return np.asarray(x[()], dtype) if isinstance(x[()], np.generic) else x
     if all(isinstance(v, np.generic) for v in x.flat):
         return np.array([v for v in x.flat], dtype).reshape(x.shape)
     return x

@@ -16,7 +16,7 @@ from rbjax.threads.elementwise import reduced
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 
 
-@rule("select_if_vmap")
+@rule("select_if_vmap", unread=(0, 2))
 def _select_if_vmap(low: Lowering, eqn: Any, ins: list) -> list:
     return [ins[1]]  # the predicate of a loop that is not of a batch holds while it runs
 

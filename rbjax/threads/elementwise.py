@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.materialize import polynomial_sincos
-from rbjax.threads.arrays import Small, View, each, filled, get, in_memory, put
+from rbjax.threads.arrays import Small, View, each, filled, get, in_memory, is_known, put
 from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import BOOL, FOLD, Value
 
@@ -41,16 +41,21 @@ def entrywise(
     low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
 ) -> Small:
     """f of the entries of arrays of one shape, or of 1 entry along some axes, or of shape ()."""
-    in_place = any(isinstance(x, View) for x in xs)
-    if math.prod(shape) > (LOOP_ABOVE_IN_MEMORY if in_place else LOOP_ABOVE):
+    size = math.prod(shape)
+    in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
+    if size > LOOP_ABOVE or in_memory_now:
         b = low.b
         sources = [in_memory(b, x, x.dtype if x.dtype != object else _dtype(x)) for x in xs]
         sources = [s.broadcast(shape, range(len(shape) - s.ndim, len(shape))) for s in sources]
         view = View.of(b.local(dtype, math.prod(shape)), shape)
         each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
         return view
-    arrays = [np.broadcast_to(low.scalars(x), shape) for x in xs]
+    arrays = [low.scalars(x) for x in xs]
     out = np.empty(shape, object)
+    if not shape:
+        out[()] = f(*(x[()] for x in arrays))
+        return out
+    arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
     for i in np.ndindex(shape):
         out[i] = f(*(x[i] for x in arrays))
     return out
@@ -66,10 +71,9 @@ def _shape(eqn: Any) -> tuple[int, ...]:
 
 def _one(low: Lowering, eqn: Any, ins: list) -> list:
     name, dtype = SAME[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
-    if name in FOLD and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
+    if name in FOLD and name != "shl" and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
-            if name != "shl":
-                return [np.asarray(FOLD[name](*ins), dtype)]
+            return [np.asarray(FOLD[name](*ins), dtype)]
     f = functools.partial(low.b.op, name, dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
@@ -80,7 +84,7 @@ rule(*SAME)(_one)
 @rule("div")
 def _div(low: Lowering, eqn: Any, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
-    if dtype.kind == "f" and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
+    if dtype.kind == "f" and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*ins), dtype)]
     f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
@@ -199,7 +203,7 @@ def _convert(low: Lowering, eqn: Any, ins: list) -> list:
     x = ins[0]
     if isinstance(x, View) and x.dtype == dtype:
         return [x]
-    if isinstance(x, np.ndarray) and x.dtype != object and dtype.kind == "f":
+    if is_known(x) and dtype.kind == "f":
         return [x.astype(dtype)]
 
     def f(x: Value) -> Value:

@@ -8,8 +8,10 @@ needed, so a trajectory goes straight to the kernel's result.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -38,11 +40,16 @@ class Unsupported(Exception):
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
 
 
-def rule(*names: str) -> Callable[[Rule], Rule]:
+#: arguments that the rule of a primitive does not read, and gets as None
+UNREAD: dict[str, tuple[int, ...]] = {}
+
+
+def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
     """Register how primitives of these names become statements."""
 
     def register(f: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, f))
+        UNREAD.update(dict.fromkeys(names, unread) if unread else {})
         return f
 
     return register
@@ -58,11 +65,25 @@ def writer(*names: str) -> Callable:
     return register
 
 
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What of a jaxpr its results are made of.
+
+    last: for each variable that is read, the last equation that reads it. equations: their
+    numbers, themselves and what they read.
+    """
+
+    jaxpr: Jaxpr
+    last: dict[Any, int]
+    equations: list[tuple[int, Any, list]]
+
+
 class Lowering:
     """Writes the program of a jaxpr with a `Builder`."""
 
     def __init__(self, builder: Builder):
         self.b = builder
+        self.needs: dict[int, Needs] = {}
 
     def closed(
         self, closed: ClosedJaxpr, args: Sequence[Small], places: Sequence[View | None] = ()
@@ -77,7 +98,8 @@ class Lowering:
         places: Sequence[View | None] = (),
     ) -> list[Small]:
         """The results of a jaxpr; those with a place are written there."""
-        last = _last_uses(jaxpr)
+        needs = self.needed(jaxpr)
+        last = needs.last
         env: dict[Any, Small] = {}
 
         def bind(var: Any, value: Small) -> None:
@@ -93,10 +115,11 @@ class Lowering:
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
         wanted = _places(jaxpr, places)
-        for n, eqn in enumerate(jaxpr.eqns):
-            ins = [read(atom) for atom in eqn.invars]
-            for var in {v for v in eqn.invars if not isinstance(v, Literal) and last[v] == n}:
-                _own(env.pop(var), -1)
+        for n, eqn, atoms in needs.equations:
+            ins = [None if atom is None else read(atom) for atom in atoms]
+            for atom in atoms:
+                if not isinstance(atom, Literal) and last.get(atom) == n and atom in env:
+                    _own(env.pop(atom), -1)
             outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
             for var, out in zip(eqn.outvars, outs, strict=True):
                 bind(var, out)
@@ -127,6 +150,36 @@ class Lowering:
             raise Unsupported(name)
         return self.closed(inner, ins, places)
 
+    def needed(self, jaxpr: Jaxpr) -> Needs:
+        """What of a jaxpr its results are made of."""
+        known = self.needs.get(id(jaxpr))
+        if known is None or known.jaxpr is not jaxpr:
+            known = self.needs[id(jaxpr)] = self._needed(jaxpr)
+        return known
+
+    def _needed(self, jaxpr: Jaxpr) -> Needs:
+        end = len(jaxpr.eqns)
+        last: dict[Any, int] = {v: end for v in jaxpr.outvars if not isinstance(v, Literal)}
+        equations = []
+        for n, eqn in reversed(list(enumerate(jaxpr.eqns))):
+            if not eqn.effects and not any(v in last for v in eqn.outvars):
+                continue
+            atoms: list[Any] = list(eqn.invars)
+            for k in self._unread(eqn):
+                atoms[k] = None
+            for atom in atoms:
+                if atom is not None and not isinstance(atom, Literal):
+                    last.setdefault(atom, n)
+            equations.append((n, eqn, atoms))
+        return Needs(jaxpr, last, equations[::-1])
+
+    def _unread(self, eqn: Any) -> Sequence[int]:
+        inner = called(eqn)
+        if inner is None or eqn.primitive.name in RULES:
+            return UNREAD.get(eqn.primitive.name, ())
+        last = self.needed(inner.jaxpr).last
+        return [k for k, v in enumerate(inner.jaxpr.invars) if v not in last]
+
     @contextmanager
     def held(self, values: Sequence[Small]) -> Iterator[None]:
         """Nothing that is read again later is updated in place meanwhile."""
@@ -152,6 +205,7 @@ def dtype_of(aval: Any) -> Any:
     return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
 
 
+@functools.lru_cache(256)
 def is_key(dtype: Any) -> bool:
     """Whether it is a type of random keys."""
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
@@ -191,16 +245,6 @@ def _is_objects(x: Any) -> bool:
 def _own(value: Small, change: int) -> None:
     if isinstance(value, View):
         value.array.owners += change
-
-
-def _last_uses(jaxpr: Jaxpr) -> dict[Any, int]:
-    """For each variable that is used, the last equation that uses it."""
-    last: dict[Any, int] = {}
-    for n, eqn in enumerate(jaxpr.eqns):
-        last.update((v, n) for v in eqn.invars if not isinstance(v, Literal))
-    end = len(jaxpr.eqns)
-    last.update((v, end) for v in jaxpr.outvars if not isinstance(v, Literal))
-    return last
 
 
 def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:

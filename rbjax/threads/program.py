@@ -197,13 +197,15 @@ class Builder:
     def op(self, name: str, dtype: Any, *args: Value) -> Value:
         """name(args), of the given type."""
         dtype = np.dtype(dtype)
-        if not any(isinstance(a, Var) for a in args):
+        known = [a for a in args if not isinstance(a, Var)]
+        if len(known) == len(args):
             folded = _fold(name, dtype, args)
             if folded is not None:
                 return folded
-        simple = self._simpler(name, args)
-        if simple is not None:
-            return simple
+        if known or name in ("neg", "select"):
+            simple = self._simpler(name, args)
+            if simple is not None:
+                return simple
         key = (name, dtype.char, *_keys(name, args))
         dest = self._known.get(key)
         if dest is None:
@@ -379,7 +381,13 @@ def _is(x: Value, number: int) -> bool:
 
 def _keys(name: str, args: Sequence[Value]) -> list:
     keys: list = [a.id if isinstance(a, Var) else (a.dtype.char, a.tobytes()) for a in args]
-    return sorted(keys, key=str) if name in COMMUTATIVE else keys
+    if name in COMMUTATIVE and _order(keys[0]) > _order(keys[1]):
+        keys.reverse()
+    return keys
+
+
+def _order(key: Any) -> tuple:
+    return (1, *key) if isinstance(key, tuple) else (0, key)
 
 
 def _at(base: Value | None, offset: int) -> tuple[Var | None, int]:

@@ -1,0 +1,42 @@
+"""Random programs by the emitted C against XLA."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from tests.threads.host import COMPILER, many_on_host
+from tests.threads.random_programs import arguments, program
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+
+TOGETHER = 20  # programs in one translation unit and one program of XLA
+
+
+def differences(seeds: range) -> list[str]:
+    cases = [(program(seed), arguments(seed)) for seed in seeds]
+    got = many_on_host(cases, ("-O0", "-ffp-contract=off"))
+    fs = [jax.vmap(f) for f, _ in cases]
+    every = jax.jit(
+        lambda *args: [f(*xs) for f, xs in zip(fs, args, strict=True)],
+        compiler_options={"xla_backend_optimization_level": 0},
+    )
+    want = every(*(args for _, args in cases))
+    wrong = []
+    for seed, gs, ws in zip(seeds, got, want, strict=True):
+        for k, (g, w) in enumerate(zip(gs, ws, strict=True)):
+            if not np.allclose(g, w, rtol=1e-8, atol=1e-8, equal_nan=True):
+                wrong.append(f"program {seed}, result {k}: {np.abs(g - w).max()}")
+    return wrong
+
+
+@pytest.mark.parametrize("first", [0, TOGETHER])
+def test_random_programs(first):
+    assert not (wrong := differences(range(first, first + TOGETHER))), wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(2 * TOGETHER, 1000, TOGETHER))
+def test_a_thousand_random_programs(first):
+    assert not (wrong := differences(range(first, first + TOGETHER))), wrong
