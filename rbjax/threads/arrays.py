@@ -184,7 +184,8 @@ def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
     if x.dtype != object:
         return x
     if not x.shape:
-        return np.asarray(x[()], dtype) if isinstance(x[()], np.generic) else x
+        value: Any = x[()]
+        return np.asarray(value, dtype) if isinstance(value, np.generic) else x
     if all(isinstance(v, np.generic) for v in x.flat):
         return np.array([v for v in x.flat], dtype).reshape(x.shape)
     return x

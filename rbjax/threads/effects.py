@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rbjax.threads.elementwise import reduced
 from rbjax.threads.lowering import Lowering, Unsupported, rule
+from rbjax.threads.reductions import reduced
 
 
 @rule("select_if_vmap", unread=(0, 2))

@@ -24,6 +24,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
     indexing,
     linear,
     random,
+    reductions,
     sorting,
     special,
     structure,

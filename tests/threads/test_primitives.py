@@ -16,7 +16,7 @@ from jax.lax import GatherScatterMode as Mode
 from jax.lax import ScatterDimensionNumbers as Scatter
 
 from rbjax.threads.lowering import Unsupported
-from tests.threads.host import COMPILER, Case, many_on_host, on_host
+from tests.threads.host import COMPILER, Case, by_xla, many_on_host, on_host
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 
@@ -31,12 +31,9 @@ def compare(cases: dict[str, Case], ulps: float = 4, absolute: float = 0.0) -> N
     """The emitted C of each case agrees with XLA: integers exactly, floats to rounding."""
     results = many_on_host(list(cases.values()), ("-O0", "-ffp-contract=off"))
     wrong = []
-    fs = [jax.vmap(f) for f, _ in cases.values()]
-    every = jax.jit(lambda *args: [f(*xs) for f, xs in zip(fs, args, strict=True)])
-    wants = every(*(args for _, args in cases.values()))
+    wants = by_xla(list(cases.values()))
     for name, got, want in zip(cases, results, wants, strict=True):
         for g, w in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
-            w = np.asarray(w)
             assert g.dtype == w.dtype and g.shape == w.shape, name
             if not close(g, w, ulps, absolute):
                 bad = ~np.isclose(g, w, 0, 0, equal_nan=True)

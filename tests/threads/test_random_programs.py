@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import jax
 import numpy as np
 import pytest
 
-from tests.threads.host import COMPILER, many_on_host
+from tests.threads.host import COMPILER, by_xla, many_on_host
 from tests.threads.random_programs import arguments, program
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
@@ -17,12 +16,7 @@ TOGETHER = 20  # programs in one translation unit and one program of XLA
 def differences(seeds: range) -> list[str]:
     cases = [(program(seed), arguments(seed)) for seed in seeds]
     got = many_on_host(cases, ("-O0", "-ffp-contract=off"))
-    fs = [jax.vmap(f) for f, _ in cases]
-    every = jax.jit(
-        lambda *args: [f(*xs) for f, xs in zip(fs, args, strict=True)],
-        compiler_options={"xla_backend_optimization_level": 0},
-    )
-    want = every(*(args for _, args in cases))
+    want = by_xla(cases)
     wrong = []
     for seed, gs, ws in zip(seeds, got, want, strict=True):
         for k, (g, w) in enumerate(zip(gs, ws, strict=True)):
