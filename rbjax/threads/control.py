@@ -140,7 +140,9 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
     ]
     xs = [in_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
-    carry = Carry(low, init, avals[nc : nc + nk], {k - nc for k in wanted if nc <= k < nc + nk})
+    with low.held([*consts, *xs, *ys]):  # of which one may be what the carry begins as
+        memory = {k - nc for k in wanted if nc <= k < nc + nk}
+        carry = Carry(low, init, avals[nc : nc + nk], memory)
     with (
         low.held([*consts, *xs, *ys]),
         b.loop(length, reverse=P["reverse"]) as counter,
@@ -170,7 +172,8 @@ def _while(low: Lowering, eqn: Any, ins: list) -> list:
         for k in indexed(closed, [not is_known(x) for x in consts] + [True] * n)
         if k >= len(consts)
     }
-    carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
+    with low.held([*test_consts, *body_consts]):
+        carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
     loop = While(Block(), None, Block())
     b.block.statements.append(loop)
     with low.held([*test_consts, *body_consts]):
