@@ -40,20 +40,20 @@ def compare(cases: dict[str, Case], ulps: float = 4, absolute: float = 0.0) -> N
     for name, got, want in zip(cases, results, wants, strict=True):
         for g, w in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
             assert g.dtype == w.dtype and g.shape == w.shape, name
-            if not close(g, w, ulps, absolute):
-                bad = ~np.isclose(g, w, 0, 0, equal_nan=True)
-                wrong.append(f"{name}: {np.argwhere(bad)[:4].tolist()}: {g[bad][:4]}, "
-                             f"XLA: {w[bad][:4]}")  # fmt: skip
+            bad = ~close(g, w, ulps, absolute)
+            if bad.any():
+                wrong.append(f"{name}, {np.argwhere(bad)[:3].tolist()}: {g[bad][:3]}, "
+                             f"XLA: {w[bad][:3]}")  # fmt: skip
     assert not wrong, "\n".join(["", *wrong])
 
 
-def close(got: np.ndarray, want: np.ndarray, ulps: float, absolute: float) -> bool:
+def close(got: np.ndarray, want: np.ndarray, ulps: float, absolute: float) -> np.ndarray:
+    """Which entries agree."""
     if got.dtype.kind != "f":
-        return np.array_equal(got, want)
+        return got == want
     eps, tiny = float(np.finfo(got.dtype).eps), float(np.finfo(got.dtype).tiny)
     with np.errstate(all="ignore"):  # XLA's CPU code has no numbers below the least normal one
-        near = np.isclose(got, want, ulps * eps, absolute * eps + tiny, equal_nan=True)
-    return bool(near.all())
+        return np.isclose(got, want, ulps * eps, absolute * eps + tiny, equal_nan=True)
 
 
 def edges(dtype: np.dtype) -> np.ndarray:
@@ -150,7 +150,9 @@ def test_erf_inv_digamma_and_lgamma(dtype):
 
 
 @pytest.mark.parametrize(
-    "dtype", mostly_slow((I32, *UNSIGNED[2:3]), (*SIGNED[:2], I64, *UNSIGNED[:2], UNSIGNED[3])), ids=str
+    "dtype",
+    mostly_slow((I32, UNSIGNED[2]), (*SIGNED[:2], I64, *UNSIGNED[:2], UNSIGNED[3])),
+    ids=str,
 )
 def test_integers(dtype):
     """Wrapping, division by zero, the least by -1, shifts beyond the width."""
@@ -289,7 +291,9 @@ INDICES = np.array([0, 1, 2, 3, 4, 5, 7, -1, -2, -9, 2**31 - 1, -(2**31)], np.in
 
 
 @pytest.mark.parametrize("size", [5, 12], ids=["by selection", "in memory"])
-@pytest.mark.parametrize("index", mostly_slow((I32, np.dtype("u4")), (I64, np.dtype("u1"))), ids=str)
+@pytest.mark.parametrize(
+    "index", mostly_slow((I32, np.dtype("u4")), (I64, np.dtype("u1"))), ids=str
+)
 def test_dynamic_slices(size, index):
     i = INDICES.astype(index)
     x, y = normal(F64, len(i), size), normal(F64, len(i), 2, seed=1)
@@ -572,7 +576,7 @@ def carried(shape: tuple) -> Iterator[Case]:
 def test_arrays_that_loops_change():
     cases = {f"{f.__name__} {shape}": (f, args) for shape in ((6,), (12,), (6, 60))
              for f, args in carried(shape)}  # fmt: skip
-    compare(cases, ulps=256)
+    compare(cases, ulps=64, absolute=64)
 
 
 def test_control():
