@@ -43,6 +43,12 @@ class View:
     def size(self) -> int:
         return math.prod(self.shape)
 
+    @property
+    def changeable(self) -> bool:
+        """Whether it may be updated in place: no two entries share a place, and none is read."""
+        alone = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
+        return alone and self.array.space == "local" and not self.array.owners
+
     def same(self, other: Any) -> bool:
         """Whether the other is the same place."""
         return isinstance(other, View) and all(
@@ -57,7 +63,8 @@ class View:
         """The known part of each entry's address."""
         out = np.full(self.shape, self.offset)
         for axis, (n, stride) in enumerate(zip(self.shape, self.strides, strict=True)):
-            out += (np.arange(n) * stride).reshape([-1 if k == axis else 1 for k in range(self.ndim)])
+            wide = [-1 if k == axis else 1 for k in range(self.ndim)]
+            out += (np.arange(n) * stride).reshape(wide)
         return out
 
     def at(self, b: Builder, axis: int, index: Value) -> View:
@@ -75,7 +82,7 @@ class View:
         unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
         base = b.index(self.array, *unknown)
         if self.base is not None and base is not None:
-            base = b.op("add", self.array.index, self.base, base)
+            base = b.op("index_add", self.array.index, self.base, base)
         return replace(
             self, base=self.base if base is None else base, offset=self.offset + known
         )
@@ -154,6 +161,13 @@ def objects(x: np.ndarray) -> np.ndarray:
     return out
 
 
+def filled(shape: Sequence[int], value: Value) -> np.ndarray:
+    """One value everywhere (which `np.full` would make a number of Python)."""
+    out = np.empty(shape, object)
+    out[...] = value
+    return out
+
+
 def scalars(b: Builder, x: Small) -> np.ndarray:
     """The entries as an array of Values, read from memory where they are there."""
     if not isinstance(x, View):
@@ -175,8 +189,11 @@ def filled(shape: Sequence[int], value: Value) -> np.ndarray:
 
 def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
     """An object array as known numbers, where every entry is."""
-    if x.dtype != object or not x.size:
-        return x if x.dtype != object else x.astype(dtype)
+    if x.dtype != object:
+        return x
+    if not x.shape:
+        value: Any = x[()]
+        return np.asarray(value, dtype) if isinstance(value, np.generic) else x
     if all(isinstance(v, np.generic) for v in x.flat):
         return np.array([v for v in x.flat], dtype).reshape(x.shape)
     return x

@@ -34,15 +34,16 @@ C_TYPES = {
 }  # fmt: skip
 
 INFIX = {
-    "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=",
-    "eq": "==", "ne": "!=", "and": "&", "or": "|", "xor": "^",
+    "index_add": "+", "index_mul": "*", "add": "+", "sub": "-", "mul": "*", "div": "/",
+    "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=", "and": "&", "or": "|",
+    "xor": "^",
 }  # fmt: skip
 #: functions of C's mathematics, f appended for float
 MATH = {
     "sqrt": "sqrt", "cbrt": "cbrt", "exp": "exp", "exp2": "exp2", "expm1": "expm1", "log": "log",
     "log1p": "log1p", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos",
     "atan": "atan", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "asinh": "asinh",
-    "acosh": "acosh", "atanh": "atanh", "erf": "erf", "erfc": "erfc", "erfinv": "erfinv",
+    "acosh": "acosh", "atanh": "atanh", "erf": "erf", "erfc": "erfc",
     "lgamma": "lgamma", "floor": "floor", "ceil": "ceil", "rint": "rint", "round": "round",
     "atan2": "atan2", "pow": "pow", "fmod": "fmod", "nextafter": "nextafter",
     "copysign": "copysign",
@@ -182,31 +183,36 @@ class Printer:
         x = [self.value(a) for a in op.args]
         kind, name = op.dest.dtype, op.name
         f = "f" if kind == np.float32 else ""
+        if kind.kind == "i" and name in ("add", "sub", "mul", "neg", "abs"):
+            return self._wrapping(kind, name, x)
         if name in INFIX:
             return self._narrow(kind, f"{x[0]}{INFIX[name]}{x[1]}")
         if name == "neg":
             return self._narrow(kind, f"-{x[0]}")
         if name == "not":
-            return f"!{x[0]}" if kind == bool else self._narrow(kind, f"~{x[0]}")
+            return f"!{x[0]}" if kind.kind == "b" else self._narrow(kind, f"~{x[0]}")
         if name == "select":
             return f"{x[0]}?{x[1]}:{x[2]}"
         if name == "cast":
             return self._cast(op, x[0])
         if name in ("max", "min"):
-            if kind == bool:
+            if kind.kind == "b":
                 return f"{x[0]}{'|' if name == 'max' else '&'}{x[1]}"
             test = f"{x[0]}{'>' if name == 'max' else '<'}{x[1]}"
             nan = f"||{x[0]}!={x[0]}" if kind.kind == "f" else ""
             return f"({test}{nan})?{x[0]}:{x[1]}"
         if name == "abs":
-            return f"fabs{f}({x[0]})" if kind.kind == "f" else f"{x[0]}<0?-{x[0]}:{x[0]}"
+            return f"fabs{f}({x[0]})" if kind.kind == "f" else x[0]
         if name == "rsqrt":
             return f"RSQRT{f}({x[0]})"
         if name == "isfinite":
             return f"(bool)isfinite({x[0]})"
         if name == "bitcast":
             return f"bits_of<{c_type(kind)},{c_type(op.args[0].dtype)}>({x[0]})"
-        if name in ("idiv", "irem", "shl", "sar"):
+        if name == "sar":
+            signed = C_TYPES[f"int{8 * kind.itemsize}"]
+            return f"({c_type(kind)})sar<{signed}>(({signed}){x[0]},({signed}){x[1]})"
+        if name in ("idiv", "irem", "shl"):
             return f"{name}<{c_type(kind)}>({x[0]},{x[1]})"
         if name == "shr":
             unsigned = C_TYPES[f"uint{8 * kind.itemsize}"]
@@ -224,6 +230,16 @@ class Printer:
         if source.kind == "f" and to.kind in "iu":
             return f"to_integer<{c_type(to)},{c_type(source)}>({x})"
         return f"({c_type(to)}){x}"
+
+    def _wrapping(self, kind: np.dtype, name: str, x: list[str]) -> str:
+        """Overflow of signed integers, which C leaves undefined."""
+        unsigned = C_TYPES[f"uint{8 * max(kind.itemsize, 4)}"]
+        u = [f"({unsigned}){a}" for a in x]
+        if name == "abs":
+            return f"{x[0]}<0?({c_type(kind)})(0-{u[0]}):{x[0]}"
+        if name == "neg":
+            return f"({c_type(kind)})(0-{u[0]})"
+        return f"({c_type(kind)})({u[0]}{INFIX[name]}{u[1]})"
 
     def _narrow(self, kind: np.dtype, text: str) -> str:
         """Integers narrower than int compute as int in C."""

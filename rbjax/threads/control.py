@@ -9,13 +9,14 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
 from rbjax.threads.arrays import Small, View, in_memory, is_known, owned_copy, write
-from rbjax.threads.lowering import Lowering, called, rule, writer
+from rbjax.threads.effects import only_reports
+from rbjax.threads.gather import COMBINE
+from rbjax.threads.lowering import Lowering, called, dtype_of, rule, writer
 from rbjax.threads.program import BOOL, I32, Block, If, Value, Var, While
 
 #: a value that a loop carries has its entries in registers up to this many
 REGISTERS = 256
-INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", "scatter", "scatter-add",
-           "scatter_add", "scatter_mul", "scatter_min", "scatter_max"}  # fmt: skip
+INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
 def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
@@ -64,6 +65,8 @@ def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
                 (P["cond_jaxpr"], atoms[:nc] + atoms[nc + nb :]),
                 (P["body_jaxpr"], atoms[nc:]),
             ]
+        case "scan":
+            return [(P["jaxpr"], atoms)]
     inner = called(eqn)
     return [] if inner is None or len(inner.jaxpr.invars) != len(atoms) else [(inner, atoms)]
 
@@ -72,19 +75,22 @@ class Carry:
     """What a loop hands from turn to turn: variables, or local arrays."""
 
     def __init__(self, low: Lowering, init: Sequence[Small], avals: Sequence[Any], memory: set):
-        self.low, self.values = low, []
+        self.low = low
+        self.values: list[Any] = []
         for k, (x, aval) in enumerate(zip(init, avals, strict=True)):
             if k in memory or aval.size > REGISTERS:
                 self.values.append(self._array(x, aval))
             else:
                 entries, out = low.scalars(x), np.empty(aval.shape, object)
                 for i in np.ndindex(aval.shape):
-                    out[i] = low.b.declare(aval.dtype, entries[i])
+                    out[i] = low.b.declare(dtype_of(aval), entries[i])
                 self.values.append(out)
 
     def _array(self, x: Small, aval: Any) -> View:
-        free = isinstance(x, View) and x.array.space == "local" and not x.array.owners
-        return x if free else owned_copy(self.low.b, x, aval.dtype)
+        taken = {y.array for y in self.values if isinstance(y, View)}
+        if isinstance(x, View) and x.changeable and x.array not in taken:
+            return x
+        return owned_copy(self.low.b, x, dtype_of(aval))
 
     def advance(self, new: Sequence[Small]) -> None:
         """All at once: what is read of the old values is read before any changes."""
@@ -124,7 +130,7 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     ys: list[View] = []
     for var, place in zip(eqn.outvars[nk:], places[nk:], strict=True):
         aval = var.aval
-        ys.append(place or View.of(b.local(aval.dtype, max(aval.size, 1)), aval.shape))
+        ys.append(place or View.of(b.local(dtype_of(aval), max(aval.size, 1)), aval.shape))
     if not length:
         return [*init, *ys]
     if length == 1:
@@ -135,18 +141,20 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     unknown = [not is_known(x) for x in consts] + [True] * (len(avals) - nc)
     wanted = indexed(body, unknown)
     consts = [
-        in_memory(b, x, a.dtype) if k in wanted and not isinstance(x, View) else x
+        in_memory(b, x, dtype_of(a)) if k in wanted and not isinstance(x, View) else x
         for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
     ]
-    xs = [in_memory(b, x, a.dtype) for x, a in zip(xs, avals[nc + nk :], strict=True)]
-    carry = Carry(low, init, avals[nc : nc + nk], {k - nc for k in wanted if nc <= k < nc + nk})
+    xs = [in_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
+    with low.held([*consts, *xs, *ys]):  # of which one may be what the carry begins as
+        memory = {k - nc for k in wanted if nc <= k < nc + nk}
+        carry = Carry(low, init, avals[nc : nc + nk], memory)
     with (
         low.held([*consts, *xs, *ys]),
         b.loop(length, reverse=P["reverse"]) as counter,
     ):
         rows = [x.at(b, 0, counter) for x in xs]
         spots = [y.at(b, 0, counter) for y in ys]
-        out = low.closed(body, [*consts, *carry.values, *rows], [None] * nk + spots)
+        out = low.closed(body, [*consts, *carry.values, *rows], [*[None] * nk, *spots])
         carry.advance(out[:nk])
     return [*carry.values, *ys]
 
@@ -169,7 +177,8 @@ def _while(low: Lowering, eqn: Any, ins: list) -> list:
         for k in indexed(closed, [not is_known(x) for x in consts] + [True] * n)
         if k >= len(consts)
     }
-    carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
+    with low.held([*test_consts, *body_consts]):
+        carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
     loop = While(Block(), None, Block())
     b.block.statements.append(loop)
     with low.held([*test_consts, *body_consts]):
@@ -185,6 +194,9 @@ def _while(low: Lowering, eqn: Any, ins: list) -> list:
 def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     branches, args = eqn.params["branches"], ins[1:]
     which = low.scalars(ins[0])[()]
+    going_on = [branch for branch in branches if not only_reports(branch)]
+    if len(going_on) == 1:
+        return low.closed(going_on[0], args, places)
     if not isinstance(which, Var):
         chosen = branches[min(max(int(which), 0), len(branches) - 1)]
         return low.closed(chosen, args, places)
@@ -194,11 +206,11 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         if place is not None:
             outs.append(place)
         elif aval.size > REGISTERS:
-            outs.append(View.of(b.local(aval.dtype, aval.size), aval.shape))
+            outs.append(View.of(b.local(dtype_of(aval), aval.size), aval.shape))
         else:
             entries = np.empty(aval.shape, object)
             for i in np.ndindex(aval.shape):
-                entries[i] = b.declare(aval.dtype)
+                entries[i] = b.declare(dtype_of(aval))
             outs.append(entries)
 
     def run(branch: ClosedJaxpr) -> None:
@@ -234,12 +246,3 @@ def _platform(low: Lowering, eqn: Any, ins: list) -> list:
     groups = eqn.params["platforms"]
     here = [k for k, group in enumerate(groups) if group is None or "cuda" in group]
     return [np.asarray(here[0] if here else len(groups) - 1, np.int32)]
-
-
-@rule("custom_linear_solve")
-def _custom_linear_solve(low: Lowering, eqn: Any, ins: list) -> list:
-    counts, jaxprs = eqn.params["const_lengths"], eqn.params["jaxprs"]
-    sizes = [counts.matvec, counts.vecmat, counts.solve, counts.transpose_solve]
-    start = sum(sizes[:2])
-    solve = ins[start : start + counts.solve]
-    return low.closed(jaxprs.solve, [*solve, *ins[sum(sizes) :]])

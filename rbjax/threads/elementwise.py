@@ -1,8 +1,9 @@
-"""Rules of primitives that work entry by entry, and of reductions."""
+"""Rules of primitives that work entry by entry."""
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,12 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.materialize import polynomial_sincos
-from rbjax.threads.arrays import Small, View, each, get, in_memory, objects, put
-from rbjax.threads.lowering import Lowering, Unsupported, rule
-from rbjax.threads.program import BOOL, FOLD, Value
+from rbjax.threads.arrays import Small, View, each, filled, get, in_memory, is_known, put
+from rbjax.threads.folding import FOLD
+from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
+from rbjax.threads.program import BOOL, Value
 
 #: arrays of more entries are worked through by loops over memory
 LOOP_ABOVE = 512
+#: and arrays of more entries that lie in memory already
+LOOP_ABOVE_IN_MEMORY = 64
 
 #: primitives that are one operation, and how many arguments it has
 SAME = {
@@ -26,7 +30,7 @@ SAME = {
     "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "sin": "sin", "cos": "cos",
     "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh",
     "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "erf": "erf",
-    "erfc": "erfc", "erf_inv": "erfinv", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
+    "erfc": "erfc", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
     "abs": "abs", "atan2": "atan2", "nextafter": "nextafter", "is_finite": "isfinite",
     "max": "max", "min": "min", "population_count": "popcount", "clz": "clz",
     "shift_left": "shl", "shift_right_logical": "shr", "shift_right_arithmetic": "sar",
@@ -34,17 +38,25 @@ SAME = {
 }  # fmt: skip
 
 
-def entrywise(low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small) -> Small:
-    """f of the entries of arrays of one shape (or of shape ())."""
-    if np.prod(shape, dtype=int) > LOOP_ABOVE:
+def entrywise(
+    low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
+) -> Small:
+    """f of the entries of arrays of one shape, or of 1 entry along some axes, or of shape ()."""
+    size = math.prod(shape)
+    in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
+    if size > LOOP_ABOVE or in_memory_now:
         b = low.b
         sources = [in_memory(b, x, x.dtype if x.dtype != object else _dtype(x)) for x in xs]
-        sources = [s if s.shape == shape else s.broadcast(shape, ()) for s in sources]
-        out = View.of(b.local(dtype, int(np.prod(shape))), shape)
-        each(b, shape, lambda *i: put(b, out, i, f(*(get(b, s, i) for s in sources))))
-        return out
-    arrays = [np.broadcast_to(low.scalars(x), shape) for x in xs]
+        sources = [s.broadcast(shape, range(len(shape) - s.ndim, len(shape))) for s in sources]
+        view = View.of(b.local(dtype, math.prod(shape)), shape)
+        each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
+        return view
+    arrays = [low.scalars(x) for x in xs]
     out = np.empty(shape, object)
+    if not shape:
+        out[()] = f(*(x[()] for x in arrays))
+        return out
+    arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
     for i in np.ndindex(shape):
         out[i] = f(*(x[i] for x in arrays))
     return out
@@ -59,11 +71,10 @@ def _shape(eqn: Any) -> tuple[int, ...]:
 
 
 def _one(low: Lowering, eqn: Any, ins: list) -> list:
-    name, dtype = SAME[eqn.primitive.name], eqn.outvars[0].aval.dtype
-    if name in FOLD and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
+    name, dtype = SAME[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
+    if name in FOLD and name != "shl" and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
-            if name != "shl":
-                return [np.asarray(FOLD[name](*ins), dtype)]
+            return [np.asarray(FOLD[name](*ins), dtype)]
     f = functools.partial(low.b.op, name, dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
@@ -73,8 +84,8 @@ rule(*SAME)(_one)
 
 @rule("div")
 def _div(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
-    if dtype.kind == "f" and all(isinstance(x, np.ndarray) and x.dtype != object for x in ins):
+    dtype = dtype_of(eqn.outvars[0].aval)
+    if dtype.kind == "f" and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*ins), dtype)]
     f = functools.partial(low.b.op, "div" if dtype.kind == "f" else "idiv", dtype)
@@ -83,14 +94,14 @@ def _div(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("rem")
 def _rem(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("pow")
 def _pow(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     if dtype.kind != "f":
         raise Unsupported("pow of integers")
     f = lambda x, y: low.b.op("pow", dtype, x, low.b.cast(y, dtype))  # noqa: E731
@@ -99,13 +110,13 @@ def _pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("square")
 def _square(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
 
 
 @rule("integer_pow")
 def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, y = eqn.outvars[0].aval.dtype, eqn.params["y"]
+    dtype, y = dtype_of(eqn.outvars[0].aval), eqn.params["y"]
 
     def power(x: Value) -> Value:
         n, square, out = abs(y), x, None
@@ -123,7 +134,7 @@ def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("logistic")
 def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     one = dtype.type(1)
 
     def f(x: Value) -> Value:
@@ -135,7 +146,7 @@ def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("sign")
 def _sign(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     zero = dtype.type(0)
 
     def f(x: Value) -> Value:  # x itself where it is zero or nan
@@ -149,7 +160,7 @@ def _sign(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("round")
 def _round(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     to_even = int(eqn.params["rounding_method"]) == 1
     f = functools.partial(b.op, "rint" if to_even else "round", dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
@@ -157,7 +168,7 @@ def _round(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("clamp")
 def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(least: Value, x: Value, most: Value) -> Value:
         return b.op("min", dtype, b.op("max", dtype, x, least), most)
@@ -167,7 +178,7 @@ def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("select_n")
 def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(which: Value, *cases: Value) -> Value:
         if len(cases) == 1:
@@ -184,7 +195,7 @@ def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("convert_element_type", "reduce_precision")
 def _convert(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype, b = eqn.outvars[0].aval.dtype, low.b
+    dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     if eqn.primitive.name == "reduce_precision":
         bits = (eqn.params["exponent_bits"], eqn.params["mantissa_bits"])
         if bits != {4: (8, 23), 8: (11, 52)}[dtype.itemsize]:
@@ -193,7 +204,7 @@ def _convert(low: Lowering, eqn: Any, ins: list) -> list:
     x = ins[0]
     if isinstance(x, View) and x.dtype == dtype:
         return [x]
-    if isinstance(x, np.ndarray) and x.dtype != object and dtype.kind == "f":
+    if is_known(x) and dtype.kind == "f":
         return [x.astype(dtype)]
 
     def f(x: Value) -> Value:
@@ -206,7 +217,7 @@ def _convert(low: Lowering, eqn: Any, ins: list) -> list:
 
 @rule("bitcast_convert_type")
 def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
-    dtype = eqn.outvars[0].aval.dtype
+    dtype = dtype_of(eqn.outvars[0].aval)
     if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
         raise Unsupported("bitcast_convert_type to another size")
     f = functools.partial(low.b.op, "bitcast", dtype)
@@ -221,7 +232,7 @@ def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
     x = low.scalars(ins[0])
     out = np.empty(x.shape, object), np.empty(x.shape, object)
     for i in np.ndindex(x.shape):
-        pair = low.closed(closed, [objects(np.asarray(x[i], object))])
+        pair = low.closed(closed, [filled((), x[i])])
         for k in (0, 1):
             out[k][i] = low.scalars(pair[k])[()]
     return list(out)
@@ -230,102 +241,3 @@ def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
 @functools.cache
 def _traced(f: Callable, dtype: np.dtype) -> Any:
     return jax.make_jaxpr(f)(jnp.zeros((), dtype))
-
-
-# ------------------------------------------------------------------- reductions
-
-
-def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Small:
-    """Entries combined along axes by f of two values."""
-    axes = tuple(axes)
-    kept = [k for k in range(x.ndim) if k not in axes]
-    shape = tuple(x.shape[k] for k in kept)
-    count = int(np.prod([x.shape[k] for k in axes], dtype=int))
-    if x.size > LOOP_ABOVE and count:
-        return _looped(low, in_memory(low.b, x, dtype), kept, list(axes), dtype, f)
-    entries = low.scalars(x).transpose(*kept, *axes).reshape(*shape, count)
-    out = np.empty(shape, object)
-    for i in np.ndindex(shape):
-        out[i] = functools.reduce(f, entries[i])
-    return out
-
-
-def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Callable) -> View:
-    b = low.b
-    x = x.transposed([*kept, *axes])
-    shape, rest = x.shape[: len(kept)], x.shape[len(kept) :]
-    out = View.of(b.local(dtype, int(np.prod(shape, dtype=int))), shape)
-
-    def one(*i: Value) -> None:
-        zero = np.int32(0)
-        first = get(b, x, (*i, *(zero for _ in rest)))
-        total, started = b.declare(dtype, first), b.declare(BOOL, np.bool_(False))
-
-        def more(*k: Value) -> None:
-            value = get(b, x, (*i, *k))
-            b.assign(total, b.select(started, f(total, value), value))
-            b.assign(started, np.bool_(True))
-
-        each(b, rest, more)
-        put(b, out, i, total)
-
-    each(b, shape, one)
-    return out
-
-
-REDUCTIONS = {
-    "reduce_sum": ("add", 0), "reduce_prod": ("mul", 1), "reduce_max": ("max", None),
-    "reduce_min": ("min", None), "reduce_and": ("and", None), "reduce_or": ("or", None),
-    "reduce_xor": ("xor", None),
-}  # fmt: skip
-
-
-def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
-    name, neutral = REDUCTIONS[eqn.primitive.name]
-    dtype, x = eqn.outvars[0].aval.dtype, ins[0]
-    if not x.size:
-        if neutral is None:
-            raise Unsupported(f"{eqn.primitive.name} of nothing")
-        return [np.full(_shape(eqn), neutral, dtype)]
-    f = functools.partial(low.b.op, name, dtype)
-    return [reduced(low, x, eqn.params["axes"], dtype, f)]
-
-
-rule(*REDUCTIONS)(_reduce)
-
-
-@rule("argmax", "argmin")
-def _arg(low: Lowering, eqn: Any, ins: list) -> list:
-    (axis,), dtype = eqn.params["axes"], eqn.outvars[0].aval.dtype
-    b, better = low.b, "gt" if eqn.primitive.name == "argmax" else "lt"
-    x = np.moveaxis(low.scalars(ins[0]), axis, -1)
-    out = np.empty(x.shape[:-1], object)
-    for i in np.ndindex(out.shape):
-        best, at = x[i][0], dtype.type(0)
-        for k, value in enumerate(x[i][1:], 1):
-            wins = b.op(better, BOOL, value, best)
-            if best.dtype.kind == "f":  # the first nan is the answer
-                nan = b.op("and", BOOL, b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best))
-                wins = b.op("or", BOOL, wins, nan)
-            best, at = b.select(wins, value, best), b.select(wins, dtype.type(k), at)
-        out[i] = at
-    return [out]
-
-
-CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-
-
-def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
-    name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
-    dtype = eqn.outvars[0].aval.dtype
-    x = np.moveaxis(low.scalars(ins[0]), axis, 0)
-    x = x[::-1] if eqn.params["reverse"] else x
-    out = x.copy()
-    for k in range(1, len(x)):
-        for i in np.ndindex(x.shape[1:]):
-            out[(k, *i)] = low.b.op(name, dtype, out[(k - 1, *i)], x[(k, *i)])
-    out = out[::-1] if eqn.params["reverse"] else out
-    return [np.moveaxis(out, 0, axis)]
-
-
-rule(*CUMULATIVE)(_cumulative)

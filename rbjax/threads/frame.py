@@ -15,11 +15,25 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
-from rbjax.threads import control, elementwise, indexing, linear, structure  # noqa: F401 (rules)
+from rbjax.threads import (  # noqa: F401 (rules)
+    control,
+    effects,
+    elementwise,
+    factorise,
+    gather,
+    indexing,
+    linear,
+    random,
+    reductions,
+    sorting,
+    special,
+    structure,
+)
 from rbjax.threads.arrays import View, row_major
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
 from rbjax.threads.program import I32, I64, Array, Builder, Op, walk
+from rbjax.threads.prune import prune
 
 @dataclass(frozen=True)
 class Layout:
@@ -111,6 +125,7 @@ def write_program(
     ]
     with Lowering(b).held(args):
         Lowering(b).closed(closed, args, places)
+    prune(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)
 

@@ -8,21 +8,21 @@ from typing import Any
 import numpy as np
 
 from rbjax.threads.arrays import Small, View, each, get, in_memory, put
-from rbjax.threads.lowering import Lowering, rule
+from rbjax.threads.lowering import Lowering, dtype_of, rule
 from rbjax.threads.program import Value
 
 #: products of more terms are loops
-UNROLL_UP_TO = 1024
+UNROLL_UP_TO = 512
 
 
 @rule("dot_general")
 def _dot(low: Lowering, eqn: Any, ins: list) -> list:
-    ((ca, cb), (ba, bb)), dtype = eqn.params["dimension_numbers"], eqn.outvars[0].aval.dtype
+    ((ca, cb), (ba, bb)), dtype = eqn.params["dimension_numbers"], dtype_of(eqn.outvars[0].aval)
     fa = [k for k in range(len(ins[0].shape)) if k not in (*ca, *ba)]
     fb = [k for k in range(len(ins[1].shape)) if k not in (*cb, *bb)]
     x = _transposed(ins[0], (*ba, *fa, *ca))
     y = _transposed(ins[1], (*bb, *fb, *cb))
-    nb, na, ny, k = len(ba), len(fa), len(fb), len(ca)
+    nb, na, ny = len(ba), len(fa), len(fb)
     shape = (*x.shape[:nb], *x.shape[nb : nb + na], *y.shape[nb : nb + ny])
     contracted = x.shape[nb + na :]
     if math.prod(shape) * math.prod(contracted) > UNROLL_UP_TO:

@@ -8,11 +8,14 @@ needed, so a trajectory goes straight to the kernel's result.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
@@ -25,6 +28,10 @@ RULES: dict[str, Rule] = {}
 WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
 
 
+#: a key of threefry: its first number is the low half
+KEY = np.dtype(np.uint64)
+
+
 class Unsupported(Exception):
     """A primitive or a type that threads do not know."""
 
@@ -33,11 +40,16 @@ class Unsupported(Exception):
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
 
 
-def rule(*names: str) -> Callable[[Rule], Rule]:
+#: arguments that the rule of a primitive does not read, and gets as None
+UNREAD: dict[str, tuple[int, ...]] = {}
+
+
+def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
     """Register how primitives of these names become statements."""
 
     def register(f: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, f))
+        UNREAD.update(dict.fromkeys(names, unread) if unread else {})
         return f
 
     return register
@@ -53,11 +65,25 @@ def writer(*names: str) -> Callable:
     return register
 
 
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What of a jaxpr its results are made of.
+
+    last: for each variable that is read, the last equation that reads it. equations: their
+    numbers, themselves and what they read.
+    """
+
+    jaxpr: Jaxpr
+    last: dict[Any, int]
+    equations: list[tuple[int, Any, list]]
+
+
 class Lowering:
     """Writes the program of a jaxpr with a `Builder`."""
 
     def __init__(self, builder: Builder):
         self.b = builder
+        self.needs: dict[int, Needs] = {}
 
     def closed(
         self, closed: ClosedJaxpr, args: Sequence[Small], places: Sequence[View | None] = ()
@@ -72,7 +98,8 @@ class Lowering:
         places: Sequence[View | None] = (),
     ) -> list[Small]:
         """The results of a jaxpr; those with a place are written there."""
-        last = _last_uses(jaxpr)
+        needs = self.needed(jaxpr)
+        last = needs.last
         env: dict[Any, Small] = {}
 
         def bind(var: Any, value: Small) -> None:
@@ -89,10 +116,11 @@ class Lowering:
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
         wanted = _places(jaxpr, places)
-        for n, eqn in enumerate(jaxpr.eqns):
-            ins = [read(atom) for atom in eqn.invars]
-            for var in {v for v in eqn.invars if not isinstance(v, Literal) and last[v] == n}:
-                _own(env.pop(var), -1)
+        for n, eqn, atoms in needs.equations:
+            ins = [None if atom is None else read(atom) for atom in atoms]
+            for atom in atoms:
+                if not isinstance(atom, Literal) and last.get(atom) == n and atom in env:
+                    _own(env.pop(atom), -1)
             outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
             for var, out in zip(eqn.outvars, outs, strict=True):
                 bind(var, out)
@@ -108,20 +136,50 @@ class Lowering:
     def _equation(self, eqn: Any, ins: list[Small], places: list[View | None]) -> list[Small]:
         name = eqn.primitive.name
         for var in eqn.outvars:
-            dtype = getattr(var.aval, "dtype", None)
+            dtype = dtype_of(var.aval)
             if dtype is not None and dtype not in DTYPES:
                 raise Unsupported(f"{name} of type {dtype}")
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)
         if name in RULES:
             return [
-                tidy(out, var.aval.dtype) if isinstance(out, np.ndarray) else out
+                tidy(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
                 for out, var in zip(RULES[name](self, eqn, ins), eqn.outvars, strict=True)
             ]
         inner = called(eqn)
         if inner is None:
             raise Unsupported(name)
         return self.closed(inner, ins, places)
+
+    def needed(self, jaxpr: Jaxpr) -> Needs:
+        """What of a jaxpr its results are made of."""
+        known = self.needs.get(id(jaxpr))
+        if known is None or known.jaxpr is not jaxpr:
+            known = self.needs[id(jaxpr)] = self._needed(jaxpr)
+        return known
+
+    def _needed(self, jaxpr: Jaxpr) -> Needs:
+        end = len(jaxpr.eqns)
+        last: dict[Any, int] = {v: end for v in jaxpr.outvars if not isinstance(v, Literal)}
+        equations = []
+        for n, eqn in reversed(list(enumerate(jaxpr.eqns))):
+            if not eqn.effects and not any(v in last for v in eqn.outvars):
+                continue
+            atoms: list[Any] = list(eqn.invars)
+            for k in self._unread(eqn):
+                atoms[k] = None
+            for atom in atoms:
+                if atom is not None and not isinstance(atom, Literal):
+                    last.setdefault(atom, n)
+            equations.append((n, eqn, atoms))
+        return Needs(jaxpr, last, equations[::-1])
+
+    def _unread(self, eqn: Any) -> Sequence[int]:
+        inner = called(eqn)
+        if inner is None or eqn.primitive.name in RULES:
+            return UNREAD.get(eqn.primitive.name, ())
+        last = self.needed(inner.jaxpr).last
+        return [k for k, v in enumerate(inner.jaxpr.invars) if v not in last]
 
     @contextmanager
     def held(self, values: Sequence[Small]) -> Iterator[None]:
@@ -142,21 +200,42 @@ class Lowering:
         return self.closed(jax.make_jaxpr(f)(*avals), args)
 
 
+def dtype_of(aval: Any) -> Any:
+    """The type of an array's entries; a random key is one number of 64 bits."""
+    dtype: Any = getattr(aval, "dtype", None)
+    return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
+
+
+@functools.lru_cache(256)
+def is_key(dtype: Any) -> bool:
+    """Whether it is a type of random keys."""
+    return jnp.issubdtype(dtype, jax.dtypes.prng_key)
+
+
 def known(x: Any, aval: Any) -> np.ndarray:
     """A constant as numpy, of the type that the jaxpr gives it."""
+    if is_key(getattr(x, "dtype", None)):
+        return np.asarray(jax.random.key_data(x)).view(KEY)[..., 0]
     return np.asarray(x, aval.dtype)
+
+
+#: primitives that call a jaxpr once
+CALLS = {
+    "jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
+    "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call",
+}  # fmt: skip
 
 
 def called(eqn: Any) -> ClosedJaxpr | None:
     """The jaxpr that an equation calls: of `jit`, of custom derivatives, of a checkpoint."""
+    if eqn.primitive.name not in CALLS:
+        return None
     for name in ("jaxpr", "call_jaxpr", "call", "fun_jaxpr"):
         inner = eqn.params.get(name)
         if isinstance(inner, ClosedJaxpr):
             return inner
         if isinstance(inner, Jaxpr):
             return ClosedJaxpr(inner, ())
-    if eqn.primitive.name == "custom_linear_solve":
-        return None
     return None
 
 
@@ -169,16 +248,6 @@ def _own(value: Small, change: int) -> None:
         value.array.owners += change
 
 
-def _last_uses(jaxpr: Jaxpr) -> dict[Any, int]:
-    """For each variable that is used, the last equation that uses it."""
-    last: dict[Any, int] = {}
-    for n, eqn in enumerate(jaxpr.eqns):
-        last.update((v, n) for v in eqn.invars if not isinstance(v, Literal))
-    end = len(jaxpr.eqns)
-    last.update((v, end) for v in jaxpr.outvars if not isinstance(v, Literal))
-    return last
-
-
 def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
     """Where results shall be, handed back through equations that only move entries."""
     wanted: dict[Any, View] = {}
@@ -187,6 +256,9 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
     def want(var: Any, place: View | None) -> None:
         if place is not None and not isinstance(var, Literal) and var not in inputs:
             wanted.setdefault(var, place)
+
+    def same_entries(var: Any, place: View) -> None:
+        want(var, place.reshaped(var.aval.shape))
 
     for var, place in zip(jaxpr.outvars, places, strict=False):
         want(var, place)
@@ -198,16 +270,20 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
             continue
         match eqn.primitive.name:
             case "reshape" | "squeeze" | "expand_dims":
-                want(eqn.invars[0], place.reshaped(eqn.invars[0].aval.shape))
-            case "broadcast_in_dim" if eqn.invars[0].aval.size == eqn.outvars[0].aval.size:
-                if not isinstance(eqn.invars[0], Literal):
-                    want(eqn.invars[0], place.reshaped(eqn.invars[0].aval.shape))
+                same_entries(eqn.invars[0], place)
+            case "broadcast_in_dim" if _size(eqn.invars[0]) == _size(eqn.outvars[0]):
+                same_entries(eqn.invars[0], place)
             case "concatenate":
                 start, axis = 0, eqn.params["dimension"]
-                for var in eqn.invars:
+                atoms: list[Any] = eqn.invars
+                for var in atoms:
                     stop = start + var.aval.shape[axis]
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(start, stop, 1)
                     want(var, place.sliced(box))
                     start = stop
     return wanted
+
+
+def _size(atom: Any) -> int:
+    return atom.aval.size

@@ -8,12 +8,14 @@ computes equal expressions once.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
+from rbjax.threads.folding import folded, is_number, keys_of, simpler
 
 BOOL, I32, I64 = np.dtype(bool), np.dtype(np.int32), np.dtype(np.int64)
 
@@ -156,25 +158,6 @@ def walk(block: Block) -> Iterator[Any]:
                 yield from walk(otherwise)
 
 
-def _shift(f):
-    return lambda a, b: f(a, b) if 0 <= int(b) < a.dtype.itemsize * 8 else a.dtype.type(0)
-
-
-FOLD = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative,
-    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
-    "eq": np.equal, "ne": np.not_equal,
-    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert,
-    "shl": _shift(np.left_shift), "sqrt": np.sqrt, "exp": np.exp, "log": np.log, "sin": np.sin,
-    "cos": np.cos, "tan": np.tan, "tanh": np.tanh, "floor": np.floor, "ceil": np.ceil,
-    "rint": np.rint, "abs": np.abs, "max": np.maximum, "min": np.minimum, "pow": np.power,
-    "atan2": np.arctan2, "isfinite": np.isfinite,
-}  # fmt: skip
-"""How numpy computes an operation of known values; what is missing is left to the program."""
-
-COMMUTATIVE = {"add", "mul", "and", "or", "xor", "eq", "ne"}
-
-
 class Builder:
     """Writes statements; equal expressions within reach of each other become one variable."""
 
@@ -185,7 +168,7 @@ class Builder:
         self._tables: dict[tuple, Array] = {}
         self._known: dict[tuple, Value] = {}
         self._scopes: list[list[tuple]] = [[]]
-        self._negated: dict[int, Value] = {}
+        self.negated: dict[int, Value] = {}
         self._entered = 0  # blocks entered and left: a loop's second turn finds other memory
 
     # ---------------------------------------------------------------- scalars
@@ -196,21 +179,23 @@ class Builder:
     def op(self, name: str, dtype: Any, *args: Value) -> Value:
         """name(args), of the given type."""
         dtype = np.dtype(dtype)
-        if not any(isinstance(a, Var) for a in args):
-            folded = _fold(name, dtype, args)
-            if folded is not None:
-                return folded
-        simple = self._simpler(name, args)
-        if simple is not None:
-            return simple
-        key = (name, dtype.char, *_keys(name, args))
+        known = [a for a in args if not isinstance(a, Var)]
+        if len(known) == len(args):
+            known_result = folded(name, dtype, args)
+            if known_result is not None:
+                return known_result
+        if known or name in ("neg", "select"):
+            simple = simpler(self, name, args)
+            if simple is not None:
+                return simple
+        key = (name, dtype.char, *keys_of(name, args))
         dest = self._known.get(key)
         if dest is None:
             dest = self.var(dtype)
             self.block.statements.append(Op(dest, name, args))
             self._remember(key, dest)
             if name == "neg":
-                self._negated[dest.id] = args[0]
+                self.negated[dest.id] = args[0]
         return dest
 
     def cast(self, x: Value, dtype: Any) -> Value:
@@ -220,43 +205,6 @@ class Builder:
     def select(self, condition: Value, yes: Value, no: Value) -> Value:
         """yes where the condition holds, else no."""
         return self.op("select", yes.dtype, condition, yes, no)
-
-    def _simpler(self, name: str, args: tuple) -> Value | None:
-        """What the operation is equal to, where a known argument or a double negation says so."""
-        match name, args:
-            case ("select", (c, a, b)) if not isinstance(c, Var):
-                return a if c else b
-            case ("select", (_, a, b)) if a is b:
-                return a
-            case ("neg", (a,)) if isinstance(a, Var) and a.id in self._negated:
-                return self._negated[a.id]
-            case ("add", (a, b)) if _is(b, 0):
-                return a
-            case ("add", (a, b)) if _is(a, 0):
-                return b
-            case ("sub", (a, b)) if _is(b, 0):
-                return a
-            case ("sub", (a, b)) if _is(a, 0):
-                return self.op("neg", b.dtype, b)
-            case ("mul" | "div", (a, b)) if _is(b, 1):
-                return a
-            case ("mul", (a, b)) if _is(a, 1):
-                return b
-            case ("mul", (a, b)) if _is(b, -1):
-                return self.op("neg", a.dtype, a)
-            case ("mul", (a, b)) if _is(a, -1):
-                return self.op("neg", b.dtype, b)
-            case ("mul", (a, b)) if a.dtype.kind in "iu" and (_is(a, 0) or _is(b, 0)):
-                return a.dtype.type(0)
-            case ("and", (a, b)) if a.dtype == BOOL and not isinstance(a, Var):
-                return b if a else a
-            case ("and", (a, b)) if b.dtype == BOOL and not isinstance(b, Var):
-                return a if b else b
-            case ("or", (a, b)) if a.dtype == BOOL and not isinstance(a, Var):
-                return a if a else b
-            case ("or", (a, b)) if b.dtype == BOOL and not isinstance(b, Var):
-                return b if b else a
-        return None
 
     def declare(self, dtype: Any, value: Value | None = None) -> Var:
         """A variable that is assigned to later."""
@@ -340,6 +288,14 @@ class Builder:
         with self.inside(body):
             yield counter
 
+    @contextmanager
+    def when(self, condition: Value) -> Iterator[None]:
+        """Statements that run where a condition holds."""
+        then = Block()
+        self.block.statements.append(If(condition, then, Block()))
+        with self.inside(then):
+            yield
+
     def _remember(self, key: tuple, value: Value) -> None:
         self._known[key] = value
         self._scopes[-1].append(key)
@@ -349,30 +305,10 @@ class Builder:
         total: Value = array.index.type(0)
         for value, stride in terms:
             step = self.op(
-                "mul", array.index, self.cast(value, array.index), array.index.type(stride)
+                "index_mul", array.index, self.cast(value, array.index), array.index.type(stride)
             )
-            total = self.op("add", array.index, total, step)
-        return None if _is(total, 0) else total
-
-
-def _fold(name: str, dtype: np.dtype, args: tuple) -> Value | None:
-    with np.errstate(all="ignore"):
-        if name == "cast":
-            return dtype.type(args[0]) if args[0].dtype.kind in "biu" or dtype.kind == "f" else None
-        if name == "div" and dtype.kind == "f":
-            return dtype.type(np.divide(*args))
-        if name in FOLD:
-            return dtype.type(FOLD[name](*args))
-    return None
-
-
-def _is(x: Value, number: int) -> bool:
-    return not isinstance(x, Var) and x.dtype != BOOL and x == number
-
-
-def _keys(name: str, args: Sequence[Value]) -> list:
-    keys: list = [a.id if isinstance(a, Var) else (a.dtype.char, a.tobytes()) for a in args]
-    return sorted(keys, key=str) if name in COMMUTATIVE else keys
+            total = self.op("index_add", array.index, total, step)
+        return None if is_number(total, 0) else total
 
 
 def _at(base: Value | None, offset: int) -> tuple[Var | None, int]:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import numpy as np
 
 from rbjax.threads.arrays import Small, View, filled, owned_copy, tidy, write
 from rbjax.threads.elementwise import LOOP_ABOVE
-from rbjax.threads.lowering import Lowering, Unsupported, rule, writer
+from rbjax.threads.lowering import Lowering, rule, writer
 
 
 @rule("materialize", "batch_first", "copy", "copy_p", "stop_gradient", "optimization_barrier",
-      "device_put", "sharding_constraint", "name", "pvary", "nonbatchable", "unvmap_any",
-      "unvmap_all", "noinline_identity")  # fmt: skip
+      "device_put", "sharding_constraint", "name", "pvary", "nonbatchable",
+      "nondifferentiable_backward", "nontraceable")  # fmt: skip
 def _identity(low: Lowering, eqn: Any, ins: list) -> list:
     return list(ins)
 
@@ -23,9 +22,7 @@ def _identity(low: Lowering, eqn: Any, ins: list) -> list:
 def _slice(low: Lowering, eqn: Any, ins: list) -> list:
     P = eqn.params
     steps = P["strides"] or [1] * len(P["start_indices"])
-    box = tuple(
-        slice(a, z, k) for a, z, k in zip(P["start_indices"], P["limit_indices"], steps, strict=True)
-    )
+    box = tuple(map(slice, P["start_indices"], P["limit_indices"], steps))
     return [ins[0].sliced(box) if isinstance(ins[0], View) else ins[0][box]]
 
 
@@ -82,6 +79,11 @@ def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         write(low.b, place.sliced(box), x)
         start += x.shape[axis]
     return [place]
+
+
+@rule("tile")
+def _tile(low: Lowering, eqn: Any, ins: list) -> list:
+    return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
 
 
 @rule("stack")
@@ -145,8 +147,3 @@ def _constant(low: Lowering, eqn: Any, ins: list) -> list:
     return [np.broadcast_to(row.reshape(shape), aval.shape)]
 
 
-@rule("pure_callback", "debug_callback")
-def _callback(low: Lowering, eqn: Any, ins: list) -> list:
-    if eqn.outvars and not all(isinstance(v, jax.core.DropVar) for v in eqn.outvars):
-        raise Unsupported(eqn.primitive.name)
-    return []

@@ -6,7 +6,7 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,26 +14,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.threads.frame import batch_first, host_source, write_program
+from rbjax.threads.c_source import PREAMBLE
+from rbjax.threads.frame import HOST_HEAD, Written, batch_first, host_source, write_program
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
+FLAGS = ("-O1", "-ffp-contract=off")
+Case = tuple[Callable, tuple]  # a function of one sample, and its arguments, batch first
 
 
-def compiled(source: str, flags: tuple[str, ...] = ("-O1", "-ffp-contract=off")) -> Any:
-    """The function `run` of a C++ source."""
+def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
+    """The functions of a C++ source."""
     folder = Path(tempfile.mkdtemp())
     (folder / "f.cpp").write_text(source)
-    command = [COMPILER, "-std=c++17", *flags, "-w", "-shared", "-fPIC", "-o"]
-    subprocess.run([*command, folder / "f.so", folder / "f.cpp"], check=True)
-    run = ctypes.CDLL(str(folder / "f.so")).run
+    command = [str(COMPILER), "-std=c++17", *flags, "-w", "-shared", "-fPIC", "-o"]
+    subprocess.run([*command, str(folder / "f.so"), str(folder / "f.cpp")], check=True)
+    out = ctypes.CDLL(str(folder / "f.so"))
     shutil.rmtree(folder)
-    return run
+    return out
 
 
-def on_host(f: Callable, *args: Any) -> Any:
-    """f of each sample of a batch, batch first, by the emitted C."""
+def compiled(source: str, flags: Sequence[str] = FLAGS) -> Any:
+    """The function `run` of a C++ source."""
+    return library(source, flags).run
+
+
+def written(f: Callable, *args: Any) -> tuple[Written, Any, list]:
+    """The program of f, the tree of its results, and their shapes and types."""
     leaves, tree = jax.tree.flatten(args)
-    leaves = [np.ascontiguousarray(x) for x in leaves]
+    leaves = [np.asarray(x) for x in leaves]
     size = leaves[0].shape[0]
     one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in leaves]
     shape: list = []
@@ -46,11 +54,39 @@ def on_host(f: Callable, *args: Any) -> Any:
     closed = jax.make_jaxpr(flat)(*one)
     ins = [batch_first(x.shape, (size,)) for x in one]
     outs = [batch_first(v.aval.shape, (size,)) for v in closed.jaxpr.outvars]
-    program = write_program(closed, (size,), ins, outs)
-    run = compiled(host_source(program))
-    # poisoned, so that an entry that is not written shows
-    results = [
-        np.full((size, *v.aval.shape), 77, v.aval.dtype) for v in closed.jaxpr.outvars
-    ]
-    run(*(ctypes.c_void_p(x.ctypes.data) for x in (*leaves, *results)))
-    return jax.tree.unflatten(shape[0], results)
+    return write_program(closed, (size,), ins, outs), shape[0], closed.out_avals
+
+
+def many_on_host(cases: Sequence[Case], flags: Sequence[str] = FLAGS) -> list:
+    """Each function's results for its batch, by the emitted C of all in one translation unit."""
+    programs = [written(f, *args) for f, args in cases]
+    head = f"{HOST_HEAD}\n{PREAMBLE}"
+    texts = [head]
+    for k, (program, _, _) in enumerate(programs):
+        body = host_source(program, f"run{k}").removeprefix(head)
+        texts.append(f"namespace n{k} {{ {body} }}")
+    found = library("\n".join(texts), flags)
+    out = []
+    for k, ((program, tree, avals), (_, args)) in enumerate(zip(programs, cases, strict=True)):
+        leaves = [np.ascontiguousarray(x) for x in jax.tree.leaves(args)]
+        # poisoned, so that an entry that is not written shows
+        results = [np.full((*program.batch, *a.shape), 77, a.dtype) for a in avals]
+        run = getattr(found, f"run{k}")
+        run(*(ctypes.c_void_p(x.ctypes.data) for x in (*leaves, *results)))
+        out.append(jax.tree.unflatten(tree, results))
+    return out
+
+
+def by_xla(cases: Sequence[Case]) -> list:
+    """The same by XLA, in one program that is compiled with little effort."""
+    fs = [jax.vmap(f) for f, _ in cases]
+    every = jax.jit(
+        lambda *args: [f(*xs) for f, xs in zip(fs, args, strict=True)],
+        compiler_options={"xla_backend_optimization_level": 0},
+    )
+    return jax.tree.map(np.asarray, every(*(args for _, args in cases)))
+
+
+def on_host(f: Callable, *args: Any) -> Any:
+    """f of each sample of a batch, batch first, by the emitted C."""
+    return many_on_host([(f, args)])[0]

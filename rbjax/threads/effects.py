@@ -1,0 +1,55 @@
+"""Rules of the primitives of Equinox and lineax, as of one sample, and of calls into Python.
+
+Equinox asks whether a loop's predicate is of a batch. On a thread there is none, so that what it
+would select is known, and what it combines over the batch is the value itself.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr
+
+from rbjax.threads.lowering import Lowering, Unsupported, rule
+from rbjax.threads.reductions import reduced
+
+
+@rule("select_if_vmap", unread=(0, 2))
+def _select_if_vmap(low: Lowering, eqn: Any, ins: list) -> list:
+    return [ins[1]]  # the predicate of a loop that is not of a batch holds while it runs
+
+
+@rule("maybe_set", "linear_solve")
+def _implemented(low: Lowering, eqn: Any, ins: list) -> list:
+    f = functools.partial(eqn.primitive.impl, **eqn.params)  # which JAX traces
+    return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
+
+
+UNVMAP = {"unvmap_any": "or", "unvmap_all": "and", "unvmap_max": "max"}
+
+
+def _unvmap(low: Lowering, eqn: Any, ins: list) -> list:
+    dtype, name = eqn.outvars[0].aval.dtype, UNVMAP[eqn.primitive.name]
+    x = ins[0]
+    if not x.size:
+        return [np.asarray(name == "and", dtype)]
+    return [reduced(low, x, tuple(range(x.ndim)), dtype, functools.partial(low.b.op, name, dtype))]
+
+
+rule(*UNVMAP)(_unvmap)
+
+
+@rule("pure_callback", "io_callback", "debug_callback", "debug_print")
+def _callback(low: Lowering, eqn: Any, ins: list) -> list:
+    raise Unsupported(f"{eqn.primitive.name}, a call back into Python")
+
+
+def only_reports(branch: ClosedJaxpr) -> bool:
+    """Whether a branch raises an error of `equinox.error_if`, so that no run goes on from it."""
+    return any(
+        eqn.primitive.name == "pure_callback"
+        and getattr(eqn.params["callback"].callback_func, "__module__", "") == "equinox._errors"
+        for eqn in branch.jaxpr.eqns
+    )

@@ -1,0 +1,227 @@
+"""Rules of dense factorisations and of triangular systems.
+
+Each is a JAX function that works column by column, which is traced and lowered: a small matrix by
+known columns, entry by entry; a larger one by a loop over its columns.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from rbjax.threads.lowering import Lowering, Unsupported, rule
+
+#: matrices of more columns are factorised by a loop
+UNROLL_UP_TO = 8
+
+
+def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
+    """step(k, *state) for each column; k is known where there are few."""
+    if n <= UNROLL_UP_TO:
+        for k in reversed(range(n)) if reverse else range(n):
+            state = step(k, *state)
+        return state
+    turn = lambda k, x: step(n - 1 - k if reverse else k, *x)  # noqa: E731
+    return lax.fori_loop(0, n, turn, state)
+
+
+def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
+    """a[k], where k is at least `first`; by selections where k is not known of few."""
+    if isinstance(k, int) or len(a) > UNROLL_UP_TO:
+        return a[k]
+    out = a[-1]
+    for i in reversed(range(first, len(a) - 1)):
+        out = jnp.where(k == i, a[i], out)
+    return out
+
+
+def cholesky(a: jax.Array) -> jax.Array:
+    """L of A = L L^T, from the lower triangle; nan where A is not positive definite."""
+    n = len(a)
+    rows = np.arange(n)
+
+    def step(k: Any, a: jax.Array, bad: jax.Array) -> tuple:
+        pivot = a[k, k]
+        bad = bad | ~(pivot > 0)
+        root = jnp.sqrt(pivot)
+        column = jnp.where(rows == k, root, jnp.where(rows > k, a[:, k] / root, 0))
+        below = (rows[:, None] > k) & (rows > k) & (rows[:, None] >= rows)
+        a = jnp.where(below, a - column[:, None] * column, a)
+        return jnp.where(rows == k, column[:, None], a), bad
+
+    a, bad = _columns(n, step, a, jnp.asarray(False))
+    lower = rows[:, None] >= rows
+    return jnp.where(lower, jnp.where(bad, jnp.nan, a), 0)
+
+
+def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """L and U in one matrix, the row exchanged at each column, and the permutation."""
+    m, n = a.shape
+    rows, columns, count = np.arange(m), np.arange(n), min(m, n)
+
+    def step(k: Any, a: jax.Array, pivots: jax.Array, order: jax.Array) -> tuple:
+        size = jnp.where(rows < k, -1, jnp.abs(a[:, k]))
+        size = jnp.where(jnp.isnan(size), jnp.inf, size)
+        p = jnp.argmax(size[k:] if isinstance(k, int) else size).astype(jnp.int32)
+        p = p + k if isinstance(k, int) else p
+        first = k if isinstance(k, int) else 0
+
+        def exchange(x: jax.Array) -> jax.Array:
+            here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
+            there = (rows == k).reshape(here.shape)
+            return jnp.where(there, _row(x, p, first), jnp.where(here, x[k], x))
+
+        a, order = exchange(a), exchange(order)
+        pivots = jnp.where(np.arange(count) == k, p, pivots)
+        below = rows > k
+        pivot = a[k, k]
+        factor = jnp.where(pivot == 0, a[:, k], a[:, k] / pivot)
+        right = below[:, None] & (columns > k)
+        a = jnp.where(right, a - factor[:, None] * a[k], a)
+        return jnp.where(below[:, None] & (columns == k), factor[:, None], a), pivots, order
+
+    start = a, jnp.zeros(count, jnp.int32), jnp.arange(m, dtype=jnp.int32)
+    return _columns(count, step, *start)
+
+
+def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
+    """The order of rows that exchanges one after the other lead to."""
+    rows = np.arange(size)
+
+    def step(k: Any, order: jax.Array) -> tuple:
+        p = pivots[k]
+        return (jnp.where(rows == k, _row(order, p), jnp.where(rows == p, order[k], order)),)
+
+    return _columns(len(pivots), step, jnp.arange(size, dtype=jnp.int32))[0]
+
+
+def triangular_solve(
+    a: jax.Array, b: jax.Array, *, left_side: bool, lower: bool, transpose_a: bool,
+    unit_diagonal: bool,
+) -> jax.Array:  # fmt: skip
+    """x of a x = b, or of x a = b; a may be transposed."""
+    if not left_side:
+        a, b = a.T, b.T
+        lower = not lower
+    if transpose_a:
+        a = a.T
+        lower = not lower
+    n = len(a)
+    rows = np.arange(n)
+
+    def step(k: Any, b: jax.Array) -> tuple:
+        x = b[k] if unit_diagonal else b[k] / a[k, k]
+        later = rows > k if lower else rows < k
+        b = jnp.where(later[:, None], b - a[:, k][:, None] * x, b)
+        return (jnp.where((rows == k)[:, None], x, b),)
+
+    (x,) = _columns(n, step, b, reverse=not lower)
+    return x if left_side else x.T
+
+
+def geqrf(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Householder's reflections below the diagonal, R above it, and the reflections' factors."""
+    m, n = a.shape
+    rows, columns, count = np.arange(m), np.arange(n), min(m, n)
+
+    def step(k: Any, a: jax.Array, taus: jax.Array) -> tuple:
+        below, alpha = rows > k, a[k, k]
+        rest = jnp.where(below, a[:, k] ** 2, 0).sum()
+        length = jnp.sqrt(alpha**2 + rest)
+        beta = jnp.where(alpha >= 0, -length, length)
+        flat = rest == 0
+        tau = jnp.where(flat, 0, (beta - alpha) / jnp.where(flat, 1, beta))
+        scale = jnp.where(flat, 1, alpha - beta)
+        v = jnp.where(rows == k, 1, jnp.where(below, a[:, k] / scale, 0))
+        right = (rows >= k)[:, None] & (columns > k)
+        a = jnp.where(right, a - tau * v[:, None] * (v @ a), a)
+        mine = columns == k
+        a = jnp.where(below[:, None] & mine, v[:, None], a)
+        a = jnp.where((rows == k)[:, None] & mine, jnp.where(flat, alpha, beta), a)
+        return a, jnp.where(np.arange(count) == k, tau, taus)
+
+    return _columns(count, step, a, jnp.zeros(count, a.dtype))
+
+
+def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
+    """The first columns of the product of reflections."""
+    rows = np.arange(a.shape[0])
+
+    def step(k: Any, q: jax.Array) -> tuple:
+        v = jnp.where(rows == k, 1, jnp.where(rows > k, a[:, k], 0))
+        return (q - taus[k] * v[:, None] * (v @ q),)
+
+    start = jnp.eye(a.shape[0], a.shape[1], dtype=a.dtype)
+    return _columns(len(taus), step, start, reverse=True)[0]
+
+
+def qr(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array]:
+    """Q and R."""
+    m, n = a.shape
+    r, taus = geqrf(a)
+    k = m if full_matrices else min(m, n)
+    wide = jnp.concatenate([r, jnp.zeros((m, max(k - n, 0)), a.dtype)], 1)[:, :k]
+    return householder_product(wide, taus), jnp.triu(r[:k])
+
+
+def _of(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
+    """The results of f, mapped over the axes before the last ones."""
+    for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
+        f = jax.vmap(f)
+    return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
+
+
+@rule("cholesky")
+def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
+    return _of(low, eqn, ins, cholesky, (2,))
+
+
+@rule("lu")
+def _lu(low: Lowering, eqn: Any, ins: list) -> list:
+    return _of(low, eqn, ins, lu, (2,))
+
+
+@rule("lu_pivots_to_permutation")
+def _permutation(low: Lowering, eqn: Any, ins: list) -> list:
+    f = functools.partial(permutation, size=eqn.params["permutation_size"])
+    return _of(low, eqn, ins, f, (1,))
+
+
+@rule("triangular_solve")
+def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
+    names = "left_side", "lower", "transpose_a", "unit_diagonal"
+    f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
+    return _of(low, eqn, ins, f, (2,))
+
+
+@rule("geqrf")
+def _geqrf(low: Lowering, eqn: Any, ins: list) -> list:
+    return _of(low, eqn, ins, geqrf, (2,))
+
+
+@rule("householder_product")
+def _householder_product(low: Lowering, eqn: Any, ins: list) -> list:
+    return _of(low, eqn, ins, householder_product, (2,))
+
+
+@rule("qr")
+def _qr(low: Lowering, eqn: Any, ins: list) -> list:
+    if eqn.params.get("pivoting"):
+        raise Unsupported("qr with pivoting")
+    f = functools.partial(qr, full_matrices=eqn.params["full_matrices"])
+    return _of(low, eqn, ins, f, (2,))
+
+
+@rule("custom_linear_solve")
+def _custom_linear_solve(low: Lowering, eqn: Any, ins: list) -> list:
+    counts, jaxprs = eqn.params["const_lengths"], eqn.params["jaxprs"]
+    sizes = [counts.matvec, counts.vecmat, counts.solve, counts.transpose_solve]
+    start = sum(sizes[:2])
+    solve = ins[start : start + counts.solve]
+    return low.closed(jaxprs.solve, [*solve, *ins[sum(sizes) :]])

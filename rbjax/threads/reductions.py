@@ -1,0 +1,139 @@
+"""Rules of reductions and of running sums."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rbjax.threads.arrays import Small, View, each, filled, get, in_memory, put
+from rbjax.threads.elementwise import LOOP_ABOVE
+from rbjax.threads.lowering import Lowering, dtype_of, rule
+from rbjax.threads.program import BOOL, Value
+
+
+def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Small:
+    """Entries combined along axes by f of two values."""
+    axes = tuple(axes)
+    kept = [k for k in range(x.ndim) if k not in axes]
+    shape = tuple(x.shape[k] for k in kept)
+    count = int(np.prod([x.shape[k] for k in axes], dtype=int))
+    if x.size > LOOP_ABOVE and count:
+        return _looped(low, in_memory(low.b, x, dtype), kept, list(axes), dtype, f)
+    entries = low.scalars(x).transpose(*kept, *axes).reshape(*shape, count)
+    out = np.empty(shape, object)
+    for i in np.ndindex(shape):
+        out[i] = functools.reduce(f, entries[i])
+    return out
+
+
+@rule("reduce")
+def _reduce_by_function(low: Lowering, eqn: Any, ins: list) -> list:
+    body, axes = eqn.params["jaxpr"], eqn.params["dimensions"]
+    n, shape = len(ins) // 2, eqn.outvars[0].aval.shape
+    kept = [k for k in range(ins[0].ndim) if k not in axes]
+    rows = [low.scalars(x).transpose(*kept, *axes).reshape(*shape, -1) for x in ins[:n]]
+    outs = [np.empty(shape, object) for _ in range(n)]
+    for i in np.ndindex(shape):
+        totals = list(ins[n:])
+        for k in range(rows[0].shape[-1]):
+            totals = low.closed(body, [*totals, *(filled((), row[(*i, k)]) for row in rows)])
+        for out, total in zip(outs, totals, strict=True):
+            out[i] = low.scalars(total)[()]
+    return list(outs)
+
+
+def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Callable) -> View:
+    b = low.b
+    x = x.transposed([*kept, *axes])
+    shape, rest = x.shape[: len(kept)], x.shape[len(kept) :]
+    out = View.of(b.local(dtype, int(np.prod(shape, dtype=int))), shape)
+
+    def one(*i: Value) -> None:
+        zero = np.int32(0)
+        first = get(b, x, (*i, *(zero for _ in rest)))
+        total, started = b.declare(dtype, first), b.declare(BOOL, np.bool_(False))
+
+        def more(*k: Value) -> None:
+            value = get(b, x, (*i, *k))
+            b.assign(total, b.select(started, f(total, value), value))
+            b.assign(started, np.bool_(True))
+
+        each(b, rest, more)
+        put(b, out, i, total)
+
+    each(b, shape, one)
+    return out
+
+
+REDUCTIONS = {
+    "reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min",
+    "reduce_and": "and", "reduce_or": "or", "reduce_xor": "xor",
+}  # fmt: skip
+
+
+def _neutral(name: str, dtype: np.dtype) -> Any:
+    """What a reduction of nothing is."""
+    if name in ("add", "or", "xor"):
+        return 0
+    if name == "and":
+        return np.invert(dtype.type(0))
+    if name == "mul":
+        return 1
+    sign = -1 if name == "max" else 1
+    if dtype.kind == "f":
+        return sign * np.inf
+    if dtype == BOOL:
+        return name == "min"
+    return np.iinfo(dtype).min if name == "max" else np.iinfo(dtype).max
+
+
+def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
+    name = REDUCTIONS[eqn.primitive.name]
+    dtype, x = dtype_of(eqn.outvars[0].aval), ins[0]
+    if not x.size:
+        return [np.full(eqn.outvars[0].aval.shape, _neutral(name, dtype), dtype)]
+    f = functools.partial(low.b.op, name, dtype)
+    return [reduced(low, x, eqn.params["axes"], dtype, f)]
+
+
+rule(*REDUCTIONS)(_reduce)
+
+
+@rule("argmax", "argmin")
+def _arg(low: Lowering, eqn: Any, ins: list) -> list:
+    (axis,), dtype = eqn.params["axes"], dtype_of(eqn.outvars[0].aval)
+    b, better = low.b, "gt" if eqn.primitive.name == "argmax" else "lt"
+    x = np.moveaxis(low.scalars(ins[0]), axis, -1)
+    out = np.empty(x.shape[:-1], object)
+    for i in np.ndindex(out.shape):
+        best, at = x[i][0], dtype.type(0)
+        for k, value in enumerate(x[i][1:], 1):
+            wins = b.op(better, BOOL, value, best)
+            if best.dtype.kind == "f":  # the first nan is the answer
+                is_nan, was_not = b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best)
+                wins = b.op("or", BOOL, wins, b.op("and", BOOL, is_nan, was_not))
+            best, at = b.select(wins, value, best), b.select(wins, dtype.type(k), at)
+        out[i] = at
+    return [out]
+
+
+CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+
+
+def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
+    name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
+    dtype = dtype_of(eqn.outvars[0].aval)
+    x = np.moveaxis(low.scalars(ins[0]), axis, 0)
+    x = x[::-1] if eqn.params["reverse"] else x
+    out = x.copy()
+    for k in range(1, len(x)):
+        for i in np.ndindex(x.shape[1:]):
+            out[(k, *i)] = low.b.op(name, dtype, out[(k - 1, *i)], x[(k, *i)])
+    out = out[::-1] if eqn.params["reverse"] else out
+    return [np.moveaxis(out, 0, axis)]
+
+
+rule(*CUMULATIVE)(_cumulative)
