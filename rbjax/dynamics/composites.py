@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers import Driver, Unrolled
+from rbjax.dynamics.drivers import Driver, Listed
 from rbjax.dynamics.jacobians import ancestor_mask
 from rbjax.dynamics.kinematics import world_poses
 from rbjax.lanes import add, inner, sub
@@ -63,7 +63,7 @@ def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array
     """
     top = d.topology
     n = top.nv
-    if isinstance(d, Unrolled):
+    if isinstance(d, Listed):
         entries = [[0.0] * n for _ in range(n)]
         for i, chain in enumerate(top.ancestors):
             for j in chain:

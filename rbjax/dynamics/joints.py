@@ -75,7 +75,7 @@ def joint_lanes(
     if link.q is None:
         return JointMotion(Mat3.identity(), 0.0, _HINGE, Vec3.zero(), qd)
     angle = sub(q[link.q], constants.reference)
-    return JointMotion(rotation_z(*trig(angle)), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
+    return turning(*trig(angle), qd)
 
 
 def joint_columns(
@@ -99,7 +99,7 @@ def joint_columns(
     v = None if v is None else v[start:]
     qd = 0.0 if v is None else v
     if own.all():
-        return _turning, [*sincos(at), qd]
+        return turning, [*sincos(at), qd]
     J = rotation_z(*sincos(jnp.where(own, at, 0.0)))
     rate = Vec3.zero() if v is None else Vec3(0.0, 0.0, jnp.where(own, v, 0.0))
     first = np.array([i for i, link in enumerate(links) if link.quaternion], int)
@@ -119,8 +119,8 @@ def joint_columns(
     return lambda *lanes: jax.tree.unflatten(treedef, lanes), leaves
 
 
-def _turning(c: Lane, s: Lane, qd: Lane) -> JointMotion:
-    """A hinge."""
+def turning(c: Lane, s: Lane, qd: Lane) -> JointMotion:
+    """The motion of a hinge that is not part of a ball: cosine, sine and speed."""
     return JointMotion(rotation_z(c, s), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
 
 

@@ -119,19 +119,26 @@ def _pad(low: Lowering, eqn: Any, ins: list) -> list:
     config = eqn.params["padding_config"]
     # lay out with gaps between entries, then add to the sides; negative sides cut
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
-    wide = np.full(spread, fill, object)
+    wide = _filled(spread, fill)
     wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x
     for axis, (before, after, _) in enumerate(config):
         for side, amount in ((0, before), (1, after)):
             if amount > 0:
                 shape = list(wide.shape)
                 shape[axis] = amount
-                more = np.full(shape, fill, object)
+                more = _filled(shape, fill)
                 wide = np.concatenate([wide, more] if side else [more, wide], axis)
             elif amount < 0:
                 cut = slice(None, amount) if side else slice(-amount, None)
                 wide = wide[tuple(cut if k == axis else slice(None) for k in range(wide.ndim))]
     return [wide]
+
+
+def _filled(shape: Any, value: Any) -> np.ndarray:
+    """An object array of one Value (`np.full` would make a Python float of a numpy scalar)."""
+    out = np.empty(shape, object)
+    out.fill(value)
+    return out
 
 
 @rule("iota", "full")
