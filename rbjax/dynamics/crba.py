@@ -17,6 +17,7 @@ from rbjax.dynamics.composites import (
     carried,
     link_axes,
     link_inertias,
+    packed_matrix,
     pair_matrix,
     tree_poses,
 )
@@ -101,5 +102,4 @@ def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     joints = d.joints(q, None)
     if not isinstance(d, Listed):
         return _rolled(d, joints, jnp.zeros(n, q.dtype))
-    M = _listed(d, joints)
-    return d.pack([x for row in M for x in row], jnp.zeros(n * n, q.dtype)).reshape(n, n)
+    return packed_matrix(_listed(d, joints), q)

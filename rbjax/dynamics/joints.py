@@ -19,6 +19,7 @@ import numpy as np
 from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix, rotation_z, sub
 from rbjax.materialize import sincos
 from rbjax.model import Link, LinkConstants, Prepared, Topology
+from rbjax.model.cells import stacked
 from rbjax.spatial import Motion, Transform
 
 _CYCLE = Mat3(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # z to x, x to y, y to z
@@ -95,6 +96,8 @@ def joint_columns(
     own = mask(link.kind == "hinge" and link.part is None for link in links)
     places = np.array([0 if link.q is None else link.q for link in links])
     reference = prepared.columns.reference[start:].reshape(-1, *batch)
+    if reference.dtype == object:
+        reference = stacked(reference, q.dtype)
     at = q[places] - jnp.asarray(reference, q.dtype)
     v = None if v is None else v[start:]
     qd = 0.0 if v is None else v

@@ -13,6 +13,7 @@ nor is a link's pose, which is computed again from cosine and sine.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -104,61 +105,58 @@ class Limbs(Sweeps, Listed):
         self._place = {**place, WORLD: WORLD}
         self._parents = [self._place[top.parents[i]] for i in self._trunk]
         self._like: Any = None  # the shape and dtype of one lane, known with q
-
-        def column(x: Any, links: Sequence[int]) -> Any:
-            if isinstance(x, np.ndarray):
-                return _merged(*(lane(x, i) for i in links))
-            return _rows(x, links)
-
         self.constants = self._parts(
             prepared.link,
-            lambda links: jax.tree.map(lambda x: column(x, links), prepared.columns),
+            lambda links: jax.tree.map(lambda x: self._column(x, links), prepared.columns),
         )
 
-    def _parts(self, of_link: Callable, of_links: Callable) -> Parts:
+    def _parts(self, of_link: Callable, of_links: Callable, *given: Parts) -> Parts:
         """A per-link value: of each link of the trunk, and of the links of each position."""
-        positions = [list(map(of_links, zip(*group.links, strict=True))) for group in self._groups]
-        return Parts([of_link(i) for i in self._trunk], positions)
+        trunk = list(map(of_link, self._trunk, *(x.trunk for x in given)))
+        positions = [list(zip(*group.links, strict=True)) for group in self._groups]
+        limbs = [
+            list(map(of_links, links, *(x.limbs[n] for x in given)))
+            for n, links in enumerate(positions)
+        ]
+        return Parts(trunk, limbs)
+
+    def _column(self, column: Any, links: Sequence[int]) -> Any:
+        """Of a column over all links that over some: a literal where they agree."""
+        if isinstance(column, np.ndarray):
+            return _merged(*(lane(column, i) for i in links))
+        return _rows(column, links)
 
     def joints(self, q: jax.Array, v: jax.Array | None) -> Parts:
         """As `Unrolled.joints`."""
         self._like = jnp.zeros(q.shape[1:], q.dtype)
         links = self.topology.links
+        hinges = [i for i, link in enumerate(links) if link.kind == "hinge" and link.part is None]
+        place = {i: n for n, i in enumerate(hinges)}
+        reference = self._column(self.prepared.columns.reference, hinges)
+        angles = sub(_rows(q, [links[i].q for i in hinges]), self._cast(reference))
+        trig = in_turn(angles) if hinges else ()
         vs: Any = [0.0] * self.topology.nv if v is None else v
-        constants = iter(self.constants.trunk)
 
-        def trunk(i: int) -> JointMotion:
-            return joint_lanes(links[i], next(constants), q, vs, i)
+        def trunk(i: int, constants: LinkConstants) -> JointMotion:
+            if i in place:
+                return turning(*(x[place[i]] for x in trig), vs[i])
+            return joint_lanes(links[i], constants, q, vs, i)
 
-        def position(places: Sequence[int]) -> LimbJoint:
-            link = links[places[0]]
-            starts = [links[i].q for i in places]
+        def limbs(index: Sequence[int], constants: LinkConstants) -> LimbJoint:
+            link = links[index[0]]
+            speeds = range(3 if link.quaternion else 1)
+            speed = [0.0 if v is None else _rows(v, [i + k for i in index]) for k in speeds]
+            if index[0] in place:
+                turned = [_rows(x, [place[i] for i in index]) for x in trig]
+                return LimbJoint(link, constants, [], speed, turned)
+            starts = [links[i].q for i in index]
             count = 0 if link.q is None else 4 if link.quaternion else 1
             at = [_rows(q, [start + k for start in starts]) for k in range(count)]
-            speeds = range(3 if link.quaternion else 1)
-            speed = [0.0 if v is None else _rows(v, [i + k for i in places]) for k in speeds]
             link = dataclasses.replace(link, q=0 if count else None)
-            return LimbJoint(link, next(numbers), at, speed, None)
+            return LimbJoint(link, constants, at, speed, None)
 
-        numbers = iter([x for group in self.constants.limbs for x in group])
-        out = self._parts(trunk, position)
-        out.trunk = materialize(out.trunk)
-        for group, positions in zip(self._groups, out.limbs, strict=True):
-            self._turn(group, positions)
-        return out
-
-    def _turn(self, group: Group, positions: list[LimbJoint]) -> None:
-        """Cosine and sine of the hinges of a group, which its loops share."""
-        hinges = [x for x in positions if x.link.kind == "hinge" and x.link.part is None]
-        angles = [(x.columns[1][0], x.columns[0].reference) for x in hinges]
-
-        def body(_, angles, known):
-            return (), [sincos(sub(q, reference)) for q, reference in angles]
-
-        _, trigs = self._loop(group, body, (), angles)
-        for x, trig in zip(hinges, trigs, strict=True):
-            constants, _, v, _ = x.columns
-            x.columns = (constants, [], v, trig)
+        out = self._parts(trunk, limbs, self.constants)
+        return Parts(materialize(out.trunk), out.limbs)
 
     def lanes(self, x: jax.Array | None) -> Parts:
         """As `Unrolled.lanes`."""
@@ -168,30 +166,22 @@ class Limbs(Sweeps, Listed):
 
     def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
         """As `Unrolled.pack`. Limbs that follow each other are written as one block."""
-        pieces: dict[int, jax.Array] = {}
-        left = {i: x for i, x in zip(self._trunk, lanes.trunk, strict=True)}
+        rows = dict(zip(self._trunk, lanes.trunk, strict=True))
+        blocks: dict[int, jax.Array] = {}
         for group, columns in zip(self._groups, lanes.limbs, strict=True):
-            count, size = len(group.links), len(columns)
+            shape = (len(group.links), 1, *like.shape[1:])
+            wide = [_wide(jnp.asarray(x, like.dtype), shape) for x in columns]
+            block = jnp.concatenate(wide, 1)
             every = [i for limb in group.links for i in limb]
-            shape = (count, *like.shape[1:])
-            rows = [jnp.asarray(x, like.dtype) for x in columns]
-            rows = [x.reshape(-1, *(1,) * (like.ndim - 1)) if x.ndim < 2 else x for x in rows]
-            rows = [jnp.broadcast_to(x, shape)[:, None] for x in rows]
-            block = jnp.concatenate(rows, 1).reshape(count * size, *shape[1:])
+            block = block.reshape(len(every), *like.shape[1:])
             if every == list(range(every[0], every[0] + len(every))):
-                pieces[every[0]] = block
+                blocks[every[0]] = block
             else:
-                left |= {i: block[n] for n, i in enumerate(every)}
-        for i in sorted(left):
-            if i - 1 not in left:
-                run = [left[k] for k in range(i, self._run(left, i))]
-                pieces[i] = pack(run, like[: len(run)])
-        return jnp.concatenate([pieces[i] for i in sorted(pieces)])
-
-    def _run(self, links: Any, i: int) -> int:
-        while i in links:
-            i += 1
-        return i
+                rows |= {i: block[n] for n, i in enumerate(every)}
+        for _, run in itertools.groupby(sorted(rows), lambda i, n=itertools.count(): i - next(n)):
+            places = list(run)
+            blocks[places[0]] = pack([rows[i] for i in places], like[: len(places)])
+        return jnp.concatenate([blocks[i] for i in sorted(blocks)])
 
     def columns(self, values: Parts, like: jax.Array) -> Any:
         """As `Unrolled.columns`."""
@@ -204,8 +194,7 @@ class Limbs(Sweeps, Listed):
             out[i] = x
         for group, positions in zip(self._groups, values.limbs, strict=True):
             for j, limb in enumerate(group.links):
-                at = Limb(lambda column, j=j: self._cast(column)[j])
-                for i, x in zip(limb, jax.tree.map(at, positions), strict=True):
+                for i, x in zip(limb, self._limb(positions, j), strict=True):
                     out[i] = x
         return out
 
@@ -270,36 +259,41 @@ class Limbs(Sweeps, Listed):
         messages to each link of the trunk, and the columns of ys."""
         sums, out = [zero] * len(self._trunk), []
         for group, positions in zip(self._groups, xs.limbs, strict=True):
-            ports = [self._place[i] for i in group.carriers]
-            one = ports[0] if len(set(ports)) == 1 else None  # carries all limbs
-            before: Any = None
-            if carries is not None:
-                at = [root if port == WORLD else carries[port] for port in ports]
-                before = at[0] if one is not None else jax.tree.map(_merged, *at)
-
-            def body(total, given, known):
-                x, own = given
-                start = before if one is not None else own
-                message, ys = limb(group, x, start, known)
-                if one is None:
-                    return (), (message, ys)
-                if one == WORLD:
-                    return (), ((), ys)
-                total = jax.tree.map(add, total, message)
-                return as_arrays(total, self._like), ((), ys)
-
-            start = as_arrays(zero, self._like) if one not in (None, WORLD) else ()
-            given = positions, before if one is None else None
-            total, (messages, ys) = self._loop(group, body, start, given)
+            messages, ys = self._one_group(group, limb, zero, positions, carries, root)
             out.append(ys)
-            if one is not None and one != WORLD:
-                sums[one] = jax.tree.map(add, sums[one], total)
-            elif one is None:
-                for j, port in enumerate(ports):
-                    if port != WORLD:
-                        message = jax.tree.map(Limb(lambda x, j=j: self._cast(x)[j]), messages)
-                        sums[port] = jax.tree.map(add, sums[port], message)
+            for port, message in messages:
+                sums[port] = jax.tree.map(add, sums[port], message)
         return sums, out
+
+    def _one_group(
+        self, group: Group, limb: Callable, zero: Any, xs: list, carries: list | None, root: Any
+    ) -> tuple[list[tuple[int, Any]], Any]:
+        """The same of one group; messages as pairs of place in the trunk and message. Those to one
+        link are summed as the loop goes."""
+        ports = [self._place[i] for i in group.carriers]
+        together = len(set(ports)) == 1
+        summed = together and ports[0] != WORLD
+        before = [] if carries is None else [root if p == WORLD else carries[p] for p in ports]
+        starts = jax.tree.map(_merged, *before) if before and not together else None
+
+        def body(total, given, known):
+            x, own = given
+            start = before[0] if before and together else own
+            message, ys = limb(group, x, start, known)
+            if not summed:
+                return (), (() if together else message, ys)
+            return as_arrays(jax.tree.map(add, total, message), self._like), ((), ys)
+
+        start = as_arrays(zero, self._like) if summed else ()
+        total, (messages, ys) = self._loop(group, body, start, (xs, starts))
+        if together:
+            return [(ports[0], total)] if summed else [], ys
+        pairs = [(port, self._limb(messages, j)) for j, port in enumerate(ports) if port != WORLD]
+        return pairs, ys
+
+    def _limb(self, columns: Any, j: int) -> Any:
+        """The lanes of limb j."""
+        return jax.tree.map(Limb(lambda column: self._cast(column)[j]), columns)
 
     def _loop(self, group: Group, body: Callable, carry: Any, given: Any) -> tuple[Any, Any]:
         """carry, out = body(carry, given, known) over the limbs: `given` in lanes in place of the
@@ -336,6 +330,18 @@ class Limbs(Sweeps, Listed):
         return column
 
 
+@jax.custom_jvp
+def in_turn(angles: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Cosines and sines, one after another: their program is not short, and the same for all."""
+    return jax.lax.scan(lambda _, x: ((), sincos(x)), (), angles)[1]
+
+
+@in_turn.defjvp
+def _in_turn_jvp(primals: tuple, tangents: tuple) -> tuple:
+    c, s = in_turn(*primals)
+    return (c, s), (-s * tangents[0], c * tangents[0])
+
+
 def _columns(x: Any) -> list:
     """The columns that a leaf is read from."""
     if isinstance(x, PoseLane):
@@ -345,9 +351,16 @@ def _columns(x: Any) -> list:
     return [] if is_literal(x) else [x]
 
 
+def _wide(column: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """A column, or what is the same for all limbs, as (limbs, 1, ...)."""
+    if column.ndim:
+        column = jnp.expand_dims(column, (1, *range(column.ndim + 1, len(shape))))
+    return jnp.broadcast_to(column, shape)
+
+
 def _rows(x: Any, index: Sequence[int]) -> Any:
     """Those rows of an array; a slice of it where they are evenly spaced."""
-    steps = {b - a for a, b in zip(index, index[1:], strict=False)}
+    steps = {b - a for a, b in itertools.pairwise(index)}
     if len(steps) == 1 and min(steps) > 0:
         return x[index[0] : index[-1] + 1 : steps.pop()]
     return x[np.array(index)]

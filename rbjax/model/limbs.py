@@ -19,6 +19,9 @@ from typing import NamedTuple
 
 from rbjax.model.topology import WORLD, Topology
 
+#: links that a group must save, so that its loop pays
+LEAST_SAVED = 2
+
 
 class Group(NamedTuple):
     """Limbs of one shape; position k of each is the same place in that shape."""
@@ -73,7 +76,7 @@ def partition(top: Topology) -> Partition:
     while True:
         free = [[i for i in roots if not taken & set(members[i])] for roots in alike.values()]
         best = max(free, key=lambda roots: _saved(roots, members), default=[])
-        if _saved(best, members) <= 0:
+        if _saved(best, members) < LEAST_SAVED:
             break
         groups.append(_group(top, [members[i] for i in best]))
         for i in best:

@@ -121,10 +121,14 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     nc = len(eqn.invars) - nk - _over_time(eqn.invars, body.jaxpr.invars)
     consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
     avals = [v.aval for v in body.jaxpr.invars]
-    ys: list[View] = []
-    for var, place in zip(eqn.outvars[nk:], places[nk:], strict=True):
+    ys: list[Small] = []
+    handed_on = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))  # rows that come and go
+    for var, inner, place in zip(eqn.outvars[nk:], body.jaxpr.outvars[nk:], places[nk:], strict=True):
         aval = var.aval
-        ys.append(place or View.of(b.local(aval.dtype, max(aval.size, 1)), aval.shape))
+        if not isinstance(inner, Literal) and inner in handed_on:
+            ys.append(handed_on[inner])
+        else:
+            ys.append(place or View.of(b.local(aval.dtype, max(aval.size, 1)), aval.shape))
     if not length:
         return [*init, *ys]
     unknown = [not is_known(x) for x in consts] + [True] * (len(avals) - nc)
@@ -140,7 +144,10 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         b.loop(length, reverse=P["reverse"]) as counter,
     ):
         rows = [x.at(b, 0, counter) for x in xs]
-        spots = [y.at(b, 0, counter) for y in ys]
+        spots = [
+            None if not isinstance(v, Literal) and v in handed_on else y.at(b, 0, counter)
+            for v, y in zip(body.jaxpr.outvars[nk:], ys, strict=True)
+        ]
         out = low.closed(body, [*consts, *carry.values, *rows], [None] * nk + spots)
         carry.advance(out[:nk])
     return [*carry.values, *ys]
