@@ -75,8 +75,8 @@ def joint_lanes(
         return JointMotion(J, 0.0, _HINGE, Vec3(v[i + 1], v[i + 2], v[i]), qd)
     if link.q is None:
         return JointMotion(Mat3.identity(), 0.0, _HINGE, Vec3.zero(), qd)
-    angle = sub(q[link.q], constants.reference)
-    return turning(*trig(angle), qd)
+    c, s = trig(sub(q[link.q], constants.reference))
+    return turning(c, s, qd)
 
 
 def joint_columns(

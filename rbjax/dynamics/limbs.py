@@ -53,9 +53,10 @@ class LimbJoint:
     def of(self, lane_of: Callable[[Any], Lane]) -> PosedJoint:
         """The motion of one limb, whose lanes those are."""
         constants, q, v, trig = jax.tree.map(lane_of, self.columns)
-        if trig:
-            return PosedJoint(turning(*trig, v[0]), constants)
-        return PosedJoint(joint_lanes(self.link, constants, q, v, 0), constants)
+        if trig is None:
+            return PosedJoint(joint_lanes(self.link, constants, q, v, 0), constants)
+        c, s = trig
+        return PosedJoint(turning(c, s, v[0]), constants)
 
 
 class PoseLane:
@@ -132,22 +133,24 @@ class Limbs(Sweeps, Listed):
         links = self.topology.links
         hinges = [i for i, link in enumerate(links) if link.kind == "hinge" and link.part is None]
         place = {i: n for n, i in enumerate(hinges)}
-        reference = self._column(self.prepared.columns.reference, hinges)
-        angles = sub(_rows(q, [links[i].q for i in hinges]), self._cast(reference))
-        trig = in_turn(angles) if hinges else ()
+        c, s = jnp.zeros((2, 0), q.dtype)
+        if hinges:
+            reference = self._cast(self._column(self.prepared.columns.reference, hinges))
+            c, s = in_turn(sub(_rows(q, [links[i].q for i in hinges]), reference))
+        qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
 
         def trunk(i: int, constants: LinkConstants) -> JointMotion:
             if i in place:
-                return turning(*(x[place[i]] for x in trig), vs[i])
-            return joint_lanes(links[i], constants, q, vs, i)
+                return turning(c[place[i]], s[place[i]], vs[i])
+            return joint_lanes(links[i], constants, qs, vs, i)
 
         def limbs(index: Sequence[int], constants: LinkConstants) -> LimbJoint:
             link = links[index[0]]
             speeds = range(3 if link.quaternion else 1)
             speed = [0.0 if v is None else _rows(v, [i + k for i in index]) for k in speeds]
             if index[0] in place:
-                turned = [_rows(x, [place[i] for i in index]) for x in trig]
+                turned = [_rows(x, [place[i] for i in index]) for x in (c, s)]
                 return LimbJoint(link, constants, [], speed, turned)
             starts = [links[i].q for i in index]
             count = 0 if link.q is None else 4 if link.quaternion else 1
@@ -178,9 +181,9 @@ class Limbs(Sweeps, Listed):
                 blocks[every[0]] = block
             else:
                 rows |= {i: block[n] for n, i in enumerate(every)}
-        for _, run in itertools.groupby(sorted(rows), lambda i, n=itertools.count(): i - next(n)):
-            places = list(run)
-            blocks[places[0]] = pack([rows[i] for i in places], like[: len(places)])
+        for first in [i for i in rows if i - 1 not in rows]:
+            run = [rows[i] for i in itertools.takewhile(rows.__contains__, itertools.count(first))]
+            blocks[first] = pack(run, like[: len(run)])
         return jnp.concatenate([blocks[i] for i in sorted(blocks)])
 
     def columns(self, values: Parts, like: jax.Array) -> Any:
@@ -363,7 +366,7 @@ def _rows(x: Any, index: Sequence[int]) -> Any:
     steps = {b - a for a, b in itertools.pairwise(index)}
     if len(steps) == 1 and min(steps) > 0:
         return x[index[0] : index[-1] + 1 : steps.pop()]
-    return x[np.array(index)]
+    return x[np.array(index, int)]
 
 
 def _merged(*lanes: Lane) -> Any:

@@ -34,6 +34,10 @@ class Sweeps:
 class Listed:
     """Work on all links at once where `whole` is a list of one value for each link."""
 
+    constants: Any  # these of the driver
+    joints: Any
+    whole: Any
+
     def each(self, f: Callable, *whole: list) -> list:
         """f of each link's values."""
         return [materialize(f(*x), known=x) for x in zip(*whole, strict=True)]

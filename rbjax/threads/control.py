@@ -122,11 +122,13 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
     avals = [v.aval for v in body.jaxpr.invars]
     ys: list[Small] = []
-    handed_on = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))  # rows that come and go
-    for var, inner, place in zip(eqn.outvars[nk:], body.jaxpr.outvars[nk:], places[nk:], strict=True):
+    rows_in = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))
+    # for each stacked output the input whose rows it hands on as they came
+    same = [None if isinstance(v, Literal) else rows_in.get(v) for v in body.jaxpr.outvars[nk:]]
+    for var, given, place in zip(eqn.outvars[nk:], same, places[nk:], strict=True):
         aval = var.aval
-        if not isinstance(inner, Literal) and inner in handed_on:
-            ys.append(handed_on[inner])
+        if given is not None:
+            ys.append(given)
         else:
             ys.append(place or View.of(b.local(aval.dtype, max(aval.size, 1)), aval.shape))
     if not length:
@@ -145,8 +147,8 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     ):
         rows = [x.at(b, 0, counter) for x in xs]
         spots = [
-            None if not isinstance(v, Literal) and v in handed_on else y.at(b, 0, counter)
-            for v, y in zip(body.jaxpr.outvars[nk:], ys, strict=True)
+            y.at(b, 0, counter) if given is None else None
+            for y, given in zip(ys, same, strict=True)
         ]
         out = low.closed(body, [*consts, *carry.values, *rows], [None] * nk + spots)
         carry.advance(out[:nk])

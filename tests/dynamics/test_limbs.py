@@ -13,7 +13,8 @@ from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.limbs import Limbs
 from rbjax.dynamics.unrolled import Unrolled
 from rbjax.model import WORLD, partition
-from tests.robots import Robot, load_quietly, robot
+from rbjax.threads.frame import batch_first, write_program
+from tests.robots import QUICK, Robot, load_quietly, robot
 from tests.threads.host import COMPILER, on_host
 from tests.tolerances import F64_PARITY, relative_error
 
@@ -62,8 +63,6 @@ WALKER = f"""
 </worldbody>
 </mujoco>"""
 """Legs with balls on the base; alike arms on two links of the trunk and on the world."""
-
-
 
 
 def _arm(side: int) -> str:
@@ -173,9 +172,7 @@ def given(sample: Robot, count: int) -> list[np.ndarray]:
 
 
 def run(f, *args):
-    """By XLA, operation by operation: compiling takes longer."""
-    with jax.disable_jit():
-        return f(*args)
+    return jax.jit(f, compiler_options=QUICK)(*args)
 
 
 def agree(got, want, batch_dims: int = 0) -> None:
@@ -183,6 +180,16 @@ def agree(got, want, batch_dims: int = 0) -> None:
         assert relative_error(x, y, batch_dims=batch_dims).max() <= F64_PARITY
 
 
+def test_matrices_and_poses_agree_with_the_rolled_driver():
+    q = given(walker(text=CART), 3)[0]
+
+    def f(model, q):
+        return rb.mass_matrix(model, q), rb.jacobian(model, q, model.body_names[-1])
+
+    agree(*(run(jax.vmap(partial(f, walker(n, CART).model)), q) for n in ("limbs", "rolled")), 1)
+
+
+@pytest.mark.slow
 def test_all_algorithms_agree_with_the_rolled_driver():
     args = given(walker(text=CART), 3)
     got, want = (
@@ -213,6 +220,7 @@ def dynamics(model, q, v, a):
     return rb.forward_dynamics(model, q, v, a), rb.inverse_dynamics(model, q, v, a)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixed", [False, True])
 def test_a_batch_of_robots_and_derivatives_by_their_numbers(fixed: bool):
     """The model's leaves are traced; with and without its zeros as part of the program."""
@@ -242,6 +250,7 @@ def test_a_batch_of_robots_and_derivatives_by_their_numbers(fixed: bool):
     agree(*found, 1)
 
 
+@pytest.mark.slow
 def test_tangents_and_second_derivatives():
     q, v, a = (x[0] for x in given(walker(text=CART), 1)[:3])
 
@@ -255,16 +264,40 @@ def test_tangents_and_second_derivatives():
     agree(*(run(partial(derivatives, m), q, v, a) for m in models))
 
 
+def test_limbs_without_hinges():
+    inertial = '<inertial pos=".1 0 0" mass="{1}" diaginertia="1 1 1"/>'
+    body = f'<body><joint type="{{0}}"/>{inertial}{{2}}</body>'
+    limbs = "".join(body.format("ball", m, body.format("slide", m, "")) for m in (1, 2))
+    model = rb.load(f"<mujoco><worldbody>{limbs}</worldbody></mujoco>").replace(driver="limbs")
+    assert sizes(model) == (0, [(2, 4)])
+    state = model.random_state(jax.random.key(0))
+    got, want = (
+        run(partial(dynamics, m), state.q, state.v, state.v)
+        for m in (model, model.replace(driver="rolled"))
+    )
+    agree(got, want)
+
+
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 def test_emitted_c_is_what_xla_computes():
-    args = given(walker(), 4)[:3]
-    model, small = walker().model, walker(text=CART).model
-    both = partial(dynamics, model)
-    agree(on_host(both, *args), run(jax.vmap(both), *args), 1)
     args = given(walker(text=CART), 4)[:3]
+    models = [walker(name, CART).model for name in ("limbs", "rolled")]
 
-    def gradient(q, v, a):
-        out, pull = jax.vjp(lambda *x: dynamics(small, *x), q, v, a)
-        return pull(out)
+    def gradient(model, q, v, a):
+        out, pull = jax.vjp(partial(dynamics, model), q, v, a)
+        return out, pull(out)
 
-    agree(on_host(gradient, *args), run(jax.vmap(gradient), *args), 1)
+    got, want = (on_host(partial(gradient, model), *args) for model in models)
+    agree(got, want, 1)
+    agree(got[0], run(jax.vmap(partial(dynamics, models[1])), *args), 1)
+
+
+def test_programs_of_robots_are_short():
+    """Statements of forward dynamics in f32, which decide how a GPU thread runs."""
+    for name, most in ((G1, 6_800), ("gymnasium/humanoid.xml", 4_300)):
+        model = robot(name, "limbs").model
+        shapes = [jax.ShapeDtypeStruct((n,), jnp.float32) for n in (model.nq, model.nv, model.nv)]
+        closed = jax.make_jaxpr(lambda *x, m=model: [rb.forward_dynamics(m, *x)])(*shapes)
+        ins = [batch_first(x.shape, (4,)) for x in shapes]
+        program = write_program(closed, (4,), ins, [batch_first((model.nv,), (4,))])
+        assert program.statements <= most
