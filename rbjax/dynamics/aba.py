@@ -85,10 +85,12 @@ def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -
 
 def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
     """Accelerations per link, and the factors of the mass matrix."""
-    swings = d.outward(swing, Vec3.zero(), d.zip(d.constants, joints))
+
+    def outward(x, w_parent):
+        return swing(x[:2], w_parent)
 
     def inward(x, message):
-        link, joint, motion, tau = x
+        (link, joint, tau), motion = x
         p_A = bias_force(link.inertia, motion.w) + message[1]
         I_a, factor = eliminate(link, joint.S, motion.X, link.inertia.articulated() + message[0])
         u = sub(tau, joint.S.dot(p_A))
@@ -97,7 +99,8 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
         return (to_parent(motion.X, I_a, factor, mass), motion.X.T(p_a)), (factor, u, motion.c)
 
     zero = (ArticulatedInertia.zero(), Force.zero())
-    ys = d.inward(inward, zero, d.zip(d.constants, joints, swings, tau))
+    xs = d.zip(d.constants, joints, tau)
+    ys = d.out_and_in(outward, Vec3.zero(), inward, zero, xs)
 
     def accelerate(x, a_parent):
         factor, u, c = x
@@ -106,7 +109,7 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
         return a + factor.S * qdd, (qdd, factor)
 
     out = d.outward(accelerate, Motion(Vec3.zero(), -gravity), ys)
-    return _unzip(d, out)
+    return d.part(out, 0), d.part(out, 1)
 
 
 def factorize(d: Driver, joints: Any) -> Any:
@@ -137,8 +140,3 @@ def solve(d: Driver, factors: Any, tau: Any) -> Any:
 
     return d.outward(outward, Motion.zero(), d.inward(inward, Force.zero(), d.zip(factors, tau)))
 
-
-def _unzip(d: Driver, pairs: Any) -> tuple[Any, Any]:
-    if isinstance(pairs, list):
-        return [a for a, _ in pairs], [b for _, b in pairs]
-    return pairs

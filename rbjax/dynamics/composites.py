@@ -13,10 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers import Driver, Unrolled
+from rbjax.dynamics.drivers import Driver, Listed
 from rbjax.dynamics.jacobians import ancestor_mask
 from rbjax.dynamics.kinematics import world_poses
-from rbjax.lanes import add, inner, sub
+from rbjax.dynamics.packing import pack
+from rbjax.lanes import Lane, add, inner, sub
 from rbjax.model import Topology
 from rbjax.spatial import Motion, Transform
 
@@ -63,15 +64,13 @@ def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array
     """
     top = d.topology
     n = top.nv
-    if isinstance(d, Unrolled):
+    if isinstance(d, Listed):
         entries = [[0.0] * n for _ in range(n)]
         for i, chain in enumerate(top.ancestors):
             for j in chain:
                 entries[i][j] = inner(below[0][i], below[1][j])
                 entries[j][i] = inner(above[0][j], above[1][i])
-        return d.pack([x for row in entries for x in row], jnp.zeros(n * n, like.dtype)).reshape(
-            n, n
-        )
+        return packed_matrix(entries, like)
     moves = carrier_mask(top)
     above, below = jax.tree.map(
         lambda x: jnp.broadcast_to(jnp.asarray(x, like.dtype), (n,)),
@@ -85,6 +84,12 @@ def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array
         )
 
     return jnp.where(moves.T, products(*above), jnp.where(moves, products(*below), 0.0))
+
+
+def packed_matrix(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
+    """Rows of lanes as a matrix."""
+    entries = [x for row in rows for x in row]
+    return pack(entries, jnp.zeros(len(entries), like.dtype)).reshape(len(rows), -1)
 
 
 def carrier_mask(top: Topology) -> np.ndarray:

@@ -17,10 +17,11 @@ from rbjax.dynamics.composites import (
     carried,
     link_axes,
     link_inertias,
+    packed_matrix,
     pair_matrix,
     tree_poses,
 )
-from rbjax.dynamics.drivers import Unrolled, driver
+from rbjax.dynamics.drivers import Driver, Listed, driver
 from rbjax.dynamics.rolled import Rolled
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
@@ -37,24 +38,26 @@ def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]
     return joint.transform(link), I_c, I_c(joint.S)
 
 
-def _unrolled(d: Unrolled, joints: list) -> jax.Array | list[list[Lane]]:
+def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
     """Rows of lanes; each F walks to the root by itself."""
 
     def step(x, children):
         X, I_c, F = composite(x, children)
         return X.rigid_to_parent(I_c), (X, F)
 
-    ys = d.inward(step, _ZERO, d.zip(d.constants, joints))
-    n = len(joints)
+    ys = d.whole(d.inward(step, _ZERO, d.zip(d.constants, joints)))
+    axes = [joint.S for joint in d.whole(joints)]
+    armatures = [link.armature for link in d.whole(d.constants)]
+    n = len(axes)
     M: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     for i, (X, F) in enumerate(ys):
-        M[i][i] = add(joints[i].S.dot(F), d.constants[i].armature)
+        M[i][i] = add(axes[i].dot(F), armatures[i])
         j = i
         while d.topology.parents[j] != WORLD:
             F = materialize(X.T(F))
             j = d.topology.parents[j]
             X = ys[j][0]
-            M[i][j] = M[j][i] = joints[j].S.dot(F)
+            M[i][j] = M[j][i] = axes[j].dot(F)
     return M
 
 
@@ -97,7 +100,6 @@ def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
         return jnp.zeros((0, 0), q.dtype)
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
-    if isinstance(d, Rolled):
+    if not isinstance(d, Listed):
         return _rolled(d, joints, jnp.zeros(n, q.dtype))
-    M = _unrolled(d, joints)
-    return d.pack([x for row in M for x in row], jnp.zeros(n * n, q.dtype)).reshape(n, n)
+    return packed_matrix(_listed(d, joints), q)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +18,7 @@ import numpy as np
 from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix, rotation_z, sub
 from rbjax.materialize import sincos
 from rbjax.model import Link, LinkConstants, Prepared, Topology
+from rbjax.model.cells import stacked
 from rbjax.spatial import Motion, Transform
 
 _CYCLE = Mat3(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # z to x, x to y, y to z
@@ -71,8 +71,8 @@ def joint_lanes(
         return JointMotion(J, 0.0, _HINGE, Vec3(v[i + 1], v[i + 2], v[i]), qd)
     if link.q is None:
         return JointMotion(Mat3.identity(), 0.0, _HINGE, Vec3.zero(), qd)
-    angle = sub(q[link.q], constants.reference)
-    return JointMotion(rotation_z(*sincos(angle)), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
+    c, s = sincos(sub(q[link.q], constants.reference))
+    return turning(c, s, qd)
 
 
 def joint_columns(
@@ -92,11 +92,13 @@ def joint_columns(
     own = mask(link.kind == "hinge" and link.part is None for link in links)
     places = np.array([0 if link.q is None else link.q for link in links])
     reference = prepared.columns.reference[start:].reshape(-1, *batch)
+    if reference.dtype == object:
+        reference = stacked(reference, q.dtype)
     at = q[places] - jnp.asarray(reference, q.dtype)
     v = None if v is None else v[start:]
     qd = 0.0 if v is None else v
     if own.all():
-        return _turning, [*sincos(at), qd]
+        return turning, [*sincos(at), qd]
     J = rotation_z(*sincos(jnp.where(own, at, 0.0)))
     rate = Vec3.zero() if v is None else Vec3(0.0, 0.0, jnp.where(own, v, 0.0))
     first = np.array([i for i, link in enumerate(links) if link.quaternion], int)
@@ -116,8 +118,8 @@ def joint_columns(
     return lambda *lanes: jax.tree.unflatten(treedef, lanes), leaves
 
 
-def _turning(c: Lane, s: Lane, qd: Lane) -> JointMotion:
-    """A hinge."""
+def turning(c: Lane, s: Lane, qd: Lane) -> JointMotion:
+    """The motion of a hinge that is not part of a ball: cosine, sine and speed."""
     return JointMotion(rotation_z(c, s), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
 
 

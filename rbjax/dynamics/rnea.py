@@ -33,13 +33,13 @@ def rnea(d: Driver, joints: Any, accelerations: Any, gravity: Vec3) -> Any:
         return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w))
 
     def inward(x, children):
-        link, joint, qdd, (X, f) = x
+        (link, joint, qdd), (X, f) = x
         f = f + children
         return X.T(f), add(joint.S.dot(f), mul(link.armature, qdd))
 
     root = (Vec3.zero(), Motion(Vec3.zero(), -gravity))
-    inertial = d.outward(outward, root, d.zip(d.constants, joints, accelerations))
-    return d.inward(inward, Force.zero(), d.zip(d.constants, joints, accelerations, inertial))
+    xs = d.zip(d.constants, joints, accelerations)
+    return d.out_and_in(outward, root, inward, Force.zero(), xs)
 
 
 def _run(model: Model, q, v, a, gravity: Vec3 | None = None) -> jax.Array:

@@ -20,12 +20,11 @@ import numpy as np
 
 from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack
+from rbjax.dynamics.unrolled import Step, Sweeps
 from rbjax.lanes import Lane, add, as_arrays, is_literal
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model, Prepared
 from rbjax.model.cells import lane_of
-
-Step = Callable[[Any, Any], tuple[Any, Any]]
 
 
 class Values:
@@ -33,10 +32,6 @@ class Values:
 
     def __init__(self, head: list, rest: Any):
         self.head, self.rest = head, rest
-
-    def __iter__(self):
-        for k, rest in enumerate(self.rest):
-            yield Values([x[k] for x in self.head], rest)
 
 
 jax.tree_util.register_pytree_node(
@@ -62,7 +57,7 @@ class PoseLane:
         self.joints, self.k = joints, k
 
 
-class Rolled:
+class Rolled(Sweeps):
     """A scan over the links, after the head."""
 
     def __init__(self, model: Model, prepared: Prepared):
@@ -157,6 +152,10 @@ class Rolled:
         """Per-link tuples of per-link values."""
         head = [tuple(v.head[i] for v in values) for i in range(self.head)]
         return Values(head, tuple(v.rest for v in values))
+
+    def part(self, values: Values, k: int) -> Values:
+        """As `Unrolled.part`."""
+        return Values([x[k] for x in values.head], values.rest[k])
 
     def outward(self, step: Step, root: Any, xs: Values) -> Values:
         """As `Unrolled.outward`."""

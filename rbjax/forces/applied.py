@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import Unrolled, driver
+from rbjax.dynamics.drivers import Driver, Listed, driver
 from rbjax.dynamics.jacobians import moment_arms
 from rbjax.dynamics.kinematics import body_poses, link_poses
 from rbjax.dynamics.manifold import difference, difference_lanes
@@ -79,9 +79,9 @@ def site_moments(model: Model, q: Any, v: Any, d: Any = None) -> dict[int, Any]:
     if not driven:
         return {}
     d = d or driver(model, q.dtype)
-    if isinstance(d, Unrolled):
-        joints = d.joints(q, v)
-        return {i: _carried(model, d, joints, i, v[0].dtype) for i in driven}
+    if isinstance(d, Listed):
+        links = list(zip(d.whole(d.joints(q, v)), d.whole(d.constants), strict=True))
+        return {i: _carried(model, d, links, i, v[0].dtype) for i in driven}
     R, p = link_poses(d, q)
     poses = body_poses(d, R, p)
     at = [actuators.sites[i] for i in driven]
@@ -97,7 +97,7 @@ def site_moments(model: Model, q: Any, v: Any, d: Any = None) -> dict[int, Any]:
     return {i: arms[k] for k, i in enumerate(driven)}
 
 
-def _carried(model: Model, d: Unrolled, joints: list, i: int, dtype: Any) -> list[Lane]:
+def _carried(model: Model, d: Driver, links: list, i: int, dtype: Any) -> list[Lane]:
     """The same of one actuator, its wrench carried from link to link down to the base."""
     top, sites = model.topology, model.sites
     site = model.actuators.sites[i]
@@ -117,8 +117,9 @@ def _carried(model: Model, d: Unrolled, joints: list, i: int, dtype: Any) -> lis
     wrench, arms = weld.T(placed.T(Force(torque, force))), [0.0] * top.nv
     at = top.body_links[body]
     while at != WORLD:
-        arms[at] = joints[at].S.dot(wrench)
-        wrench = joints[at].transform(d.constants[at]).T(wrench)
+        joint, constants = links[at]
+        arms[at] = joint.S.dot(wrench)
+        wrench = joint.transform(constants).T(wrench)
         at = top.links[at].parent
     return arms
 

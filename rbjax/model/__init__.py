@@ -1,5 +1,6 @@
 """Models: what a robot is (`Topology`), its numbers (`Model`), how a file becomes one (`load`)."""
 
+from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import LinkConstants, Prepared, known_zeros, made_ahead, prepare
 from rbjax.model.load import compile_model, load, scenes
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites, State
@@ -10,11 +11,13 @@ __all__ = [
     "WORLD",
     "Actuators",
     "Bodies",
+    "Group",
     "Joints",
     "Keyframes",
     "Link",
     "LinkConstants",
     "Model",
+    "Partition",
     "Prepared",
     "Sites",
     "State",
@@ -23,6 +26,7 @@ __all__ = [
     "known_zeros",
     "load",
     "made_ahead",
+    "partition",
     "prepare",
     "spans",
     "scenes",

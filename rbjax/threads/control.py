@@ -127,16 +127,25 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     nc = len(eqn.invars) - nk - _over_time(eqn.invars, body.jaxpr.invars)
     consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
     avals = [v.aval for v in body.jaxpr.invars]
-    ys: list[View] = []
-    for var, place in zip(eqn.outvars[nk:], places[nk:], strict=True):
+    ys: list[Small] = []
+    rows_in = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))
+    # for each stacked output the input whose rows it hands on as they came
+    same = [None if isinstance(v, Literal) else rows_in.get(v) for v in body.jaxpr.outvars[nk:]]
+    for var, given, place in zip(eqn.outvars[nk:], same, places[nk:], strict=True):
         aval = var.aval
-        ys.append(place or View.of(b.local(dtype_of(aval), max(aval.size, 1)), aval.shape))
+        if given is not None:
+            ys.append(given)
+        else:
+            ys.append(place or View.of(b.local(dtype_of(aval), max(aval.size, 1)), aval.shape))
     if not length:
         return [*init, *ys]
     if length == 1:
         first = [x.at(b, 0, I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
-        spots = [y.at(b, 0, I32.type(0)) for y in ys]
-        out = low.closed(body, [*consts, *init, *first], [None] * nk + spots)
+        spots = [
+            y.at(b, 0, I32.type(0)) if given is None else None
+            for y, given in zip(ys, same, strict=True)
+        ]
+        out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
         return [*out[:nk], *ys]
     unknown = [not is_known(x) for x in consts] + [True] * (len(avals) - nc)
     wanted = indexed(body, unknown)
@@ -153,7 +162,10 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         b.loop(length, reverse=P["reverse"]) as counter,
     ):
         rows = [x.at(b, 0, counter) for x in xs]
-        spots = [y.at(b, 0, counter) for y in ys]
+        spots = [
+            y.at(b, 0, counter) if given is None else None
+            for y, given in zip(ys, same, strict=True)
+        ]
         out = low.closed(body, [*consts, *carry.values, *rows], [*[None] * nk, *spots])
         carry.advance(out[:nk])
     return [*carry.values, *ys]

@@ -35,6 +35,7 @@ from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
 from rbjax.threads.program import I32, I64, Array, Builder, Op, walk
 from rbjax.threads.prune import prune
 
+
 @dataclass(frozen=True)
 class Layout:
     """Where an array of the batch has its samples.

@@ -1,0 +1,135 @@
+"""The unrolled driver: every link's step written out, and what drivers share.
+
+`outward` hands each step its parent's carry, `inward` the sum of its children's messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.joints import JointMotion, joint_lanes
+from rbjax.dynamics.packing import pack, unpack
+from rbjax.lanes import Lane, add
+from rbjax.materialize import materialize
+from rbjax.model import WORLD, Model, Prepared
+
+#: step(x, carry or message) -> carry or message, y
+Step = Callable[[Any, Any], tuple[Any, Any]]
+
+
+class Sweeps:
+    """What follows from two sweeps."""
+
+    def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: Any) -> Any:
+        """An outward sweep with the steps outward(x_i, carry), then an inward one with the steps
+        inward((x_i, y_i), messages), y_i from the first; what the second returns."""
+        d: Any = self
+        return d.inward(inward, zero, d.zip(xs, d.outward(outward, root, xs)))
+
+
+class Listed:
+    """Work on all links at once where `whole` is a list of one value for each link."""
+
+    constants: Any  # these of the driver
+    joints: Any
+    whole: Any
+
+    def each(self, f: Callable, *whole: list) -> list:
+        """f of each link's values."""
+        return [materialize(f(*x), known=x) for x in zip(*whole, strict=True)]
+
+    def take(self, whole: list, index: Sequence[int]) -> list:
+        """The values of these links."""
+        return [whole[i] for i in index]
+
+    def stack(self, whole: list, lanes: Callable, like: jax.Array) -> jax.Array:
+        """The lanes of each value side by side, as an array (values, lanes)."""
+        rows = [list(lanes(x)) for x in whole]
+        flat = [x for row in rows for x in row]
+        return pack(flat, jnp.zeros(len(flat), like.dtype)).reshape(len(rows), -1)
+
+    def known(self, numbers: list[float]) -> list[Lane]:
+        """Numbers that are part of the program, one a link, in the form of `whole`."""
+        return list(numbers)
+
+
+class Unrolled(Sweeps, Listed):
+    """Steps written out one after another. Per-link values are lists."""
+
+    def __init__(self, model: Model, prepared: Prepared):
+        self.topology, self.prepared = model.topology, prepared
+        self.constants = [prepared.link(i) for i in range(model.nv)]
+
+    def joints(self, q: jax.Array, v: jax.Array | None) -> list[JointMotion]:
+        """The joint motion of each link."""
+        qs = unpack(q)
+        vs = self.lanes(v)
+        links = enumerate(self.topology.links)
+        return materialize([joint_lanes(link, self.constants[i], qs, vs, i) for i, link in links])
+
+    def lanes(self, x: jax.Array | None) -> list[Lane]:
+        """An array (nv, ...) as one lane per link; zeros if None."""
+        return [0.0] * self.topology.nv if x is None else unpack(x)
+
+    def pack(self, lanes: list[Lane], like: jax.Array) -> jax.Array:
+        """One lane per link as an array (nv, ...)."""
+        return pack(lanes, like)
+
+    def columns(self, values: list, like: jax.Array) -> Any:
+        """Per-link pytrees as one pytree of columns (nv, ...), for work with whole arrays."""
+        return jax.tree.map(lambda *lanes: pack(lanes, like), *values)
+
+    def whole(self, values: list) -> list:
+        """Per-link values in the form for work on all links at once, outside the recursions."""
+        return values
+
+    def rows(self, whole: list) -> list:
+        """The inverse of `whole`."""
+        return whole
+
+    def zip(self, *values: list) -> list[tuple]:
+        """Per-link tuples of per-link values."""
+        return list(zip(*values, strict=True))
+
+    def part(self, values: list[tuple], k: int) -> list:
+        """Of per-link tuples the entries k."""
+        return [x[k] for x in values]
+
+    def outward(self, step: Step, root: Any, xs: list) -> list:
+        """carry_i, y_i = step(x_i, carry of the parent), from the root out; the list of y_i."""
+        return outward(self.topology.parents, step, root, xs)[1]
+
+    def inward(self, step: Step, zero: Any, xs: list) -> list:
+        """message_i, y_i = step(x_i, sum of the children's messages), from the tips in."""
+        return inward(self.topology.parents, step, [zero] * len(xs), xs)[1]
+
+
+def outward(
+    parents: Sequence[int], step: Step, root: Any, xs: list, known: Any = ()
+) -> tuple[list, list]:
+    """The carries and the y_i of an outward sweep that is written out; `known` needs no
+    materializing, beside the inputs of the steps."""
+    carries: list = []
+    ys: list = []
+    for parent, x in zip(parents, xs, strict=True):
+        before = root if parent == WORLD else carries[parent]
+        carry, y = materialize(step(x, before), known=(x, before, known))
+        carries.append(carry)
+        ys.append(y)
+    return carries, ys
+
+
+def inward(
+    parents: Sequence[int], step: Step, sums: list, xs: list, known: Any = ()
+) -> tuple[list, list]:
+    """The messages and the y_i of an inward sweep; `sums` are the messages from elsewhere."""
+    sums, messages, ys = list(sums), list(xs), list(xs)
+    for i in reversed(range(len(xs))):
+        messages[i], ys[i] = materialize(step(xs[i], sums[i]), known=(xs[i], sums[i], known))
+        if parents[i] != WORLD:
+            sums[parents[i]] = jax.tree.map(add, sums[parents[i]], messages[i])
+    return messages, ys
