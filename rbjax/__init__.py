@@ -39,6 +39,7 @@ from rbjax.forces import applied_forces
 from rbjax.model import Model, State, load, scenes
 from rbjax.rollout import rollout
 from rbjax.simulate import simulate
+from rbjax.threads import threads
 from rbjax.trajectory import Trajectory
 
 __version__ = "0.1.0"
@@ -98,5 +99,6 @@ __all__ = [
     "spatial",
     "stability",
     "sysid",
+    "threads",
     "validation",
 ]

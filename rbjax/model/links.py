@@ -101,8 +101,8 @@ def made_ahead(model: Model, dtype: Any) -> Model:
 
 
 def known_zeros(model: Model) -> Model:
-    """The model with the zeros of its known leaves declared, where some are traced and some are not:
-    a gradient by masses then keeps the structure of placements and axes."""
+    """The model with the zeros of its known leaves declared, where some are traced and some not: a
+    gradient by masses then keeps the structure of placements and axes."""
     leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
     traced = [isinstance(x, jax.core.Tracer) for x in leaves]
     partly = any(traced) and not all(traced)

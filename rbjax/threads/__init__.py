@@ -1,7 +1,15 @@
-"""Any function of one sample as one GPU thread: `threads`."""
+"""Any function of one sample as one GPU thread: `threads`, and `threads.explain`."""
 
+from typing import Any
+
+from rbjax.threads.explain import Explanation as Explanation
+from rbjax.threads.explain import explain as explain
 from rbjax.threads.function import threaded as threaded
-from rbjax.threads.function import threads as threads
+from rbjax.threads.function import threads as _threads
 from rbjax.threads.function import wanted as wanted
+from rbjax.threads.lowering import Unsupported as Unsupported
 
-__all__ = ["threads"]
+threads: Any = _threads
+threads.explain = explain  # the function hides this room's name at the top level
+
+__all__ = ["Explanation", "Unsupported", "explain", "threads"]

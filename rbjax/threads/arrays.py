@@ -179,14 +179,6 @@ def scalars(b: Builder, x: Small) -> np.ndarray:
     return out
 
 
-def filled(shape: Sequence[int], value: Value) -> np.ndarray:
-    """An object array of one Value (numpy would make it a Python number)."""
-    out = np.empty(shape, object)
-    for i in np.ndindex(out.shape):
-        out[i] = value
-    return out
-
-
 def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
     """An object array as known numbers, where every entry is."""
     if x.dtype != object:

@@ -1,19 +1,22 @@
 """The frame of a program on a GPU: one thread a sample.
 
 Rows of a batch-first operand are fetched by the whole block through shared memory, so that a warp
-reads and writes whole lines; other layouts are read in place. What all samples share of a result
-(the cotangent of an operand without a batch) is added up over the block, one partial sum a block.
+reads whole lines; a batch-first result is written back by warps, 32 entries of their 32 rows at a
+time. Other layouts are read and written in place. What all samples share of a result (the cotangent
+of an operand without a batch) is added up over the block, one partial sum a block.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
-from rbjax.threads.program import Array
+from rbjax.threads.program import Array, Store, walk
 
 #: threads of a block, where its rows fit into shared memory; else half as many
 BLOCK = 128
@@ -50,9 +53,12 @@ template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, 
     }
   }
 }
-template <class T, int N, int PITCH> QUALIFIED void put_back(T* to, const T* from, int rows) {
-#pragma unroll 8
-  for (int k = threadIdx.x; k < rows * N; k += BLOCK) to[k] = from[PITCH == N ? k : k + k / N];
+// entries first ... first + W of the rows of a warp, of N entries each, from its tile to memory
+template <class T, int N, int W> QUALIFIED void flush(T* to, const T* tile, int rows) {
+  __syncwarp();
+  for (int k = threadIdx.x % 32; k < rows * W; k += 32)
+    to[(long long)(k / W) * N + k % W] = tile[k / W * 33 + k % W];
+  __syncwarp();
 }
 template <class T> QUALIFIED T over_warp(T x) {
   for (int k = 16; k; k >>= 1) x += __shfl_down_sync(0xffffffffu, x, k);
@@ -75,29 +81,12 @@ class Kernel:
 
 def kernel(program: Written, name: str = "threads") -> Kernel:
     """The kernel of a program."""
-    size = math.prod(program.batch)
-    block, rows = _staged(program)
-    lines = "\n".join(_lines(program, name, size, block, rows))
-    return Kernel(lines, name, block, max(-(-size // block), 1), program.summed)
-
-
-def _staged(program: Written) -> tuple[int, dict[int, int]]:
-    """Threads of a block, and the arrays that go through shared memory: id -> entries of a row."""
-    found: list[tuple[int, Array, int]] = []
-    for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
-        for array, layout in zip(arrays, layouts, strict=True):
-            row = layout.rows(program.batch)
-            if row is not None and SHORT < row <= ROW and None not in layout.axes and layout.axes:
-                found.append((_pitch(row) * array.dtype.itemsize, array, row))
-    found.sort(key=lambda x: x[0])
-    total = sum(bytes for bytes, _, _ in found)
-    block = BLOCK if total * BLOCK <= SHARED_BYTES else BLOCK // 2
-    used, rows = 0, {}
-    for bytes, array, row in found:
-        used += bytes * block
-        if used <= SHARED_BYTES:
-            rows[array.id] = row
-    return block, rows
+    streams = _streamed(program)
+    tile = 33 * max((a.dtype.itemsize for a in program.results if a.id in streams), default=0)
+    block, rows = _staged(program, tile)
+    source = "\n".join(_lines(program, name, block, rows, streams, tile))
+    grid = max(-(-math.prod(program.batch) // block), 1)
+    return Kernel(source, name, block, grid, program.summed)
 
 
 def _pitch(row: int) -> int:
@@ -105,10 +94,65 @@ def _pitch(row: int) -> int:
     return row | 1
 
 
+def _streamed(program: Written) -> dict[int, int]:
+    """The batch-first results that are written once, from the first entry to the last, where all
+    threads pass: id -> entries of a row."""
+    written: dict[int, list] = {a.id: [] for a in program.results}
+    for statement in program.builder.block.statements:
+        if isinstance(statement, Store) and statement.array.id in written:
+            written[statement.array.id].append((statement.base, statement.offset))
+    every = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, Store))
+    found = {}
+    for array, layout in zip(program.results, program.layouts[1], strict=True):
+        row = layout.rows(program.batch)
+        order = [(None, k) for k in range(row or 0)]
+        if row and row > 1 and written[array.id] == order and every[array.id] == row:
+            found[array.id] = row
+    return found
+
+
+def _staged(program: Written, tile: int) -> tuple[int, dict[int, int]]:
+    """Threads of a block, and the operands that go through shared memory: id -> entries of a row;
+    `tile` bytes a thread are taken."""
+    found: list[tuple[int, Array, int]] = []
+    for array, layout in zip(program.operands, program.layouts[0], strict=True):
+        row = layout.rows(program.batch)
+        if row is not None and SHORT < row <= ROW:
+            found.append((_pitch(row) * array.dtype.itemsize, array, row))
+    found.sort(key=lambda x: x[0])
+    total = tile + sum(bytes for bytes, _, _ in found)
+    block = BLOCK if total * BLOCK <= SHARED_BYTES else BLOCK // 2
+    used, rows = tile * block, {}
+    for bytes, array, row in found:
+        used += bytes * block
+        if used <= SHARED_BYTES:
+            rows[array.id] = row
+    return block, rows
+
+
+class KernelPrinter(Printer):
+    """Prints statements; those that write a streamed result fill the warp's tile and empty it."""
+
+    def __init__(self, names: dict[int, str], streams: dict[int, tuple[int, int]]):
+        super().__init__(names)
+        self.streams = streams
+
+    def _lines(self, statement: Any) -> Iterator[str]:
+        if not (isinstance(statement, Store) and statement.array.id in self.streams):
+            yield from super()._lines(statement)
+            return
+        k, row = self.streams[statement.array.id]
+        kind, at = c_type(statement.array.dtype), statement.offset % 32
+        yield f"w{k}[threadIdx.x%32*33+{at}]={self.value(statement.value)};"
+        if at == 31 or statement.offset == row - 1:
+            first = statement.offset - at
+            yield f"flush<{kind},{row},{at + 1}>(y{k}+{first},w{k},warp_rows);"
+
+
 def _lines(
-    program: Written, name: str, size: int, block: int, rows: dict[int, int]
+    program: Written, name: str, block: int, rows: dict[int, int], streams: dict[int, int], tile: int
 ) -> Iterator[str]:
-    index = sample_index(program.batch)
+    size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield f"#define BLOCK {block}"
     yield HEAD + PREAMBLE
@@ -134,40 +178,42 @@ def _lines(
             yield f"__shared__ {kind} s{k}[{pitch * block}];"
             yield f"fetch<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
-    if any(array.id in rows for array in program.operands):
+    if rows:
         yield "__syncthreads();"
+    if streams:
+        yield f"__shared__ double tiles[{-(-tile * block // 8)}];"
+        yield "const int warp=threadIdx.x/32;"
+        yield "const int warp_rows=rows-32*warp<32?rows-32*warp:32;"
+    places: dict[int, tuple[int, int]] = {}
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
-        kind, row = c_type(array.dtype), rows.get(array.id)
+        kind, row = c_type(array.dtype), streams.get(array.id)
         if program.summed[k]:
             yield f"{kind} y{k}[{max(array.size, 1)}];"
         elif row is None:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
         else:
-            pitch = _pitch(row)
-            yield f"__shared__ {kind} w{k}[{pitch * block}];"
-            yield f"{kind}* y{k}=w{k}+own*{pitch};"
-    yield from Printer(names).lines(program.builder.block)
-    yield from _end(program, block, rows)
+            places[array.id] = k, row
+            yield f"{kind}* const w{k}=({kind}*)tiles+warp*{33 * 32};"
+            yield f"{kind}* const y{k}=r{k}+(first+32*warp)*{row};"
+    yield from KernelPrinter(names, places).lines(program.builder.block)
+    yield from _sums(program, block)
     yield "}"
 
 
-def _end(program: Written, block: int, rows: dict[int, int]) -> Iterator[str]:
-    if any(array.id in rows for array in program.results):
-        yield "__syncthreads();"
+def _sums(program: Written, block: int) -> Iterator[str]:
+    """Results of the whole batch: one partial sum a block."""
     for k, array in enumerate(program.results):
-        kind, row = c_type(array.dtype), rows.get(array.id)
-        if row is not None:
-            yield f"put_back<{kind},{row},{_pitch(row)}>(r{k}+first*{row},w{k},rows);"
-        if program.summed[k] and array.size:
-            warps, n = block // 32, array.size
-            yield f"__shared__ {kind} u{k}[{warps}];"
-            yield "" if n <= 64 else "#pragma unroll 1"
-            yield f"for(int i=0;i<{n};i++){{"
-            yield f"const {kind} t=over_warp<{kind}>((int)threadIdx.x<rows?y{k}[i]:({kind})0);"
-            yield "__syncthreads();"
-            yield f"if(threadIdx.x%32==0)u{k}[threadIdx.x/32]=t;"
-            yield "__syncthreads();"
-            total = "+".join(f"u{k}[{w}]" for w in range(warps))
-            yield f"if(threadIdx.x==0)r{k}[(long long)blockIdx.x*{n}+i]={total};"
-            yield "}"
+        if not program.summed[k] or not array.size:
+            continue
+        kind, warps, n = c_type(array.dtype), block // 32, array.size
+        yield f"__shared__ {kind} u{k}[{warps}];"
+        yield "" if n <= 64 else "#pragma unroll 1"
+        yield f"for(int i=0;i<{n};i++){{"
+        yield f"const {kind} t=over_warp<{kind}>((int)threadIdx.x<rows?y{k}[i]:({kind})0);"
+        yield "__syncthreads();"
+        yield f"if(threadIdx.x%32==0)u{k}[threadIdx.x/32]=t;"
+        yield "__syncthreads();"
+        total = "+".join(f"u{k}[{w}]" for w in range(warps))
+        yield f"if(threadIdx.x==0)r{k}[(long long)blockIdx.x*{n}+i]={total};"
+        yield "}"

@@ -66,6 +66,8 @@ class Layout:
 
     def rows(self, batch: tuple[int, ...]) -> int | None:
         """The entries of a sample, where samples lie one behind the other in rows; else None."""
+        if not self.axes or None in self.axes:
+            return None
         n = math.prod(self.sample)
         steps, size = [], n
         for count in reversed(batch):

@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from rbjax.compiling import alone
 from rbjax.threads.primitive import Program, run
@@ -62,20 +63,26 @@ def threads(f: Callable) -> Callable:
     return call
 
 
-def threaded(f: Callable, reverse: Any = None) -> Callable:
+def flattened(f: Callable, args: tuple, kwargs: dict) -> tuple[list, Callable, list]:
+    """The arrays of a call, f as a function of them to a list of arrays, and a list that gets the
+    structure of its results once it has been traced."""
+    leaves, tree = jax.tree.flatten((args, kwargs))
+    shape: list[Any] = []
+
+    def flat(*xs: Any) -> list[Any]:
+        args, kwargs = jax.tree.unflatten(tree, xs)
+        out, treedef = jax.tree.flatten(f(*args, **kwargs))
+        shape.append(treedef)
+        return [jnp.asarray(x) for x in out]
+
+    return [jnp.asarray(x) for x in leaves], flat, shape
+
+
+def threaded(f: Callable) -> Callable:
     """`threads` whether or not there is a GPU."""
 
     def bound(*args: Any, **kwargs: Any) -> Any:
-        leaves, tree = jax.tree.flatten((args, kwargs))
-        leaves = [jnp.asarray(x) for x in leaves]
-        shape: list[Any] = []
-
-        def flat(*xs: Any) -> list[Any]:
-            args, kwargs = jax.tree.unflatten(tree, xs)
-            out, treedef = jax.tree.flatten(f(*args, **kwargs))
-            shape.append(treedef)
-            return [jnp.asarray(x) for x in out]
-
+        leaves, flat, shape = flattened(f, args, kwargs)
         program, closed_over = trace(flat, leaves)
         return jax.tree.unflatten(shape[0], run(program, [*closed_over, *leaves]))
 
@@ -99,13 +106,6 @@ def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:
     and what it closes over."""
     avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
     closed = jax.make_jaxpr(f)(*avals)
-    return opened(closed)
-
-
-def opened(closed: Any) -> tuple[Program, list[Any]]:
-    """A jaxpr with its traced constants as first arguments."""
-    from jax.extend.core import ClosedJaxpr, Jaxpr
-
     jaxpr, consts = closed.jaxpr, closed.consts
     traced = [isinstance(c, jax.core.Tracer) for c in consts]
     if not any(traced):

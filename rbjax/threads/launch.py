@@ -35,8 +35,10 @@ _kernel.multiple_results = True
 _kernel.def_abstract_eval(lambda *operands, results, **how: list(results))
 
 
-def launch(kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[Any]) -> list[jax.Array]:
-    """The kernel's results, of these shapes and types. Only in a program that is lowered for CUDA."""
+def launch(
+    kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[Any]
+) -> list[jax.Array]:
+    """The kernel's results, of these shapes and types; only in a program lowered for CUDA."""
     code = ptx(kernel.source, capability())
     how = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
     return _kernel.bind(*operands, results=tuple(results), **how)

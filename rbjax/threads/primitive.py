@@ -361,17 +361,17 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         return found, [ad.Zero.from_primal_value(x) for x in found]
     if program.sized is not None:
         program = program.sized(math.prod(batch))
-    n, first, kept = len(program.outputs), tuple(range(len(batch))), []
+    n, kept = len(program.outputs), []
     if program.keeping is None:
         found = run(program, primals, batch, ins, outs)
     else:
-        more = len(program.keeping.outputs) - n
-        found = run(program.keeping, primals, batch, ins, (*outs, *(first,) * more))
-        kept = [
-            _batch_leads(x, axes)
-            for x, axes in zip(found, (*outs, *(first,) * more), strict=True)
-        ][program.reads :]
-    axes = (*ins, *(first,) * len(kept), *(a for a, m in zip(ins, moving, strict=True) if m))
+        # what nobody else sees lies as threads read it best
+        last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in program.keeping.outputs[n:]]
+        places = (*outs, *last)
+        found = run(program.keeping, primals, batch, ins, places)
+        kept = found[program.reads :]
+    kept_axes = places[program.reads :] if kept else ()
+    axes = (*ins, *kept_axes, *(a for a, m in zip(ins, moving, strict=True) if m))
     rate = tangent_p.bind(
         *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes
     )
@@ -379,11 +379,6 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         placed(t, len(batch), a) if _is_float(t) else ad.Zero.from_primal_value(x)
         for t, a, x in zip(rate, outs, found[:n], strict=True)
     ]
-
-
-def _batch_leads(x, axes):
-    """A result with the axes of the batch moved to the front."""
-    return jnp.moveaxis(x, axes, range(len(axes)))
 
 
 ad.primitive_jvps[threads_p] = _jvp

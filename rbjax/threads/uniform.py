@@ -15,8 +15,10 @@ if TYPE_CHECKING:
     from rbjax.threads.primitive import Program
 
 #: equations that only move entries; a thread does them for nothing
-FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev",
-        "concatenate", "copy", "iota", "convert_element_type", "split", "unstack", "stack"}  # fmt: skip
+FREE = {
+    "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev",
+    "concatenate", "copy", "iota", "convert_element_type", "split", "unstack", "stack",
+}  # fmt: skip
 
 
 def split(

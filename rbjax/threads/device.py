@@ -1,0 +1,87 @@
+"""What the CUDA driver says of a compiled kernel and of the device."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+from rbjax.threads.nvrtc import CompileError
+
+# of cuda.h
+REGISTERS, LOCAL_BYTES, SHARED_BYTES = 4, 3, 1  # CUfunction_attribute
+CLOCK_KHZ, MULTIPROCESSORS, MEMORY_KHZ, BUS_BITS = 13, 16, 36, 37  # CUdevice_attribute
+LANES = 128  # of arithmetic in f32 a multiprocessor, since Ampere's consumer chips and Hopper
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What a thread takes: registers, bytes of local memory; bytes of shared memory a block."""
+
+    registers: int
+    local_bytes: int
+    shared_bytes: int
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Instructions and bytes a second."""
+
+    instructions: float
+    bandwidth: float
+
+
+def _driver() -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL("libcuda.so.1")
+    except OSError as error:
+        raise CompileError("found no CUDA driver (libcuda.so.1)") from error
+
+
+def _check(status: int, what: str) -> None:
+    if status:
+        raise CompileError(f"the CUDA driver fails to {what}: status {status}")
+
+
+def resources(code: str, name: str) -> Resources:
+    """Of a kernel's PTX, as the driver compiles it."""
+    cuda, module, function = _driver(), ctypes.c_void_p(), ctypes.c_void_p()
+    _in_context(cuda)
+    _check(cuda.cuModuleLoadData(ctypes.byref(module), code.encode()), "load a kernel")
+    try:
+        _check(cuda.cuModuleGetFunction(ctypes.byref(function), module, name.encode()), "find it")
+        found = []
+        for attribute in (REGISTERS, LOCAL_BYTES, SHARED_BYTES):
+            value = ctypes.c_int()
+            _check(cuda.cuFuncGetAttribute(ctypes.byref(value), attribute, function), "ask of it")
+            found.append(value.value)
+        return Resources(*found)
+    finally:
+        cuda.cuModuleUnload(module)
+
+
+def limits() -> Limits:
+    """Of the first GPU, from its clocks."""
+    cuda = _driver()
+    device = _in_context(cuda)
+
+    def ask(attribute: int) -> int:
+        value = ctypes.c_int()
+        status = cuda.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
+        _check(status, "describe the device")
+        return value.value
+
+    clock = 1e3 * ask(CLOCK_KHZ)
+    # two transfers a clock
+    return Limits(
+        ask(MULTIPROCESSORS) * LANES * clock, 2e3 * ask(MEMORY_KHZ) * ask(BUS_BITS) / 8
+    )
+
+
+def _in_context(cuda: ctypes.CDLL) -> ctypes.c_int:
+    """The first device, whose primary context (JAX's own) is made current."""
+    device, context = ctypes.c_int(), ctypes.c_void_p()
+    _check(cuda.cuInit(0), "start")
+    _check(cuda.cuDeviceGet(ctypes.byref(device), 0), "find a device")
+    _check(cuda.cuDevicePrimaryCtxRetain(ctypes.byref(context), device), "open the device")
+    _check(cuda.cuCtxSetCurrent(context), "enter the device")
+    return device
