@@ -223,6 +223,12 @@ def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
     return view
 
 
+def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View:
+    """x in memory, broadcast to a shape as numpy does."""
+    view = in_memory(b, x, dtype)
+    return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))
+
+
 def get(b: Builder, view: View, index: Sequence[Value]) -> Value:
     """One entry."""
     there = view.moved(b, *zip(index, view.strides, strict=True))

@@ -213,10 +213,13 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         chosen = branches[min(max(int(which), 0), len(branches) - 1)]
         return low.closed(chosen, args, places)
     b, outs = low.b, []
-    for var, place in zip(eqn.outvars, places, strict=True):
+    updated = _updated_arguments(branches, args, places)
+    for k, (var, place) in enumerate(zip(eqn.outvars, places, strict=True)):
         aval = var.aval
         if place is not None:
             outs.append(place)
+        elif k in updated:
+            outs.append(args[updated[k]])
         elif aval.size > REGISTERS:
             outs.append(View.of(b.local(dtype_of(aval), aval.size), aval.shape))
         else:
@@ -226,12 +229,16 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
             outs.append(entries)
 
     def run(branch: ClosedJaxpr) -> None:
-        spots = [x if isinstance(x, View) else None for x in outs]
+        spots = [
+            x if isinstance(x, View) and k not in updated else None for k, x in enumerate(outs)
+        ]
         found = low.closed(branch, args, spots)
         for to, x in zip(outs, found, strict=True):
             if not isinstance(to, View):
                 for var, value in zip(to.flat, low.scalars(x).flat, strict=True):
                     b.assign(var, value)
+        for k in updated:  # what other results read of the old array has been read
+            write(b, outs[k], found[k])
 
     def choose(first: int) -> None:
         if first == len(branches) - 1:
@@ -248,9 +255,47 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         with b.inside(blocks[1]):
             choose(first + 1)
 
-    with low.held(args):
+    with low.held([x for j, x in enumerate(args) if j not in updated.values()]):
         choose(0)
     return outs
+
+
+def _updated_arguments(
+    branches: Sequence[ClosedJaxpr], args: list, places: list
+) -> dict[int, int]:
+    """For results that in every branch are one argument, perhaps updated: which one.
+
+    Such an argument is updated in place, if nothing reads it later.
+    """
+    out: dict[int, int] = {}
+    for k, origins in enumerate(zip(*map(_versions, branches), strict=True)):
+        j = origins[0]
+        if j is None or set(origins) != {j} or j in out.values() or places[k] is not None:
+            continue
+        x = args[j]
+        if isinstance(x, View) and x.changeable:
+            others = [y for i, y in enumerate(args) if i != j and isinstance(y, View)]
+            if all(y.array is not x.array for y in others):
+                out[k] = j
+    return out
+
+
+def _versions(closed: ClosedJaxpr) -> list[int | None]:
+    """For each result the input that it is, or that it is an updated copy of."""
+    jaxpr = closed.jaxpr
+    origin: dict[Any, int | None] = {v: k for k, v in enumerate(jaxpr.invars)}
+
+    def of(atom: Any) -> int | None:
+        return None if isinstance(atom, Literal) else origin.get(atom)
+
+    for eqn in jaxpr.eqns:
+        inner = called(eqn)
+        if eqn.primitive.name.startswith(("dynamic_update", "scatter")):
+            origin[eqn.outvars[0]] = of(eqn.invars[0])
+        elif inner is not None:
+            for var, k in zip(eqn.outvars, _versions(inner), strict=True):
+                origin[var] = None if k is None else of(eqn.invars[k])
+    return [of(v) for v in jaxpr.outvars]
 
 
 @rule("platform_index")

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.materialize import polynomial_sincos
-from rbjax.threads.arrays import Small, View, each, filled, get, in_memory, is_known, put
+from rbjax.threads.arrays import Small, View, each, filled, get, is_known, put, spread
 from rbjax.threads.folding import FOLD
 from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import BOOL, Value
@@ -46,8 +46,7 @@ def entrywise(
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
     if size > LOOP_ABOVE or in_memory_now:
         b = low.b
-        sources = [in_memory(b, x, x.dtype if x.dtype != object else _dtype(x)) for x in xs]
-        sources = [s.broadcast(shape, range(len(shape) - s.ndim, len(shape))) for s in sources]
+        sources = [spread(b, x, x.dtype if x.dtype != object else _dtype(x), shape) for x in xs]
         view = View.of(b.local(dtype, math.prod(shape)), shape)
         each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
         return view
@@ -229,12 +228,25 @@ def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
     """Cosine and sine by polynomials of one reduced angle."""
     aval = jax.ShapeDtypeStruct((), eqn.invars[0].aval.dtype)
     closed = _traced(polynomial_sincos, aval.dtype)
+
+    def pair(angle: Value) -> list[Value]:
+        return [low.scalars(x)[()] for x in low.closed(closed, [filled((), angle)])]
+
+    b, shape = low.b, _shape(eqn)
+    if math.prod(shape) > LOOP_ABOVE_IN_MEMORY:
+        angles = spread(b, ins[0], aval.dtype, shape)
+        views = [View.of(b.local(aval.dtype, math.prod(shape)), shape) for _ in range(2)]
+
+        def one(*i: Value) -> None:
+            for view, value in zip(views, pair(get(b, angles, i)), strict=True):
+                put(b, view, i, value)
+
+        each(b, shape, one)
+        return list(views)
     x = low.scalars(ins[0])
-    out = np.empty(x.shape, object), np.empty(x.shape, object)
-    for i in np.ndindex(x.shape):
-        pair = low.closed(closed, [filled((), x[i])])
-        for k in (0, 1):
-            out[k][i] = low.scalars(pair[k])[()]
+    out = np.empty(shape, object), np.empty(shape, object)
+    for i in np.ndindex(shape):
+        out[0][i], out[1][i] = pair(x[i])
     return list(out)
 
 

@@ -69,7 +69,10 @@ def _dynamic_slice(low: Lowering, eqn: Any, ins: list) -> list:
         return [x.sliced(box) if isinstance(x, View) else x[box]]
     if not isinstance(x, View) and not is_known(x) and x.size <= SELECT_UP_TO:
         return [_selected(low, x, starts, sizes)]
-    return [_moved(low, in_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)]
+    view = _moved(low, in_memory(low.b, x, dtype_of(eqn.outvars[0].aval)), starts, sizes)
+    if view.array.mutable and view.size <= SELECT_UP_TO:
+        return [low.scalars(view)]  # read now, so that the array may be updated in place
+    return [view]
 
 
 def _selected(low: Lowering, x: np.ndarray, starts: list, sizes: Sequence[int]) -> np.ndarray:

@@ -11,18 +11,32 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.threads.arrays import Small
+from rbjax.threads.arrays import Small, View, each, get, put, spread
 from rbjax.threads.lowering import KEY, Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import Value
 
 U32 = np.dtype(np.uint32)
+#: more blocks are computed by a loop
+LOOP_ABOVE = 16
 ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 
 
 @rule("threefry2x32")
 def _threefry(low: Lowering, eqn: Any, ins: list) -> list:
+    b, aval = low.b, eqn.outvars[0].aval
+    if aval.size > LOOP_ABOVE:
+        sources = [spread(b, x, U32, aval.shape) for x in ins]
+        views = [View.of(b.local(U32, aval.size), aval.shape) for _ in range(2)]
+
+        def one(*i: Value) -> None:
+            values = threefry(low, *(get(b, x, i) for x in sources))
+            for view, value in zip(views, values, strict=True):
+                put(b, view, i, value)
+
+        each(b, aval.shape, one)
+        return list(views)
     arrays = np.broadcast_arrays(*(low.scalars(x) for x in ins))
-    outs = np.empty(eqn.outvars[0].aval.shape, object), np.empty(eqn.outvars[0].aval.shape, object)
+    outs = np.empty(aval.shape, object), np.empty(aval.shape, object)
     for i in np.ndindex(outs[0].shape):
         outs[0][i], outs[1][i] = threefry(low, *(x[i] for x in arrays))
     return list(outs)

@@ -106,16 +106,35 @@ rule(*REDUCTIONS)(_reduce)
 def _arg(low: Lowering, eqn: Any, ins: list) -> list:
     (axis,), dtype = eqn.params["axes"], dtype_of(eqn.outvars[0].aval)
     b, better = low.b, "gt" if eqn.primitive.name == "argmax" else "lt"
+
+    def wins(value: Value, best: Value) -> Value:
+        out = b.op(better, BOOL, value, best)
+        if best.dtype.kind == "f":  # the first nan is the answer
+            is_nan, was_not = b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best)
+            out = b.op("or", BOOL, out, b.op("and", BOOL, is_nan, was_not))
+        return out
+
+    if ins[0].size > LOOP_ABOVE:
+        view = in_memory(b, ins[0], eqn.invars[0].aval.dtype)
+
+        def one(x: View, out: View, *i: Value) -> None:
+            best = b.declare(x.dtype, get(b, x, (*i, np.int32(0))))
+            at = b.declare(dtype, dtype.type(0))
+            with b.loop(x.shape[-1]) as k:
+                value = get(b, x, (*i, k))
+                with b.when(wins(value, best)):
+                    b.assign(best, value)
+                    b.assign(at, b.cast(k, dtype))
+            put(b, out, i, at)
+
+        return [_along(low, view, axis, dtype, one)]
     x = np.moveaxis(low.scalars(ins[0]), axis, -1)
     out = np.empty(x.shape[:-1], object)
     for i in np.ndindex(out.shape):
         best, at = x[i][0], dtype.type(0)
         for k, value in enumerate(x[i][1:], 1):
-            wins = b.op(better, BOOL, value, best)
-            if best.dtype.kind == "f":  # the first nan is the answer
-                is_nan, was_not = b.op("ne", BOOL, value, value), b.op("eq", BOOL, best, best)
-                wins = b.op("or", BOOL, wins, b.op("and", BOOL, is_nan, was_not))
-            best, at = b.select(wins, value, best), b.select(wins, dtype.type(k), at)
+            won = wins(value, best)
+            best, at = b.select(won, value, best), b.select(won, dtype.type(k), at)
         out[i] = at
     return [out]
 
@@ -126,6 +145,8 @@ CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min
 def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
     name, axis = CUMULATIVE[eqn.primitive.name], eqn.params["axis"]
     dtype = dtype_of(eqn.outvars[0].aval)
+    if ins[0].size > LOOP_ABOVE:
+        return [_cumulative_looped(low, in_memory(low.b, ins[0], dtype), eqn, name)]
     x = np.moveaxis(low.scalars(ins[0]), axis, 0)
     x = x[::-1] if eqn.params["reverse"] else x
     out = x.copy()
@@ -134,6 +155,36 @@ def _cumulative(low: Lowering, eqn: Any, ins: list) -> list:
             out[(k, *i)] = low.b.op(name, dtype, out[(k - 1, *i)], x[(k, *i)])
     out = out[::-1] if eqn.params["reverse"] else out
     return [np.moveaxis(out, 0, axis)]
+
+
+def _cumulative_looped(low: Lowering, x: View, eqn: Any, name: str) -> View:
+    b, axis, reverse = low.b, eqn.params["axis"], eqn.params["reverse"]
+    out = View.of(b.local(x.dtype, x.size), x.shape)
+    order = [*(k for k in range(x.ndim) if k != axis), axis]
+    source, to = x.transposed(order), out.transposed(order)
+    n = x.shape[axis]
+
+    def one(*i: Value) -> None:
+        first = (*i, np.int32(n - 1 if reverse else 0))
+        total = b.declare(x.dtype, get(b, source, first))
+        put(b, to, first, total)
+        with b.loop(n - 1, reverse=reverse) as k:
+            here = (*i, k if reverse else b.op("index_add", k.dtype, k, np.int32(1)))
+            b.assign(total, b.op(name, x.dtype, total, get(b, source, here)))
+            put(b, to, here, total)
+
+    each(b, source.shape[:-1], one)
+    return out
+
+
+def _along(low: Lowering, x: View, axis: int, dtype: Any, f: Callable) -> View:
+    """f(x with the axis last, the result, *index) for each index of the other axes."""
+    rest = [k for k in range(x.ndim) if k != axis]
+    moved = x.transposed([*rest, axis])
+    shape = moved.shape[:-1]
+    out = View.of(low.b.local(dtype, int(np.prod(shape, dtype=int))), shape)
+    each(low.b, shape, lambda *i: f(moved, out, *i))
+    return out
 
 
 rule(*CUMULATIVE)(_cumulative)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from rbjax.threads.arrays import Small, View, each, get, owned_copy, put
+from rbjax.threads.elementwise import LOOP_ABOVE, entrywise
 from rbjax.threads.lowering import Lowering, dtype_of, rule
 from rbjax.threads.program import BOOL, I32, Block, Builder, Value, While
 
@@ -36,7 +38,7 @@ def _sort(low: Lowering, eqn: Any, ins: list) -> list:
 
 def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Small]:
     """Arrays in the order of the first of them; equal entries stay as they are."""
-    if xs[0].shape[axis] > REGISTERS:
+    if xs[0].shape[axis] > REGISTERS or xs[0].size > LOOP_ABOVE:
         return _sort_in_memory(low, xs, dtypes, axis, keys)
     b = low.b
     outs = [np.moveaxis(low.scalars(x), axis, -1).copy() for x in xs]
@@ -91,15 +93,13 @@ def _sort_in_memory(low: Lowering, xs: list, dtypes: list, axis: int, keys: int)
 @rule("top_k")
 def _top_k(low: Lowering, eqn: Any, ins: list) -> list:
     """The greatest entries first; of equal ones the first first, and nan before all."""
-    b, x = low.b, low.scalars(ins[0])
+    x = ins[0]
     axis = eqn.params.get("axis", -1) % x.ndim
     kind, places = eqn.invars[0].aval.dtype, dtype_of(eqn.outvars[1].aval)
-    rank = np.empty(x.shape, object)
-    for i in np.ndindex(x.shape):
-        rank[i] = _descending(b, x[i])
+    key = np.dtype(f"i{kind.itemsize}") if kind.kind == "f" else kind
+    rank = entrywise(low, key, x.shape, functools.partial(_descending, low.b), x)
     row = np.arange(x.shape[axis], dtype=places)
     row = np.broadcast_to(row.reshape([-1 if k == axis else 1 for k in range(x.ndim)]), x.shape)
-    key = np.dtype(f"i{kind.itemsize}") if kind.kind == "f" else kind
     _, values, index = sort(low, [rank, x, row], [key, kind, places], axis, 1)
     best = [slice(0, n, 1) for n in x.shape]
     best[axis] = slice(0, eqn.params["k"], 1)

@@ -15,8 +15,9 @@ from jax.lax import GatherDimensionNumbers as Gather
 from jax.lax import GatherScatterMode as Mode
 from jax.lax import ScatterDimensionNumbers as Scatter
 
+from rbjax.materialize import sincos
 from rbjax.threads.lowering import Unsupported
-from tests.threads.host import COMPILER, Case, by_xla, many_on_host, on_host
+from tests.threads.host import COMPILER, Case, by_xla, many_on_host, on_host, written
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 
@@ -623,6 +624,25 @@ def test_custom_derivatives_and_gradients():
 # ------------------------------------------------------------------- size
 
 
+def test_large_arrays_are_worked_through_by_loops():
+    x, data = normal(F64, 2, 30, 20), np.arange(4, dtype=np.uint32).reshape(2, 2)
+    x[1, 3, 4] = np.nan
+    cases: dict[str, Case] = {
+        "arg": (lambda x: (x.argmax(0), x.argmin(1), x.ravel().argmax()), (x,)),
+        "sums": (lambda x: (x.cumsum(0), lax.cummax(x, axis=1, reverse=True),
+                            lax.cumsum(x, axis=0, reverse=True)), (x,)),
+        "reductions": (lambda x: (x.sum(0), x.max(1), x.prod(), x.min()), (x,)),
+        "sincos": (lambda x: tuple(sincos(x)), (x,)),
+        "random": (lambda data: (jax.random.bits(data, (700,)),
+                                 jax.random.uniform(data, (25, 30), jnp.float64)), (data,)),
+        "entries": (lambda x: jnp.where(x > 0, jnp.clip(x, -0.5, 0.7), x.sum()), (x,)),
+        "sort": (lambda x: (jnp.sort(x, 0), lax.top_k(x, 4)[1]), (x[:1],)),
+    }  # fmt: skip
+    for name, (f, args) in cases.items():
+        assert written(f, *args)[0].statements < 700, name
+    compare(cases, ulps=512, absolute=512)
+
+
 def mlp(x, w0, b0, w1, b1, w2, b2):
     x = jnp.tanh(w0 @ x + b0)
     x = jnp.tanh(w1 @ x + b1)
@@ -630,8 +650,6 @@ def mlp(x, w0, b0, w1, b1, w2, b2):
 
 
 def test_a_network_is_a_few_hundred_statements():
-    from tests.threads.host import written
-
     sizes = (20, 128, 128, 6)
     x, args = normal(F32, 2, 20), []
     for k, (n, m) in enumerate(itertools.pairwise(sizes)):

@@ -7,8 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import lax
 
 import rbjax as rb
+from rbjax.threads.frame import Written
+from rbjax.threads.program import Loop, While, walk
 from tests.threads.host import COMPILER, on_host, written
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
@@ -49,13 +52,27 @@ def test_each_sample_takes_its_own_steps(scene, solver):
     assert len({*got[3].tolist()}) > 1
 
 
+def copies(program: Written, size: int) -> int:
+    """Loops over an array of this size, or more, that run at each turn of another loop."""
+    loops = [s for s in walk(program.builder.block) if isinstance(s, While | Loop)]
+    return sum(isinstance(s, Loop) and s.count >= size for loop in loops for s in walk(loop.body))
+
+
 def test_saved_times_are_written_in_place():
-    """Code and copies do not grow with the number of times that are kept."""
-    from rbjax.threads.program import Loop, While, walk
+    program, _, _ = written(*simulation("double_pendulum", times=1000))
+    assert copies(program, 1000) == 0
 
-    def loops_inside_loops(times: int) -> int:
-        program, _, _ = written(*simulation("double_pendulum", times=times))
-        whiles = [s for s in walk(program.builder.block) if isinstance(s, While)]
-        return sum(isinstance(s, Loop) and s.count >= times for w in whiles for s in walk(w.body))
 
-    assert loops_inside_loops(1000) == 0
+def test_an_array_is_updated_in_place_under_a_condition():
+    def f(x, n):
+        def turn(k, c):
+            rows, last = c
+            new = lax.cond(x[k % 3] > 0, lambda r: r.at[k].set(x.sum() + k), lambda r: r, rows)
+            return new, new[k] + last
+
+        return lax.fori_loop(0, n, turn, (jnp.zeros(1000), 0.0))
+
+    x, n = np.random.default_rng(0).normal(size=(4, 3)), np.array([0, 1, 8, 1000])
+    assert copies(written(f, x, n)[0], 1000) == 0
+    for got, want in zip(on_host(f, x, n), jax.vmap(f)(x, n), strict=True):
+        np.testing.assert_allclose(got, want, rtol=1e-13)
