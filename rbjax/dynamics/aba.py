@@ -105,8 +105,8 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
         qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
         return a + factor.S * qdd, (qdd, factor)
 
-    out = d.outward(accelerate, Motion(Vec3.zero(), -gravity), ys)
-    return _unzip(d, out)
+    qdd, factors = d.unzip(d.outward(accelerate, Motion(Vec3.zero(), -gravity), ys))
+    return qdd, factors
 
 
 def factorize(d: Driver, joints: Any) -> Any:
@@ -137,8 +137,3 @@ def solve(d: Driver, factors: Any, tau: Any) -> Any:
 
     return d.outward(outward, Motion.zero(), d.inward(inward, Force.zero(), d.zip(factors, tau)))
 
-
-def _unzip(d: Driver, pairs: Any) -> tuple[Any, Any]:
-    if isinstance(pairs, list):
-        return [a for a, _ in pairs], [b for _, b in pairs]
-    return pairs

@@ -74,9 +74,9 @@ class Unrolled:
         """f of each link's values."""
         return [materialize(f(*x), known=x) for x in zip(*whole, strict=True)]
 
-    def take(self, whole: list, index: Sequence[int]) -> list:
-        """The values of these links."""
-        return [whole[i] for i in index]
+    def take(self, whole: list, index: Sequence[int], world: Any = None) -> list:
+        """The values of these links; `world` where an index is WORLD."""
+        return [world if i == WORLD else whole[i] for i in index]
 
     def stack(self, whole: list, lanes: Callable, like: jax.Array) -> jax.Array:
         """The lanes of each value side by side, as an array (values, lanes)."""
@@ -91,6 +91,10 @@ class Unrolled:
     def zip(self, *values: list) -> list[tuple]:
         """Per-link tuples of per-link values."""
         return list(zip(*values, strict=True))
+
+    def unzip(self, tuples: list) -> tuple[list, ...]:
+        """The inverse of `zip`."""
+        return tuple(list(values) for values in zip(*tuples, strict=True))
 
     def outward(self, step: Step, root: Any, xs: list) -> list:
         """carry_i, y_i = step(x_i, carry of the parent), from the root out; the list of y_i."""
