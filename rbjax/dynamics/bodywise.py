@@ -27,14 +27,15 @@ from rbjax.dynamics.composites import (
     link_axes,
     link_inertias,
     link_twists,
-    pair_matrix,
     tree_poses,
+    turning,
     twice_coriolis,
     twice_coriolis_transposed,
 )
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import ancestor_mask
 from rbjax.dynamics.kinematics import body_transforms
+from rbjax.dynamics.pairs import pair_matrix
 from rbjax.lanes import Mat3, Sym3, Vec3
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
@@ -67,7 +68,8 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     joints = d.joints(q, v)
     poses = tree_poses(d, joints)
     S, inertias = link_axes(d, poses), link_inertias(d, poses)
-    V, S_rate = link_twists(d, S, v)
+    V = link_twists(d, S, v)
+    S_rate = d.each(Motion.cross, turning(d, V), S)
     B = d.each(coriolis_block, inertias, V)
     nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), (Sym3.zero(), Force.zero()))
     composite = carried(d, d.each(lambda *x: x, inertias, B), nothing)

@@ -10,17 +10,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.composites import (
     carried,
     link_axes,
     link_inertias,
-    pair_matrix,
     tree_poses,
 )
 from rbjax.dynamics.drivers import Unrolled, driver
+from rbjax.dynamics.pairs import pair_matrix, with_armature
 from rbjax.dynamics.rolled import Rolled
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
@@ -65,9 +64,7 @@ def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
     S = link_axes(d, poses)
     I_c = carried(d, link_inertias(d, poses), _ZERO)
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
-    armature = d.whole(d.constants).armature
-    M = pair_matrix(d, (S, F), (F, S), like)
-    return M + jnp.where(np.eye(d.topology.nv, dtype=bool), armature, 0.0).astype(like.dtype)
+    return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
 
 
 @algorithm("q")

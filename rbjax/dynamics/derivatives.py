@@ -10,27 +10,22 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.composites import (
-    carried,
     coriolis_block,
-    last_of_ball,
     link_axes,
-    link_inertias,
     link_twists,
-    pair_columns,
-    pair_matrix,
     tree_poses,
+    turning,
     twice_coriolis,
     twice_coriolis_transposed,
-    with_armature,
 )
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.inverse import InverseMass
-from rbjax.lanes import Sym3, Vec3
+from rbjax.dynamics.pairs import pair_matrix, with_armature
+from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.model import Model, Topology
 from rbjax.spatial import Force, Motion, RigidInertia
 
@@ -51,51 +46,66 @@ class ForwardDynamicsDerivatives(NamedTuple):
     tau: jax.Array
 
 
-def _operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> tuple[Any, Any, Any]:
-    """What `pair_matrix` makes dID/dq, dID/dv and M of: (above, below) of each."""
-    top = d.topology
-    V, S_rate = link_twists(d, S, v)
+class Operands(NamedTuple):
+    """Of each link what `pair_matrix` multiplies: for entry (i, j) the row of link i by a column of
+    link j where j moves i, elsewhere the axis of i by a force of j."""
+
+    force_q: Force
+    force_v: Force
+    force_a: Force
+    row: tuple[Lane, ...]
+    column_q: tuple[Lane, ...]
+    column_v: tuple[Lane, ...]
+
+
+def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
+    """`Operands` at accelerations `a` per link, each of them in the form of `Driver.whole`."""
+    V = link_twists(d, S, v)
+    base = Motion(Vec3.zero(), -d.prepared.gravity)
+    before = [_before(d.topology, i) for i in range(d.topology.nv)]
+    V_before, T = d.take(V, before, Motion.zero()), turning(d, V)
+    drift = d.each(Motion.cross, V_before, S)
+    rate = drift if T is V_before else d.each(Motion.cross, T, S)
 
     def accelerate(x, A_parent):
-        S, S_rate, speed, qdd = x
-        A = A_parent + S * qdd + S_rate * speed
+        S, drift, speed, qdd = x
+        A = A_parent + S * qdd + drift * speed
         return A, A
 
-    base = Motion(Vec3.zero(), -d.prepared.gravity)
-    rows = d.zip(d.rows(S), d.rows(S_rate), d.lanes(v), a)
-    A = d.whole(d.outward(accelerate, base, rows))
-    inertias = link_inertias(d, poses)
+    A = d.whole(d.outward(accelerate, base, d.zip(d.rows(S), d.rows(drift), d.lanes(v), a)))
+    A_before = d.take(A, before, base)
 
-    def own(inertia, V, A):
+    def gather(x, children):
+        link, (pose, V, A, S, rate, drift, V_before, A_before) = x
+        inertia = pose.rigid_to_parent(link.inertia)
         block = coriolis_block(inertia, V)
-        return inertia, block, inertia(A) + V.cross_force(block[1])
-
-    nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), (Sym3.zero(), Force.zero()), Force.zero())
-    composite = carried(d, d.each(own, inertias, V, A), nothing)
-    before = [_before(top, i) for i in range(top.nv)]
-    V, A = d.take(V, before, Motion.zero()), d.take(A, before, base)
-
-    def operands(S, S_rate, V, A, composite):
-        inertia, block, force = composite
-        drift = V.cross(S)
-        bend = A.cross(S) + V.cross(drift)
-        both = drift + S_rate
-        by_q = S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang)
-        by_v = inertia(both) + twice_coriolis(block, S.ang)
+        own = inertia, block, inertia(A) + V.cross_force(block[1])
+        inertia, block, force = composite = jax.tree.map(add, own, children)
+        bend = A_before.cross(S) + V_before.cross(drift)
+        both = drift + rate
         IS = inertia(S)
-        row = (*IS, *twice_coriolis_transposed(block, S))
-        return by_q, by_v, IS, row, (*bend, *drift.ang), (*both, *S.ang)
+        return composite, Operands(
+            S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang),
+            inertia(both) + twice_coriolis(block, S.ang),
+            IS,
+            (*IS, *twice_coriolis_transposed(block, S)),
+            (*bend, *drift.ang),
+            (*both, *S.ang),
+        )
 
-    out = d.each(operands, S, S_rate, V, A, composite)
-    by_q, by_v, IS, row, column_q, column_v = (d.each(lambda x, k=k: x[k], out) for k in range(6))
-    return ((S, by_q), (row, column_q)), ((S, by_v), (row, column_v)), ((S, IS), (IS, S))
+    massless = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
+    nothing = massless, (Sym3.zero(), Force.zero()), Force.zero()
+    rows = d.zip(*map(d.rows, (poses, V, A, S, rate, drift, V_before, A_before)))
+    out = d.inward(gather, nothing, d.zip(d.constants, rows))
+    return Operands(*map(d.whole, d.unzip(out)))
 
 
 def _before(top: Topology, i: int) -> int:
-    """A link whose motion says how the axis of link i would move if its joint stood still: the
-    parent of a ball's first link for all three, and elsewhere the link itself (S x S = 0)."""
+    """The link whose motion says how the axis of link i moves while its own joint stands still: of
+    a ball the parent of the first link, elsewhere the link itself, as S x S = 0."""
     link = top.links[i]
-    return i if last_of_ball(top, i) == i and link.part is None or link.kind == "slide" else top.parents[i - link.part]
+    ball = link.kind == "hinge" and link.part is not None
+    return top.parents[i - link.part] if ball else i
 
 
 @algorithm("q", "v", "a")
@@ -121,10 +131,12 @@ def inverse_dynamics_derivatives(
     """
     d = driver(model, q.dtype)
     poses = tree_poses(d, d.joints(q, None))
-    operands = _operands(d, poses, link_axes(d, poses), v, d.lanes(a))
-    by_q, by_v, M = (pair_matrix(d, *pair, v) for pair in operands)
-    M = with_armature(d, M)
-    return InverseDynamicsDerivatives(by_q, by_v, M)
+    S = link_axes(d, poses)
+    x = operands(d, poses, S, v, d.lanes(a))
+    by_q = pair_matrix(d, (S, x.force_q), (x.row, x.column_q), v)
+    by_v = pair_matrix(d, (S, x.force_v), (x.row, x.column_v), v)
+    M = pair_matrix(d, (S, x.force_a), (x.force_a, S), v)
+    return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
 @algorithm("q", "v", "tau")
@@ -154,6 +166,7 @@ def forward_dynamics_derivatives(
     _, _, U, inverse_D = d.unzip(factors)
     poses = tree_poses(d, joints)
     S = link_axes(d, poses)
-    columns = [pair_columns(d, *pair, v) for pair in _operands(d, poses, S, v, a)[:2]]
-    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*columns)
-    return ForwardDynamicsDerivatives(-by_q, -by_v, inverse)
+    x = operands(d, poses, S, v, a)
+    pairs = ((S, x.force_q), (x.row, x.column_q)), ((S, x.force_v), (x.row, x.column_v))
+    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*pairs)
+    return ForwardDynamicsDerivatives(by_q, by_v, inverse)

@@ -76,6 +76,8 @@ class Unrolled:
 
     def take(self, whole: list, index: Sequence[int], world: Any = None) -> list:
         """The values of these links; `world` where an index is WORLD."""
+        if list(index) == list(range(len(whole))):
+            return whole
         return [world if i == WORLD else whole[i] for i in index]
 
     def stack(self, whole: list, lanes: Callable, like: jax.Array) -> jax.Array:

@@ -2,12 +2,13 @@
 
 With U_i, D_i of each joint (aba.py), M = L^T D L where L_ij = U_i . S_j / D_i for each j that
 carries i: triangular, with entries only where one link carries the other (Featherstone, 6.5). Its
-inverse P has the same pattern, and
+inverse P has the same pattern:
 
-    M^-1 = P D^-1 P^T,      P_ij = -U_i . a_i / D_i,   a_i = a_parent + S_i P_ij,   a_j = S_j
+    M^-1 = P D^-1 P^T,   P_ij = -sum over k from j to the parent of i of L_ik P_kj,   P_jj = 1
 
-the accelerations that follow a unit acceleration of joint j when nothing else drives the joints
-(Carpentier 2018). World axes, so that nothing is transformed on the way.
+or, as motions of the links, the accelerations that follow a unit acceleration of joint j when
+nothing drives the others (Carpentier 2018): P_ij = -U_i . a_parent / D_i with
+a_i = a_parent + S_i P_ij. World axes, so that nothing is transformed on the way.
 """
 
 from __future__ import annotations
@@ -20,68 +21,89 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.drivers import Driver, Unrolled
 from rbjax.dynamics.packing import pack
-from rbjax.lanes import Lane, inner, mul, sub
+from rbjax.dynamics.pairs import pair_columns, pair_entries
+from rbjax.lanes import Lane, inner, mul, neg, sub
 from rbjax.materialize import materialize
 from rbjax.spatial import Motion
 
 
-def follow(x: Any, a_parent: Motion) -> tuple[Motion, Lane]:
-    """One step: a joint that nothing drives gives way; `unit` is 1 at the joint that is moved."""
-    S, U, unit = x
-    qdd = sub(unit, U.dot(a_parent))
-    return a_parent + S * qdd, qdd
-
-
 class InverseMass:
-    """M^-1 = P D^-1 P^T, of which P_ij is kept for each link j that carries i, or is it."""
+    """M^-1 = P D^-1 P^T. `P[i][j]` has entries for each link j that carries i, or is it."""
 
     def __init__(self, d: Driver, poses: Any, S: Any, U: Any, inverse_D: Any, like: jax.Array):
         """poses and S in world axes, in the form of `Driver.whole`; U and 1 / D per link."""
         self.d, self.like = d, like
-        n, chains = d.topology.nv, d.topology.ancestors
-        scaled = d.rows(
-            d.each(lambda pose, U, x: pose.T(U) * x, poses, d.whole(U), d.whole(inverse_D))
-        )
-
-        def column(unit):
-            return d.outward(follow, Motion.zero(), d.zip(d.rows(S), scaled, unit))
-
+        n = d.topology.nv
+        self.carriers = list(enumerate(d.topology.ancestors))
+        self.carried = [(j, [i for i, to in self.carriers if j in to]) for j in range(n)]
+        scaled = d.each(lambda pose, U, x: pose.T(U) * x, poses, d.whole(U), d.whole(inverse_D))
         if isinstance(d, Unrolled):
-            P = [column([float(i == j) for i in range(n)]) for j in range(n)]
-            self.inverse_D, self.P = inverse_D, [[P[j][i] for j in range(n)] for i in range(n)]
+            self.inverse_D = inverse_D
+            self.P = self._by_substitution(S, scaled)
         else:
-            P = jax.vmap(lambda unit: d.pack(column(d.lanes(unit)), unit))(jnp.eye(n, dtype=like.dtype))
-            self.array, self.inverse_D = P.T, list(d.pack(inverse_D, like))
-            self.P = [[P[j, i] for j in range(n)] for i in range(n)]
-        self.carriers = chains
-        self.carried = [[i for i in range(n) if j in chains[i]] for j in range(n)]
+            self.inverse_D = list(d.pack(inverse_D, like))
+            self.array = _responses(d, S, scaled, like)
+            self.P = [list(row) for row in self.array]
 
-    def across(self, x: Sequence[Lane]) -> list[Lane]:
-        """D^-1 P^T x."""
-        sums = [inner([self.P[i][j] for i in below], [x[i] for i in below]) for j, below in enumerate(self.carried)]
-        return materialize([mul(a, b) for a, b in zip(self.inverse_D, sums, strict=True)])
+    def _by_substitution(self, S: list, scaled: list) -> list[list[Lane]]:
+        L = materialize([[scaled[i].dot(S[j]) for j in to[:-1]] for i, to in self.carriers])
+        P: list[list[Lane]] = []
+        for i, (*above, _) in self.carriers:
+            row: list[Lane] = [0.0] * len(L)
+            row[i] = 1.0
+            for at, j in enumerate(above):
+                row[j] = neg(inner(L[i][at:], [P[k][j] for k in above[at:]]))
+            P.append(materialize(row))
+        return P
 
-    def back(self, y: Sequence[Lane]) -> list[Lane]:
-        """P y."""
-        return [inner([self.P[i][j] for j in above], [y[j] for j in above]) for i, above in enumerate(self.carriers)]
+    def solve(self, columns: Sequence[Sequence[Lane]], row: Sequence[Lane]) -> list[list[Lane]]:
+        """-M^-1 x of each column x, and P D^-1 y of y a row of P: the column of M^-1 there."""
+        P = self.P
 
-    def __call__(self, *columns: Any) -> tuple[Any, ...]:
-        """M^-1 X of each X, whose columns are given, and M^-1 itself."""
-        n, like = self.d.topology.nv, self.like
+        def driven(x):
+            return [neg(inner([P[i][j] for i in to], [x[i] for i in to])) for j, to in self.carried]
 
-        def solve(columns, row):
-            solved = [self.back(self.across(x)) for x in columns]
-            unit = materialize([mul(a, b) for a, b in zip(self.inverse_D, row, strict=True)])
-            return (*solved, self.back(unit))
+        def scaled(y):
+            return [mul(a, b) for a, b in zip(self.inverse_D, y, strict=True)]
 
-        if isinstance(self.d, Unrolled):
-            out = [solve([x[j] for x in columns], self.P[j]) for j in range(n)]
-            flat = [[x[k][i] for i in range(n) for x in out] for k in range(len(columns) + 1)]
-            return tuple(pack(x, jnp.zeros(n * n, like.dtype)).reshape(n, n) for x in flat)
+        def moved(y):
+            return [inner([P[i][j] for j in to], [y[j] for j in to]) for i, to in self.carriers]
+
+        return [moved(y) for y in materialize([scaled(y) for y in (*map(driven, columns), row)])]
+
+    def __call__(self, *pairs: Any) -> list[jax.Array]:
+        """-M^-1 X of each X = `pair_matrix(d, *pair)`, then M^-1 itself."""
+        d, n, like = self.d, self.d.topology.nv, self.like
+        count = len(pairs) + 1
+        flat = jnp.zeros(count * n, like.dtype)
+        if isinstance(d, Unrolled):
+            X = materialize([pair_entries(d, *pair) for pair in pairs])
+            out = [self.solve([[row[j] for row in x] for x in X], self.P[j]) for j in range(n)]
+            for j in range(n):
+                out[j][-1][j + 1 :] = [out[i][-1][j] for i in range(j + 1, n)]  # symmetric
+            lanes = [out[j][k][i] for k in range(count) for i in range(n) for j in range(n)]
+            return list(pack(lanes, jnp.tile(flat, n)).reshape(count, n, n))
+        columns, xs = pair_columns(d.topology, pairs, like)
 
         def step(_, x):
-            *columns, row = x
-            return None, tuple(pack(x, like) for x in solve(columns, row))
+            row, own = x
+            out = self.solve(materialize(columns(own)), list(row))
+            return None, pack([x for column in out for x in column], flat)
 
-        _, out = jax.lax.scan(step, None, (*columns, self.array))
-        return tuple(x.T for x in out)
+        _, out = jax.lax.scan(step, None, (self.array, xs))
+        return [out[:, k * n : (k + 1) * n].T for k in range(count)]
+
+
+def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
+    """P as an array, all columns side by side."""
+
+    def follow(x, a_parent):
+        S, U, unit = x
+        qdd = sub(unit, U.dot(a_parent))
+        return a_parent + S * qdd, qdd
+
+    def column(unit):
+        steps = d.zip(d.rows(S), d.rows(scaled), d.lanes(unit))
+        return d.pack(d.outward(follow, Motion.zero(), steps), unit)
+
+    return jax.vmap(column, out_axes=1)(jnp.eye(d.topology.nv, dtype=like.dtype))
