@@ -64,25 +64,25 @@ def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
     base = Motion(Vec3.zero(), -d.prepared.gravity)
     before = [_before(d.topology, i) for i in range(d.topology.nv)]
     V_before, T = d.take(V, before, Motion.zero()), turning(d, V)
-    drift = d.each(Motion.cross, V_before, S)
-    rate = drift if T is V_before else d.each(Motion.cross, T, S)
+    no_balls = T is V_before
 
     def accelerate(x, A_parent):
-        S, drift, speed, qdd = x
-        A = A_parent + S * qdd + drift * speed
+        S, V_before, speed, qdd = x
+        A = A_parent + S * qdd + V_before.cross(S) * speed
         return A, A
 
-    A = d.whole(d.outward(accelerate, base, d.zip(d.rows(S), d.rows(drift), d.lanes(v), a)))
+    A = d.whole(d.outward(accelerate, base, d.zip(d.rows(S), d.rows(V_before), d.lanes(v), a)))
     A_before = d.take(A, before, base)
 
     def gather(x, children):
-        link, (pose, V, A, S, rate, drift, V_before, A_before) = x
+        link, (pose, S, V, A, T, V_before, A_before) = x
         inertia = pose.rigid_to_parent(link.inertia)
         block = coriolis_block(inertia, V)
         own = inertia, block, inertia(A) + V.cross_force(block[1])
         inertia, block, force = composite = jax.tree.map(add, own, children)
+        drift = V_before.cross(S)
         bend = A_before.cross(S) + V_before.cross(drift)
-        both = drift + rate
+        both = drift * 2.0 if no_balls else drift + T.cross(S)
         IS = inertia(S)
         return composite, Operands(
             S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang),
@@ -95,7 +95,7 @@ def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
 
     massless = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
     nothing = massless, (Sym3.zero(), Force.zero()), Force.zero()
-    rows = d.zip(*map(d.rows, (poses, V, A, S, rate, drift, V_before, A_before)))
+    rows = d.zip(*map(d.rows, (poses, S, V, A, T, V_before, A_before)))
     out = d.inward(gather, nothing, d.zip(d.constants, rows))
     return Operands(*map(d.whole, d.unzip(out)))
 

@@ -82,12 +82,12 @@ class InverseMass:
             for j in range(n):
                 out[j][-1][j + 1 :] = [out[i][-1][j] for i in range(j + 1, n)]  # symmetric
             lanes = [out[j][k][i] for k in range(count) for i in range(n) for j in range(n)]
-            return list(pack(lanes, jnp.tile(flat, n)).reshape(count, n, n))
+            return list(pack(lanes, jnp.zeros(flat.size * n, like.dtype)).reshape(count, n, n))
         columns, xs = pair_columns(d.topology, pairs, like)
 
         def step(_, x):
             row, own = x
-            out = self.solve(materialize(columns(own)), list(row))
+            out = self.solve([list(x) for x in materialize(columns(own))], list(row))
             return None, pack([x for column in out for x in column], flat)
 
         _, out = jax.lax.scan(step, None, (self.array, xs))

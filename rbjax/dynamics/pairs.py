@@ -77,7 +77,7 @@ def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[
             )
             return jnp.where(places == 2, lower, jnp.where(places == 1, upper, 0.0))
 
-        return [list(column(*pair)) for pair in arrays]
+        return [column(*pair) for pair in arrays]
 
     places = np.where(moves, 2, moves.T).astype(np.int32)  # which of the two moves the other
     return at, (places.T, jnp.stack(columns, -1))
