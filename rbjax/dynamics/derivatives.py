@@ -1,8 +1,17 @@
 """First derivatives of inverse and forward dynamics.
 
     d tau = dID/dq dq + dID/dv dv + M da,      d a = M^-1 (d tau - dID/dq dq - dID/dv dv)
-with dq on the tangent space of the configuration (`integrate`). Forward mode through RNEA, nv
-tangents side by side: O(nv^2) (Carpentier & Mansard, *Analytical derivatives*, RSS 2018).
+
+with dq on the tangent space of the configuration (`integrate`). In world axes, with V and A the
+twist and spatial acceleration of what carries joint j, a tangent dq_j turns all that j moves as a
+rigid body, so that for each body k of it (Singh, Russell & Wensing 2022)
+
+    df_k / dq_j = S_j x* f_k + I_k (A x S_j + V x V x S_j) + 2 B_k (V x S_j)
+    df_k / dv_j = I_k (V x S_j + S_j') + 2 B_k S_j
+
+with B of `coriolis_block`. Summed over what a link carries these are composites, and an entry
+(i, j) is a product with S_i: O(n), and then O(depth) a column. Where j moves i, the turning of f
+and that of S_i cancel. For forward dynamics the columns are solved with ABA's factors (inverse.py).
 """
 
 from __future__ import annotations
@@ -10,6 +19,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.arguments import algorithm
@@ -104,8 +114,9 @@ def _before(top: Topology, i: int) -> int:
     """The link whose motion says how the axis of link i moves while its own joint stands still: of
     a ball the parent of the first link, elsewhere the link itself, as S x S = 0."""
     link = top.links[i]
-    ball = link.kind == "hinge" and link.part is not None
-    return top.parents[i - link.part] if ball else i
+    if link.kind == "slide" or link.part is None:
+        return i
+    return top.parents[i - link.part]
 
 
 @algorithm("q", "v", "a")
@@ -120,7 +131,7 @@ def inverse_dynamics_derivatives(
         v: (nv,) velocity.
         a: (nv,) acceleration.
 
-    Source: Carpentier & Mansard (2018).
+    Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
 
     Example:
         >>> import rbjax as rb
@@ -129,6 +140,8 @@ def inverse_dynamics_derivatives(
         >>> rb.inverse_dynamics_derivatives(model, s.q, s.v, s.v).q.shape
         (2, 2)
     """
+    if not model.nv:
+        return InverseDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
     d = driver(model, q.dtype)
     poses = tree_poses(d, d.joints(q, None))
     S = link_axes(d, poses)
@@ -151,7 +164,7 @@ def forward_dynamics_derivatives(
         v: (nv,) velocity.
         tau: (nv,) generalized force.
 
-    Source: Carpentier & Mansard (2018).
+    Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
 
     Example:
         >>> import rbjax as rb
@@ -160,6 +173,8 @@ def forward_dynamics_derivatives(
         >>> rb.forward_dynamics_derivatives(model, s.q, s.v, s.v).tau.shape
         (2, 2)
     """
+    if not model.nv:
+        return ForwardDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     a, factors = aba(d, joints, d.lanes(tau), d.prepared.gravity)

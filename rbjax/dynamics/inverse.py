@@ -90,8 +90,8 @@ class InverseMass:
             out = self.solve([list(x) for x in materialize(columns(own))], list(row))
             return None, pack([x for column in out for x in column], flat)
 
-        _, out = jax.lax.scan(step, None, (self.array, xs))
-        return [out[:, k * n : (k + 1) * n].T for k in range(count)]
+        _, solved = jax.lax.scan(step, None, (self.array, xs))
+        return [solved[:, k * n : (k + 1) * n].T for k in range(count)]
 
 
 def _responses(d: Driver, S: Any, scaled: Any, like: jax.Array) -> jax.Array:
