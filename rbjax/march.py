@@ -8,6 +8,7 @@ the last to the first. So a sample keeps steps / k states, and k of them at a ti
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -48,7 +49,7 @@ class March:
             u = avals[self.size]
             avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
         plain = traced(lambda *args: self._forward(args)[0], *avals)
-        keeping = traced(lambda *args: sum(self._forward(args), []), *avals)
+        keeping = traced(lambda *args: [*itertools.chain(*self._forward(args))], *avals)
         # where every kept state is also a result, the results serve
         whole = self.k == self.save_every
         return Program(

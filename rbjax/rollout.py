@@ -60,8 +60,8 @@ def rollout(
         save_every: keep every so many states; it must divide the number of steps.
         steps: how many steps, where ctrls does not tell.
         kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.
-        memory: bytes that a reverse gradient of threads may keep states in, for the whole batch: the
-            fewer, the more steps run twice.
+        memory: bytes that a reverse gradient of threads may keep states in, for the whole batch;
+            the fewer, the more steps run twice.
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or

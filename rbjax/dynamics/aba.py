@@ -108,8 +108,8 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
         qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
         return a + factor.S * qdd, (qdd, factor)
 
-    out = d.outward(accelerate, Motion(Vec3.zero(), -gravity), ys)
-    return d.part(out, 0), d.part(out, 1)
+    qdd, factors = d.unzip(d.outward(accelerate, Motion(Vec3.zero(), -gravity), ys), 2)
+    return qdd, factors
 
 
 def factorize(d: Driver, joints: Any) -> Any:

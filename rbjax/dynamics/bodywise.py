@@ -23,14 +23,19 @@ from rbjax.dynamics.aba import swing
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.composites import (
     carried,
+    coriolis_block,
     link_axes,
     link_inertias,
-    pair_matrix,
+    link_twists,
     tree_poses,
+    turning,
+    twice_coriolis,
+    twice_coriolis_transposed,
 )
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import ancestor_mask
 from rbjax.dynamics.kinematics import body_transforms
+from rbjax.dynamics.pairs import pair_matrix
 from rbjax.lanes import Mat3, Sym3, Vec3
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
@@ -57,54 +62,27 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         >>> rb.coriolis_matrix(model, state.q, state.v).shape
         (2, 2)
     """
-    n, top = model.nv, model.topology
-    if not n:
+    if not model.nv:
         return jnp.zeros((0, 0), q.dtype)
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     poses = tree_poses(d, joints)
     S, inertias = link_axes(d, poses), link_inertias(d, poses)
-    speeds = d.whole(d.lanes(v))
-
-    def move(x, V_parent):
-        S, speed = x
-        V = V_parent + S * speed
-        return V, V
-
-    V = d.whole(d.outward(move, Motion.zero(), d.zip(d.rows(S), d.rows(speeds))))
-    # the axes of a ball turn with its body: the twist of its last link
-    turning = d.take(V, [_last_of_ball(top, i) for i in range(n)])
-    S_rate = d.each(Motion.cross, turning, S)
+    V = link_twists(d, S, v)
+    S_rate = d.each(Motion.cross, turning(d, V), S)
     B = d.each(coriolis_block, inertias, V)
     nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), (Sym3.zero(), Force.zero()))
     composite = carried(d, d.each(lambda *x: x, inertias, B), nothing)
 
     def forces(S, S_rate, composite):
-        inertia, (D, h) = composite
-        half, DS = h.ang.cross(S.ang) * 0.5, D @ S.ang
-        outer = inertia(S_rate) + Force(DS - half, S.ang.cross(h.lin))
-        transposed = DS + half + h.lin.cross(S.lin)
-        return outer, (*inertia(S), *transposed)
+        inertia, block = composite
+        outer = inertia(S_rate) + twice_coriolis(block, S.ang) * 0.5
+        return outer, (*inertia(S), *(twice_coriolis_transposed(block, S) * 0.5))
 
     both = d.each(forces, S, S_rate, composite)
     outer, inner = d.each(lambda x: x[0], both), d.each(lambda x: x[1], both)
     axes = d.each(lambda S, S_rate: (*S_rate, *S.ang), S, S_rate)
     return pair_matrix(d, (S, outer), (inner, axes), v)
-
-
-def coriolis_block(inertia: RigidInertia, V: Motion) -> tuple[Sym3, Force]:
-    """B(I, V) = [D - [n] / 2, 0; -[f], 0] as (D, [n; f]), with [n; f] = I V the momentum and
-
-    D = ([w] J - J [w] - [u] [h] - [h] [u]) / 2 symmetric; so B V = V x* I V and B + B^T = dI/dt.
-    """
-    W, U, H = (Mat3.skew(x) for x in (V.ang, V.lin, inertia.h))
-    half = W @ inertia.J - (U @ H)
-    return Sym3.upper((half + half.T) * 0.5), inertia(V)
-
-
-def _last_of_ball(top, i: int) -> int:
-    link = top.links[i]
-    return i if link.part is None or link.kind == "slide" else i + 2 - link.part
 
 
 @algorithm("q", "v", "a")

@@ -1,25 +1,18 @@
-"""Links in world axes, sums over what each of them carries, and matrices over pairs of links.
+"""Links in world axes, and sums over what each of them carries.
 
-Each tree is seen from the origin of its own first link, so that f32 keeps its digits. A matrix such
-as M or C has entries only where one link carries the other, and there the deeper one decides.
+Each tree is seen from the origin of its own first link, so that f32 keeps its digits.
 """
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import jax
-import jax.numpy as jnp
-import numpy as np
 
-from rbjax.dynamics.drivers import Driver, Listed
-from rbjax.dynamics.jacobians import ancestor_mask
+from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.kinematics import world_poses
-from rbjax.dynamics.packing import pack
-from rbjax.lanes import Lane, add, inner, sub
-from rbjax.model import Topology
-from rbjax.spatial import Motion, Transform
+from rbjax.lanes import Mat3, Sym3, Vec3, add, sub
+from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
 def tree_poses(d: Driver, joints: Any) -> Any:
@@ -40,11 +33,50 @@ def link_axes(d: Driver, poses: Any) -> Any:
     return d.each(axis, poses, turns)
 
 
+def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
+    """Each link's twist V in world axes."""
+
+    def step(x, V_parent):
+        S, speed = x
+        V = V_parent + S * speed
+        return V, V
+
+    return d.whole(d.outward(step, Motion.zero(), d.zip(d.rows(S), d.lanes(v))))
+
+
+def turning(d: Driver, V: Any) -> Any:
+    """The twist T with which each link's axis turns, S' = T x S: the link's own, but of a ball that
+    of its last link for all three, whose axes are fixed in the body."""
+    return d.take(V, [d.topology.last_of_ball(i) for i in range(d.topology.nv)])
+
+
 def link_inertias(d: Driver, poses: Any) -> Any:
     """Each link's own inertia in world axes."""
     return d.each(
         lambda pose, link: pose.rigid_to_parent(link.inertia), poses, d.whole(d.constants)
     )
+
+
+def coriolis_block(inertia: RigidInertia, V: Motion) -> tuple[Sym3, Force]:
+    """B(I, V) = [D - [n], 0; -2 [f], 0] / 2 as (D, [n; f]), with [n; f] = I V the momentum and
+
+    D = [w] J - J [w] - [u] [h] - [h] [u] symmetric; so B V = V x* I V and B + B^T = dI/dt.
+    """
+    W, U, H = (Mat3.skew(x) for x in (V.ang, V.lin, inertia.h))
+    half = W @ inertia.J - (U @ H)
+    return Sym3.upper(half + half.T), inertia(V)
+
+
+def twice_coriolis(block: tuple[Sym3, Force], w: Vec3) -> Force:
+    """2 B [w; u], whatever u is."""
+    D, h = block
+    return Force(D @ w - h.ang.cross(w), w.cross(h.lin) * 2.0)
+
+
+def twice_coriolis_transposed(block: tuple[Sym3, Force], S: Motion) -> Vec3:
+    """2 B^T S, whose linear part is zero."""
+    D, h = block
+    return D @ S.ang + h.ang.cross(S.ang) + h.lin.cross(S.lin) * 2.0
 
 
 def carried(d: Driver, values: Any, zero: Any) -> Any:
@@ -55,43 +87,3 @@ def carried(d: Driver, values: Any, zero: Any) -> Any:
         return total, total
 
     return d.whole(d.inward(step, zero, d.rows(values)))
-
-
-def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array:
-    """(nv, nv): entry (i, j) is a_i . b_j, zero where neither link carries the other.
-
-    (a, b) are `above` where i carries j or is j, `below` where j carries i; vectors of lanes.
-    """
-    top = d.topology
-    n = top.nv
-    if isinstance(d, Listed):
-        entries = [[0.0] * n for _ in range(n)]
-        for i, chain in enumerate(top.ancestors):
-            for j in chain:
-                entries[i][j] = inner(below[0][i], below[1][j])
-                entries[j][i] = inner(above[0][j], above[1][i])
-        return packed_matrix(entries, like)
-    moves = carrier_mask(top)
-    above, below = jax.tree.map(
-        lambda x: jnp.broadcast_to(jnp.asarray(x, like.dtype), (n,)),
-        tuple((list(a), list(b)) for a, b in (above, below)),
-    )
-
-    def products(a, b):
-        # a transposed operand would keep the sum from being vectorized: hence no mirror
-        return functools.reduce(
-            jnp.add, (x[:, None] * y[None, :] for x, y in zip(a, b, strict=True))
-        )
-
-    return jnp.where(moves.T, products(*above), jnp.where(moves, products(*below), 0.0))
-
-
-def packed_matrix(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
-    """Rows of lanes as a matrix."""
-    entries = [x for row in rows for x in row]
-    return pack(entries, jnp.zeros(len(entries), like.dtype)).reshape(len(rows), -1)
-
-
-def carrier_mask(top: Topology) -> np.ndarray:
-    """(nv, nv): whether link j carries link i, or is it."""
-    return np.stack([ancestor_mask(top, i) for i in range(top.nv)])

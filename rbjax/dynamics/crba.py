@@ -10,18 +10,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.composites import (
     carried,
     link_axes,
     link_inertias,
-    packed_matrix,
-    pair_matrix,
     tree_poses,
 )
 from rbjax.dynamics.drivers import Driver, Listed, driver
+from rbjax.dynamics.pairs import packed, pair_matrix, with_armature
 from rbjax.dynamics.rolled import Rolled
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
@@ -68,9 +66,7 @@ def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
     S = link_axes(d, poses)
     I_c = carried(d, link_inertias(d, poses), _ZERO)
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
-    armature = d.whole(d.constants).armature
-    M = pair_matrix(d, (S, F), (F, S), like)
-    return M + jnp.where(np.eye(d.topology.nv, dtype=bool), armature, 0.0).astype(like.dtype)
+    return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
 
 
 @algorithm("q")
@@ -102,4 +98,4 @@ def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     joints = d.joints(q, None)
     if not isinstance(d, Listed):
         return _rolled(d, joints, jnp.zeros(n, q.dtype))
-    return packed_matrix(_listed(d, joints), q)
+    return packed(_listed(d, joints), q)

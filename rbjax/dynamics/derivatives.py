@@ -1,23 +1,43 @@
 """First derivatives of inverse and forward dynamics.
 
     d tau = dID/dq dq + dID/dv dv + M da,      d a = M^-1 (d tau - dID/dq dq - dID/dv dv)
-with dq on the tangent space of the configuration (`integrate`). Forward mode through RNEA, nv
-tangents side by side: O(nv^2) (Carpentier & Mansard, *Analytical derivatives*, RSS 2018).
+
+with dq on the tangent space of the configuration (`integrate`). In world axes, with V and A the
+twist and spatial acceleration of what carries joint j, a tangent dq_j turns all that j moves as a
+rigid body, so that for each body k of it (Singh, Russell & Wensing 2022)
+
+    df_k / dq_j = S_j x* f_k + I_k (A x S_j + V x V x S_j) + 2 B_k (V x S_j)
+    df_k / dv_j = I_k (V x S_j + S_j') + 2 B_k S_j
+
+with B of `coriolis_block`. Summed over what a link carries these are composites, and an entry
+(i, j) is a product with S_i: O(n), and then O(depth) a column. Where j moves i, the turning of f
+and that of S_i cancel. For forward dynamics the columns are solved with ABA's factors (inverse.py).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.aba import aba
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.forward import forward_dynamics, inverse_mass_matrix
-from rbjax.dynamics.manifold import integrate
-from rbjax.dynamics.rnea import inverse_dynamics
-from rbjax.model import Model
+from rbjax.dynamics.composites import (
+    coriolis_block,
+    link_axes,
+    link_twists,
+    tree_poses,
+    turning,
+    twice_coriolis,
+    twice_coriolis_transposed,
+)
+from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.inverse import InverseMass
+from rbjax.dynamics.pairs import pair_matrix, with_armature
+from rbjax.lanes import Lane, Sym3, Vec3, add
+from rbjax.model import Model, Topology
+from rbjax.spatial import Force, Motion, RigidInertia
 
 
 class InverseDynamicsDerivatives(NamedTuple):
@@ -36,12 +56,67 @@ class ForwardDynamicsDerivatives(NamedTuple):
     tau: jax.Array
 
 
-def _partials(model: Model, q: jax.Array, v: jax.Array, a: jax.Array):
-    def forces(dq, dv):
-        return inverse_dynamics(model, integrate(model, q, dq), v + dv, a)
+class Operands(NamedTuple):
+    """Of each link what `pair_matrix` multiplies: for entry (i, j) the row of link i by a column of
+    link j where j moves i, elsewhere the axis of i by a force of j."""
 
-    zero = jnp.zeros(model.nv, q.dtype)
-    return jax.jacfwd(forces, (0, 1))(zero, zero)
+    force_q: Force
+    force_v: Force
+    force_a: Force
+    row: tuple[Lane, ...]
+    column_q: tuple[Lane, ...]
+    column_v: tuple[Lane, ...]
+
+
+def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
+    """`Operands` at accelerations `a` per link, each of them in the form of `Driver.whole`."""
+    V = link_twists(d, S, v)
+    base = Motion(Vec3.zero(), -d.prepared.gravity)
+    before = [_before(d.topology, i) for i in range(d.topology.nv)]
+    V_before, T = d.take(V, before, Motion.zero()), turning(d, V)
+    no_balls = T is V_before
+
+    def accelerate(x, A_parent):
+        S, V_before, speed, qdd = x
+        A = A_parent + S * qdd + V_before.cross(S) * speed
+        return A, A
+
+    A = d.whole(d.outward(accelerate, base, d.zip(d.rows(S), d.rows(V_before), d.lanes(v), a)))
+    A_before = d.take(A, before, base)
+
+    def gather(x, children):
+        link, (pose, S, V, A, T, V_before, A_before) = x
+        inertia = pose.rigid_to_parent(link.inertia)
+        block = coriolis_block(inertia, V)
+        own = inertia, block, inertia(A) + V.cross_force(block[1])
+        inertia, block, force = composite = jax.tree.map(add, own, children)
+        drift = V_before.cross(S)
+        bend = A_before.cross(S) + V_before.cross(drift)
+        both = drift * 2.0 if no_balls else drift + T.cross(S)
+        IS = inertia(S)
+        return composite, Operands(
+            S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang),
+            inertia(both) + twice_coriolis(block, S.ang),
+            IS,
+            (*IS, *twice_coriolis_transposed(block, S)),
+            (*bend, *drift.ang),
+            (*both, *S.ang),
+        )
+
+    massless = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
+    nothing = massless, (Sym3.zero(), Force.zero()), Force.zero()
+    rows = d.zip(*map(d.rows, (poses, S, V, A, T, V_before, A_before)))
+    out = d.inward(gather, nothing, d.zip(d.constants, rows))
+    return Operands(*map(d.whole, d.unzip(out, len(Operands._fields))))
+
+
+def _before(top: Topology, i: int) -> int:
+    """The link whose motion says how the axis of link i moves while its own joint stands still: of
+    a ball the parent of the first link, elsewhere the link itself, as S x S = 0."""
+    link = top.links[i]
+    if link.kind == "slide" or link.part is None:
+        return i
+    return top.parents[i - link.part]
 
 
 @algorithm("q", "v", "a")
@@ -56,7 +131,7 @@ def inverse_dynamics_derivatives(
         v: (nv,) velocity.
         a: (nv,) acceleration.
 
-    Source: Carpentier & Mansard (2018).
+    Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
 
     Example:
         >>> import rbjax as rb
@@ -65,8 +140,16 @@ def inverse_dynamics_derivatives(
         >>> rb.inverse_dynamics_derivatives(model, s.q, s.v, s.v).q.shape
         (2, 2)
     """
-    by_q, by_v = _partials(model, q, v, a)
-    return InverseDynamicsDerivatives(by_q, by_v, mass_matrix(model, q))
+    if not model.nv:
+        return InverseDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
+    d = driver(model, q.dtype)
+    poses = tree_poses(d, d.joints(q, None))
+    S = link_axes(d, poses)
+    x = operands(d, poses, S, v, d.lanes(a))
+    by_q = pair_matrix(d, (S, x.force_q), (x.row, x.column_q), v)
+    by_v = pair_matrix(d, (S, x.force_v), (x.row, x.column_v), v)
+    M = pair_matrix(d, (S, x.force_a), (x.force_a, S), v)
+    return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
 @algorithm("q", "v", "tau")
@@ -81,7 +164,7 @@ def forward_dynamics_derivatives(
         v: (nv,) velocity.
         tau: (nv,) generalized force.
 
-    Source: Carpentier & Mansard (2018).
+    Source: Carpentier & Mansard (2018); Singh, Russell & Wensing (2022), RA-L 7(2).
 
     Example:
         >>> import rbjax as rb
@@ -90,11 +173,15 @@ def forward_dynamics_derivatives(
         >>> rb.forward_dynamics_derivatives(model, s.q, s.v, s.v).tau.shape
         (2, 2)
     """
-    a = forward_dynamics(model, q, v, tau)
-    by_q, by_v = _partials(model, q, v, a)
-    inverse = inverse_mass_matrix(model, q)
-
-    def solve(columns):
-        return -(inverse[:, :, None] * columns[None, :, :]).sum(1)
-
-    return ForwardDynamicsDerivatives(solve(by_q), solve(by_v), inverse)
+    if not model.nv:
+        return ForwardDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
+    d = driver(model, q.dtype)
+    joints = d.joints(q, v)
+    a, factors = aba(d, joints, d.lanes(tau), d.prepared.gravity)
+    _, _, U, inverse_D = d.unzip(factors, 4)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses)
+    x = operands(d, poses, S, v, a)
+    pairs = ((S, x.force_q), (x.row, x.column_q)), ((S, x.force_v), (x.row, x.column_v))
+    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*pairs)
+    return ForwardDynamicsDerivatives(by_q, by_v, inverse)

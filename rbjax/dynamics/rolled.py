@@ -119,9 +119,14 @@ class Rolled(Sweeps):
         """As `Unrolled.each`."""
         return materialize(f(*whole), known=whole)
 
-    def take(self, whole: Any, index: Sequence[int]) -> Any:
+    def take(self, whole: Any, index: Sequence[int], world: Any = None) -> Any:
         """As `Unrolled.take`."""
-        return _row(whole, np.array(index, int))
+        places = np.array(index, int)
+        if np.array_equal(places, np.arange(self.topology.nv)):
+            return whole
+        outside = places == WORLD
+        found = _row(whole, np.maximum(places, 0))
+        return _select(outside, world, found) if outside.any() else found
 
     def stack(self, whole: Any, lanes: Callable, like: jax.Array) -> jax.Array:
         """As `Unrolled.stack`."""

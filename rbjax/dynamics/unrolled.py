@@ -30,6 +30,11 @@ class Sweeps:
         d: Any = self
         return d.inward(inward, zero, d.zip(xs, d.outward(outward, root, xs)))
 
+    def unzip(self, tuples: Any, count: int) -> tuple[Any, ...]:
+        """The inverse of `zip`, of so many values."""
+        d: Any = self
+        return tuple(d.part(tuples, k) for k in range(count))
+
 
 class Listed:
     """Work on all links at once where `whole` is a list of one value for each link."""
@@ -42,9 +47,11 @@ class Listed:
         """f of each link's values."""
         return [materialize(f(*x), known=x) for x in zip(*whole, strict=True)]
 
-    def take(self, whole: list, index: Sequence[int]) -> list:
-        """The values of these links."""
-        return [whole[i] for i in index]
+    def take(self, whole: list, index: Sequence[int], world: Any = None) -> list:
+        """The values of these links; `world` where an index is WORLD."""
+        if list(index) == list(range(len(whole))):
+            return whole
+        return [world if i == WORLD else whole[i] for i in index]
 
     def stack(self, whole: list, lanes: Callable, like: jax.Array) -> jax.Array:
         """The lanes of each value side by side, as an array (values, lanes)."""

@@ -177,6 +177,11 @@ class Topology:
             out.append((*(out[parent] if parent != WORLD else ()), i))
         return tuple(out)
 
+    def last_of_ball(self, i: int) -> int:
+        """The last link of the ball that link i belongs to; else the link itself."""
+        link = self.links[i]
+        return i if link.part is None or link.kind == "slide" else i + 2 - link.part
+
 
 def _starts(sizes: list[int]) -> tuple[int, ...]:
     return tuple(sum(sizes[:i]) for i in range(len(sizes)))

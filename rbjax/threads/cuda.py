@@ -150,8 +150,9 @@ class KernelPrinter(Printer):
 
 
 def _lines(
-    program: Written, name: str, block: int, rows: dict[int, int], streams: dict[int, int], tile: int
-) -> Iterator[str]:
+    program: Written, name: str, block: int, rows: dict[int, int], streams: dict[int, int],
+    tile: int,
+) -> Iterator[str]:  # fmt: skip
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield f"#define BLOCK {block}"

@@ -25,10 +25,10 @@ class Explanation:
     """A function of one sample as a thread.
 
     statements: arithmetic operations in the code; operations: those that run, a loop's as often as
-    it turns (a `while` once); array_bytes: local arrays that the program asks for; moved_bytes: what
-    a sample reads and writes of its own. On a GPU: registers and local_bytes of a thread (arrays and
-    what did not fit into registers), seconds of a batch, and the shares of the device's limits of
-    instructions (at one an operation) and of bandwidth. None where there is no GPU.
+    it turns (a `while` once); array_bytes: local arrays that the program asks for; moved_bytes:
+    what a sample reads and writes of its own. On a GPU: registers and local_bytes of a thread
+    (arrays and what did not fit into registers), seconds of a batch, and the shares of the device's
+    limits of instructions (at one an operation) and of bandwidth. None where there is no GPU.
     """
 
     statements: int

@@ -1,0 +1,103 @@
+"""Matrices over pairs of links.
+
+A matrix such as M or C has an entry (i, j) only where one link moves the other, and there the
+deeper one decides: a product of six to nine lanes of each.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.drivers import Driver, Listed
+from rbjax.dynamics.packing import pack
+from rbjax.lanes import Lane, inner
+from rbjax.model import Topology
+
+
+def movers(top: Topology, i: int) -> list[int]:
+    """The links whose coordinates move link i: those that carry it, itself, and all of its ball."""
+    return list(top.ancestors[top.last_of_ball(i)])
+
+
+def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array:
+    """(nv, nv): entry (i, j) is a_i . b_j, zero where neither link moves the other.
+
+    (a, b) are `below` where j moves i (`movers`), else `above`; vectors of lanes.
+    """
+    if isinstance(d, Listed):
+        return packed(pair_entries(d.topology, above, below), like)
+    moves, [[above, below]] = _columns(d.topology, [(above, below)], like)
+
+    def products(a, b):
+        # a transposed operand would keep the sum from being vectorized: hence no mirror
+        return functools.reduce(
+            jnp.add, (x[:, None] * y[None, :] for x, y in zip(a, b, strict=True))
+        )
+
+    return jnp.where(moves, products(*below), jnp.where(moves.T, products(*above), 0.0))
+
+
+def pair_entries(top: Topology, above: Any, below: Any) -> list[list[Lane]]:
+    """The entries of `pair_matrix`, row by row."""
+    n = top.nv
+    entries: list[list[Lane]] = [[0.0] * n for _ in range(n)]
+    for i in range(n):
+        for j in movers(top, i):
+            entries[i][j] = inner(below[0][i], below[1][j])
+            if i not in movers(top, j):
+                entries[j][i] = inner(above[0][j], above[1][i])
+    return entries
+
+
+def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
+    """Rows of lanes as a matrix."""
+    flat = [x for row in rows for x in row]
+    return pack(flat, jnp.zeros(len(flat), like.dtype)).reshape(len(rows), -1)
+
+
+def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
+    """Several matrices (above, below) for the rolled driver, column by column: f and xs, with f(x)
+    the columns of that number where x is its slice of xs."""
+    moves, arrays = _columns(top, pairs, like)
+    columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
+
+    def at(x):
+        places, lanes = x
+        own = iter([lanes[k] for k in range(len(columns))])
+
+        def column(above, below):
+            upper, lower = (
+                functools.reduce(jnp.add, [x * next(own) for x in rows])
+                for rows, _ in (above, below)
+            )
+            return jnp.where(places == 2, lower, jnp.where(places == 1, upper, 0.0))
+
+        return [column(*pair) for pair in arrays]
+
+    places = np.where(moves, 2, moves.T).astype(np.int32)  # which of the two moves the other
+    return at, (places.T, jnp.stack(columns, -1))
+
+
+def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, Any]:
+    """Whether j moves i, at (i, j); and all lanes as arrays (nv,)."""
+    n = top.nv
+    moves = np.zeros((n, n), bool)
+    for i in range(n):
+        moves[i, movers(top, i)] = True
+
+    def spread(v):
+        return [jnp.broadcast_to(jnp.asarray(x, like.dtype), (n,)) for x in v]
+
+    return moves, [[[spread(v) for v in half] for half in pair] for pair in pairs]
+
+
+def with_armature(d: Driver, M: jax.Array) -> jax.Array:
+    """M with the armature of the joints on its diagonal."""
+    armature = jnp.asarray(d.prepared.columns.armature, M.dtype)
+    return M + jnp.where(np.eye(d.topology.nv, dtype=bool), armature, 0.0)
