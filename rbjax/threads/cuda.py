@@ -53,11 +53,19 @@ template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, 
     }
   }
 }
-// entries first ... first + W of the rows of a warp, of N entries each, from its tile to memory
+// W entries of each row of a warp, of N entries, from its tile to memory
 template <class T, int N, int W> QUALIFIED void flush(T* to, const T* tile, int rows) {
+  const int lane = threadIdx.x % 32;
   __syncwarp();
-  for (int k = threadIdx.x % 32; k < rows * W; k += 32)
-    to[(long long)(k / W) * N + k % W] = tile[k / W * 33 + k % W];
+  if (rows == 32) {
+#pragma unroll
+    for (int j = 0; j < W; j++) {
+      const int k = 32 * j + lane;
+      to[k / W * N + k % W] = tile[k / W * 33 + k % W];
+    }
+  } else {
+    for (int k = lane; k < rows * W; k += 32) to[k / W * N + k % W] = tile[k / W * 33 + k % W];
+  }
   __syncwarp();
 }
 template <class T> QUALIFIED T over_warp(T x) {
