@@ -26,6 +26,7 @@ from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.launch import launch, works
 from rbjax.threads.lowering import Lowering, Unsupported, rule
+from rbjax.threads.sharding import knows_devices, spread
 from rbjax.threads.uniform import split
 
 Axes = tuple[int | None, ...]
@@ -222,14 +223,34 @@ def _say(reason: str) -> None:
     )
 
 
-mlir.register_lowering(threads_p, mlir.lower_fun(under_xla, multiple_results=True))
+
+
+def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
+    """For several devices, each of which evaluates its part of the batch; or for one."""
+    how = {"program": program, "ins": ins, "outs": outs}
+    devices = getattr(ctx.module_context.axis_context, "num_devices", 1)
+
+    def part(batch):
+        return functools.partial(evaluate, batch=batch, **how)
+
+    run = part(batch)
+    if devices and devices > 1 and batch and not _is_manual(ctx):
+        ranks = [len(a.shape) for a in ctx.avals_in], [len(a.shape) for a in ctx.avals_out]
+        run = spread(part, batch, ins, outs, ranks)
+    return mlir.lower_fun(run, multiple_results=True)(ctx, *operands)
+
+
+def _is_manual(ctx):
+    """Whether a device runs this for itself already, as in `shard_map`."""
+    return bool(getattr(ctx.module_context.axis_context, "manual_axes", ()))
 
 
 def _lower_for_gpu(ctx, *operands, **how):
-    how_to = on_gpu if works() else under_xla
-    return mlir.lower_fun(how_to, multiple_results=True)(ctx, *operands, **how)
+    return _lower(on_gpu if works() else under_xla, ctx, *operands, **how)
 
 
+mlir.register_lowering(threads_p, functools.partial(_lower, under_xla))
+knows_devices(threads_p)
 mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
 
@@ -324,6 +345,7 @@ def _evaluate(*operands, program, moving, batch, ins):
 
 tangent_p.def_impl(_evaluate)
 mlir.register_lowering(tangent_p, mlir.lower_fun(_evaluate, multiple_results=True))
+knows_devices(tangent_p)
 
 
 def _batched_tangent(operands, dims, program, moving, batch, ins):

@@ -1,0 +1,106 @@
+"""A batch that is spread over devices stays spread: each device runs the samples that it holds.
+
+XLA would gather the operands of a custom call on every device. `spread` tells it how the axes of
+the batch go through, and what a device runs; a result that is summed over the batch is summed over
+the devices at the end. (Inside `shard_map` each device has its own samples anyway.)
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+from jax.experimental.custom_partitioning import custom_partitioning
+from jax.extend.core import Primitive
+from jax.sharding import NamedSharding, PartitionSpec
+
+Axes = tuple[int | None, ...]
+
+
+def knows_devices(primitive: Primitive) -> None:
+    """Make JAX say, where it lowers the primitive, on which devices it will run; `spread` must know.
+    (A private name of JAX: its own primitives have no other way.)"""
+    from jax._src.dispatch import prim_requires_devices_during_lowering
+
+    prim_requires_devices_during_lowering.add(primitive)
+
+
+def spread(
+    f: Callable[[tuple[int, ...]], Callable], batch: tuple[int, ...], ins: Sequence[Axes],
+    outs: Sequence[Axes], ranks: tuple[Sequence[int], Sequence[int]],
+) -> Callable:  # fmt: skip
+    """f(batch), as a function of operands that may be sharded along the axes of the batch.
+
+    f: of the sizes of a device's part of the batch. ins, outs: the place of each axis of the batch
+    in each operand and result. ranks: their numbers of axes.
+    """
+    levels = range(len(batch))
+
+    def parts(shardings: Any) -> list[Any]:
+        """For each axis of the batch the mesh axes that it is spread over."""
+        found: list[Any] = [None] * len(batch)
+        for sharding, axes in zip(shardings, ins, strict=True):
+            spec = getattr(sharding, "spec", None)
+            for level in levels:
+                axis = axes[level]
+                if spec is not None and axis is not None and axis < len(spec):
+                    found[level] = found[level] or spec[axis]
+        return found
+
+    def placed(mesh: Any, over: list[Any], axes: Axes, rank: int) -> NamedSharding:
+        spec: list[Any] = [None] * rank
+        for level in levels:
+            if axes[level] is not None:
+                spec[axes[level]] = over[level]
+        return NamedSharding(mesh, PartitionSpec(*spec))
+
+    def partition(mesh: Any, args: Any, results: Any) -> Any:
+        over = parts([a.sharding for a in args])
+        sizes = [1 if o is None else _count(mesh, o) for o in over]
+        local = tuple(n // k for n, k in zip(batch, sizes, strict=True))
+
+        def run(*operands: Any) -> Any:
+            found = []
+            for x, axes in zip(f(local)(*operands), outs, strict=True):
+                names = [o for o, axis in zip(over, axes, strict=True) if axis is None and o]
+                flat = [n for o in names for n in (o if isinstance(o, tuple) else (o,))]
+                found.append(jax.lax.psum(x, tuple(flat)) if flat else x)
+            return tuple(found)
+
+        shardings = [
+            tuple(placed(mesh, over, axes, rank) for axes, rank in zip(places, sizes, strict=True))
+            for places, sizes in ((ins, ranks[0]), (outs, ranks[1]))
+        ]
+        return mesh, run, shardings[1], shardings[0]
+
+    @custom_partitioning
+    def whole(*operands: Any) -> Any:
+        return tuple(f(batch)(*operands))
+
+    whole.def_partition(partition, sharding_rule=_rule(batch, ins, outs, ranks))
+    return whole
+
+
+def _count(mesh: Any, names: Any) -> int:
+    """How many devices these mesh axes have."""
+    total = 1
+    for name in names if isinstance(names, tuple) else (names,):
+        total *= mesh.shape[name]
+    return total
+
+
+def _rule(batch: Any, ins: Sequence[Axes], outs: Sequence[Axes], ranks: Any) -> str:
+    """Shardy's rule: one letter for each axis of the batch, another for every other axis."""
+    others = (f"{a}{b}" for a in string.ascii_lowercase for b in range(10_000))
+    names = [f"B{level}" for level in range(len(batch))]
+
+    def terms(places: Sequence[Axes], sizes: Sequence[int]) -> str:
+        out = []
+        for axes, rank in zip(places, sizes, strict=True):
+            own = {axis: names[level] for level, axis in enumerate(axes) if axis is not None}
+            out.append(" ".join(own.get(k) or next(others) for k in range(rank)))
+        return ", ".join(out)
+
+    return f"{terms(ins, ranks[0])} -> {terms(outs, ranks[1])}"
