@@ -57,7 +57,7 @@ class March:
             reads=0 if whole else self.size,
         )  # fmt: skip
 
-    def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
+    def _parts(self, args: Sequence[Any]) -> tuple[Sequence[Any], Any, Sequence[Any]]:
         state, rest = args[: self.size], args[self.size :]
         if not self.driven:
             return state, None, rest
@@ -193,7 +193,7 @@ def on_threads(
     between the steps, by XLA's matrix products.
     """
     q, v = state.q, state.v
-    model = made_ahead(known_zeros(drivers.on_threads(model)), q.dtype)
+    model = made_ahead(known_zeros(drivers.on_threads(model, q.dtype)), q.dtype)
     one = [x[0] if batched else x for x in (q, v)]
     between = policy is not None and _is_large(policy, dt, one)
     driven = ctrls is not None or between

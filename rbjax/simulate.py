@@ -9,6 +9,7 @@ length that a solver loses or gains to its error has no effect until it is no nu
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_arrays
+from rbjax.dynamics.drivers import on_threads
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.rnea import momentum
@@ -31,6 +33,7 @@ from rbjax.model import Model, State, Topology, made_ahead, spans
 from rbjax.rotations import quaternion
 from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
 from rbjax.solvers.arguments import check_solver
+from rbjax.threads import threaded, wanted
 from rbjax.trajectory import Trajectory, all_finite
 
 Control = Callable[[jax.Array, State], jax.Array]
@@ -109,8 +112,8 @@ class Momentum(eqx.Module):
         return momentum(model, unit(model.topology, y.q), y.v)
 
 
-def _itself(model: Model) -> Model:
-    return model
+def _itself(x: Any) -> Any:
+    return x
 
 
 def motion(
@@ -196,6 +199,8 @@ def simulate(
         raise InputError(f"simulate: dt0 is {dt0}, expected a positive step in seconds")
     # Inside a caller's jit diffrax would trace what the caller holds constant.
     # Outside, the model is an argument: a number that changes does not compile anew.
+    if wanted():
+        model = on_threads(model, state.q.dtype)
     if not staged() or opened(model)[0]:
         model = made_ahead(model, state.q.dtype)
     args, of_args = opened(model) if staged() else (model, _itself)
@@ -209,23 +214,28 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
-    solution = _diffeqsolve(
-        term,
-        solver,
-        t0=ts[0],
-        t1=ts[-1],
+    # one robot a GPU thread, each with its own steps; a thread cannot raise: that is done after it
+    on_gpu = wanted() and not progress
+    solve = functools.partial(
+        diffrax.diffeqsolve if on_gpu else _diffeqsolve,
+        solver=solver,
         dt0=dt0,
-        y0=state,
-        args=args,
-        saveat=diffrax.SaveAt(ts=ts, fn=_Saved(model.topology)),
         stepsize_controller=stepsize_controller,
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps=max_steps,
-        throw=throw,
+        throw=throw and not on_gpu,
         progress_meter=diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter(),
     )
-    q, v = solution.ys.q, solution.ys.v
-    ok = all_finite(q, v) & (solution.result == diffrax.RESULTS.successful)
+    saved = _Saved(model.topology)
+
+    def solved(state: State, ts: jax.Array, args: Any) -> tuple:
+        saveat = diffrax.SaveAt(ts=ts, fn=saved)
+        out = solve(term, t0=ts[0], t1=ts[-1], y0=state, args=args, saveat=saveat)
+        return out.ys, out.result, out.stats
+
+    path, result, stats = (threaded if on_gpu else _itself)(solved)(state, ts, args)
+    q, v = path.q, path.v
+    ok = all_finite(q, v) & (result == diffrax.RESULTS.successful)
     if throw:
         q = eqx.error_if(
             q,
@@ -233,7 +243,7 @@ def simulate(
             "simulate: the motion has values that are not finite; take a smaller dt0, or an "
             "adaptive stepsize_controller, or throw=False to look at the trajectory",
         )
-    return Trajectory(ts, q, v, ok, solution.result, solution.stats)
+    return Trajectory(ts, q, v, ok, result, stats)
 
 
 _diffeqsolve = compiled(diffrax.diffeqsolve, jit=eqx.filter_jit)

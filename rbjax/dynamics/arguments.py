@@ -40,10 +40,11 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 }
 
 
-def algorithm(*names: str) -> Callable[[Callable], Callable]:
+def algorithm(*names: str, pairs: bool = False) -> Callable[[Callable], Callable]:
     """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
 
-    A `state` among the names is a `State`; names of bodies and sites are static.
+    A `state` among the names is a `State`; names of bodies and sites are static. `pairs`: most of
+    the work is on pairs of links.
     """
 
     def decorate(f: Callable) -> Callable:
@@ -53,7 +54,7 @@ def algorithm(*names: str) -> Callable[[Callable], Callable]:
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
             on_gpu = wanted()
-            moving, closed = opened((for_threads(args) if on_gpu else args, kwargs))
+            moving, closed = opened((for_threads(args, pairs) if on_gpu else args, kwargs))
 
             def run(moving: list) -> Any:
                 args, kwargs = closed(moving)
@@ -78,9 +79,11 @@ def algorithm(*names: str) -> Callable[[Callable], Callable]:
     return decorate
 
 
-def for_threads(args: tuple) -> tuple:
-    """The arguments, with models on the driver that suits a GPU thread."""
-    return tuple(on_threads(x) if isinstance(x, Model) else x for x in args)
+def for_threads(args: tuple, pairs: bool) -> tuple:
+    """The arguments, with the model, the first of them, on the driver that suits a GPU thread."""
+    model, *rest = args
+    floats = [x.dtype for x in jax.tree.leaves(rest) if jnp.issubdtype(x.dtype, jnp.floating)]
+    return (on_threads(model, floats[0], pairs=pairs), *rest) if floats else args
 
 
 def check_arrays(where: str, model: Model, given: dict[str, Any]) -> dict[str, Any]:

@@ -119,7 +119,7 @@ def _before(top: Topology, i: int) -> int:
     return top.parents[i - link.part]
 
 
-@algorithm("q", "v", "a")
+@algorithm("q", "v", "a", pairs=True)
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
@@ -152,7 +152,7 @@ def inverse_dynamics_derivatives(
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
-@algorithm("q", "v", "tau")
+@algorithm("q", "v", "tau", pairs=True)
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax
+import numpy as np
 
 from rbjax.dynamics.limbs import Limbs
 from rbjax.dynamics.rolled import Rolled
@@ -34,9 +35,9 @@ UNROLLED_UP_TO = 8
 #: instead of 2; where the model is an argument it would be twice as fast and take 15 s
 VALUES_UNROLLED_UP_TO = 40
 
-#: the same in a GPU thread: up to some 8,000 statements fetching instructions costs nothing, and
-#: what is written out runs three to four times as fast
-THREADS_UNROLLED_UP_TO = 26
+#: the same in a GPU thread, by bytes of a number: up to some 8,000 statements fetching instructions
+#: costs nothing; numbers of 8 bytes take two registers each
+THREADS_UNROLLED_UP_TO = {4: 26, 8: 12}
 
 Driver = Any  # one of these; per-link values are lists, columns, or both
 DRIVERS: dict[str, Any] = {"unrolled": Unrolled, "rolled": Rolled, "limbs": Limbs}
@@ -55,9 +56,10 @@ def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
     return DRIVERS[name](model, prepare(model, dtype))
 
 
-def on_threads(model: Model) -> Model:
-    """The model with the driver that suits a GPU thread, where it asks for none."""
+def on_threads(model: Model, dtype: Any, *, pairs: bool = False) -> Model:
+    """The model with the driver that suits a GPU thread, where it asks for none. `pairs`: what runs
+    works on all pairs of links, which no limb shortens."""
     if model.driver != "auto":
         return model
-    few = model.nv <= THREADS_UNROLLED_UP_TO
-    return model.replace(driver="unrolled" if few else "limbs")
+    few = model.nv <= THREADS_UNROLLED_UP_TO[np.dtype(dtype).itemsize]
+    return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

@@ -105,7 +105,7 @@ def forward_dynamics(
     return acceleration(model, q, v, tau)
 
 
-@algorithm("q")
+@algorithm("q", pairs=True)
 def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     """M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
 

@@ -57,8 +57,9 @@ def ptx(source: str, capability: str) -> str:
 
 
 def _folder() -> Path | None:
-    folder = jax.config.jax_compilation_cache_dir
-    if not folder or "://" in folder or not jax.config.jax_enable_compilation_cache:
+    settings = jax.config.values
+    folder = settings["jax_compilation_cache_dir"]
+    if not folder or "://" in folder or not settings["jax_enable_compilation_cache"]:
         return None
     return Path(folder) / "rbjax-threads"
 

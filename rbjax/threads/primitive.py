@@ -51,6 +51,7 @@ class Program:
     reads: int = 0
     sized: Callable[[int], Program] | None = None
     derived: dict[Any, Program] = field(default_factory=dict)
+    split: dict[Any, tuple[ClosedJaxpr, Program]] = field(default_factory=dict)
 
     @property
     def inputs(self) -> list[Any]:
@@ -73,6 +74,12 @@ class Program:
         if key not in self.derived:
             self.derived[key] = traced(f, *avals)
         return self.derived[key]
+
+    def parts(self, shared: tuple[bool, ...], split: Callable) -> tuple[ClosedJaxpr, Program]:
+        """What depends on shared operands alone, and the rest (`uniform`); made once."""
+        if shared not in self.split:
+            self.split[shared] = split(self, shared)
+        return self.split[shared]
 
     def tangent(self, moving: tuple[bool, ...]) -> Program:
         """(args, kept, tangents of those that move) -> tangents of all results."""
@@ -298,7 +305,7 @@ def _batched(operands, dims, program, batch, ins, outs):
         new.append((at, *(x if x is None or x < at else x + 1 for x in axes)))
         where.append(at)
     found = run(program, operands, (size, *batch), moved, new)
-    out = []
+    out: list[Any] = []
     for x, axes, at in zip(found, outs, where, strict=True):
         if all(k is None for k in axes) and batch:
             inner = tuple(k for k in range(x.ndim) if k in new[len(out)][1:])
@@ -372,6 +379,11 @@ def _rates(primals, tangents):
     return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
 
 
+def _zero(x: Any) -> ad.Zero:
+    """The tangent of what does not move."""
+    return ad.Zero(jax.typeof(x).to_tangent_aval())
+
+
 def _is_float(x: Any) -> bool:
     return jnp.issubdtype(jnp.result_type(x), jnp.floating)
 
@@ -380,7 +392,7 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
     moving, rates = _rates(primals, tangents)
     if not any(moving):
         found = run(program, primals, batch, ins, outs)
-        return found, [ad.Zero.from_primal_value(x) for x in found]
+        return found, [_zero(x) for x in found]
     if program.sized is not None:
         program = program.sized(math.prod(batch))
     n, kept = len(program.outputs), []
@@ -398,7 +410,7 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes
     )
     return found[:n], [
-        placed(t, len(batch), a) if _is_float(t) else ad.Zero.from_primal_value(x)
+        placed(t, len(batch), a) if _is_float(t) else _zero(x)
         for t, a, x in zip(rate, outs, found[:n], strict=True)
     ]
 

@@ -20,7 +20,7 @@ Axes = tuple[int | None, ...]
 
 
 def knows_devices(primitive: Primitive) -> None:
-    """Make JAX say, where it lowers the primitive, on which devices it will run; `spread` must know.
+    """Make JAX say, where it lowers the primitive, on which devices it will run, for `spread`.
     (A private name of JAX: its own primitives have no other way.)"""
     from jax._src.dispatch import prim_requires_devices_during_lowering
 
@@ -52,8 +52,9 @@ def spread(
     def placed(mesh: Any, over: list[Any], axes: Axes, rank: int) -> NamedSharding:
         spec: list[Any] = [None] * rank
         for level in levels:
-            if axes[level] is not None:
-                spec[axes[level]] = over[level]
+            axis = axes[level]
+            if axis is not None:
+                spec[axis] = over[level]
         return NamedSharding(mesh, PartitionSpec(*spec))
 
     def partition(mesh: Any, args: Any, results: Any) -> Any:

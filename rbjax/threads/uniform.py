@@ -26,10 +26,7 @@ def split(
 ) -> tuple[Program, list[Any]]:
     """The rest of a program, as a function of the operands that samples do not share and of more
     operands that they do; and these, computed here."""
-    key = ("uniform", tuple(shared))
-    if key not in program.derived:
-        program.derived[key] = _parts(program, shared)
-    first, rest = program.derived[key]
+    first, rest = program.parts(tuple(shared), _parts)
     given = [x for x, s in zip(operands, shared, strict=True) if s]
     return rest, jaxpr_as_fun(first)(*given)
 
