@@ -22,7 +22,8 @@ from rbjax.dynamics.operations import operation_count
 from rbjax.integrators import INTEGRATORS
 from rbjax.model import Model, State, known_zeros, made_ahead
 from rbjax.threads.function import trace
-from rbjax.threads.primitive import Program, run, traced
+from rbjax.threads.primitive import run
+from rbjax.threads.programs import Program, traced
 from rbjax.threads.uniform import split
 
 Arrays = tuple[jax.Array, ...]
@@ -258,7 +259,8 @@ def _between(
         return (i + 1, *advance(i, q, v, act(i, q, v))), None
 
     def segment(carry: Any, _: None) -> tuple[Any, Any]:
-        carry, _ = jax.lax.scan(once, carry, None, length=save_every)
+        # a turn of XLA's loop costs as much as a small kernel
+        carry, _ = jax.lax.scan(once, carry, None, length=save_every, unroll=min(4, save_every))
         return carry, carry[1:]
 
     if steps * sum(x.size * x.dtype.itemsize for x in (q, v)) > memory:

@@ -29,6 +29,7 @@ ELSEWHERE = {  # public functions that are not functions of a model and arrays, 
     "simulate": "tests/simulate",
     "rollout": "tests/rollout",
     "operation_count": "tests/dynamics",
+    "threads": "tests/threads",
 }
 
 

@@ -82,7 +82,8 @@ def algorithm(*names: str, pairs: bool = False) -> Callable[[Callable], Callable
 def for_threads(args: tuple, pairs: bool) -> tuple:
     """The arguments, with the model, the first of them, on the driver that suits a GPU thread."""
     model, *rest = args
-    floats = [x.dtype for x in jax.tree.leaves(rest) if jnp.issubdtype(x.dtype, jnp.floating)]
+    arrays = [x for x in jax.tree.leaves(rest) if isinstance(x, jax.Array)]
+    floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
     return (on_threads(model, floats[0], pairs=pairs), *rest) if floats else args
 
 

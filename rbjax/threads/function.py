@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from rbjax.compiling import alone
-from rbjax.threads.primitive import Program, run
+from rbjax.threads.primitive import run
+from rbjax.threads.programs import Program
 
 
 @functools.cache

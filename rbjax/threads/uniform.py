@@ -6,13 +6,12 @@ The constants of a robot's links, made of the leaves of a model that all samples
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-if TYPE_CHECKING:
-    from rbjax.threads.primitive import Program
+from rbjax.threads.programs import Program
 
 #: equations that only move entries; a thread does them for nothing
 FREE = {
@@ -32,8 +31,6 @@ def split(
 
 
 def _parts(program: Program, shared: Sequence[bool]) -> Any:
-    from rbjax.threads.primitive import Program
-
     jaxpr, consts = program.closed.jaxpr, program.closed.consts
     own = [v for v, s in zip(jaxpr.invars, shared, strict=True) if not s]
     alike = [v for v, s in zip(jaxpr.invars, shared, strict=True) if s]

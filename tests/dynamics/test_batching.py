@@ -1,5 +1,4 @@
-"""A batch beyond one chunk against one sample after another, under every order of transformations;
-and the GPU's rule, with the kernel in Pallas's interpreter."""
+"""A batch beyond one chunk against one sample after another, under every order of transformations."""
 
 import functools
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics import batching, kernel
+from rbjax.dynamics import batching
 from tests.compilations import compilations
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
@@ -104,27 +103,3 @@ def test_outside_of_jit_nothing_compiles_twice(given):
         slope(other)
     assert not compiled
     assert relative_error(again, first) <= F64_TRANSFORM
-
-
-def test_on_a_gpu_a_batch_in_f32_runs_in_the_kernel(given, monkeypatch):
-    single = [x[:5].astype(jnp.float32) for x in given]
-    run = functools.partial(fd, MODEL)
-    want = jax.jit(jax.vmap(run))(*single)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(kernel, "INTERPRET", True)
-
-    def program(f, *xs):
-        return jax.make_jaxpr(f)(*xs).pretty_print()
-
-    assert "pallas_call" in program(jax.vmap(run), *single)
-    assert "pallas_call" not in program(jax.vmap(run), *(x.astype(jnp.float64) for x in single))
-    assert "pallas_call" not in program(run, *(x[0] for x in single))
-    got = jax.jit(jax.vmap(run))(*single)
-    np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-4)
-
-    def shared(q):
-        return jax.vmap(lambda v: fd(MODEL, q, v, single[2][0]))(single[1])
-
-    np.testing.assert_allclose(jax.jit(shared)(single[0][0])[0], got[0], rtol=1e-4, atol=1e-4)
-    back = jax.jit(jax.grad(lambda q: jax.vmap(run)(q, *single[1:]).sum()))(single[0])
-    assert np.isfinite(back).all()

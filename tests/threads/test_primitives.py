@@ -625,7 +625,7 @@ def test_custom_derivatives_and_gradients():
 
 
 def test_large_arrays_are_worked_through_by_loops():
-    x, data = normal(F64, 2, 30, 20), np.arange(4, dtype=np.uint32).reshape(2, 2)
+    x, data = normal(F64, 2, 60, 40), np.arange(4, dtype=np.uint32).reshape(2, 2)
     x[1, 3, 4] = np.nan
     cases: dict[str, Case] = {
         "arg": (lambda x: (x.argmax(0), x.argmin(1), x.ravel().argmax()), (x,)),

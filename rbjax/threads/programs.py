@@ -1,0 +1,104 @@
+"""Functions of one sample, traced, and the programs of their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A function of one sample, traced.
+
+    pull: the transposed derivative, pull(moving, args, kept, bars) -> cotangents of the arguments
+        that move, of the cotangents of the results (None for zero); if None, that of the jaxpr,
+        which needs the arguments alone.
+    keeping: the program to run in place of this one where a derivative is asked for: its results
+        are these, and more that `pull` reads.
+    reads: the first of its results that `pull` reads, as `kept`.
+    sized: the program that takes this one's place where a batch of a given size is differentiated.
+    """
+
+    closed: ClosedJaxpr
+    pull: Callable | None = None
+    keeping: Program | None = None
+    reads: int = 0
+    sized: Callable[[int], Program] | None = None
+    derived: dict[Any, Program] = field(default_factory=dict)
+    split: dict[Any, tuple[ClosedJaxpr, Program]] = field(default_factory=dict)
+
+    @property
+    def inputs(self) -> list[Any]:
+        return [v.aval for v in self.closed.jaxpr.invars]
+
+    @property
+    def outputs(self) -> list[Any]:
+        return [v.aval for v in self.closed.jaxpr.outvars]
+
+    @property
+    def kept(self) -> list[Any]:
+        """What a derivative is handed beside the arguments."""
+        return self.keeping.outputs[self.reads :] if self.keeping else []
+
+    def __call__(self, *args: Any) -> list[Any]:
+        return jaxpr_as_fun(self.closed)(*args)
+
+    def derive(self, key: Any, f: Callable, *avals: Any) -> Program:
+        """Another program made of this one; made once."""
+        if key not in self.derived:
+            self.derived[key] = traced(f, *avals)
+        return self.derived[key]
+
+    def parts(self, shared: tuple[bool, ...], split: Callable) -> tuple[ClosedJaxpr, Program]:
+        """What depends on shared operands alone, and the rest (`uniform`); made once."""
+        if shared not in self.split:
+            self.split[shared] = split(self, shared)
+        return self.split[shared]
+
+    def tangent(self, moving: tuple[bool, ...]) -> Program:
+        """(args, kept, tangents of those that move) -> tangents of all results."""
+
+        def f(*xs: Any) -> list[Any]:
+            args = xs[: len(moving)]
+            still = list(args)
+            rates = list(xs[len(moving) + len(self.kept) :])
+
+            def along(*changed: Any) -> list[Any]:
+                rest = iter(changed)
+                return self(*(next(rest) if m else x for m, x in zip(moving, still, strict=True)))
+
+            given = [x for m, x in zip(moving, args, strict=True) if m]
+            return jax.jvp(along, given, rates)[1]
+
+        rates = [a for m, a in zip(moving, self.inputs, strict=True) if m]
+        return self.derive(("tangent", moving), f, *self.inputs, *self.kept, *rates)
+
+    def transposed(self, moving: tuple[bool, ...], weighed: tuple[bool, ...]) -> Program:
+        """(args, kept, cotangents of the weighed results) -> cotangents of those that move."""
+
+        def f(*xs: Any) -> list[Any]:
+            n, end = len(moving), len(moving) + len(self.kept)
+            args, kept, given = xs[:n], xs[n:end], iter(xs[end:])
+            if self.pull is not None:
+                bars = [next(given) if w else None for w in weighed]
+                return self.pull(moving, args, kept, bars)
+
+            def along(*changed: Any) -> list[Any]:
+                rest = iter(changed)
+                full = self(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
+                return [y for w, y in zip(weighed, full, strict=True) if w]
+
+            moved = [x for m, x in zip(moving, args, strict=True) if m]
+            return list(jax.vjp(along, *moved)[1](list(given)))
+
+        bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
+        return self.derive(("pull", moving, weighed), f, *self.inputs, *self.kept, *bars)
+
+
+def traced(f: Callable, *avals: Any) -> Program:
+    """The program of a function of flat arguments that closes over nothing that is traced."""
+    return Program(jax.make_jaxpr(f)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))
