@@ -1,4 +1,4 @@
-"""A batch beyond one chunk against one sample after another, under every order of transformations."""
+"""A batch beyond one chunk against one sample after another, under every transformation."""
 
 import functools
 
