@@ -372,6 +372,11 @@ def _rates(primals, tangents):
     return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
 
 
+def _no_rate(x: Any) -> Any:
+    """The tangent of what does not move."""
+    return ad.Zero(jax.typeof(x).to_tangent_aval())
+
+
 def _is_float(x: Any) -> bool:
     return jnp.issubdtype(jnp.result_type(x), jnp.floating)
 
@@ -380,7 +385,7 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
     moving, rates = _rates(primals, tangents)
     if not any(moving):
         found = run(program, primals, batch, ins, outs)
-        return found, [ad.Zero.from_primal_value(x) for x in found]
+        return found, [_no_rate(x) for x in found]
     if program.sized is not None:
         program = program.sized(math.prod(batch))
     n, kept = len(program.outputs), []
@@ -398,7 +403,7 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes
     )
     return found[:n], [
-        placed(t, len(batch), a) if _is_float(t) else ad.Zero.from_primal_value(x)
+        placed(t, len(batch), a) if _is_float(t) else _no_rate(x)
         for t, a, x in zip(rate, outs, found[:n], strict=True)
     ]
 
