@@ -92,6 +92,17 @@ total = jax.shard_map(
     lambda x, w: jax.lax.psum(loss(g)(x, w), ("a", "b")), mesh=mesh, in_specs=(both, P()),
     out_specs=P())
 check("its gradient", jax.grad(total, (0, 1)), (x, W), jax.grad(loss(f), (0, 1)), where)
+
+def rolled_there(q, v):
+    def loss(mass, q, v):
+        heavier = model.replace(bodies=model.bodies.replace(mass=mass))
+        out = rb.rollout(heavier, rb.State(q, v), us, 0.01, kernel=True)
+        return jax.lax.psum((out.q[:, -1] ** 2).sum(), ("a", "b"))
+    own = jax.shard_map(loss, mesh=mesh, in_specs=(P(), both, both), out_specs=P())
+    mass, q_bar = jax.grad(own, (0, 1))(masses, q, v)
+    return q_bar, mass
+
+check("rollout in shard_map", rolled_there, (q, v), lambda q, v: rolled(False)(q, v)[1:3], where)
 print("fine")
 """
 
