@@ -49,7 +49,8 @@ def test_bytes_of_a_sample():
     assert explain(lambda x: (2 * x, x.sum()), X).moved_bytes == 4 * (3 + 3 + 1)
     assert explain(lambda x: (2 * x, x.sum()), X.astype(float)).moved_bytes == 8 * (3 + 3 + 1)
     assert explain(lambda x: 2 * x, X).array_bytes == 0
-    held = explain(lambda x, i: jnp.zeros(20).at[i].set(x[0]).at[i[0]].add(1).sum(), X, [1, 2])
+    i = jnp.array([1, 2])
+    held = explain(lambda x, i: jnp.zeros(20).at[i].set(x[0]).at[i[0]].add(1).sum(), X, i)
     assert held.array_bytes >= 20 * 8
 
 
