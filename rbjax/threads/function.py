@@ -13,6 +13,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from rbjax.compiling import alone
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
+from rbjax.threads.uniform import unnamed
 
 
 @functools.cache
@@ -116,6 +117,6 @@ def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:
     moving = [(v, c) for v, c, t in pairs if t]
     whole = Jaxpr(
         [v for v, _ in known], [v for v, _ in moving] + list(jaxpr.invars), jaxpr.outvars,
-        jaxpr.eqns, jaxpr.effects,
+        jaxpr.eqns, jaxpr.effects, unnamed(jaxpr),
     )  # fmt: skip
     return Program(ClosedJaxpr(whole, [c for _, c in known])), [c for _, c in moving]

@@ -137,7 +137,8 @@ class Lowering:
         name = eqn.primitive.name
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
-            if dtype is not None and dtype not in DTYPES:
+            fits = dtype is None or dtype in DTYPES
+            if not fits and (name in RULES or called(eqn) is None):  # inside a call it is named
                 raise Unsupported(f"{name} of type {dtype}")
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)

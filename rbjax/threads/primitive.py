@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
+from jax.sharding import NamedSharding, PartitionSpec
 
 from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Layout, write_program
@@ -46,7 +47,31 @@ def run(
     first = tuple(range(len(batch)))
     ins = tuple(ins) if ins is not None else ((None,) * len(batch),) * len(operands)
     outs = tuple(outs) if outs is not None else (first,) * len(program.outputs)
-    return threads_p.bind(*operands, program=program, batch=batch, ins=ins, outs=outs)
+    return threads_p.bind(*_alike(operands), program=program, batch=batch, ins=ins, outs=outs)
+
+
+def _varies(aval: Any) -> frozenset:
+    """The axes of a mesh that an array varies along, where `shard_map` keeps count of them."""
+    return aval.manual_axis_type.varying
+
+
+def _alike(operands: Sequence[Any]) -> list[Any]:
+    """Operands that vary along the same axes of a mesh."""
+    own = [_varies(jax.typeof(x)) for x in operands]
+    every = frozenset().union(*own)
+    return [
+        jax.lax.pcast(x, tuple(every - v), to="varying") if every - v else x
+        for x, v in zip(operands, own, strict=True)
+    ]
+
+
+def _result(shape: tuple[int, ...], dtype: Any, operands: Sequence[Any]) -> ShapedArray:
+    """A result, which varies as the operands do."""
+    if not any(_varies(x) for x in operands):
+        return ShapedArray(shape, dtype)
+    mesh = operands[0].sharding.mesh
+    whole = NamedSharding(mesh, PartitionSpec(*[None] * len(shape)))
+    return operands[0].update(shape=shape, dtype=dtype, weak_type=False, sharding=whole)
 
 
 def _shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple[int, ...]:
@@ -59,7 +84,7 @@ def _shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple
 @threads_p.def_abstract_eval
 def _(*operands, program, batch, ins, outs):
     return [
-        ShapedArray(_shape(a.shape, batch, axes), a.dtype)
+        _result(_shape(a.shape, batch, axes), a.dtype, operands)
         for a, axes in zip(program.outputs, outs, strict=True)
     ]
 
@@ -149,7 +174,9 @@ def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
     if devices and devices > 1 and batch and not _is_manual(ctx):
         ranks = [len(a.shape) for a in ctx.avals_in], [len(a.shape) for a in ctx.avals_out]
         run = spread(part, batch, ins, outs, ranks)
-    return mlir.lower_fun(run, multiple_results=True)(ctx, *operands)
+    # a device knows nothing of the others: constants inside need not vary as operands do
+    own = ctx.replace(avals_in=[ShapedArray(a.shape, a.dtype) for a in ctx.avals_in])
+    return mlir.lower_fun(run, multiple_results=True)(own, *operands)
 
 
 def _is_manual(ctx):
@@ -191,7 +218,8 @@ def _batched(operands, dims, program, batch, ins, outs):
     known = tuple(
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
-    if any(known) and program.pull is None and program.sized is None:
+    alone = not any(_varies(jax.typeof(x)) for x in operands)
+    if any(known) and alone and program.pull is None and program.sized is None:
         program, more = split(program, known, operands)
         operands = [x for x, k in zip(operands, known, strict=True) if not k] + more
         dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)
@@ -248,7 +276,7 @@ def _as_threads(program, moving, batch, ins):
 
 @tangent_p.def_abstract_eval
 def _(*operands, program, moving, batch, ins):
-    return [ShapedArray((*batch, *a.shape), a.dtype) for a in program.outputs]
+    return [_result((*batch, *a.shape), a.dtype, operands) for a in program.outputs]
 
 
 def _evaluate(*operands, program, moving, batch, ins):

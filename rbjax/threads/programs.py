@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 
@@ -72,7 +73,11 @@ class Program:
                 return self(*(next(rest) if m else x for m, x in zip(moving, still, strict=True)))
 
             given = [x for m, x in zip(moving, args, strict=True) if m]
-            return jax.jvp(along, given, rates)[1]
+            found = jax.jvp(along, given, rates)[1]
+            return [  # what does not move has a tangent of no bytes, which no array can hold
+                t if jnp.issubdtype(a.dtype, jnp.floating) else jnp.zeros(a.shape, a.dtype)
+                for t, a in zip(found, self.outputs, strict=True)
+            ]
 
         rates = [a for m, a in zip(moving, self.inputs, strict=True) if m]
         return self.derive(("tangent", moving), f, *self.inputs, *self.kept, *rates)

@@ -21,6 +21,7 @@ Axes = tuple[int | None, ...]
 
 def knows_devices(primitive: Primitive) -> None:
     """Make JAX say, where it lowers the primitive, on which devices it will run, for `spread`.
+
     (A private name of JAX: its own primitives have no other way.)"""
     from jax._src.dispatch import prim_requires_devices_during_lowering
 

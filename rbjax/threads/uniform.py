@@ -68,9 +68,17 @@ def _parts(program: Program, shared: Sequence[bool]) -> Any:
         need(v)
     frontier = list(needed)
     moved = [eqn for eqn in before if id(eqn) in moves]
-    first = Jaxpr(jaxpr.constvars, alike, frontier, before, jaxpr.effects)
-    rest = Jaxpr(jaxpr.constvars, [*own, *frontier], jaxpr.outvars, [*moved, *after], jaxpr.effects)
+    notes = unnamed(jaxpr)
+    first = Jaxpr(jaxpr.constvars, alike, frontier, before, jaxpr.effects, notes)
+    rest = Jaxpr(
+        jaxpr.constvars, [*own, *frontier], jaxpr.outvars, [*moved, *after], jaxpr.effects, notes
+    )
     return ClosedJaxpr(first, consts), Program(_pruned(ClosedJaxpr(rest, consts)))
+
+
+def unnamed(jaxpr: Jaxpr) -> Any:
+    """The debugging notes of a jaxpr, for another one made of it: without names of arguments."""
+    return jaxpr.debug_info._replace(arg_names=None, result_paths=None)
 
 
 def _pruned(closed: ClosedJaxpr) -> ClosedJaxpr:

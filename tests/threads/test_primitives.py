@@ -631,8 +631,8 @@ def test_large_arrays_are_worked_through_by_loops():
         "arg": (lambda x: (x.argmax(0), x.argmin(1), x.ravel().argmax()), (x,)),
         "sums": (lambda x: (x.cumsum(0), lax.cummax(x, axis=1, reverse=True),
                             lax.cumsum(x, axis=0, reverse=True)), (x,)),
-            "reductions": (lambda x: (x.sum(0), x.max(1), x.prod(), x.min()),  # XLA loses the nan
-                           (np.nan_to_num(x),)),
+        "reductions": (lambda x: (x.sum(0), x.max(1), x.prod(), x.min()),  # XLA loses the nan
+                       (np.nan_to_num(x),)),
         "sincos": (lambda x: tuple(sincos(x)), (x,)),
         "random": (lambda data: (jax.random.bits(data, (700,)),
                                  jax.random.uniform(data, (25, 30), jnp.float64)), (data,)),

@@ -1,0 +1,84 @@
+"""A CUDA kernel's source run on the host: the threads of a block are threads of the host."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rbjax.threads.cuda import Kernel
+from tests.threads.host import library
+
+HEAD = """
+#include <barrier>
+#include <cmath>
+#include <cstring>
+#include <memory>
+#include <thread>
+#include <vector>
+#define __device__
+#define __global__
+#define __constant__
+#define __restrict__
+#define __launch_bounds__(n)
+#define __shared__ static
+struct Index { int x; };
+static thread_local Index threadIdx, blockIdx;
+static std::barrier<> whole(THREADS);
+static std::vector<std::unique_ptr<std::barrier<>>> warps;
+static double passed[THREADS];
+static float __int_as_float(int bits) { float x; memcpy(&x, &bits, 4); return x; }
+static float rsqrtf(float x) { return 1 / sqrtf(x); }
+static double rsqrt(double x) { return 1 / sqrt(x); }
+using std::isfinite;
+static void __syncthreads() { whole.arrive_and_wait(); }
+static void __syncwarp() { warps[threadIdx.x / 32]->arrive_and_wait(); }
+template <class T> static T __shfl_down_sync(unsigned, T x, int by) {
+  passed[threadIdx.x] = x;
+  __syncwarp();
+  const T out = threadIdx.x % 32 + by < 32 ? (T)passed[threadIdx.x + by] : x;
+  __syncwarp();
+  return out;
+}
+#undef NAN
+#undef INFINITY
+"""
+
+LAUNCH = """
+extern "C" void run(int blocks, void** p) {{
+  for (int k = 0; k < THREADS / 32; k++)
+    warps.push_back(std::make_unique<std::barrier<>>(32));
+  for (int b = 0; b < blocks; b++) {{  // one after the other: they share the statics
+    std::vector<std::thread> all;
+    for (int t = 0; t < THREADS; t++)
+      all.emplace_back([=] {{
+        blockIdx.x = b;
+        threadIdx.x = t;
+        {name}({pointers});
+      }});
+    for (auto& thread : all) thread.join();
+  }}
+}}
+"""
+
+
+def emulated(kernel: Kernel, operands: Sequence[Any], results: Sequence[Any]) -> list[np.ndarray]:
+    """What the kernel writes: arrays of these shapes and types; partial sums one a block."""
+    signature = kernel.source.split(f"{kernel.name}(", 1)[1].split("){", 1)[0]
+    types = [p.replace("const ", "").split("*")[0].strip() for p in signature.split(",")]
+    pointers = ",".join(f"({kind}*)p[{k}]" for k, kind in enumerate(types))
+    source = "\n".join([
+        f"#define THREADS {kernel.block}", HEAD, kernel.source,
+        LAUNCH.format(name=kernel.name, pointers=pointers),
+    ])  # fmt: skip
+    run = library(source, ("-std=c++20", "-O1", "-ffp-contract=off", "-pthread")).run
+    ins = [np.ascontiguousarray(x) for x in operands]
+    outs = [
+        np.full((kernel.grid, *x.shape) if summed else x.shape, 77, x.dtype)  # poisoned
+        for x, summed in zip(results, kernel.summed, strict=True)
+    ]
+    every = (*ins, *outs)
+    run(kernel.grid, (ctypes.c_void_p * len(every))(*(x.ctypes.data for x in every)))
+    return [x.sum(0) if summed else x for x, summed in zip(outs, kernel.summed, strict=True)]

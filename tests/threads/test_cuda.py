@@ -1,0 +1,245 @@
+"""What is lowered for CUDA, without a GPU: custom calls, kernels' sources, and PTX on disk."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.threads.cuda import Kernel, kernel
+from rbjax.threads.frame import Layout, write_program
+from rbjax.threads.function import threaded
+from tests.threads.block import emulated
+from tests.threads.host import COMPILER
+from tests.tolerances import F64_TRANSFORM, relative_error
+
+launch, nvrtc, primitive = (
+    importlib.import_module(f"rbjax.threads.{name}") for name in ("launch", "nvrtc", "primitive")
+)
+RNG = np.random.default_rng(0)
+W, X = RNG.normal(size=(5, 3)), RNG.normal(size=(200, 3))
+
+
+def f(x, w=W):
+    return jnp.tanh(w @ x)
+
+
+# ------------------------------------------------------------------- lowering
+
+
+@pytest.fixture
+def gpu(monkeypatch):
+    """A process that believes in kernels."""
+    monkeypatch.setattr(launch, "ptx", lambda source, capability: "PTX")
+    monkeypatch.setattr(launch, "capability", lambda: "9.0")
+    monkeypatch.setattr(primitive, "works", lambda: True)
+    primitive._say.cache_clear()
+
+
+def lowered(g, *args) -> str:
+    return jax.jit(g).trace(*args).lower(lowering_platforms=("cuda",)).as_text()
+
+
+def calls(g, *args) -> int:
+    return lowered(g, *args).count(launch.TARGET)
+
+
+def total(x, w):
+    return (jax.vmap(threaded(f), (0, None))(x, w) ** 2).sum()
+
+
+@pytest.mark.parametrize(
+    ("g", "args", "count"),
+    [
+        (jax.vmap(threaded(f)), (X,), 1),
+        (jax.vmap(jax.grad(lambda x: threaded(f)(x).sum())), (X,), 1),
+        (jax.vmap(jax.jacfwd(threaded(f))), (X,), 1),
+        (jax.grad(total, (0, 1)), (X, W), 2),
+        (jax.vmap(threaded(jax.grad(lambda x: f(x).sum()))), (X,), 1),
+        (jax.vmap(threaded(lambda x: threaded(f)(x).sum())), (X,), 1),
+        (jax.vmap(threaded(f)), (X[:0],), 0),
+    ],
+    ids=["values", "grad", "jacfwd", "grad of a sum", "grad inside", "threads inside", "empty"],
+)  # fmt: skip
+def test_a_kernel_a_derivative(gpu, g, args, count):
+    assert calls(g, *args) == count
+
+
+def test_integers_and_their_derivatives(gpu):
+    def g(x, n):
+        return x[n] * n, n + 1, x.sum()
+
+    def back(x, n):
+        found = jax.vmap(threaded(g))(x, n)
+        return (found[0] ** 2).sum()
+
+    n = np.arange(200, dtype=np.int32) % 3
+    assert calls(jax.vmap(threaded(g)), X, n) == 1
+    assert calls(jax.grad(back), X, n) == 2
+    assert calls(lambda x: jax.jvp(lambda x: jax.vmap(threaded(g))(x, n)[0], (x,), (x,))[1], X) > 0
+
+
+@pytest.mark.parametrize("name", ["svd", "eigh", "complex64"])
+def test_what_no_thread_knows_is_said_once(gpu, name):
+    def g(x):
+        square = jnp.outer(x, x)[:2, :2]
+        if name == "complex64":
+            return jnp.abs(jnp.fft.fft(x))
+        return jnp.linalg.eigh(square) if name == "eigh" else jnp.linalg.svd(square)
+
+    x = X.astype(np.float32)
+    with pytest.warns(UserWarning, match=f"no kernel for .*{name}"):
+        text = lowered(jax.vmap(threaded(g)), x)
+    assert launch.TARGET not in text
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        lowered(jax.vmap(threaded(lambda x: g(-x))), x)
+
+
+def test_without_kernels_xla(monkeypatch):
+    monkeypatch.setattr(primitive, "works", lambda: False)
+    assert calls(jax.vmap(threaded(f)), X) == 0
+
+
+def test_where_kernels_fail_it_is_said(monkeypatch):
+    def missing():
+        raise nvrtc.CompileError("found no libnvrtc")
+
+    monkeypatch.setattr(nvrtc, "library", missing)
+    monkeypatch.setattr(launch, "capability", lambda: "9.0")
+    monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices())
+    monkeypatch.setattr(launch, "launch", lambda *_: launch.ptx(launch.SELF_TEST, "9.0"))
+    nvrtc.version.cache_clear()
+    launch.works.cache_clear()
+    try:
+        with pytest.warns(UserWarning, match=r"found no libnvrtc.*rbjax\[cuda\]"):
+            assert not launch.works()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert not launch.works()
+    finally:
+        launch.works.cache_clear()
+
+
+def test_a_rollout_is_one_kernel(gpu):
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.zeros((8, 2)), jnp.ones((8, 2)))
+
+    def last(us):
+        return rb.rollout(model, state, us, 0.01, kernel=True).q
+
+    us = jnp.zeros((4, 1))
+    assert calls(last, us) == 1
+    assert calls(jax.grad(lambda us: (last(us) ** 2).sum()), us) == 2
+
+
+# ------------------------------------------------------------------- PTX on disk
+
+
+def test_ptx_is_kept_beside_jax_s_cache(monkeypatch, tmp_path):
+    compiled = []
+    monkeypatch.setattr(nvrtc, "_compile", lambda source, arch: compiled.append(arch) or source[:3])
+    monkeypatch.setattr(nvrtc, "version", lambda: "12.9")
+    before = jax.config.jax_compilation_cache_dir
+    try:
+        jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+        assert [nvrtc.ptx("source", "9.0") for _ in range(2)] == ["sou", "sou"]
+        assert compiled == ["compute_90"]
+        nvrtc.ptx("source", "8.6")
+        nvrtc.ptx("another", "9.0")
+        assert compiled == ["compute_90", "compute_86", "compute_90"]
+        kept = list((tmp_path / "rbjax-threads").iterdir())
+        assert len(kept) == 3 and all(p.suffix == ".ptx" for p in kept)
+        jax.config.update("jax_compilation_cache_dir", None)
+        nvrtc.ptx("source", "9.0")
+        assert len(compiled) == 4
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+
+
+# ------------------------------------------------------------------- sources
+
+
+def emitted(g, layouts, batch, summed=(), last=False) -> tuple[Kernel, list]:
+    """The kernel of g, its operands as layouts, its results batch first, last, or summed."""
+    closed = jax.make_jaxpr(g)(*(jax.ShapeDtypeStruct(x.sample, np.float64) for x in layouts))
+    avals = closed.out_avals
+    summed = tuple(summed) or (False,) * len(avals)
+    n = len(batch)
+    outs = []
+    for a, s in zip(avals, summed, strict=True):
+        places = tuple(range(a.ndim, a.ndim + n) if last else range(n))
+        shape = (*a.shape, *batch) if last else (*batch, *a.shape)
+        outs.append(Layout(a.shape, ()) if s else Layout(shape, places))
+    code = kernel(write_program(closed, batch, layouts, outs, summed))
+    return code, [jax.ShapeDtypeStruct(lay.shape, a.dtype)
+                  for lay, a in zip(outs, avals, strict=True)]  # fmt: skip
+
+
+def test_rows_are_staged_where_they_are_neither_short_nor_long():
+    def g(x, y, z, w):
+        return [x.sum() + z.sum() + y * w]
+
+    layouts = [Layout((200, n), (0,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
+    source = emitted(g, layouts, (200,))[0].source
+    assert re.findall(r"fetch<double,(\d+),(\d+)>", source) == [("20", "21")]
+    assert source.count("__shared__ double s1[") == 1
+    assert re.findall(r"flush<double,(\d+),(\d+)>\(", source) == [("20", "20")]
+    batch_last = [Layout((n, 200), (1,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
+    source = emitted(g, batch_last, (200,), last=True)[0].source
+    assert not re.search(r"fetch<double|flush<double", source)
+
+
+def test_sums_are_taken_in_the_block():
+    code, _ = emitted(lambda x: [x, (x * x).sum()], [Layout((200, 3), (0,))], (200,), (False, True))
+    assert code.grid == math.ceil(200 / code.block) and code.summed == (False, True)
+    assert "over_warp<double>" in code.source and "u1[" in code.source and "u0[" not in code.source
+
+
+def test_a_block_of_wide_rows_is_half():
+    wide = [Layout((200, 60), (0,))]
+    assert emitted(lambda x: [x.sum()], [Layout((200, 9), (0,))], (200,))[0].block == 128
+    assert emitted(lambda x: [x.sum()], wide, (200,))[0].block == 64
+
+
+def program(x, y, z, w):
+    """Short, staged and long rows, and what is shared; streamed, updated and summed results."""
+    updated = jnp.zeros(40).at[jnp.arange(40) % 7].add(jnp.tile(x, 8))
+    total = jax.lax.fori_loop(0, 20, lambda i, s: s + y[i] * z[i], 0.0)
+    return [jnp.sin(y) * w, jnp.concatenate([z, y]) * total, updated, y[:9] * x[0], x * total]
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+@pytest.mark.parametrize(
+    "batch", [(200,), (3, 47), *(pytest.param(b, marks=pytest.mark.slow) for b in [(1,), (256,)])]
+)
+@pytest.mark.parametrize("last", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_a_kernel_s_threads_together(batch, last):
+    """Staging, streams and sums, with a block's threads at once; the last block is not full."""
+    n, levels = len(batch), range(len(batch))
+    args = [RNG.normal(size=(*batch, *s)) for s in ((5,), (20,), (130,))]
+    w = RNG.normal(size=20)
+    shared = Layout((20,), (None,) * n)
+    if last:
+        args = [np.moveaxis(x, -1, 0) for x in args]
+        layouts = [Layout(x.shape, tuple(1 + k for k in levels)) for x in args]
+    else:
+        layouts = [Layout(x.shape, tuple(levels)) for x in args]
+    summed = (False, False, False, True, True)
+    code, shapes = emitted(program, [*layouts, shared], batch, summed, last)
+    got = emulated(code, [*args, w], shapes)
+    mapped = program
+    for _ in levels:
+        mapped = jax.vmap(mapped, (*(-1 if last else 0,) * 3, None), -1 if last else 0)
+    axes = tuple(range(-n, 0)) if last else tuple(levels)
+    want = mapped(*args, w)
+    want = [x.sum(axes) if s else x for x, s in zip(want, summed, strict=True)]
+    for a, b in zip(got, want, strict=True):
+        assert relative_error(a, b) <= F64_TRANSFORM
