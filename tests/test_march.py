@@ -11,7 +11,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.march import March, keep_every
-from rbjax.threads.primitive import run, traced
+from rbjax.threads.primitive import run
+from rbjax.threads.programs import traced
 from tests.robots import QUICK
 from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
