@@ -1,4 +1,4 @@
-"""A batch spread over all GPUs of a machine against the same share of it on one: rollouts, gradients.
+"""A batch spread over all GPUs against the same share of it on one: rollouts, gradients.
 
 `python -m benchmarks.gpu_sharded --robots humanoid` writes
 results/gpu-sharded-<robot>-<device>.json. Twice the samples on two GPUs: the ideal is 2x.

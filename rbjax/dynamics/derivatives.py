@@ -119,7 +119,7 @@ def _before(top: Topology, i: int) -> int:
     return top.parents[i - link.part]
 
 
-@algorithm("q", "v", "a", pairs=True)
+@algorithm("q", "v", "a")
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:

@@ -16,6 +16,7 @@ from typing import Any
 
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
+from rbjax.threads.lowering import Unsupported
 from rbjax.threads.program import Array, Store, walk
 
 #: threads of a block, where its rows fit into shared memory; else half as many
@@ -26,6 +27,10 @@ SHARED_BYTES = 47 * 1024
 SHORT, ROW = 8, 128
 #: bytes of constant memory that tables may take; what is beyond is read through the cache
 CONSTANT_BYTES = 48 * 1024
+#: NVRTC takes a minute for more statements
+STATEMENTS_UP_TO = 60_000
+#: the driver reserves a thread's arrays for all threads that the device can hold at once: 17 GB
+ARRAY_BYTES_UP_TO = 64 * 1024
 
 HEAD = """
 #define QUALIFIED static __device__ inline
@@ -88,7 +93,13 @@ class Kernel:
 
 
 def kernel(program: Written, name: str = "threads") -> Kernel:
-    """The kernel of a program."""
+    """The kernel of a program; `Unsupported` where it is too large for a thread."""
+    if program.statements > STATEMENTS_UP_TO:
+        raise Unsupported(f"{program.statements} statements, of at most {STATEMENTS_UP_TO}")
+    if program.array_bytes > ARRAY_BYTES_UP_TO:
+        raise Unsupported(
+            f"{program.array_bytes} bytes of arrays in a thread, of at most {ARRAY_BYTES_UP_TO}"
+        )
     streams = _streamed(program)
     tile = 33 * max((a.dtype.itemsize for a in program.results if a.id in streams), default=0)
     block, rows = _staged(program, tile)

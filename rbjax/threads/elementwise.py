@@ -18,7 +18,7 @@ from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import BOOL, Value
 
 #: arrays of more entries are worked through by loops over memory
-LOOP_ABOVE = 2048
+LOOP_ABOVE = 1024
 #: and arrays of more entries that lie in memory already
 LOOP_ABOVE_IN_MEMORY = 64
 

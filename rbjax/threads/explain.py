@@ -17,7 +17,7 @@ from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.function import flattened, threaded, wanted
 from rbjax.threads.launch import capability, works
 from rbjax.threads.nvrtc import ptx
-from rbjax.threads.program import Block, If, Loop, Op, Reserve, While, walk
+from rbjax.threads.program import Block, If, Loop, Op, While
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,7 @@ def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
     found = {
         "statements": program.statements,
         "operations": _operations(block),
-        "array_bytes": sum(
-            s.array.size * s.array.dtype.itemsize for s in walk(block) if isinstance(s, Reserve)
-        ),
+        "array_bytes": program.array_bytes,
         "moved_bytes": _moved(program),
         "batch": batch,
     }

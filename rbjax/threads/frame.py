@@ -32,7 +32,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
 from rbjax.threads.arrays import View, row_major
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
-from rbjax.threads.program import I32, I64, Array, Builder, Op, walk
+from rbjax.threads.program import I32, I64, Array, Builder, Op, Reserve, walk
 from rbjax.threads.prune import prune
 
 
@@ -104,6 +104,12 @@ class Written:
     def statements(self) -> int:
         """Operations of one thread's code; a loop's once."""
         return sum(isinstance(s, Op) for s in walk(self.builder.block))
+
+    @property
+    def array_bytes(self) -> int:
+        """Bytes of the local arrays of one thread."""
+        arrays = [s.array for s in walk(self.builder.block) if isinstance(s, Reserve)]
+        return sum(a.size * a.dtype.itemsize for a in arrays)
 
 
 def write_program(
