@@ -58,7 +58,7 @@ class March:
         )  # fmt: skip
 
     def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
-        state, rest = args[: self.size], args[self.size :]
+        state, rest = tuple(args[: self.size]), args[self.size :]
         if not self.driven:
             return state, None, rest
         return state, rest[0].reshape(*self._turns, *rest[0].shape[1:]), rest[1:]

@@ -40,6 +40,7 @@ class Listed:
     """Work on all links at once where `whole` is a list of one value for each link."""
 
     constants: Any  # these of the driver
+    topology: Any
     joints: Any
     whole: Any
 

@@ -51,7 +51,7 @@ class Program:
     keeping: Program | None = None
     reads: int = 0
     sized: Callable[[int], Program] | None = None
-    derived: dict[Any, Program] = field(default_factory=dict)
+    derived: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def inputs(self) -> list[Any]:
@@ -330,7 +330,7 @@ def _batched(operands, dims, program, batch, ins, outs):
         new.append((at, *(x if x is None or x < at else x + 1 for x in axes)))
         where.append(at)
     found = run(program, operands, (size, *batch), moved, new)
-    out = []
+    out: list[Any] = []
     for x, axes, at in zip(found, outs, where, strict=True):
         if all(k is None for k in axes) and batch:
             inner = tuple(k for k in range(x.ndim) if k in new[len(out)][1:])

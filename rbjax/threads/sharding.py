@@ -53,8 +53,9 @@ def spread(
     def placed(mesh: Any, over: list[Any], axes: Axes, rank: int) -> NamedSharding:
         spec: list[Any] = [None] * rank
         for level in levels:
-            if axes[level] is not None:
-                spec[axes[level]] = over[level]
+            axis = axes[level]
+            if axis is not None:
+                spec[axis] = over[level]
         return NamedSharding(mesh, PartitionSpec(*spec))
 
     def partition(mesh: Any, args: Any, results: Any) -> Any:
