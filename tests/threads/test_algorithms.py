@@ -173,7 +173,7 @@ LARGE = ("forward_dynamics_derivatives", "inverse_dynamics_derivatives")
 MOST = [n for n in REGISTRY if n not in LARGE and n not in FEW]
 GPU = [
     ("double_pendulum", ["forward_dynamics"]),
-    ("small", ["jacobian"]),
+    pytest.param("small", ["jacobian"], marks=pytest.mark.slow),
     *(pytest.param("small", names, marks=pytest.mark.slow)
       for names in (FEW, MOST[::3], MOST[1::3], MOST[2::3])),
     pytest.param("limbs", ["forward_dynamics", "mass_matrix"], marks=pytest.mark.slow),
