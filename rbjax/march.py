@@ -58,8 +58,8 @@ class March:
             reads=0 if whole else self.size,
         )  # fmt: skip
 
-    def _parts(self, args: Sequence[Any]) -> tuple[Sequence[Any], Any, Sequence[Any]]:
-        state, rest = args[: self.size], args[self.size :]
+    def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
+        state, rest = tuple(args[: self.size]), args[self.size :]
         if not self.driven:
             return state, None, rest
         return state, rest[0].reshape(*self._turns, *rest[0].shape[1:]), rest[1:]

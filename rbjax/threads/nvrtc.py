@@ -14,6 +14,7 @@ import importlib.util
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -57,9 +58,9 @@ def ptx(source: str, capability: str) -> str:
 
 
 def _folder() -> Path | None:
-    settings = jax.config.values
-    folder = settings["jax_compilation_cache_dir"]
-    if not folder or "://" in folder or not settings["jax_enable_compilation_cache"]:
+    config: Any = jax.config  # names that its type does not list
+    folder = config.jax_compilation_cache_dir
+    if not folder or "://" in folder or not config.jax_enable_compilation_cache:
         return None
     return Path(folder) / "rbjax-threads"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 
 from rbjax.threads.cuda import Kernel
 from tests.threads.host import library
+
+BEYOND, POISON = 4096, 77
 
 HEAD = """
 #include <barrier>
@@ -75,10 +78,17 @@ def emulated(kernel: Kernel, operands: Sequence[Any], results: Sequence[Any]) ->
     ])  # fmt: skip
     run = library(source, ("-std=c++20", "-O1", "-ffp-contract=off", "-pthread")).run
     ins = [np.ascontiguousarray(x) for x in operands]
-    outs = [
-        np.full((kernel.grid, *x.shape) if summed else x.shape, 77, x.dtype)  # poisoned
+    shapes = [
+        (kernel.grid, *x.shape) if summed else x.shape
         for x, summed in zip(results, kernel.summed, strict=True)
+    ]
+    # poisoned, and longer than they should be
+    outs = [
+        np.full(math.prod(s) + BEYOND, POISON, x.dtype)
+        for s, x in zip(shapes, results, strict=True)
     ]
     every = (*ins, *outs)
     run(kernel.grid, (ctypes.c_void_p * len(every))(*(x.ctypes.data for x in every)))
-    return [x.sum(0) if summed else x for x, summed in zip(outs, kernel.summed, strict=True)]
+    assert all((x[-BEYOND:] == POISON).all() for x in outs), "written beyond the end"
+    found = [x[:-BEYOND].reshape(s) for x, s in zip(outs, shapes, strict=True)]
+    return [x.sum(0) if summed else x for x, summed in zip(found, kernel.summed, strict=True)]

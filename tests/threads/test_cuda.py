@@ -218,7 +218,7 @@ def program(x, y, z, w):
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 @pytest.mark.parametrize(
-    "batch", [(200,), (3, 47), *(pytest.param(b, marks=pytest.mark.slow) for b in [(1,), (256,)])]
+    "batch", [(200,), (3, 53), *(pytest.param(b, marks=pytest.mark.slow) for b in [(1,), (256,)])]
 )
 @pytest.mark.parametrize("last", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_kernel_s_threads_together(batch, last):
