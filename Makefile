@@ -46,7 +46,7 @@ demo: $(STAMP) ## the main job on bundled scenes; pictures and a report in ./rbj
 
 # gpu_* want an NVIDIA GPU and are left out where there is none
 BENCHES = $(basename $(notdir $(wildcard benchmarks/cpu_*.py benchmarks/accuracy.py))) \
-  $(if $(shell command -v nvidia-smi),gpu_mjx gpu_forward gpu_rollout)
+  $(if $(shell command -v nvidia-smi),gpu_mjx gpu_threads)
 
 bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
 	@for script in $(BENCHES); do \

@@ -1,4 +1,4 @@
-"""f32 forward dynamics of rbjax (the kernel) and of MJX against MuJoCo C in f64, model by model.
+"""f32 forward dynamics of rbjax and of MJX against MuJoCo C in f64, model by model.
 
 `python -m benchmarks.gpu_accuracy --processes 8 --limit 400`: 100 random states of every loadable
 model of the test list, springs, dampers and actuators off. MJX on models of up to 40 velocities.
