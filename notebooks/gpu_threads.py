@@ -13,8 +13,8 @@
 # %% [markdown]
 # # A function of one robot as one GPU thread
 #
-# `rb.threads(f)` makes the batch of f one kernel on a GPU. Elsewhere it is f itself, so this notebook
-# runs on any machine. `docs/threads.md` has the figures.
+# `rb.threads(f)` makes the batch of f one kernel on a GPU. Elsewhere it is f itself, so this
+# notebook runs on any machine. `docs/threads.md` has the figures.
 
 # %%
 import jax
@@ -55,20 +55,21 @@ slope.shape
 # %% [markdown]
 # ## What it becomes
 #
-# `explain` counts the statements of the thread and the bytes that it reads and writes. On a GPU it also
-# tells registers, local memory, the rate and how near to the device's limits that is.
+# `explain` counts the statements of the thread and the bytes that it reads and writes. On a GPU
+# it also tells registers, local memory, the rate and how near to the device's limits that is.
 
 # %%
 print(rb.threads.explain(effort, states.q[0], states.v[0], tau[0]))
 
 # %% [markdown]
-# Long programs are bound by fetching instructions: beyond some 8,000 statements a GPU runs each of them
-# several times slower. So the driver matters: written out, rolled into a loop over the links, or by limbs
-# (equal subtrees as a loop over one of them).
+# Long programs are bound by fetching instructions: beyond some 8,000 statements a GPU runs each of
+# them several times slower. So the driver matters: written out, rolled into a loop over the links,
+# or by limbs (equal subtrees as a loop over one of them).
 
 # %%
 QUADRUPED = """
-<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody><body><freejoint/><geom type="box" size=".3 .15 .05"/>
+<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody><body><freejoint/>
+<geom type="box" size=".3 .15 .05"/>
 {legs}
 </body></worldbody></mujoco>
 """
@@ -100,8 +101,8 @@ plt.show()
 # %% [markdown]
 # ## Rollouts
 #
-# `rollout` runs all steps of a sample in its thread, and the reverse gradient keeps as many states as
-# `memory` allows. A small policy is part of the thread; a network runs between the steps.
+# `rollout` runs all steps of a sample in its thread, and the reverse gradient keeps as many states
+# as `memory` allows. A small policy is part of the thread; a network runs between the steps.
 
 
 # %%
