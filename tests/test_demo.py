@@ -12,6 +12,7 @@ from rbjax.demo.integrators import integrators
 from rbjax.demo.motion import motion
 from rbjax.demo.report import Section
 from rbjax.demo.swing_up import swing_up
+from rbjax.demo.threads import threads
 from rbjax.demo.validate import validate
 
 
@@ -66,8 +67,15 @@ def test_integrators_converge(tmp_path: Path) -> None:
     assert error["RK4"] < 1e-3 * error["semi-implicit Euler"]
 
 
+def test_threads_are_counted(tmp_path: Path) -> None:
+    section = threads(tmp_path, quiet, scenes=("pendulum", "cart_pole"))
+    check(section, tmp_path)
+    small, large = (int(row[1].replace(",", "")) for row in section.rows)
+    assert 5 < small < large < 1000
+
+
 def test_the_report_holds_all(tmp_path: Path) -> None:
-    parts: dict = dict.fromkeys(("motion", "identify", "swing_up", "integrators"))
+    parts: dict = dict.fromkeys(("motion", "identify", "swing_up", "integrators", "threads"))
     parts["validate"] = {"scenes": {"pendulum": False}}
     page = demo(tmp_path, say=quiet, options=parts)
     assert "<table>" in page.read_text()

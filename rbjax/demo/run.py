@@ -1,4 +1,4 @@
-"""The demo from start to end: five sections, in f64, and the report they make."""
+"""The demo from start to end: six sections, in f64, and the report they make."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from rbjax.demo.integrators import integrators
 from rbjax.demo.motion import motion
 from rbjax.demo.report import Section, write
 from rbjax.demo.swing_up import swing_up
+from rbjax.demo.threads import threads
 from rbjax.demo.validate import validate
 
 #: section -> its function and, as a guide for progress bars, its share of the time
@@ -29,6 +30,7 @@ PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "identify": (identify, 15),
     "swing_up": (swing_up, 4),
     "integrators": (integrators, 40),
+    "threads": (threads, 2),
 }
 
 _LEAD = (
@@ -51,8 +53,8 @@ def demo(
         folder: where to; made if absent.
         say: called with a few words before each stage.
         done: called with a part's name and share after it.
-        options: keyword arguments by part (motion, validate, identify, swing_up, integrators), to
-            run smaller; a part given as None is left out.
+        options: keyword arguments by part (motion, validate, identify, swing_up, integrators,
+            threads), to run smaller; a part given as None is left out.
 
     Returns:
         The path of report.html.

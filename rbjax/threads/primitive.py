@@ -108,7 +108,7 @@ def under_xla(*operands, program, batch, ins, outs):
         else:
             f = jax.vmap(f, in_axes=axes)
     return [
-        placed(x, len(batch), axes) for x, axes in zip(f(*operands), outs, strict=True)
+        placed(x, axes) for x, axes in zip(f(*operands), outs, strict=True)
     ]
 
 
@@ -116,7 +116,7 @@ def _repeated(f: Callable, size: int, *args: Any) -> list[Any]:
     return [jnp.broadcast_to(x, (size, *x.shape)) for x in f(*args)]
 
 
-def placed(x: Any, levels: int, axes: Axes) -> Any:
+def placed(x: Any, axes: Axes) -> Any:
     """A result that has the batch first, with the axes where they shall be, or summed."""
     gone = tuple(k for k, axis in enumerate(axes) if axis is None)
     x = x.sum(gone) if gone else x
@@ -343,7 +343,7 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes
     )
     return found[:n], [
-        placed(t, len(batch), a) if _is_float(t) else _zero(x)
+        placed(t, a) if _is_float(t) else _zero(x)
         for t, a, x in zip(rate, outs, found[:n], strict=True)
     ]
 
@@ -375,7 +375,7 @@ def _transpose(bars, *operands, program, moving, batch, ins):
         [*ins[:n], *(first,) * len(given)], outs,
     )  # fmt: skip
     found = [
-        x if o == a else placed(x, len(batch), a)
+        x if o == a else placed(x, a)
         for x, o, a in zip(found, outs, axes, strict=True)
     ]
     return [None] * n + [
