@@ -24,7 +24,7 @@ from rbjax.materialize import horner, sincos
 
 
 def where(condition: jax.Array, a: Any, b: Any) -> jax.Array:
-    """`jnp.where`, less its nested jit: that, transposed inside a kernel, Triton cannot lower."""
+    """`jnp.where` without its nested jit, which costs more to trace than what is inside."""
     like = a if isinstance(a, jax.Array) else b
     shape = condition.shape
     a, b = (jnp.broadcast_to(jnp.asarray(x, like.dtype), shape) for x in (a, b))
