@@ -17,7 +17,7 @@ from typing import Any
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
 from rbjax.threads.lowering import Unsupported
-from rbjax.threads.program import Array, Store, walk
+from rbjax.threads.program import Array, Load, Store, walk
 
 #: threads of a block, where its rows fit into shared memory; else half as many
 BLOCK = 128
@@ -115,17 +115,22 @@ def _pitch(row: int) -> int:
 
 def _streamed(program: Written) -> dict[int, int]:
     """The batch-first results that are written once, from the first entry to the last, where all
-    threads pass: id -> entries of a row."""
-    written: dict[int, list] = {a.id: [] for a in program.results}
-    for statement in program.builder.block.statements:
-        if isinstance(statement, Store) and statement.array.id in written:
-            written[statement.array.id].append((statement.base, statement.offset))
-    every = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, Store))
+    threads pass, with no other result between, and never read: id -> entries of a row."""
+    results = {a.id for a in program.results}
+    stores = [
+        (s.array.id, s.base, s.offset)
+        for s in program.builder.block.statements
+        if isinstance(s, Store) and s.array.id in results
+    ]
+    used = Counter(
+        s.array.id for s in walk(program.builder.block) if isinstance(s, (Load, Store))
+    )
+    first = {key: n for n, (key, _, _) in reversed([*enumerate(stores)])}
     found = {}
     for array, layout in zip(program.results, program.layouts[1], strict=True):
-        row = layout.rows(program.batch)
-        order = [(None, k) for k in range(row or 0)]
-        if row and row > 1 and written[array.id] == order and every[array.id] == row:
+        row, start = layout.rows(program.batch), first.get(array.id, 0)
+        order = [(array.id, None, k) for k in range(row or 0)]
+        if row and row > 1 and stores[start : start + row] == order and used[array.id] == row:
             found[array.id] = row
     return found
 

@@ -14,8 +14,9 @@ import pytest
 
 import rbjax as rb
 from rbjax.threads.cuda import Kernel, kernel
-from rbjax.threads.frame import Layout, write_program
+from rbjax.threads.frame import Layout, Written, write_program
 from rbjax.threads.function import threaded
+from rbjax.threads.program import Builder
 from tests.threads.block import emulated
 from tests.threads.host import COMPILER
 from tests.tolerances import F64_TRANSFORM, relative_error
@@ -195,6 +196,22 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
     batch_last = [Layout((n, 200), (1,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
     source = emitted(g, batch_last, (200,), last=True)[0].source
     assert not re.search(r"fetch<double|flush<double", source)
+
+
+@pytest.mark.parametrize(("in_turn", "read"), [(False, False), (True, False), (False, True)])
+def test_only_what_is_written_at_once_leaves_through_the_tile(in_turn, read):
+    """Two results share a warp's tile: entries in turn, or one that is read again, would meet."""
+    b = Builder()
+    both = [b.outside(np.float32, 3, "result") for _ in range(2)]
+    places = [(array, k) for array in both for k in range(3)]
+    for array, k in sorted(places, key=lambda x: x[1]) if in_turn else places:
+        b.store(array, None, k, np.float32(k))
+    if read:
+        for array in both:
+            b.load(array, None, 0)
+    layout = Layout((64, 3), (0,))
+    program = Written(b, (), tuple(both), ((), (layout, layout)), (64,), (False, False))
+    assert ("flush<float" in kernel(program).source) == (not in_turn and not read)
 
 
 def test_sums_are_taken_in_the_block():
