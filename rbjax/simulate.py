@@ -215,7 +215,7 @@ def simulate(
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
     # one robot a GPU thread, each with its own steps; a thread cannot raise: that is done after it
-    on_gpu = wanted() and not progress
+    on_gpu = wanted() and staged() and not progress
     solve = functools.partial(
         diffrax.diffeqsolve if on_gpu else _diffeqsolve,
         solver=solver,
@@ -240,8 +240,9 @@ def simulate(
         q = eqx.error_if(
             q,
             ~ok,
-            "simulate: the motion has values that are not finite; take a smaller dt0, or an "
-            "adaptive stepsize_controller, or throw=False to look at the trajectory",
+            "simulate: the solver gave up, or the motion has values that are not finite; take a "
+            "smaller dt0, an adaptive stepsize_controller or more max_steps, or throw=False to "
+            "look at the trajectory and its result",
         )
     return Trajectory(ts, q, v, ok, result, stats)
 
