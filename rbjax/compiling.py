@@ -77,6 +77,12 @@ def _imported_alone() -> bool:
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
+def staged() -> bool:
+    """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
+    a vmap or grad outside of any jit)."""
+    return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
+
+
 def compiled(
     f: Callable,
     jit: Callable = jax.jit,

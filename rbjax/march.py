@@ -50,13 +50,10 @@ class March:
             u = avals[self.size]
             avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
         plain = traced(lambda *args: self._forward(args)[0], *avals)
+        if self.k == self.save_every:  # every kept state is also a result
+            return Program(plain.closed, pull=self._pull, keeping=plain, reads=0)
         keeping = traced(lambda *args: [*itertools.chain(*self._forward(args))], *avals)
-        # where every kept state is also a result, the results serve
-        whole = self.k == self.save_every
-        return Program(
-            plain.closed, pull=self._pull, keeping=plain if whole else keeping,
-            reads=0 if whole else self.size,
-        )  # fmt: skip
+        return Program(plain.closed, pull=self._pull, keeping=keeping, reads=self.size)
 
     def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
         state, rest = tuple(args[: self.size]), args[self.size :]
@@ -69,13 +66,17 @@ class March:
         """Saved states, kept states to each of them, steps to each of these."""
         return self.steps // self.save_every, self.save_every // self.k, self.k
 
+    def _advanced(self, carry: Any, u: Any, others: Sequence[Any]) -> Any:
+        """The number and the state of the next step."""
+        i, state = carry
+        return i + 1, tuple(self.step(i, *state, *_given(u), *others))
+
     def _forward(self, args: Sequence[Any]) -> tuple[list, list]:
         state, controls, others = self._parts(args)
         saved, kept, k = self._turns
 
         def once(carry: Any, u: Any) -> tuple[Any, None]:
-            i, state = carry
-            return (i + 1, tuple(self.step(i, *state, *_given(u), *others))), None
+            return self._advanced(carry, u, others), None
 
         def chunk(carry: Any, us: Any) -> tuple[Any, Arrays]:
             return jax.lax.scan(once, carry, us, length=k)[0], carry[1]
@@ -118,8 +119,7 @@ class March:
                 return carry, None if u_bar is None else u_bar[None]
 
             def again(c: Any, u: Any) -> tuple[Any, Arrays]:
-                i, state = c
-                return (i + 1, tuple(self.step(i, *state, *_given(u), *others))), state
+                return self._advanced(c, u, others), c[1]
 
             states = jax.lax.scan(again, (carry[0] - k, start), us, length=k)[1]
             return jax.lax.scan(once, carry, (states, us), length=k, reverse=True)

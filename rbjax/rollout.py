@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiling import compiled
+from rbjax.compiling import compiled, staged
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
-from rbjax.dynamics.tracing import opened, staged
+from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.integrators import INTEGRATORS
 from rbjax.march import on_threads

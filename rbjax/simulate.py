@@ -19,13 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiling import compiled
+from rbjax.compiling import compiled, staged
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.drivers import on_threads
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.rnea import momentum
-from rbjax.dynamics.tracing import opened, staged
+from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
 from rbjax.materialize import materialize

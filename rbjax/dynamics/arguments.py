@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiling import compiled
+from rbjax.compiling import compiled, staged
 from rbjax.dynamics.batching import in_chunks
 from rbjax.dynamics.drivers import on_threads
-from rbjax.dynamics.tracing import opened, staged
+from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.threads import threaded, wanted

@@ -304,7 +304,7 @@ class Limbs(Sweeps, Listed):
         leaves, treedef = jax.tree.flatten(given)
         found = [c for x in leaves for c in _columns(x)]
         columns = {id(c): c for c in found}
-        told: dict[str, Any] = {}
+        emitted: dict[str, Any] = {}
 
         def turn(carry, lanes):
             lane_of = dict(zip(columns, lanes, strict=True))
@@ -313,19 +313,19 @@ class Limbs(Sweeps, Listed):
             poses = limb.poses
             known = [posed.pose for _, posed in limb.joints.values()]
             carry, out = body(carry, x, known)
-            flat, told["tree"] = jax.tree.flatten(out)
+            flat, emitted["tree"] = jax.tree.flatten(out)
             kept = poses | {id(x): columns[key] for key, x in lane_of.items()}
             kept |= {id(x): x for x in flat if is_literal(x)}
             fresh = {id(x): x for x in flat if id(x) not in kept}
-            told["out"] = [(id(x), kept.get(id(x))) for x in flat]
-            told["fresh"] = list(fresh)
+            emitted["out"] = [(id(x), kept.get(id(x))) for x in flat]
+            emitted["fresh"] = list(fresh)
             return carry, list(fresh.values())
 
         lanes = [self._cast(c) for c in columns.values()]
         carry, ys = jax.lax.scan(turn, carry, lanes, length=len(group.links))
-        made = dict(zip(told["fresh"], ys, strict=True))
-        out = [made.get(key, column) for key, column in told["out"]]
-        return carry, jax.tree.unflatten(told["tree"], out)
+        made = dict(zip(emitted["fresh"], ys, strict=True))
+        out = [made.get(key, column) for key, column in emitted["out"]]
+        return carry, jax.tree.unflatten(emitted["tree"], out)
 
     def _cast(self, column: Any) -> Any:
         if isinstance(column, np.ndarray):

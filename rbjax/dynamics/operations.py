@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from rbjax.errors import UnknownName
 from rbjax.model import Model
+from rbjax.threads.control import over_time
 
 
 @dataclass(frozen=True)
@@ -175,19 +176,14 @@ def _open(jaxpr: Any) -> Any:
 def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
     """A loop: what its last turn needs of the carry, every turn needs."""
     body = _open(eqn.params["jaxpr"])
-    n = len(out) - _over_time(eqn.outvars, body.outvars)  # jax 0.11's equation tells no counts
-    consts = len(body.invars) - n - _over_time(eqn.invars, body.invars)
+    n = len(out) - over_time(eqn.outvars, body.outvars)  # jax 0.11's equation tells no counts
+    consts = len(body.invars) - n - over_time(eqn.invars, body.invars)
     while True:
         count, needs = _walk(body, out)
         grown = [a or b for a, b in zip(out[:n], needs[consts : consts + n], strict=True)]
         if grown == out[:n]:
             return eqn.params["length"] * count, needs
         out = [*grown, *out[n:]]
-
-
-def _over_time(outside: list, inside: list) -> int:
-    """How many of a scan's arguments or results have an axis of time."""
-    return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
 def _primitive(eqn: Any) -> OperationCount:

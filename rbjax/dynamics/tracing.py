@@ -11,10 +11,8 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from rbjax.compiling import alone
 from rbjax.materialize import batch_first
 
 
@@ -30,12 +28,6 @@ def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
         return jax.tree.unflatten(treedef, filled)
 
     return [leaves[i] for i in where], closed
-
-
-def staged() -> bool:
-    """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
-    a vmap or grad outside of any jit)."""
-    return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
 def with_jvp(f: Callable, rule: Callable) -> Callable:

@@ -1,7 +1,7 @@
 """Small arrays as a thread holds them.
 
 Three forms: a numpy array whose entries are known; an object array of `Value`s, each in a register;
-a `View` of memory, which alone may be indexed by what is not known.
+a `View` of memory. Only a `View` may be indexed by what is not known.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class View:
     @property
     def changeable(self) -> bool:
         """Whether it may be updated in place: no two entries share a place, and none is read."""
-        alone = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
-        return alone and self.array.space == "local" and not self.array.owners
+        apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
+        return apart and self.array.space == "local" and not self.array.owners
 
     def same(self, other: Any) -> bool:
         """Whether the other is the same place."""

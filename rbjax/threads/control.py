@@ -123,8 +123,8 @@ class Carry:
 def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     P, b = eqn.params, low.b
     length, body = P["length"], P["jaxpr"]
-    nk = len(eqn.outvars) - _over_time(eqn.outvars, body.jaxpr.outvars)
-    nc = len(eqn.invars) - nk - _over_time(eqn.invars, body.jaxpr.invars)
+    nk = len(eqn.outvars) - over_time(eqn.outvars, body.jaxpr.outvars)
+    nc = len(eqn.invars) - nk - over_time(eqn.invars, body.jaxpr.invars)
     consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
     avals = [v.aval for v in body.jaxpr.invars]
     ys: list[Small] = []
@@ -171,7 +171,7 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     return [*carry.values, *ys]
 
 
-def _over_time(outside: list, inside: list) -> int:
+def over_time(outside: list, inside: list) -> int:
     """How many arguments or results of a scan have an axis of time (jax 0.11 states no counts)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 

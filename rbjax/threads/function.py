@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from rbjax.compiling import alone
+from rbjax.compiling import staged
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
 from rbjax.threads.uniform import unnamed
@@ -93,14 +93,9 @@ def threaded(f: Callable) -> Callable:
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
         # outside of a program JAX keeps what it has compiled for f
-        return (bound if _recorded() else compiled)(*args, **kwargs)
+        return (bound if staged() else compiled)(*args, **kwargs)
 
     return call
-
-
-def _recorded() -> bool:
-    """Whether a program is being recorded around this call (by jit, scan ...)."""
-    return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
 def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:

@@ -24,7 +24,7 @@ from rbjax.threads.program import Builder
 
 Rule = Callable[["Lowering", Any, list], list]
 RULES: dict[str, Rule] = {}
-#: rules that write a result where they are told: f(lowering, equation, inputs, places)
+#: rules that write a result at the place that they are given: f(lowering, equation, inputs, places)
 WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
 
 

@@ -160,8 +160,6 @@ def _say(reason: str) -> None:
     )
 
 
-
-
 def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
     """For several devices, each of which evaluates its part of the batch; or for one."""
     how = {"program": program, "ins": ins, "outs": outs}
@@ -212,30 +210,32 @@ def _tangent_inside(low: Lowering, eqn: Any, ins: list) -> list:
 # ------------------------------------------------------------------- batches
 
 
+def _with_axis(new: int | None, axes: Axes) -> Axes:
+    """The places of the axes of a batch once there is one more, the first, at `new`."""
+    return (new, *(a if a is None or new is None or a < new else a + 1 for a in axes))
+
+
 def _batched(operands, dims, program, batch, ins, outs):
     """The same with one axis more, before the others."""
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
     known = tuple(
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
-    alone = not any(_varies(jax.typeof(x)) for x in operands)
-    if any(known) and alone and program.pull is None and program.sized is None:
+    varying = any(_varies(jax.typeof(x)) for x in operands)
+    if any(known) and not varying and program.pull is None and program.sized is None:
         program, more = split(program, known, operands)
         operands = [x for x, k in zip(operands, known, strict=True) if not k] + more
         dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)
         nowhere = (None,) * len(batch)
         ins = [a for a, k in zip(ins, known, strict=True) if not k] + [nowhere] * len(more)
-    moved = tuple(
-        (d, *(a if a is None or d is None or a < d else a + 1 for a in axes))
-        for d, axes in zip(dims, ins, strict=True)
-    )
+    moved = tuple(_with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
     last = _lies_last(operands, dims, ins)
     new, where = [], []
     for a, axes in zip(program.outputs, outs, strict=True):
         if all(x is None for x in axes) and batch:  # a sum is taken afterwards, sample by sample
             axes = tuple(range(len(batch)))
         at = len(a.shape) + sum(x is not None for x in axes) if last else 0
-        new.append((at, *(x if x is None or x < at else x + 1 for x in axes)))
+        new.append(_with_axis(at, axes))
         where.append(at)
     found = run(program, operands, (size, *batch), moved, new)
     out: list[Any] = []
@@ -258,9 +258,7 @@ def _lies_last(operands, dims, ins) -> bool:
     return bool(found) and all(found)
 
 
-batching.primitive_batchers[threads_p] = lambda operands, dims, **how: _batched(
-    operands, dims, **how
-)
+batching.primitive_batchers[threads_p] = _batched
 
 # ------------------------------------------------------------------- derivatives
 
@@ -290,19 +288,14 @@ knows_devices(tangent_p)
 
 def _batched_tangent(operands, dims, program, moving, batch, ins):
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
-    moved = tuple(
-        (d, *(a if a is None or d is None or a < d else a + 1 for a in axes))
-        for d, axes in zip(dims, ins, strict=True)
-    )
+    moved = tuple(_with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
     out = tangent_p.bind(
         *operands, program=program, moving=moving, batch=(size, *batch), ins=moved
     )
     return out, [0] * len(out)
 
 
-batching.primitive_batchers[tangent_p] = lambda operands, dims, **how: _batched_tangent(
-    operands, dims, **how
-)
+batching.primitive_batchers[tangent_p] = _batched_tangent
 
 
 def _rates(primals, tangents):

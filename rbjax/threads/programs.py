@@ -17,7 +17,7 @@ class Program:
 
     pull: the transposed derivative, pull(moving, args, kept, bars) -> cotangents of the arguments
         that move, of the cotangents of the results (None for zero); if None, that of the jaxpr,
-        which needs the arguments alone.
+        which needs only the arguments.
     keeping: the program to run in place of this one where a derivative is asked for: its results
         are these, and more that `pull` reads.
     reads: the first of its results that `pull` reads, as `kept`.
@@ -55,25 +55,26 @@ class Program:
         return self.derived[key]
 
     def parts(self, shared: tuple[bool, ...], split: Callable) -> tuple[ClosedJaxpr, Program]:
-        """What depends on shared operands alone, and the rest (`uniform`); made once."""
+        """What depends only on shared operands, and the rest (`uniform`); made once."""
         if shared not in self.split:
             self.split[shared] = split(self, shared)
         return self.split[shared]
+
+    def _along(self, moving: tuple[bool, ...], args: Any) -> tuple[Callable, list[Any]]:
+        """This as a function of the arguments that move, and these."""
+
+        def along(*changed: Any) -> list[Any]:
+            rest = iter(changed)
+            return self(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
+
+        return along, [x for m, x in zip(moving, args, strict=True) if m]
 
     def tangent(self, moving: tuple[bool, ...]) -> Program:
         """(args, kept, tangents of those that move) -> tangents of all results."""
 
         def f(*xs: Any) -> list[Any]:
-            args = xs[: len(moving)]
-            still = list(args)
             rates = list(xs[len(moving) + len(self.kept) :])
-
-            def along(*changed: Any) -> list[Any]:
-                rest = iter(changed)
-                return self(*(next(rest) if m else x for m, x in zip(moving, still, strict=True)))
-
-            given = [x for m, x in zip(moving, args, strict=True) if m]
-            found = jax.jvp(along, given, rates)[1]
+            found = jax.jvp(*self._along(moving, xs[: len(moving)]), rates)[1]
             return [  # what does not move has a tangent of no bytes, which no array can hold
                 t if jnp.issubdtype(a.dtype, jnp.floating) else jnp.zeros(a.shape, a.dtype)
                 for t, a in zip(found, self.outputs, strict=True)
@@ -92,13 +93,12 @@ class Program:
                 bars = [next(given) if w else None for w in weighed]
                 return self.pull(moving, args, kept, bars)
 
-            def along(*changed: Any) -> list[Any]:
-                rest = iter(changed)
-                full = self(*(next(rest) if m else x for m, x in zip(moving, args, strict=True)))
-                return [y for w, y in zip(weighed, full, strict=True) if w]
+            along, moved = self._along(moving, args)
 
-            moved = [x for m, x in zip(moving, args, strict=True) if m]
-            return list(jax.vjp(along, *moved)[1](list(given)))
+            def wanted(*changed: Any) -> list[Any]:
+                return [y for w, y in zip(weighed, along(*changed), strict=True) if w]
+
+            return list(jax.vjp(wanted, *moved)[1](list(given)))
 
         bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
         return self.derive(("pull", moving, weighed), f, *self.inputs, *self.kept, *bars)
