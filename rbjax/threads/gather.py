@@ -86,6 +86,23 @@ def _gather(low: Lowering, eqn: Any, ins: list) -> list:
     return [out]
 
 
+def _place(
+    low: Lowering, indices: View, at: tuple, axes: Sequence[int], batching: tuple, offsets: dict,
+    most: list[int], mode: Any,
+) -> tuple[list[Value], Value]:  # fmt: skip
+    """The entry of the operand that one turn of a loop reads or writes, and whether its window is
+    inside; `offsets` within the window, by axis."""
+    starts: list[Value] = [I32.type(0)] * len(most)
+    for k, axis in enumerate(axes):
+        starts[axis] = get(low.b, indices, (*at, I32.type(k)))
+    _batch_starts(starts, at, *batching)
+    inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
+    place = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
+    for axis, offset in offsets.items():
+        place[axis] = low.b.op("index_add", I32, place[axis], offset)
+    return place, inside
+
+
 def _gather_looped(low: Lowering, eqn: Any, ins: list) -> View:
     P, aval, b = eqn.params, eqn.outvars[0].aval, low.b
     dims, mode, dtype = P["dimension_numbers"], P["mode"], dtype_of(aval)
@@ -98,14 +115,11 @@ def _gather_looped(low: Lowering, eqn: Any, ins: list) -> View:
 
     def one(*to: Value) -> None:
         at = tuple(to[k] for k in batch_dims)
-        starts: list[Value] = [I32.type(0)] * x.ndim
-        for k, axis in enumerate(dims.start_index_map):
-            starts[axis] = get(b, indices, (*at, I32.type(k)))
-        _batch_starts(starts, at, dims.operand_batching_dims, dims.start_indices_batching_dims)
-        inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
-        place = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
-        for axis, k in zip(window_axes, dims.offset_dims, strict=True):
-            place[axis] = b.op("index_add", I32, place[axis], to[k])
+        batching = dims.operand_batching_dims, dims.start_indices_batching_dims
+        offsets = {axis: to[k] for axis, k in zip(window_axes, dims.offset_dims, strict=True)}
+        place, inside = _place(
+            low, indices, at, dims.start_index_map, batching, offsets, most, mode
+        )
         value = get(b, x, place)
         put(b, out, to, b.select(inside, value, _fill(P.get("fill_value"), dtype)))
 
@@ -209,14 +223,12 @@ def _scatter_looped(low: Lowering, eqn: Any, ins: list, combine: Callable) -> Vi
 
     def one(*source: Value) -> None:
         at = tuple(source[k] for k in batch_dims)
-        starts: list[Value] = [I32.type(0)] * out.ndim
-        for k, axis in enumerate(dims.scatter_dims_to_operand_dims):
-            starts[axis] = get(b, indices, (*at, I32.type(k)))
-        _batch_starts(starts, at, dims.operand_batching_dims, dims.scatter_indices_batching_dims)
-        inside = _all_in_bounds(low, starts, most) if mode == FILL else np.bool_(True)
-        place = [clamped(low, s, m) for s, m in zip(starts, most, strict=True)]
-        for axis, k in zip(window_axes, dims.update_window_dims, strict=True):
-            place[axis] = b.op("index_add", I32, place[axis], source[k])
+        batching = dims.operand_batching_dims, dims.scatter_indices_batching_dims
+        window = zip(window_axes, dims.update_window_dims, strict=True)
+        offsets = {axis: source[k] for axis, k in window}
+        place, inside = _place(
+            low, indices, at, dims.scatter_dims_to_operand_dims, batching, offsets, most, mode
+        )
         new = get(b, updates, source)
         with b.when(inside):
             put(b, out, place, combine(get(b, out, place), new))
