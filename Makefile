@@ -11,7 +11,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test test-all lint types demo bench failure-map bench-work-precision notebooks clean
+.PHONY: help setup test test-gpu test-all lint types demo bench failure-map bench-work-precision notebooks clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -31,6 +31,9 @@ $(STAMP): pyproject.toml
 
 test: lint types ## lint, types, tests, doctests, notebooks; not the slow ones
 	$(PYTEST) -m "not slow"
+
+test-gpu: $(STAMP) ## on an NVIDIA GPU: the threads compiler's tests as kernels, beside XLA's CPU
+	JAX_PLATFORMS=cpu,cuda $(PYTEST) -m "not slow" tests/threads tests/test_march.py tests/dynamics/test_limbs.py
 
 test-all: lint types ## the same with the slow tests
 	$(PYTEST)

@@ -2,13 +2,13 @@
 
 The forward program keeps the state before every k-th step. The reverse one walks back over these:
 it takes the k steps again, holds their states in the thread's own memory, and transposes them from
-the last to the first. So a sample keeps steps / k states, and k of them at a time beside it.
+the last to the first. So a sample keeps steps / k states, and k of them at a time beside it. Where
+memory allows, each step is kept with what it leaves for its transposed derivative (`Pullback`).
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,19 +21,24 @@ from rbjax.dynamics import drivers
 from rbjax.dynamics.operations import operation_count
 from rbjax.integrators import INTEGRATORS
 from rbjax.model import Model, State, known_zeros, made_ahead
+from rbjax.pullback import Pullback
 from rbjax.threads.function import trace
 from rbjax.threads.primitive import run
-from rbjax.threads.programs import Program, traced
+from rbjax.threads.programs import Moving, Program, traced
 from rbjax.threads.uniform import split
 
 Arrays = tuple[jax.Array, ...]
+
+#: bytes of its own memory in which a thread holds what the steps that it takes again leave
+HELD_UP_TO = 16 * 1024
 
 
 @dataclass(frozen=True)
 class March:
     """Steps of `step(i, *state, control, *others) -> state`, which has no control if not `driven`.
 
-    size: arrays of the state; k: steps from one kept state to the next, a divisor of save_every.
+    size: arrays of the state; k: steps from one kept state to the next, a divisor of save_every;
+    leaving: whether what steps leave is kept too; then k is 1.
     """
 
     step: Program
@@ -42,6 +47,7 @@ class March:
     save_every: int
     driven: bool
     k: int
+    leaving: bool = False
 
     def program(self) -> Program:
         """(*state, controls (steps, nu), *others) -> states (1 + steps / save_every, ...)."""
@@ -50,10 +56,30 @@ class March:
             u = avals[self.size]
             avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
         plain = traced(lambda *args: self._forward(args)[0], *avals)
-        if self.k == self.save_every:  # every kept state is also a result
-            return Program(plain.closed, pull=self._pull, keeping=plain, reads=0)
-        keeping = traced(lambda *args: [*itertools.chain(*self._forward(args))], *avals)
-        return Program(plain.closed, pull=self._pull, keeping=keeping, reads=self.size)
+        every = self.k == self.save_every  # every kept state is also a result
+
+        @functools.cache
+        def keeping(moving: Moving) -> Program:
+            if every and not self.leaving:
+                return plain
+
+            def f(*args: Any) -> list:
+                states, before, left = self._forward(
+                    args, self.pullback(moving) if self.leaving else None
+                )
+                return [*states, *([] if every else before), *left]
+
+            return traced(f, *avals)
+
+        return Program(
+            plain.closed, pull=self._pull, keeping=keeping, reads=0 if every else self.size
+        )
+
+    def pullback(self, moving: Sequence[bool]) -> Pullback:
+        """Of the step, where these of the arguments of the march move."""
+        first = self.size + self.driven
+        own = (False, *[True] * self.size, *moving[self.size : first], *moving[first:])
+        return Pullback.of(self.step, own)
 
     def _parts(self, args: Sequence[Any]) -> tuple[Arrays, Any, Sequence[Any]]:
         state, rest = tuple(args[: self.size]), args[self.size :]
@@ -66,36 +92,48 @@ class March:
         """Saved states, kept states to each of them, steps to each of these."""
         return self.steps // self.save_every, self.save_every // self.k, self.k
 
-    def _advanced(self, carry: Any, u: Any, others: Sequence[Any]) -> Any:
-        """The number and the state of the next step."""
-        i, state = carry
-        return i + 1, tuple(self.step(i, *state, *_given(u), *others))
-
-    def _forward(self, args: Sequence[Any]) -> tuple[list, list]:
+    def _forward(
+        self, args: Sequence[Any], pull: Pullback | None = None
+    ) -> tuple[list, list, list]:
+        """States that are saved, states that are kept, and what the steps leave for `pull`."""
         state, controls, others = self._parts(args)
         saved, kept, k = self._turns
 
-        def once(carry: Any, u: Any) -> tuple[Any, None]:
-            return self._advanced(carry, u, others), None
+        def once(carry: Any, u: Any) -> tuple[Any, Any]:
+            return self._advance(carry, u, others, pull)
 
-        def chunk(carry: Any, us: Any) -> tuple[Any, Arrays]:
-            return jax.lax.scan(once, carry, us, length=k)[0], carry[1]
+        def chunk(carry: Any, us: Any) -> tuple[Any, Any]:
+            after, left = jax.lax.scan(once, carry, us, length=k)
+            return after, (carry[1], left)
 
-        def segment(carry: Any, us: Any) -> tuple[Any, tuple[Arrays, Arrays]]:
+        def segment(carry: Any, us: Any) -> tuple[Any, Any]:
             carry, before = jax.lax.scan(chunk, carry, us, length=kept)
             return carry, (carry[1], before)
 
         start = (jnp.int32(0), tuple(state))
-        _, (after, before) = jax.lax.scan(segment, start, controls, length=saved)
+        _, (after, (before, left)) = jax.lax.scan(segment, start, controls, length=saved)
         states = [jnp.concatenate([x[None], y]) for x, y in zip(state, after, strict=True)]
-        return states, [x.reshape(-1, *x.shape[2:]) for x in before]
+        return (
+            states,
+            [x.reshape(-1, *x.shape[2:]) for x in before],
+            [x.reshape(self.steps, -1) for x in left],
+        )
 
-    def _pull(self, moving: Sequence[bool], args: Sequence[Any], kept: Any, bars: Any) -> list:
+    def _advance(self, carry: Any, u: Any, others: Sequence[Any], pull: Pullback | None) -> Any:
+        """The number and the state of the next step, and what the step leaves for `pull`."""
+        i, state = carry
+        new = (pull.forward if pull else self.step)(i, *state, *_given(u), *others)
+        return (i + 1, tuple(new[: self.size])), tuple(new[self.size :])
+
+    def _pull(self, moving: Moving, args: Sequence[Any], kept: Any, bars: Any) -> list:
         state, controls, others = self._parts(args)
         saved, chunks, k = self._turns
+        kept, left = list(kept[: self.size]), kept[self.size :]
         if self.k == self.save_every:  # the results, without the last
             kept = [x[:-1] for x in kept]
-        kept = tuple(x.reshape(saved, chunks, *x.shape[1:]) for x in kept)
+        kept, left = (
+            tuple(x.reshape(saved, chunks, *x.shape[1:]) for x in xs) for xs in (kept, left)
+        )
         bars = [
             jnp.zeros((saved + 1, *x.shape), x.dtype) if bar is None else bar
             for x, bar in zip(state, bars, strict=True)
@@ -103,38 +141,45 @@ class March:
         first = self.size + self.driven  # of the others
         which = [n for n in range(len(others)) if moving[first + n]]
         steered = self.driven and moving[self.size]
+        pull = self.pullback(moving)
+        held = pull if 0 < k * pull.bytes <= HELD_UP_TO else None
 
         def once(carry: Any, x: Any) -> tuple[Any, Any]:
             i, bar, sums = carry
-            state, u = x
-            new, u_bar, more = self._transposed(others, which, steered, i - 1, state, u, bar)
-            sums = tuple(a + b for a, b in zip(sums, more, strict=True))
+            state, u, left = x
+            at = (i - 1, *state, *_given(u), *others)
+            left = left or pull.forward(*at)[self.size :]
+            found = pull(at, left[0], bar)
+            new, found = tuple(found[: self.size]), found[self.size :]
+            u_bar = found.pop(0) if steered else None
+            sums = tuple(a + b for a, b in zip(sums, found, strict=True))
             return (i - 1, new, sums), u_bar
 
         def chunk(carry: Any, x: Any) -> tuple[Any, Any]:
-            start, us = x
+            start, left, us = x
             if k == 1:
                 u = None if us is None else us[0]
-                carry, u_bar = once(carry, (start, u))
+                carry, u_bar = once(carry, (start, u, left))
                 return carry, None if u_bar is None else u_bar[None]
 
-            def again(c: Any, u: Any) -> tuple[Any, Arrays]:
-                return self._advanced(c, u, others), c[1]
+            def again(carry: Any, u: Any) -> tuple[Any, Any]:
+                after, left = self._advance(carry, u, others, held)
+                return after, (carry[1], left)
 
-            states = jax.lax.scan(again, (carry[0] - k, start), us, length=k)[1]
-            return jax.lax.scan(once, carry, (states, us), length=k, reverse=True)
+            states, left = jax.lax.scan(again, (carry[0] - k, start), us, length=k)[1]
+            return jax.lax.scan(once, carry, (states, us, left), length=k, reverse=True)
 
         def segment(carry: Any, x: Any) -> tuple[Any, Any]:
-            (i, bar, sums), (more, starts, us) = carry, x
+            (i, bar, sums), (more, *rest) = carry, x
             carry = i, tuple(a + b for a, b in zip(bar, more, strict=True)), sums
-            return jax.lax.scan(chunk, carry, (starts, us), length=chunks, reverse=True)
+            return jax.lax.scan(chunk, carry, tuple(rest), length=chunks, reverse=True)
 
         carry = (
             jnp.int32(self.steps),
             tuple(jnp.zeros_like(x) for x in state),
             tuple(jnp.zeros_like(others[n]) for n in which),
         )
-        xs = tuple(bar[1:] for bar in bars), kept, controls
+        xs = tuple(bar[1:] for bar in bars), kept, left, controls
         (_, bar, sums), u_bar = jax.lax.scan(segment, carry, xs, length=saved, reverse=True)
         out = [
             own + saved_first[0]
@@ -144,23 +189,6 @@ class March:
             control = self.step.inputs[1 + self.size]
             out.append(u_bar.reshape(self.steps, *control.shape))
         return out + list(sums)
-
-    def _transposed(self, others, which, steered, i, state, u, bar):
-        """Cotangents of the state, the control and the other operands, of those after a step."""
-
-        def f(some: Any, state: Arrays, u: Any) -> list:
-            full = list(others)
-            for n, x in zip(which, some, strict=True):
-                full[n] = x
-            return self.step(i, *state, *_given(u), *full)
-
-        some = tuple(others[n] for n in which)
-        if steered:
-            more, new, u_bar = jax.vjp(f, some, state, u)[1](list(bar))
-        else:
-            more, new = jax.vjp(lambda a, b: f(a, b, u), some, state)[1](list(bar))
-            u_bar = None
-        return tuple(new), u_bar, more
 
 
 def _given(u: Any) -> tuple:
@@ -180,6 +208,8 @@ def keep_every(save_every: int, steps: int, bytes_each: int, budget: float) -> i
     return save_every
 
 
+#: operations of a step from which on it is faster to keep what it leaves than to compute it again
+LEAVING_ABOVE = 4_000
 #: a policy of more operations runs between the steps
 POLICY_UP_TO = 4_000
 
@@ -215,7 +245,11 @@ def on_threads(
     each = sum(x.size * x.dtype.itemsize for x in one)
 
     @functools.cache
-    def sized(batch: int) -> Program:
+    def sized(batch: int, moving: Moving) -> Program:
+        left = march(1).pullback(moving).bytes
+        long = operation_count(step, *step.inputs).total > LEAVING_ABOVE
+        if long and left and steps * batch * (each + left) <= memory:
+            return march(1, leaving=True).program()
         return march(keep_every(save_every, steps, batch * each, memory)).program()
 
     program = Program(march(save_every).program().closed, sized=sized)

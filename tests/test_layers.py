@@ -25,7 +25,8 @@ FLOORS = {
     "solvers": "rotations",
     "trajectory": "model",
     "integrators": "constraints solvers",
-    "march": "integrators",
+    "pullback": "dynamics",
+    "march": "integrators pullback",
     "rollout": "march trajectory",
     "simulate": "rollout",
 }

@@ -120,10 +120,11 @@ def test_emitted_states_and_cotangents(kept):
         program, plain = marched(save_every, k), scanned(save_every)
         states = jax.vmap(plain)(Q, V, US, w)
         bars = [RNG.normal(size=x.shape) for x in states]
-        found = jax.vmap(program.keeping)(Q, V, US, w)
+        keeping = program.keeping((True,) * 4)
+        found = jax.vmap(keeping)(Q, V, US, w)
         agree(found[:2], states)
         pull = program.transposed((True,) * 4, (True, True))
-        cases += [(program, (Q, V, US, w)), (program.keeping, (Q, V, US, w))]
+        cases += [(program, (Q, V, US, w)), (keeping, (Q, V, US, w))]
         cases.append((pull, (Q, V, US, w, *found[program.reads :], *bars)))
 
         def back(q, v, us, w, *bars, plain=plain):

@@ -10,11 +10,14 @@ one tangent of RNEA and one solve with the factors that ABA has left (Carpentier
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jax.custom_derivatives import SymbolicZero
 
-from rbjax.dynamics.aba import aba, factorize, solve
+from rbjax.dynamics.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import wrench_forces
@@ -22,6 +25,23 @@ from rbjax.dynamics.rnea import rnea
 from rbjax.dynamics.tracing import jvp_of, opened, with_jvp
 from rbjax.model import Model, made_ahead
 from rbjax.threads import wanted
+
+#: the names of what a derivative can read in place of computing it again
+LEFT = ("acceleration", "factors")
+
+
+def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
+    """The acceleration and the factors, named; transforms and axes are cheap to have again."""
+
+    def named(f: Factor) -> Factor:
+        U, inverse_D = jax.tree.map(
+            lambda x: checkpoint_name(x, "factors") if isinstance(x, jax.Array) else x,
+            (f.U, f.inverse_D),
+        )
+        return f._replace(U=U, inverse_D=inverse_D)
+
+    named_factors = jax.tree.map(named, factors, is_leaf=lambda x: isinstance(x, Factor))
+    return checkpoint_name(a, "acceleration"), named_factors
 
 
 def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
@@ -43,6 +63,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
     def tangent(primals, tangents):
         changed, q, v, tau = primals
         d, a, factors = run(changed, q, v, tau)
+        a, factors = _left(a, factors)
         a = known(changed, q, v, tau, a)
 
         def inverse(changed, q, v):

@@ -31,6 +31,9 @@ from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, part
 from rbjax.model.links import lane
 
 
+CK = False
+
+
 class Parts:
     """A per-link value of `Limbs`: a list for the trunk, and for each group a list over the
     positions in a limb, each of columns over the limbs."""
@@ -322,7 +325,8 @@ class Limbs(Sweeps, Listed):
             return carry, list(fresh.values())
 
         lanes = [self._cast(c) for c in columns.values()]
-        carry, ys = jax.lax.scan(turn, carry, lanes, length=len(group.links))
+        turn_ = jax.checkpoint(turn, prevent_cse=False) if CK else turn
+        carry, ys = jax.lax.scan(turn_, carry, lanes, length=len(group.links))
         made = dict(zip(emitted["fresh"], ys, strict=True))
         out = [made.get(key, column) for key, column in emitted["out"]]
         return carry, jax.tree.unflatten(emitted["tree"], out)

@@ -25,6 +25,7 @@ BLOCK = 128
 SHARED_BYTES = 47 * 1024
 #: a row of few entries (about one sector of the cache) and one of many are read in place
 SHORT, ROW = 8, 128
+PASSING = True
 #: bytes of constant memory that tables may take; what is beyond is read through the cache
 CONSTANT_BYTES = 48 * 1024
 #: NVRTC takes a minute for more statements
@@ -122,9 +123,7 @@ def _streamed(program: Written) -> dict[int, int]:
         for s in program.builder.block.statements
         if isinstance(s, Store) and s.array.id in results
     ]
-    used = Counter(
-        s.array.id for s in walk(program.builder.block) if isinstance(s, (Load, Store))
-    )
+    used = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, (Load, Store)))
     first = {key: n for n, (key, _, _) in reversed([*enumerate(stores)])}
     found = {}
     for array, layout in zip(program.results, program.layouts[1], strict=True):
@@ -133,6 +132,18 @@ def _streamed(program: Written) -> dict[int, int]:
         if row and row > 1 and stores[start : start + row] == order and used[array.id] == row:
             found[array.id] = row
     return found
+
+
+def _passing(program: Written) -> set[int]:
+    """Long arrays of floats that have the batch last: read or written once, line by line."""
+    found = set()
+    for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
+        for array, layout in zip(arrays, layouts, strict=True):
+            first = len(layout.shape) - len(layout.axes)
+            last = layout.axes and layout.axes == tuple(range(first, len(layout.shape)))
+            if last and array.size > ROW and array.dtype.kind == "f":
+                found.add(array.id)
+    return found if PASSING else set()
 
 
 def _staged(program: Written, tile: int) -> tuple[int, dict[int, int]]:
@@ -155,13 +166,24 @@ def _staged(program: Written, tile: int) -> tuple[int, dict[int, int]]:
 
 
 class KernelPrinter(Printer):
-    """Prints statements; those that write a streamed result fill the warp's tile and empty it."""
+    """Prints statements; those that write a streamed result fill the warp's tile and empty it.
+    Entries of passing arrays do not stay in the cache, which has better use for its lines."""
 
-    def __init__(self, names: dict[int, str], streams: dict[int, tuple[int, int]]):
+    def __init__(
+        self, names: dict[int, str], streams: dict[int, tuple[int, int]], passing: set[int]
+    ):
         super().__init__(names)
-        self.streams = streams
+        self.streams, self.passing = streams, passing
 
     def _lines(self, statement: Any) -> Iterator[str]:
+        if isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
+            at = f"&{self.place(statement.array, statement.base, statement.offset)}"
+            if isinstance(statement, Store):
+                yield f"__stcs({at},{self.value(statement.value)});"
+            else:
+                dest = statement.dest
+                yield f"const {c_type(dest.dtype)} {self.value(dest)}=__ldcs({at});"
+            return
         if not (isinstance(statement, Store) and statement.array.id in self.streams):
             yield from super()._lines(statement)
             return
@@ -221,7 +243,7 @@ def _lines(
             places[array.id] = k, row
             yield f"{kind}* const w{k}=({kind}*)tiles+warp*{33 * 32};"
             yield f"{kind}* const y{k}=r{k}+(first+32*warp)*{row};"
-    yield from KernelPrinter(names, places).lines(program.builder.block)
+    yield from KernelPrinter(names, places, _passing(program)).lines(program.builder.block)
     yield from _sums(program, block)
     yield "}"
 

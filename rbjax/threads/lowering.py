@@ -223,7 +223,7 @@ def known(x: Any, aval: Any) -> np.ndarray:
 #: primitives that call a jaxpr once
 CALLS = {
     "jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
-    "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call",
+    "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call", "eval_jaxpr",
 }  # fmt: skip
 
 

@@ -107,9 +107,7 @@ def under_xla(*operands, program, batch, ins, outs):
             f = functools.partial(_repeated, f, batch[level])
         else:
             f = jax.vmap(f, in_axes=axes)
-    return [
-        placed(x, axes) for x, axes in zip(f(*operands), outs, strict=True)
-    ]
+    return [placed(x, axes) for x, axes in zip(f(*operands), outs, strict=True)]
 
 
 def _repeated(f: Callable, size: int, *args: Any) -> list[Any]:
@@ -289,9 +287,7 @@ knows_devices(tangent_p)
 def _batched_tangent(operands, dims, program, moving, batch, ins):
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
     moved = tuple(_with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
-    out = tangent_p.bind(
-        *operands, program=program, moving=moving, batch=(size, *batch), ins=moved
-    )
+    out = tangent_p.bind(*operands, program=program, moving=moving, batch=(size, *batch), ins=moved)
     return out, [0] * len(out)
 
 
@@ -320,15 +316,16 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         found = run(program, primals, batch, ins, outs)
         return found, [_zero(x) for x in found]
     if program.sized is not None:
-        program = program.sized(math.prod(batch))
+        program = program.sized(math.prod(batch), moving)
     n, kept = len(program.outputs), []
     if program.keeping is None:
         found = run(program, primals, batch, ins, outs)
     else:
         # what nobody else sees lies as threads read it best
-        last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in program.keeping.outputs[n:]]
+        keeping = program.keeping(moving)
+        last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in keeping.outputs[n:]]
         places = (*outs, *last)
-        found = run(program.keeping, primals, batch, ins, places)
+        found = run(keeping, primals, batch, ins, places)
         kept = found[program.reads :]
     kept_axes = places[program.reads :] if kept else ()
     axes = (*ins, *kept_axes, *(a for a, m in zip(ins, moving, strict=True) if m))
@@ -352,7 +349,7 @@ ad.primitive_jvps[tangent_p] = _jvp_of_tangent
 
 
 def _transpose(bars, *operands, program, moving, batch, ins):
-    n = len(moving) + len(program.kept)
+    n = len(moving) + len(program.kept(moving))
     weighed = tuple(type(bar) is not ad.Zero for bar in bars)
     if not any(weighed):
         return [None] * n + [ad.Zero(x.aval) if ad.is_undefined_primal(x) else None
@@ -367,10 +364,7 @@ def _transpose(bars, *operands, program, moving, batch, ins):
         program.transposed(moving, weighed), [*operands[:n], *given], batch,
         [*ins[:n], *(first,) * len(given)], outs,
     )  # fmt: skip
-    found = [
-        x if o == a else placed(x, a)
-        for x, o, a in zip(found, outs, axes, strict=True)
-    ]
+    found = [x if o == a else placed(x, a) for x, o, a in zip(found, outs, axes, strict=True)]
     return [None] * n + [
         x if ad.is_undefined_primal(y) else None for x, y in zip(found, operands[n:], strict=True)
     ]

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+Moving = tuple[bool, ...]
+
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -18,18 +20,19 @@ class Program:
     pull: the transposed derivative, pull(moving, args, kept, bars) -> cotangents of the arguments
         that move, of the cotangents of the results (None for zero); if None, that of the jaxpr,
         which needs only the arguments.
-    keeping: the program to run in place of this one where a derivative is asked for: its results
-        are these, and more that `pull` reads.
+    keeping: of the arguments that move the program to run in place of this one where a derivative
+        is asked for: its results are these, and more that `pull` reads.
     reads: the first of its results that `pull` reads, as `kept`.
-    sized: the program that takes this one's place where a batch of a given size is differentiated.
+    sized: the program that takes this one's place where a batch of a given size is differentiated,
+        by the arguments that move.
     """
 
     closed: ClosedJaxpr
     pull: Callable | None = None
-    keeping: Program | None = None
+    keeping: Callable[[Moving], Program] | None = None
     reads: int = 0
-    sized: Callable[[int], Program] | None = None
-    derived: dict[Any, Program] = field(default_factory=dict)
+    sized: Callable[[int, Moving], Program] | None = None
+    derived: dict[Any, Any] = field(default_factory=dict)
     split: dict[Any, tuple[ClosedJaxpr, Program]] = field(default_factory=dict)
 
     @property
@@ -40,10 +43,9 @@ class Program:
     def outputs(self) -> list[Any]:
         return [v.aval for v in self.closed.jaxpr.outvars]
 
-    @property
-    def kept(self) -> list[Any]:
+    def kept(self, moving: Moving) -> list[Any]:
         """What a derivative is handed beside the arguments."""
-        return self.keeping.outputs[self.reads :] if self.keeping else []
+        return self.keeping(moving).outputs[self.reads :] if self.keeping else []
 
     def __call__(self, *args: Any) -> list[Any]:
         return jaxpr_as_fun(self.closed)(*args)
@@ -60,7 +62,7 @@ class Program:
             self.split[shared] = split(self, shared)
         return self.split[shared]
 
-    def _along(self, moving: tuple[bool, ...], args: Any) -> tuple[Callable, list[Any]]:
+    def _along(self, moving: Moving, args: Any) -> tuple[Callable, list[Any]]:
         """This as a function of the arguments that move, and these."""
 
         def along(*changed: Any) -> list[Any]:
@@ -69,11 +71,12 @@ class Program:
 
         return along, [x for m, x in zip(moving, args, strict=True) if m]
 
-    def tangent(self, moving: tuple[bool, ...]) -> Program:
+    def tangent(self, moving: Moving) -> Program:
         """(args, kept, tangents of those that move) -> tangents of all results."""
+        kept = self.kept(moving)
 
         def f(*xs: Any) -> list[Any]:
-            rates = list(xs[len(moving) + len(self.kept) :])
+            rates = list(xs[len(moving) + len(kept) :])
             found = jax.jvp(*self._along(moving, xs[: len(moving)]), rates)[1]
             return [  # what does not move has a tangent of no bytes, which no array can hold
                 t if jnp.issubdtype(a.dtype, jnp.floating) else jnp.zeros(a.shape, a.dtype)
@@ -81,13 +84,14 @@ class Program:
             ]
 
         rates = [a for m, a in zip(moving, self.inputs, strict=True) if m]
-        return self.derive(("tangent", moving), f, *self.inputs, *self.kept, *rates)
+        return self.derive(("tangent", moving), f, *self.inputs, *kept, *rates)
 
-    def transposed(self, moving: tuple[bool, ...], weighed: tuple[bool, ...]) -> Program:
+    def transposed(self, moving: Moving, weighed: tuple[bool, ...]) -> Program:
         """(args, kept, cotangents of the weighed results) -> cotangents of those that move."""
+        also = self.kept(moving)
 
         def f(*xs: Any) -> list[Any]:
-            n, end = len(moving), len(moving) + len(self.kept)
+            n, end = len(moving), len(moving) + len(also)
             args, kept, given = xs[:n], xs[n:end], iter(xs[end:])
             if self.pull is not None:
                 bars = [next(given) if w else None for w in weighed]
@@ -101,7 +105,7 @@ class Program:
             return list(jax.vjp(wanted, *moved)[1](list(given)))
 
         bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
-        return self.derive(("pull", moving, weighed), f, *self.inputs, *self.kept, *bars)
+        return self.derive(("pull", moving, weighed), f, *self.inputs, *also, *bars)
 
 
 def traced(f: Callable, *avals: Any) -> Program:

@@ -1,4 +1,7 @@
-"""Emitted programs compiled by the host's C++ compiler and run on numpy arrays."""
+"""Emitted programs compiled by the host's C++ compiler and run on numpy arrays.
+
+Where JAX has a GPU beside the CPU (`make test-gpu`), they run as its kernels.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,12 @@ import numpy as np
 
 from rbjax.threads.c_source import PREAMBLE
 from rbjax.threads.frame import HOST_HEAD, Written, batch_first, host_source, write_program
+from rbjax.threads.function import threaded
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 FLAGS = ("-O1", "-ffp-contract=off")
 Case = tuple[Callable, tuple]  # a function of one sample, and its arguments, batch first
+GPU_ASKED = "cuda" in (jax.config.jax_platforms or "").split(",")
 
 
 def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
@@ -59,6 +64,8 @@ def written(f: Callable, *args: Any) -> tuple[Written, Any, list]:
 
 def many_on_host(cases: Sequence[Case], flags: Sequence[str] = FLAGS) -> list:
     """Each function's results for its batch, by the emitted C of all in one translation unit."""
+    if GPU_ASKED:
+        return [as_kernel(f, *args) for f, args in cases]
     programs = [written(f, *args) for f, args in cases]
     head = f"{HOST_HEAD}\n{PREAMBLE}"
     texts = [head]
@@ -75,6 +82,12 @@ def many_on_host(cases: Sequence[Case], flags: Sequence[str] = FLAGS) -> list:
         run(*(ctypes.c_void_p(x.ctypes.data) for x in (*leaves, *results)))
         out.append(jax.tree.unflatten(tree, results))
     return out
+
+
+def as_kernel(f: Callable, *args: Any) -> Any:
+    """f of each sample of a batch, batch first, by a kernel of the GPU."""
+    placed = jax.device_put(args, jax.devices("cuda")[0])
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(threaded(f)))(*placed))
 
 
 def by_xla(cases: Sequence[Case]) -> list:
