@@ -30,7 +30,6 @@ from rbjax.materialize import materialize, sincos
 from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
 
-
 CK = False
 
 

@@ -247,7 +247,14 @@ class Printer:
 
 
 def table(array: Array, qualifier: str) -> str:
-    """The definition of a constant array."""
-    assert array.data is not None
-    numbers = ",".join(literal(x) for x in array.data) or "0"
-    return f"{qualifier} {c_type(array.dtype)} a{array.id}[{max(array.size, 1)}]={{{numbers}}};"
+    """The definition of a constant array. CUDA takes no name of infinity or of what is no number
+    as a constant, but their bits."""
+    data, name, size = array.data, f"a{array.id}", max(array.size, 1)
+    assert data is not None
+    kind = c_type(array.dtype)
+    if array.dtype.kind != "f" or np.isfinite(data).all():
+        return f"{qualifier} {kind} {name}[{size}]={{{','.join(map(literal, data)) or '0'}}};"
+    bits = np.asarray(data).view(f"uint{8 * array.dtype.itemsize}")
+    numbers = ",".join(map(literal, bits))
+    text = f"{qualifier} {c_type(bits.dtype)} {name}_bits[{size}]={{{numbers}}};"
+    return f"{text}\n#define {name} ((const {kind}*){name}_bits)"

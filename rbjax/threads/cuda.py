@@ -1,31 +1,28 @@
 """The frame of a program on a GPU: one thread a sample.
 
 Rows of a batch-first operand are fetched by the whole block through shared memory, so that a warp
-reads whole lines; a batch-first result is written back by warps, 32 entries of their 32 rows at a
-time. Other layouts are read and written in place. What all samples share of a result (the cotangent
-of an operand without a batch) is added up over the block, one partial sum a block.
+reads whole lines; those of a batch-first result leave likewise (`stores`). Other layouts are read
+and written in place. What all samples share of a result (the cotangent of an operand without a
+batch) is added up over the block, one partial sum a block.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
+from rbjax.threads import stores
+from rbjax.threads.c_source import PREAMBLE, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
 from rbjax.threads.lowering import Unsupported
-from rbjax.threads.program import Array, Load, Store, walk
 
-#: threads of a block, where its rows fit into shared memory; else half as many
-BLOCK = 128
+#: threads of a block: the first of these for which its rows fit into shared memory, or the last
+BLOCKS = (128, 64)
 #: bytes of shared memory that a block stages its rows in
 SHARED_BYTES = 47 * 1024
 #: a row of few entries (about one sector of the cache) and one of many are read in place
 SHORT, ROW = 8, 128
-PASSING = True
 #: bytes of constant memory that tables may take; what is beyond is read through the cache
 CONSTANT_BYTES = 48 * 1024
 #: NVRTC takes a minute for more statements
@@ -59,21 +56,6 @@ template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, 
     }
   }
 }
-// W entries of each row of a warp, of N entries, from its tile to memory
-template <class T, int N, int W> QUALIFIED void flush(T* to, const T* tile, int rows) {
-  const int lane = threadIdx.x % 32;
-  __syncwarp();
-  if (rows == 32) {
-#pragma unroll
-    for (int j = 0; j < W; j++) {
-      const int k = 32 * j + lane;
-      to[k / W * N + k % W] = tile[k / W * 33 + k % W];
-    }
-  } else {
-    for (int k = lane; k < rows * W; k += 32) to[k / W * N + k % W] = tile[k / W * 33 + k % W];
-  }
-  __syncwarp();
-}
 template <class T> QUALIFIED T over_warp(T x) {
   for (int k = 16; k; k >>= 1) x += __shfl_down_sync(0xffffffffu, x, k);
   return x;
@@ -101,12 +83,26 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
         raise Unsupported(
             f"{program.array_bytes} bytes of arrays in a thread, of at most {ARRAY_BYTES_UP_TO}"
         )
-    streams = _streamed(program)
-    tile = 33 * max((a.dtype.itemsize for a in program.results if a.id in streams), default=0)
-    block, rows = _staged(program, tile)
-    source = "\n".join(_lines(program, name, block, rows, streams, tile))
-    grid = max(-(-math.prod(program.batch) // block), 1)
-    return Kernel(source, name, block, grid, program.summed)
+    room = _room(program)
+    source = "\n".join(_lines(program, name, room))
+    grid = max(-(-math.prod(program.batch) // room.block), 1)
+    return Kernel(source, name, room.block, grid, program.summed)
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a block has in shared memory.
+
+    staged: operands that it fetches, id -> entries of a row; whole: results whose rows are staged;
+    tiled: results that leave through a warp's tile; tile: its bytes a thread; complete: all fits.
+    """
+
+    block: int
+    staged: dict[int, int]
+    whole: dict[int, stores.Rows]
+    tiled: dict[int, stores.Rows]
+    tile: int
+    complete: bool
 
 
 def _pitch(row: int) -> int:
@@ -114,95 +110,47 @@ def _pitch(row: int) -> int:
     return row | 1
 
 
-def _streamed(program: Written) -> dict[int, int]:
-    """The batch-first results that are written once, from the first entry to the last, where all
-    threads pass, with no other result between, and never read: id -> entries of a row."""
-    results = {a.id for a in program.results}
-    stores = [
-        (s.array.id, s.base, s.offset)
-        for s in program.builder.block.statements
-        if isinstance(s, Store) and s.array.id in results
-    ]
-    used = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, (Load, Store)))
-    first = {key: n for n, (key, _, _) in reversed([*enumerate(stores)])}
-    found = {}
-    for array, layout in zip(program.results, program.layouts[1], strict=True):
-        row, start = layout.rows(program.batch), first.get(array.id, 0)
-        order = [(array.id, None, k) for k in range(row or 0)]
-        if row and row > 1 and stores[start : start + row] == order and used[array.id] == row:
-            found[array.id] = row
-    return found
+def _room(program: Written) -> Room:
+    found = [_fitted(program, block) for block in BLOCKS]
+    return next((room for room in found if room.complete), found[-1])
 
 
-def _passing(program: Written) -> set[int]:
-    """Long arrays of floats that have the batch last: read or written once, line by line."""
-    found = set()
-    for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
-        for array, layout in zip(arrays, layouts, strict=True):
-            first = len(layout.shape) - len(layout.axes)
-            last = layout.axes and layout.axes == tuple(range(first, len(layout.shape)))
-            if last and array.size > ROW and array.dtype.kind == "f":
-                found.add(array.id)
-    return found if PASSING else set()
-
-
-def _staged(program: Written, tile: int) -> tuple[int, dict[int, int]]:
-    """Threads of a block, and the operands that go through shared memory: id -> entries of a row;
-    `tile` bytes a thread are taken."""
-    found: list[tuple[int, Array, int]] = []
+def _fitted(program: Written, block: int) -> Room:
+    """What fits: results that are staged whole, the smaller first, a tile, then operands."""
+    left, kinds = SHARED_BYTES // block, {a.id: a.dtype for a in program.results}
+    rows, streams = stores.rows_of(program), stores.streamed(program)
+    short = [key for key, row in rows.items() if stores.SHORT < row <= stores.WHOLE]
+    whole = {key: stores.whole(kinds[key], rows[key]) for key in short}
+    while True:
+        tiled = {k: stores.pieces(kinds[k], rows[k]) for k in rows if k in streams - {*whole}}
+        tile = max((r.bytes for r in tiled.values()), default=0)
+        total = tile + sum(r.bytes for r in whole.values())
+        if total <= left or not whole:
+            break
+        del whole[max(whole, key=lambda k: whole[k].bytes)]
+    if total > left:
+        tiled, tile, total = {}, 0, 0
+    wanted = {}
     for array, layout in zip(program.operands, program.layouts[0], strict=True):
         row = layout.rows(program.batch)
         if row is not None and SHORT < row <= ROW:
-            found.append((_pitch(row) * array.dtype.itemsize, array, row))
-    found.sort(key=lambda x: x[0])
-    total = tile + sum(bytes for bytes, _, _ in found)
-    block = BLOCK if total * BLOCK <= SHARED_BYTES else BLOCK // 2
-    used, rows = tile * block, {}
-    for bytes, array, row in found:
-        used += bytes * block
-        if used <= SHARED_BYTES:
-            rows[array.id] = row
-    return block, rows
+            wanted[array.id] = row, _pitch(row) * array.dtype.itemsize
+    staged = {}
+    for key, (row, bytes) in sorted(wanted.items(), key=lambda x: x[1][1]):
+        if total + bytes <= left:
+            total += bytes
+            staged[key] = row
+    complete = len(staged) == len(wanted) and len(whole) == len(short) and streams <= {
+        *whole, *tiled}  # fmt: skip
+    return Room(block, staged, whole, tiled, tile, complete)
 
 
-class KernelPrinter(Printer):
-    """Prints statements; those that write a streamed result fill the warp's tile and empty it.
-    Entries of passing arrays do not stay in the cache, which has better use for its lines."""
-
-    def __init__(
-        self, names: dict[int, str], streams: dict[int, tuple[int, int]], passing: set[int]
-    ):
-        super().__init__(names)
-        self.streams, self.passing = streams, passing
-
-    def _lines(self, statement: Any) -> Iterator[str]:
-        if isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
-            at = f"&{self.place(statement.array, statement.base, statement.offset)}"
-            if isinstance(statement, Store):
-                yield f"__stcs({at},{self.value(statement.value)});"
-            else:
-                dest = statement.dest
-                yield f"const {c_type(dest.dtype)} {self.value(dest)}=__ldcs({at});"
-            return
-        if not (isinstance(statement, Store) and statement.array.id in self.streams):
-            yield from super()._lines(statement)
-            return
-        k, row = self.streams[statement.array.id]
-        kind, at = c_type(statement.array.dtype), statement.offset % 32
-        yield f"w{k}[threadIdx.x%32*33+{at}]={self.value(statement.value)};"
-        if at == 31 or statement.offset == row - 1:
-            first = statement.offset - at
-            yield f"flush<{kind},{row},{at + 1}>(y{k}+{first},w{k},warp_rows);"
-
-
-def _lines(
-    program: Written, name: str, block: int, rows: dict[int, int], streams: dict[int, int],
-    tile: int,
-) -> Iterator[str]:  # fmt: skip
-    size, index = math.prod(program.batch), sample_index(program.batch)
+def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
+    size, index, block = math.prod(program.batch), sample_index(program.batch), room.block
     ins, outs = program.layouts
     yield f"#define BLOCK {block}"
-    yield HEAD + PREAMBLE
+    yield f"#define STREAMING {int(stores.STREAMING)}\nconstexpr int TURNS={stores.TURNS};"
+    yield HEAD + stores.HEAD + PREAMBLE
     left = CONSTANT_BYTES
     for array in program.builder.tables:
         left -= array.size * array.dtype.itemsize
@@ -217,7 +165,7 @@ def _lines(
     names: dict[int, str] = {}
     for k, (array, layout) in enumerate(zip(program.operands, ins, strict=True)):
         names[array.id] = f"x{k}"
-        kind, row = c_type(array.dtype), rows.get(array.id)
+        kind, row = c_type(array.dtype), room.staged.get(array.id)
         if row is None:
             yield f"const {kind}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
         else:
@@ -225,25 +173,35 @@ def _lines(
             yield f"__shared__ {kind} s{k}[{pitch * block}];"
             yield f"fetch<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
-    if rows:
+    if room.staged:
         yield "__syncthreads();"
-    if streams:
-        yield f"__shared__ double tiles[{-(-tile * block // 8)}];"
+    if room.whole or room.tiled:
         yield "const int warp=threadIdx.x/32;"
         yield "const int warp_rows=rows-32*warp<32?rows-32*warp:32;"
-    places: dict[int, tuple[int, int]] = {}
+    if room.tiled:
+        yield f"__shared__ uint4 tiles[{room.tile * 2 * (block // 32)}];"
+    tiles: dict[int, tuple[int, stores.Rows]] = {}
+    leaving = []
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
-        kind, row = c_type(array.dtype), streams.get(array.id)
+        kind, key = c_type(array.dtype), array.id
         if program.summed[k]:
             yield f"{kind} y{k}[{max(array.size, 1)}];"
-        elif row is None:
-            yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
+        elif key in room.whole:
+            n, pitch = room.whole[key].size, room.whole[key].pitch
+            yield f"__shared__ uint4 o{k}[{room.whole[key].bytes * block // 16}];"
+            yield f"{kind}* const y{k}=({kind}*)o{k}+threadIdx.x*{pitch};"
+            there, here = f"r{k}+(first+32*warp)*{n}", f"({kind}*)o{k}+warp*{32 * pitch}"
+            leaving.append(f"leave<{kind},{n},{pitch}>({there},{here},warp_rows);")
+        elif key in room.tiled:
+            tiles[key] = k, room.tiled[key]
+            yield f"{kind}* const w{k}=({kind}*)(tiles+warp*{room.tile * 2});"  # of 16 bytes
+            yield f"{kind}* const y{k}=r{k}+(first+32*warp)*{room.tiled[key].size};"
         else:
-            places[array.id] = k, row
-            yield f"{kind}* const w{k}=({kind}*)tiles+warp*{33 * 32};"
-            yield f"{kind}* const y{k}=r{k}+(first+32*warp)*{row};"
-    yield from KernelPrinter(names, places, _passing(program)).lines(program.builder.block)
+            yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
+    printer = stores.StorePrinter(names, tiles, stores.passing(program))
+    yield from printer.lines(program.builder.block)
+    yield from leaving
     yield from _sums(program, block)
     yield "}"
 

@@ -28,6 +28,7 @@ HEAD = """
 #define __launch_bounds__(n)
 #define __shared__ static
 struct Index { int x; };
+struct alignas(16) uint4 { unsigned x, y, z, w; };
 static thread_local Index threadIdx, blockIdx;
 static std::barrier<> whole(THREADS);
 static std::vector<std::unique_ptr<std::barrier<>>> warps;
@@ -36,6 +37,8 @@ static float __int_as_float(int bits) { float x; memcpy(&x, &bits, 4); return x;
 static float rsqrtf(float x) { return 1 / sqrtf(x); }
 static double rsqrt(double x) { return 1 / sqrt(x); }
 using std::isfinite;
+template <class T> static void __stcs(T* to, T x) { *to = x; }
+template <class T> static T __ldcs(const T* from) { return *from; }
 static void __syncthreads() { whole.arrive_and_wait(); }
 static void __syncwarp() { warps[threadIdx.x / 32]->arrive_and_wait(); }
 template <class T> static T __shfl_down_sync(unsigned, T x, int by) {
@@ -89,6 +92,8 @@ def emulated(kernel: Kernel, operands: Sequence[Any], results: Sequence[Any]) ->
     ]
     every = (*ins, *outs)
     run(kernel.grid, (ctypes.c_void_p * len(every))(*(x.ctypes.data for x in every)))
-    assert all((x[-BEYOND:] == POISON).all() for x in outs), "written beyond the end"
+    poison = [x.dtype.type(POISON) for x in outs]
+    beyond = all((x[-BEYOND:] == p).all() for x, p in zip(outs, poison, strict=True))
+    assert beyond, "written beyond the end"
     found = [x[:-BEYOND].reshape(s) for x, s in zip(outs, shapes, strict=True)]
     return [x.sum(0) if summed else x for x, summed in zip(found, kernel.summed, strict=True)]

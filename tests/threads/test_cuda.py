@@ -13,16 +13,18 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.threads import stores
 from rbjax.threads.cuda import Kernel, kernel
-from rbjax.threads.frame import Layout, Written, write_program
+from rbjax.threads.frame import Layout, Written, batch_first, write_program
 from rbjax.threads.function import threaded
 from rbjax.threads.program import Builder
 from tests.threads.block import emulated
 from tests.threads.host import COMPILER
 from tests.tolerances import F64_TRANSFORM, relative_error
 
-launch, nvrtc, primitive = (
-    importlib.import_module(f"rbjax.threads.{name}") for name in ("launch", "nvrtc", "primitive")
+cuda, launch, nvrtc, primitive = (
+    importlib.import_module(f"rbjax.threads.{name}")
+    for name in ("cuda", "launch", "nvrtc", "primitive")
 )
 RNG = np.random.default_rng(0)
 W, X = RNG.normal(size=(5, 3)), RNG.normal(size=(200, 3))
@@ -192,10 +194,10 @@ def test_rows_are_staged_where_they_are_neither_short_nor_long():
     source = emitted(g, layouts, (200,))[0].source
     assert re.findall(r"fetch<double,(\d+),(\d+)>", source) == [("20", "21")]
     assert source.count("__shared__ double s1[") == 1
-    assert re.findall(r"flush<double,(\d+),(\d+)>\(", source) == [("20", "20")]
+    assert re.findall(r"leave<double,(\d+),(\d+)>\(r0", source) == [("20", "21")]
     batch_last = [Layout((n, 200), (1,)) for n in (8, 20, 129)] + [Layout((20,), (None,))]
     source = emitted(g, batch_last, (200,), last=True)[0].source
-    assert not re.search(r"fetch<double|flush<double", source)
+    assert not re.search(r"(fetch|leave|flush)<double", source)
 
 
 @pytest.mark.parametrize(("in_turn", "read"), [(False, False), (True, False), (False, True)])
@@ -211,7 +213,7 @@ def test_only_what_is_written_at_once_leaves_through_the_tile(in_turn, read):
             b.load(array, None, 0)
     layout = Layout((64, 3), (0,))
     program = Written(b, (), tuple(both), ((), (layout, layout)), (64,), (False, False))
-    assert ("flush<float" in kernel(program).source) == (not in_turn and not read)
+    assert ("tiles[" in kernel(program).source) == (not in_turn and not read)
 
 
 def test_sums_are_taken_in_the_block():
@@ -260,3 +262,86 @@ def test_a_kernel_s_threads_together(batch, last):
     want = [x.sum(axes) if s else x for x, s in zip(want, summed, strict=True)]
     for a, b in zip(got, want, strict=True):
         assert relative_error(a, b) <= F64_TRANSFORM
+
+
+def leaving(x, n):
+    """Rows that are staged whole: in order, in loops, under conditions, read again; and short."""
+    looped = jax.lax.scan(lambda c, k: (c + x[0], c * k), x[1], jnp.arange(13.0))[1]
+    updated = jnp.zeros(12).at[jnp.arange(12) * n[0] % 5].add(jnp.tile(x, 2))
+    chosen = jax.lax.cond(n[1] > 0, lambda: jnp.arange(10) * x[2], lambda: jnp.tile(x, 2)[1:11])
+    single = jnp.sin(jnp.tile(x, 2)[:9]).astype(jnp.float32)
+    return [looped, updated, chosen, single, jnp.arange(11, dtype=jnp.int32) + n[0],
+            jnp.arange(14) > n[1], x[:0], x[:3] * x[0], x.sum()]  # fmt: skip
+
+
+def long_rows(x, n):
+    """Rows that leave piece by piece, of several types; one that is written in a loop does not."""
+    row = jnp.tile(x, 24) * jnp.arange(144)
+    looped = jax.lax.scan(lambda c, k: (c + x[0], c * k), x[1], jnp.arange(129.0))[1]
+    return [row[:131], row[:129].astype(jnp.float32), (row > 0)[:141], row[:20], looped,
+            jnp.arange(132, dtype=jnp.int32) * n[0]]  # fmt: skip
+
+
+CASES = [
+    (leaving, {}, 200),
+    (leaving, {}, 20),
+    (leaving, {"WIDE": False, "STREAMING": True}, 40),
+    (leaving, {"SHARED_BYTES": 12 * 1024}, 40),
+    (long_rows, {}, 200),
+    (long_rows, {"ALIGN": 32}, 200),
+    (long_rows, {"ALIGN": 32}, 20),
+    (long_rows, {"ALIGN": 128, "TILE": 64, "TURNS": 1, "STREAMING": True}, 100),
+    (long_rows, {"ALIGN": 32, "TILE": 128, "TURNS": 1, "FOURS": True}, 100),
+    (long_rows, {"SHARED_BYTES": 1024}, 40),
+]
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+@pytest.mark.parametrize(("g", "constants", "size"), CASES)
+def test_results_leave(monkeypatch, g, constants, size):
+    """The last block, or the first warp, is not full; with little shared memory, few are staged."""
+    for name, value in constants.items():
+        monkeypatch.setattr(cuda if name == "SHARED_BYTES" else stores, name, value)
+    args = RNG.normal(size=(size, 6)), RNG.integers(-9, 9, (size, 2), dtype=np.int32)
+    one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in args]
+    closed = jax.make_jaxpr(g)(*one)
+    outs = [batch_first(a.shape, (size,)) for a in closed.out_avals]
+    ins = [batch_first(x.shape, (size,)) for x in one]
+    code = kernel(write_program(closed, (size,), ins, outs))
+    shapes = [jax.ShapeDtypeStruct((size, *a.shape), a.dtype) for a in closed.out_avals]
+    for got, want in zip(emulated(code, args, shapes), jax.vmap(g)(*args), strict=True):
+        assert got.dtype == want.dtype
+        np.testing.assert_allclose(got, want, rtol=1e-6 if got.dtype == np.float32 else 1e-13)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+def test_staged_rows_are_memory():
+    """Entries are written under a condition, read again and written again, in loops; each thread
+    has a row of its own, those beyond the batch too."""
+    b, size, n = Builder(), 40, 12
+    x, y = b.outside(np.float64, 1, "operand"), b.outside(np.float64, n, "result")
+    number = b.load(x, None, 0)
+    for k in reversed(range(n)):
+        b.store(y, None, k, np.float64(k))
+    with b.when(b.op("lt", bool, number, np.float64(7))):
+        b.store(y, None, 3, np.float64(100))
+    with b.loop(5) as k:
+        value = b.op("add", np.float64, b.load(y, k, 1), number)
+        b.store(y, k, 0, b.op("add", np.float64, b.load(y, k, 0), value))
+    ins, outs = batch_first((), (size,)), batch_first((n,), (size,))
+    code = kernel(Written(b, (x,), (y,), ((ins,), (outs,)), (size,), (False,)))
+    assert "leave<double,12,13>(r0" in code.source
+    numbers = np.arange(size, dtype=np.float64)
+    want = np.tile(np.arange(float(n)), (size, 1))
+    want[:7, 3] = 100
+    for k in range(5):
+        want[:, k] += want[:, k + 1] + numbers
+    (got,) = emulated(code, [numbers], [jax.ShapeDtypeStruct(want.shape, want.dtype)])
+    np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.parametrize("size", [*range(9, 41), 128])
+def test_rows_meet_few_conflicts(size):
+    """At most two threads of a warp meet a bank of shared memory."""
+    pitch = stores.whole(np.dtype(np.float32), size).pitch
+    assert max(np.bincount(np.arange(32) * pitch % 32)) <= 2

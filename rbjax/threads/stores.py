@@ -1,0 +1,211 @@
+"""How batch-first results leave a kernel: rows gather in shared memory, and a warp writes its 32.
+
+Rows that fit are staged whole: 32 of them lie one behind the other in memory, wherever a thread
+wrote their entries first. A longer row that is written once, in order, leaves piece by piece
+through the warp's tile. Pieces begin at a sector of memory in every row, though rows need not:
+the tile keeps the last entries of the piece before, and a row's piece lags by as many as it must.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rbjax.threads.c_source import Printer, c_type
+from rbjax.threads.frame import Written
+from rbjax.threads.program import Load, Store, walk
+
+#: result rows of more entries than a sector has, and of at most these, are staged whole
+SHORT, WHOLE = 8, 128
+#: 4-byte entries of a piece of a longer row
+TILE = 32
+#: bytes of memory at whose multiples pieces begin; 0: anywhere
+ALIGN = 0
+#: rows of whole results that meet few conflicts lie without gaps, and are copied 16 bytes at a time
+WIDE = True
+#: entries of a tile's row in shared memory: 4 more than a multiple of 8, so that a thread stores 16
+#: bytes at a time; else odd
+FOURS = False
+#: stores that leave the cache first
+STREAMING = False
+#: rows of a piece whose copies are written out in the code, eight at a time: 1, 2 or 4
+TURNS = 4
+
+HEAD = """
+template <class T> QUALIFIED void put(T* to, T x) { *to = x; }
+#if STREAMING
+QUALIFIED void put(float* to, float x) { __stcs(to, x); }
+QUALIFIED void put(double* to, double x) { __stcs(to, x); }
+QUALIFIED void put(uint4* to, uint4 x) { __stcs(to, x); }
+#endif
+// a warp's whole rows, of N entries, to memory, where they lie without gaps
+template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, int rows) {
+  const int lane = threadIdx.x % 32;
+  __syncwarp();
+  if (PITCH == N && rows == 32) {
+    constexpr int wide = 32 * N * sizeof(T) / 16;
+#pragma unroll
+    for (int k = 0; k < wide; k += 32)
+      if (k + lane < wide) put((uint4*)to + k + lane, ((const uint4*)from)[k + lane]);
+  } else {
+#pragma unroll 8
+    for (int k = lane; k < rows * N; k += 32) put(to + k, from[PITCH == N ? k : k + k / N]);
+  }
+  __syncwarp();
+}
+// what a piece writes of row r: entries FROM to UPTO, but both ends lag, to where memory is aligned
+template <class T, int N, int FROM, int UPTO, int MARGIN, int PITCH>
+QUALIFIED void piece(T* to, const T* tile, int r, int lag) {
+  const int lane = threadIdx.x % 32, upto = UPTO < N ? UPTO - lag : N;
+#pragma unroll
+  for (int c = 0; c < UPTO - FROM + MARGIN; c += 32) {
+    const int k = FROM - lag + c + lane;
+    if (k < upto && (FROM || k >= 0)) put(to + r * N + k, tile[r * PITCH + MARGIN + k - FROM]);
+  }
+}
+// entries FROM to UPTO of each row of a warp, of N, from its tile to memory; the tile has room for
+// MARGIN entries before them; the pieces of a row begin at multiples of ALIGN entries
+template <class T, int N, int FROM, int UPTO, int ALIGN, int MARGIN, int PITCH>
+QUALIFIED void flush(T* to, T* tile, int rows) {
+  __syncwarp();
+  if (rows == 32) {
+#pragma unroll TURNS
+    for (int r = 0; r < 32; r += 8)
+#pragma unroll
+      for (int i = 0; i < 8; i++) {
+        const int lag = (ALIGN > 8 ? r + i : i) * N % ALIGN;  // known where it repeats after eight
+        piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r + i, lag);
+      }
+  } else {
+#pragma unroll 1
+    for (int r = 0; r < rows; r++)
+      piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r, r * N % ALIGN);
+  }
+  __syncwarp();
+  if (UPTO < N)
+    for (int c = 0; c < MARGIN; c++) {
+      T* const row = tile + threadIdx.x % 32 * PITCH;
+      row[c] = row[c + UPTO - FROM];
+    }
+}
+"""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """How the rows of a result lie in shared memory.
+
+    size: entries of a row; width: of a piece of it, as many where it leaves whole. align: entries
+    at whose multiples pieces begin; margin: entries of the piece before that are kept.
+    """
+
+    dtype: np.dtype
+    size: int
+    width: int
+    align: int
+    margin: int
+    pitch: int
+
+    @property
+    def bytes(self) -> int:
+        """Of a thread."""
+        return self.pitch * self.dtype.itemsize
+
+
+def whole(dtype: np.dtype, size: int) -> Rows:
+    """Rows that leave at once; without gaps where at most two threads of a warp meet a bank."""
+    return Rows(dtype, size, size, 1, 0, size if WIDE and size % 4 else size | 1)
+
+
+def pieces(dtype: np.dtype, size: int) -> Rows:
+    """Rows that leave piece by piece, or at once where that is one piece."""
+    width = TILE * 4 // max(dtype.itemsize, 4)
+    if size <= width:
+        return whole(dtype, size)
+    align = max(min(ALIGN // dtype.itemsize, 32), 1)  # 32 rows begin where memory is aligned
+    align = 1 if size % align == 0 else align
+    margin = align - 1
+    if not FOURS:
+        return Rows(dtype, size, width, align, margin, (width + margin) | 1)
+    margin = -(-margin // 4) * 4
+    return Rows(dtype, size, width, align, margin, (width + margin + 3) // 8 * 8 + 4)
+
+
+def rows_of(program: Written) -> dict[int, int]:
+    """The results that lie batch first: id -> entries of a row."""
+    found = {}
+    for array, layout in zip(program.results, program.layouts[1], strict=True):
+        row = layout.rows(program.batch)
+        if row:
+            found[array.id] = row
+    return found
+
+
+def streamed(program: Written) -> set[int]:
+    """The batch-first results that are written once, from the first entry to the last, where all
+    threads pass, with no other result between, and never read."""
+    results = {a.id for a in program.results}
+    stores = [
+        (s.array.id, s.base, s.offset)
+        for s in program.builder.block.statements
+        if isinstance(s, Store) and s.array.id in results
+    ]
+    used = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, (Load, Store)))
+    first = {key: n for n, (key, _, _) in reversed([*enumerate(stores)])}
+    found = set()
+    for key, row in rows_of(program).items():
+        start = first.get(key, 0)
+        order = [(key, None, k) for k in range(row)]
+        if row > 1 and stores[start : start + row] == order and used[key] == row:
+            found.add(key)
+    return found
+
+
+def passing(program: Written) -> set[int]:
+    """Long arrays of floats that have the batch last: read or written once, a line by each warp."""
+    found = set()
+    for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
+        for array, layout in zip(arrays, layouts, strict=True):
+            first = len(layout.shape) - len(layout.axes)
+            last = layout.axes and layout.axes == tuple(range(first, len(layout.shape)))
+            if last and array.size > WHOLE and array.dtype.kind == "f":
+                found.add(array.id)
+    return found
+
+
+class StorePrinter(Printer):
+    """Prints statements; those that write a result in pieces fill the warp's tile and empty it.
+    Entries of passing arrays do not stay in the cache, which has better use for its lines."""
+
+    def __init__(
+        self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], passing: set[int]
+    ):
+        super().__init__(names)
+        self.tiles, self.passing = tiles, passing
+
+    def _lines(self, statement: Any) -> Iterator[str]:
+        if isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
+            at = f"&{self.place(statement.array, statement.base, statement.offset)}"
+            if isinstance(statement, Store):
+                yield f"__stcs({at},{self.value(statement.value)});"
+            else:
+                dest = statement.dest
+                yield f"const {c_type(dest.dtype)} {self.value(dest)}=__ldcs({at});"
+            return
+        if not (isinstance(statement, Store) and statement.array.id in self.tiles):
+            yield from super()._lines(statement)
+            return
+        k, rows = self.tiles[statement.array.id]
+        kind, at = c_type(rows.dtype), statement.offset % rows.width
+        place = f"threadIdx.x%32*{rows.pitch}+{rows.margin + at}"
+        yield f"w{k}[{place}]={self.value(statement.value)};"
+        upto = statement.offset + 1
+        if rows.width == rows.size == upto:
+            yield f"leave<{kind},{rows.size},{rows.pitch}>(y{k},w{k},warp_rows);"
+        elif at == rows.width - 1 or upto == rows.size:
+            sizes = (rows.size, upto - 1 - at, upto, rows.align, rows.margin, rows.pitch)
+            yield f"flush<{kind},{','.join(map(str, sizes))}>(y{k},w{k},warp_rows);"
