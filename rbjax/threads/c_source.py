@@ -127,7 +127,7 @@ class Printer:
         return f"t{x.id}" if isinstance(x, Var) else literal(x)
 
     def place(self, array: Array, base: Value | None, offset: int) -> str:
-        name = self.names.get(array.id, f"a{array.id}")
+        name = self.names.get(array.id) or self.names.setdefault(array.id, _name(array))
         if base is None:
             return f"{name}[{offset}]"
         return f"{name}[{self.value(base)}{f'+{offset}' if offset > 0 else offset or ''}]"
@@ -246,15 +246,23 @@ class Printer:
         return f"({c_type(kind)})({text})" if kind.kind in "iu" and kind.itemsize < 4 else text
 
 
+def _by_bits(array: Array) -> bool:
+    """Whether a table has infinities or what is no number: CUDA takes their names for no constants,
+    but takes their bits."""
+    return array.data is not None and array.dtype.kind == "f" and not np.isfinite(array.data).all()
+
+
+def _name(array: Array) -> str:
+    if _by_bits(array):
+        return f"((const {c_type(array.dtype)}*)a{array.id})"
+    return f"a{array.id}"
+
+
 def table(array: Array, qualifier: str) -> str:
-    """The definition of a constant array. CUDA takes no name of infinity or of what is no number
-    as a constant, but their bits."""
-    data, name, size = array.data, f"a{array.id}", max(array.size, 1)
+    """The definition of a constant array."""
+    data = array.data
+    if _by_bits(array):
+        data = np.asarray(data).view(f"uint{8 * array.dtype.itemsize}")
     assert data is not None
-    kind = c_type(array.dtype)
-    if array.dtype.kind != "f" or np.isfinite(data).all():
-        return f"{qualifier} {kind} {name}[{size}]={{{','.join(map(literal, data)) or '0'}}};"
-    bits = np.asarray(data).view(f"uint{8 * array.dtype.itemsize}")
-    numbers = ",".join(map(literal, bits))
-    text = f"{qualifier} {c_type(bits.dtype)} {name}_bits[{size}]={{{numbers}}};"
-    return f"{text}\n#define {name} ((const {kind}*){name}_bits)"
+    numbers = ",".join(literal(x) for x in data) or "0"
+    return f"{qualifier} {c_type(data.dtype)} a{array.id}[{max(array.size, 1)}]={{{numbers}}};"
