@@ -40,21 +40,24 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 }
 
 
-def algorithm(*names: str, pairs: bool = False) -> Callable[[Callable], Callable]:
+def algorithm(
+    *names: str, pairs: bool = False, eliminates: bool = False
+) -> Callable[[Callable], Callable]:
     """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
 
     A `state` among the names is a `State`; names of bodies and sites are static. `pairs`: most of
-    the work is on pairs of links.
+    the work is on pairs of links. `eliminates`: it is ABA's, link by link.
     """
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
+        suited = functools.partial(for_threads, pairs=pairs, short=not (pairs or eliminates))
         static = [n for n in ("body", "site") if n in signature.parameters]
 
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
             on_gpu = wanted()
-            moving, closed = opened((for_threads(args, pairs) if on_gpu else args, kwargs))
+            moving, closed = opened((suited(args) if on_gpu else args, kwargs))
 
             def run(moving: list) -> Any:
                 args, kwargs = closed(moving)
@@ -79,12 +82,12 @@ def algorithm(*names: str, pairs: bool = False) -> Callable[[Callable], Callable
     return decorate
 
 
-def for_threads(args: tuple, pairs: bool) -> tuple:
+def for_threads(args: tuple, **work: bool) -> tuple:
     """The arguments, with the model, the first of them, on the driver that suits a GPU thread."""
     model, *rest = args
     arrays = [x for x in jax.tree.leaves(rest) if isinstance(x, jax.Array)]
     floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
-    return (on_threads(model, floats[0], pairs=pairs), *rest) if floats else args
+    return (on_threads(model, floats[0], **work), *rest) if floats else args
 
 
 def check_arrays(where: str, model: Model, given: dict[str, Any]) -> dict[str, Any]:

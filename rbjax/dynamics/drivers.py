@@ -36,8 +36,10 @@ UNROLLED_UP_TO = 8
 VALUES_UNROLLED_UP_TO = 40
 
 #: the same in a GPU thread, by bytes of a number: up to some 8,000 statements fetching instructions
-#: costs nothing; numbers of 8 bytes take two registers each
+#: costs nothing; numbers of 8 bytes take two registers each. ABA has 350 statements a coordinate,
+#: the others have 190 at most
 THREADS_UNROLLED_UP_TO = {4: 26, 8: 12}
+SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 
 Driver = Any  # one of these; per-link values are lists, columns, or both
 DRIVERS: dict[str, Any] = {"unrolled": Unrolled, "rolled": Rolled, "limbs": Limbs}
@@ -56,10 +58,11 @@ def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
     return DRIVERS[name](model, prepare(model, dtype))
 
 
-def on_threads(model: Model, dtype: Any, *, pairs: bool = False) -> Model:
+def on_threads(model: Model, dtype: Any, *, pairs: bool = False, short: bool = False) -> Model:
     """The model with the driver that suits a GPU thread, where it asks for none. `pairs`: what runs
-    works on all pairs of links, which no limb shortens."""
+    works on all pairs of links, which no limb shortens. `short`: it eliminates no joints."""
     if model.driver != "auto":
         return model
-    few = model.nv <= THREADS_UNROLLED_UP_TO[np.dtype(dtype).itemsize]
+    most = SHORT_UNROLLED_UP_TO if short else THREADS_UNROLLED_UP_TO
+    few = model.nv <= most[np.dtype(dtype).itemsize]
     return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

@@ -30,8 +30,6 @@ from rbjax.materialize import materialize, sincos
 from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
 
-CK = False
-
 
 class Parts:
     """A per-link value of `Limbs`: a list for the trunk, and for each group a list over the
@@ -324,8 +322,9 @@ class Limbs(Sweeps, Listed):
             return carry, list(fresh.values())
 
         lanes = [self._cast(c) for c in columns.values()]
-        turn_ = jax.checkpoint(turn, prevent_cse=False) if CK else turn
-        carry, ys = jax.lax.scan(turn_, carry, lanes, length=len(group.links))
+        # a transposed limb computes its values again: to keep them would fill the thread's memory
+        turn = jax.checkpoint(turn, prevent_cse=False)
+        carry, ys = jax.lax.scan(turn, carry, lanes, length=len(group.links))
         made = dict(zip(emitted["fresh"], ys, strict=True))
         out = [made.get(key, column) for key, column in emitted["out"]]
         return carry, jax.tree.unflatten(emitted["tree"], out)

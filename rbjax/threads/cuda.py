@@ -17,8 +17,8 @@ from rbjax.threads.c_source import PREAMBLE, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
 from rbjax.threads.lowering import Unsupported
 
-#: threads of a block: the first of these for which its rows fit into shared memory, or the last
-BLOCKS = (128, 64)
+#: threads of a block: a warp, which needs no others to wait for
+BLOCK = 32
 #: bytes of shared memory that a block stages its rows in
 SHARED_BYTES = 47 * 1024
 #: a row of few entries (about one sector of the cache) and one of many are read in place
@@ -83,10 +83,9 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
         raise Unsupported(
             f"{program.array_bytes} bytes of arrays in a thread, of at most {ARRAY_BYTES_UP_TO}"
         )
-    room = _room(program)
-    source = "\n".join(_lines(program, name, room))
-    grid = max(-(-math.prod(program.batch) // room.block), 1)
-    return Kernel(source, name, room.block, grid, program.summed)
+    source = "\n".join(_lines(program, name, _room(program)))
+    grid = max(-(-math.prod(program.batch) // BLOCK), 1)
+    return Kernel(source, name, BLOCK, grid, program.summed)
 
 
 @dataclass(frozen=True)
@@ -94,15 +93,13 @@ class Room:
     """What a block has in shared memory.
 
     staged: operands that it fetches, id -> entries of a row; whole: results whose rows are staged;
-    tiled: results that leave through a warp's tile; tile: its bytes a thread; complete: all fits.
+    tiled: results that leave through its tile; tile: bytes of that, a thread.
     """
 
-    block: int
     staged: dict[int, int]
     whole: dict[int, stores.Rows]
     tiled: dict[int, stores.Rows]
     tile: int
-    complete: bool
 
 
 def _pitch(row: int) -> int:
@@ -111,13 +108,8 @@ def _pitch(row: int) -> int:
 
 
 def _room(program: Written) -> Room:
-    found = [_fitted(program, block) for block in BLOCKS]
-    return next((room for room in found if room.complete), found[-1])
-
-
-def _fitted(program: Written, block: int) -> Room:
     """What fits: results that are staged whole, the smaller first, a tile, then operands."""
-    left, kinds = SHARED_BYTES // block, {a.id: a.dtype for a in program.results}
+    left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows, streams = stores.rows_of(program), stores.streamed(program)
     short = [key for key, row in rows.items() if stores.SHORT < row <= stores.WHOLE]
     whole = {key: stores.whole(kinds[key], rows[key]) for key in short}
@@ -140,25 +132,23 @@ def _fitted(program: Written, block: int) -> Room:
         if total + bytes <= left:
             total += bytes
             staged[key] = row
-    complete = len(staged) == len(wanted) and len(whole) == len(short) and streams <= {
-        *whole, *tiled}  # fmt: skip
-    return Room(block, staged, whole, tiled, tile, complete)
+    return Room(staged, whole, tiled, tile)
 
 
 def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
-    size, index, block = math.prod(program.batch), sample_index(program.batch), room.block
+    size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
-    yield f"#define BLOCK {block}"
+    yield f"#define BLOCK {BLOCK}"
     yield f"#define STREAMING {int(stores.STREAMING)}\nconstexpr int TURNS={stores.TURNS};"
     yield HEAD + stores.HEAD + PREAMBLE
     left = CONSTANT_BYTES
     for array in program.builder.tables:
         left -= array.size * array.dtype.itemsize
         yield table(array, "static __constant__" if left >= 0 else "static __device__ const")
-    yield f'extern "C" __global__ void __launch_bounds__({block}) {name}('
+    yield f'extern "C" __global__ void __launch_bounds__({BLOCK}) {name}('
     yield parameters(program, "__restrict__") + "){"
-    yield f"const long long first=(long long)blockIdx.x*{block};"
-    yield f"const int rows={size}ll-first<{block}?(int)({size}ll-first):{block};"
+    yield f"const long long first=(long long)blockIdx.x*{BLOCK};"
+    yield f"const int rows={size}ll-first<{BLOCK}?(int)({size}ll-first):{BLOCK};"
     # a thread beyond the batch repeats the last sample, which does no harm
     yield "const int own=(int)threadIdx.x<rows?(int)threadIdx.x:rows-1;"
     yield "const long long b=first+own;"
@@ -170,16 +160,13 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
             yield f"const {kind}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
         else:
             pitch = _pitch(row)
-            yield f"__shared__ {kind} s{k}[{pitch * block}];"
+            yield f"__shared__ {kind} s{k}[{pitch * BLOCK}];"
             yield f"fetch<{kind},{row},{pitch}>(s{k},p{k}+first*{row},rows);"
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
     if room.staged:
-        yield "__syncthreads();"
-    if room.whole or room.tiled:
-        yield "const int warp=threadIdx.x/32;"
-        yield "const int warp_rows=rows-32*warp<32?rows-32*warp:32;"
+        yield "__syncwarp();"
     if room.tiled:
-        yield f"__shared__ uint4 tiles[{room.tile * 2 * (block // 32)}];"
+        yield f"__shared__ uint4 tile[{room.tile * BLOCK // 16}];"
     tiles: dict[int, tuple[int, stores.Rows]] = {}
     leaving = []
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
@@ -189,36 +176,30 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
             yield f"{kind} y{k}[{max(array.size, 1)}];"
         elif key in room.whole:
             n, pitch = room.whole[key].size, room.whole[key].pitch
-            yield f"__shared__ uint4 o{k}[{room.whole[key].bytes * block // 16}];"
+            yield f"__shared__ uint4 o{k}[{room.whole[key].bytes * BLOCK // 16}];"
             yield f"{kind}* const y{k}=({kind}*)o{k}+threadIdx.x*{pitch};"
-            there, here = f"r{k}+(first+32*warp)*{n}", f"({kind}*)o{k}+warp*{32 * pitch}"
-            leaving.append(f"leave<{kind},{n},{pitch}>({there},{here},warp_rows);")
+            leaving.append(f"leave<{kind},{n},{pitch}>(r{k}+first*{n},({kind}*)o{k},rows);")
         elif key in room.tiled:
             tiles[key] = k, room.tiled[key]
-            yield f"{kind}* const w{k}=({kind}*)(tiles+warp*{room.tile * 2});"  # of 16 bytes
-            yield f"{kind}* const y{k}=r{k}+(first+32*warp)*{room.tiled[key].size};"
+            yield f"{kind}* const w{k}=({kind}*)tile;"
+            yield f"{kind}* const y{k}=r{k}+first*{room.tiled[key].size};"
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
     printer = stores.StorePrinter(names, tiles, stores.passing(program))
     yield from printer.lines(program.builder.block)
     yield from leaving
-    yield from _sums(program, block)
+    yield from _sums(program)
     yield "}"
 
 
-def _sums(program: Written, block: int) -> Iterator[str]:
+def _sums(program: Written) -> Iterator[str]:
     """Results of the whole batch: one partial sum a block."""
     for k, array in enumerate(program.results):
         if not program.summed[k] or not array.size:
             continue
-        kind, warps, n = c_type(array.dtype), block // 32, array.size
-        yield f"__shared__ {kind} u{k}[{warps}];"
+        kind, n = c_type(array.dtype), array.size
         yield "" if n <= 64 else "#pragma unroll 1"
         yield f"for(int i=0;i<{n};i++){{"
         yield f"const {kind} t=over_warp<{kind}>((int)threadIdx.x<rows?y{k}[i]:({kind})0);"
-        yield "__syncthreads();"
-        yield f"if(threadIdx.x%32==0)u{k}[threadIdx.x/32]=t;"
-        yield "__syncthreads();"
-        total = "+".join(f"u{k}[{w}]" for w in range(warps))
-        yield f"if(threadIdx.x==0)r{k}[(long long)blockIdx.x*{n}+i]={total};"
+        yield f"if(threadIdx.x==0)r{k}[(long long)blockIdx.x*{n}+i]=t;"
         yield "}"

@@ -22,18 +22,18 @@ from rbjax.threads.program import Load, Store, walk
 #: result rows of more entries than a sector has, and of at most these, are staged whole
 SHORT, WHOLE = 8, 128
 #: 4-byte entries of a piece of a longer row
-TILE = 32
+TILE = 128
 #: bytes of memory at whose multiples pieces begin; 0: anywhere
-ALIGN = 0
+ALIGN = 32
 #: rows of whole results that meet few conflicts lie without gaps, and are copied 16 bytes at a time
 WIDE = True
 #: entries of a tile's row in shared memory: 4 more than a multiple of 8, so that a thread stores 16
 #: bytes at a time; else odd
 FOURS = False
 #: stores that leave the cache first
-STREAMING = False
+STREAMING = True
 #: rows of a piece whose copies are written out in the code, eight at a time: 1, 2 or 4
-TURNS = 4
+TURNS = 1
 
 HEAD = """
 template <class T> QUALIFIED void put(T* to, T x) { *to = x; }
@@ -44,7 +44,7 @@ QUALIFIED void put(uint4* to, uint4 x) { __stcs(to, x); }
 #endif
 // a warp's whole rows, of N entries, to memory, where they lie without gaps
 template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, int rows) {
-  const int lane = threadIdx.x % 32;
+  const int lane = threadIdx.x;
   __syncwarp();
   if (PITCH == N && rows == 32) {
     constexpr int wide = 32 * N * sizeof(T) / 16;
@@ -60,7 +60,7 @@ template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, 
 // what a piece writes of row r: entries FROM to UPTO, but both ends lag, to where memory is aligned
 template <class T, int N, int FROM, int UPTO, int MARGIN, int PITCH>
 QUALIFIED void piece(T* to, const T* tile, int r, int lag) {
-  const int lane = threadIdx.x % 32, upto = UPTO < N ? UPTO - lag : N;
+  const int lane = threadIdx.x, upto = UPTO < N ? UPTO - lag : N;
 #pragma unroll
   for (int c = 0; c < UPTO - FROM + MARGIN; c += 32) {
     const int k = FROM - lag + c + lane;
@@ -88,7 +88,7 @@ QUALIFIED void flush(T* to, T* tile, int rows) {
   __syncwarp();
   if (UPTO < N)
     for (int c = 0; c < MARGIN; c++) {
-      T* const row = tile + threadIdx.x % 32 * PITCH;
+      T* const row = tile + threadIdx.x * PITCH;
       row[c] = row[c + UPTO - FROM];
     }
 }
@@ -201,11 +201,11 @@ class StorePrinter(Printer):
             return
         k, rows = self.tiles[statement.array.id]
         kind, at = c_type(rows.dtype), statement.offset % rows.width
-        place = f"threadIdx.x%32*{rows.pitch}+{rows.margin + at}"
+        place = f"threadIdx.x*{rows.pitch}+{rows.margin + at}"
         yield f"w{k}[{place}]={self.value(statement.value)};"
         upto = statement.offset + 1
         if rows.width == rows.size == upto:
-            yield f"leave<{kind},{rows.size},{rows.pitch}>(y{k},w{k},warp_rows);"
+            yield f"leave<{kind},{rows.size},{rows.pitch}>(y{k},w{k},rows);"
         elif at == rows.width - 1 or upto == rows.size:
             sizes = (rows.size, upto - 1 - at, upto, rows.align, rows.margin, rows.pitch)
-            yield f"flush<{kind},{','.join(map(str, sizes))}>(y{k},w{k},warp_rows);"
+            yield f"flush<{kind},{','.join(map(str, sizes))}>(y{k},w{k},rows);"
