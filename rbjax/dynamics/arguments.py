@@ -41,17 +41,18 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 
 
 def algorithm(
-    *names: str, pairs: bool = False, eliminates: bool = False
+    *names: str, pairs: bool = False, long: bool = False
 ) -> Callable[[Callable], Callable]:
     """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
 
     A `state` among the names is a `State`; names of bodies and sites are static. `pairs`: most of
-    the work is on pairs of links. `eliminates`: it is ABA's, link by link.
+    the work is on pairs of links. `long`: it has twice the statements of
+    the others, link by link.
     """
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
-        suited = functools.partial(for_threads, pairs=pairs, short=not (pairs or eliminates))
+        suited = functools.partial(for_threads, pairs=pairs, short=not (pairs or long))
         static = [n for n in ("body", "site") if n in signature.parameters]
 
         @functools.wraps(f)

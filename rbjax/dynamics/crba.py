@@ -69,7 +69,7 @@ def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
     return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
 
 
-@algorithm("q")
+@algorithm("q", long=True)
 def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     """M(q) (nv, nv), symmetric positive definite: kinetic energy = v^T M v / 2, armature included.
 

@@ -60,7 +60,8 @@ def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
 
 def on_threads(model: Model, dtype: Any, *, pairs: bool = False, short: bool = False) -> Model:
     """The model with the driver that suits a GPU thread, where it asks for none. `pairs`: what runs
-    works on all pairs of links, which no limb shortens. `short`: it eliminates no joints."""
+    works on all pairs of links, which no limb shortens. `short`: it has half of
+    the statements of ABA."""
     if model.driver != "auto":
         return model
     most = SHORT_UNROLLED_UP_TO if short else THREADS_UNROLLED_UP_TO

@@ -89,7 +89,7 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
     return forward(given, q, v, tau)
 
 
-@algorithm("q", "v", "tau", "wrenches", eliminates=True)
+@algorithm("q", "v", "tau", "wrenches", long=True)
 def forward_dynamics(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array, wrenches: jax.Array | None = None
 ) -> jax.Array:

@@ -1,9 +1,9 @@
-"""The frame of a program on a GPU: one thread a sample.
+"""The frame of a program on a GPU: one thread a sample, a warp a block.
 
-Rows of a batch-first operand are fetched by the whole block through shared memory, so that a warp
-reads whole lines; those of a batch-first result leave likewise (`stores`). Other layouts are read
-and written in place. What all samples share of a result (the cotangent of an operand without a
-batch) is added up over the block, one partial sum a block.
+Rows of a batch-first operand are fetched by the warp through shared memory, so that it reads whole
+lines; batch-first results leave likewise (`stores`). Other layouts are read and written in place.
+What all samples share of a result (the cotangent of an operand without a batch) is added up over
+the warp, one partial sum a block.
 """
 
 from __future__ import annotations
@@ -139,7 +139,6 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield f"#define BLOCK {BLOCK}"
-    yield f"#define STREAMING {int(stores.STREAMING)}\nconstexpr int TURNS={stores.TURNS};"
     yield HEAD + stores.HEAD + PREAMBLE
     left = CONSTANT_BYTES
     for array in program.builder.tables:

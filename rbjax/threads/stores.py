@@ -22,26 +22,11 @@ from rbjax.threads.program import Load, Store, walk
 #: result rows of more entries than a sector has, and of at most these, are staged whole
 SHORT, WHOLE = 8, 128
 #: 4-byte entries of a piece of a longer row
-TILE = 128
-#: bytes of memory at whose multiples pieces begin; 0: anywhere
+TILE = 256
+#: bytes of memory, a sector, at whose multiples pieces begin
 ALIGN = 32
-#: rows of whole results that meet few conflicts lie without gaps, and are copied 16 bytes at a time
-WIDE = True
-#: entries of a tile's row in shared memory: 4 more than a multiple of 8, so that a thread stores 16
-#: bytes at a time; else odd
-FOURS = False
-#: stores that leave the cache first
-STREAMING = True
-#: rows of a piece whose copies are written out in the code, eight at a time: 1, 2 or 4
-TURNS = 1
 
 HEAD = """
-template <class T> QUALIFIED void put(T* to, T x) { *to = x; }
-#if STREAMING
-QUALIFIED void put(float* to, float x) { __stcs(to, x); }
-QUALIFIED void put(double* to, double x) { __stcs(to, x); }
-QUALIFIED void put(uint4* to, uint4 x) { __stcs(to, x); }
-#endif
 // a warp's whole rows, of N entries, to memory, where they lie without gaps
 template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, int rows) {
   const int lane = threadIdx.x;
@@ -50,10 +35,10 @@ template <class T, int N, int PITCH> QUALIFIED void leave(T* to, const T* from, 
     constexpr int wide = 32 * N * sizeof(T) / 16;
 #pragma unroll
     for (int k = 0; k < wide; k += 32)
-      if (k + lane < wide) put((uint4*)to + k + lane, ((const uint4*)from)[k + lane]);
+      if (k + lane < wide) ((uint4*)to)[k + lane] = ((const uint4*)from)[k + lane];
   } else {
 #pragma unroll 8
-    for (int k = lane; k < rows * N; k += 32) put(to + k, from[PITCH == N ? k : k + k / N]);
+    for (int k = lane; k < rows * N; k += 32) to[k] = from[PITCH == N ? k : k + k / N];
   }
   __syncwarp();
 }
@@ -64,7 +49,7 @@ QUALIFIED void piece(T* to, const T* tile, int r, int lag) {
 #pragma unroll
   for (int c = 0; c < UPTO - FROM + MARGIN; c += 32) {
     const int k = FROM - lag + c + lane;
-    if (k < upto && (FROM || k >= 0)) put(to + r * N + k, tile[r * PITCH + MARGIN + k - FROM]);
+    if (k < upto && (FROM || k >= 0)) to[r * N + k] = tile[r * PITCH + MARGIN + k - FROM];
   }
 }
 // entries FROM to UPTO of each row of a warp, of N, from its tile to memory; the tile has room for
@@ -73,13 +58,11 @@ template <class T, int N, int FROM, int UPTO, int ALIGN, int MARGIN, int PITCH>
 QUALIFIED void flush(T* to, T* tile, int rows) {
   __syncwarp();
   if (rows == 32) {
-#pragma unroll TURNS
+#pragma unroll 1
     for (int r = 0; r < 32; r += 8)
 #pragma unroll
-      for (int i = 0; i < 8; i++) {
-        const int lag = (ALIGN > 8 ? r + i : i) * N % ALIGN;  // known where it repeats after eight
-        piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r + i, lag);
-      }
+      for (int i = 0; i < 8; i++)  // lags repeat after eight rows
+        piece<T, N, FROM, UPTO, MARGIN, PITCH>(to, tile, r + i, i * N % ALIGN);
   } else {
 #pragma unroll 1
     for (int r = 0; r < rows; r++)
@@ -118,7 +101,7 @@ class Rows:
 
 def whole(dtype: np.dtype, size: int) -> Rows:
     """Rows that leave at once; without gaps where at most two threads of a warp meet a bank."""
-    return Rows(dtype, size, size, 1, 0, size if WIDE and size % 4 else size | 1)
+    return Rows(dtype, size, size, 1, 0, size if size % 4 else size | 1)
 
 
 def pieces(dtype: np.dtype, size: int) -> Rows:
@@ -126,13 +109,9 @@ def pieces(dtype: np.dtype, size: int) -> Rows:
     width = TILE * 4 // max(dtype.itemsize, 4)
     if size <= width:
         return whole(dtype, size)
-    align = max(min(ALIGN // dtype.itemsize, 32), 1)  # 32 rows begin where memory is aligned
-    align = 1 if size % align == 0 else align
-    margin = align - 1
-    if not FOURS:
-        return Rows(dtype, size, width, align, margin, (width + margin) | 1)
-    margin = -(-margin // 4) * 4
-    return Rows(dtype, size, width, align, margin, (width + margin + 3) // 8 * 8 + 4)
+    align = ALIGN // max(dtype.itemsize, 4)  # 32 rows begin where memory is aligned
+    margin = 0 if size % align == 0 else align - 1
+    return Rows(dtype, size, width, margin + 1, margin, (width + margin) | 1)
 
 
 def rows_of(program: Written) -> dict[int, int]:
