@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics import drivers
+from rbjax.dynamics.devices import on_each_device
 from rbjax.dynamics.operations import operation_count
 from rbjax.integrators import INTEGRATORS
 from rbjax.model import Model, State, known_zeros, made_ahead
@@ -243,20 +244,23 @@ def _between(
 ) -> list[jax.Array]:  # fmt: skip
     """A rollout whose policy is evaluated by XLA, and whose steps are a kernel each."""
 
-    def act(i: jax.Array, q: jax.Array, v: jax.Array) -> jax.Array:
-        return jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
+    def act(args: list, /) -> Any:
+        def one(i: jax.Array, q: jax.Array, v: jax.Array) -> jax.Array:
+            return jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
+
+        return (jax.vmap(one, in_axes=(None, 0, 0)) if batched else one)(*args)
 
     def advance(i: jax.Array, q: jax.Array, v: jax.Array, u: jax.Array) -> list[jax.Array]:
         return run(step, [i, q, v, u, *shared])
 
     if batched:
-        act = jax.vmap(act, in_axes=(None, 0, 0))
+        act = on_each_device(act, [jnp.int32(0), q, v], [None, 0, 0], q.shape[0])
         advance = jax.vmap(advance, in_axes=(None, 0, 0, 0))
 
     @functools.partial(jax.checkpoint, prevent_cse=False)  # the network's inside is not kept
     def once(carry: Any, _: None) -> tuple[Any, None]:
         i, q, v = carry
-        return (i + 1, *advance(i, q, v, act(i, q, v))), None
+        return (i + 1, *advance(i, q, v, act([i, q, v]))), None
 
     def segment(carry: Any, _: None) -> tuple[Any, Any]:
         # a turn of XLA's loop costs as much as a small kernel

@@ -78,10 +78,11 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
         out_axis: where every result has its batch.
     """
 
-    def one_after_another(args: list, size: int) -> Any:
+    def one_after_another(args: list) -> Any:
+        size = next(x.shape[a] for x, a in zip(args, axes, strict=True) if a is not None)
         return _chunks(many, args, axes, size, out_axis)
 
-    return on_each_device(one_after_another, args, axes, size, out_axis)
+    return on_each_device(one_after_another, args, axes, size, out_axis)(args)
 
 
 def _chunks(many: Callable, args: list, axes: list[int | None], size: int, out_axis: int) -> Any:

@@ -1,8 +1,9 @@
-"""A batch that is spread over devices stays spread where XLA works through it in chunks.
+"""A batch that is spread over devices stays spread where XLA works through it in a loop.
 
-Slices across the whole batch would make XLA gather it. So the batch is parted first, into as many
-parts as there are devices, and all parts are worked through side by side: wherever the batch is
-spread evenly, a part lies on one device. (Threads on a GPU: `rbjax.threads.sharding`.)
+Slices across the whole batch would make XLA gather it, and what a loop's turns add up for all
+samples would be summed over the devices in every turn. So the batch is parted first, into as many
+parts as there are devices, which are worked through side by side: where the batch is spread
+evenly, a part lies on one device. (Threads on a GPU: `rbjax.threads.sharding`.)
 """
 
 from __future__ import annotations
@@ -24,35 +25,39 @@ def devices() -> int:
 
 
 def on_each_device(
-    f: Callable[[list, int], Any], args: list, axes: list[int | None], size: int, out_axis: int
-) -> Any:
-    """f(args, size) of a batch, in parts of which each lies on one device.
+    f: Callable[[list], Any], args: list, axes: list[int | None], size: int, out_axis: int = 0
+) -> Callable[[list], Any]:
+    """f of a batch, in parts of which each lies on one device.
 
-    Every part has its own copy of what all samples share, so a cotangent of that is summed over the
-    devices once, at the end, and not in every turn of a loop.
+    Every part has its own copy, made here, of what all samples share and f closes over. So where f
+    runs in a loop, a cotangent of that is summed over the devices once, at the end.
 
     Args:
-        f: of arguments in the layout given and of the number of their samples.
-        args, axes, size, out_axis: as for `batching.chunks`.
+        f: of arguments in the layout given, of any number of samples.
+        args: such as it will be called with.
+        axes, size, out_axis: as for `batching.chunks`.
     """
     parts = math.gcd(size, devices())
     if parts == 1:
-        return f(args, size)
+        return f
 
     def copies(x: jax.Array) -> jax.Array:
         return jnp.broadcast_to(x, (parts, *x.shape))
+
+    def split(args: list) -> list:
+        return [
+            jax.tree.map(copies, x) if a is None else parted(jnp.moveaxis(x, a, 0), a, parts)
+            for x, a in zip(args, axes, strict=True)
+        ]
 
     def joined(x: jax.Array) -> jax.Array:
         x = jnp.moveaxis(x, 0, -2) if out_axis else x
         return x.reshape(*x.shape[:-2], size) if out_axis else x.reshape(size, *x.shape[2:])
 
-    own = [
-        jax.tree.map(copies, x) if a is None else parted(jnp.moveaxis(x, a, 0), a, parts)
-        for x, a in zip(args, axes, strict=True)
-    ]
-    one = jax.eval_shape(lambda own: jax.tree.map(lambda x: x[0], own), own)
-    part, shared = jax.closure_convert(lambda args: f(args, size // parts), one)
-    return jax.tree.map(joined, jax.vmap(part)(own, *map(copies, shared)))
+    one = jax.eval_shape(lambda args: jax.tree.map(lambda x: x[0], split(args)), args)
+    part, shared = jax.closure_convert(f, one)
+    own = [copies(x) for x in shared]
+    return lambda args: jax.tree.map(joined, jax.vmap(part)(split(args), *own))
 
 
 def parted(x: jax.Array, axis: int, count: int) -> jax.Array:

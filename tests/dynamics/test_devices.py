@@ -15,6 +15,7 @@ import rbjax as rb
 from rbjax.dynamics import batching
 from tests.eight_devices import check, mesh, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples
+from tests.tolerances import F64_TRANSFORM, relative_error
 
 BOTH = P(("a", "b"))
 SIZE = 8 * 40  # three chunks of 16 a device, the last of which overlaps
@@ -105,6 +106,8 @@ def child_rollouts():
 
     out = rb.rollout(model, rb.State(q, v), us, 0.01)  # outside of any program
     assert out.q.sharding.is_equivalent_to(where, 3)
+    slope = jax.grad(lambda w: (rolled(q, v, policy(w), steps=4)[0] ** 2).sum())
+    assert relative_error(slope(W), jax.jit(slope)(W)) <= F64_TRANSFORM
 
     def total(*args):
         return jax.lax.psum(loss(*args), ("a", "b"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,8 @@ from jax.sharding import PartitionSpec as P
 import rbjax as rb
 from rbjax.threads.function import threaded
 from tests.eight_devices import check, mesh, on_eight_devices
+
+march, rollout = (importlib.import_module(f"rbjax.{name}") for name in ("march", "rollout"))
 
 
 def f(x, w):
@@ -96,6 +100,37 @@ def child_rollouts():
 
     check("in shard_map", rolled_there, (q, v), lambda q, v: rolled(False)(q, v)[1:3], where,
           spread=1)  # fmt: skip
+
+    def by_weights(kernel):
+        def total(w, q, v):
+            def policy(t, x):
+                return jnp.tanh(w @ x.q)
+
+            out = rb.rollout(model, rb.State(q, v), policy, 0.01, steps=4, kernel=kernel)
+            return (out.q[:, -1] ** 2).sum()
+
+        return jax.grad(total)
+
+    march.POLICY_UP_TO = 0  # a network between the steps
+    check("by weights", by_weights(True), (jnp.ones((1, 2)), q, v), by_weights(False), sums=1)
+
+
+def test_memory_is_that_of_each_device(monkeypatch):
+    """A batch as large again on two devices keeps as many states a sample as on one."""
+    model, steps = rb.load("cart_pole"), 100
+    us = jnp.zeros((steps, 1))
+
+    def kept(size, devices):
+        monkeypatch.setattr(rollout, "devices", lambda: devices)
+
+        def loss(q):
+            out = rb.rollout(model, rb.State(q, q), us, save_every=steps, kernel=True)
+            return (out.q**2).sum()
+
+        text = str(jax.make_jaxpr(jax.grad(loss))(jax.ShapeDtypeStruct((size, 2), jnp.float64)))
+        return next(n for n in (100, 50, 25) if f"[{n},2,{size}]" in text)
+
+    assert [kept(2**19, 1), kept(2**20, 1), kept(2**20, 2), kept(2**21, 2)] == [100, 50, 100, 50]
 
 
 def test_functions():
