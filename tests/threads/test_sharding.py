@@ -98,6 +98,15 @@ def child_rollouts():
         mass, q_bar = jax.grad(own, (0, 1))(masses, q, v)
         return q_bar, mass
 
+    def own_masses(kernel):
+        def one(mass, q, v):
+            return loss(mass, q[None], v[None], us, kernel)[0]
+
+        return lambda *x: jax.vmap(jax.grad(one, (0, 1)))(*x)
+
+    each = jax.device_put(masses * (1 + q[:, :1] ** 2), where)
+    own = jax.shard_map(own_masses(True), mesh=devices, in_specs=(both,) * 3, out_specs=both)
+    check("own masses in shard_map", own, (each, q, v), own_masses(False), where, 0)
     check("in shard_map", rolled_there, (q, v), lambda q, v: rolled(False)(q, v)[1:3], where,
           spread=1)  # fmt: skip
 
