@@ -18,7 +18,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics import drivers
+from rbjax.dynamics.devices import on_each_device
 from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing import opened
 from rbjax.integrators import INTEGRATORS
 from rbjax.model import Model, State, known_zeros, made_ahead
 from rbjax.pullback import Pullback
@@ -228,17 +230,20 @@ def on_threads(
     one = [x[0] if batched else x for x in (q, v)]
     between = policy is not None and _is_large(policy, dt, one)
     driven = ctrls is not None or between
+    moving, closed = opened((model, dt))
 
-    def once(i: jax.Array, q: jax.Array, v: jax.Array, *u: jax.Array) -> list[jax.Array]:
-        ctrl = u[0] if driven else None
+    def once(i: jax.Array, q: jax.Array, v: jax.Array, *rest: jax.Array) -> list[jax.Array]:
+        ctrl = rest[0] if driven else None
+        model, dt = closed(list(rest[driven:]))
         if policy is not None and not between:
             ctrl = jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
         return list(INTEGRATORS[integrator](model, q, v, ctrl, dt))
 
     control = [jnp.zeros(model.nu, q.dtype)] if driven else []
-    step, shared = trace(once, [jnp.int32(0), *one, *control])
-    known = [True] * len(shared) + [False] * (3 + driven)
-    step, shared = split(step, known, [*shared, *[None] * (3 + driven)])
+    step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
+    own = 3 + driven
+    known = [True] * len(shared) + [False] * own + [True] * len(moving)
+    step, shared = split(step, known, [*shared, *[None] * own, *moving])
     if between:
         return _between(step, shared, policy, q, v, dt, save_every, steps, batched, memory)
     march = functools.partial(March, step, 2, steps, save_every, driven)
@@ -253,13 +258,13 @@ def on_threads(
         return march(keep_every(save_every, steps, batch * each, memory)).program()
 
     program = Program(march(save_every).program().closed, sized=sized)
-    own = [q, v] if ctrls is None else [q, v, ctrls]
+    given = [q, v] if ctrls is None else [q, v, ctrls]
     f = functools.partial(_run, program)
     if batched:
-        shapes = [2, 2, 3][: len(own)]
-        axes = [0 if x.ndim == n else None for x, n in zip(own, shapes, strict=True)]
+        shapes = [2, 2, 3][: len(given)]
+        axes = [0 if x.ndim == n else None for x, n in zip(given, shapes, strict=True)]
         f = jax.vmap(f, in_axes=(*axes, *[None] * len(shared)))
-    return f(*own, *shared)
+    return f(*given, *shared)
 
 
 def _run(program: Program, *operands: jax.Array) -> list[jax.Array]:
@@ -277,20 +282,23 @@ def _between(
 ) -> list[jax.Array]:  # fmt: skip
     """A rollout whose policy is evaluated by XLA, and whose steps are a kernel each."""
 
-    def act(i: jax.Array, q: jax.Array, v: jax.Array) -> jax.Array:
-        return jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
+    def act(args: list, /) -> Any:
+        def one(i: jax.Array, q: jax.Array, v: jax.Array) -> jax.Array:
+            return jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
+
+        return (jax.vmap(one, in_axes=(None, 0, 0)) if batched else one)(*args)
 
     def advance(i: jax.Array, q: jax.Array, v: jax.Array, u: jax.Array) -> list[jax.Array]:
         return run(step, [i, q, v, u, *shared])
 
     if batched:
-        act = jax.vmap(act, in_axes=(None, 0, 0))
+        act = on_each_device(act, [jnp.int32(0), q, v], [None, 0, 0], q.shape[0])
         advance = jax.vmap(advance, in_axes=(None, 0, 0, 0))
 
     @functools.partial(jax.checkpoint, prevent_cse=False)  # the network's inside is not kept
     def once(carry: Any, _: None) -> tuple[Any, None]:
         i, q, v = carry
-        return (i + 1, *advance(i, q, v, act(i, q, v))), None
+        return (i + 1, *advance(i, q, v, act([i, q, v]))), None
 
     def segment(carry: Any, _: None) -> tuple[Any, Any]:
         # a turn of XLA's loop costs as much as a small kernel

@@ -20,6 +20,7 @@ import numpy as np
 from rbjax.compiling import compiled, staged
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
+from rbjax.dynamics.devices import devices
 from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.integrators import INTEGRATORS
@@ -41,7 +42,7 @@ def rollout(
     save_every: int = 1,
     steps: int | None = None,
     kernel: bool | None = None,
-    memory: float = 2**31,
+    memory: float | None = None,
 ) -> Trajectory:
     """Fixed steps of one state or of a batch of states: the throughput path.
 
@@ -61,7 +62,8 @@ def rollout(
         steps: how many steps, where ctrls does not tell.
         kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.
         memory: bytes that a reverse gradient of threads may keep states in, for the whole batch;
-            the fewer, the more steps run twice.
+            the fewer, the more steps run twice. None: 2 GiB for every device that a batch can be
+            spread over.
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
@@ -97,6 +99,7 @@ def rollout(
     traced = opened((model, state, values, step))[0]
     run = _run if traced and (policy is not None or staged()) else _compiled
     threads = wanted() if kernel is None else kernel
+    memory = 2**31 * devices() if memory is None else memory
     return run(
         model, state, values, step, policy, integrator, save_every, steps, batched, threads, memory
     )

@@ -80,20 +80,20 @@ REGISTRY = {
 MODEL = robot("small", "rolled").model
 
 
-def samples(names: tuple[str, ...]) -> list[np.ndarray]:
-    """Three of each named array, one behind the other; attitudes of unit length."""
-    q, v = robot("small").states(6)
+def samples(names: tuple[str, ...], n: int = 3) -> list[np.ndarray]:
+    """n of each named array, one behind the other; attitudes of unit length."""
+    q, v = robot("small").states(2 * n)
     rng = np.random.default_rng(0)
     bodies = MODEL.bodies
     drawn = {
-        "q": q[:3],
-        "q1": q[3:],
-        "v": v[:3],
-        "a": rng.normal(size=(3, 5)),
-        "ctrl": rng.uniform(-0.4, 0.4, (3, 5)),
-        "wrenches": rng.normal(size=(3, 4, 6)),
-        "mass": np.asarray(bodies.mass) * rng.uniform(0.5, 2, (3, 4)),
-        "com": np.asarray(bodies.com) + rng.normal(size=(3, 4, 3)),
+        "q": q[:n],
+        "q1": q[n:],
+        "v": v[:n],
+        "a": rng.normal(size=(n, 5)),
+        "ctrl": rng.uniform(-0.4, 0.4, (n, 5)),
+        "wrenches": rng.normal(size=(n, 4, 6)),
+        "mass": np.asarray(bodies.mass) * rng.uniform(0.5, 2, (n, 4)),
+        "com": np.asarray(bodies.com) + rng.normal(size=(n, 4, 3)),
     }
     return [drawn[name] for name in names]
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics.devices import on_each_device, parted
 from rbjax.dynamics.tracing import jvp_of, with_jvp
 
 #: samples that go together on the CPU, at most: more outgrow the cache
@@ -67,8 +68,7 @@ def divided(size: int) -> tuple[int, int]:
 
 
 def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_axis: int = 0) -> Any:
-    """many(args) on slices of a batch, one after another, each written to its place in the result;
-    the last one takes samples of its neighbour to be as long. (To pad it would copy the result.)
+    """many(args) on slices of a batch, one after another, on every device those of its own samples.
 
     Args:
         many: takes the arguments in the layout given, works on any number of samples.
@@ -77,6 +77,17 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
         size: of the batch.
         out_axis: where every result has its batch.
     """
+
+    def one_after_another(args: list) -> Any:
+        size = next(x.shape[a] for x, a in zip(args, axes, strict=True) if a is not None)
+        return _chunks(many, args, axes, size, out_axis)
+
+    return on_each_device(one_after_another, args, axes, size, out_axis)(args)
+
+
+def _chunks(many: Callable, args: list, axes: list[int | None], size: int, out_axis: int) -> Any:
+    """`chunks` on one device. Each slice's result is written to its place; the last slice takes
+    samples of its neighbour to be as long. (To pad it would copy the result.)"""
     count, chunk = divided(size)
     if count == 1:
         return many(args)
@@ -86,7 +97,7 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
         x = jnp.moveaxis(x, axis, 0)
         if size % chunk:
             x = jnp.concatenate([x[: chunk * (count - 1)], x[-chunk:]])
-        return jnp.moveaxis(x.reshape(count, chunk, *x.shape[1:]), 1, axis if axis else 1)
+        return parted(x, axis, count)
 
     slices = [split(x, a) for x, a in zip(args, axes, strict=True) if a is not None]
 
@@ -95,8 +106,9 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
         rest = iter(some)
         return many([x if a is None else next(rest) for x, a in zip(args, axes, strict=True)])
 
-    def whole(x: jax.ShapeDtypeStruct) -> jax.Array:
-        return jnp.zeros((*x.shape[:-1], size) if out_axis else (size, *x.shape[1:]), x.dtype)
+    def whole(x: jax.ShapeDtypeStruct) -> jax.Array:  # varies as x does, inside `shard_map`
+        shape = (*x.shape[:-1], size) if out_axis else (size, *x.shape[1:])
+        return jax.lax.full_like(x, 0, shape=shape)
 
     def once(out: Any, x: tuple) -> tuple[Any, None]:
         start, some = x
@@ -105,6 +117,6 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
         )
         return jax.tree.map(place, out, run(some)), None
 
-    one = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in slices]
-    places = jax.tree.map(whole, jax.eval_shape(run, one))
+    one = jax.eval_shape(lambda xs: run([x[0] for x in xs]), slices)
+    places = jax.tree.map(whole, one)
     return jax.lax.scan(once, places, (jnp.asarray(starts), slices))[0]

@@ -121,7 +121,7 @@ _MULTIPLICATIONS = {"mul", "square", "cumprod", "scatter-mul"}
 _ROOTS = {"sqrt", "rsqrt", "cbrt"}
 _TRIGONOMETRY = {
     "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
-    "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "logistic", "pow", "erf",
+    "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "log2", "logistic", "pow", "erf",
 }  # fmt: skip
 _REDUCTIONS = {"reduce_sum": "additions", "reduce_prod": "multiplications"}
 
@@ -199,6 +199,8 @@ def _primitive(eqn: Any) -> OperationCount:
         return OperationCount(additions=size)
     if name in _MULTIPLICATIONS:
         return OperationCount(multiplications=size)
+    if name == "one_minus_square":  # (1 + x) (1 - x)
+        return OperationCount(additions=2 * size, multiplications=size)
     if name == "integer_pow":
         return _integer_power(eqn.params["y"], size)
     if name in ("div", "rem"):

@@ -41,9 +41,9 @@ INFIX = {
 #: functions of C's mathematics, f appended for float
 MATH = {
     "sqrt": "sqrt", "cbrt": "cbrt", "exp": "exp", "exp2": "exp2", "expm1": "expm1", "log": "log",
-    "log1p": "log1p", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos",
-    "atan": "atan", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "asinh": "asinh",
-    "acosh": "acosh", "atanh": "atanh", "erf": "erf", "erfc": "erfc",
+    "log1p": "log1p", "log2": "log2", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "asin",
+    "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh",
+    "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "erf": "erf", "erfc": "erfc",
     "lgamma": "lgamma", "floor": "floor", "ceil": "ceil", "rint": "rint", "round": "round",
     "atan2": "atan2", "pow": "pow", "fmod": "fmod", "nextafter": "nextafter",
     "copysign": "copysign",

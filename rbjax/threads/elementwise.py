@@ -27,10 +27,10 @@ SAME = {
     "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "lt": "lt",
     "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
     "xor": "xor", "not": "not", "sqrt": "sqrt", "rsqrt": "rsqrt", "cbrt": "cbrt", "exp": "exp",
-    "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "sin": "sin", "cos": "cos",
-    "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh", "cosh": "cosh",
-    "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh", "erf": "erf",
-    "erfc": "erfc", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
+    "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "log2": "log2", "sin": "sin",
+    "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh",
+    "cosh": "cosh", "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh",
+    "erf": "erf", "erfc": "erfc", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
     "abs": "abs", "atan2": "atan2", "nextafter": "nextafter", "is_finite": "isfinite",
     "max": "max", "min": "min", "population_count": "popcount", "clz": "clz",
     "shift_left": "shl", "shift_right_logical": "shr", "shift_right_arithmetic": "sar",
@@ -111,6 +111,11 @@ def _pow(low: Lowering, eqn: Any, ins: list) -> list:
 def _square(low: Lowering, eqn: Any, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
+
+
+@rule("one_minus_square")  # from jax 0.11 on, in the derivatives of tanh, asin, acos, atanh
+def _one_minus_square(low: Lowering, eqn: Any, ins: list) -> list:
+    return low.evaluate(lambda x: (1 + x) * (1 - x), *ins, avals=[eqn.invars[0].aval])
 
 
 @rule("integer_pow")

@@ -80,7 +80,8 @@ def digamma(x: jax.Array) -> jax.Array:
     fraction = x - jnp.floor(x)  # tan has period pi: no angle is large
     turned = jnp.where(fraction > 0.5, fraction - 1, fraction)
     out = jnp.where(reflected, out - jnp.pi / jnp.tan(jnp.pi * turned), out)
-    return jnp.where((x <= 0) & (x == jnp.floor(x)), jnp.nan, out)
+    out = jnp.where((x < 0) & (x == jnp.floor(x)), jnp.nan, out)
+    return jnp.where(x == 0, -jnp.inf, out)
 
 
 def cumlogsumexp(x: jax.Array, *, axis: int, reverse: bool) -> jax.Array:

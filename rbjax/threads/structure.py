@@ -12,7 +12,7 @@ from rbjax.threads.lowering import Lowering, rule, writer
 
 
 @rule("materialize", "batch_first", "copy", "copy_p", "stop_gradient", "optimization_barrier",
-      "device_put", "sharding_constraint", "name", "pvary", "nonbatchable",
+      "device_put", "sharding_constraint", "name", "pvary", "reshard", "nonbatchable",
       "nondifferentiable_backward", "nontraceable")  # fmt: skip
 def _identity(low: Lowering, eqn: Any, ins: list) -> list:
     return list(ins)

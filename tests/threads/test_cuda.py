@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import rbjax as rb
 from rbjax.threads import stores
@@ -73,6 +74,24 @@ def total(x, w):
 )  # fmt: skip
 def test_a_kernel_a_derivative(gpu, g, args, count):
     assert calls(g, *args) == count
+
+
+def test_what_is_closed_over_may_lie_on_a_mesh(gpu):
+    """JAX then moves arrays to where they are."""
+    where = NamedSharding(Mesh(np.array(jax.devices()[:1]), ("a",)), PartitionSpec())
+    model, x = rb.load("cart_pole"), jnp.asarray(X[:, :2])
+    s, mass = jax.device_put((jnp.float64(2.0), model.bodies.mass), where)
+
+    def rolled(mass, x):
+        heavier = model.replace(bodies=model.bodies.replace(mass=mass))
+        return rb.rollout(heavier, rb.State(x, x), steps=2, kernel=True).q.sum()
+
+    def scaled(s, x):
+        return jax.vmap(threaded(lambda x: jax.lax.scan(
+            lambda c, _: (s * c + c.sum(), None), x, None, 3)[0]))(x).sum()  # fmt: skip
+
+    assert calls(jax.grad(rolled, (0, 1)), mass, x) == 2
+    assert calls(jax.grad(scaled, (0, 1)), s, x) == 1
 
 
 def test_integers_and_their_derivatives(gpu):

@@ -2,116 +2,149 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
+import importlib
 
-CHILD = """
-import jax, jax.numpy as jnp, numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec as P
-jax.config.update("jax_enable_x64", True)
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import NamedSharding
+from jax.sharding import PartitionSpec as P
+
 import rbjax as rb
 from rbjax.threads.function import threaded
-from tests.tolerances import F64_TRANSFORM, relative_error
+from tests.eight_devices import check, mesh, on_eight_devices
 
-assert jax.device_count() == 8
-mesh = Mesh(np.array(jax.devices()).reshape(4, 2), ("a", "b"))
-both, rows = P(("a", "b")), NamedSharding(mesh, P("a"))
-rng = np.random.default_rng(0)
-W, X = jnp.asarray(rng.normal(size=(5, 3))), jnp.asarray(rng.normal(size=(16, 3)))
+march, rollout = (importlib.import_module(f"rbjax.{name}") for name in ("march", "rollout"))
+
 
 def f(x, w):
     return jnp.tanh(w @ x)
 
+
 def loss(h):
     return lambda x, w: (jax.vmap(h, (0, None))(x, w) ** 2).sum()
 
-def check(what, make, args, want, sharding=None, sums=None):
-    '''make(args) is want(args unsharded), without gathering, with the sharding of the results.'''
-    compiled = jax.jit(make).lower(*args).compile()
-    text, got = compiled.as_text(), compiled(*args)
-    expected = want(*jax.tree.map(lambda x: jax.device_put(x, jax.devices()[0]), args))
-    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
-        assert relative_error(a, b) <= F64_TRANSFORM, what
-    assert "all-gather" not in text and "all-to-all" not in text, what
-    if sums is not None:
-        assert text.count(" all-reduce(") + text.count(" all-reduce-start(") == sums, (what, text)
-    if sharding is not None:
-        first = jax.tree.leaves(got)[0]
-        assert first.sharding.is_equivalent_to(sharding, first.ndim), (what, first.sharding)
 
 def mapped(h):
     return jax.vmap(h, (0, None))
 
-g = threaded(f)
-for spec in (P("a"), both):
-    where = NamedSharding(mesh, spec)
+
+def child_functions():
+    devices, both = mesh(), P(("a", "b"))
+    rng = np.random.default_rng(0)
+    W, X = jnp.asarray(rng.normal(size=(5, 3))), jnp.asarray(rng.normal(size=(16, 3)))
+    g = threaded(f)
+    for spec in (P("a"), both):
+        where = NamedSharding(devices, spec)
+        x = jax.device_put(X, where)
+        check("values", mapped(g), (x, W), mapped(f), where, 0)
+        check("gradient, own and shared", jax.grad(loss(g), (0, 1)), (x, W),
+              jax.grad(loss(f), (0, 1)), where, 1, spread=1)  # fmt: skip
+        check("jacfwd", mapped(jax.jacfwd(g)), (x, W), mapped(jax.jacfwd(f)), where, 0)
+
+    last = NamedSharding(devices, P(None, ("a", "b")))
+    check("batch last", lambda x: jax.vmap(g, (-1, None), -1)(x, W), (jax.device_put(X.T, last),),
+          lambda x: jax.vmap(f, (-1, None), -1)(x, W), last, 0)  # fmt: skip
+
+    def pairs(h):
+        return jax.vmap(jax.vmap(h, (0, None)), (None, 0))
+
+    ws = jax.device_put(jnp.stack([W, -W]), NamedSharding(devices, P("b")))
+    x = jax.device_put(X, NamedSharding(devices, P("a")))
+    check("two axes", pairs(g), (x, ws), pairs(f), NamedSharding(devices, P("b", "a")), 0)
+
+    def own(h):
+        return jax.shard_map(mapped(h), mesh=devices, in_specs=(both, P()), out_specs=both)
+
+    where = NamedSharding(devices, both)
     x = jax.device_put(X, where)
-    check("values", mapped(g), (x, W), mapped(f), where, 0)
-    check("gradient, own and shared", jax.grad(loss(g), (0, 1)), (x, W), jax.grad(loss(f), (0, 1)),
-          where, 1)
-    check("jacfwd", mapped(jax.jacfwd(g)), (x, W), mapped(jax.jacfwd(f)), where, 0)
+    check("shard_map", own(g), (x, W), mapped(f), where, 0)
+    total = jax.shard_map(
+        lambda x, w: jax.lax.psum(loss(g)(x, w), ("a", "b")),
+        mesh=devices, in_specs=(both, P()), out_specs=P(),
+    )  # fmt: skip
+    check("its gradient", jax.grad(total, (0, 1)), (x, W), jax.grad(loss(f), (0, 1)), where,
+          spread=1)  # fmt: skip
 
-last = NamedSharding(mesh, P(None, both[0]))
-check("batch last", lambda x: jax.vmap(g, (-1, None), -1)(x, W), (jax.device_put(X.T, last),),
-      lambda x: jax.vmap(f, (-1, None), -1)(x, W), last, 0)
 
-def pairs(h):
-    return jax.vmap(jax.vmap(h, (0, None)), (None, 0))
+def child_rollouts():
+    model, devices, both = rb.load("cart_pole"), mesh(), P(("a", "b"))
+    where = NamedSharding(devices, both)
+    state = jax.vmap(model.random_state)(jax.random.split(jax.random.key(0), 16))
+    q, v = jax.device_put((state.q, state.v), where)
+    masses, us = model.bodies.mass, jnp.zeros((4, 1))
 
-ws = jax.device_put(jnp.stack([W, -W]), NamedSharding(mesh, P("b")))
-x = jax.device_put(X, rows)
-check("two axes", pairs(g), (x, ws), pairs(f), NamedSharding(mesh, P("b", "a")), 0)
-
-model = rb.load("cart_pole")
-state = jax.vmap(model.random_state)(jax.random.split(jax.random.key(0), 16))
-masses, us = model.bodies.mass, jnp.zeros((4, 1))
-
-def rolled(kernel):
-    def loss(mass, q, v, us):
+    def loss(mass, q, v, us, kernel):
         heavier = model.replace(bodies=model.bodies.replace(mass=mass))
         out = rb.rollout(heavier, rb.State(q, v), us, 0.01, kernel=kernel)
         return (out.q[:, -1] ** 2).sum(), out.q
-    gradient = jax.grad(loss, (0, 1, 3), has_aux=True)
-    def f(q, v):
-        (mass, q_bar, u_bar), path = gradient(masses, q, v, us)
-        return path, q_bar, mass, u_bar
-    return f
 
-where = NamedSharding(mesh, both)
-q, v = jax.device_put((state.q, state.v), where)
-check("rollout", rolled(True), (q, v), rolled(False), where)
+    def rolled(kernel):
+        gradient = jax.grad(loss, (0, 1, 3), has_aux=True)
 
-def own(h):
-    return jax.shard_map(mapped(h), mesh=mesh, in_specs=(both, P()), out_specs=both)
+        def f(q, v):
+            (mass, q_bar, u_bar), path = gradient(masses, q, v, us, kernel)
+            return path, q_bar, mass, u_bar
 
-x = jax.device_put(X, where)
-check("shard_map", own(g), (x, W), mapped(f), where, 0)
-total = jax.shard_map(
-    lambda x, w: jax.lax.psum(loss(g)(x, w), ("a", "b")), mesh=mesh, in_specs=(both, P()),
-    out_specs=P())
-check("its gradient", jax.grad(total, (0, 1)), (x, W), jax.grad(loss(f), (0, 1)), where)
+        return f
 
-def rolled_there(q, v):
-    def loss(mass, q, v):
-        heavier = model.replace(bodies=model.bodies.replace(mass=mass))
-        out = rb.rollout(heavier, rb.State(q, v), us, 0.01, kernel=True)
-        return jax.lax.psum((out.q[:, -1] ** 2).sum(), ("a", "b"))
-    own = jax.shard_map(loss, mesh=mesh, in_specs=(P(), both, both), out_specs=P())
-    mass, q_bar = jax.grad(own, (0, 1))(masses, q, v)
-    return q_bar, mass
+    check("rollout", rolled(True), (q, v), rolled(False), where, spread=2)
 
-check("rollout in shard_map", rolled_there, (q, v), lambda q, v: rolled(False)(q, v)[1:3], where)
-print("fine")
-"""
+    def rolled_there(q, v):
+        def total(mass, q, v):
+            return jax.lax.psum(loss(mass, q, v, us, True)[0], ("a", "b"))
+
+        own = jax.shard_map(total, mesh=devices, in_specs=(P(), both, both), out_specs=P())
+        mass, q_bar = jax.grad(own, (0, 1))(masses, q, v)
+        return q_bar, mass
+
+    def own_masses(kernel):
+        def one(mass, q, v):
+            return loss(mass, q[None], v[None], us, kernel)[0]
+
+        return lambda *x: jax.vmap(jax.grad(one, (0, 1)))(*x)
+
+    each = jax.device_put(masses * (1 + q[:, :1] ** 2), where)
+    own = jax.shard_map(own_masses(True), mesh=devices, in_specs=(both,) * 3, out_specs=both)
+    check("own masses in shard_map", own, (each, q, v), own_masses(False), where, 0)
+    check("in shard_map", rolled_there, (q, v), lambda q, v: rolled(False)(q, v)[1:3], where,
+          spread=1)  # fmt: skip
+
+    def by_weights(kernel):
+        def total(w, q, v):
+            def policy(t, x):
+                return jnp.tanh(w @ x.q)
+
+            out = rb.rollout(model, rb.State(q, v), policy, 0.01, steps=4, kernel=kernel)
+            return (out.q[:, -1] ** 2).sum()
+
+        return jax.grad(total)
+
+    march.POLICY_UP_TO = 0  # a network between the steps
+    check("by weights", by_weights(True), (jnp.ones((1, 2)), q, v), by_weights(False), sums=1)
 
 
-def test_a_spread_batch_stays_spread():
-    flags = "--xla_force_host_platform_device_count=8"
-    child = subprocess.run(
-        [sys.executable, "-c", CHILD], capture_output=True, text=True,
-        env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
-        cwd=Path(__file__).parents[2],
-    )  # fmt: skip
-    assert child.stdout == "fine\n", child.stderr
+def test_memory_is_that_of_each_device(monkeypatch):
+    """A batch as large again on two devices keeps as many states a sample as on one."""
+    model, steps = rb.load("cart_pole"), 100
+    us = jnp.zeros((steps, 1))
+
+    def kept(size, devices):
+        monkeypatch.setattr(rollout, "devices", lambda: devices)
+
+        def loss(q):
+            out = rb.rollout(model, rb.State(q, q), us, save_every=steps, kernel=True)
+            return (out.q**2).sum()
+
+        text = str(jax.make_jaxpr(jax.grad(loss))(jax.ShapeDtypeStruct((size, 2), jnp.float64)))
+        return next(n for n in (100, 50, 25) if f"[{n},2,{size}]" in text)
+
+    assert [kept(2**19, 1), kept(2**20, 1), kept(2**20, 2), kept(2**21, 2)] == [100, 50, 100, 50]
+
+
+def test_functions():
+    on_eight_devices(child_functions)
+
+
+def test_rollouts():
+    on_eight_devices(child_rollouts)

@@ -1,0 +1,139 @@
+"""A batch that is spread over devices stays spread under XLA: every algorithm, and rollouts."""
+
+from __future__ import annotations
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import NamedSharding
+from jax.sharding import PartitionSpec as P
+
+import rbjax as rb
+from rbjax.dynamics import batching
+from tests.eight_devices import check, mesh, on_eight_devices
+from tests.test_registry import MODEL, REGISTRY, samples
+from tests.tolerances import F64_TRANSFORM, relative_error
+
+BOTH = P(("a", "b"))
+SIZE = 8 * 40  # three chunks of 16 a device, the last of which overlaps
+
+
+def placed(xs, spec=BOTH):
+    return jax.device_put(tuple(map(jnp.asarray, xs)), NamedSharding(mesh(), spec))
+
+
+def heavier(model, mass):
+    return model.replace(bodies=model.bodies.replace(mass=mass))
+
+
+def child_algorithms():
+    """All of them in one program, and their gradient by shared masses."""
+    batching.CPU_CHUNK = 16
+    names = sorted({name for entry in REGISTRY.values() for name in entry.arrays} - {"mass", "com"})
+    xs = placed(samples(tuple(names), SIZE))
+    mass, com = (np.asarray(x) for x in (MODEL.bodies.mass, MODEL.bodies.com))
+
+    def everything(model, *xs):
+        given = dict(zip(names, xs, strict=True))
+        out = {}
+        for name, entry in REGISTRY.items():
+            arrays = [given[n] for n in entry.arrays if n in given]
+            if arrays:
+                f = functools.partial(entry.function, model, **entry.rest)
+                out[name] = jax.vmap(f)(*arrays)
+        return out
+
+    check("algorithms", functools.partial(everything, MODEL), xs,
+          sharding=NamedSharding(mesh(), BOTH), sums=0)  # fmt: skip
+
+    def loss(mass, *xs):
+        out = everything(heavier(MODEL, mass), *xs)
+        return sum((x * x).sum() for name in SOME for x in jax.tree.leaves(out[name]))
+
+    check("by shared masses", jax.grad(loss), (mass, *xs))
+    check("by each sample's", jax.vmap(lambda m, c: rb.inertial_parameters(
+        MODEL.replace(bodies=MODEL.bodies.replace(mass=m, com=c)))),
+        placed((np.tile(mass, (SIZE, 1)), np.tile(com, (SIZE, 1, 1)))), sums=0)  # fmt: skip
+
+
+SOME = ("forward_dynamics", "inverse_dynamics", "mass_matrix", "forward_kinematics")
+
+
+@pytest.mark.slow
+def test_every_algorithm():
+    on_eight_devices(child_algorithms)
+
+
+def child_rollouts():
+    batching.CPU_CHUNK = 16
+    model = rb.load("cart_pole")
+    where = NamedSharding(mesh(), BOTH)
+    rng = np.random.default_rng(0)
+    W = jnp.asarray(rng.normal(size=(1, 4)))
+    q, v, us = placed([rng.normal(size=s) for s in ((SIZE, 2), (SIZE, 2), (SIZE, 4, 1))])
+
+    def rolled(q, v, us, mass=model.bodies.mass, **how):
+        out = rb.rollout(heavier(model, mass), rb.State(q, v), us, 0.01, **how)
+        return out.q, out.v
+
+    def policy(w):
+        return lambda t, x: jnp.tanh(w @ jnp.concatenate([x.q, x.v]))
+
+    def loss(q, v, us, w, mass):
+        ways = rolled(q, v, us, mass, save_every=2), rolled(q, v, policy(w), mass, steps=4)
+        return sum((x[:, -1] ** 2).sum() for x in jax.tree.leaves(ways))
+
+    mass = model.bodies.mass
+    check("rollout", rolled, (q, v, us), sharding=where, sums=0)
+    check("under a policy", lambda q, v, w: rolled(q, v, policy(w), steps=4), (q, v, W),
+          sharding=where, sums=0)  # fmt: skip
+    check("by state and controls", jax.grad(lambda *x: loss(*x, W, mass), (0, 1)), (q, v, us),
+          sharding=where)  # fmt: skip
+    for name, f, shared in (
+        ("weights", lambda w, m, q, v: rolled(q, v, policy(w), m, steps=4), W),
+        ("controls", lambda u, m, q, v: rolled(q, v, u, m), us[0]),
+    ):
+        total = functools.partial(lambda f, *x: (f(*x)[0][:, -1] ** 2).sum(), f)
+        check(f"by shared masses and {name}", jax.grad(total, (0, 1)), (shared, mass, q, v),
+              sums=1)  # fmt: skip
+    check("along a tangent", lambda q, v, us: jax.jvp(rolled, (q, v, us), (v, q, us)), (q, v, us),
+          sharding=where, sums=0)  # fmt: skip
+    ways = jax.vmap(lambda u: rolled(q, v, u))
+    check("two axes", ways, (jax.device_put(us[:3], NamedSharding(mesh(), P())),), sums=0)
+
+    out = rb.rollout(model, rb.State(q, v), us, 0.01)  # outside of any program
+    assert out.q.sharding.is_equivalent_to(where, 3)
+    slope = jax.grad(lambda w: (rolled(q, v, policy(w), steps=4)[0] ** 2).sum())
+    assert relative_error(slope(W), jax.jit(slope)(W)) <= F64_TRANSFORM
+
+    def total(*args):
+        return jax.lax.psum(loss(*args), ("a", "b"))
+
+    own = functools.partial(jax.shard_map, mesh=mesh())
+    specs = (BOTH, BOTH, BOTH)
+    check("in shard_map", own(rolled, in_specs=specs, out_specs=BOTH), (q, v, us), rolled, where, 0)
+    parted = own(lambda *x: total(*x, W, mass), in_specs=specs, out_specs=P())
+    check("its gradient", jax.grad(parted), (q, v, us), jax.grad(lambda *x: loss(*x, W, mass)),
+          where)  # fmt: skip
+    parted = own(total, in_specs=(*specs, P(), P()), out_specs=P())
+    shared = jax.grad(parted, (3, 4)), (q, v, us, W, mass), jax.grad(loss, (3, 4))
+    check("its gradient by what is shared", *shared)
+
+
+def test_rollouts():
+    on_eight_devices(child_rollouts)
+
+
+@pytest.mark.parametrize("size", [320, 12, 7, 1])
+def test_parts_are_the_batch(monkeypatch, size):
+    """The same on one device, which is told that there are eight."""
+    monkeypatch.setattr("rbjax.dynamics.devices.devices", lambda: 8)
+    monkeypatch.setattr(batching, "CPU_CHUNK", 16)
+    x, y = np.arange(2.0 * size).reshape(2, size), np.array([3.0, 4.0])
+    got = batching.chunks(lambda a: a[0] * a[1][:, None], [x, y], [-1, None], size, -1)
+    np.testing.assert_array_equal(got, x * y[:, None])
+    got = batching.chunks(lambda a: a[0] * a[1], [x.T, y], [0, None], size)
+    np.testing.assert_array_equal(got, x.T * y)
