@@ -20,7 +20,7 @@ import numpy as np
 from rbjax.compiling import compiled, staged
 from rbjax.dynamics.arguments import check_arrays, check_quaternions
 from rbjax.dynamics.batching import chunks
-from rbjax.dynamics.devices import devices
+from rbjax.dynamics.devices import memory_share
 from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.integrators import INTEGRATORS
@@ -62,8 +62,8 @@ def rollout(
         steps: how many steps, where ctrls does not tell.
         kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.
         memory: bytes that a reverse gradient of threads may keep states in, for the whole batch;
-            the fewer, the more steps run twice. None: 2 GiB for every device that a batch can be
-            spread over.
+            the fewer, the more steps run twice. None: an eighth of the memory of the devices that
+            a batch can be spread over.
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
@@ -99,7 +99,7 @@ def rollout(
     traced = opened((model, state, values, step))[0]
     run = _run if traced and (policy is not None or staged()) else _compiled
     threads = wanted() if kernel is None else kernel
-    memory = 2**31 * devices() if memory is None else memory
+    memory = memory_share() if memory is None else memory
     return run(
         model, state, values, step, policy, integrator, save_every, steps, batched, threads, memory
     )

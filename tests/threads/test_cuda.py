@@ -232,7 +232,7 @@ def test_only_what_is_written_at_once_leaves_through_the_tile(in_turn, read):
             b.load(array, None, 0)
     layout = Layout((64, 3), (0,))
     program = Written(b, (), tuple(both), ((), (layout, layout)), (64,), (False, False))
-    assert ("tile[" in kernel(program).source) == (not in_turn and not read)
+    assert ("uint4 tile[" in kernel(program).source) == (not in_turn and not read)
 
 
 def test_sums_are_taken_in_the_block():

@@ -14,7 +14,9 @@ import rbjax as rb
 from rbjax.threads.function import threaded
 from tests.eight_devices import check, mesh, on_eight_devices
 
-march, rollout = (importlib.import_module(f"rbjax.{name}") for name in ("march", "rollout"))
+march, places = (
+    importlib.import_module(f"rbjax.{name}") for name in ("march", "dynamics.devices")
+)
 
 
 def f(x, w):
@@ -130,7 +132,7 @@ def test_memory_is_that_of_each_device(monkeypatch):
     us = jnp.zeros((steps, 1))
 
     def kept(size, devices):
-        monkeypatch.setattr(rollout, "devices", lambda: devices)
+        monkeypatch.setattr(places, "devices", lambda: devices)
 
         def loss(q):
             out = rb.rollout(model, rb.State(q, q), us, save_every=steps, kernel=True)
