@@ -16,6 +16,7 @@ and that of S_i cancel. For forward dynamics the columns are solved with ABA's f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -32,12 +33,26 @@ from rbjax.dynamics.composites import (
     twice_coriolis,
     twice_coriolis_transposed,
 )
-from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.columns import (
+    by_column,
+    kernel,
+    lane_rows,
+    pair_columns_of,
+    row,
+    rows_of,
+    solved,
+)
+from rbjax.dynamics.drivers import Driver, driver, on_threads
 from rbjax.dynamics.inverse import InverseMass
 from rbjax.dynamics.pairs import pair_matrix, with_armature
 from rbjax.lanes import Lane, Sym3, Vec3, add
-from rbjax.model import Model, Topology
+from rbjax.materialize import batch_last
+from rbjax.model import Model, Topology, prepare
 from rbjax.spatial import Force, Motion, RigidInertia
+from rbjax.threads import threaded
+
+#: designs to be timed: accelerations in a kernel of their own; products with M^-1 by XLA
+SPLIT, PRODUCTS = True, False
 
 
 class InverseDynamicsDerivatives(NamedTuple):
@@ -68,8 +83,11 @@ class Operands(NamedTuple):
     column_v: tuple[Lane, ...]
 
 
-def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
-    """`Operands` at accelerations `a` per link, each of them in the form of `Driver.whole`."""
+def operands(
+    d: Driver, poses: Any, S: Any, v: jax.Array, a: Any, kept: Callable | None = None, *given: Any
+) -> Any:
+    """`Operands` at accelerations `a` per link, or what kept(pose, S, operands, *given) makes of
+    those of each link; per link."""
     V = link_twists(d, S, v)
     base = Motion(Vec3.zero(), -d.prepared.gravity)
     before = [_before(d.topology, i) for i in range(d.topology.nv)]
@@ -85,7 +103,7 @@ def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
     A_before = d.take(A, before, base)
 
     def gather(x, children):
-        link, (pose, S, V, A, T, V_before, A_before) = x
+        link, (pose, S, V, A, T, V_before, A_before), *more = x
         inertia = pose.rigid_to_parent(link.inertia)
         block = coriolis_block(inertia, V)
         own = inertia, block, inertia(A) + V.cross_force(block[1])
@@ -94,7 +112,7 @@ def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
         bend = A_before.cross(S) + V_before.cross(drift)
         both = drift * 2.0 if no_balls else drift + T.cross(S)
         IS = inertia(S)
-        return composite, Operands(
+        out = Operands(
             S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang),
             inertia(both) + twice_coriolis(block, S.ang),
             IS,
@@ -102,12 +120,17 @@ def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
             (*bend, *drift.ang),
             (*both, *S.ang),
         )
+        return composite, out if kept is None else kept(pose, S, out, *more)
 
     massless = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
     nothing = massless, (Sym3.zero(), Force.zero()), Force.zero()
     rows = d.zip(*map(d.rows, (poses, S, V, A, T, V_before, A_before)))
-    out = d.inward(gather, nothing, d.zip(d.constants, rows))
-    return Operands(*map(d.whole, d.unzip(out, len(Operands._fields))))
+    return d.inward(gather, nothing, d.zip(d.constants, rows, *given))
+
+
+def whole_operands(d: Driver, *args: Any) -> Operands:
+    """`operands`, each of them in the form of `Driver.whole`."""
+    return Operands(*map(d.whole, d.unzip(operands(d, *args), len(Operands._fields))))
 
 
 def _before(top: Topology, i: int) -> int:
@@ -119,7 +142,47 @@ def _before(top: Topology, i: int) -> int:
     return top.parents[i - link.part]
 
 
-@algorithm("q", "v", "a")
+def inverse_pairs(S: Any, x: Operands) -> tuple:
+    """What `pair_matrix` multiplies for dID/dq, dID/dv and M."""
+    return (
+        ((S, x.force_q), (x.row, x.column_q)),
+        ((S, x.force_v), (x.row, x.column_v)),
+        ((S, x.force_a), (x.force_a, S)),
+    )
+
+
+def inverse_by_columns(
+    model: Model, q: jax.Array, v: jax.Array, a: jax.Array
+) -> InverseDynamicsDerivatives:
+    """`inverse_dynamics_derivatives` as two kernels."""
+    model = on_threads(model, q.dtype)
+
+    def link(pose, S, x):
+        return row(v, S, x.row, *seconds(inverse_pairs(S, x)))
+
+    def links(q, v, a):
+        d = driver(model, q.dtype)
+        poses = tree_poses(d, d.joints(q, None))
+        S = link_axes(d, poses)
+        return rows_of(d, operands(d, poses, S, v, d.lanes(a), link), 57, v)
+
+    rows = kernel(links, *batch_last((q, v, a)))
+
+    def column(own, places, unit):
+        S, x = rows[:, :6], rows[:, 6:15]
+        armature = jnp.asarray(prepare(model, v.dtype).columns.armature, v.dtype)
+        *first, M = pair_columns_of([(S, x), (S, x), (S, x[:, :6])], own[15:], places)
+        return [*first, M + unit * armature]
+
+    return InverseDynamicsDerivatives(*by_column(model, rows, column))
+
+
+def seconds(pairs: tuple) -> list:
+    """The second factors of `pair_matrix`."""
+    return [b for pair in pairs for _, b in pair]
+
+
+@algorithm("q", "v", "a", apart=inverse_by_columns)
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
@@ -145,14 +208,54 @@ def inverse_dynamics_derivatives(
     d = driver(model, q.dtype)
     poses = tree_poses(d, d.joints(q, None))
     S = link_axes(d, poses)
-    x = operands(d, poses, S, v, d.lanes(a))
-    by_q = pair_matrix(d, (S, x.force_q), (x.row, x.column_q), v)
-    by_v = pair_matrix(d, (S, x.force_v), (x.row, x.column_v), v)
-    M = pair_matrix(d, (S, x.force_a), (x.force_a, S), v)
+    x = whole_operands(d, poses, S, v, d.lanes(a))
+    by_q, by_v, M = (pair_matrix(d, *pair, v) for pair in inverse_pairs(S, x))
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
-@algorithm("q", "v", "tau", pairs=True)
+def forward_by_columns(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
+) -> ForwardDynamicsDerivatives:
+    """`forward_dynamics_derivatives` as several kernels."""
+    model = on_threads(model, q.dtype)
+
+    def accelerations(q, v, tau):
+        d = driver(model, q.dtype)
+        a, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
+        _, _, U, inverse_D = d.unzip(factors, 4)
+        return lane_rows(d, d.zip(a, inverse_D, U), v)
+
+    def link(pose, S, x, inverse_D, U):
+        U = pose.T(Force.from_lanes(U))
+        return row(v, S, U, [inverse_D], x.row, *seconds(inverse_pairs(S, x)[:2]))
+
+    def links(q, v, found):
+        d = driver(model, q.dtype)
+        a, inverse_D, *U = map(d.lanes, found)
+        poses = tree_poses(d, d.joints(q, None))
+        S = link_axes(d, poses)
+        return rows_of(d, operands(d, poses, S, v, a, link, inverse_D, d.zip(*U)), 52, v)
+
+    args = batch_last((q, v, tau))
+    if SPLIT:
+        rows = kernel(links, *args[:2], threaded(accelerations)(*args))
+    else:
+        rows = kernel(lambda q, v, tau: links(q, v, accelerations(q, v, tau)), *args)
+
+    def column(own, places, unit):
+        S, x, factors = rows[:, :6], rows[:, 13:22], rows[:, :13]
+        X = pair_columns_of([(S, x), (S, x)], own[22:], places)
+        if PRODUCTS:
+            return [*X, solved(model, factors, unit)]
+        return [*(-solved(model, factors, x) for x in X), solved(model, factors, unit)]
+
+    *out, inverse = by_column(model, rows, column)
+    if PRODUCTS:
+        out = [-jnp.matmul(inverse, x, precision=jax.lax.Precision.HIGHEST) for x in out]
+    return ForwardDynamicsDerivatives(*out, inverse)
+
+
+@algorithm("q", "v", "tau", pairs=True, apart=forward_by_columns)
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:
@@ -181,7 +284,6 @@ def forward_dynamics_derivatives(
     _, _, U, inverse_D = d.unzip(factors, 4)
     poses = tree_poses(d, joints)
     S = link_axes(d, poses)
-    x = operands(d, poses, S, v, a)
-    pairs = ((S, x.force_q), (x.row, x.column_q)), ((S, x.force_v), (x.row, x.column_v))
-    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*pairs)
+    x = whole_operands(d, poses, S, v, a)
+    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*inverse_pairs(S, x)[:2])
     return ForwardDynamicsDerivatives(by_q, by_v, inverse)

@@ -266,6 +266,10 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
     if not wanted:
         return wanted
     for eqn in reversed(jaxpr.eqns):
+        if eqn.primitive.name == "materialize":
+            for var, out in zip(eqn.invars, eqn.outvars, strict=True):
+                want(var, wanted.get(out) if out.aval.shape else None)
+            continue
         place = wanted.get(eqn.outvars[0]) if eqn.outvars else None
         if place is None:
             continue

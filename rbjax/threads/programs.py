@@ -22,6 +22,8 @@ class Program:
         are these, and more that `pull` reads.
     reads: the first of its results that `pull` reads, as `kept`.
     sized: the program that takes this one's place where a batch of a given size is differentiated.
+    apart: the same function as several kernels, for a batch of its own on a GPU; inside of another
+        program, and where a derivative is asked for, it is the one that was traced.
     """
 
     closed: ClosedJaxpr
@@ -29,6 +31,7 @@ class Program:
     keeping: Program | None = None
     reads: int = 0
     sized: Callable[[int], Program] | None = None
+    apart: Callable | None = None
     derived: dict[Any, Program] = field(default_factory=dict)
     split: dict[Any, tuple[ClosedJaxpr, Program]] = field(default_factory=dict)
 
