@@ -21,10 +21,13 @@ from rbjax.dynamics.packing import pack
 from rbjax.dynamics.pairs import pair_column, which_moves
 from rbjax.dynamics.unrolled import Unrolled
 from rbjax.lanes import Mat3, Vec3
-from rbjax.materialize import batch_first
+from rbjax.materialize import batch_first, batch_last
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion, Transform
 from rbjax.threads import side_by_side, threaded
+
+#: design to be timed: rows of links are written with the batch last, and XLA turns them about
+TURNED = False
 
 UNMOVED = Transform(Mat3.identity(), Vec3.zero())
 
@@ -47,7 +50,7 @@ def row(like: jax.Array, *lanes: Any) -> jax.Array:
 
 def kernel(f: Callable, *args: jax.Array) -> jax.Array:
     """f(*args) of a sample, as a kernel whose results have the batch first."""
-    return batch_first(threaded(f)(*args))
+    return batch_first(threaded(f)(*(batch_last(args) if TURNED else args)))
 
 
 def by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Array]:

@@ -166,7 +166,7 @@ def inverse_by_columns(
         S = link_axes(d, poses)
         return rows_of(d, operands(d, poses, S, v, d.lanes(a), link), 57, v)
 
-    rows = kernel(links, *batch_last((q, v, a)))
+    rows = kernel(links, q, v, a)
 
     def column(own, places, unit):
         S, x = rows[:, :6], rows[:, 6:15]
@@ -236,11 +236,10 @@ def forward_by_columns(
         S = link_axes(d, poses)
         return rows_of(d, operands(d, poses, S, v, a, link, inverse_D, d.zip(*U)), 52, v)
 
-    args = batch_last((q, v, tau))
     if SPLIT:
-        rows = kernel(links, *args[:2], threaded(accelerations)(*args))
+        rows = kernel(links, q, v, threaded(accelerations)(*batch_last((q, v, tau))))
     else:
-        rows = kernel(lambda q, v, tau: links(q, v, accelerations(q, v, tau)), *args)
+        rows = kernel(lambda q, v, tau: links(q, v, accelerations(q, v, tau)), q, v, tau)
 
     def column(own, places, unit):
         S, x, factors = rows[:, :6], rows[:, 13:22], rows[:, :13]

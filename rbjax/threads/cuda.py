@@ -9,7 +9,6 @@ of an operand without a batch) is added up over the block, one partial sum a blo
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,7 @@ from typing import Any
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
 from rbjax.threads.lowering import Unsupported
-from rbjax.threads.program import Array, Load, Store, walk
+from rbjax.threads.program import Array, Block, Load, Loop, Op, Store, Var, walk
 
 #: threads of a block, where its rows fit into shared memory; else half as many
 BLOCK = 128
@@ -25,6 +24,8 @@ BLOCK = 128
 SHARED_BYTES = 47 * 1024
 #: a row of few entries (about one sector of the cache) and one of many are read in place
 SHORT, ROW = 8, 128
+#: entries of a result's row that leave through the warp's tile where they are not the whole row
+RUN = 16
 #: bytes of constant memory that tables may take; what is beyond is read through the cache
 CONSTANT_BYTES = 48 * 1024
 #: NVRTC takes a minute for more statements
@@ -101,9 +102,10 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
             f"{program.array_bytes} bytes of arrays in a thread, of at most {ARRAY_BYTES_UP_TO}"
         )
     streams = _streamed(program)
-    tile = 33 * max((a.dtype.itemsize for a in program.results if a.id in streams), default=0)
+    through = {s.array.id for s in walk(program.builder.block) if id(s) in streams}
+    tile = 33 * max((a.dtype.itemsize for a in program.results if a.id in through), default=0)
     block, rows = _staged(program, tile)
-    source = "\n".join(_lines(program, name, block, rows, streams, tile))
+    source = "\n".join(_lines(program, name, block, rows, (streams, through), tile))
     grid = max(-(-math.prod(program.batch) // block), 1)
     return Kernel(source, name, block, grid, program.summed)
 
@@ -113,26 +115,67 @@ def _pitch(row: int) -> int:
     return row | 1
 
 
-def _streamed(program: Written) -> dict[int, int]:
-    """The batch-first results that are written once, from the first entry to the last, where all
-    threads pass, with no other result between, and never read: id -> entries of a row."""
-    results = {a.id for a in program.results}
-    stores = [
-        (s.array.id, s.base, s.offset)
-        for s in program.builder.block.statements
-        if isinstance(s, Store) and s.array.id in results
-    ]
-    used = Counter(
-        s.array.id for s in walk(program.builder.block) if isinstance(s, (Load, Store))
-    )
-    first = {key: n for n, (key, _, _) in reversed([*enumerate(stores)])}
+@dataclass(frozen=True)
+class Spot:
+    """Where a value waits in its warp's tile: column `at` of `width`, which go to memory from
+    `first` on once the last has come."""
+
+    at: int
+    width: int
+    first: int
+
+
+def _streamed(program: Written) -> dict[int, Spot]:
+    """The stores that go through the tile of their warp, by id: runs of consecutive entries of a
+    batch-first result that is never read, where all threads pass, with no other such result
+    between; whole rows, or long ones."""
+    read = {s.array.id for s in walk(program.builder.block) if isinstance(s, Load)}
+    rows = {
+        array.id: layout.rows(program.batch) or 0
+        for array, layout in zip(program.results, program.layouts[1], strict=True)
+        if array.id not in read
+    }
+    alike = _alike(program)
     found = {}
-    for array, layout in zip(program.results, program.layouts[1], strict=True):
-        row, start = layout.rows(program.batch), first.get(array.id, 0)
-        order = [(array.id, None, k) for k in range(row or 0)]
-        if row and row > 1 and stores[start : start + row] == order and used[array.id] == row:
-            found[array.id] = row
+    for run in _runs(program.builder.block, rows):
+        row = rows[run[0].array.id]
+        if row > 1 and len(run) >= min(row, RUN) and run[0].base in alike:
+            for k, store in enumerate(run):
+                at = k % 32
+                width = min(32, len(run) - k + at)
+                found[id(store)] = Spot(at, width, store.offset - at)
     return found
+
+
+def _alike(program: Written) -> set[Any]:
+    """The places in an array that are the same for all threads: those made of loops' counters."""
+    found: set[Any] = {None}
+    for s in walk(program.builder.block):
+        if isinstance(s, Loop):
+            found.add(s.counter)
+        elif isinstance(s, Op) and all(x in found for x in s.args if isinstance(x, Var)):
+            found.add(s.dest)
+    return found
+
+
+def _runs(block: Block, rows: dict[int, int]) -> Iterator[list[Store]]:
+    """Stores of consecutive entries of one of these results."""
+    run: list[Store] = []
+    for s in block.statements:
+        if isinstance(s, Store) and s.array.id in rows:
+            last = run[-1] if run else s
+            follows = s.array is last.array and s.base is last.base
+            if run and not (follows and s.offset == last.offset + 1):
+                yield run
+                run = []
+            run.append(s)
+        elif isinstance(s, Loop):
+            if run:
+                yield run
+                run = []
+            yield from _runs(s.body, rows)
+    if run:
+        yield run
 
 
 def _staged(program: Written, tile: int) -> tuple[int, dict[int, int]]:
@@ -155,27 +198,30 @@ def _staged(program: Written, tile: int) -> tuple[int, dict[int, int]]:
 
 
 class KernelPrinter(Printer):
-    """Prints statements; those that write a streamed result fill the warp's tile and empty it."""
+    """Prints statements; those that are streamed fill the warp's tile and empty it."""
 
-    def __init__(self, names: dict[int, str], streams: dict[int, tuple[int, int]]):
+    def __init__(
+        self, names: dict[int, str], streams: dict[int, Spot], rows: dict[int, tuple[int, int]]
+    ):
         super().__init__(names)
-        self.streams = streams
+        self.streams, self.rows = streams, rows
 
     def _lines(self, statement: Any) -> Iterator[str]:
-        if not (isinstance(statement, Store) and statement.array.id in self.streams):
+        spot = self.streams.get(id(statement))
+        if spot is None:
             yield from super()._lines(statement)
             return
-        k, row = self.streams[statement.array.id]
-        kind, at = c_type(statement.array.dtype), statement.offset % 32
-        yield f"w{k}[threadIdx.x%32*33+{at}]={self.value(statement.value)};"
-        if at == 31 or statement.offset == row - 1:
-            first = statement.offset - at
-            yield f"flush<{kind},{row},{at + 1}>(y{k}+{first},w{k},warp_rows);"
+        k, row = self.rows[statement.array.id]
+        yield f"w{k}[threadIdx.x%32*33+{spot.at}]={self.value(statement.value)};"
+        if spot.at == spot.width - 1:
+            kind, base = c_type(statement.array.dtype), statement.base
+            to = f"v{k}+{spot.first}" if base is None else f"v{k}+{self.value(base)}+{spot.first}"
+            yield f"flush<{kind},{row},{spot.width}>({to},w{k},warp_rows);"
 
 
 def _lines(
-    program: Written, name: str, block: int, rows: dict[int, int], streams: dict[int, int],
-    tile: int,
+    program: Written, name: str, block: int, rows: dict[int, int],
+    streamed: tuple[dict[int, Spot], set[int]], tile: int,
 ) -> Iterator[str]:  # fmt: skip
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
@@ -205,6 +251,7 @@ def _lines(
             yield f"const {kind}* x{k}=s{k}+own*{pitch};"
     if rows:
         yield "__syncthreads();"
+    streams, through = streamed
     if streams:
         yield f"__shared__ double tiles[{-(-tile * block // 8)}];"
         yield "const int warp=threadIdx.x/32;"
@@ -212,16 +259,16 @@ def _lines(
     places: dict[int, tuple[int, int]] = {}
     for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
         names[array.id] = f"y{k}"
-        kind, row = c_type(array.dtype), streams.get(array.id)
+        kind = c_type(array.dtype)
         if program.summed[k]:
             yield f"{kind} y{k}[{max(array.size, 1)}];"
-        elif row is None:
-            yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
-        else:
-            places[array.id] = k, row
+            continue
+        yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
+        if array.id in through:
+            places[array.id] = k, array.size
             yield f"{kind}* const w{k}=({kind}*)tiles+warp*{33 * 32};"
-            yield f"{kind}* const y{k}=r{k}+(first+32*warp)*{row};"
-    yield from KernelPrinter(names, places).lines(program.builder.block)
+            yield f"{kind}* const v{k}=r{k}+(first+32*warp)*{array.size};"
+    yield from KernelPrinter(names, streams, places).lines(program.builder.block)
     yield from _sums(program, block)
     yield "}"
 

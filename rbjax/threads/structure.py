@@ -86,10 +86,14 @@ def _tile(low: Lowering, eqn: Any, ins: list) -> list:
     return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
 
 
-@rule("stack")
-def _stack(low: Lowering, eqn: Any, ins: list) -> list:
-    axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
-    return [np.stack([low.scalars(x) for x in ins], axis)]
+@writer("stack")
+def _stack(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
+    if place is None:
+        return [tidy(np.stack([low.scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype)]
+    for k, x in enumerate(ins):
+        write(low.b, place.at(low.b, axis, np.int32(k)), x)
+    return [place]
 
 
 @rule("unstack")
