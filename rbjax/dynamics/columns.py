@@ -18,7 +18,8 @@ import numpy as np
 
 from rbjax.dynamics.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.composites import link_axes, tree_poses
-from rbjax.dynamics.drivers import driver, on_threads
+from rbjax.dynamics.drivers import Driver, driver, on_threads
+from rbjax.dynamics.joints import own_axis
 from rbjax.dynamics.operands import inverse_pairs, operands
 from rbjax.dynamics.packing import pack
 from rbjax.dynamics.pairs import pair_column, which_moves
@@ -58,7 +59,7 @@ def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> j
     d = driver(model, q.dtype)
     a, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
     _, _, U, inverse_D = d.unzip(factors, 4)
-    return jnp.stack(jax.tree.leaves(d.columns(d.zip(a, inverse_D, U), v)))
+    return _lane_rows(d, d.zip(a, inverse_D, U), v)
 
 
 def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> jax.Array:
@@ -77,17 +78,15 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """Each link's row for the inverse of the mass matrix."""
+    """X, U and 1 / D of each link, in its own axes (there f32 keeps more digits), as (19, nv)."""
     d = driver(model, q.dtype)
-    joints = d.joints(q, None)
-    _, _, U, inverse_D = map(d.whole, d.unzip(factorize(d, joints), 4))
-    poses = tree_poses(d, joints)
+    X, _, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
+    return _lane_rows(d, d.zip(X, U, inverse_D), q[:1])
 
-    def row(pose, S, U, inverse_D):
-        return *S, *pose.T(U), inverse_D
 
-    rows = d.each(row, poses, link_axes(d, poses), U, inverse_D)
-    return d.stack(rows, list, q)
+def _lane_rows(d: Driver, values: Any, like: jax.Array) -> jax.Array:
+    like = jnp.zeros(d.topology.nv, like.dtype)
+    return jnp.stack(jax.tree.leaves(d.columns(values, like)))
 
 
 def _seconds(pairs: tuple) -> list:
@@ -141,11 +140,11 @@ def forward_columns(model: Model, rows: jax.Array) -> tuple[jax.Array, ...]:
     def column(own, places, unit):
         x = _entries(rows, own, places, FORWARD, 2)
         if PRODUCTS:
-            one = _solved(model, inward, outward, unit[:, None])
-            return [*(jnp.stack(lanes) for lanes in zip(*x, strict=True)), one[:, 0]]
+            one = _solved(model, _factors(inward), _factors(outward), unit)
+            return [*(jnp.stack(lanes) for lanes in zip(*x, strict=True)), one]
         both = [jnp.stack([*lanes, one]) for lanes, one in zip(x, unit, strict=True)]
-        by_q, by_v, inverse = _solved(model, inward, outward, jnp.stack(both)).T
-        return [-by_q, -by_v, inverse]
+        solved = _solved(model, _factors(inward), _factors(outward), jnp.stack(both))
+        return [-solved[:, 0], -solved[:, 1], solved[:, 2]]
 
     *out, inverse = _by_column(model, rows, column)
     if PRODUCTS:
@@ -159,8 +158,18 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
     rows = _kernel(lambda q: inverse_mass_rows(model, q), q)
     inward, outward = batch_first((rows, rows))
 
+    axes = [own_axis(link) for link in model.topology.links]
+
+    def factors(rows):
+        lanes = [_lanes(rows[:, i], slice(None)) for i in range(model.nv)]
+        return [
+            Factor(Transform(Mat3(*x[:9]), Vec3(*x[9:12])), S, Force.from_lanes(x[12:18]), x[18])
+            for S, x in zip(axes, lanes, strict=True)
+        ]
+
     def column(j):
-        return [_solved(model, inward, outward, _unit(model, j, q)[:, None])[:, 0]]
+        unit = _unit(model, j, q)
+        return [_solved(model, factors(inward), factors(outward), unit)]
 
     return side_by_side(column, [_numbers(model)], [0])[0]
 
@@ -209,14 +218,18 @@ def _lanes(row: jax.Array, some: slice) -> list[Lane]:
     return [row[k] for k in range(*some.indices(row.shape[0]))]
 
 
-def _solved(model: Model, inward: jax.Array, outward: jax.Array, x: jax.Array) -> jax.Array:
-    """M^-1 x of columns (nv, columns). The rows come twice: what the way in has read is read again
-    on the way out, rather than kept in registers."""
-    d = Unrolled(model, None)
+def _factors(rows: jax.Array) -> list[Factor]:
+    """The factors of M in world axes."""
 
     def factor(row):
         S, (*U, inverse_D) = _lanes(row, AXIS), _lanes(row, FACTORS)
         return Factor(UNMOVED, Motion.from_lanes(S), Force.from_lanes(U), inverse_D)
 
-    first, again = ([factor(row) for row in rows] for rows in (inward, outward))
-    return d.pack(solve(d, first, d.lanes(x), again), x)
+    return [factor(row) for row in rows]
+
+
+def _solved(model: Model, inward: list, outward: list, x: jax.Array) -> jax.Array:
+    """M^-1 x of columns (nv, ...). The factors come twice: what the way in has read is read again
+    on the way out, rather than kept in registers."""
+    d = Unrolled(model, None)
+    return d.pack(solve(d, inward, d.lanes(x), outward), x)

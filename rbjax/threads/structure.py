@@ -11,8 +11,8 @@ from rbjax.threads.elementwise import LOOP_ABOVE
 from rbjax.threads.lowering import Lowering, rule, writer
 
 
-@rule("materialize", "batch_first", "batch_last", "copy", "copy_p", "stop_gradient", "optimization_barrier",
-      "device_put", "sharding_constraint", "name", "pvary", "nonbatchable",
+@rule("materialize", "batch_first", "batch_last", "copy", "copy_p", "stop_gradient",
+      "optimization_barrier", "device_put", "sharding_constraint", "name", "pvary", "nonbatchable",
       "nondifferentiable_backward", "nontraceable")  # fmt: skip
 def _identity(low: Lowering, eqn: Any, ins: list) -> list:
     return list(ins)
