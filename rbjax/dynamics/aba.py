@@ -143,4 +143,3 @@ def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
     if again is not None:
         ys = d.zip(again, d.part(ys, 1))
     return d.outward(outward, Motion.zero(), ys)
-

@@ -204,13 +204,14 @@ def _entries(
 ) -> list[list[Lane]]:
     """Of so many matrices the entries in a column, link by link. What a link reads it has used
     before the next one."""
-    out = []
+    out: list[list[Lane]] = []
     for row in rows:
         S, below = _lanes(row, AXIS), _lanes(row, slice(start, start + BELOW))
         firsts = [(S, below), (S, below), (S, below[:6])][:count]
         rest = iter(_lanes(own, slice(start + BELOW, None)))
-        halves = [[(half, [next(rest) for _ in half]) for half in pair] for pair in firsts]
-        out.append([pair_column(*pair, places[len(out)]) for pair in halves])
+        place = places[len(out)]
+        pairs = [[(half, [next(rest) for _ in half]) for half in pair] for pair in firsts]
+        out.append([pair_column(above, below, place) for above, below in pairs])
     return out
 
 

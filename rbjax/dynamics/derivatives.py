@@ -68,7 +68,7 @@ def inverse_dynamics_derivatives(
     poses = tree_poses(d, d.joints(q, None))
     S = link_axes(d, poses)
     x = whole_operands(d, poses, S, v, d.lanes(a))
-    by_q, by_v, M = (pair_matrix(d, *pair, v) for pair in inverse_pairs(S, x))
+    by_q, by_v, M = (pair_matrix(d, a, b, v) for a, b in inverse_pairs(S, x))
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 

@@ -308,7 +308,6 @@ class Limbs(Sweeps, Listed):
     def _limb(self, columns: Any, j: int) -> Any:
         """The lanes of limb j."""
 
-
         def lane(column):
             found = self._cast(column)[j]
             self._read[id(found)] = found, column, j

@@ -74,7 +74,8 @@ def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[
         def half(rows, _):
             return rows, [next(own) for _ in rows]
 
-        return [pair_column(*(half(*x) for x in pair), places) for pair in arrays]
+        halves = [[half(*x) for x in pair] for pair in arrays]
+        return [pair_column(above, below, places) for above, below in halves]
 
     return at, (which_moves(top), jnp.stack(columns, -1))
 

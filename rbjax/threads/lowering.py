@@ -270,8 +270,9 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
     uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
     for eqn in reversed(jaxpr.eqns):
         if eqn.primitive.name == "materialize":
-            for var, out in zip(eqn.invars, eqn.outvars, strict=True):
-                want(var, wanted.get(out) if out.aval.shape else None)
+            for var, made in zip(eqn.invars, eqn.outvars, strict=True):
+                shape = getattr(made.aval, "shape", ())
+                want(var, wanted.get(made) if shape else None)
             continue
         place = wanted.get(eqn.outvars[0]) if eqn.outvars else None
         if place is None:
@@ -288,7 +289,7 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
                 for k, var in enumerate(eqn.invars):
                     box = [slice(0, n, 1) for n in place.shape]
                     box[axis] = slice(k, k + 1, 1)
-                    want(var, place.sliced(box).reshaped(var.aval.shape))
+                    same_entries(var, place.sliced(box))
             case "concatenate":
                 start, axis = 0, eqn.params["dimension"]
                 atoms: list[Any] = eqn.invars

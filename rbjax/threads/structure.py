@@ -149,5 +149,3 @@ def _constant(low: Lowering, eqn: Any, ins: list) -> list:
     row = np.arange(aval.shape[axis], dtype=aval.dtype)
     shape = [-1 if k == axis else 1 for k in range(len(aval.shape))]
     return [np.broadcast_to(row.reshape(shape), aval.shape)]
-
-
