@@ -86,7 +86,7 @@ ad.primitive_transposes[_materialize] = lambda cts, *xs: _bind_nonzero(cts)
 batching.primitive_batchers[_materialize] = lambda xs, dims: (_materialize.bind(*xs), dims)
 
 
-_batch_first = Primitive("batch_first")
+_batch_first, _batch_last = Primitive("batch_first"), Primitive("batch_last")
 
 
 def batch_first(tree: Any) -> Any:
@@ -98,13 +98,26 @@ def batch_first(tree: Any) -> Any:
     return jax.tree.map(_batch_first.bind, tree)
 
 
-_batch_first.def_impl(lambda x: x)
-_batch_first.def_abstract_eval(lambda x: x)
-mlir.register_lowering(_batch_first, lambda ctx, x: [x])
-ad.deflinear2(_batch_first, lambda t, x: [t])
-batching.primitive_batchers[_batch_first] = lambda xs, dims: (
-    _batch_first.bind(jnp.moveaxis(xs[0], dims[0], 0)), 0
-)  # fmt: skip
+def batch_last(tree: Any) -> Any:
+    """The same pytree; under `vmap` its arrays have the batch last, as GPU threads then leave their
+    results: a warp writes whole lines."""
+    return jax.tree.map(_batch_last.bind, tree)
+
+
+def _placed_by(primitive, last):
+    def moved(xs, dims):
+        at = xs[0].ndim - 1 if last else 0
+        return primitive.bind(jnp.moveaxis(xs[0], dims[0], at)), at
+
+    primitive.def_impl(lambda x: x)
+    primitive.def_abstract_eval(lambda x: x)
+    mlir.register_lowering(primitive, lambda ctx, x: [x])
+    ad.deflinear2(primitive, lambda t, x: [t])
+    batching.primitive_batchers[primitive] = moved
+
+
+_placed_by(_batch_first, last=False)
+_placed_by(_batch_last, last=True)
 
 
 _sincos = Primitive("sincos")

@@ -124,8 +124,9 @@ def factorize(d: Driver, joints: Any) -> Any:
     return d.inward(inward, ArticulatedInertia.zero(), d.zip(d.constants, joints))
 
 
-def solve(d: Driver, factors: Any, tau: Any) -> Any:
-    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau."""
+def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
+    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: the
+    factors that the way out reads, where it shall not be handed those of the way in."""
 
     def inward(x, p_A):
         factor, tau = x
@@ -138,5 +139,7 @@ def solve(d: Driver, factors: Any, tau: Any) -> Any:
         qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
         return a + factor.S * qdd, qdd
 
-    return d.outward(outward, Motion.zero(), d.inward(inward, Force.zero(), d.zip(factors, tau)))
-
+    ys = d.inward(inward, Force.zero(), d.zip(factors, tau))
+    if again is not None:
+        ys = d.zip(again, d.part(ys, 1))
+    return d.outward(outward, Motion.zero(), ys)

@@ -20,7 +20,7 @@ import numpy as np
 
 from rbjax.compiling import compiled, staged
 from rbjax.dynamics.batching import in_chunks
-from rbjax.dynamics.drivers import on_threads
+from rbjax.dynamics.drivers import THREADS_APART_ABOVE, on_threads
 from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -41,13 +41,13 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 
 
 def algorithm(
-    *names: str, pairs: bool = False, long: bool = False
+    *names: str, pairs: bool = False, long: bool = False, apart: Callable | None = None
 ) -> Callable[[Callable], Callable]:
     """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
 
     A `state` among the names is a `State`; names of bodies and sites are static. `pairs`: most of
-    the work is on pairs of links. `long`: it has twice the statements of
-    the others, link by link.
+    the work is on pairs of links. `long`: it has twice the statements of the others, link by link.
+    `apart`: the same function as several kernels, for a batch of a large model on a GPU.
     """
 
     def decorate(f: Callable) -> Callable:
@@ -66,7 +66,17 @@ def algorithm(
 
             if not moving:
                 return run(moving)
-            return (threaded if on_gpu else in_chunks)(run)(moving)
+            if not on_gpu:
+                return in_chunks(run)(moving)
+            if apart is None or args[0].nv <= THREADS_APART_ABOVE:
+                return threaded(run)(moving)
+            as_given = opened((args, kwargs))[1]
+
+            def run_apart(moving: list) -> Any:
+                args, kwargs = as_given(moving)
+                return apart(*args, **kwargs)
+
+            return threaded(run, run_apart)(moving)
 
         program = compiled(inlined, static_argnames=static)
 

@@ -2,42 +2,27 @@
 
     d tau = dID/dq dq + dID/dv dv + M da,      d a = M^-1 (d tau - dID/dq dq - dID/dv dv)
 
-with dq on the tangent space of the configuration (`integrate`). In world axes, with V and A the
-twist and spatial acceleration of what carries joint j, a tangent dq_j turns all that j moves as a
-rigid body, so that for each body k of it (Singh, Russell & Wensing 2022)
-
-    df_k / dq_j = S_j x* f_k + I_k (A x S_j + V x V x S_j) + 2 B_k (V x S_j)
-    df_k / dv_j = I_k (V x S_j + S_j') + 2 B_k S_j
-
-with B of `coriolis_block`. Summed over what a link carries these are composites, and an entry
-(i, j) is a product with S_i: O(n), and then O(depth) a column. Where j moves i, the turning of f
-and that of S_i cancel. For forward dynamics the columns are solved with ABA's factors (inverse.py).
+with dq on the tangent space of the configuration (`integrate`). Entries are products of what
+`operands` has of two links; for forward dynamics the columns are solved with ABA's factors
+(inverse.py). A batch of a large robot on a GPU goes column by column (columns.py).
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.composites import (
-    coriolis_block,
-    link_axes,
-    link_twists,
-    tree_poses,
-    turning,
-    twice_coriolis,
-    twice_coriolis_transposed,
-)
-from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.columns import forward_by_columns, inverse_by_columns
+from rbjax.dynamics.composites import link_axes, tree_poses
+from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.inverse import InverseMass
+from rbjax.dynamics.operands import inverse_pairs, whole_operands
 from rbjax.dynamics.pairs import pair_matrix, with_armature
-from rbjax.lanes import Lane, Sym3, Vec3, add
-from rbjax.model import Model, Topology
-from rbjax.spatial import Force, Motion, RigidInertia
+from rbjax.model import Model
 
 
 class InverseDynamicsDerivatives(NamedTuple):
@@ -56,70 +41,7 @@ class ForwardDynamicsDerivatives(NamedTuple):
     tau: jax.Array
 
 
-class Operands(NamedTuple):
-    """Of each link what `pair_matrix` multiplies: for entry (i, j) the row of link i by a column of
-    link j where j moves i, elsewhere the axis of i by a force of j."""
-
-    force_q: Force
-    force_v: Force
-    force_a: Force
-    row: tuple[Lane, ...]
-    column_q: tuple[Lane, ...]
-    column_v: tuple[Lane, ...]
-
-
-def operands(d: Driver, poses: Any, S: Any, v: jax.Array, a: Any) -> Operands:
-    """`Operands` at accelerations `a` per link, each of them in the form of `Driver.whole`."""
-    V = link_twists(d, S, v)
-    base = Motion(Vec3.zero(), -d.prepared.gravity)
-    before = [_before(d.topology, i) for i in range(d.topology.nv)]
-    V_before, T = d.take(V, before, Motion.zero()), turning(d, V)
-    no_balls = T is V_before
-
-    def accelerate(x, A_parent):
-        S, V_before, speed, qdd = x
-        A = A_parent + S * qdd + V_before.cross(S) * speed
-        return A, A
-
-    A = d.whole(d.outward(accelerate, base, d.zip(d.rows(S), d.rows(V_before), d.lanes(v), a)))
-    A_before = d.take(A, before, base)
-
-    def gather(x, children):
-        link, (pose, S, V, A, T, V_before, A_before) = x
-        inertia = pose.rigid_to_parent(link.inertia)
-        block = coriolis_block(inertia, V)
-        own = inertia, block, inertia(A) + V.cross_force(block[1])
-        inertia, block, force = composite = jax.tree.map(add, own, children)
-        drift = V_before.cross(S)
-        bend = A_before.cross(S) + V_before.cross(drift)
-        both = drift * 2.0 if no_balls else drift + T.cross(S)
-        IS = inertia(S)
-        return composite, Operands(
-            S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang),
-            inertia(both) + twice_coriolis(block, S.ang),
-            IS,
-            (*IS, *twice_coriolis_transposed(block, S)),
-            (*bend, *drift.ang),
-            (*both, *S.ang),
-        )
-
-    massless = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
-    nothing = massless, (Sym3.zero(), Force.zero()), Force.zero()
-    rows = d.zip(*map(d.rows, (poses, S, V, A, T, V_before, A_before)))
-    out = d.inward(gather, nothing, d.zip(d.constants, rows))
-    return Operands(*map(d.whole, d.unzip(out, len(Operands._fields))))
-
-
-def _before(top: Topology, i: int) -> int:
-    """The link whose motion says how the axis of link i moves while its own joint stands still: of
-    a ball the parent of the first link, elsewhere the link itself, as S x S = 0."""
-    link = top.links[i]
-    if link.kind == "slide" or link.part is None:
-        return i
-    return top.parents[i - link.part]
-
-
-@algorithm("q", "v", "a")
+@algorithm("q", "v", "a", apart=inverse_by_columns)
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
@@ -145,14 +67,12 @@ def inverse_dynamics_derivatives(
     d = driver(model, q.dtype)
     poses = tree_poses(d, d.joints(q, None))
     S = link_axes(d, poses)
-    x = operands(d, poses, S, v, d.lanes(a))
-    by_q = pair_matrix(d, (S, x.force_q), (x.row, x.column_q), v)
-    by_v = pair_matrix(d, (S, x.force_v), (x.row, x.column_v), v)
-    M = pair_matrix(d, (S, x.force_a), (x.force_a, S), v)
+    x = whole_operands(d, poses, S, v, d.lanes(a))
+    by_q, by_v, M = (pair_matrix(d, a, b, v) for a, b in inverse_pairs(S, x))
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
-@algorithm("q", "v", "tau", pairs=True)
+@algorithm("q", "v", "tau", pairs=True, apart=forward_by_columns)
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:
@@ -181,7 +101,6 @@ def forward_dynamics_derivatives(
     _, _, U, inverse_D = d.unzip(factors, 4)
     poses = tree_poses(d, joints)
     S = link_axes(d, poses)
-    x = operands(d, poses, S, v, a)
-    pairs = ((S, x.force_q), (x.row, x.column_q)), ((S, x.force_v), (x.row, x.column_v))
-    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*pairs)
+    x = whole_operands(d, poses, S, v, a)
+    by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*inverse_pairs(S, x)[:2])
     return ForwardDynamicsDerivatives(by_q, by_v, inverse)

@@ -41,6 +41,10 @@ VALUES_UNROLLED_UP_TO = 40
 THREADS_UNROLLED_UP_TO = {4: 26, 8: 12}
 SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 
+#: above this many velocity coordinates what has a row of numbers for each pair of links runs as
+#: several kernels, a thread for each link of each sample
+THREADS_APART_ABOVE = 8
+
 Driver = Any  # one of these; per-link values are lists, columns, or both
 DRIVERS: dict[str, Any] = {"unrolled": Unrolled, "rolled": Rolled, "limbs": Limbs}
 

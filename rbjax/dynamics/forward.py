@@ -19,6 +19,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from rbjax.dynamics.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.columns import inverse_mass_by_columns
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.jacobians import wrench_forces
 from rbjax.dynamics.rnea import rnea
@@ -126,7 +127,7 @@ def forward_dynamics(
     return acceleration(model, q, v, tau)
 
 
-@algorithm("q", pairs=True)
+@algorithm("q", pairs=True, apart=inverse_mass_by_columns)
 def inverse_mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     """M(q)^-1 (nv, nv), by the articulated-body algorithm in O(n) a column.
 

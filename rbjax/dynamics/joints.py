@@ -58,6 +58,11 @@ class PosedJoint(JointMotion):
         return self.pose
 
 
+def own_axis(link: Link) -> Motion:
+    """S in the link's own axes."""
+    return _SLIDE if link.kind == "slide" else _HINGE
+
+
 def joint_lanes(
     link: Link, constants: LinkConstants, q: list[Lane], v: list[Lane], i: int
 ) -> JointMotion:

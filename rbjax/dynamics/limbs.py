@@ -106,6 +106,8 @@ class Limbs(Sweeps, Listed):
         self._place = {**place, WORLD: WORLD}
         self._parents = [self._place[top.parents[i]] for i in self._trunk]
         self._like: Any = None  # the shape and dtype of one lane, known with q
+        #: id of a lane that `whole` has read from a column -> lane, column, limb
+        self._read: dict[int, tuple[Lane, Any, int]] = {}
         self.constants = self._parts(
             prepared.link,
             lambda links: jax.tree.map(lambda x: self._column(x, links), prepared.columns),
@@ -205,8 +207,17 @@ class Limbs(Sweeps, Listed):
         """As `Unrolled.rows`."""
         return self._parts(
             lambda i: whole[i],
-            lambda links: jax.tree.map(_merged, *(whole[i] for i in links)),
+            lambda links: jax.tree.map(self._column_of, *(whole[i] for i in links)),
         )
+
+    def _column_of(self, *lanes: Lane) -> Any:
+        """The lanes of the limbs as a column: the one that they were read from, if they were."""
+        _, column, _ = self._read.get(id(lanes[0]), (None, None, 0))
+        for j, x in enumerate(lanes):
+            _, own, limb = self._read.get(id(x), (None, None, 0))
+            if own is None or own is not column or limb != j:
+                return _merged(*lanes)
+        return column
 
     def zip(self, *values: Parts) -> Parts:
         """As `Unrolled.zip`."""
@@ -296,7 +307,13 @@ class Limbs(Sweeps, Listed):
 
     def _limb(self, columns: Any, j: int) -> Any:
         """The lanes of limb j."""
-        return jax.tree.map(Limb(lambda column: self._cast(column)[j]), columns)
+
+        def lane(column):
+            found = self._cast(column)[j]
+            self._read[id(found)] = found, column, j
+            return found
+
+        return jax.tree.map(Limb(lane), columns)
 
     def _loop(self, group: Group, body: Callable, carry: Any, given: Any) -> tuple[Any, Any]:
         """carry, out = body(carry, given, known) over the limbs: `given` in lanes in place of the

@@ -64,37 +64,53 @@ def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
 def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
     """Several matrices (above, below) for the rolled driver, column by column: f and xs, with f(x)
     the columns of that number where x is its slice of xs."""
-    moves, arrays = _columns(top, pairs, like)
+    _, arrays = _columns(top, pairs, like)
     columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
 
     def at(x):
         places, lanes = x
         own = iter([lanes[k] for k in range(len(columns))])
 
-        def column(above, below):
-            upper, lower = (
-                functools.reduce(jnp.add, [x * next(own) for x in rows])
-                for rows, _ in (above, below)
-            )
-            return jnp.where(places == 2, lower, jnp.where(places == 1, upper, 0.0))
+        def half(rows, _):
+            return rows, [next(own) for _ in rows]
 
-        return [column(*pair) for pair in arrays]
+        halves = [[half(*x) for x in pair] for pair in arrays]
+        return [pair_column(above, below, places) for above, below in halves]
 
-    places = np.where(moves, 2, moves.T).astype(np.int32)  # which of the two moves the other
-    return at, (places.T, jnp.stack(columns, -1))
+    return at, (which_moves(top), jnp.stack(columns, -1))
+
+
+def pair_column(above: Any, below: Any, places: jax.Array) -> jax.Array:
+    """A column of `pair_matrix` as an array (n,). above, below: the lanes of all links as arrays
+    (n,), and those of the column's link; places: its row of `which_moves`."""
+    upper, lower = (
+        functools.reduce(jnp.add, [x * y for x, y in zip(*half, strict=True)])
+        for half in (above, below)
+    )
+    return jnp.where(places == 2, lower, jnp.where(places == 1, upper, 0.0))
+
+
+def which_moves(top: Topology) -> np.ndarray:
+    """At (j, i) 2 where link j moves link i, else 1 where i moves j, else 0."""
+    moves = _moves(top)
+    return np.where(moves.T, 2, moves).astype(np.int32)
 
 
 def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, Any]:
     """Whether j moves i, at (i, j); and all lanes as arrays (nv,)."""
-    n = top.nv
-    moves = np.zeros((n, n), bool)
-    for i in range(n):
-        moves[i, movers(top, i)] = True
 
     def spread(v):
-        return [jnp.broadcast_to(jnp.asarray(x, like.dtype), (n,)) for x in v]
+        return [jnp.broadcast_to(jnp.asarray(x, like.dtype), (top.nv,)) for x in v]
 
-    return moves, [[[spread(v) for v in half] for half in pair] for pair in pairs]
+    return _moves(top), [[[spread(v) for v in half] for half in pair] for pair in pairs]
+
+
+def _moves(top: Topology) -> np.ndarray:
+    """Whether link j moves link i, at (i, j)."""
+    moves = np.zeros((top.nv, top.nv), bool)
+    for i in range(top.nv):
+        moves[i, movers(top, i)] = True
+    return moves
 
 
 def with_armature(d: Driver, M: jax.Array) -> jax.Array:

@@ -68,9 +68,10 @@ class Listed:
 class Unrolled(Sweeps, Listed):
     """Steps written out one after another. Per-link values are lists."""
 
-    def __init__(self, model: Model, prepared: Prepared):
+    def __init__(self, model: Model, prepared: Prepared | None):
+        """`prepared`: None where steps need no constants of the links."""
         self.topology, self.prepared = model.topology, prepared
-        self.constants = [prepared.link(i) for i in range(model.nv)]
+        self.constants = [prepared.link(i) for i in range(model.nv)] if prepared else []
 
     def joints(self, q: jax.Array, v: jax.Array | None) -> list[JointMotion]:
         """The joint motion of each link."""

@@ -4,6 +4,7 @@ from typing import Any
 
 from rbjax.threads.explain import Explanation as Explanation
 from rbjax.threads.explain import explain as explain
+from rbjax.threads.function import side_by_side as side_by_side
 from rbjax.threads.function import threaded as threaded
 from rbjax.threads.function import threads as _threads
 from rbjax.threads.function import wanted as wanted

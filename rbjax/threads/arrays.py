@@ -55,9 +55,13 @@ class View:
             a is b or a == b
             for a, b in (
                 (self.array, other.array), (self.base, other.base), (self.offset, other.offset),
-                (self.strides, other.strides), (self.shape, other.shape),
+                (self._steps(), other._steps()), (self.shape, other.shape),
             )
         )  # fmt: skip
+
+    def _steps(self) -> list[int]:
+        """The strides along axes of more than one entry."""
+        return [s for s, n in zip(self.strides, self.shape, strict=True) if n > 1]
 
     def places(self) -> np.ndarray:
         """The known part of each entry's address."""

@@ -93,12 +93,13 @@ class Room:
     """What a block has in shared memory.
 
     staged: operands that it fetches, id -> entries of a row; whole: results whose rows are staged;
-    tiled: results that leave through its tile; tile: bytes of that, a thread.
+    tiled: results that leave through its tile, at these `spots`; tile: bytes of that, a thread.
     """
 
     staged: dict[int, int]
     whole: dict[int, stores.Rows]
     tiled: dict[int, stores.Rows]
+    spots: dict[int, stores.Spot]
     tile: int
 
 
@@ -110,18 +111,18 @@ def _pitch(row: int) -> int:
 def _room(program: Written) -> Room:
     """What fits: results that are staged whole, the smaller first, a tile, then operands."""
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
-    rows, streams = stores.rows_of(program), stores.streamed(program)
+    rows = stores.rows_of(program)
     short = [key for key, row in rows.items() if stores.SHORT < row <= stores.WHOLE]
     whole = {key: stores.whole(kinds[key], rows[key]) for key in short}
     while True:
-        tiled = {k: stores.pieces(kinds[k], rows[k]) for k in rows if k in streams - {*whole}}
+        tiled, spots = stores.tiled(program, {k: n for k, n in rows.items() if k not in whole})
         tile = max((r.bytes for r in tiled.values()), default=0)
         total = tile + sum(r.bytes for r in whole.values())
         if total <= left or not whole:
             break
         del whole[max(whole, key=lambda k: whole[k].bytes)]
     if total > left:
-        tiled, tile, total = {}, 0, 0
+        tiled, spots, tile, total = {}, {}, 0, 0
     wanted = {}
     for array, layout in zip(program.operands, program.layouts[0], strict=True):
         row = layout.rows(program.batch)
@@ -132,7 +133,7 @@ def _room(program: Written) -> Room:
         if total + bytes <= left:
             total += bytes
             staged[key] = row
-    return Room(staged, whole, tiled, tile)
+    return Room(staged, whole, tiled, spots, tile)
 
 
 def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
@@ -181,10 +182,11 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
         elif key in room.tiled:
             tiles[key] = k, room.tiled[key]
             yield f"{kind}* const w{k}=({kind}*)tile;"
-            yield f"{kind}* const y{k}=r{k}+first*{room.tiled[key].size};"
+            yield f"{kind}* const v{k}=r{k}+first*{room.tiled[key].size};"
+            yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
-    printer = stores.StorePrinter(names, tiles, stores.passing(program))
+    printer = stores.StorePrinter(names, tiles, room.spots, stores.passing(program))
     yield from printer.lines(program.builder.block)
     yield from leaving
     yield from _sums(program)

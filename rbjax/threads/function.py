@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -80,12 +81,15 @@ def flattened(f: Callable, args: tuple, kwargs: dict) -> tuple[list, Callable, l
     return [jnp.asarray(x) for x in leaves], flat, shape
 
 
-def threaded(f: Callable) -> Callable:
-    """`threads` whether or not there is a GPU."""
+def threaded(f: Callable, apart: Callable | None = None) -> Callable:
+    """`threads` whether or not there is a GPU. `apart`: the same function as several kernels; both
+    close over nothing that is traced."""
 
     def bound(*args: Any, **kwargs: Any) -> Any:
         leaves, flat, shape = flattened(f, args, kwargs)
         program, closed_over = trace(flat, leaves)
+        if apart is not None:
+            program = dataclasses.replace(program, apart=flattened(apart, args, kwargs)[1])
         return jax.tree.unflatten(shape[0], run(program, [*closed_over, *leaves]))
 
     compiled = jax.jit(bound)
@@ -96,6 +100,20 @@ def threaded(f: Callable) -> Callable:
         return (bound if staged() else compiled)(*args, **kwargs)
 
     return call
+
+
+def side_by_side(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> Any:
+    """f of each slice of xs along `axes`, one thread each beside those of the batch; results, one
+    array or several, have that axis last. What f closes over all slices share."""
+    size = xs[0].shape[axes[0]]
+    one = [
+        jax.ShapeDtypeStruct(x.shape[:k] + x.shape[k + 1 :], x.dtype)
+        for x, k in zip(xs, axes, strict=True)
+    ]
+    program, closed_over = trace(f, one)
+    ins = [*[(None,)] * len(closed_over), *((k,) for k in axes)]
+    outs = [(len(a.shape),) for a in program.outputs]
+    return run(program, [*closed_over, *xs], (size,), ins, outs)
 
 
 def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:

@@ -9,6 +9,7 @@ needed, so a trajectory goes straight to the kernel's result.
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -265,7 +266,14 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
         want(var, place)
     if not wanted:
         return wanted
+    uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
+    uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
     for eqn in reversed(jaxpr.eqns):
+        if eqn.primitive.name == "materialize":
+            for var, made in zip(eqn.invars, eqn.outvars, strict=True):
+                shape = getattr(made.aval, "shape", ())
+                want(var, wanted.get(made) if shape else None)
+            continue
         place = wanted.get(eqn.outvars[0]) if eqn.outvars else None
         if place is None:
             continue
@@ -274,6 +282,14 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
                 same_entries(eqn.invars[0], place)
             case "broadcast_in_dim" if _size(eqn.invars[0]) == _size(eqn.outvars[0]):
                 same_entries(eqn.invars[0], place)
+            case "stack" if uses[eqn.outvars[0]] > 1:  # what is read again stays in registers
+                del wanted[eqn.outvars[0]]
+            case "stack":
+                axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
+                for k, var in enumerate(eqn.invars):
+                    box = [slice(0, n, 1) for n in place.shape]
+                    box[axis] = slice(k, k + 1, 1)
+                    same_entries(var, place.sliced(box))
             case "concatenate":
                 start, axis = 0, eqn.params["dimension"]
                 atoms: list[Any] = eqn.invars

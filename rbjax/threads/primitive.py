@@ -123,10 +123,12 @@ def placed(x: Any, axes: Axes) -> Any:
 
 
 def on_gpu(*operands, program, batch, ins, outs):
-    """The same by a kernel; under XLA where the compiler does not know a primitive."""
+    """The same by a kernel, or several; under XLA where the compiler does not know a primitive."""
     if 0 in batch:
         return [jnp.zeros(a.shape, a.dtype) for a in threads_p.abstract_eval(
             *operands, program=program, batch=batch, ins=ins, outs=outs)[0]]  # fmt: skip
+    if program.apart is not None:
+        return under_xla(*operands, program=program.apart, batch=batch, ins=ins, outs=outs)
     summed = tuple(bool(batch) and all(a is None for a in axes) for axes in outs)
     try:
         code = _kernel(program, batch, ins, outs, tuple(x.shape for x in operands), summed)
@@ -220,7 +222,8 @@ def _batched(operands, dims, program, batch, ins, outs):
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
     varying = any(_varies(jax.typeof(x)) for x in operands)
-    if any(known) and not varying and program.pull is None and program.sized is None:
+    own_ways = program.pull, program.sized, program.apart  # these take the operands as they are
+    if any(known) and not varying and own_ways == (None, None, None):
         program, more = split(program, known, operands)
         operands = [x for x, k in zip(operands, known, strict=True) if not k] + more
         dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)

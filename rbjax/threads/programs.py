@@ -25,6 +25,8 @@ class Program:
     reads: the first of its results that `pull` reads, as `kept`.
     sized: the program that takes this one's place where a batch of a given size is differentiated,
         by the arguments that move.
+    apart: the same function as several kernels, for a batch of its own on a GPU; inside of another
+        program, and where a derivative is asked for, it is the one that was traced.
     """
 
     closed: ClosedJaxpr
@@ -32,6 +34,7 @@ class Program:
     keeping: Callable[[Moving], Program] | None = None
     reads: int = 0
     sized: Callable[[int, Moving], Program] | None = None
+    apart: Callable | None = None
     derived: dict[Any, Any] = field(default_factory=dict)
     split: dict[Any, tuple[ClosedJaxpr, Program]] = field(default_factory=dict)
 

@@ -4,11 +4,11 @@ Rows that fit are staged whole: 32 of them lie one behind the other in memory, w
 wrote their entries first. A longer row that is written once, in order, leaves piece by piece
 through the warp's tile. Pieces begin at a sector of memory in every row, though rows need not:
 the tile keeps the last entries of the piece before, and a row's piece lags by as many as it must.
+Of other long rows the runs of entries that are written together leave so, wherever they begin.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -17,12 +17,14 @@ import numpy as np
 
 from rbjax.threads.c_source import Printer, c_type
 from rbjax.threads.frame import Written
-from rbjax.threads.program import Load, Store, walk
+from rbjax.threads.program import Block, Load, Loop, Op, Store, Var, walk
 
 #: result rows of more entries than a sector has, and of at most these, are staged whole
 SHORT, WHOLE = 8, 128
 #: 4-byte entries of a piece of a longer row
 TILE = 256
+#: entries of a run that leaves through the tile
+RUN = 16
 #: bytes of memory, a sector, at whose multiples pieces begin
 ALIGN = 32
 
@@ -114,6 +116,12 @@ def pieces(dtype: np.dtype, size: int) -> Rows:
     return Rows(dtype, size, width, margin + 1, margin, (width + margin) | 1)
 
 
+def run_of(dtype: np.dtype, size: int) -> Rows:
+    """Pieces of a row that begin anywhere."""
+    width = min(TILE * 4 // max(dtype.itemsize, 4), size)
+    return Rows(dtype, size, width, 1, 0, width | 1)
+
+
 def rows_of(program: Written) -> dict[int, int]:
     """The results that lie batch first: id -> entries of a row."""
     found = {}
@@ -124,24 +132,71 @@ def rows_of(program: Written) -> dict[int, int]:
     return found
 
 
-def streamed(program: Written) -> set[int]:
-    """The batch-first results that are written once, from the first entry to the last, where all
-    threads pass, with no other result between, and never read."""
-    results = {a.id for a in program.results}
-    stores = [
-        (s.array.id, s.base, s.offset)
-        for s in program.builder.block.statements
-        if isinstance(s, Store) and s.array.id in results
-    ]
-    used = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, (Load, Store)))
-    first = {key: n for n, (key, _, _) in reversed([*enumerate(stores)])}
-    found = set()
-    for key, row in rows_of(program).items():
-        start = first.get(key, 0)
-        order = [(key, None, k) for k in range(row)]
-        if row > 1 and stores[start : start + row] == order and used[key] == row:
-            found.add(key)
+@dataclass(frozen=True)
+class Spot:
+    """Where a value waits in the tile: column `at`; with `last` the entries from `first` to `upto`
+    go to memory, counted from where the store's own base is."""
+
+    at: int
+    first: int
+    upto: int
+    last: bool
+
+
+def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict[int, Spot]]:
+    """Of these results, id -> entries of a row, those that leave through the tile, and the spots of
+    their stores, by id. No thread reads them, and all pass where they are written."""
+    statements = [s for s in walk(program.builder.block) if isinstance(s, (Load, Store))]
+    read = {s.array.id for s in statements if isinstance(s, Load)}
+    rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
+    written = [s for s in statements if s.array.id in rows]
+    alike, found = _alike(program), {}
+    spots: dict[int, Spot] = {}
+    for run in _runs(program.builder.block, rows):
+        array, row = run[0].array, rows[run[0].array.id]
+        whole = len(run) == row == sum(s.array is array for s in written) and run[0].base is None
+        if not whole and (len(run) < min(row, RUN) or run[0].base not in alike):
+            continue
+        form = pieces(array.dtype, row) if whole else run_of(array.dtype, row)
+        found[array.id] = form
+        for k, store in enumerate(run):
+            at, upto = k % form.width, store.offset + 1
+            last = at == form.width - 1 or k == len(run) - 1
+            spots[id(store)] = Spot(form.margin + at, store.offset - at, upto, last)
+    return found, spots
+
+
+def _alike(program: Written) -> set[Any]:
+    """The places in an array that are the same for all threads: those made of loops' counters."""
+    found: set[Any] = {None}
+    for s in walk(program.builder.block):
+        if isinstance(s, Loop):
+            found.add(s.counter)
+        elif isinstance(s, Op) and all(x in found for x in s.args if isinstance(x, Var)):
+            found.add(s.dest)
     return found
+
+
+def _runs(block: Block, rows: dict[int, int]) -> Iterator[list[Store]]:
+    """Stores of consecutive entries of one of these results, with none of another between."""
+    run: list[Store] = []
+    for s in block.statements:
+        if isinstance(s, Store) and s.array.id in rows:
+            last = run[-1] if run else s
+            follows = s.array is last.array and s.base is last.base
+            if run and not (follows and s.offset == last.offset + 1):
+                yield run
+                run = []
+            run.append(s)
+        elif isinstance(s, Loop) and any(
+            isinstance(x, Store) and x.array.id in rows for x in walk(s.body)
+        ):
+            if run:
+                yield run
+                run = []
+            yield from _runs(s.body, rows)
+    if run:
+        yield run
 
 
 def passing(program: Written) -> set[int]:
@@ -161,30 +216,35 @@ class StorePrinter(Printer):
     Entries of passing arrays do not stay in the cache, which has better use for its lines."""
 
     def __init__(
-        self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], passing: set[int]
-    ):
+        self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], spots: dict[int, Spot],
+        passing: set[int],
+    ):  # fmt: skip
         super().__init__(names)
-        self.tiles, self.passing = tiles, passing
+        self.tiles, self.spots, self.passing = tiles, spots, passing
 
     def _lines(self, statement: Any) -> Iterator[str]:
-        if isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
+        spot = self.spots.get(id(statement))
+        if spot is not None:
+            yield from self._through_tile(statement, spot)
+        elif isinstance(statement, (Load, Store)) and statement.array.id in self.passing:
             at = f"&{self.place(statement.array, statement.base, statement.offset)}"
             if isinstance(statement, Store):
                 yield f"__stcs({at},{self.value(statement.value)});"
             else:
                 dest = statement.dest
                 yield f"const {c_type(dest.dtype)} {self.value(dest)}=__ldcs({at});"
-            return
-        if not (isinstance(statement, Store) and statement.array.id in self.tiles):
+        else:
             yield from super()._lines(statement)
+
+    def _through_tile(self, store: Store, spot: Spot) -> Iterator[str]:
+        k, rows = self.tiles[store.array.id]
+        kind, pitch = c_type(rows.dtype), rows.pitch
+        yield f"w{k}[threadIdx.x*{pitch}+{spot.at}]={self.value(store.value)};"
+        if not spot.last:
             return
-        k, rows = self.tiles[statement.array.id]
-        kind, at = c_type(rows.dtype), statement.offset % rows.width
-        place = f"threadIdx.x*{rows.pitch}+{rows.margin + at}"
-        yield f"w{k}[{place}]={self.value(statement.value)};"
-        upto = statement.offset + 1
-        if rows.width == rows.size == upto:
-            yield f"leave<{kind},{rows.size},{rows.pitch}>(y{k},w{k},rows);"
-        elif at == rows.width - 1 or upto == rows.size:
-            sizes = (rows.size, upto - 1 - at, upto, rows.align, rows.margin, rows.pitch)
-            yield f"flush<{kind},{','.join(map(str, sizes))}>(y{k},w{k},rows);"
+        to = f"v{k}" if store.base is None else f"v{k}+{self.value(store.base)}"
+        if rows.width == rows.size == spot.upto - spot.first:
+            yield f"leave<{kind},{rows.size},{pitch}>({to},w{k},rows);"
+        else:
+            sizes = (rows.size, spot.first, spot.upto, rows.align, rows.margin, pitch)
+            yield f"flush<{kind},{','.join(map(str, sizes))}>({to},w{k},rows);"

@@ -11,8 +11,9 @@ from rbjax.threads.elementwise import LOOP_ABOVE
 from rbjax.threads.lowering import Lowering, rule, writer
 
 
-@rule("materialize", "batch_first", "copy", "copy_p", "stop_gradient", "optimization_barrier",
-      "device_put", "sharding_constraint", "name", "pvary", "reshard", "nonbatchable",
+@rule("materialize", "batch_first", "batch_last", "copy", "copy_p", "stop_gradient",
+      "optimization_barrier", "device_put", "sharding_constraint", "name", "pvary", "reshard",
+      "nonbatchable",
       "nondifferentiable_backward", "nontraceable")  # fmt: skip
 def _identity(low: Lowering, eqn: Any, ins: list) -> list:
     return list(ins)
@@ -86,10 +87,14 @@ def _tile(low: Lowering, eqn: Any, ins: list) -> list:
     return [np.tile(low.scalars(ins[0]), eqn.params["reps"])]
 
 
-@rule("stack")
-def _stack(low: Lowering, eqn: Any, ins: list) -> list:
-    axis = eqn.params.get("axis", eqn.params.get("dimension", 0))
-    return [np.stack([low.scalars(x) for x in ins], axis)]
+@writer("stack")
+def _stack(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+    axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
+    if place is None:
+        return [tidy(np.stack([low.scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype)]
+    for k, x in enumerate(ins):
+        write(low.b, place.at(low.b, axis, np.int32(k)), x)
+    return [place]
 
 
 @rule("unstack")
@@ -145,5 +150,3 @@ def _constant(low: Lowering, eqn: Any, ins: list) -> list:
     row = np.arange(aval.shape[axis], dtype=aval.dtype)
     shape = [-1 if k == axis else 1 for k in range(len(aval.shape))]
     return [np.broadcast_to(row.reshape(shape), aval.shape)]
-
-

@@ -242,10 +242,13 @@ def test_sums_are_taken_in_the_block():
 
 
 def program(x, y, z, w):
-    """Short, staged and long rows, and what is shared; streamed, updated and summed results."""
+    """Short, staged and long rows, and what is shared; streamed (also from a loop), updated and
+    summed results."""
     updated = jnp.zeros(40).at[jnp.arange(40) % 7].add(jnp.tile(x, 8))
     total = jax.lax.fori_loop(0, 20, lambda i, s: s + y[i] * z[i], 0.0)
-    return [jnp.sin(y) * w, jnp.concatenate([z, y]) * total, updated, y[:9] * x[0], x * total]
+    turns = jax.lax.scan(lambda s, a: (s + a, jnp.stack([s + a * k for k in range(40)])), 0.0, x)[1]
+    return [jnp.sin(y) * w, jnp.concatenate([z, y]) * total, updated, y[:9] * x[0], turns[::-1],
+            x * total]  # fmt: skip
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
@@ -264,7 +267,7 @@ def test_a_kernel_s_threads_together(batch, last):
         layouts = [Layout(x.shape, tuple(1 + k for k in levels)) for x in args]
     else:
         layouts = [Layout(x.shape, tuple(levels)) for x in args]
-    summed = (False, False, False, True, True)
+    summed = (False, False, False, True, False, True)
     code, shapes = emitted(program, [*layouts, shared], batch, summed, last)
     got = emulated(code, [*args, w], shapes)
     mapped = program

@@ -1,0 +1,112 @@
+"""What the derivatives of inverse dynamics are products of, link by link.
+
+In world axes, with V and A the twist and spatial acceleration of what carries joint j, a tangent
+dq_j turns all that j moves as a rigid body, so that for each body k of it (Singh, Russell & Wensing
+2022)
+
+    df_k / dq_j = S_j x* f_k + I_k (A x S_j + V x V x S_j) + 2 B_k (V x S_j)
+    df_k / dv_j = I_k (V x S_j + S_j') + 2 B_k S_j
+
+with B of `coriolis_block`. Summed over what a link carries these are composites, and an entry
+(i, j) is a product with S_i: O(n), and then O(depth) a column. Where j moves i, the turning of f
+and that of S_i cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+
+from rbjax.dynamics.composites import (
+    coriolis_block,
+    link_twists,
+    turning,
+    twice_coriolis,
+    twice_coriolis_transposed,
+)
+from rbjax.dynamics.drivers import Driver
+from rbjax.lanes import Lane, Sym3, Vec3, add
+from rbjax.model import Topology
+from rbjax.spatial import Force, Motion, RigidInertia
+
+
+class Operands(NamedTuple):
+    """Of each link what `pair_matrix` multiplies: for entry (i, j) the row of link i by a column of
+    link j where j moves i, elsewhere the axis of i by a force of j."""
+
+    force_q: Force
+    force_v: Force
+    force_a: Force
+    row: tuple[Lane, ...]
+    column_q: tuple[Lane, ...]
+    column_v: tuple[Lane, ...]
+
+
+def operands(
+    d: Driver, poses: Any, S: Any, v: jax.Array, a: Any, kept: Callable | None = None, *given: Any
+) -> Any:
+    """`Operands` at accelerations `a` per link, or what kept(pose, S, operands, *given) makes of
+    those of each link; per link."""
+    V = link_twists(d, S, v)
+    base = Motion(Vec3.zero(), -d.prepared.gravity)
+    before = [_before(d.topology, i) for i in range(d.topology.nv)]
+    V_before, T = d.take(V, before, Motion.zero()), turning(d, V)
+    no_balls = T is V_before
+
+    def accelerate(x, A_parent):
+        S, V_before, speed, qdd = x
+        A = A_parent + S * qdd + V_before.cross(S) * speed
+        return A, A
+
+    A = d.whole(d.outward(accelerate, base, d.zip(d.rows(S), d.rows(V_before), d.lanes(v), a)))
+    A_before = d.take(A, before, base)
+
+    def gather(x, children):
+        link, (pose, S, V, A, T, V_before, A_before), *more = x
+        inertia = pose.rigid_to_parent(link.inertia)
+        block = coriolis_block(inertia, V)
+        own = inertia, block, inertia(A) + V.cross_force(block[1])
+        inertia, block, force = composite = jax.tree.map(add, own, children)
+        drift = V_before.cross(S)
+        bend = A_before.cross(S) + V_before.cross(drift)
+        both = drift * 2.0 if no_balls else drift + T.cross(S)
+        IS = inertia(S)
+        out = Operands(
+            S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang),
+            inertia(both) + twice_coriolis(block, S.ang),
+            IS,
+            (*IS, *twice_coriolis_transposed(block, S)),
+            (*bend, *drift.ang),
+            (*both, *S.ang),
+        )
+        return composite, out if kept is None else kept(pose, S, out, *more)
+
+    massless = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
+    nothing = massless, (Sym3.zero(), Force.zero()), Force.zero()
+    rows = d.zip(*map(d.rows, (poses, S, V, A, T, V_before, A_before)))
+    return d.inward(gather, nothing, d.zip(d.constants, rows, *given))
+
+
+def whole_operands(d: Driver, *args: Any) -> Operands:
+    """`operands`, each of them in the form of `Driver.whole`."""
+    return Operands(*map(d.whole, d.unzip(operands(d, *args), len(Operands._fields))))
+
+
+def _before(top: Topology, i: int) -> int:
+    """The link whose motion says how the axis of link i moves while its own joint stands still: of
+    a ball the parent of the first link, elsewhere the link itself, as S x S = 0."""
+    link = top.links[i]
+    if link.kind == "slide" or link.part is None:
+        return i
+    return top.parents[i - link.part]
+
+
+def inverse_pairs(S: Any, x: Operands) -> tuple:
+    """What `pair_matrix` multiplies for dID/dq, dID/dv and M."""
+    return (
+        ((S, x.force_q), (x.row, x.column_q)),
+        ((S, x.force_v), (x.row, x.column_v)),
+        ((S, x.force_a), (x.force_a, S)),
+    )
