@@ -201,8 +201,8 @@ def algorithms(c: Case) -> Iterator[dict]:
     }
     copy = bandwidth()
     for what, f in runs.items():
-        size = MILLION if what in ("inverse dynamics", "jacobian", "energy") else 4 * MANY
-        size = MANY if "derivatives" in what or what == "regressor" else size
+        size = MANY if "derivatives" in what or what == "regressor" else MILLION
+        size = 4 * MANY if what == "inverse mass matrix" else size
         args = c.batch(size)[: f.__code__.co_argcount]
         run = jax.vmap(f)
         moved = sum(

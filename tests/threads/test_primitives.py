@@ -17,9 +17,10 @@ from jax.lax import ScatterDimensionNumbers as Scatter
 
 from rbjax.materialize import sincos
 from rbjax.threads.lowering import Unsupported
-from tests.threads.host import COMPILER, Case, by_xla, many_on_host, on_host, written
+from tests.threads.host import COMPILER, GPU_ASKED, Case, by_xla, many_on_host, on_host, written
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+host_alone = pytest.mark.skipif(GPU_ASKED, reason="is more than a GPU's thread takes")
 
 F32, F64, I32, I64 = (np.dtype(x) for x in ("f4", "f8", "i4", "i8"))
 FLOATS, SIGNED = (F32, F64), (np.dtype("i1"), np.dtype("i2"), I32, I64)
@@ -388,6 +389,7 @@ def test_scatter(dtype, size):
     compare(cases, ulps=8, absolute=8)
 
 
+@host_alone
 def test_many_entries_are_gathered_and_scattered_by_loops():
     x, i = normal(F64, 2, 200), np.random.default_rng(0).integers(-5, 205, (2, 5000))
     u = normal(F64, 2, 5000, seed=1)
@@ -631,6 +633,7 @@ def test_custom_derivatives_and_gradients():
 # ------------------------------------------------------------------- size
 
 
+@host_alone
 def test_large_arrays_are_worked_through_by_loops():
     x, data = normal(F64, 2, 60, 40), np.arange(4, dtype=np.uint32).reshape(2, 2)
     x[1, 3, 4] = np.nan
@@ -667,6 +670,7 @@ def test_a_network_is_a_few_hundred_statements():
     compare({"network": (mlp, (x, *args))}, ulps=64, absolute=64)
 
 
+@host_alone
 def test_what_is_not_known_is_named():
     with pytest.raises(Unsupported, match="complex64"):
         on_host(lambda x: jnp.abs(x.astype(jnp.complex64)), normal(F32, 2))
