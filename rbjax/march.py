@@ -51,13 +51,16 @@ class March:
     k: int
     leaving: bool = False
 
-    def program(self) -> Program:
-        """(*state, controls (steps, nu), *others) -> states (1 + steps / save_every, ...)."""
+    def program(self, plain: Program | None = None) -> Program:
+        """(*state, controls (steps, nu), *others) -> states (1 + steps / save_every, ...).
+
+        plain: the same without what a derivative needs, where it has been traced.
+        """
         avals = list(self.step.inputs[1:])
         if self.driven:
             u = avals[self.size]
             avals[self.size] = jax.ShapeDtypeStruct((self.steps, *u.shape), u.dtype)
-        plain = traced(lambda *args: self._forward(args)[0], *avals)
+        plain = plain or traced(lambda *args: self._forward(args)[0], *avals)
         every = self.k == self.save_every  # every kept state is also a result
 
         @functools.cache
@@ -254,10 +257,11 @@ def on_threads(
         left = march(1).pullback(moving).bytes
         long = operation_count(step, *step.inputs).total > LEAVING_ABOVE
         if long and left and steps * batch * (each + left) <= memory:
-            return march(1, leaving=True).program()
-        return march(keep_every(save_every, steps, batch * each, memory)).program()
+            return march(1, leaving=True).program(plain)
+        return march(keep_every(save_every, steps, batch * each, memory)).program(plain)
 
-    program = Program(march(save_every).program().closed, sized=sized)
+    plain = march(save_every).program()
+    program = Program(plain.closed, sized=sized)
     given = [q, v] if ctrls is None else [q, v, ctrls]
     f = functools.partial(_run, program)
     if batched:

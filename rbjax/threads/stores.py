@@ -24,7 +24,7 @@ SHORT, WHOLE = 8, 128
 #: 4-byte entries of a piece of a longer row
 TILE = 256
 #: entries of a run that leaves through the tile
-RUN = 16
+RUN = 32
 #: bytes of memory, a sector, at whose multiples pieces begin
 ALIGN = 32
 
