@@ -127,7 +127,8 @@ class March:
     def _advance(self, carry: Any, u: Any, others: Sequence[Any], pull: Pullback | None) -> Any:
         """The number and the state of the next step, and what the step leaves for `pull`."""
         i, state = carry
-        new = (pull.forward if pull else self.step)(i, *state, *_given(u), *others)
+        step = pull.forward if pull else self.step
+        new = run(step, [i, *state, *_given(u), *others])  # one equation, however long it is
         return (i + 1, tuple(new[: self.size])), tuple(new[self.size :])
 
     def _pull(self, moving: Moving, args: Sequence[Any], kept: Any, bars: Any) -> list:
