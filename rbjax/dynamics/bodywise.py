@@ -32,13 +32,15 @@ from rbjax.dynamics.composites import (
     twice_coriolis,
     twice_coriolis_transposed,
 )
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers import driver, on_threads
 from rbjax.dynamics.jacobians import ancestor_mask
 from rbjax.dynamics.kinematics import body_transforms
 from rbjax.dynamics.pairs import pair_matrix
-from rbjax.lanes import Mat3, Sym3, Vec3
+from rbjax.lanes import Mat3, Sym3, Vec3, add, mul
+from rbjax.materialize import batch_first
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
+from rbjax.threads import side_by_side, threaded
 
 
 @algorithm("q", "v")
@@ -85,7 +87,56 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     return pair_matrix(d, (S, outer), (inner, axes), v)
 
 
-@algorithm("q", "v", "a")
+def regressor_factors(
+    model: Model, q: jax.Array, v: jax.Array, a: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The axes (nv, 6) of the links and the wrench (6, 10 nb) of each parameter, in world axes: an
+    entry of the regressor is the product of two, where the link moves the body."""
+    d = driver(model, q.dtype)
+    joints = d.joints(q, v)
+    poses = tree_poses(d, joints)
+
+    def step(x, parent):
+        w_parent, a_parent = parent
+        constants, joint, qdd = x
+        w, moved = swing((constants, joint), w_parent)
+        acc = moved.X(a_parent) + moved.c + joint.S * qdd
+        return (w, acc), (w, acc)
+
+    root = (Vec3.zero(), Motion(Vec3.zero(), -d.prepared.gravity))
+    motions = d.whole(d.outward(step, root, d.zip(d.constants, joints, d.lanes(a))))
+    carriers = [max(link, 0) for link in model.topology.body_links]
+    wrenches = d.each(
+        parameter_wrenches,
+        d.take(poses, carriers), body_transforms(d, poses), d.take(motions, carriers),
+    )  # fmt: skip
+    columns = [
+        d.stack(wrenches, lambda forces, k=k: [list(f)[k] for f in forces], q).reshape(-1)
+        for k in range(6)
+    ]
+    return d.stack(link_axes(d, poses), list, q), jnp.stack(columns)
+
+
+def _moved_by(model: Model) -> np.ndarray:
+    """Whether a link moves the body of a parameter (nv, 10 nb)."""
+    moved = np.stack([ancestor_mask(model.topology, i) for i in model.topology.body_links])
+    return np.repeat(moved.T, 10, 1)
+
+
+def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
+    """`inertial_regressor` as two kernels: the factors, then a thread a parameter."""
+    model = on_threads(model, q.dtype, short=True)
+    factors = threaded(lambda *x: regressor_factors(model, *x))(q, v, a)
+    S, wrenches = batch_first(factors)
+
+    def column(wrench: jax.Array, moved: jax.Array) -> list[jax.Array]:
+        entries = [functools.reduce(add, map(mul, axis, wrench)) for axis in S]
+        return [jnp.where(moved, jnp.stack(entries), 0.0)]
+
+    return side_by_side(column, [wrenches, jnp.asarray(_moved_by(model))], [1, 1])[0]
+
+
+@algorithm("q", "v", "a", apart=regressor_by_columns)
 def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """Y(q, v, a) (nv, 10 nb), with ID(q, v, a) = Y pi + armature * a.
 
@@ -107,36 +158,11 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
         >>> rb.inertial_regressor(model, s.q, s.v, s.v).shape
         (2, 20)
     """
-    n, nb, top = model.nv, model.nb, model.topology
-    if not n:
-        return jnp.zeros((0, 10 * nb), q.dtype)
-    d = driver(model, q.dtype)
-    joints = d.joints(q, v)
-    poses = tree_poses(d, joints)
-
-    def step(x, parent):
-        w_parent, a_parent = parent
-        constants, joint, qdd = x
-        w, moved = swing((constants, joint), w_parent)
-        acc = moved.X(a_parent) + moved.c + joint.S * qdd
-        return (w, acc), (w, acc)
-
-    root = (Vec3.zero(), Motion(Vec3.zero(), -d.prepared.gravity))
-    motions = d.whole(d.outward(step, root, d.zip(d.constants, joints, d.lanes(a))))
-    carriers = [max(link, 0) for link in top.body_links]
-    wrenches = d.each(
-        parameter_wrenches,
-        d.take(poses, carriers), body_transforms(d, poses), d.take(motions, carriers),
-    )  # fmt: skip
-    S = d.stack(link_axes(d, poses), list, q)
-    moved_by = np.stack([ancestor_mask(top, i) for i in top.body_links])  # [body, link]
-
-    def lane_of_each(k):
-        column = d.stack(wrenches, lambda forces: [list(f)[k] for f in forces], q)
-        return S[:, k, None] * column.reshape(1, -1)
-
-    rows = [lane_of_each(k) for k in range(6)]
-    return jnp.where(np.repeat(moved_by.T, 10, 1), functools.reduce(jnp.add, rows), 0.0)
+    if not model.nv:
+        return jnp.zeros((0, 10 * model.nb), q.dtype)
+    S, wrenches = regressor_factors(model, q, v, a)
+    rows = [S[:, k, None] * wrenches[k, None] for k in range(6)]
+    return jnp.where(_moved_by(model), functools.reduce(jnp.add, rows), 0.0)
 
 
 def parameter_wrenches(link: Transform, body: Transform, motion: tuple) -> tuple[Force, ...]:

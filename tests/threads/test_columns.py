@@ -12,6 +12,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics import columns
+from rbjax.dynamics.bodywise import regressor_by_columns
 from rbjax.dynamics.drivers import THREADS_APART_ABOVE
 from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Layout, write_program
@@ -29,6 +30,7 @@ PUBLIC = {
     "inverse": (rb.inverse_dynamics_derivatives, columns.inverse_by_columns, 2),
     "mass": (lambda m, q, v, a: rb.inverse_mass_matrix(m, q),
              lambda m, q, v, a: columns.inverse_mass_by_columns(m, q), 2),
+    "regressor": (rb.inertial_regressor, regressor_by_columns, 2),
 }  # fmt: skip
 
 
