@@ -41,13 +41,13 @@ class Pullback:
 
         closed = jax.make_jaxpr(linearised)(*step.inputs)
         n, jaxpr = len(step.outputs), closed.jaxpr
-        at_hand = {v: k for k, v in enumerate(jaxpr.invars)}  # the leaves that are arguments
-        known = dict(zip(jaxpr.constvars, closed.consts, strict=True))
-        self._sources: list[Any] = [
-            v.val if isinstance(v, Literal) else known.get(v, at_hand.get(v, v.aval))
+        places = {v: ("argument", k) for k, v in enumerate(jaxpr.invars)}
+        places |= {v: ("constant", x) for v, x in zip(jaxpr.constvars, closed.consts, strict=True)}
+        self._sources: list[tuple[str, Any]] = [
+            ("constant", v.val) if isinstance(v, Literal) else places.get(v, ("left", v.aval))
             for v in jaxpr.outvars[n:]
         ]
-        held = [isinstance(s, jax.core.ShapedArray) for s in self._sources]
+        held = [kind == "left" for kind, _ in self._sources]
 
         def forward(*args: Any) -> list[Any]:
             found = jaxpr_as_fun(closed)(*args)
@@ -77,10 +77,10 @@ class Pullback:
     def __call__(self, args: Sequence[Any], left: jax.Array, bars: Sequence[Any]) -> list[Any]:
         """The cotangents of the arguments that move, of those of the results."""
         leaves, start = [], 0
-        for source in self._sources:
-            if isinstance(source, jax.core.ShapedArray):
+        for kind, source in self._sources:
+            if kind == "left":
                 leaves.append(left[start : start + source.size].reshape(source.shape))
                 start += source.size
             else:
-                leaves.append(args[source] if isinstance(source, int) else source)
+                leaves.append(args[source] if kind == "argument" else source)
         return list(jax.tree.unflatten(self._tree, leaves)(list(bars)))
