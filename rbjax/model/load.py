@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
 from rbjax.model.load_dropped import actuator_is_supported, dropped_features
+from rbjax.model.load_inertials import write_inertials
 from rbjax.model.load_urdf import is_urdf, prepare_urdf
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
@@ -61,7 +62,14 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
         >>> model.joint_names
         ('shoulder', 'elbow')
     """
-    compiled = compile_model(source, floating_base=floating_base)
+    compiled, odd = _compile_source(source, floating_base=floating_base)
+    if odd:
+        warnings.warn(
+            f"{_describe(source)}: inertials that no rigid body has, used as the file gives them: "
+            f"{odd}; expected a positive mass, and positive moments none of which exceeds the sum "
+            f"of the other two; correct the file if these links matter",
+            stacklevel=2,
+        )
     dropped = dropped_features(compiled)
     if dropped:
         text = f"{_describe(source)}: left out of the model: {'; '.join(dropped)}"
@@ -73,19 +81,24 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
 
 def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel:
     """The `mujoco.MjModel` of any source that `load` takes (what `validate` runs beside ours)."""
+    return _compile_source(source, floating_base=floating_base)[0]
+
+
+def _compile_source(source: Any, *, floating_base: bool) -> tuple[mujoco.MjModel, str]:
+    """The compiled model, and in words the links of a URDF with impossible inertials."""
     if isinstance(source, mujoco.MjModel):
-        return source
+        return source, ""
     if isinstance(source, mujoco.MjSpec):
-        return _compile(source, "MjSpec")
+        return _compile(source, "MjSpec"), ""
     if not isinstance(source, (str, Path)):
         raise ModelError(
             f"load: got {type(source).__name__}, expected a path, an XML string, "
             f"mujoco.MjSpec, mujoco.MjModel or one of the scenes {', '.join(scenes())}"
         )
     text, path = _read(source)
-    name = _describe(source)
+    name, inertials = _describe(source), None
     if is_urdf(text, name):
-        text = prepare_urdf(text, name, floating_base=floating_base)
+        text, inertials = prepare_urdf(text, name, floating_base=floating_base)
         path = None  # nothing outside the file is left
     elif floating_base:
         raise ModelError(
@@ -97,7 +110,8 @@ def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel
         )
     except Exception as error:
         raise ModelError(f"{name}: MuJoCo cannot parse it: {_sentence(error)}") from error
-    return _compile(spec, name)
+    compiled = _compile(spec, name)
+    return compiled, "" if inertials is None else write_inertials(compiled, inertials, name)
 
 
 def _read(source: str | Path) -> tuple[str, Path | None]:
@@ -166,6 +180,8 @@ def _fix(message: str) -> str:
         "A + B >= C": "; correct the inertia, or let MuJoCo balance it: "
         "<compiler balanceinertia='true'/>",
         "opening file": "; put the file where the model names it, or remove the element",
+        "free joint can only be used on top": "; a floating joint is for the root: make the root "
+        "link its parent, and load without floating_base",
         "inertia must have positive eigenvalues": "; give every principal moment a positive value",
     }
     return next((fix for key, fix in hints.items() if key in message), "")

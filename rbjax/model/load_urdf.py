@@ -1,9 +1,9 @@
 """URDF made ready for MuJoCo's compiler.
 
 MuJoCo reads URDF with habits of its own: it fuses links joined by fixed joints and forgets their
-names, gives the root's mass to the world, takes masses from collision shapes where a link has no
-<inertial>, and stops at meshes that it cannot find. Here shapes are removed (the dynamics does not
-need them), names are kept, and `floating_base` gives the root a joint.
+names, gives the root's mass to the world, and stops at meshes that it cannot find and at inertials
+that it does not like. Here shapes are removed (the dynamics does not need them), names are kept,
+inertials are taken out (`load_inertials`), and `floating_base` gives the root a joint.
 """
 
 from __future__ import annotations
@@ -11,16 +11,27 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from rbjax.errors import ModelError
+from rbjax.model.load_inertials import Inertial, take_inertials
+
+#: settings of MuJoCo's compiler that change inertials; ours are the file's
+_TAMPERS = ("balanceinertia", "boundmass", "boundinertia", "settotalmass")
+
+_XACRO = "; run xacro first: `xacro robot.urdf.xacro > robot.urdf`"
 
 
 def is_urdf(text: str, name: str) -> bool:
     """Whether the XML's root element is <robot>."""
+    if not text.strip():
+        raise ModelError(f"{name}: the file is empty; expected MJCF (<mujoco>) or URDF (<robot>)")
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
         raise ModelError(
             f"{name}: not well-formed XML: {error}; expected MJCF (<mujoco>) or URDF (<robot>)"
+            f"{_XACRO if 'xacro:' in text else ''}"
         ) from error
+    if any("/xacro}" in element.tag for element in root.iter()):
+        raise ModelError(f"{name}: got xacro's macros, expected URDF{_XACRO}")
     if root.tag not in ("mujoco", "mujocoinclude", "robot"):
         raise ModelError(
             f"{name}: root element <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
@@ -28,15 +39,26 @@ def is_urdf(text: str, name: str) -> bool:
     return root.tag == "robot"
 
 
-def prepare_urdf(text: str, name: str, *, floating_base: bool) -> str:
-    """The URDF with shapes removed, fixed links kept, and a floating root if asked for."""
+def prepare_urdf(text: str, name: str, *, floating_base: bool) -> tuple[str, dict[str, Inertial]]:
+    """The URDF with shapes removed, fixed links kept, and a floating root if asked for; and the
+    links' inertials, in whose place it has others."""
     robot = ET.fromstring(text)
     links = {link.get("name", ""): link for link in robot.findall("link")}
+    if not links:
+        raise ModelError(f"{name}: <robot> has no <link>, expected at least one{_XACRO}")
     root = _root(robot, set(links), name)
+    if floating_base and root == "world":
+        raise ModelError(
+            f"{name}: floating_base=True, but the root link is 'world', to which the robot is "
+            f"fixed; load it without, or remove that link and its joints from the file"
+        )
     for link in links.values():
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
-        _drop_empty_inertial(link)
+    inertials = take_inertials(links, name)
+    for joint in robot.findall("joint[@type='fixed']"):
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
     for material in robot.findall("material"):
         robot.remove(material)
     extension = robot.find("mujoco")
@@ -46,6 +68,8 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> str:
     if compiler is None:
         compiler = ET.SubElement(extension, "compiler")
     compiler.attrib.pop("meshdir", None)
+    for attribute in _TAMPERS:
+        compiler.attrib.pop(attribute, None)
     compiler.set("fusestatic", "false")
     compiler.set("inertiafromgeom", "false")
     if floating_base:
@@ -54,7 +78,7 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> str:
         joint = ET.SubElement(robot, "joint", name="floating_base", type="floating")
         ET.SubElement(joint, "parent", link=world)
         ET.SubElement(joint, "child", link=root)
-    return ET.tostring(robot, encoding="unicode")
+    return ET.tostring(robot, encoding="unicode"), inertials
 
 
 def _root(robot: ET.Element, links: set, name: str) -> str:
@@ -90,15 +114,3 @@ def _root(robot: ET.Element, links: set, name: str) -> str:
             f"{roots[0]!r}; a URDF is a tree"
         )
     return roots[0]
-
-
-def _drop_empty_inertial(link: ET.Element) -> None:
-    """An <inertial> of zeros means none; MuJoCo refuses it otherwise."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        return
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    values = [] if mass is None else [mass.get("value", "0")]
-    values += [] if inertia is None else [inertia.get(k, "0") for k in ("ixx", "iyy", "izz")]
-    if not any(float(x) for x in values):
-        link.remove(inertial)

@@ -1,0 +1,157 @@
+"""The inertials of a URDF, as the file has them.
+
+MuJoCo's compiler refuses what every other reader takes: placeholders of zeros, rounded or guessed
+inertias that no rigid body has, massless links that move. So it compiles the same body for every
+link, and the file's own numbers are written into what it compiled.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from rbjax.errors import ModelError
+
+#: a moment beyond the sum of the other two by less than this part of it is the file's rounding
+ROUNDING = 1e-6
+_SHOWN = 8  # names listed before "and N more"
+# At an angle and off the link's origin, so that MuJoCo takes no short cuts from its zeros.
+_PLACEHOLDER = """<inertial><origin xyz="1 2 3" rpy="1 1 1"/><mass value="1"/>
+    <inertia ixx="1" iyy="1.1" izz="1.2" ixy="0" ixz="0" iyz="0"/></inertial>"""
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Of a link, in its axes: mass kg, com (3,) m, inertia (3, 3) kg m^2 about the com."""
+
+    mass: float
+    com: np.ndarray
+    inertia: np.ndarray
+
+    def oddity(self, *, alone: bool) -> str:
+        """What no rigid body has, in words; empty where all is well.
+
+        A point is odd where it moves alone, and no matter where it is welded to others.
+        """
+        moments = np.linalg.eigvalsh(self.inertia)
+        excess = max(-moments[0], moments[2] - moments[0] - moments[1])
+        if self.mass < 0:
+            return "negative mass"
+        if self.mass == 0 and moments.any():
+            return "inertia without mass"
+        if self.mass > 0 and alone and not moments.any():
+            return "mass without inertia"
+        if excess > ROUNDING * abs(moments).max():
+            return "a principal moment below zero or above the sum of the other two"
+        return ""
+
+
+def take_inertials(links: dict[str, ET.Element], name: str) -> dict[str, Inertial]:
+    """The inertial of each link, which has a placeholder afterwards."""
+    found = {}
+    for link_name, link in links.items():
+        found[link_name] = _read(link, f"{name}: link {link_name!r}")
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+        link.append(ET.fromstring(_PLACEHOLDER))
+    return found
+
+
+def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str) -> str:
+    """Put the links' inertials where the compiled model has placeholders.
+
+    Returns in words which moving links have inertials that no rigid body has.
+    """
+    odd: dict[str, list[str]] = {}
+    for i in range(1, m.nbody):
+        own = inertials[m.body(i).name]
+        m.body_mass[i], m.body_ipos[i] = own.mass, own.com
+        m.body_inertia[i], turn = _principal(own.inertia)
+        mujoco.mju_mat2Quat(m.body_iquat[i], turn.ravel())
+        oddity = own.oddity(alone=m.body_jntnum[i] > 0)
+        if oddity and m.body_weldid[i]:
+            odd.setdefault(oddity, []).append(m.body(i).name)
+    _refuse_massless_motion(m, name)
+    mujoco.mj_setConst(m, mujoco.MjData(m))
+    return "; ".join(f"{kind}: {_list(links)}" for kind, links in odd.items())
+
+
+def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Principal moments, and the rotation from their axes."""
+    if not (inertia - np.diag(np.diag(inertia))).any():
+        return np.diag(inertia), np.eye(3)
+    moments, turn = np.linalg.eigh(inertia)
+    return moments, turn * np.linalg.det(turn).round()
+
+
+def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
+    """A joint that moves no mass, at a pose like any other, has no acceleration to speak of."""
+    data = mujoco.MjData(m)
+    mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
+    m.body_subtreemass[:] = m.body_mass  # where MuJoCo takes moments about; of no effect here
+    mujoco.mj_kinematics(m, data)
+    mujoco.mj_comPos(m, data)
+    mujoco.mj_crb(m, data)
+    moved = np.zeros((m.nv, m.nv))
+    mujoco.mj_fullM(m, data, moved)
+    moved = np.abs(np.diag(moved))
+    still = np.flatnonzero(moved <= 1e-15 * moved.max(initial=0.0))
+    if len(still):
+        joints = dict.fromkeys(int(m.dof_jntid[i]) for i in still)
+        words = [f"{m.joint(j).name} (link {m.body(m.jnt_bodyid[j]).name})" for j in joints]
+        raise ModelError(
+            f"{name}: joints that move no mass: {_list(words)}; the mass matrix is singular and "
+            f"their accelerations are undefined, expected mass on each moving link or on one that "
+            f"it carries; give the links an <inertial>, or their joints type='fixed'"
+        )
+
+
+def _read(link: ET.Element, where: str) -> Inertial:
+    """Absent elements and attributes count as zeros."""
+    found = link.find("inertial")
+    inertial = ET.Element("inertial") if found is None else found
+    mass = _numbers(inertial.find("mass"), "value", 1, where)
+    com = _numbers(inertial.find("origin"), "xyz", 3, where)
+    angles = _numbers(inertial.find("origin"), "rpy", 3, where)
+    element = inertial.find("inertia")
+    xx, yy, zz, xy, xz, yz = (
+        _numbers(element, key, 1, where)[0] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    )
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if angles.any():
+        turn = _rotation(angles)
+        inertia = turn @ inertia @ turn.T
+    return Inertial(float(mass[0]), com, inertia)
+
+
+def _numbers(element: ET.Element | None, key: str, count: int, where: str) -> np.ndarray:
+    text = None if element is None else element.get(key)
+    if element is None or text is None:
+        return np.zeros(count)
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        expected = "one finite number" if count == 1 else f"{count} finite numbers"
+        raise ModelError(
+            f"{where}: <{element.tag} {key}={text!r}>, expected {expected}; correct it"
+        )
+    return np.array(values)
+
+
+def _rotation(rpy: np.ndarray) -> np.ndarray:
+    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    quat, matrix = np.empty(4), np.empty(9)
+    mujoco.mju_euler2Quat(quat, rpy, "XYZ")
+    mujoco.mju_quat2Mat(matrix, quat)
+    return matrix.reshape(3, 3)
+
+
+def _list(names: list[str]) -> str:
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
