@@ -62,7 +62,7 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
         >>> model.joint_names
         ('shoulder', 'elbow')
     """
-    compiled, odd = _compile_source(source, floating_base=floating_base)
+    compiled, odd, mimics = _compile_source(source, floating_base=floating_base)
     if odd:
         warnings.warn(
             f"{_describe(source)}: inertials that no rigid body has, used as the file gives them: "
@@ -71,6 +71,8 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
             stacklevel=2,
         )
     dropped = dropped_features(compiled)
+    if mimics:
+        dropped += (f"mimic joints, which move on their own ({', '.join(mimics)})",)
     if dropped:
         text = f"{_describe(source)}: left out of the model: {'; '.join(dropped)}"
         if strict:
@@ -84,22 +86,24 @@ def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel
     return _compile_source(source, floating_base=floating_base)[0]
 
 
-def _compile_source(source: Any, *, floating_base: bool) -> tuple[mujoco.MjModel, str]:
-    """The compiled model, and in words the links of a URDF with impossible inertials."""
+def _compile_source(
+    source: Any, *, floating_base: bool
+) -> tuple[mujoco.MjModel, str, tuple[str, ...]]:
+    """The compiled model; of a URDF also, in words, impossible inertials and joints that mimic."""
     if isinstance(source, mujoco.MjModel):
-        return source, ""
+        return source, "", ()
     if isinstance(source, mujoco.MjSpec):
-        return _compile(source, "MjSpec"), ""
+        return _compile(source, "MjSpec"), "", ()
     if not isinstance(source, (str, Path)):
         raise ModelError(
             f"load: got {type(source).__name__}, expected a path, an XML string, "
             f"mujoco.MjSpec, mujoco.MjModel or one of the scenes {', '.join(scenes())}"
         )
     text, path = _read(source)
-    name, inertials = _describe(source), None
+    name, urdf = _describe(source), None
     if is_urdf(text, name):
-        text, inertials = prepare_urdf(text, name, floating_base=floating_base)
-        path = None  # nothing outside the file is left
+        urdf = prepare_urdf(text, name, floating_base=floating_base)
+        text, path = urdf.text, None  # nothing outside the file is left
     elif floating_base:
         raise ModelError(
             f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
@@ -111,7 +115,9 @@ def _compile_source(source: Any, *, floating_base: bool) -> tuple[mujoco.MjModel
     except Exception as error:
         raise ModelError(f"{name}: MuJoCo cannot parse it: {_sentence(error)}") from error
     compiled = _compile(spec, name)
-    return compiled, "" if inertials is None else write_inertials(compiled, inertials, name)
+    if urdf is None:
+        return compiled, "", ()
+    return compiled, write_inertials(compiled, urdf.inertials, name), urdf.mimics
 
 
 def _read(source: str | Path) -> tuple[str, Path | None]:
@@ -180,8 +186,10 @@ def _fix(message: str) -> str:
         "A + B >= C": "; correct the inertia, or let MuJoCo balance it: "
         "<compiler balanceinertia='true'/>",
         "opening file": "; put the file where the model names it, or remove the element",
-        "free joint can only be used on top": "; a floating joint is for the root: make the root "
-        "link its parent, and load without floating_base",
+        "free joint can only be used on top": "; a URDF's floating joint moves a child of the root "
+        "link, and that is named 'world'",
+        "joint found in world body": "; the link named 'world' is the ground and cannot move: "
+        "rename it, or load without floating_base",
         "inertia must have positive eigenvalues": "; give every principal moment a positive value",
     }
     return next((fix for key, fix in hints.items() if key in message), "")

@@ -24,10 +24,7 @@ def dropped_features(m: mujoco.MjModel) -> tuple[str, ...]:
         return not off & int(flag)
 
     def names(kind, mask) -> str:
-        found = [
-            mujoco.mj_id2name(m, kind, int(i)) or _nameless(m, kind, int(i))
-            for i in np.flatnonzero(mask)
-        ]
+        found = [mujoco.mj_id2name(m, kind, int(i)) or f"#{i}" for i in np.flatnonzero(mask)]
         more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
         return ", ".join(found[:_SHOWN]) + more
 
@@ -68,13 +65,6 @@ def dropped_features(m: mujoco.MjModel) -> tuple[str, ...]:
     note("damping and armature of actuators", extra, obj.mjOBJ_ACTUATOR)
     note("plugins", m.nplugin)
     return tuple(out)
-
-
-def _nameless(m: mujoco.MjModel, kind: Any, i: int) -> str:
-    """What to call it: the mimic joints of a URDF become equalities without a name."""
-    if kind == mujoco.mjtObj.mjOBJ_EQUALITY and m.eq_type[i] == int(mujoco.mjtEq.mjEQ_JOINT):
-        return f"of joint {m.joint(m.eq_obj1id[i]).name}"
-    return f"#{i}"
 
 
 def actuator_is_supported(m: mujoco.MjModel, i: int) -> bool:

@@ -111,7 +111,7 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
 
 
 def _read(link: ET.Element, where: str) -> Inertial:
-    """Absent elements and attributes count as zeros."""
+    """An absent element counts as zeros; one that is there has all its numbers."""
     found = link.find("inertial")
     inertial = ET.Element("inertial") if found is None else found
     mass = _numbers(inertial.find("mass"), "value", 1, where)
@@ -130,8 +130,10 @@ def _read(link: ET.Element, where: str) -> Inertial:
 
 def _numbers(element: ET.Element | None, key: str, count: int, where: str) -> np.ndarray:
     text = None if element is None else element.get(key)
-    if element is None or text is None:
+    if element is None or (text is None and element.tag == "origin"):
         return np.zeros(count)
+    if text is None:
+        raise ModelError(f"{where}: <{element.tag}> has no {key}, expected a number; add it")
     try:
         values = [float(word) for word in text.split()]
     except ValueError:

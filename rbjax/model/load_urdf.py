@@ -9,6 +9,8 @@ inertials are taken out (`load_inertials`), and `floating_base` gives the root a
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections import Counter
+from dataclasses import dataclass
 
 from rbjax.errors import ModelError
 from rbjax.model.load_inertials import Inertial, take_inertials
@@ -39,26 +41,31 @@ def is_urdf(text: str, name: str) -> bool:
     return root.tag == "robot"
 
 
-def prepare_urdf(text: str, name: str, *, floating_base: bool) -> tuple[str, dict[str, Inertial]]:
-    """The URDF with shapes removed, fixed links kept, and a floating root if asked for; and the
-    links' inertials, in whose place it has others."""
+@dataclass(frozen=True)
+class Urdf:
+    """What MuJoCo is given; and what it is not: inertials by link, and which joints mimic."""
+
+    text: str
+    inertials: dict[str, Inertial]
+    mimics: tuple[str, ...]
+
+
+def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
+    """The URDF with shapes removed, fixed links kept, and a floating root if asked for."""
     robot = ET.fromstring(text)
-    links = {link.get("name", ""): link for link in robot.findall("link")}
-    if not links:
+    there = robot.findall("link")
+    links = {link.get("name", ""): link for link in there}
+    if not there:
         raise ModelError(f"{name}: <robot> has no <link>, expected at least one{_XACRO}")
+    twice = [n for n, count in Counter(x.get("name") for x in there).items() if count > 1]
+    if twice:
+        raise ModelError(f"{name}: two links are named {twice[0]!r}; rename one of them")
     root = _root(robot, set(links), name)
-    if floating_base and root == "world":
-        raise ModelError(
-            f"{name}: floating_base=True, but the root link is 'world', to which the robot is "
-            f"fixed; load it without, or remove that link and its joints from the file"
-        )
     for link in links.values():
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
     inertials = take_inertials(links, name)
-    for joint in robot.findall("joint[@type='fixed']"):
-        for mimic in joint.findall("mimic"):
-            joint.remove(mimic)
+    mimics = _take_mimics(robot)
     for material in robot.findall("material"):
         robot.remove(material)
     extension = robot.find("mujoco")
@@ -78,7 +85,18 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> tuple[str, dic
         joint = ET.SubElement(robot, "joint", name="floating_base", type="floating")
         ET.SubElement(joint, "parent", link=world)
         ET.SubElement(joint, "child", link=root)
-    return ET.tostring(robot, encoding="unicode"), inertials
+    return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics)
+
+
+def _take_mimics(robot: ET.Element) -> tuple[str, ...]:
+    """The moving joints that mimic others, and do no longer."""
+    found = []
+    for joint in robot.findall("joint"):
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+            if joint.get("type") != "fixed":
+                found.append(f"{joint.get('name')} of {mimic.get('joint')}")
+    return tuple(found)
 
 
 def _root(robot: ET.Element, links: set, name: str) -> str:
