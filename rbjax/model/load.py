@@ -50,7 +50,8 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
         strict: raise instead of warn about what the file has and the model leaves out.
 
     Returns:
-        The model; `model.dropped` says what was left out.
+        The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;
+        links with one that no rigid body has are named in a warning.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.

@@ -92,7 +92,9 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
     """A joint that moves no mass, at a pose like any other, has no acceleration to speak of."""
     data = mujoco.MjData(m)
     mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
-    m.body_subtreemass[:] = m.body_mass  # where MuJoCo takes moments about; of no effect here
+    m.body_subtreemass[:] = m.body_mass
+    for i in range(m.nbody - 1, 0, -1):
+        m.body_subtreemass[m.body_parentid[i]] += m.body_subtreemass[i]
     mujoco.mj_kinematics(m, data)
     mujoco.mj_comPos(m, data)
     mujoco.mj_crb(m, data)
