@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
-from rbjax.model.load_dropped import actuator_is_supported, dropped_features
+from rbjax.model.load_dropped import actuator_is_off, actuator_is_supported, dropped_features
 from rbjax.model.load_urdf import is_urdf, prepare_urdf
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
@@ -268,24 +268,27 @@ def _control_names(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def _actuators(m: mujoco.MjModel, array) -> Actuators:
-    """One row for each control; rows of unsupported actuators drive nothing."""
+    """One row for each control; rows of unsupported and of disabled actuators drive nothing.
+
+    MuJoCo's arrays have a row for each actuator, but control limits for each control and gears for
+    each output: an actuator of several shifts those of the next.
+    """
     gear, gain, bias = np.zeros((m.nu, 6)), np.zeros((m.nu, 3)), np.zeros((m.nu, 3))
     ctrlrange = np.tile([-np.inf, np.inf], (m.nu, 1))
     forcerange = ctrlrange.copy()
     joints, sites = [-1] * m.nu, [-1] * m.nu
     clamp = not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    off = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     for i in range(m.nactuator):
         row = int(m.actuator_ctrladr[i])
-        if off or not actuator_is_supported(m, i):
+        if actuator_is_off(m, i) or not actuator_is_supported(m, i):
             continue
-        gear[row] = m.actuator_gear[i]
+        gear[row] = m.actuator_gear[m.actuator_outadr[i]]
         affine_gain = m.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE)
         gain[row] = m.actuator_gainprm[i, :3] * [1, affine_gain, affine_gain]
         if m.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE):
             bias[row] = m.actuator_biasprm[i, :3]
-        if m.actuator_ctrllimited[i] and clamp:
-            ctrlrange[row] = m.actuator_ctrlrange[i]
+        if m.actuator_ctrllimited[row] and clamp:
+            ctrlrange[row] = m.actuator_ctrlrange[row]
         if m.actuator_forcelimited[i]:
             forcerange[row] = m.actuator_forcerange[i]
         at_site = m.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_SITE)
