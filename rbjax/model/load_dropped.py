@@ -59,9 +59,7 @@ def dropped_features(m: mujoco.MjModel) -> tuple[str, ...]:
     note("nonlinear joint stiffness", m.jnt_stiffnesspoly.any(-1), obj.mjOBJ_JOINT)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
     note("nonlinear joint damping", m.dof_dampingpoly.any())
-    supported = [
-        actuator_is_off(m, i) or actuator_is_supported(m, i) for i in range(m.nactuator)
-    ]
+    supported = [actuator_is_off(m, i) or actuator_is_supported(m, i) for i in range(m.nactuator)]
     note("actuators that drive no joint or site directly, or have a state, delay or muscle",
          [not s for s in supported], obj.mjOBJ_ACTUATOR)  # fmt: skip
     extra = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(-1) | (m.actuator_armature != 0)

@@ -87,6 +87,6 @@ def test_actuators_of_disabled_groups_give_no_force(option):
         f'<motor name="m{group}" joint="h" gear="{2 + group}" group="{group}"/>'
         for group in (0, 1, 2, 30, 31)
     )
-    lag = '<general name="lag" joint="h" dyntype="filter" group="{}"/>'.format(option[22])
+    lag = f'<general name="lag" joint="h" dyntype="filter" group="{option[22]}"/>'
     model = agrees_with_mujoco(DRIVEN.format(option=option, actuators=groups + lag), np.ones(6))
     assert model.nu == 6 and model.dropped == ()  # what is off is not left out
