@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
 from rbjax.model.load_dropped import actuator_is_off, actuator_is_supported, dropped_features
+from rbjax.model.load_meshes import without_missing_mesh
 from rbjax.model.load_urdf import is_urdf, prepare_urdf
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
@@ -128,31 +129,18 @@ def _describe(source: Any) -> str:
 
 
 def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
-    _remove_missing_meshes(spec)
-    try:
-        return spec.compile()
-    except Exception as error:
-        message = _sentence(error)
-        raise ModelError(f"{name}: MuJoCo cannot compile it: {message}{_fix(message)}") from error
-
-
-def _remove_missing_meshes(spec: mujoco.MjSpec) -> None:
-    """Drop meshes whose file is absent, and the geoms that show them on bodies with own inertia."""
-    folder = Path(spec.modelfiledir or ".") / (spec.meshdir or "")
-    gone = {m.name for m in spec.meshes if m.file and not (folder / m.file).exists()}
-    if not gone:
-        return
-    for geom in list(spec.geoms):
-        if geom.meshname in gone:
-            if not (geom.parent.explicitinertial or geom.parent.name == "world" or geom.mass == 0):
+    """The compiled spec, without absent meshes that are only seen; the spec stays as it is."""
+    while True:
+        try:
+            return spec.compile()
+        except Exception as error:
+            message = _sentence(error)
+            smaller = without_missing_mesh(spec, message)
+            if smaller is None:
                 raise ModelError(
-                    f"body {geom.parent.name!r}: its mass comes from a mesh whose file is missing "
-                    f"({geom.meshname!r} in {folder}); add the file, or give the body an <inertial>"
-                )
-            spec.delete(geom)
-    for mesh in list(spec.meshes):
-        if mesh.name in gone:
-            spec.delete(mesh)
+                    f"{name}: MuJoCo cannot compile it: {message}{_fix(message)}"
+                ) from error
+            spec = smaller
 
 
 def _sentence(error: Exception) -> str:

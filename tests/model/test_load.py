@@ -317,15 +317,6 @@ def test_floating_base_is_for_urdf() -> None:
         rb.load("pendulum", floating_base=True)
 
 
-def test_a_mesh_that_gives_the_mass_is_needed(tmp_path: Path) -> None:
-    text = """<mujoco><asset><mesh name="gone" file="gone.stl"/></asset><worldbody>
-        <body name="heavy"><joint/><geom type="mesh" mesh="gone"/></body></worldbody></mujoco>"""
-    with pytest.raises(rb.ModelError, match=r"'heavy'.*'gone'.*<inertial>"):
-        rb.load(text)
-    shown = text.replace("<joint/>", f"<joint/>{MASS}")
-    assert rb.load(shown).nb == 1
-
-
 def test_nothing_is_warned_about_a_clean_file() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
