@@ -129,3 +129,37 @@ def test_closed_over_is_the_same_number_with_less_arithmetic() -> None:
     w = np.arange(1.0, 6.0)
     closed = jax.jit(lambda q, v: motion(model, q, v, w))(q, v)
     assert relative_error(closed, jax.jit(motion)(model, q, v, w)) <= F64_TRANSFORM
+
+
+FIXED = {  # what is computed, and the driver
+    ("acceleration", "unrolled"): lambda m, q, v: rb.forward_dynamics(m, q, v, jnp.ones(m.nv)),
+    ("matrix", "rolled"): lambda m, q, v: rb.mass_matrix(m, q),
+    ("height", "unrolled"): lambda m, q, v: rb.potential_energy(m, q),
+    ("momentum", "rolled"): lambda m, q, v: rb.centroidal_momentum(m, q, v),
+    ("parameters", "unrolled"): lambda m, q, v: rb.dynamics.inertial_parameters(m),
+}
+
+
+@pytest.mark.parametrize("case", FIXED, ids="-".join)
+def test_what_is_fixed_is_ignored_however_the_model_comes(case: tuple[str, str]) -> None:
+    """As an argument, closed over, or half of it: the entries fixed at zero (or one) stay so, and
+    the others are what the leaf says."""
+    driver, f = case[1], FIXED[case]
+    given, straight = generic().replace(driver=driver), aligned().replace(driver=driver)
+    numbers = {"bodies": given.bodies, "joints": given.joints, "gravity": given.gravity}
+    model = straight.fix_zeros().replace(**numbers)
+
+    def by_hand(path, old, new):
+        units = jax.tree_util.keystr(path) in (".bodies.orientation", ".joints.axis")
+        return jnp.where((old == 0) | (units & (jnp.abs(old) == 1)), old, new)
+
+    want = jax.tree_util.tree_map_with_path(by_hand, straight, straight.replace(**numbers))
+    q, v = (x[0] for x in robot("small").states(1))
+    want = jax.jit(f)(want, q, v)
+    found = {
+        "argument": jax.jit(f)(model, q, v),
+        "closed over": jax.jit(lambda q, v: f(model, q, v))(q, v),
+        "half": jax.jit(lambda b, q, v: f(model.replace(bodies=b), q, v))(model.bodies, q, v),
+    }
+    for how, got in found.items():
+        assert relative_error(got, want) <= F64_TRANSFORM, how
