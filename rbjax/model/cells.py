@@ -77,6 +77,13 @@ def cells(x: Any, pattern: tuple[float | None, ...], known: bool) -> np.ndarray:
     return out.reshape(x.shape)
 
 
+def cast_cells(x: np.ndarray, dtype: Any) -> np.ndarray:
+    """An object array with what is traced in the given dtype."""
+    out = [Cell(c.lane.astype(dtype)) if isinstance(c, Cell) and not is_literal(c.lane) else c
+           for c in x.ravel()]  # fmt: skip
+    return np.fromiter(out, object, len(out)).reshape(x.shape)
+
+
 @jax.tree_util.register_pytree_node_class
 class Sparse:
     """A column as a pytree: its zeros (and ones) part of the program, the other numbers not."""

@@ -17,7 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import Lane, Mat3, Sym3, Vec3, quaternion_matrix
-from rbjax.model.cells import Cell, Sparse, all_literal, cells, declared, lane_of, stacked
+from rbjax.model.cells import (
+    Cell,
+    Sparse,
+    all_literal,
+    cast_cells,
+    cells,
+    declared,
+    lane_of,
+    stacked,
+)
 from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia
@@ -199,7 +208,7 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
         J, h = _snap_relative(J), _snap_relative(h)
 
     def cast(x):
-        return x if x.dtype == object else x.astype(dtype)
+        return cast_cells(x, dtype) if x.dtype == object else x.astype(dtype)
 
     def whole(x):
         return stacked(x, dtype) if x.dtype == object else x.astype(dtype)
