@@ -6,6 +6,7 @@ springs, dampers and actuators is listed in `model.dropped`.
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -114,8 +115,10 @@ def _read(source: str | Path) -> tuple[str, Path | None]:
             raise UnknownName("scene", source, scenes())
         raise ModelError(f"{path}: no such file; give an existing MJCF or URDF path")
     try:
-        return path.read_text(), path
-    except (UnicodeDecodeError, OSError) as error:
+        raw = path.read_bytes()
+        declared = re.match(rb"""\s*<\?xml[^>]*\sencoding=["']([\w.-]+)""", raw)
+        return raw.decode(declared[1].decode() if declared else "utf-8"), path
+    except (UnicodeDecodeError, LookupError, OSError) as error:
         raise ModelError(
             f"{path}: cannot be read as text ({error}); give an MJCF or URDF file"
         ) from error

@@ -183,6 +183,12 @@ def test_urdf_inertial_of_zeros_means_none() -> None:
     assert rb.load(urdf(*ARM, nothing, joint("w", "arm", "n", "fixed"))).nb >= 2
 
 
+def test_urdf_is_read_in_the_encoding_that_it_declares(tmp_path: Path) -> None:
+    text = '<?xml version="1.0" encoding="ISO-8859-1"?>' + urdf(*ARM).replace("elbow", "codé")
+    (tmp_path / "arm.urdf").write_bytes(text.encode("latin-1"))
+    assert rb.load(tmp_path / "arm.urdf").joint_names == ("codé",)
+
+
 def test_urdf_agrees_with_mujoco() -> None:
     text = urdf(*ARM, link("slider"), joint("rail", "arm", "slider", "prismatic"))
     model, m = load_quietly(text, floating_base=True), mujoco_reference(text, floating_base=True)
