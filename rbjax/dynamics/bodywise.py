@@ -38,7 +38,7 @@ from rbjax.dynamics.kinematics import body_transforms
 from rbjax.dynamics.pairs import pair_matrix
 from rbjax.lanes import Mat3, Sym3, Vec3, add, mul
 from rbjax.materialize import batch_first
-from rbjax.model import Model
+from rbjax.model import Model, as_declared
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 from rbjax.threads import side_by_side, threaded
 
@@ -201,8 +201,9 @@ def inertial_parameters(model: Model) -> jax.Array:
         >>> rb.inertial_parameters(rb.load("pendulum")).shape
         (10,)
     """
-    m, c = model.bodies.mass, model.bodies.com
+    bodies = as_declared(model).bodies
+    m, c = bodies.mass, bodies.com
     square = (c * c).sum(-1)[:, None, None] * jnp.eye(3) - c[:, :, None] * c[:, None, :]
-    J = model.bodies.inertia + m[:, None, None] * square
+    J = bodies.inertia + m[:, None, None] * square
     six = [J[:, 0, 0], J[:, 0, 1], J[:, 1, 1], J[:, 0, 2], J[:, 1, 2], J[:, 2, 2]]
     return jnp.stack([m, *(m * c[:, k] for k in range(3)), *six], -1).reshape(-1)

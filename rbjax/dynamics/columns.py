@@ -27,6 +27,7 @@ from rbjax.dynamics.unrolled import Unrolled
 from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.materialize import batch_first, batch_last
 from rbjax.model import Model, prepare
+from rbjax.model.cells import stacked
 from rbjax.spatial import Force, Motion, Transform
 from rbjax.threads import side_by_side, threaded
 
@@ -104,7 +105,7 @@ def inverse_by_columns(
     """`inverse_dynamics_derivatives` as two kernels."""
     model = on_threads(model, q.dtype)
     rows = _kernel(lambda *x: inverse_rows(model, *x), q, v, a)
-    armature = jnp.asarray(prepare(model, v.dtype).columns.armature, v.dtype)
+    armature = stacked(prepare(model, v.dtype).columns.armature, v.dtype)
 
     def column(own, places, unit):
         x = _entries(rows, own, places, INVERSE, 3)

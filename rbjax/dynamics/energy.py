@@ -13,7 +13,7 @@ from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.kinematics import body_velocities, forward_kinematics, link_twists
 from rbjax.lanes import add, mul
-from rbjax.model import Model
+from rbjax.model import Model, as_declared
 from rbjax.model.links import matrix_apply, matrix_product
 
 
@@ -62,7 +62,7 @@ def potential_energy(model: Model, q: jax.Array) -> jax.Array:
         ()
     """
     _, com, mass = _centres(model, q)
-    return -(mass * (com * model.gravity.astype(q.dtype)).sum(-1)).sum()
+    return -(mass * (com * as_declared(model).gravity.astype(q.dtype)).sum(-1)).sum()
 
 
 @algorithm("q")
@@ -105,7 +105,7 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     twists = body_velocities(model, q, v)
     omega = twists[:, :3]
     speed = twists[:, 3:] + jnp.cross(omega, com - poses.p)
-    inertia = model.bodies.inertia.astype(q.dtype)
+    inertia = as_declared(model).bodies.inertia.astype(q.dtype)
     in_body = (poses.R * omega[:, :, None]).sum(-2)
     spin = matrix_apply(matrix_product(poses.R, inertia), in_body)
     arm = com - (mass[:, None] * com).sum(0) / mass.sum()
@@ -116,5 +116,6 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 def _centres(model: Model, q: jax.Array):
     """Poses, world positions of the centres of mass (nb, 3), masses (nb,)."""
     poses = forward_kinematics(model, q)
-    com = poses.p + matrix_apply(poses.R, model.bodies.com.astype(q.dtype))
-    return poses, com, model.bodies.mass.astype(q.dtype)
+    bodies = as_declared(model).bodies
+    com = poses.p + matrix_apply(poses.R, bodies.com.astype(q.dtype))
+    return poses, com, bodies.mass.astype(q.dtype)

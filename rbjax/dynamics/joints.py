@@ -97,9 +97,7 @@ def joint_columns(
     own = mask(link.kind == "hinge" and link.part is None for link in links)
     places = np.array([0 if link.q is None else link.q for link in links])
     reference = prepared.columns.reference[start:].reshape(-1, *batch)
-    if reference.dtype == object:
-        reference = stacked(reference, q.dtype)
-    at = q[places] - jnp.asarray(reference, q.dtype)
+    at = q[places] - stacked(reference, q.dtype)
     v = None if v is None else v[start:]
     qd = 0.0 if v is None else v
     if own.all():

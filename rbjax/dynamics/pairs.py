@@ -18,6 +18,7 @@ from rbjax.dynamics.drivers import Driver, Listed
 from rbjax.dynamics.packing import pack
 from rbjax.lanes import Lane, inner
 from rbjax.model import Topology
+from rbjax.model.cells import stacked
 
 
 def movers(top: Topology, i: int) -> list[int]:
@@ -115,5 +116,5 @@ def _moves(top: Topology) -> np.ndarray:
 
 def with_armature(d: Driver, M: jax.Array) -> jax.Array:
     """M with the armature of the joints on its diagonal."""
-    armature = jnp.asarray(d.prepared.columns.armature, M.dtype)
+    armature = stacked(d.prepared.columns.armature, M.dtype)
     return M + jnp.where(np.eye(d.topology.nv, dtype=bool), armature, 0.0)

@@ -102,6 +102,8 @@ def _carried(model: Model, d: Driver, links: list, i: int, dtype: Any) -> list[L
     top, sites = model.topology, model.sites
     site = model.actuators.sites[i]
     body = top.site_bodies[site]
+    if body == WORLD:
+        return [0.0] * top.nv
     position, orientation = (_table(x, dtype) for x in (sites.position, sites.orientation))
     gear, body_R, body_p = model.actuators.gear, d.prepared.body_R, d.prepared.body_p
     gear = _table(gear, dtype)

@@ -1,7 +1,7 @@
 """Models: what a robot is (`Topology`), its numbers (`Model`), how a file becomes one (`load`)."""
 
 from rbjax.model.limbs import Group, Partition, partition
-from rbjax.model.links import LinkConstants, Prepared, known_zeros, made_ahead, prepare
+from rbjax.model.links import LinkConstants, Prepared, as_declared, known_zeros, made_ahead, prepare
 from rbjax.model.load import compile_model, load, scenes
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites, State
 from rbjax.model.topology import JOINT_SIZES, WORLD, Link, Topology, spans
@@ -22,6 +22,7 @@ __all__ = [
     "Sites",
     "State",
     "Topology",
+    "as_declared",
     "compile_model",
     "known_zeros",
     "load",

@@ -59,15 +59,29 @@ def literals(x: Any, *, units: bool) -> tuple[float | None, ...]:
     return tuple(v if is_literal(v) and v in known else None for v in lanes)
 
 
+def declared(x: Any, pattern: tuple[float | None, ...]) -> Any:
+    """An array with the pattern's values where it has them: numpy, unless x is traced."""
+    xp = jnp if isinstance(x, jax.core.Tracer) else np
+    values = np.array([np.nan if v is None else v for v in pattern], x.dtype).reshape(x.shape)
+    return xp.where(np.isnan(values), x, values)
+
+
 def cells(x: Any, pattern: tuple[float | None, ...], known: bool) -> np.ndarray:
     """An array as an object array: literals where the pattern has them, or where x is known."""
     if known:
-        return np.asarray(x, np.float64).astype(object)
+        return declared(np.asarray(x, np.float64), pattern).astype(object)
     out = np.empty(len(pattern), object)
     flat = x.reshape(-1)
     for i, value in enumerate(pattern):
         out[i] = Cell(flat[i]) if value is None else value
     return out.reshape(x.shape)
+
+
+def cast_cells(x: np.ndarray, dtype: Any) -> np.ndarray:
+    """An object array with what is traced in the given dtype."""
+    out = [Cell(c.lane.astype(dtype)) if isinstance(c, Cell) and not is_literal(c.lane) else c
+           for c in x.ravel()]  # fmt: skip
+    return np.fromiter(out, object, len(out)).reshape(x.shape)
 
 
 @jax.tree_util.register_pytree_node_class
@@ -99,8 +113,10 @@ class Sparse:
         return cls(pattern, *children)
 
 
-def stacked(x: np.ndarray, dtype: Any) -> Any:
-    """An object array as an array."""
+def stacked(x: Any, dtype: Any) -> Any:
+    """An object array as an array; any other as it is."""
+    if x.dtype != object:
+        return jnp.asarray(x, dtype)
     rows = [jnp.asarray(lane_of(v), dtype) for v in x.ravel()]
     return jnp.stack(rows).reshape(x.shape) if rows else jnp.zeros(x.shape, dtype)
 

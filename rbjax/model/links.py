@@ -17,7 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import Lane, Mat3, Sym3, Vec3, quaternion_matrix
-from rbjax.model.cells import Cell, Sparse, all_literal, cells, lane_of, stacked
+from rbjax.model.cells import (
+    Cell,
+    Sparse,
+    all_literal,
+    cast_cells,
+    cells,
+    declared,
+    lane_of,
+    stacked,
+)
 from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia
@@ -72,9 +81,28 @@ def prepare(model: Model, dtype: Any) -> Prepared:
             return _prepare(model.topology, bodies, joints, gravity, jnp, dtype)
         bodies, joints, gravity = _as_cells(leaves, dict(model.zeros))
         return _prepare(model.topology, bodies, joints, gravity, np, dtype)
-    leaves = jax.tree.map(lambda x: np.asarray(x, np.float64), leaves)
-    bodies, joints, gravity = leaves
+    model = as_declared(model)
+    leaves = (model.bodies, model.joints, model.gravity)
+    bodies, joints, gravity = jax.tree.map(lambda x: np.asarray(x, np.float64), leaves)
     return _prepare(model.topology, bodies, joints, gravity, np, np.float64)
+
+
+def as_declared(model: Model) -> Model:
+    """The model whose leaves hold what `fix_zeros` declared, whatever they were given since."""
+    if model.zeros is None:
+        return model
+    zeros = dict(model.zeros)
+
+    def record(r):
+        names = [f.name for f in dataclasses.fields(r) if f.name in zeros]
+        return dataclasses.replace(r, **{n: declared(getattr(r, n), zeros[n]) for n in names})
+
+    return dataclasses.replace(
+        model,
+        bodies=record(model.bodies),
+        joints=record(model.joints),
+        gravity=declared(model.gravity, zeros["gravity"]),
+    )
 
 
 def made_ahead(model: Model, dtype: Any) -> Model:
@@ -180,7 +208,7 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
         J, h = _snap_relative(J), _snap_relative(h)
 
     def cast(x):
-        return x if x.dtype == object else x.astype(dtype)
+        return cast_cells(x, dtype) if x.dtype == object else x.astype(dtype)
 
     def whole(x):
         return stacked(x, dtype) if x.dtype == object else x.astype(dtype)
@@ -208,7 +236,7 @@ def _as_cells(leaves, zeros: dict):
         return cells(x, zeros[name], known=not isinstance(x, jax.core.Tracer))
 
     def record(r):
-        fields = {f.name: getattr(r, f.name) for f in dataclasses.fields(r)}
+        fields = {f.name: getattr(r, f.name) for f in dataclasses.fields(r) if f.name in zeros}
         return SimpleNamespace(**{name: convert(name, x) for name, x in fields.items()})
 
     return record(bodies), record(joints), convert("gravity", gravity)

@@ -6,6 +6,7 @@ springs, dampers and actuators is listed in `model.dropped`.
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,9 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
-from rbjax.model.load_dropped import actuator_is_supported, dropped_features
+from rbjax.model.load_dropped import actuator_is_off, actuator_is_supported, dropped_features
 from rbjax.model.load_inertials import write_inertials
+from rbjax.model.load_meshes import without_missing_mesh
 from rbjax.model.load_urdf import is_urdf, prepare_urdf
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
@@ -134,8 +136,10 @@ def _read(source: str | Path) -> tuple[str, Path | None]:
             raise UnknownName("scene", source, scenes())
         raise ModelError(f"{path}: no such file; give an existing MJCF or URDF path")
     try:
-        return path.read_text(), path
-    except (UnicodeDecodeError, OSError) as error:
+        raw = path.read_bytes()
+        declared = re.match(rb"""\s*<\?xml[^>]*\sencoding=["']([\w.-]+)""", raw)
+        return raw.decode(declared[1].decode() if declared else "utf-8"), path
+    except (UnicodeDecodeError, LookupError, OSError) as error:
         raise ModelError(
             f"{path}: cannot be read as text ({error}); give an MJCF or URDF file"
         ) from error
@@ -149,31 +153,18 @@ def _describe(source: Any) -> str:
 
 
 def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
-    _remove_missing_meshes(spec)
-    try:
-        return spec.compile()
-    except Exception as error:
-        message = _sentence(error)
-        raise ModelError(f"{name}: MuJoCo cannot compile it: {message}{_fix(message)}") from error
-
-
-def _remove_missing_meshes(spec: mujoco.MjSpec) -> None:
-    """Drop meshes whose file is absent, and the geoms that show them on bodies with own inertia."""
-    folder = Path(spec.modelfiledir or ".") / (spec.meshdir or "")
-    gone = {m.name for m in spec.meshes if m.file and not (folder / m.file).exists()}
-    if not gone:
-        return
-    for geom in list(spec.geoms):
-        if geom.meshname in gone:
-            if not (geom.parent.explicitinertial or geom.parent.name == "world" or geom.mass == 0):
+    """The compiled spec, without absent meshes that are only seen; the spec stays as it is."""
+    while True:
+        try:
+            return spec.compile()
+        except Exception as error:
+            message = _sentence(error)
+            smaller = without_missing_mesh(spec, message)
+            if smaller is None:
                 raise ModelError(
-                    f"body {geom.parent.name!r}: its mass comes from a mesh whose file is missing "
-                    f"({geom.meshname!r} in {folder}); add the file, or give the body an <inertial>"
-                )
-            spec.delete(geom)
-    for mesh in list(spec.meshes):
-        if mesh.name in gone:
-            spec.delete(mesh)
+                    f"{name}: MuJoCo cannot compile it: {message}{_fix(message)}"
+                ) from error
+            spec = smaller
 
 
 def _sentence(error: Exception) -> str:
@@ -293,24 +284,27 @@ def _control_names(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def _actuators(m: mujoco.MjModel, array) -> Actuators:
-    """One row for each control; rows of unsupported actuators drive nothing."""
+    """One row for each control; rows of unsupported and of disabled actuators drive nothing.
+
+    MuJoCo's arrays have a row for each actuator, but control limits for each control and gears for
+    each output: an actuator of several shifts those of the next.
+    """
     gear, gain, bias = np.zeros((m.nu, 6)), np.zeros((m.nu, 3)), np.zeros((m.nu, 3))
     ctrlrange = np.tile([-np.inf, np.inf], (m.nu, 1))
     forcerange = ctrlrange.copy()
     joints, sites = [-1] * m.nu, [-1] * m.nu
     clamp = not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    off = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     for i in range(m.nactuator):
         row = int(m.actuator_ctrladr[i])
-        if off or not actuator_is_supported(m, i):
+        if actuator_is_off(m, i) or not actuator_is_supported(m, i):
             continue
-        gear[row] = m.actuator_gear[i]
+        gear[row] = m.actuator_gear[m.actuator_outadr[i]]
         affine_gain = m.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE)
         gain[row] = m.actuator_gainprm[i, :3] * [1, affine_gain, affine_gain]
         if m.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE):
             bias[row] = m.actuator_biasprm[i, :3]
-        if m.actuator_ctrllimited[i] and clamp:
-            ctrlrange[row] = m.actuator_ctrlrange[i]
+        if m.actuator_ctrllimited[row] and clamp:
+            ctrlrange[row] = m.actuator_ctrlrange[row]
         if m.actuator_forcelimited[i]:
             forcerange[row] = m.actuator_forcerange[i]
         at_site = m.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_SITE)

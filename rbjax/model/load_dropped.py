@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 _SHOWN = 4  # names listed before "and N more"
+_LAST_GROUP = 30  # of those that a file can disable
 _KINDS: dict[str, Any] = {
     "joint": int(mujoco.mjtTrn.mjTRN_JOINT),
     "site": int(mujoco.mjtTrn.mjTRN_SITE),
@@ -58,13 +59,20 @@ def dropped_features(m: mujoco.MjModel) -> tuple[str, ...]:
     note("nonlinear joint stiffness", m.jnt_stiffnesspoly.any(-1), obj.mjOBJ_JOINT)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
     note("nonlinear joint damping", m.dof_dampingpoly.any())
-    supported = [actuator_is_supported(m, i) for i in range(m.nactuator)]
+    supported = [actuator_is_off(m, i) or actuator_is_supported(m, i) for i in range(m.nactuator)]
     note("actuators that drive no joint or site directly, or have a state, delay or muscle",
          [not s for s in supported], obj.mjOBJ_ACTUATOR)  # fmt: skip
     extra = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(-1) | (m.actuator_armature != 0)
     note("damping and armature of actuators", extra, obj.mjOBJ_ACTUATOR)
     note("plugins", m.nplugin)
     return tuple(out)
+
+
+def actuator_is_off(m: mujoco.MjModel, i: int) -> bool:
+    """Whether the file switches actuator i off: all of them, or its group."""
+    group = int(m.actuator_group[i])
+    all_off = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    return bool(all_off or (0 <= group <= _LAST_GROUP and m.opt.disableactuator >> group & 1))
 
 
 def actuator_is_supported(m: mujoco.MjModel, i: int) -> bool:

@@ -194,12 +194,16 @@ class Model(Record):
     def fix_zeros(self) -> Model:
         """The same model with the zeros of its numbers declared part of the program.
 
-        Zeros of masses, centres, inertias, placements and gravity, and zeros and ones of axes and
-        attitudes, then cost no arithmetic although the leaves stay inputs: for a batch of robots
-        that differ in masses and lengths. An entry so fixed is no parameter any more: what a leaf
-        holds there is ignored, and its derivative is zero.
+        Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
+        zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
+        inputs: for a batch of robots that differ in masses and lengths. An entry so fixed is no
+        parameter any more: what a leaf holds there is ignored, be the model an argument or closed
+        over, and its derivative is zero.
         """
-        leaves = {**_numbers(self.bodies), **_numbers(self.joints), "gravity": self.gravity}
+        j = self.joints
+        leaves = {**_numbers(self.bodies), "gravity": self.gravity}
+        leaves |= {"placement": j.placement, "axis": j.axis}
+        leaves |= {"reference": j.reference, "armature": j.armature}
         zeros = tuple(
             (
                 name,

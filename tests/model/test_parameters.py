@@ -1,5 +1,7 @@
 """A model's leaves are numbers: differentiated, vmapped over and changed without compiling."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from tests.robots import robot
-from tests.tolerances import F64_TRANSFORM, GRADIENT, relative_error
+from tests.tolerances import F32_MEDIAN, F64_TRANSFORM, GRADIENT, relative_error
 
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
 PUBLIC = "mass com inertia position orientation".split()  # noqa: SIM905
@@ -129,3 +131,62 @@ def test_closed_over_is_the_same_number_with_less_arithmetic() -> None:
     w = np.arange(1.0, 6.0)
     closed = jax.jit(lambda q, v: motion(model, q, v, w))(q, v)
     assert relative_error(closed, jax.jit(motion)(model, q, v, w)) <= F64_TRANSFORM
+
+
+FIXED = {  # what is computed, and the driver
+    ("acceleration", "unrolled"): lambda m, q, v: rb.forward_dynamics(m, q, v, jnp.ones(m.nv)),
+    ("matrix", "rolled"): lambda m, q, v: rb.mass_matrix(m, q),
+    ("height", "unrolled"): lambda m, q, v: rb.potential_energy(m, q),
+    ("momentum", "rolled"): lambda m, q, v: rb.centroidal_momentum(m, q, v),
+    ("parameters", "unrolled"): lambda m, q, v: rb.dynamics.inertial_parameters(m),
+}
+
+
+@pytest.mark.parametrize("case", FIXED, ids="-".join)
+def test_what_is_fixed_is_ignored_however_the_model_comes(case: tuple[str, str]) -> None:
+    """As an argument, closed over, or half of it: the entries fixed at zero (or one) stay so, and
+    the others are what the leaf says."""
+    driver, f = case[1], FIXED[case]
+    given, straight = generic().replace(driver=driver), aligned().replace(driver=driver)
+    numbers = {"bodies": given.bodies, "joints": given.joints, "gravity": given.gravity}
+    model = straight.fix_zeros().replace(**numbers)
+
+    def by_hand(path, old, new):
+        units = jax.tree_util.keystr(path) in (".bodies.orientation", ".joints.axis")
+        return jnp.where((old == 0) | (units & (jnp.abs(old) == 1)), old, new)
+
+    want = jax.tree_util.tree_map_with_path(by_hand, straight, straight.replace(**numbers))
+    q, v = (x[0] for x in robot("small").states(1))
+    want = jax.jit(f)(want, q, v)
+    found = {
+        "argument": jax.jit(f)(model, q, v),
+        "closed over": jax.jit(lambda q, v: f(model, q, v))(q, v),
+        "half": jax.jit(lambda b, q, v: f(model.replace(bodies=b), q, v))(model.bodies, q, v),
+    }
+    for how, got in found.items():
+        assert relative_error(got, want) <= F64_TRANSFORM, how
+
+
+@pytest.mark.parametrize("driver", ["unrolled", "rolled"])
+@pytest.mark.parametrize("fixed", [False, True], ids=["plain", "fixed"])
+@pytest.mark.parametrize("state", [jnp.float64, jnp.float32])
+def test_the_state_says_the_dtype(driver: str, fixed: bool, state) -> None:
+    """A model in the other dtype gives the same numbers to f32 rounding, in the state's dtype, and
+    nothing of what it computes for a state in f32 is in f64."""
+    double = rb.load("double_pendulum").replace(driver=driver)
+    other = jnp.float32 if state == jnp.float64 else jnp.float64
+    model = jax.tree.map(lambda x: x.astype(other), double)
+    model = model.fix_zeros() if fixed else model
+    q, v, tau = (jnp.array(x, state) for x in ([0.3, -0.7], [0.2, 1.1], [0.5, -0.4]))
+    want = rb.forward_dynamics(double, *(x.astype(jnp.float64) for x in (q, v, tau)))
+    found = [
+        jax.jit(rb.forward_dynamics)(model, q, v, tau),
+        jax.jit(lambda q: rb.forward_dynamics(model, q, v, tau))(q),
+        rb.rollout(model, rb.State(q, v), steps=1, dt=1e-3).v[-1],
+    ]
+    assert all(x.dtype == state for x in found)
+    assert relative_error(found[0], want) <= F32_MEDIAN
+    assert relative_error(found[1], want) <= F32_MEDIAN
+    if state == jnp.float32 and fixed:
+        program = str(jax.make_jaxpr(rb.forward_dynamics)(model, q, v, tau))
+        assert " sin" in program and not re.search(r"f64\[[\d,]*\] = (sin|cos|div)", program)
