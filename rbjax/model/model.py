@@ -8,6 +8,9 @@ no recompilation.
 from __future__ import annotations
 
 import dataclasses
+import math
+import numbers
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -15,10 +18,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
 from rbjax.model.topology import Topology
 from rbjax.rotations import quaternion
+
+#: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
+DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
+
+#: the axes that a leaf has in one model
+AXES = {
+    "bodies": {"mass": 1, "com": 2, "inertia": 3, "position": 2, "orientation": 2},
+    "joints": {
+        "placement": 2, "axis": 2, "reference": 1, "armature": 1, "damping": 1, "stiffness": 1,
+        "springref": 1, "forcerange": 2,
+    },
+    "actuators": {"gear": 2, "gain": 2, "bias": 2, "ctrlrange": 2, "forcerange": 2},
+    "sites": {"position": 2, "orientation": 2},
+}  # fmt: skip
 
 
 class Record(eqx.Module):
@@ -138,6 +155,25 @@ class Model(Record):
     zeros: tuple | None = eqx.field(static=True, default=None)
     #: the links' numbers, where they have been made before a loop (`made_ahead`), or None
     prepared: Any = None
+
+    def __check_init__(self) -> None:
+        if self.driver not in DRIVER_NAMES:
+            raise UnknownName("driver", self.driver, DRIVER_NAMES)
+        real = isinstance(self.timestep, numbers.Real)
+        if not (real and 0 < self.timestep < math.inf):
+            raise ModelError(
+                f"timestep is {self.timestep!r}, expected a positive number of seconds: "
+                "correct <option timestep/> in the file, or model.replace(timestep=0.002); "
+                "a step that is an array is for rollout(dt=...)"
+            )
+
+    def axes(self) -> Iterator[tuple[str, Any, int]]:
+        """Name, value and number of axes of the leaves, to see that this is one model."""
+        yield "gravity", self.gravity, 1
+        for part, fields in AXES.items():
+            record = getattr(self, part)
+            for name, axes in fields.items():
+                yield f"{part}.{name}", getattr(record, name), axes
 
     @property
     def nq(self) -> int:
