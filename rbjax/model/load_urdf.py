@@ -31,6 +31,13 @@ def is_urdf(text: str, name: str) -> bool:
 def prepare_urdf(text: str, name: str, *, floating_base: bool) -> str:
     """The URDF with shapes removed, fixed links kept, and a floating root if asked for."""
     robot = ET.fromstring(text)
+    for kind in ("link", "joint"):
+        names = [element.get("name", "") for element in robot.findall(kind)]
+        twice = sorted({repr(n) for n in names if names.count(n) > 1})
+        if twice:
+            raise ModelError(
+                f"{name}: more than one {kind} is named {', '.join(twice)}; give each its own name"
+            )
     links = {link.get("name", ""): link for link in robot.findall("link")}
     root = _root(robot, set(links), name)
     for link in links.values():
