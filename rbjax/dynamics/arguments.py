@@ -138,12 +138,13 @@ def check_model(where: str, model: Any) -> None:
         raise InputError(
             f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
         )
-    for name, x, axes in model.axes():
-        if np.ndim(x) != axes:
-            raise InputError(
-                f"{where}: the model's {name} has shape {np.shape(x)}, expected {axes} "
-                f"{'axis' if axes == 1 else 'axes'}; for a batch of models use jax.vmap over them"
-            )
+    several = model.several()
+    if several is not None:
+        name, shape, axes = several
+        raise InputError(
+            f"{where}: the model's {name} has shape {shape}, expected {axes} "
+            f"{'axis' if axes == 1 else 'axes'}; for a batch of models use jax.vmap over them"
+        )
 
 
 def check_moves(where: str, model: Model) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -26,16 +25,15 @@ from rbjax.rotations import quaternion
 #: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
 DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
 
-#: the axes that a leaf has in one model
+#: the axes that each number has in one model, in the order of the leaves
 AXES = {
-    "bodies": {"mass": 1, "com": 2, "inertia": 3, "position": 2, "orientation": 2},
-    "joints": {
-        "placement": 2, "axis": 2, "reference": 1, "armature": 1, "damping": 1, "stiffness": 1,
-        "springref": 1, "forcerange": 2,
-    },
-    "actuators": {"gear": 2, "gain": 2, "bias": 2, "ctrlrange": 2, "forcerange": 2},
-    "sites": {"position": 2, "orientation": 2},
+    "bodies.mass": 1, "bodies.com": 2, "bodies.inertia": 3, "bodies.position": 2,
+    "bodies.orientation": 2, "joints.placement": 2, "joints.axis": 2, "joints.reference": 1,
+    "joints.armature": 1, "joints.damping": 1, "joints.stiffness": 1, "joints.springref": 1,
+    "joints.forcerange": 2, "actuators.gear": 2, "actuators.gain": 2, "actuators.bias": 2,
+    "actuators.ctrlrange": 2, "actuators.forcerange": 2, "gravity": 1,
 }  # fmt: skip
+_AXES = list(AXES.values())
 
 
 class Record(eqx.Module):
@@ -167,13 +165,14 @@ class Model(Record):
                 "a step that is an array is for rollout(dt=...)"
             )
 
-    def axes(self) -> Iterator[tuple[str, Any, int]]:
-        """Name, value and number of axes of the leaves, to see that this is one model."""
-        yield "gravity", self.gravity, 1
-        for part, fields in AXES.items():
-            record = getattr(self, part)
-            for name, axes in fields.items():
-                yield f"{part}.{name}", getattr(record, name), axes
+    def several(self) -> tuple[str, tuple[int, ...], int] | None:
+        """Name, shape and due number of axes of a leaf that has others, as in a batch of models."""
+        leaves = jax.tree.leaves((self.bodies, self.joints, self.actuators, self.gravity))
+        if [getattr(x, "ndim", 0) for x in leaves] == _AXES:  # all that the usual call pays for
+            return None
+        found = zip(AXES.items(), leaves, strict=False)
+        wrong = ((name, np.shape(x), n) for (name, n), x in found if np.ndim(x) != n)
+        return next(wrong, None)
 
     @property
     def nq(self) -> int:
