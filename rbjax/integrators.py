@@ -57,7 +57,8 @@ def _rate(model: Model, u: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def semi_implicit_euler(model: Model, q, v, ctrl, dt):
-    """v+ = v + dt a(q, v);  q+ = q (+) dt v+. First order, symplectic without damping."""
+    """v+ = v + dt a(q, v);  q+ = q (+) dt v+. First order; symplectic where the mass matrix is
+    constant and no force depends on v, not for a mass matrix that moves with q."""
     v = v + dt * _acceleration(model, q, v, ctrl)
     return _moved(model, q, dt * v), v
 

@@ -13,12 +13,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, staged
-from rbjax.dynamics.arguments import check_arrays, check_quaternions
+from rbjax.dynamics.arguments import (
+    check_array,
+    check_arrays,
+    check_control,
+    check_moves,
+    check_step,
+)
 from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.devices import memory_share
 from rbjax.dynamics.tracing import opened
@@ -26,6 +33,7 @@ from rbjax.errors import InputError
 from rbjax.integrators import INTEGRATORS
 from rbjax.march import on_threads
 from rbjax.model import Model, State
+from rbjax.solvers.arguments import check_whole
 from rbjax.threads import wanted
 from rbjax.trajectory import Trajectory, all_finite
 
@@ -70,7 +78,8 @@ def rollout(
         (B, T, nq) for a batch; `ok` says whether all is finite.
 
     Raises:
-        InputError: shapes, dtypes, values that are not finite, unknown integrator.
+        InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is
+            not positive, no steps, a policy that returns anything but nu numbers.
 
     Differentiable in state, ctrls, model and what a policy closes over, forward and in reverse. The
     reverse gradient keeps steps / save_every + save_every states a sample; on a GPU every k-th
@@ -89,25 +98,30 @@ def rollout(
     if integrator not in INTEGRATORS:
         raise InputError(f"rollout: integrator {integrator!r}, expected one of {list(INTEGRATORS)}")
     state, ctrls, steps, batched = _checked(model, state, ctrls, steps)
-    if save_every < 1 or steps % save_every:
+    check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")
+    if steps % save_every:
         raise InputError(
             f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
         )
-    step = jnp.asarray(model.timestep if dt is None else dt, state.q.dtype)
-    policy = ctrls if callable(ctrls) else None
-    values = None if policy is not None else ctrls
-    traced = opened((model, state, values, step))[0]
-    run = _run if traced and (policy is not None or staged()) else _compiled
+    step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
+    # the arrays of a policy that is a pytree are arguments, as the values of controls are
+    given, policy = eqx.partition(ctrls, eqx.is_array)
+    traced = opened((model, state, given, step))[0]
+    run = _run if traced and (callable(ctrls) or staged()) else _compiled
     threads = wanted() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
     return run(
-        model, state, values, step, policy, integrator, save_every, steps, batched, threads, memory
-    )
+        model, state, given, step, policy, integrator, int(save_every), steps, batched, threads,
+        memory,
+    )  # fmt: skip
 
 
 def _run(
-    model, state, ctrls, dt, policy, integrator, save_every, steps, batched, threads, memory
+    model, state, given, dt, policy, integrator, save_every, steps, batched, threads, memory
 ) -> Trajectory:
+    ctrls = eqx.combine(given, policy)
+    policy = _acting(model, ctrls, state.q.dtype) if callable(ctrls) else None
+    ctrls = None if callable(ctrls) else ctrls
     if threads:
         qs, vs = on_threads(
             model, state, ctrls, dt, policy, integrator, save_every, steps, batched, memory
@@ -171,6 +185,11 @@ def _march(model, q, v, ctrls, dt, policy, integrator, save_every, steps):
     return jnp.concatenate([q[None], qs]), jnp.concatenate([v[None], vs])
 
 
+def _acting(model: Model, policy: Policy, dtype) -> Policy:
+    """The policy, what it returns looked at."""
+    return lambda t, state: check_control("rollout", model, policy(t, state), dtype)
+
+
 def _act(policy: Policy, t, q, v):
     if q.ndim == 1:
         return policy(t, State(q, v))
@@ -182,43 +201,25 @@ def _checked(model, state, ctrls, steps):
     """State and controls in one dtype, the number of steps, and whether there is a batch."""
     if not isinstance(state, State):
         raise InputError(f"rollout: state is {type(state).__name__}, expected rbjax.State(q, v)")
-    q, v = jnp.asarray(state.q), jnp.asarray(state.v)
-    batched = q.ndim == 2
-    if batched:
-        if v.ndim != 2 or v.shape[0] != q.shape[0]:
-            raise InputError(
-                f"rollout: q has shape {q.shape} and v {v.shape}, expected (B, nq), (B, nv)"
-            )
-        _check_batch(model, q, v)
-    else:
-        checked = check_arrays("rollout", model, {"q": q, "v": v})
-        q, v = checked["q"], checked["v"]
-    dtype = jnp.result_type(q, v)
-    if not jnp.issubdtype(dtype, jnp.floating):
-        dtype = jnp.result_type(float)
-    state = State(q.astype(dtype), v.astype(dtype))
+    batched = np.ndim(state.q) == 2
+    batch = (len(state.q),) if batched else ()
+    if batch == (0,):
+        raise InputError(
+            f"rollout: q has shape {np.shape(state.q)}, a batch of no states, expected one or more"
+        )
+    state = check_arrays("rollout", model, {"state": state}, batch)["state"]
+    check_moves("rollout", model)
+    if steps is not None:
+        check_whole("rollout", "steps", steps, 1)
     if callable(ctrls) or ctrls is None:
         if steps is None:
             raise InputError(
                 "rollout: steps is None, expected a number with a policy or no controls"
             )
         return state, ctrls, int(steps), batched
-    ctrls = jnp.asarray(ctrls).astype(dtype)
-    wanted = (steps if steps is not None else ctrls.shape[-2] if ctrls.ndim > 1 else 0, model.nu)
-    shapes = [wanted] + ([(q.shape[0], *wanted)] if batched else [])
-    if ctrls.shape not in shapes:
-        raise InputError(
-            f"rollout: ctrls has shape {ctrls.shape}, expected {' or '.join(map(str, shapes))}"
-        )
-    if not isinstance(ctrls, jax.core.Tracer) and not np.isfinite(np.asarray(ctrls)).all():
-        raise InputError("rollout: ctrls has values that are not finite")
-    return state, ctrls, wanted[0], batched
-
-
-def _check_batch(model: Model, q: jax.Array, v: jax.Array) -> None:
-    for name, x, n in (("q", q, model.nq), ("v", v, model.nv)):
-        if x.shape[1] != n:
-            raise InputError(f"rollout: {name} has shape {x.shape}, expected (B, {n})")
-        if not isinstance(x, jax.core.Tracer) and not np.isfinite(np.asarray(x)).all():
-            raise InputError(f"rollout: {name} has values that are not finite")
-    check_quaternions("rollout", "q", model, q)
+    if steps is None:
+        steps = max(1, np.shape(ctrls)[-2]) if np.ndim(ctrls) > 1 else 1
+    shapes = [(*lead, int(steps), model.nu) for lead in dict.fromkeys([(), batch])]
+    fix = ": a row of nu numbers a step; or a policy (t, state) -> (nu,), or None"
+    ctrls = check_array("rollout", "ctrls", ctrls, *shapes, fix=fix)
+    return state, ctrls.astype(state.q.dtype), int(steps), batched

@@ -9,8 +9,9 @@ length that a solver loses or gains to its error has no effect until it is no nu
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import diffrax
@@ -20,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, staged
-from rbjax.dynamics.arguments import check_arrays
+from rbjax.dynamics.arguments import check_arrays, check_control, check_moves, check_step
 from rbjax.dynamics.drivers import on_threads
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
@@ -32,7 +33,7 @@ from rbjax.materialize import materialize
 from rbjax.model import Model, State, Topology, made_ahead, spans
 from rbjax.rotations import quaternion
 from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
-from rbjax.solvers.arguments import check_solver
+from rbjax.solvers.arguments import check_solver, check_whole
 from rbjax.threads import threaded, wanted
 from rbjax.trajectory import Trajectory, all_finite
 
@@ -74,10 +75,22 @@ class Motion(eqx.Module):
     def __call__(self, t: Any, y: State, args: Any) -> State:
         model = self.model(args)
         q = unit(model.topology, y.q)
-        ctrl = None if self.control is None else jnp.asarray(self.control(t, State(q, y.v)))
+        ctrl = None
+        if self.control is not None:
+            ctrl = check_control("simulate", model, self.control(t, State(q, y.v)), q.dtype)
         tau = applied(model, q, y.v, ctrl)
         rate = y.v if self.tangent else configuration_rate(model.topology, y.q, y.v)
         return State(rate, acceleration(model, q, y.v, tau))
+
+
+class Late(eqx.Module):
+    """A control whose time runs on from a start."""
+
+    control: Control
+    start: jax.Array
+
+    def __call__(self, t: Any, state: State) -> jax.Array:
+        return self.control(self.start + t, state)
 
 
 class Manifold(AbstractGroup):
@@ -154,7 +167,8 @@ def simulate(
 ) -> Trajectory:
     """Motion from ts[0] to ts[-1], kept at ts.
 
-    q' = N(q) v, v' = M^-1 (applied forces - b).
+    q' = N(q) v, v' = M^-1 (applied forces - b). Solved in the time since ts[0], so that a late
+    start costs no digits.
 
     Args:
         model: the robot.
@@ -165,7 +179,8 @@ def simulate(
             form, splittings and Lie groups move along the manifold of configurations.
         dt0: first step, or the fixed step where no controller is given.
         stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
-        adjoint: diffrax's; checkpointed reverse mode if None.
+        adjoint: diffrax's; if None checkpointed reverse mode, for `grad` and `jacrev`. For `jvp`
+            and `jacfwd` give diffrax.ForwardMode(), for both diffrax.DirectAdjoint().
         progress: show diffrax's meter.
         throw: raise if the solve fails; otherwise `result` and `ok` say so.
         max_steps: at most so many steps.
@@ -174,8 +189,10 @@ def simulate(
         `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`.
 
     Raises:
-        InputError: shapes, dtypes, times that do not increase, a step that is not positive; no
-            solver, or one without an estimate of its error and no dt0.
+        InputError: shapes, dtypes, times that do not increase, a step that is not positive or below
+            the rounding of time; a control that is no function or returns anything but nu numbers;
+            no solver, or one without an estimate of its error and no dt0; a forward derivative
+            through the default adjoint.
 
     Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
 
@@ -190,13 +207,19 @@ def simulate(
             f"simulate: constraints={constraints!r}, expected None: no formulation yet"
         )
     state = check_arrays("simulate", model, {"state": state})["state"]
-    ts = _times(ts, state.q.dtype)
-    if not model.nv:
-        raise InputError("simulate: the model has no joints, so nothing moves")
+    check_moves("simulate", model)
+    ts, elapsed = _times(ts, state.q.dtype)
+    if control is not None and not callable(control):
+        raise InputError(
+            f"simulate: control is {type(control).__name__}, expected a function (t, state) -> "
+            "(nu,) or None; controls in an array are for rollout"
+        )
+    if max_steps is not None:
+        check_whole("simulate", "max_steps", max_steps, 1)
     solver = diffrax.Tsit5() if solver is None else solver
     check_solver("simulate", solver)
-    if dt0 is not None and not isinstance(dt0, jax.core.Tracer) and not dt0 > 0:
-        raise InputError(f"simulate: dt0 is {dt0}, expected a positive step in seconds")
+    if dt0 is not None:
+        _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
     # Inside a caller's jit diffrax would trace what the caller holds constant.
     # Outside, the model is an argument: a number that changes does not compile anew.
     if wanted():
@@ -204,7 +227,6 @@ def simulate(
     if not staged() or opened(model)[0]:
         model = made_ahead(model, state.q.dtype)
     args, of_args = opened(model) if staged() else (model, _itself)
-    term, state = motion(model, state, solver, control, of_args)
     if stepsize_controller is None:
         if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
@@ -228,12 +250,17 @@ def simulate(
     )
     saved = _Saved(model.topology)
 
-    def solved(state: State, ts: jax.Array, args: Any) -> tuple:
-        saveat = diffrax.SaveAt(ts=ts, fn=saved)
-        out = solve(term, t0=ts[0], t1=ts[-1], y0=state, args=args, saveat=saveat)
+    def solved(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
+        late = None if control is None else Late(control, start)
+        term, state = motion(model, state, solver, late, of_args)
+        saveat = diffrax.SaveAt(ts=elapsed, fn=saved)
+        out = solve(term, t0=elapsed[0], t1=elapsed[-1], y0=state, args=args, saveat=saveat)
         return out.ys, out.result, out.stats
 
-    path, result, stats = (threaded if on_gpu else _itself)(solved)(state, ts, args)
+    with _forward_is_told():
+        path, result, stats = (threaded if on_gpu else _itself)(solved)(
+            state, ts[0], elapsed, args
+        )
     q, v = path.q, path.v
     ok = all_finite(q, v) & (result == diffrax.RESULTS.successful)
     if throw:
@@ -242,7 +269,8 @@ def simulate(
             ~ok,
             "simulate: the solver gave up, or the motion has values that are not finite; take a "
             "smaller dt0, an adaptive stepsize_controller or more max_steps, or throw=False to "
-            "look at the trajectory and its result",
+            "look at the trajectory and its result; if no step helps, see that rb.mass_matrix of "
+            "the state is not singular (a joint that moves no mass)",
         )
     return Trajectory(ts, q, v, ok, result, stats)
 
@@ -259,10 +287,40 @@ class _Saved(eqx.Module):
         return State(unit(self.topology, y.q), y.v)
 
 
-def _times(ts: Any, dtype) -> jax.Array:
-    ts = jnp.asarray(ts, dtype)
+def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:
+    """The times, and the time since the first, taken before it is rounded to the dtype."""
+    known = not isinstance(ts, jax.core.Tracer)
+    ts = np.asarray(ts) if known else ts
     if ts.ndim != 1 or ts.shape[0] < 2:
         raise InputError(f"simulate: ts has shape {ts.shape}, expected (T,) with at least 2 times")
-    if not isinstance(ts, jax.core.Tracer) and not (np.diff(np.asarray(ts)) > 0).all():
+    if ts.dtype.kind not in "iuf":
+        raise InputError(f"simulate: ts has dtype {ts.dtype}, expected times in seconds")
+    elapsed = (ts - ts[0]).astype(dtype)
+    if known and not (np.diff(elapsed) > 0).all():
         raise InputError("simulate: ts must increase from the first to the last")
-    return ts
+    return jnp.asarray(ts, dtype), jnp.asarray(elapsed)
+
+
+def _advances(step: jax.Array, elapsed: jax.Array) -> None:
+    """Refuse a step that is lost when it is added to the time, where both are known."""
+    if isinstance(step, jax.core.Tracer) or isinstance(elapsed, jax.core.Tracer):
+        return
+    least = np.spacing(np.asarray(elapsed)[-1])
+    if not np.asarray(step) > least:
+        raise InputError(
+            f"simulate: dt0 is {step}, which {elapsed.dtype} cannot add to a time of "
+            f"{elapsed[-1]} s; expected more than {least}, a state in float64, or a shorter ts"
+        )
+
+
+@contextlib.contextmanager
+def _forward_is_told() -> Iterator[None]:
+    try:
+        yield
+    except TypeError as error:
+        if "forward-mode autodiff" not in str(error):
+            raise
+        raise InputError(
+            "simulate: a forward derivative (jvp, jacfwd, hessian) through an adjoint that is for "
+            "reverse ones; give adjoint=diffrax.ForwardMode(), or differentiate with jacrev"
+        ) from error

@@ -1,6 +1,7 @@
 """Rollouts: against MuJoCo C's own steps, order, batches, memory and derivatives."""
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -11,6 +12,7 @@ import rbjax as rb
 from rbjax.dynamics.manifold import rate_lanes
 from rbjax.model import compile_model
 from rbjax.rotations import so3
+from tests.compilations import compilations
 from tests.tolerances import F64_IDENTITY, F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEPS, DT = 60, 0.002
@@ -171,17 +173,92 @@ def test_memory_of_the_gradient_follows_the_law(key):
         ({"integrator": "euler"}, "expected one of .'semi_implicit_euler', 'rk4'."),
         ({"save_every": 7}, "expected a divisor of the 10 steps"),
         ({"ctrls": np.zeros((10, 3))}, "ctrls has shape .10, 3., expected .10, 1."),
-        ({"ctrls": np.full((10, 1), np.nan)}, "ctrls has values that are not finite"),
+        ({"ctrls": np.full((10, 1), np.nan)}, r"ctrls\[0, 0\] is nan, expected finite"),
+        ({"ctrls": np.zeros((10, 1), complex)}, "ctrls has dtype complex128, expected float"),
+        ({"ctrls": np.zeros((0, 1))}, r"shape \(0, 1\), expected \(1, 1\): a row .* policy"),
+        ({"ctrls": "none"}, "ctrls is str, expected an array"),
         ({"ctrls": None}, "steps is None"),
+        ({"ctrls": None, "steps": -3}, "steps = -3, expected a whole number of at least 1"),
+        ({"ctrls": None, "steps": 0}, "steps = 0, expected a whole number of at least 1"),
+        ({"ctrls": None, "steps": 2.0}, "steps = 2.0, expected a whole number of at least 1"),
+        ({"save_every": 2.5}, "save_every = 2.5, expected a whole number .* divisor of the 10"),
+        ({"save_every": 0}, "save_every = 0, expected a whole number of at least 1"),
         ({"state": rb.State(jnp.zeros(3), jnp.zeros(2))}, "q has shape .3,., expected .2,."),
+        ({"state": rb.State(None, jnp.zeros(2))}, "q is NoneType, expected an array"),
+        ({"state": rb.State(jnp.zeros(2, complex), jnp.zeros(2))}, "q has dtype complex128"),
+        ({"state": rb.State(jnp.zeros((3, 2), complex), jnp.zeros((3, 2)))}, "q has dtype complex"),
+        ({"state": rb.State(jnp.zeros((0, 2)), jnp.zeros((0, 2)))}, "a batch of no states"),
+        ({"state": rb.State(jnp.zeros((3, 2)), jnp.zeros((4, 2)))}, "v has shape .4, 2., ex"),
         ({"state": np.zeros(4)}, "expected rbjax.State"),
+        ({"dt": 0.0}, "dt is 0.0, expected a positive step"),
+        ({"dt": -0.1}, "dt is -0.1, expected a positive step"),
+        ({"dt": np.nan}, "dt is nan, expected finite"),
+        ({"dt": np.ones(10)}, r"dt has shape \(10,\), expected \(\): a positive step"),
     ],
 )
 def test_bad_arguments_are_named(arguments, message):
     model = rb.load("cart_pole")
-    given = {"state": model.default_state(), "ctrls": np.zeros((10, 1)), **arguments}
+    given = {"state": model.default_state(), "ctrls": np.zeros((10, 1)), "dt": 0.01, **arguments}
     with pytest.raises(rb.InputError, match=message):
-        rb.rollout(model, given.pop("state"), given.pop("ctrls"), 0.01, **given)
+        rb.rollout(model, given.pop("state"), given.pop("ctrls"), **given)
+
+
+@pytest.mark.parametrize("batch", [(), (3,)], ids=["one", "batch"])
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (jnp.ones(2), r"has shape \(2,\), expected \(1,\): one number for each"),
+        (1.0, r"has shape \(\), expected \(1,\)"),
+        (None, r"is NoneType, expected an array of shape \(1,\)"),
+        (jnp.ones(1, complex), "has dtype complex128"),
+    ],
+)
+def test_a_policy_that_returns_no_control_is_told(returned, message, batch):
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.zeros((*batch, 2)), jnp.zeros((*batch, 2)))
+    with pytest.raises(rb.InputError, match=f"the control returned {message}"):
+        rb.rollout(model, state, lambda t, s: returned, 0.01, steps=2)
+
+
+def test_a_policy_has_nothing_to_say_to_a_robot_without_actuators():
+    top = rb.load("spinning_top")
+    with pytest.raises(rb.InputError, match=r"has shape \(3,\), expected \(0,\)"):
+        rb.rollout(top, top.default_state(), lambda t, s: jnp.ones(3), 0.01, steps=2)
+
+
+class Gain(eqx.Module):
+    k: jax.Array
+
+    def __call__(self, t, state):
+        return self.k @ state.v
+
+
+def test_a_policy_may_be_a_module(key):
+    """Its arrays are arguments: differentiable, and others compile nothing anew."""
+    model = rb.load("cart_pole")
+    state, k = model.random_state(key), jnp.array([[-2.0, 0.5]])
+
+    def end(k):
+        return rb.rollout(model, state, Gain(k), 0.01, steps=6).q[-1]
+
+    here = end(k)
+    closed = rb.rollout(model, state, lambda t, s: k @ s.v, 0.01, steps=6)
+    np.testing.assert_allclose(here, closed.q[-1], rtol=0, atol=1e-14)
+    other = 1.1 * k
+    with compilations() as compiled:
+        end(other)
+    assert not compiled
+    h = 1e-5
+    slope = jax.grad(lambda k: end(k).sum())(k)
+    along = (end(k + h).sum() - end(k - h).sum()) / (2 * h)
+    assert relative_error(slope.sum(), along) < GRADIENT
+
+
+def test_a_model_that_cannot_move_is_told():
+    text = "<mujoco><worldbody><body><inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/></body>"
+    still = rb.load(f"{text}</worldbody></mujoco>")
+    with pytest.raises(rb.InputError, match=r"no joints, so nothing moves; give .* <joint/>"):
+        rb.rollout(still, still.default_state(), None, 0.01, steps=2)
 
 
 def test_a_motion_that_blows_up_is_a_value():

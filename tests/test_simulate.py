@@ -124,9 +124,11 @@ def test_bad_times_and_states_are_named():
     state = model.default_state()
     with pytest.raises(rb.InputError, match="ts must increase"):
         rb.simulate(model, state, jnp.array([0.0, 1.0, 0.5]))
-    for dt0 in (0.0, -0.1, np.nan):
+    for dt0 in (0.0, -0.1):
         with pytest.raises(rb.InputError, match="expected a positive step"):
             rb.simulate(model, model.default_state(), jnp.array([0.0, 1.0]), dt0=dt0)
+    with pytest.raises(rb.InputError, match="dt0 is nan, expected finite"):
+        rb.simulate(model, model.default_state(), jnp.array([0.0, 1.0]), dt0=np.nan)
     with pytest.raises(rb.InputError, match="at least 2 times"):
         rb.simulate(model, state, jnp.array([0.0]))
     with pytest.raises(rb.InputError, match="expected finite values"):
@@ -134,3 +136,65 @@ def test_bad_times_and_states_are_named():
     top = rb.load("spinning_top")
     with pytest.raises(rb.InputError, match="zero quaternion"):
         rb.simulate(top, rb.State(jnp.zeros(4), jnp.zeros(3)), jnp.array([0.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"control": jnp.ones((4, 1))}, "expected a function .* an array are for rollout"),
+        ({"control": lambda t, s: jnp.ones(2)}, r"returned has shape \(2,\), expected \(1,\)"),
+        ({"control": lambda t, s: 1.0}, r"returned has shape \(\), expected \(1,\)"),
+        ({"control": lambda t, s: None}, "returned is NoneType, expected an array of shape"),
+        ({"model": rb.load("spinning_top"), "control": lambda t, s: jnp.ones(3)}, "expected .0,.:"),
+        ({"max_steps": 0}, "max_steps = 0, expected a whole number of at least 1"),
+        ({"state": rb.State(None, jnp.zeros(2))}, "q is NoneType, expected an array"),
+        ({"state": None}, "state is NoneType, expected rbjax.State"),
+        ({"ts": None}, "at least 2 times"),
+        ({"ts": ["0", "1"]}, "ts has dtype <U1, expected times in seconds"),
+        ({"dt0": 1e-17}, "float64 cannot add to a time of 1.0 s; expected more than"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message):
+    model = arguments.get("model", rb.load("cart_pole"))
+    given = {"state": model.default_state(), "ts": [0.0, 1.0], "dt0": 0.5} | arguments
+    given.pop("model", None)
+    with pytest.raises(rb.InputError, match=message):
+        rb.simulate(model, **given)
+
+
+@pytest.mark.parametrize("start", [1e5, 1e9])
+def test_a_late_start_costs_no_digits(start):
+    """In f32 a step of a millisecond is lost at 1e5 s; time runs from the first of ts."""
+    model = rb.load("pendulum")
+    state = rb.State(*(jnp.ones(1, jnp.float32) for _ in range(2)))
+    ts = np.array([0.0, 0.02, 0.05])
+    seen = lambda t, s: jnp.where(t >= start, 1.0, np.nan) * s.q  # noqa: E731
+    now, late = (rb.simulate(model, state, ts + t, c, dt0=1e-3)
+                 for t, c in ((0.0, lambda t, s: s.q), (start, seen)))  # fmt: skip
+    assert relative_error(late.q, now.q) < 1e-6
+    assert late.stats["num_steps"] == now.stats["num_steps"] == 50
+
+
+def test_a_forward_derivative_takes_its_own_adjoint(key):
+    model = rb.load("pendulum")
+    state = model.random_state(key)
+
+    def end(v, **how):
+        ts = jnp.array([0.0, 0.05])
+        return rb.simulate(model, rb.State(state.q, v), ts, dt0=0.01, **how).q[-1]
+
+    with pytest.raises(rb.InputError, match=r"adjoint=diffrax.ForwardMode\(\)"):
+        jax.jacfwd(end)(state.v)
+    forward = jax.jacfwd(lambda v: end(v, adjoint=diffrax.ForwardMode()))(state.v)
+    assert relative_error(forward, jax.jacrev(end)(state.v)) < F64_IDENTITY
+
+
+def test_a_joint_that_moves_no_mass_is_told():
+    model = rb.load("pendulum")
+    none = model.bodies.replace(mass=jnp.zeros(1), inertia=jnp.zeros((1, 3, 3)))
+    joints = model.joints.replace(armature=jnp.zeros(1))
+    empty = model.replace(bodies=none, joints=joints)
+    with pytest.raises(rb.ModelError, match=r"moves no mass, .* singular; give its body mass"):
+        rb.simulate(empty, model.default_state(), jnp.array([0.0, 0.1]), dt0=0.05)
+    path = rb.rollout(empty, model.default_state(), None, 0.05, steps=2)
+    assert not bool(path.ok)  # there the numbers are arguments

@@ -17,6 +17,7 @@ import jax
 
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.joints import JointMotion
+from rbjax.errors import ModelError
 from rbjax.lanes import Lane, Sym3, Vec3, add, is_zero, mul, sub
 from rbjax.model import LinkConstants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
@@ -60,7 +61,13 @@ def eliminate(
 ) -> tuple[ArticulatedInertia, Factor]:
     """Give the joint its own freedom: the factor, and the inertia left across it."""
     U = I_A(S)
-    inverse_D = 1.0 / add(S.dot(U), link.armature)
+    D = add(S.dot(U), link.armature)
+    if is_zero(D):
+        raise ModelError(
+            "a joint of the model moves no mass, so the mass matrix is singular; give its body "
+            "mass and inertia (bodies.mass, bodies.inertia), or the joint armature"
+        )
+    inverse_D = 1.0 / D
     return I_A.without(U, inverse_D, S, link.armature), Factor(X, S, U, inverse_D)
 
 

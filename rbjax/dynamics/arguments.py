@@ -39,6 +39,9 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
     "wrenches": lambda m: (m.nb, 6),
 }
 
+#: arguments that may be None
+OPTIONAL = ("ctrl", "wrenches")
+
 
 def algorithm(
     *names: str, pairs: bool = False, long: bool = False, apart: Callable | None = None
@@ -101,15 +104,15 @@ def for_threads(args: tuple, **work: bool) -> tuple:
     return (on_threads(model, floats[0], **work), *rest) if floats else args
 
 
-def check_arrays(where: str, model: Model, given: dict[str, Any]) -> dict[str, Any]:
-    """The named arrays in one floating dtype, with shapes and (where known) values checked."""
-    if not isinstance(model, Model):
-        raise InputError(
-            f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
-        )
-    given = dict(given)
-    state = given.pop("state", None)
-    if state is not None:
+def check_arrays(
+    where: str, model: Model, given: dict[str, Any], batch: tuple[int, ...] = ()
+) -> dict[str, Any]:
+    """The named arrays in one floating dtype, with shapes and (where known) values checked. Each
+    has the axes of a batch before its own."""
+    check_model(where, model)
+    given, stated = dict(given), "state" in given
+    if stated:
+        state = given.pop("state")
         if not isinstance(state, State):
             raise InputError(
                 f"{where}: state is {type(state).__name__}, expected rbjax.State(q, v)"
@@ -117,50 +120,98 @@ def check_arrays(where: str, model: Model, given: dict[str, Any]) -> dict[str, A
         given |= {"q": state.q, "v": state.v}
     out: dict[str, Any] = {}
     for name, value in given.items():
-        if value is not None:
-            out[name] = _checked(where, name, value, SHAPES[name](model))
+        if value is not None or name not in OPTIONAL:
+            out[name] = check_array(where, name, value, (*batch, *SHAPES[name](model)))
     dtype = jnp.result_type(*out.values()) if out else jnp.result_type(float)
     out = {name: value.astype(dtype) for name, value in out.items()}
     for name in ("q", "q0", "q1"):
         if name in out:
             check_quaternions(where, name, model, out[name])
-    if state is not None:
+    if stated:
         out["state"] = State(out.pop("q"), out.pop("v"))
     return out
 
 
-def _checked(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Array:
+def check_model(where: str, model: Any) -> None:
+    """Refuse what is no model, or is several in one."""
+    if not isinstance(model, Model):
+        raise InputError(
+            f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
+        )
+    several = model.several()
+    if several is not None:
+        name, shape, axes = several
+        raise InputError(
+            f"{where}: the model's {name} has shape {shape}, expected {axes} "
+            f"{'axis' if axes == 1 else 'axes'}; for a batch of models use jax.vmap over them"
+        )
+
+
+def check_moves(where: str, model: Model) -> None:
+    """Refuse a model that has nothing to move."""
+    if not model.nv:
+        raise InputError(
+            f"{where}: the model has no joints, so nothing moves; give a body of the file a "
+            "<joint/> or <freejoint/>, or load a URDF with floating_base=True"
+        )
+
+
+def check_array(
+    where: str, name: str, value: Any, *shapes: tuple[int, ...], fix: str = ""
+) -> jax.Array:
+    """A value as a floating array of one of the shapes, finite where it is known."""
+    expected = " or ".join(map(str, shapes)) + fix
     try:
         x = jnp.asarray(value)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: {name} is {type(value).__name__}, expected an array") from error
-    if x.shape != shape:
-        hint = ""
-        if x.shape[1:] == shape or x.shape[:-1] == shape:
-            hint = "; for a batch use jax.vmap"
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected {shape}{hint}")
+        raise InputError(
+            f"{where}: {name} is {type(value).__name__}, expected an array of shape {expected}"
+        ) from error
+    if x.shape not in shapes:
+        one_more = shapes[0] in (x.shape[1:], x.shape[:-1]) and not fix
+        hint = "; for a batch use jax.vmap" if one_more else ""
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}{hint}")
     if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
         x = x.astype(jnp.result_type(float))
     if not jnp.issubdtype(x.dtype, jnp.floating):
         raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
     if not isinstance(x, jax.core.Tracer):
-        bad = np.flatnonzero(~np.isfinite(np.asarray(x)).reshape(-1))
-        if len(bad):
-            raise InputError(
-                f"{where}: {name}[{int(bad[0])}] is {np.asarray(x).reshape(-1)[bad[0]]}, "
-                f"expected finite values"
-            )
+        values = np.asarray(x)
+        finite = np.isfinite(values)
+        if not finite.all():
+            at = tuple(np.argwhere(~finite)[0])
+            place = f"[{', '.join(map(str, at))}]" if at else ""
+            raise InputError(f"{where}: {name}{place} is {values[at]}, expected finite values")
     return x
 
 
+def check_control(where: str, model: Model, value: Any, dtype: Any) -> jax.Array:
+    """What a policy or a control returned, as (nu,) numbers."""
+    fix = ": one number for each of model.actuator_names"
+    return check_array(where, "the control returned", value, (model.nu,), fix=fix).astype(dtype)
+
+
+def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
+    """A positive step as a number of the dtype."""
+    step = check_array(where, name, value, (), fix=": a positive step in seconds")
+    if not isinstance(step, jax.core.Tracer) and not step > 0:
+        raise InputError(f"{where}: {name} is {value}, expected a positive step in seconds")
+    return step.astype(dtype)
+
+
 def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None:
-    """Refuse quaternions of no length, where values are known."""
+    """Refuse quaternions that give no direction, where values are known."""
     if isinstance(q, jax.core.Tracer):
         return
     values = np.asarray(q)
+    least = np.finfo(values.dtype).tiny
     for start in model.topology.quaternion_starts:
-        if not np.any(values[..., start : start + 4], -1).all():
+        with np.errstate(over="ignore", under="ignore"):
+            squared = np.square(values[..., start : start + 4]).sum(-1)
+        if not ((least <= squared) & (squared < np.inf)).all():
+            kind = "a zero quaternion" if np.isfinite(squared).all() else "an endless quaternion"
             raise InputError(
-                f"{where}: {name}[{start}:{start + 4}] is a zero quaternion, expected a unit one "
-                f"(w, x, y, z); no rotation is (1, 0, 0, 0)"
+                f"{where}: {name}[{start}:{start + 4}] is {kind} (its squared length is 0 or "
+                f"infinite in {values.dtype}), expected a unit one (w, x, y, z); "
+                f"no rotation is (1, 0, 0, 0)"
             )

@@ -59,7 +59,7 @@ def divided(size: int) -> tuple[int, int]:
     >>> divided(1024), divided(256), divided(128)
     ((5, 208), (2, 144), (1, 128))
     """
-    count = -(-size // CPU_CHUNK)
+    count = max(1, -(-size // CPU_CHUNK))
     if count == 1:
         return 1, size
     chunk = -(-size // (16 * count)) * 16  # whole vectors

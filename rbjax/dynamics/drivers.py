@@ -23,7 +23,7 @@ from rbjax.dynamics.rolled import Rolled
 from rbjax.dynamics.rolled import allocate_slots as allocate_slots
 from rbjax.dynamics.unrolled import Listed as Listed
 from rbjax.dynamics.unrolled import Unrolled
-from rbjax.model import Model, partition, prepare
+from rbjax.model import DRIVER_NAMES, Model, partition, prepare
 
 #: above this many velocity coordinates "auto" rolls. On the CPU unrolled code runs two to three
 #: times as fast, but compiling its gradient takes 0.8 s a link, rolled 4 s whatever the length
@@ -46,7 +46,7 @@ SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 THREADS_APART_ABOVE = 8
 
 Driver = Any  # one of these; per-link values are lists, columns, or both
-DRIVERS: dict[str, Any] = {"unrolled": Unrolled, "rolled": Rolled, "limbs": Limbs}
+DRIVERS: dict[str, Any] = dict(zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True))
 
 
 def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:

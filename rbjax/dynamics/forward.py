@@ -104,10 +104,12 @@ def forward_dynamics(
         wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
 
     Returns:
-        (nv,) the rate of v.
+        (nv,) the rate of v; not finite where the mass matrix is singular, as of a joint that moves
+        no mass.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
+        ModelError: a joint that moves no mass, where that is known while tracing.
 
     Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7 (ABA).
 

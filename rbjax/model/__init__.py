@@ -3,10 +3,20 @@
 from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import LinkConstants, Prepared, as_declared, known_zeros, made_ahead, prepare
 from rbjax.model.load import compile_model, load, scenes
-from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites, State
+from rbjax.model.model import (
+    DRIVER_NAMES,
+    Actuators,
+    Bodies,
+    Joints,
+    Keyframes,
+    Model,
+    Sites,
+    State,
+)
 from rbjax.model.topology import JOINT_SIZES, WORLD, Link, Topology, spans
 
 __all__ = [
+    "DRIVER_NAMES",
     "JOINT_SIZES",
     "WORLD",
     "Actuators",

@@ -29,6 +29,7 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
+_LONG = 300  # characters of a path that a message shows
 _SCENES = Path(__file__).parent / "scenes"
 
 
@@ -116,7 +117,8 @@ def _compile_source(
             mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(str(path))
         )
     except Exception as error:
-        raise ModelError(f"{name}: MuJoCo cannot parse it: {_sentence(error)}") from error
+        message = _sentence(error)
+        raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{_fix(message)}") from error
     compiled = _compile(spec, name)
     if urdf is None:
         return compiled, "", ()
@@ -131,10 +133,10 @@ def _read(source: str | Path) -> tuple[str, Path | None]:
         if source in scenes():
             source = _SCENES / f"{source}.xml"
     path = Path(source)
-    if not path.exists():
+    if not _exists(path):
         if isinstance(source, str) and path.suffix == "":
-            raise UnknownName("scene", source, scenes())
-        raise ModelError(f"{path}: no such file; give an existing MJCF or URDF path")
+            raise UnknownName("scene", _describe(source), scenes())
+        raise ModelError(f"{_describe(path)}: no such file; give an existing MJCF or URDF path")
     try:
         raw = path.read_bytes()
         declared = re.match(rb"""\s*<\?xml[^>]*\sencoding=["']([\w.-]+)""", raw)
@@ -145,11 +147,20 @@ def _read(source: str | Path) -> tuple[str, Path | None]:
         ) from error
 
 
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name too long, or with a zero in it
+        return False
+
+
 def _describe(source: Any) -> str:
     if isinstance(source, (mujoco.MjModel, mujoco.MjSpec)):
         return type(source).__name__
     text = str(source)
-    return "XML string" if text.lstrip().startswith("<") else text
+    if text.lstrip().startswith("<"):
+        return "XML string"
+    return text if len(text) <= _LONG else f"{text[:_LONG]}... ({len(text):,} characters)"
 
 
 def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
@@ -177,6 +188,7 @@ def _fix(message: str) -> str:
         "inertia, or weld it (no joint, URDF type='fixed')",
         "A + B >= C": "; correct the inertia, or let MuJoCo balance it: "
         "<compiler balanceinertia='true'/>",
+        "repeated name": "; give each body, joint or other element a name of its own",
         "opening file": "; put the file where the model names it, or remove the element",
         "free joint can only be used on top": "; a URDF's floating joint moves a child of the root "
         "link, and that is named 'world'",
@@ -269,6 +281,13 @@ def _refuse_nan(m: mujoco.MjModel) -> None:
             raise ModelError(
                 f"the compiled model has {name}[{int(bad[0][0])}] = {values[bad[0][0]]}, which is "
                 f"not finite; correct that number in the file"
+            )
+    for name in ["jnt_range", "jnt_actfrcrange", "actuator_ctrlrange", "actuator_forcerange"]:
+        bad = np.argwhere(np.isnan(getattr(m, name)))
+        if len(bad):
+            raise ModelError(
+                f"the compiled model has {name}[{int(bad[0][0])}] = {getattr(m, name)[bad[0][0]]}, "
+                f"expected two numbers, which may be infinite; correct them in the file"
             )
     if not np.isfinite(m.opt.gravity).all():
         raise ModelError(f"gravity is {m.opt.gravity}, which is not finite; correct the file")

@@ -9,7 +9,6 @@ inertials are taken out (`load_inertials`), and `floating_base` gives the root a
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections import Counter
 from dataclasses import dataclass
 
 from rbjax.errors import ModelError
@@ -54,12 +53,16 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
     """The URDF with shapes removed, fixed links kept, and a floating root if asked for."""
     robot = ET.fromstring(text)
     there = robot.findall("link")
-    links = {link.get("name", ""): link for link in there}
     if not there:
         raise ModelError(f"{name}: <robot> has no <link>, expected at least one{_XACRO}")
-    twice = [n for n, count in Counter(x.get("name") for x in there).items() if count > 1]
-    if twice:
-        raise ModelError(f"{name}: two links are named {twice[0]!r}; rename one of them")
+    for kind in ("link", "joint"):
+        names = [element.get("name", "") for element in robot.findall(kind)]
+        twice = sorted({repr(n) for n in names if names.count(n) > 1})
+        if twice:
+            raise ModelError(
+                f"{name}: more than one {kind} is named {', '.join(twice)}; give each its own name"
+            )
+    links = {link.get("name", ""): link for link in there}
     root = _root(robot, set(links), name)
     for link in links.values():
         for shape in (*link.findall("visual"), *link.findall("collision")):

@@ -8,6 +8,8 @@ no recompilation.
 from __future__ import annotations
 
 import dataclasses
+import math
+import numbers
 from typing import Any
 
 import equinox as eqx
@@ -15,10 +17,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
 from rbjax.model.topology import Topology
 from rbjax.rotations import quaternion
+
+#: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
+DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
+
+#: the axes that each number has in one model, in the order of the leaves
+AXES = {
+    "bodies.mass": 1, "bodies.com": 2, "bodies.inertia": 3, "bodies.position": 2,
+    "bodies.orientation": 2, "joints.placement": 2, "joints.axis": 2, "joints.reference": 1,
+    "joints.armature": 1, "joints.damping": 1, "joints.stiffness": 1, "joints.springref": 1,
+    "joints.forcerange": 2, "actuators.gear": 2, "actuators.gain": 2, "actuators.bias": 2,
+    "actuators.ctrlrange": 2, "actuators.forcerange": 2, "gravity": 1,
+}  # fmt: skip
+_AXES = list(AXES.values())
 
 
 class Record(eqx.Module):
@@ -138,6 +153,26 @@ class Model(Record):
     zeros: tuple | None = eqx.field(static=True, default=None)
     #: the links' numbers, where they have been made before a loop (`made_ahead`), or None
     prepared: Any = None
+
+    def __check_init__(self) -> None:
+        if self.driver not in DRIVER_NAMES:
+            raise UnknownName("driver", self.driver, DRIVER_NAMES)
+        real = isinstance(self.timestep, numbers.Real)
+        if not (real and 0 < self.timestep < math.inf):
+            raise ModelError(
+                f"timestep is {self.timestep!r}, expected a positive number of seconds: "
+                "correct <option timestep/> in the file, or model.replace(timestep=0.002); "
+                "a step that is an array is for rollout(dt=...)"
+            )
+
+    def several(self) -> tuple[str, tuple[int, ...], int] | None:
+        """Name, shape and due number of axes of a leaf that has others, as in a batch of models."""
+        leaves = jax.tree.leaves((self.bodies, self.joints, self.actuators, self.gravity))
+        if [getattr(x, "ndim", 0) for x in leaves] == _AXES:  # all that the usual call pays for
+            return None
+        found = zip(AXES.items(), leaves, strict=False)
+        wrong = ((name, np.shape(x), n) for (name, n), x in found if np.ndim(x) != n)
+        return next(wrong, None)
 
     @property
     def nq(self) -> int:

@@ -11,13 +11,14 @@ import numpy as np
 from rbjax.errors import InputError
 
 
-def check_whole(solver: str, what: str, value: Any, low: int, high: int, why: str = "") -> None:
-    """`InputError` unless value is a whole number from low to high."""
+def check_whole(
+    where: str, what: str, value: Any, low: int, high: int | None = None, why: str = ""
+) -> None:
+    """`InputError` unless value is a whole number from low to high, or from low on."""
     whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not (whole and low <= value <= high):
-        raise InputError(
-            f"{solver}: {what} = {value!r}, expected a whole number from {low} to {high}{why}"
-        )
+    if not (whole and low <= value and (high is None or value <= high)):
+        among = f"of at least {low}" if high is None else f"from {low} to {high}"
+        raise InputError(f"{where}: {what} = {value!r}, expected a whole number {among}{why}")
 
 
 def check_between(solver: str, what: str, value: Any, low: float, high: float) -> None:

@@ -20,9 +20,11 @@ import numpy as np
 import optimistix as optx
 
 from rbjax.dynamics import difference
+from rbjax.dynamics.arguments import check_array, check_arrays, check_step
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 from rbjax.rollout import rollout
+from rbjax.solvers.arguments import check_whole
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ def fit(
         `Fit`; `ok` is false where it did not converge.
 
     Raises:
-        InputError: shapes; a positive unknown whose guess is not positive.
+        InputError: shapes, dtypes, values that are not finite; no unknowns, or one that is not a
+            single number; a positive unknown whose guess is not positive.
         UnknownName: an unknown that is no leaf of the model.
 
     Source: Marquardt 1963; Nocedal & Wright, *Numerical Optimization*, 10.3.
@@ -96,20 +99,25 @@ def fit(
         >>> round(found.values["mass"], 3)
         1.3
     """
-    measured, ctrls = jnp.asarray(measured), jnp.asarray(ctrls)
-    expected = (1 + len(ctrls) // save_every, model.nq)
-    if measured.shape != expected:
-        raise InputError(f"fit: measured has shape {measured.shape}, expected {expected}")
+    state = check_arrays("fit", model, {"state": state})["state"]
+    for name, value in (("save_every", save_every), ("max_steps", max_steps)):
+        check_whole("fit", name, value, 1)
+    if not unknowns:
+        raise InputError('fit: no unknowns, expected some, as {"mass": Unknown("bodies.mass", 0)}')
+    rows = max(1, np.shape(ctrls)[0]) if np.ndim(ctrls) else 1
+    ctrls = check_array("fit", "ctrls", ctrls, (rows, model.nu), fix=": a row a step")
+    measured = check_array("fit", "measured", measured, (1 + rows // save_every, model.nq))
     guess = {name: _read(model, u) for name, u in unknowns.items()}
     for name, u in unknowns.items():
         if u.positive and not guess[name] > 0:
             raise InputError(f"fit: {name} is {guess[name]:g}, expected a positive first guess")
     sought = tuple(unknowns.values())
     start = [np.log(guess[n]) if u.positive else guess[n] for n, u in unknowns.items()]
-    step = model.timestep if dt is None else dt
-    data = (model, state, ctrls, measured, step)
+    step = check_step("fit", "dt", model.timestep if dt is None else dt, float)
+    # whatever the data are in, the numbers are sought in the widest dtype there is
+    data = (model, *jax.tree.map(lambda x: x.astype(float), (state, ctrls, measured)), step)
     how = (sought, integrator, save_every, max_steps)
-    numbers, errors, rms, steps, ok = _solve(jnp.asarray(start, measured.dtype), data, *how)
+    numbers, errors, rms, steps, ok = _solve(jnp.asarray(start, float), data, *how)
     return Fit(
         _changed(model, sought, numbers),
         dict(zip(unknowns, map(float, numbers), strict=True)),
@@ -164,7 +172,13 @@ def _read(model: Model, u: Unknown) -> float:
         paths = jax.tree_util.tree_flatten_with_path(model)[0]
         names = [jax.tree_util.keystr(p, simple=True, separator=".") for p, _ in paths]
         raise UnknownName("leaf of Model", u.leaf, names)
-    return float(np.asarray(value)[u.index])
+    try:
+        return float(np.asarray(value)[u.index])
+    except (IndexError, TypeError) as error:
+        raise InputError(
+            f"fit: {u.leaf} has shape {np.shape(value)} and no number at the index {u.index}, "
+            "expected a whole number for each axis"
+        ) from error
 
 
 def _changed(model: Model, sought: tuple[Unknown, ...], numbers: Any) -> Model:

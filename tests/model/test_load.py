@@ -265,6 +265,7 @@ def test_what_is_switched_off_is_not_left_out() -> None:
 
 
 CYCLE = (link("a"), link("b"), joint("x", "a", "b"), joint("y", "b", "a"))
+MOTOR = '<actuator><motor joint="j" {}/></actuator>'
 BAD = [  # source, words that the sentence must have
     ("/no/such/robot.xml", ["/no/such/robot.xml", "no such file", "give"]),
     ("<mujoco><worldbody>", ["XML string", "not well-formed", "expected MJCF"]),
@@ -284,6 +285,22 @@ BAD = [  # source, words that the sentence must have
     (urdf(*ARM, joint("lost", "base", "nowhere")), ["'lost'", "'nowhere'", "arm, base"]),
     (urdf(link("base"), link("arm", 0), ARM[2]), ["mass", "<inertial>", "fixed"]),
     (42, ["int", "expected a path", "pendulum"]),
+    ("x" * 5000 + ".xml", ["... (5,004 characters): no such file; give"]),
+    (mjcf(body("<joint/>"), body("<joint/>")), ["repeated name 'b'", "a name of its own"]),
+    (urdf(*ARM, link("arm")), ["more than one link is named 'arm'", "its own name"]),
+    (urdf(*ARM, link("c"), joint("elbow", "arm", "c")), ["more than one joint is named 'elbow'"]),
+    (mjcf(body('<joint range="nan 1" limited="false"/>')), ["jnt_range[0] = [nan", "correct them"]),
+    (mjcf(body('<joint actuatorfrcrange="nan 1"/>')), ["jnt_actfrcrange[0] = [nan", "correct"]),
+    (
+        mjcf(body('<joint name="j"/>'), extra=MOTOR.format('ctrlrange="nan 1"')),
+        ["actuator_ctrlrange[0] = [nan"],
+    ),
+    (
+        mjcf(body('<joint name="j"/>'), extra=MOTOR.format('forcerange="nan 1"')),
+        ["actuator_forcerange[0] = [nan"],
+    ),
+    (mjcf(body("<joint/>"), extra='<option timestep="0"/>'), ["timestep is 0.0", "positive"]),
+    (mjcf(body("<joint/>"), extra='<option timestep="nan"/>'), ["timestep is nan", "positive"]),
 ]
 
 
@@ -301,6 +318,10 @@ def test_an_unknown_scene_lists_the_scenes() -> None:
         rb.load("penduluum")
     assert "'penduluum'" in str(caught.value)
     assert all(repr(name) in str(caught.value) for name in rb.scenes())
+    for name in ("x" * 5000, "a\0b"):
+        with pytest.raises(rb.UnknownName, match="the scene names here are") as caught:
+            rb.load(name)
+        assert len(str(caught.value)) < 1000
 
 
 def test_a_folder_or_a_picture_is_not_a_robot(tmp_path: Path) -> None:

@@ -31,6 +31,21 @@ def test_replace_refuses_in_a_sentence(model: rb.Model) -> None:
         model.bodies.mass = jnp.ones(4)
 
 
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"driver": "unroled"}, rb.UnknownName, r"'unroled'.*'auto', 'unrolled', 'rolled'"),
+        ({"timestep": float("nan")}, rb.ModelError, "timestep is nan, expected a positive number"),
+        ({"timestep": 0.0}, rb.ModelError, "timestep is 0.0, expected a positive number"),
+        ({"timestep": -1}, rb.ModelError, r"timestep is -1, .*replace\(timestep=0.002\)"),
+        ({"timestep": "1 ms"}, rb.ModelError, r"timestep is '1 ms', .* is for rollout\(dt=...\)"),
+    ],
+)
+def test_what_no_model_can_have_is_refused(model: rb.Model, changes, error, words) -> None:
+    with pytest.raises(error, match=words):
+        model.replace(**changes)
+
+
 def test_names(model: rb.Model) -> None:
     assert (model.body("hand"), model.joint("ball"), model.site("tip")) == (2, 2, 0)
     for ask, name in ((model.body, "slider"), (model.joint, "hinge"), (model.site, "tip")):

@@ -84,3 +84,39 @@ def test_what_is_wrong_is_said(seen):
     heavy = {"x": Unknown("bodies.com", (1, 2), positive=True)}
     with pytest.raises(rb.InputError, match="positive first guess"):
         fit(changed(TRUTH), START, PUSH, seen, heavy, save_every=SAVE)
+
+
+BEND = {"damping": UNKNOWNS["damping"]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"measured": np.full((51, 2), np.nan)}, r"measured\[0, 0\] is nan, expected finite"),
+        ({"measured": np.zeros((51, 2), complex)}, "measured has dtype complex128"),
+        ({"ctrls": None}, "ctrls is NoneType, expected an array"),
+        ({"ctrls": np.ones((150, 3))}, r"ctrls has shape \(150, 3\), expected \(150, 0\): a row"),
+        ({"unknowns": {}}, "no unknowns, expected some"),
+        ({"unknowns": {"m": Unknown("bodies.mass", 7)}}, r"bodies.mass has shape \(2,\) and no"),
+        ({"unknowns": {"m": Unknown("bodies.com", 0)}}, ".* at the index 0, expected"),
+        ({"save_every": 0}, "save_every = 0, expected a whole number of at least 1"),
+        ({"max_steps": 0}, "max_steps = 0, expected a whole number of at least 1"),
+        ({"dt": -0.01}, "dt is -0.01, expected a positive step"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, message):
+    given = {
+        "ctrls": PUSH, "measured": np.zeros((51, 2)), "unknowns": BEND, "save_every": SAVE
+    } | arguments  # fmt: skip
+    with pytest.raises(rb.InputError, match=f"fit: {message}"):
+        fit(changed(TRUTH), START, **given)
+
+
+def test_data_in_single_precision_are_fitted_in_double(seen):
+    def short(x):
+        return jnp.asarray(x, jnp.float32)
+
+    guess = changed({**TRUTH, "damping": 0.1})
+    start = jax.tree.map(short, START)
+    found = fit(guess, start, short(PUSH), short(seen), BEND, dt=0.01, save_every=SAVE)
+    assert found.ok and abs(found.values["damping"] / TRUTH["damping"] - 1) < 1e-4

@@ -1,0 +1,48 @@
+"""The door of the algorithms: what is wrong with an argument is said in a sentence."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+
+MODEL, TOP = rb.load("cart_pole"), rb.load("spinning_top")
+TWO = jax.tree.map(lambda x: jnp.stack([x, x]), MODEL)
+HEAVY = eqx.tree_at(lambda m: m.bodies.mass, MODEL, jnp.ones((3, 2)))
+Z = np.zeros(2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((MODEL, None, Z, Z), r"q is NoneType, expected an array of shape \(2,\)"),
+        ((MODEL, Z, Z, None), r"tau is NoneType, expected an array of shape \(2,\)"),
+        ((MODEL, Z + 0j, Z, Z), "q has dtype complex128, expected float32 or float64"),
+        ((MODEL, Z, [0.0, np.inf], Z), r"v\[1\] is inf, expected finite values"),
+        ((TWO, Z, Z, Z), r"the model's bodies.mass has shape \(2, 2\), expected 1 axis; .*vmap"),
+        ((HEAVY, Z, Z, Z), r"the model's bodies.mass has shape \(3, 2\), expected 1 axis"),
+        (("cart_pole", Z, Z, Z), r"the first argument is str, expected a Model \(rbjax.load\)"),
+    ],
+)
+def test_what_is_wrong_is_said(arguments, words: str) -> None:
+    with pytest.raises(rb.InputError, match=f"forward_dynamics: {words}"):
+        rb.forward_dynamics(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("length", "words"),
+    [
+        (0.0, "a zero quaternion"),
+        (1e-200, "a zero quaternion .* in float64"),
+        (1e200, "an endless quaternion"),
+    ],
+)
+def test_a_quaternion_needs_a_length(length: float, words: str) -> None:
+    with pytest.raises(rb.InputError, match=rf"q\[0:4\] is {words}.*\(1, 0, 0, 0\)"):
+        rb.forward_kinematics(TOP, length * np.array([0.6, 0.0, 0.8, 0.0]))
+
+
+def test_an_empty_batch_is_an_empty_result() -> None:
+    assert jax.vmap(lambda q: rb.mass_matrix(MODEL, q))(jnp.zeros((0, 2))).shape == (0, 2, 2)
