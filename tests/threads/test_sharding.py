@@ -44,6 +44,9 @@ def child_functions():
               jax.grad(loss(f), (0, 1)), where, 1, spread=1)  # fmt: skip
         check("jacfwd", mapped(jax.jacfwd(g)), (x, W), mapped(jax.jacfwd(f)), where, 0)
 
+    closed = threaded(lambda x: f(x, W))
+    check("of what is closed over", jax.vmap(closed), (x,), lambda x: mapped(f)(x, W), where, 0)
+
     last = NamedSharding(devices, P(None, ("a", "b")))
     check("batch last", lambda x: jax.vmap(g, (-1, None), -1)(x, W), (jax.device_put(X.T, last),),
           lambda x: jax.vmap(f, (-1, None), -1)(x, W), last, 0)  # fmt: skip
