@@ -99,7 +99,7 @@ def test_emitted_c(on, names):
 def test_large_robots_in_both_precisions(name):
     """With the driver of threads; f32 against f64, whose reference is XLA's."""
     reference = compiled(name)
-    model = on_threads(as_model(reference))
+    model = on_threads(as_model(reference), np.float32)
     args = states(reference, BATCH)
 
     def dynamics(q, v, a):
