@@ -129,6 +129,14 @@ def _itself(x: Any) -> Any:
     return x
 
 
+def _check_takes_robots(solver: diffrax.AbstractSolver) -> None:
+    if isinstance(solver, AbstractGroupSolver) and not issubclass(OnGroup, solver.term_structure):
+        raise InputError(
+            f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
+            "with diffrax.diffeqsolve; robots take the other solvers"
+        )
+
+
 def motion(
     model: Model,
     state: State,
@@ -141,12 +149,8 @@ def motion(
     if not isinstance(solver, AbstractGroupSolver):
         return diffrax.ODETerm(Motion(control, of_args)), state
     top = model.topology
+    _check_takes_robots(solver)
     term = OnGroup(Motion(control, of_args, tangent=True), Manifold(top), Momentum(of_args))
-    if not isinstance(term, solver.term_structure):
-        raise InputError(
-            f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
-            "with diffrax.diffeqsolve; robots take the other solvers"
-        )
     return term, State(unit(top, state.q), state.v)
 
 
@@ -218,6 +222,7 @@ def simulate(
         check_whole("simulate", "max_steps", max_steps, 1)
     solver = diffrax.Tsit5() if solver is None else solver
     check_solver("simulate", solver)
+    _check_takes_robots(solver)
     if dt0 is not None:
         _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
     # Inside a caller's jit diffrax would trace what the caller holds constant.

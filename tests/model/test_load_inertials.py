@@ -227,7 +227,7 @@ BAD = [  # source, words that the sentence must have
     (chain(link("middle", rpy="1 2")), ["rpy='1 2'", "3 finite numbers"]),
     (chain(link("middle", 1, ("x", 1, 1))), ["ixx='x'", "one finite number"]),
     (chain(link("middle").replace("iyz", "other")), ["'middle'", "<inertia> has no iyz", "add"]),
-    (chain(link("middle") + link("middle")), ["'middle'", "rename"]),
+    (chain(link("middle") + link("middle")), ["'middle'", "its own name"]),
     (chain(link("middle")).replace("prismatic", "floating"), ["floating joint", "'world'"]),
     (chain(link("middle")).replace("prismatic", "springy"), ["invalid joint type"]),
 ]
