@@ -56,7 +56,7 @@ slope.shape
 # ## What it becomes
 #
 # `explain` counts the statements of the thread and the bytes that it reads and writes. On a GPU
-# it also tells registers, local memory, the rate and how near to the device's limits that is.
+# it also prints registers, local memory, the rate and how near to the device's limits that is.
 
 # %%
 print(rb.threads.explain(effort, states.q[0], states.v[0], tau[0]))

@@ -256,8 +256,8 @@ def on_threads(
     @functools.cache
     def sized(batch: int, moving: Moving) -> Program:
         left = march(1).pullback(moving).bytes
-        long = operation_count(step, *step.inputs).total > LEAVING_ABOVE
-        if long and left and steps * batch * (each + left) <= memory:
+        fits = left and steps * batch * (each + left) <= memory
+        if fits and operation_count(step, *step.inputs).total > LEAVING_ABOVE:
             return march(1, leaving=True).program(plain)
         return march(keep_every(save_every, steps, batch * each, memory)).program(plain)
 

@@ -199,13 +199,12 @@ def _act(policy: Policy, t, q, v):
 
 def _checked(model, state, ctrls, steps):
     """State and controls in one dtype, the number of steps, and whether there is a batch."""
-    if not isinstance(state, State):
-        raise InputError(f"rollout: state is {type(state).__name__}, expected rbjax.State(q, v)")
-    batched = np.ndim(state.q) == 2
-    batch = (len(state.q),) if batched else ()
+    shape = np.shape(state.q) if isinstance(state, State) else ()
+    batched = len(shape) == 2
+    batch = shape[:1] if batched else ()
     if batch == (0,):
         raise InputError(
-            f"rollout: q has shape {np.shape(state.q)}, a batch of no states, expected one or more"
+            f"rollout: q has shape {shape}, a batch of no states, expected one or more"
         )
     state = check_arrays("rollout", model, {"state": state}, batch)["state"]
     check_moves("rollout", model)

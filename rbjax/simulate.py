@@ -262,7 +262,7 @@ def simulate(
         out = solve(term, t0=elapsed[0], t1=elapsed[-1], y0=state, args=args, saveat=saveat)
         return out.ys, out.result, out.stats
 
-    with _forward_is_told():
+    with _only_reverse():
         path, result, stats = (threaded if on_gpu else _itself)(solved)(
             state, ts[0], elapsed, args
         )
@@ -319,7 +319,7 @@ def _advances(step: jax.Array, elapsed: jax.Array) -> None:
 
 
 @contextlib.contextmanager
-def _forward_is_told() -> Iterator[None]:
+def _only_reverse() -> Iterator[None]:
     try:
         yield
     except TypeError as error:

@@ -48,8 +48,8 @@ def check(
     """
     compiled = jax.jit(f, compiler_options=QUICK).lower(*args).compile()
     text, got = compiled.as_text(), compiled(*args)
-    alone = jax.tree.map(lambda x: jax.device_put(x, jax.devices()[0]), args)
-    expected = jax.jit(want or f, compiler_options=QUICK)(*alone)
+    on_one = jax.tree.map(lambda x: jax.device_put(x, jax.devices()[0]), args)
+    expected = jax.jit(want or f, compiler_options=QUICK)(*on_one)
     for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
         assert relative_error(a, b) <= F64_TRANSFORM, what
     found = [m[1] for m in MOVES.finditer(text)]

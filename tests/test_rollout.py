@@ -234,7 +234,7 @@ class Gain(eqx.Module):
 
 
 def test_a_policy_may_be_a_module(key):
-    """Its arrays are arguments: differentiable, and others compile nothing anew."""
+    """Its arrays are arguments: differentiable, and others compile nothing again."""
     model = rb.load("cart_pole")
     state, k = model.random_state(key), jnp.array([[-2.0, 0.5]])
 

@@ -55,7 +55,7 @@ def algorithm(
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
-        suited = functools.partial(for_threads, pairs=pairs, short=not (pairs or long))
+        suited = functools.partial(for_threads, pairs=pairs, long=long)
         static = [n for n in ("body", "site") if n in signature.parameters]
 
         @functools.wraps(f)

@@ -125,9 +125,8 @@ def _moved_by(model: Model) -> np.ndarray:
 
 def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """`inertial_regressor` as two kernels: the factors, then a thread a parameter."""
-    model = on_threads(model, q.dtype, short=True)
-    factors = threaded(lambda *x: regressor_factors(model, *x))(q, v, a)
-    S, wrenches = batch_first(factors)
+    model = on_threads(model, q.dtype, long=False)
+    S, wrenches = batch_first(threaded(lambda *x: regressor_factors(model, *x))(q, v, a))
 
     def column(wrench: jax.Array, moved: jax.Array) -> list[jax.Array]:
         entries = [functools.reduce(add, map(mul, axis, wrench)) for axis in S]

@@ -25,9 +25,9 @@ def devices() -> int:
 
 
 def memory_share() -> int:
-    """Bytes, an eighth of the memory of all devices; 2 GiB of each that does not tell."""
-    told = (jax.devices()[0].memory_stats() or {}).get("bytes_limit", 2**34)
-    return told // 8 * devices()
+    """Bytes, an eighth of the memory of all devices; 2 GiB of each that does not state it."""
+    limit = (jax.devices()[0].memory_stats() or {}).get("bytes_limit", 2**34)
+    return limit // 8 * devices()
 
 
 def on_each_device(

@@ -62,12 +62,12 @@ def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
     return DRIVERS[name](model, prepare(model, dtype))
 
 
-def on_threads(model: Model, dtype: Any, *, pairs: bool = False, short: bool = False) -> Model:
+def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = True) -> Model:
     """The model with the driver that suits a GPU thread, where it asks for none. `pairs`: what runs
-    works on all pairs of links, which no limb shortens. `short`: it has half of
-    the statements of ABA."""
+    works on all pairs of links, which no limb shortens. `long`: it has as many statements as ABA,
+    twice those of the others."""
     if model.driver != "auto":
         return model
-    most = SHORT_UNROLLED_UP_TO if short else THREADS_UNROLLED_UP_TO
+    most = THREADS_UNROLLED_UP_TO if pairs or long else SHORT_UNROLLED_UP_TO
     few = model.nv <= most[np.dtype(dtype).itemsize]
     return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

@@ -176,7 +176,7 @@ def _open(jaxpr: Any) -> Any:
 def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
     """A loop: what its last turn needs of the carry, every turn needs."""
     body = _open(eqn.params["jaxpr"])
-    n = len(out) - over_time(eqn.outvars, body.outvars)  # jax 0.11's equation tells no counts
+    n = len(out) - over_time(eqn.outvars, body.outvars)  # jax 0.11's equation states no counts
     consts = len(body.invars) - n - over_time(eqn.invars, body.invars)
     while True:
         count, needs = _walk(body, out)

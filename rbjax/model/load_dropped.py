@@ -7,6 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from rbjax.errors import listed
+
 _SHOWN = 4  # names listed before "and N more"
 _LAST_GROUP = 30  # of those that a file can disable
 _KINDS: dict[str, Any] = {
@@ -26,8 +28,7 @@ def dropped_features(m: mujoco.MjModel) -> tuple[str, ...]:
 
     def names(kind, mask) -> str:
         found = [mujoco.mj_id2name(m, kind, int(i)) or f"#{i}" for i in np.flatnonzero(mask)]
-        more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
-        return ", ".join(found[:_SHOWN]) + more
+        return listed(found, _SHOWN)
 
     out: list[str] = []
 

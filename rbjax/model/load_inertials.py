@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from rbjax.errors import ModelError
+from rbjax.errors import ModelError, listed
 
 #: a moment beyond the sum of the other two by less than this part of it is the file's rounding
 ROUNDING = 1e-6
@@ -32,10 +32,10 @@ class Inertial:
     com: np.ndarray
     inertia: np.ndarray
 
-    def oddity(self, *, alone: bool) -> str:
+    def oddity(self, *, jointed: bool) -> str:
         """What no rigid body has, in words; empty where all is well.
 
-        A point is odd where it moves alone, and no matter where it is welded to others.
+        A point mass is odd on a joint of its own, but not where it is welded to other mass.
         """
         moments = np.linalg.eigvalsh(self.inertia)
         excess = max(-moments[0], moments[2] - moments[0] - moments[1])
@@ -43,7 +43,7 @@ class Inertial:
             return "negative mass"
         if self.mass == 0 and moments.any():
             return "inertia without mass"
-        if self.mass > 0 and alone and not moments.any():
+        if self.mass > 0 and jointed and not moments.any():
             return "mass without inertia"
         if excess > ROUNDING * abs(moments).max():
             return "a principal moment below zero or above the sum of the other two"
@@ -72,12 +72,12 @@ def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str
         m.body_mass[i], m.body_ipos[i] = own.mass, own.com
         m.body_inertia[i], turn = _principal(own.inertia)
         mujoco.mju_mat2Quat(m.body_iquat[i], turn.ravel())
-        oddity = own.oddity(alone=m.body_jntnum[i] > 0)
+        oddity = own.oddity(jointed=m.body_jntnum[i] > 0)
         if oddity and m.body_weldid[i]:
             odd.setdefault(oddity, []).append(m.body(i).name)
     _refuse_massless_motion(m, name)
     mujoco.mj_setConst(m, mujoco.MjData(m))
-    return "; ".join(f"{kind}: {_list(links)}" for kind, links in odd.items())
+    return "; ".join(f"{kind}: {listed(links, _SHOWN)}" for kind, links in odd.items())
 
 
 def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -106,9 +106,9 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
         joints = dict.fromkeys(int(m.dof_jntid[i]) for i in still)
         words = [f"{m.joint(j).name} (link {m.body(m.jnt_bodyid[j]).name})" for j in joints]
         raise ModelError(
-            f"{name}: joints that move no mass: {_list(words)}; the mass matrix is singular and "
-            f"their accelerations are undefined, expected mass on each moving link or on one that "
-            f"it carries; give the links an <inertial>, or their joints type='fixed'"
+            f"{name}: joints that move no mass: {listed(words, _SHOWN)}; the mass matrix is "
+            f"singular and their accelerations are undefined, expected mass on each moving link or "
+            f"on one that it carries; give the links an <inertial>, or their joints type='fixed'"
         )
 
 
@@ -154,8 +154,3 @@ def _rotation(rpy: np.ndarray) -> np.ndarray:
     mujoco.mju_euler2Quat(quat, rpy, "XYZ")
     mujoco.mju_quat2Mat(matrix, quat)
     return matrix.reshape(3, 3)
-
-
-def _list(names: list[str]) -> str:
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + more

@@ -21,8 +21,6 @@ from rbjax.threads.lowering import Unsupported
 BLOCK = 32
 #: bytes of shared memory that a block stages its rows in
 SHARED_BYTES = 47 * 1024
-#: a row of few entries (about one sector of the cache) and one of many are read in place
-SHORT, ROW = 8, 128
 #: bytes of constant memory that tables may take; what is beyond is read through the cache
 CONSTANT_BYTES = 48 * 1024
 #: NVRTC takes a minute for more statements
@@ -112,7 +110,7 @@ def _room(program: Written) -> Room:
     """What fits: results that are staged whole, the smaller first, a tile, then operands."""
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows = stores.rows_of(program)
-    short = [key for key, row in rows.items() if stores.SHORT < row <= stores.WHOLE]
+    short = [key for key, row in rows.items() if stores.is_staged(row)]
     whole = {key: stores.whole(kinds[key], rows[key]) for key in short}
     while True:
         tiled, spots = stores.tiled(program, {k: n for k, n in rows.items() if k not in whole})
@@ -126,7 +124,7 @@ def _room(program: Written) -> Room:
     wanted = {}
     for array, layout in zip(program.operands, program.layouts[0], strict=True):
         row = layout.rows(program.batch)
-        if row is not None and SHORT < row <= ROW:
+        if row is not None and stores.is_staged(row):
             wanted[array.id] = row, _pitch(row) * array.dtype.itemsize
     staged = {}
     for key, (row, bytes) in sorted(wanted.items(), key=lambda x: x[1][1]):

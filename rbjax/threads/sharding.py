@@ -78,7 +78,7 @@ def spread(
         return mesh, run, shardings[1], shardings[0]
 
     @custom_partitioning
-    def whole(*operands: Any) -> Any:  # JAX takes of it the shapes alone, and refuses constants
+    def whole(*operands: Any) -> Any:  # JAX takes only its shapes, and refuses constants
         return tuple(jax.lax.full_like(x, 0) for x in jax.eval_shape(f(batch), *operands))
 
     whole.def_partition(partition, sharding_rule=_rule(batch, ins, outs, ranks))

@@ -19,7 +19,7 @@ from rbjax.threads.c_source import Printer, c_type
 from rbjax.threads.frame import Written
 from rbjax.threads.program import Block, Load, Loop, Op, Store, Var, walk
 
-#: result rows of more entries than a sector has, and of at most these, are staged whole
+#: rows of more entries than about a sector has, and of at most these, are staged whole
 SHORT, WHOLE = 8, 128
 #: 4-byte entries of a piece of a longer row
 TILE = 256
@@ -99,6 +99,11 @@ class Rows:
     def bytes(self) -> int:
         """Of a thread."""
         return self.pitch * self.dtype.itemsize
+
+
+def is_staged(row: int) -> bool:
+    """Whether rows of so many entries, of an operand or of a result, go through shared memory."""
+    return SHORT < row <= WHOLE
 
 
 def whole(dtype: np.dtype, size: int) -> Rows:

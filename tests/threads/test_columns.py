@@ -97,7 +97,7 @@ def test_by_columns(name, driver):
 @pytest.mark.parametrize("name", ["inverse", *(pytest.param(n, marks=pytest.mark.slow)
                                                for n in ("forward", "mass"))])  # fmt: skip
 def test_a_batch_on_a_gpu_is_several_kernels(name, switch):  # noqa: F811
-    """The public function within a program is one; alone on a GPU it goes apart."""
+    """The public function within a program is one; by itself on a GPU it goes apart."""
     want, (public, _, count) = wanted(name), PUBLIC[name]
     switch(True)
     model, args = given()
