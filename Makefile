@@ -33,7 +33,7 @@ test: lint types ## lint, types, tests, doctests, notebooks; not the slow ones
 	$(PYTEST) -m "not slow"
 
 test-gpu: $(STAMP) ## on an NVIDIA GPU: the threads compiler's tests as kernels, beside XLA's CPU
-	JAX_PLATFORMS=cpu,cuda $(PYTEST) -m "not slow" tests/threads tests/test_march.py tests/dynamics/test_limbs.py
+	JAX_PLATFORMS=cpu,cuda $(PYTEST) -m "not slow" tests/threads tests/motion/test_march.py tests/dynamics/test_limbs.py
 
 test-all: lint types ## the same with the slow tests
 	$(PYTEST)

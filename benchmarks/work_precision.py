@@ -31,7 +31,7 @@ from benchmarks.timing import others, save
 from benchmarks.work_ladder import ON_GPU, PRECISIONS, Bench, clocked
 from benchmarks.work_scenes import SAMPLE, SCENES, prepared
 from rbjax.compiling import WIDE, WITHOUT_EMITTERS, takes
-from rbjax.integrators import INTEGRATORS, TABLEAUS
+from rbjax.motion.integrators import INTEGRATORS, TABLEAUS
 from rbjax.validation.mjx import UNFUSED, mjx
 
 CHUNK = 4  # steps in one rollout, or

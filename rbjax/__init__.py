@@ -37,10 +37,10 @@ from rbjax.dynamics.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State, load, scenes
-from rbjax.rollout import rollout
-from rbjax.simulate import simulate
+from rbjax.motion.rollout import rollout
+from rbjax.motion.simulate import simulate
+from rbjax.motion.trajectory import Trajectory
 from rbjax.threads import threads
-from rbjax.trajectory import Trajectory
 
 __version__ = "0.1.0"
 

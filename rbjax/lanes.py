@@ -101,8 +101,14 @@ class Lanes:
     def __add__(self, other):
         return type(self)(*map(add, self, other))
 
+    def __radd__(self, other):
+        return self + other if hasattr(other, "shape") else NotImplemented  # an array before it
+
     def __sub__(self, other):
         return type(self)(*map(sub, self, other))
+
+    def __rsub__(self, other):
+        return -self + other if hasattr(other, "shape") else NotImplemented
 
     def __neg__(self):
         return type(self)(*map(neg, self))
@@ -131,6 +137,15 @@ class Vec3(Lanes):
     def cross(self, other: Vec3) -> Vec3:
         (a, b, c), (x, y, z) = self, other
         return Vec3(sub(mul(b, z), mul(c, y)), sub(mul(c, x), mul(a, z)), sub(mul(a, y), mul(b, x)))
+
+    def norm(self, least: float = 0.0) -> Lane:
+        """sqrt(|v|^2 + least^2): smooth at zero, with finite derivatives, where least > 0."""
+        return jnp.sqrt(self.dot(self) + least * least)
+
+    @property
+    def array(self) -> jax.Array:
+        """As an array (3,)."""
+        return jnp.stack([jnp.asarray(x) for x in self])
 
 
 class Mat3(Lanes):

@@ -23,15 +23,10 @@ FLOORS = {
     "forces": "dynamics",
     "constraints": "forces",
     "solvers": "rotations",
-    "trajectory": "model",
-    "integrators": "constraints solvers",
-    "pullback": "dynamics",
-    "march": "integrators pullback",
-    "rollout": "march trajectory",
-    "simulate": "rollout",
+    "motion": "constraints solvers",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
-FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "simulate")  # noqa: SIM905
+FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "motion")  # noqa: SIM905
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 # rb.solvers.recommend runs motions to choose a solver, and answers to its name from above, lazily.
 UPWARDS = {("solvers/__init__", "rbjax.stability.recommend.recommend")}

@@ -16,8 +16,8 @@ import numpy as np
 
 from rbjax.demo.report import Section
 from rbjax.model import Model, load
+from rbjax.motion.rollout import rollout
 from rbjax.plotting import BLUE, GRID, INK, ORANGE, STYLE
-from rbjax.rollout import rollout
 from rbjax.sysid import Fit, Unknown, fit
 from rbjax.validation.reference import Array, smooth, trajectory
 

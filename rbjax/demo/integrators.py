@@ -19,9 +19,9 @@ import numpy as np
 
 from rbjax.demo.report import Section
 from rbjax.model import Model, State, load
+from rbjax.motion.rollout import rollout
+from rbjax.motion.simulate import simulate
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE
-from rbjax.rollout import rollout
-from rbjax.simulate import simulate
 from rbjax.validation.mjx import integrator as mjx_integrator
 from rbjax.validation.reference import smooth
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from rbjax.demo.report import Section
 from rbjax.model import Model, State, load
+from rbjax.motion.rollout import rollout
+from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting import BLUE, ORANGE, STYLE, Camera, bare, poses, strobe
-from rbjax.rollout import rollout
-from rbjax.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ import optax
 
 from rbjax.demo.report import Section
 from rbjax.model import Model, State, load
+from rbjax.motion.rollout import rollout
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, STYLE, Camera, strobe
-from rbjax.rollout import rollout
 from rbjax.validation.reference import smooth, trajectory
 
 DT, STEPS, HOLD, FORCE, RAIL = 0.01, 300, 50, 15.0, 1.6

@@ -17,6 +17,7 @@ import jax
 
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.joints import JointMotion
+from rbjax.dynamics.link_forces import LinkForces, per_link
 from rbjax.errors import ModelError
 from rbjax.lanes import Lane, Sym3, Vec3, add, is_zero, mul, sub
 from rbjax.model import LinkConstants
@@ -90,15 +91,18 @@ def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -
     return link.inertia.m if tip else None
 
 
-def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
-    """Accelerations per link, and the factors of the mass matrix."""
+def aba(
+    d: Driver, joints: Any, tau: Any, gravity: Vec3, pushes: LinkForces | None = None
+) -> tuple[Any, Any]:
+    """Accelerations per link, and the factors of the mass matrix. `pushes`: what acts on links from
+    outside."""
 
     def outward(x, w_parent):
         return swing(x[:2], w_parent)
 
     def inward(x, message):
-        (link, joint, tau), motion = x
-        p_A = bias_force(link.inertia, motion.w) + message[1]
+        (link, joint, tau, push), motion = x
+        p_A = bias_force(link.inertia, motion.w) - push + message[1]
         I_a, factor = eliminate(link, joint.S, motion.X, link.inertia.articulated() + message[0])
         u = sub(tau, joint.S.dot(p_A))
         p_a = p_A + I_a(motion.c) + factor.U * mul(u, factor.inverse_D)
@@ -106,7 +110,7 @@ def aba(d: Driver, joints: Any, tau: Any, gravity: Vec3) -> tuple[Any, Any]:
         return (to_parent(motion.X, I_a, factor, mass), motion.X.T(p_a)), (factor, u, motion.c)
 
     zero = (ArticulatedInertia.zero(), Force.zero())
-    xs = d.zip(d.constants, joints, tau)
+    xs = d.zip(d.constants, joints, tau, per_link(d, pushes))
     ys = d.out_and_in(outward, Vec3.zero(), inward, zero, xs)
 
     def accelerate(x, a_parent):

@@ -35,6 +35,7 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
     "a": lambda m: (m.nv,),
     "dq": lambda m: (m.nv,),
     "tau": lambda m: (m.nv,),
+    "x": lambda m: (m.nx,),
     "ctrl": lambda m: (m.nu,),
     "wrenches": lambda m: (m.nb, 6),
 }
@@ -118,6 +119,8 @@ def check_arrays(
                 f"{where}: state is {type(state).__name__}, expected rbjax.State(q, v)"
             )
         given |= {"q": state.q, "v": state.v}
+        if state.x is not None:
+            given["x"] = state.x
     out: dict[str, Any] = {}
     for name, value in given.items():
         if value is not None or name not in OPTIONAL:
@@ -128,7 +131,11 @@ def check_arrays(
         if name in out:
             check_quaternions(where, name, model, out[name])
     if stated:
-        out["state"] = State(out.pop("q"), out.pop("v"))
+        x = out.pop("x", None)
+        start = model.start(dtype) if x is None else None
+        if start is not None:
+            x = jnp.broadcast_to(start, (*batch, model.nx))
+        out["state"] = State(out.pop("q"), out.pop("v"), x)
     return out
 
 

@@ -21,7 +21,7 @@ from rbjax.dynamics.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.columns import inverse_mass_by_columns
 from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.jacobians import wrench_forces
+from rbjax.dynamics.link_forces import LinkForces, on_links
 from rbjax.dynamics.rnea import rnea
 from rbjax.dynamics.tracing import jvp_of, opened, with_jvp
 from rbjax.model import Model, made_ahead
@@ -45,21 +45,30 @@ def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
     return checkpoint_name(a, "acceleration"), named_factors
 
 
-def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
-    """a = M^-1 (tau - b) on checked arrays (nv, ...), with the derivative above.
+def acceleration(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    tau: jax.Array,
+    pushes: LinkForces | None = None,
+) -> jax.Array:
+    """a = M^-1 (tau - b + sum of J_i^T f_i) on checked arrays (nv, ...), with the derivative above.
 
-    Leaves of the model that are known while tracing stay out of the custom derivative's arguments,
-    so that they stay known.
+    `pushes`: forces f_i on links, in their axes at their origins. Leaves of the model and lanes of
+    forces that are known while tracing stay out of the custom derivative's arguments, so that they
+    stay known.
     """
-    given, rebuilt = opened(model)
+    given, rebuilt = opened((model, pushes))
+    known_model = not opened(model)[0]
 
     def run(changed, q, v, tau, values=False):
-        d = driver(rebuilt(changed), q.dtype, values=values)
-        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity)
+        model, pushes = rebuilt(changed)
+        d = driver(model, q.dtype, values=values)
+        qdd, factors = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, pushes)
         return d, d.pack(qdd, tau), factors
 
     def plain(changed, q, v, tau):
-        return run(changed, q, v, tau, values=not given)[1]
+        return run(changed, q, v, tau, values=known_model)[1]
 
     def tangent(primals, tangents):
         changed, q, v, tau = primals
@@ -68,8 +77,10 @@ def acceleration(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> ja
         a = known(changed, q, v, tau, a)
 
         def inverse(changed, q, v):
-            d = driver(rebuilt(changed), q.dtype)
-            return d.pack(rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity), tau)
+            model, pushes = rebuilt(changed)
+            d = driver(model, q.dtype)
+            forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, pushes)
+            return d.pack(forces, tau)
 
         _, dtau = jvp_of(inverse, (changed, q, v), tangents[:3])
         rate = tangents[3]
@@ -124,9 +135,11 @@ def forward_dynamics(
         return jnp.zeros(0, q.dtype)
     if wanted():  # what all samples share, outside of the rule that a thread's derivative follows
         model = made_ahead(model, q.dtype)
+    pushes = None
     if wrenches is not None:
-        tau = tau + wrench_forces(driver(model, q.dtype), q, wrenches)
-    return acceleration(model, q, v, tau)
+        d = driver(model, q.dtype)
+        pushes = on_links(d, d.joints(q, None), wrenches)
+    return acceleration(model, q, v, tau, pushes)
 
 
 @algorithm("q", pairs=True, apart=inverse_mass_by_columns)

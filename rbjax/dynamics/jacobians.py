@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.kinematics import body_poses, link_poses
+from rbjax.dynamics.link_forces import generalized, on_links
 from rbjax.errors import InputError
 from rbjax.model import WORLD, Model, Topology
 from rbjax.model.links import matrix_apply
@@ -100,13 +101,6 @@ def moment_arms(
     return jnp.where(moves, (about_origin[:, None, :] * axes[None]).sum(-1), 0.0)
 
 
-def wrench_forces(d: Driver, q: jax.Array, wrenches: jax.Array) -> jax.Array:
-    """tau = sum_b J_b^T w_b (nv,), of wrenches (nb, 6) in world axes at the bodies' origins."""
-    R, p = link_poses(d, q)
-    at = body_poses(d, R, p).p
-    return moment_arms(d.topology, R, p, range(d.topology.nb), at, wrenches).sum(0)
-
-
 @algorithm("q", "wrenches")
 def generalized_forces(model: Model, q: jax.Array, wrenches: jax.Array) -> jax.Array:
     """Generalized forces (nv,) of wrenches on bodies, by virtual work: tau = sum_b J_b^T w_b.
@@ -125,4 +119,7 @@ def generalized_forces(model: Model, q: jax.Array, wrenches: jax.Array) -> jax.A
     """
     if not model.nv:
         return jnp.zeros(0, q.dtype)
-    return wrench_forces(driver(model, q.dtype), q, wrenches)
+    d = driver(model, q.dtype)
+    joints = d.joints(q, None)
+    tau = generalized(d, joints, on_links(d, joints, wrenches))
+    return d.pack(tau, jnp.zeros(model.nv, q.dtype))

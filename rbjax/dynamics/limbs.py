@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -168,6 +168,14 @@ class Limbs(Sweeps, Listed):
         if x is None:
             return self._parts(lambda i: 0.0, lambda links: 0.0)
         return self._parts(lambda i: x[i], lambda links: _rows(x, links))
+
+    def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:
+        """As `Unrolled.scattered`."""
+
+        def column(links: Sequence[int]) -> Any:
+            return jax.tree.map(_merged, *(values.get(i, zero) for i in links))
+
+        return self._parts(lambda i: values.get(i, zero), column)
 
     def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
         """As `Unrolled.pack`. Limbs that follow each other are written as one block."""

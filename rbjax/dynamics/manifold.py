@@ -44,7 +44,7 @@ def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
             by = span.attitude[1]
             turn, w = Vec3(*u[by]), Vec3(*v[by])
             once, x = turn.cross(w), turn.dot(turn)
-            out += w + once * 0.5 + turn.cross(once) * horner(_TURN, x)
+            out.extend(w + once * 0.5 + turn.cross(once) * horner(_TURN, x))
     return out
 
 

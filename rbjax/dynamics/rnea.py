@@ -16,38 +16,43 @@ import jax.numpy as jnp
 from rbjax.dynamics.aba import bias_force, swing
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.jacobians import wrench_forces
+from rbjax.dynamics.link_forces import LinkForces, on_links, per_link
 from rbjax.lanes import Vec3, add, mul
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion
 
 
-def rnea(d: Driver, joints: Any, accelerations: Any, gravity: Vec3) -> Any:
-    """Generalized forces per link; `accelerations` per link."""
+def rnea(
+    d: Driver, joints: Any, accelerations: Any, gravity: Vec3, pushes: LinkForces | None = None
+) -> Any:
+    """Generalized forces per link; `accelerations` per link. `pushes`: what acts on links from
+    outside."""
 
     def outward(x, parent):
         w_parent, a_parent = parent
-        link, joint, qdd = x
+        link, joint, qdd, push = x
         w, moved = swing((link, joint), w_parent)
         a = moved.X(a_parent) + moved.c + joint.S * qdd
-        return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w))
+        return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w) - push)
 
     def inward(x, children):
-        (link, joint, qdd), (X, f) = x
+        (link, joint, qdd, _), (X, f) = x
         f = f + children
         return X.T(f), add(joint.S.dot(f), mul(link.armature, qdd))
 
     root = (Vec3.zero(), Motion(Vec3.zero(), -gravity))
-    xs = d.zip(d.constants, joints, accelerations)
+    xs = d.zip(d.constants, joints, accelerations, per_link(d, pushes))
     return d.out_and_in(outward, root, inward, Force.zero(), xs)
 
 
-def _run(model: Model, q, v, a, gravity: Vec3 | None = None) -> jax.Array:
+def _run(model: Model, q, v, a, gravity: Vec3 | None = None, wrenches=None) -> jax.Array:
     if not model.nv:
         return jnp.zeros(0, q.dtype)
     d = driver(model, q.dtype)
     g = d.prepared.gravity if gravity is None else gravity
-    tau = rnea(d, d.joints(q, v), d.lanes(a), g)
+    joints = d.joints(q, v)
+    pushes = None if wrenches is None else on_links(d, joints, wrenches)
+    tau = rnea(d, joints, d.lanes(a), g, pushes)
     return d.pack(tau, jnp.zeros(model.nv, q.dtype))
 
 
@@ -85,10 +90,7 @@ def inverse_dynamics(
         >>> rb.inverse_dynamics(model, state.q, state.v, state.v).shape
         (1,)
     """
-    tau = _run(model, q, v, a)
-    if wrenches is not None and model.nv:
-        tau = tau - wrench_forces(driver(model, q.dtype), q, wrenches)
-    return tau
+    return _run(model, q, v, a, wrenches=wrenches)
 
 
 @algorithm("q", "v")

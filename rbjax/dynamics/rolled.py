@@ -11,7 +11,7 @@ sine, and what a step hands on unchanged is not written, nor is a link's pose.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -96,6 +96,18 @@ class Rolled(Sweeps):
         if x is None:
             return Values([0.0] * self.head, 0.0)
         return Values([x[i] for i in range(self.head)], x[self.head :])
+
+    def scattered(self, values: Mapping[int, Any], zero: Any) -> Values:
+        """As `Unrolled.scattered`."""
+        head = [values.get(i, zero) for i in range(self.head)]
+        rest = [values.get(i, zero) for i in range(self.head, self.topology.nv)]
+        return Values(head, jax.tree.map(self._column, *rest))
+
+    def _column(self, *lanes: Lane) -> Lane:
+        """Lanes as a column; a literal where all are the same one."""
+        if is_literal(lanes[0]) and all(is_literal(x) and x == lanes[0] for x in lanes):
+            return lanes[0]
+        return jnp.stack(as_arrays(list(lanes), self._like))
 
     def pack(self, lanes: Values, like: jax.Array) -> jax.Array:
         """A per-link lane as an array (nv, ...)."""

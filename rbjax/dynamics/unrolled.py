@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -83,6 +83,10 @@ class Unrolled(Sweeps, Listed):
     def lanes(self, x: jax.Array | None) -> list[Lane]:
         """An array (nv, ...) as one lane per link; zeros if None."""
         return [0.0] * self.topology.nv if x is None else unpack(x)
+
+    def scattered(self, values: Mapping[int, Any], zero: Any) -> list:
+        """Values of some links, by index, as a per-link value; `zero` for all others."""
+        return [values.get(i, zero) for i in range(self.topology.nv)]
 
     def pack(self, lanes: list[Lane], like: jax.Array) -> jax.Array:
         """One lane per link as an array (nv, ...)."""

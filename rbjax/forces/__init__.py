@@ -1,5 +1,15 @@
-"""What acts on a robot: its own springs, dampers and actuators."""
+"""What acts on a robot: its springs, dampers and actuators, and force elements of any kind."""
 
-from rbjax.forces.applied import applied_forces, elastic_energy
+from rbjax.forces.acting import applied_forces, elastic_energy
+from rbjax.forces.element import Element, Loads
+from rbjax.forces.instant import Frame, Instant, Joint
 
-__all__ = ["applied_forces", "elastic_energy"]
+__all__ = [
+    "Element",
+    "Frame",
+    "Instant",
+    "Joint",
+    "Loads",
+    "applied_forces",
+    "elastic_energy",
+]

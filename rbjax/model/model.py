@@ -57,10 +57,12 @@ class Record(eqx.Module):
 
 
 class State(Record):
-    """Configuration q (nq,) and velocity v (nv,), in MuJoCo's layout."""
+    """Configuration q (nq,) and velocity v (nv,), in MuJoCo's layout, and the states x (nx,) of the
+    force elements that have one (`Model.nx`); None where none has, or for where they begin."""
 
     q: jax.Array
     v: jax.Array
+    x: jax.Array | None = None
 
 
 class Bodies(Record):
@@ -153,6 +155,8 @@ class Model(Record):
     zeros: tuple | None = eqx.field(static=True, default=None)
     #: the links' numbers, where they have been made before a loop (`made_ahead`), or None
     prepared: Any = None
+    #: force elements (`rbjax.forces.Element`) beside the joints' springs and the actuators
+    forces: tuple = ()
 
     def __check_init__(self) -> None:
         if self.driver not in DRIVER_NAMES:
@@ -188,6 +192,11 @@ class Model(Record):
     def nu(self) -> int:
         """Controls."""
         return len(self.topology.actuator_names)
+
+    @property
+    def nx(self) -> int:
+        """Numbers of the force elements' own states."""
+        return sum(element.size for element in self.forces)
 
     @property
     def nb(self) -> int:
@@ -253,12 +262,29 @@ class Model(Record):
     def default_state(self) -> State:
         """The configuration in which the file draws the robot, at rest."""
         q = self.joints.reference
-        return State(q, jnp.zeros(self.nv, q.dtype))
+        return State(q, jnp.zeros(self.nv, q.dtype), self.start(q.dtype))
+
+    def start(self, dtype: Any) -> jax.Array | None:
+        """Where the force elements' states x (nx,) begin; None where none has one."""
+        if not self.nx:
+            return None
+        return jnp.concatenate([e.start().astype(dtype) for e in self.forces if e.size])
+
+    def with_forces(self, *elements: Any) -> Model:
+        """The model with force elements (`rbjax.forces`) beside those that it has."""
+        for element in elements:
+            if not callable(getattr(element, "loads", None)):
+                raise InputError(
+                    f"with_forces: got {type(element).__name__}, expected elements of rbjax.forces "
+                    "or of a subclass of rbjax.forces.Element"
+                )
+        return self.replace(forces=(*self.forces, *elements))
 
     def keyframe(self, name: str) -> State:
         """A state that the file names."""
         i = _index("keyframe", name, self.keyframe_names)
-        return State(self.keyframes.q[i], self.keyframes.v[i])
+        q = self.keyframes.q[i]
+        return State(q, self.keyframes.v[i], self.start(q.dtype))
 
     def random_state(self, key: jax.Array) -> State:
         """Coordinates within 1 of the default state, uniform attitudes, velocities of spread 1."""
@@ -270,7 +296,7 @@ class Model(Record):
         for k, start in zip(jax.random.split(kr, max(len(starts), 1)), starts, strict=False):
             turn = quaternion.normalize(jax.random.normal(k, (4,), dtype))
             q = q.at[start : start + 4].set(turn)
-        return State(q, jax.random.normal(kv, (self.nv,), dtype))
+        return State(q, jax.random.normal(kv, (self.nv,), dtype), self.start(dtype))
 
 
 def _numbers(record: Record) -> dict[str, jax.Array]:

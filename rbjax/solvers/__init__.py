@@ -1,7 +1,7 @@
 """Solvers of differential equations that diffrax lacks, each a diffrax solver.
 
 They take anyone's vector field, through `diffrax.diffeqsolve`, or a robot's, through
-`rbjax.simulate`. `all()` lists every one, `recommend(model, state, accuracy)` chooses.
+`rbjax.motion.simulate`. `all()` lists every one, `recommend(model, state, accuracy)` chooses.
 
     any vector field      RK4, implicit_midpoint, trapezoid, gauss_legendre, radau_iia,
                           lobatto_iiia, lobatto_iiic, SDIRK2, ros2, ros34pw2,

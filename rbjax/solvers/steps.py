@@ -113,9 +113,12 @@ def pair(y: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
             f"a state that is a dict, whose order is that of its keys, {sorted(y)}: expected a "
             "tuple (q, v)"
         )
-    halves, tree = jax.tree.flatten(y, is_leaf=lambda x: x is not y)
+    halves, tree = jax.tree.flatten(y, is_leaf=lambda x: x is not y and x is not None)
     if len(halves) != 2:
-        raise InputError(f"a state of {len(halves)} parts, expected a tuple (q, v)")
+        raise InputError(
+            f"a state of {len(halves)} parts, expected a tuple (q, v); for a robot whose force "
+            "elements have states take a solver of kind 'ode' (rb.solvers.all())"
+        )
     return halves, lambda new: jax.tree.unflatten(tree, new)
 
 

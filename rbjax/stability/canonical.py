@@ -15,7 +15,7 @@ import jax
 
 from rbjax.dynamics import inverse_mass_matrix, kinetic_energy, mass_matrix, potential_energy
 from rbjax.errors import InputError
-from rbjax.forces.applied import applied
+from rbjax.forces import applied_forces
 from rbjax.model import Model, State
 
 
@@ -44,7 +44,7 @@ class Hamiltonian(eqx.Module):
         def lagrangian(q):
             return kinetic_energy(model, q, v) - potential_energy(model, q)
 
-        return v, jax.grad(lagrangian)(q) + applied(model, q, v, None)
+        return v, jax.grad(lagrangian)(q) + applied_forces(model, State(q, v), t=t)
 
 
 def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:

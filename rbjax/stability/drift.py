@@ -30,7 +30,7 @@ from rbjax.dynamics import (
 from rbjax.errors import InputError
 from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
-from rbjax.simulate import motion, unit
+from rbjax.motion.term import motion, unit
 from rbjax.stability.march import March, march
 from rbjax.stability.methods import Solver, stepping
 

@@ -21,10 +21,10 @@ import numpy as np
 from rbjax import solvers
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.errors import InputError
-from rbjax.integrators import INTEGRATORS
 from rbjax.model import Model, State
-from rbjax.rollout import rollout
-from rbjax.simulate import simulate
+from rbjax.motion.integrators import INTEGRATORS
+from rbjax.motion.rollout import rollout
+from rbjax.motion.simulate import simulate
 from rbjax.solvers.dop853 import DOP853
 from rbjax.stability.linearisation import at_rest
 from rbjax.stability.methods import Solver, made, stepping

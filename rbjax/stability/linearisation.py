@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm, check_arrays
-from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.manifold import integrate
 from rbjax.errors import InputError
-from rbjax.forces.applied import applied
+from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
+from rbjax.motion.field import Field
 
 
 @algorithm("state", "ctrl")
@@ -52,8 +52,8 @@ def _linearised(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.A
     n = model.nv
 
     def rate(x):
-        q, v = integrate(model, state.q, x[:n]), state.v + x[n:]
-        a = acceleration(model, q, v, applied(model, q, v, ctrl))
+        beside = State(integrate(model, state.q, x[:n]), state.v + x[n:], state.x)
+        a, _ = Field(model).rates(0.0, beside, Inputs(ctrl))
         return a, a
 
     lower, a = jax.jacfwd(rate, has_aux=True)(jnp.zeros(2 * n, state.q.dtype))

@@ -21,7 +21,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.simulate import motion
+from rbjax.motion.term import motion
 from rbjax.solvers import rkmk
 from rbjax.stability.march import as_floats, check_times, finite
 from rbjax.stability.methods import Solver, stepping

@@ -30,8 +30,9 @@ from rbjax import solvers
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
+from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, made_ahead
-from rbjax.simulate import Control, simulate
+from rbjax.motion.simulate import simulate
 from rbjax.stability.largest_step import stable_step
 from rbjax.stability.linearisation import motion_matrices
 
@@ -101,7 +102,7 @@ def _error(
     return jnp.where(path.ok, jnp.abs(gap).max(), jnp.inf)
 
 
-def _controls(control: Control | None, ts: np.ndarray, states: State) -> jax.Array | None:
+def _controls(control: Source | None, ts: np.ndarray, states: State) -> jax.Array | None:
     if control is None:
         return None
     return jnp.stack(
@@ -162,7 +163,7 @@ def recommend(
     accuracy: float,
     *,
     horizon: float = 1.0,
-    control: Control | None = None,
+    control: Source | None = None,
     progress: bool = True,
 ) -> Recommendation:
     """A solver and a constant step for this robot from this state, and why.
@@ -244,7 +245,7 @@ def _double(x: Any) -> Any:
 
 
 def _recommended(
-    model: Model, state: State, accuracy: float, horizon: float, control: Control | None, say: Say
+    model: Model, state: State, accuracy: float, horizon: float, control: Source | None, say: Say
 ) -> Recommendation:
     light = _light(model)
     say("linearising the motion")

@@ -11,15 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
-from rbjax.simulate import motion, simulate
+from rbjax.motion.simulate import simulate
+from rbjax.motion.term import motion
+from rbjax.motion.trajectory import Trajectory
 from rbjax.solvers import AbstractGroupSolver, RigidBodySplitting
 from rbjax.stability.march import DONE, NO_ROOT, NOT_FINITE, march
 from rbjax.stability.methods import Solver, made, stepping
 from rbjax.stability.scenes import SAMPLES, Scene, Truth, deviation, kept, truth
 from rbjax.stability.systems import Arm, Body, tumbling
 from rbjax.stability.verdicts import MOTION, Outcome, Verdict, verdict
-from rbjax.trajectory import Trajectory
 
 TOLERANCE, BUDGET = 1e-6, 10_000
 
@@ -99,7 +101,7 @@ def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:
     system = scene.system
     if isinstance(system, Arm):
         args = system.model()
-        term, state = motion(args, state, solver, _hold)
+        term, state = motion(args, state, solver, Inputs(_hold))
     else:
         inertia, weight = (jnp.asarray(x, dtype) for x in (system.inertia, system.weight))
         if isinstance(solver, AbstractGroupSolver):

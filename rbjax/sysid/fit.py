@@ -23,7 +23,7 @@ from rbjax.dynamics import difference
 from rbjax.dynamics.arguments import check_array, check_arrays, check_step
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
-from rbjax.rollout import rollout
+from rbjax.motion.rollout import rollout
 from rbjax.solvers.arguments import check_whole
 
 

@@ -17,7 +17,7 @@ from rbjax.dynamics import (
 )
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State
-from rbjax.rollout import rollout
+from rbjax.motion.rollout import rollout
 from rbjax.validation.reference import Array, Samples
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import rbjax as rb
 from rbjax import stability
-from rbjax.integrators import INTEGRATORS
+from rbjax.motion.integrators import INTEGRATORS
 from tests.robots import QUICK
 from tests.tolerances import GRADIENT, relative_error
 

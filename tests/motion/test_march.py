@@ -13,16 +13,19 @@ from jax.extend.core import jaxpr_as_fun
 
 import rbjax as rb
 from rbjax.dynamics.operations import operation_count
-from rbjax.integrators import semi_implicit_euler
-from rbjax.march import March, keep_every
-from rbjax.pullback import Pullback
+from rbjax.forces.inputs import Inputs
+from rbjax.model import State
+from rbjax.motion.field import Field
+from rbjax.motion.integrators import semi_implicit_euler
+from rbjax.motion.march import March, keep_every
+from rbjax.motion.pullback import Pullback
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import traced
 from tests.robots import QUICK
 from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
-march = importlib.import_module("rbjax.march")
+march = importlib.import_module("rbjax.motion.march")
 STEPS, BATCH, N, NU = 12, 5, 3, 2
 RNG = np.random.default_rng(0)
 OTHER, Q, V = RNG.normal(size=N), RNG.normal(size=(BATCH, N)), RNG.normal(size=(BATCH, N))
@@ -151,7 +154,12 @@ def test_a_step_leaves_what_is_named():
     """The acceleration and the factors, which are no zeros, and no more."""
     model = rb.load("arm7")
     one = [jax.ShapeDtypeStruct((7,), jnp.float64)] * 2
-    step = traced(lambda q, v: list(semi_implicit_euler(model, q, v, None, 0.01)), *one)
+    field = Field(model)
+
+    def step_of(q, v):
+        return jax.tree.leaves(semi_implicit_euler(field, 0.0, State(q, v), Inputs(), 0.01))
+
+    step = traced(step_of, *one)
     pull = Pullback.of(step, (True, True))
     assert pull is Pullback.of(step, (True, True))
     assert 14 < pull.left.size <= 7 + 7 * 7 and pull.bytes == 8 * pull.left.size

@@ -1,17 +1,10 @@
-"""`simulate`: motion through diffrax, with any of its solvers.
-
-    q' = the motion of the configuration at velocity v (for attitudes q quaternion (0, w / 2)),
-    v' = FD(q, v, applied forces)
-The attitude enters only as the direction of its quaternion, and its rate is linear in it, so the
-length that a solver loses or gains to its error has no effect until it is no number any more
-(Euler, 0.4 rad a step, 40,000 steps), which `ok` tells; what is returned has unit length.
-"""
+"""`simulate`: motion through diffrax, with any of its solvers."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import diffrax
@@ -21,150 +14,33 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, staged
-from rbjax.dynamics.arguments import check_arrays, check_control, check_moves, check_step
+from rbjax.dynamics.arguments import check_array, check_arrays, check_moves, check_step
 from rbjax.dynamics.drivers import on_threads
-from rbjax.dynamics.forward import acceleration
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
-from rbjax.dynamics.rnea import momentum
 from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
-from rbjax.forces.applied import applied
-from rbjax.materialize import materialize
-from rbjax.model import Model, State, Topology, made_ahead, spans
-from rbjax.rotations import quaternion
-from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
+from rbjax.forces.inputs import Inputs, Source, shapes
+from rbjax.model import Model, State, made_ahead
+from rbjax.motion.field import Law, free_motion
+from rbjax.motion.term import check_takes_robots, itself, motion, unit
+from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.solvers.arguments import check_solver, check_whole
 from rbjax.threads import threaded, wanted
-from rbjax.trajectory import Trajectory, all_finite
-
-Control = Callable[[jax.Array, State], jax.Array]
-
-
-def configuration_rate(top: Topology, q: jax.Array, v: jax.Array) -> jax.Array:
-    """q' (nq,) of the velocity v (nv,): for attitudes q (0, w) / 2."""
-    out = [jnp.zeros(0, q.dtype)]
-    for span in spans(top):
-        out.append(v[span.v])
-        if span.attitude:
-            turn, by = span.attitude
-            w = jnp.concatenate([jnp.zeros(1, q.dtype), v[by]])
-            out.append(quaternion.multiply(q[turn], w) / 2)
-    return jnp.concatenate(out)
-
-
-def unit(top: Topology, q: jax.Array) -> jax.Array:
-    """q with quaternions of unit length."""
-    for start in top.quaternion_starts:
-        rows = slice(start, start + 4)
-        q = q.at[rows].set(quaternion.normalize(q[rows]))
-    return q
-
-
-class Motion(eqx.Module):
-    """The vector field of a robot under its own forces and a control, for diffrax.
-
-    model: of diffrax' args, which hold what is traced of it; what is known stays known.
-    tangent: the configuration's rate is v itself, for solvers that move along the manifold.
-    """
-
-    control: Control | None
-    model: Callable[[Any], Model]
-    tangent: bool = eqx.field(static=True, default=False)
-
-    @eqx.filter_jit  # diffrax asks for it in many places: traced once
-    def __call__(self, t: Any, y: State, args: Any) -> State:
-        model = self.model(args)
-        q = unit(model.topology, y.q)
-        ctrl = None
-        if self.control is not None:
-            ctrl = check_control("simulate", model, self.control(t, State(q, y.v)), q.dtype)
-        tau = applied(model, q, y.v, ctrl)
-        rate = y.v if self.tangent else configuration_rate(model.topology, y.q, y.v)
-        return State(rate, acceleration(model, q, y.v, tau))
-
-
-class Late(eqx.Module):
-    """A control whose time runs on from a start."""
-
-    control: Control
-    start: jax.Array
-
-    def __call__(self, t: Any, state: State) -> jax.Array:
-        return self.control(self.start + t, state)
-
-
-class Manifold(AbstractGroup):
-    """The states of a robot as a Lie group: attitudes turn, everything else adds."""
-
-    topology: Topology = eqx.field(static=True)
-
-    def retract(self, y: State, u: State) -> State:
-        q = materialize(integrate_lanes(self.topology, list(y.q), list(u.q)))
-        return State(jnp.stack(q), y.v + u.v)
-
-    def difference(self, y: State, z: State) -> State:
-        dq = materialize(difference_lanes(self.topology, list(y.q), list(z.q)))
-        return State(jnp.stack(dq), z.v - y.v)
-
-    def bracket(self, u: State, w: State) -> State:
-        out = jnp.zeros_like(w.q)
-        for start in self.topology.turn_starts:
-            rows = slice(start, start + 3)
-            out = out.at[rows].set(jnp.cross(u.q[rows], w.q[rows]))
-        return State(out, jnp.zeros_like(w.v))
-
-
-class Momentum(eqx.Module):
-    """M v (nv,)."""
-
-    model: Callable[[Any], Model]
-
-    @eqx.filter_jit
-    def __call__(self, t: Any, y: State, args: Any) -> jax.Array:
-        model = self.model(args)
-        return momentum(model, unit(model.topology, y.q), y.v)
-
-
-def _itself(x: Any) -> Any:
-    return x
-
-
-def _check_takes_robots(solver: diffrax.AbstractSolver) -> None:
-    if isinstance(solver, AbstractGroupSolver) and not issubclass(OnGroup, solver.term_structure):
-        raise InputError(
-            f"simulate: {type(solver).__name__} solves {solver.term_structure.__name__} alone, "
-            "with diffrax.diffeqsolve; robots take the other solvers"
-        )
-
-
-def motion(
-    model: Model,
-    state: State,
-    solver: diffrax.AbstractSolver,
-    control: Control | None = None,
-    of_args: Callable[[Any], Model] = _itself,
-) -> tuple[diffrax.AbstractTerm, State]:
-    """The term of a robot's motion that a solver takes, and where it starts: solvers on groups move
-    along the manifold, from quaternions of unit length. The term's args hold the model."""
-    if not isinstance(solver, AbstractGroupSolver):
-        return diffrax.ODETerm(Motion(control, of_args)), state
-    top = model.topology
-    _check_takes_robots(solver)
-    term = OnGroup(Motion(control, of_args, tangent=True), Manifold(top), Momentum(of_args))
-    return term, State(unit(top, state.q), state.v)
 
 
 def simulate(
     model: Model,
     state: State,
     ts: jax.Array,
-    control: Control | None = None,
+    control: Source | None = None,
     *,
+    tau: jax.Array | Source | None = None,
+    wrenches: jax.Array | Source | None = None,
     solver: diffrax.AbstractSolver | None = None,
     dt0: float | jax.Array | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
     constraints: None = None,
+    law: Law = free_motion,
     progress: bool = False,
     throw: bool = True,
     max_steps: int = 100_000,
@@ -179,12 +55,16 @@ def simulate(
         state: initial q (nq,), v (nv,).
         ts: (T,) increasing times in seconds, the first that of the state.
         control: (t, state) -> (nu,); None for no actuation.
+        tau: generalized forces beside those of the model: (nv,), or (t, state) -> (nv,).
+        wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6), or
+            (t, state) -> (nb, 6).
         solver: any diffrax solver, `rb.solvers` among them; Tsit5 if None. Those for second-order
             form, splittings and Lie groups move along the manifold of configurations.
         dt0: first step, or the fixed step where no controller is given.
         stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's; if None checkpointed reverse mode, for `grad` and `jacrev`. For `jvp`
             and `jacfwd` give diffrax.ForwardMode(), for both diffrax.DirectAdjoint().
+        law: from forces to accelerations (`rbjax.motion.field.Law`).
         progress: show diffrax's meter.
         throw: raise if the solve fails; otherwise `result` and `ok` say so.
         max_steps: at most so many steps.
@@ -213,16 +93,12 @@ def simulate(
     state = check_arrays("simulate", model, {"state": state})["state"]
     check_moves("simulate", model)
     ts, elapsed = _times(ts, state.q.dtype)
-    if control is not None and not callable(control):
-        raise InputError(
-            f"simulate: control is {type(control).__name__}, expected a function (t, state) -> "
-            "(nu,) or None; controls in an array are for rollout"
-        )
+    inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
     if max_steps is not None:
         check_whole("simulate", "max_steps", max_steps, 1)
     solver = diffrax.Tsit5() if solver is None else solver
     check_solver("simulate", solver)
-    _check_takes_robots(solver)
+    check_takes_robots(solver)
     if dt0 is not None:
         _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
     # Inside a caller's jit diffrax would trace what the caller holds constant.
@@ -231,7 +107,7 @@ def simulate(
         model = on_threads(model, state.q.dtype)
     if not staged() or opened(model)[0]:
         model = made_ahead(model, state.q.dtype)
-    args, of_args = opened(model) if staged() else (model, _itself)
+    args, of_args = opened(model) if staged() else (model, itself)
     if stepsize_controller is None:
         if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
@@ -256,18 +132,17 @@ def simulate(
     saved = _Saved(model.topology)
 
     def solved(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        late = None if control is None else Late(control, start)
-        term, state = motion(model, state, solver, late, of_args)
+        term, state = motion(model, state, solver, inputs, of_args, law, start)
         saveat = diffrax.SaveAt(ts=elapsed, fn=saved)
         out = solve(term, t0=elapsed[0], t1=elapsed[-1], y0=state, args=args, saveat=saveat)
         return out.ys, out.result, out.stats
 
     with _only_reverse():
-        path, result, stats = (threaded if on_gpu else _itself)(solved)(
+        path, result, stats = (threaded if on_gpu else itself)(solved)(
             state, ts[0], elapsed, args
         )
-    q, v = path.q, path.v
-    ok = all_finite(q, v) & (result == diffrax.RESULTS.successful)
+    q = path.q
+    ok = all_finite(path) & (result == diffrax.RESULTS.successful)
     if throw:
         q = eqx.error_if(
             q,
@@ -277,7 +152,7 @@ def simulate(
             "look at the trajectory and its result; if no step helps, see that rb.mass_matrix of "
             "the state is not singular (a joint that moves no mass)",
         )
-    return Trajectory(ts, q, v, ok, result, stats)
+    return Trajectory(ts, q, path.v, ok, result, stats, path.x)
 
 
 _diffeqsolve = compiled(diffrax.diffeqsolve, jit=eqx.filter_jit)
@@ -289,7 +164,22 @@ class _Saved(eqx.Module):
     topology: Any = eqx.field(static=True)
 
     def __call__(self, t, y: State, args) -> State:
-        return State(unit(self.topology, y.q), y.v)
+        return State(unit(self.topology, y.q), y.v, y.x)
+
+
+def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:
+    """The inputs, arrays checked."""
+    if control is not None and not callable(control):
+        raise InputError(
+            f"simulate: control is {type(control).__name__}, expected a function (t, state) -> "
+            "(nu,) or None; controls in an array are for rollout"
+        )
+    found = {"tau": tau, "wrenches": wrenches}
+    for (name, x), shape in zip(found.items(), shapes(model)[1:], strict=True):
+        if x is not None and not callable(x):
+            fix = f"; or a function (t, state) -> {shape}, or None"
+            found[name] = check_array("simulate", name, x, shape, fix=fix).astype(dtype)
+    return Inputs(control, **found)
 
 
 def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:

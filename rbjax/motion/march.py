@@ -10,24 +10,16 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics import drivers
-from rbjax.dynamics.devices import on_each_device
-from rbjax.dynamics.operations import operation_count
-from rbjax.dynamics.tracing import opened
-from rbjax.integrators import INTEGRATORS
-from rbjax.model import Model, State, known_zeros, made_ahead
-from rbjax.pullback import Pullback
-from rbjax.threads.function import trace
+from rbjax.motion.pullback import Pullback
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Moving, Program, traced
-from rbjax.threads.uniform import split
 
 Arrays = tuple[jax.Array, ...]
 
@@ -212,106 +204,3 @@ def keep_every(save_every: int, steps: int, bytes_each: int, budget: float) -> i
         if save_every % k == 0 and math.ceil(steps / k) * bytes_each <= budget:
             return k
     return save_every
-
-
-#: operations of a step from which on it is faster to keep what it leaves than to compute it again
-LEAVING_ABOVE = 4_000
-#: a policy of more operations runs between the steps
-POLICY_UP_TO = 4_000
-
-
-def on_threads(
-    model: Model, state: Any, ctrls: Any, dt: jax.Array, policy: Any, integrator: str,
-    save_every: int, steps: int, batched: bool, memory: float,
-) -> list[jax.Array]:  # fmt: skip
-    """The states (..., T, nq) and (..., T, nv) of a rollout, one sample a thread.
-
-    A policy of few operations is part of the thread. A larger one is evaluated for the whole batch
-    between the steps, by XLA's matrix products.
-    """
-    q, v = state.q, state.v
-    model = made_ahead(known_zeros(drivers.on_threads(model, q.dtype)), q.dtype)
-    one = [x[0] if batched else x for x in (q, v)]
-    between = policy is not None and _is_large(policy, dt, one)
-    driven = ctrls is not None or between
-    moving, closed = opened((model, dt))
-
-    def once(i: jax.Array, q: jax.Array, v: jax.Array, *rest: jax.Array) -> list[jax.Array]:
-        ctrl = rest[0] if driven else None
-        model, dt = closed(list(rest[driven:]))
-        if policy is not None and not between:
-            ctrl = jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
-        return list(INTEGRATORS[integrator](model, q, v, ctrl, dt))
-
-    control = [jnp.zeros(model.nu, q.dtype)] if driven else []
-    step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
-    own = 3 + driven
-    known = [True] * len(shared) + [False] * own + [True] * len(moving)
-    step, shared = split(step, known, [*shared, *[None] * own, *moving])
-    if between:
-        return _between(step, shared, policy, q, v, dt, save_every, steps, batched, memory)
-    march = functools.partial(March, step, 2, steps, save_every, driven)
-    each = sum(x.size * x.dtype.itemsize for x in one)
-
-    @functools.cache
-    def sized(batch: int, moving: Moving) -> Program:
-        left = march(1).pullback(moving).bytes
-        fits = left and steps * batch * (each + left) <= memory
-        if fits and operation_count(step, *step.inputs).total > LEAVING_ABOVE:
-            return march(1, leaving=True).program(plain)
-        return march(keep_every(save_every, steps, batch * each, memory)).program(plain)
-
-    plain = march(save_every).program()
-    program = Program(plain.closed, sized=sized)
-    given = [q, v] if ctrls is None else [q, v, ctrls]
-    f = functools.partial(_run, program)
-    if batched:
-        shapes = [2, 2, 3][: len(given)]
-        axes = [0 if x.ndim == n else None for x, n in zip(given, shapes, strict=True)]
-        f = jax.vmap(f, in_axes=(*axes, *[None] * len(shared)))
-    return f(*given, *shared)
-
-
-def _run(program: Program, *operands: jax.Array) -> list[jax.Array]:
-    return run(program, operands)
-
-
-def _is_large(policy: Callable, dt: jax.Array, one: list[jax.Array]) -> bool:
-    count = operation_count(lambda q, v: policy(0 * dt, State(q, v)), *one)
-    return count.total > POLICY_UP_TO
-
-
-def _between(
-    step: Program, shared: list, policy: Callable, q: jax.Array, v: jax.Array, dt: jax.Array,
-    save_every: int, steps: int, batched: bool, memory: float,
-) -> list[jax.Array]:  # fmt: skip
-    """A rollout whose policy is evaluated by XLA, and whose steps are a kernel each."""
-
-    def act(args: list, /) -> Any:
-        def one(i: jax.Array, q: jax.Array, v: jax.Array) -> jax.Array:
-            return jnp.asarray(policy(i * dt, State(q, v)), q.dtype)
-
-        return (jax.vmap(one, in_axes=(None, 0, 0)) if batched else one)(*args)
-
-    def advance(i: jax.Array, q: jax.Array, v: jax.Array, u: jax.Array) -> list[jax.Array]:
-        return run(step, [i, q, v, u, *shared])
-
-    if batched:
-        act = on_each_device(act, [jnp.int32(0), q, v], [None, 0, 0], q.shape[0])
-        advance = jax.vmap(advance, in_axes=(None, 0, 0, 0))
-
-    @functools.partial(jax.checkpoint, prevent_cse=False)  # the network's inside is not kept
-    def once(carry: Any, _: None) -> tuple[Any, None]:
-        i, q, v = carry
-        return (i + 1, *advance(i, q, v, act([i, q, v]))), None
-
-    def segment(carry: Any, _: None) -> tuple[Any, Any]:
-        # a turn of XLA's loop costs as much as a small kernel
-        carry, _ = jax.lax.scan(once, carry, None, length=save_every, unroll=min(4, save_every))
-        return carry, carry[1:]
-
-    if steps * sum(x.size * x.dtype.itemsize for x in (q, v)) > memory:
-        segment = jax.checkpoint(segment, prevent_cse=False)
-    _, saved = jax.lax.scan(segment, (jnp.int32(0), q, v), None, length=steps // save_every)
-    states = [jnp.concatenate([x[None], y]) for x, y in zip((q, v), saved, strict=True)]
-    return [jnp.moveaxis(x, 0, 1) for x in states] if batched else states

@@ -1,0 +1,90 @@
+"""Where single links are and how they move, each computed when it is first asked for.
+
+For what looks at a few links of a robot: a spring between two points, an actuator at a site. The
+recursions are those of `kinematics`, along the links from the base to the one that is asked for.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.drivers import Driver, Listed
+from rbjax.dynamics.kinematics import link_twists, world_poses
+from rbjax.lanes import Mat3, Vec3
+from rbjax.materialize import materialize
+from rbjax.model import WORLD
+from rbjax.model.links import lane
+from rbjax.spatial import Motion, Transform
+
+
+class LinkMotion:
+    """Poses in the world and twists of the links of a robot at (q, v)."""
+
+    def __init__(self, d: Driver, q: jax.Array, v: jax.Array):
+        self.driver, self._q, self._v = d, q, v
+        self._poses = {WORLD: Transform(Mat3.identity(), Vec3.zero())}
+        self._twists = {WORLD: Motion.zero()}
+
+    def pose(self, link: int) -> Transform:
+        """The pose of the link in the world."""
+        if not isinstance(self.driver, Listed):
+            return self._poses[link] if link == WORLD else _row(self._columns[0], link)
+        for i in self._missing(link, self._poses):
+            parent = self._poses[self.driver.topology.links[i].parent]
+            joint, constants = self._links[i]
+            pose = parent.then(joint.transform(constants))
+            self._poses[i] = materialize(pose, known=(parent, joint, constants))
+        return self._poses[link]
+
+    def twist(self, link: int) -> Motion:
+        """The twist of the link in its own axes, at its origin."""
+        if not isinstance(self.driver, Listed):
+            return self._twists[link] if link == WORLD else _row(self._columns[1], link)
+        for i in self._missing(link, self._twists):
+            parent = self._twists[self.driver.topology.links[i].parent]
+            joint, constants = self._links[i]
+            own = Motion(joint.rate, (joint.S * joint.qd).lin)
+            twist = joint.transform(constants)(parent) + own
+            self._twists[i] = materialize(twist, known=(parent, joint, constants))
+        return self._twists[link]
+
+    def to_parent(self, link: int) -> tuple[Transform, Motion]:
+        """The pose of a link in its parent, and the axis of its joint."""
+        joint, constants = self._links[link]
+        return joint.transform(constants), joint.S
+
+    def weld(self, body: int) -> Transform:
+        """The pose of a body in the link that carries it."""
+        made = self.driver.prepared
+        R, p = made.body_R, made.body_p
+        return Transform(
+            Mat3(*(lane(R[:, i, j], body) for i in range(3) for j in range(3))),
+            Vec3(*(lane(p[:, i], body) for i in range(3))),
+        )
+
+    def _missing(self, link: int, found: dict) -> list[int]:
+        path = () if link == WORLD else self.driver.topology.ancestors[link]
+        return [i for i in path if i not in found]
+
+    @cached_property
+    def _joints(self) -> Any:
+        return self.driver.joints(self._q, self._v)
+
+    @cached_property
+    def _links(self) -> list:
+        d = self.driver
+        return list(zip(d.whole(self._joints), d.whole(d.constants), strict=True))
+
+    @cached_property
+    def _columns(self) -> tuple[Any, Any]:
+        d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
+        poses = d.columns(world_poses(d, self._joints), like)
+        return poses, d.columns(link_twists(d, self._joints), like)
+
+
+def _row(columns: Any, i: int) -> Any:
+    return jax.tree.map(lambda x: x[i], columns)

@@ -1,0 +1,166 @@
+"""What acts on a robot: the sum over its force elements.
+
+    M(q) a + b(q, v) = sum of tau_k + sum of J_k^T w_k,      x' = the rates of the elements' states
+A model's elements are the springs and dampers of its joints, its actuators, and `model.forces`.
+Everything that moves a robot asks here, and nothing else knows an element by name.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.link_forces import LinkForces, added, generalized, on_links
+from rbjax.dynamics.packing import pack
+from rbjax.errors import InputError
+from rbjax.forces.actuators import Actuators, clip
+from rbjax.forces.element import Element, Loads
+from rbjax.forces.inputs import Inputs
+from rbjax.forces.instant import Instant, table
+from rbjax.forces.joint_springs import JointSprings
+from rbjax.lanes import Lane, add, is_zero, total
+from rbjax.model import Model, State
+
+NO_INPUTS = Inputs()
+
+
+def elements(model: Model) -> tuple[Element, ...]:
+    """All force elements of a model, in the order in which their states stand in x."""
+    return (JointSprings(), Actuators(), *model.forces)
+
+
+def sighted(model: Model, now: Instant) -> list[tuple[Element, Instant]]:
+    """Each element with the instant as it sees it: with its own part of x."""
+    out, at = [], 0
+    for element in elements(model):
+        n = element.size
+        out.append((element, now.with_own(None if now.x is None else now.x[at : at + n])))
+        at += n
+    return out
+
+
+def loads(model: Model, now: Instant) -> tuple[list[Lane], LinkForces]:
+    """Generalized forces, one lane a velocity coordinate, and forces on links."""
+    passive, driven = Loads(), Loads()
+    for element, seen in sighted(model, now):
+        if not element.actuates:
+            passive = passive + _given(element, seen)
+        elif now.u is not None:
+            driven = driven + _given(element, seen)
+    driven = _limited(model, driven, now)
+    tau = [add(passive.tau.get(i, 0.0), driven.tau.get(i, 0.0)) for i in range(model.nv)]
+    return tau, (passive + Loads({}, driven.wrenches)).wrenches
+
+
+def _given(element: Element, seen: Instant) -> Loads:
+    found = element.loads(seen)
+    if not isinstance(found, Loads):
+        raise InputError(
+            f"{type(element).__name__}.loads returned {type(found).__name__}, expected Loads: "
+            "what Frame.push and Joint.push return, and sums of these"
+        )
+    return found
+
+
+def _limited(model: Model, driven: Loads, now: Instant) -> Loads:
+    """Actuators' forces within the force ranges of the joints."""
+    top, tau = model.topology, dict(driven.tau)
+    limits = table(model.joints.forcerange, now.v.dtype)
+    for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
+        if kind in ("hinge", "slide") and not is_zero(tau.get(at, 0.0)):
+            tau[at] = clip(tau[at], limits, j)
+    return Loads(tau, driven.wrenches)
+
+
+def states(model: Model, now: Instant, dt: Any = None) -> jax.Array | None:
+    """x' (nx,), or x after a step dt where that is given; None where no element has a state."""
+    if not model.nx:
+        return None
+    found: list[Lane] = []
+    for element, seen in sighted(model, now):
+        if element.size:
+            own = element.rate(seen) if dt is None else element.advance(seen, dt)
+            if len(own) != element.size:
+                name = f"{type(element).__name__}.{'rate' if dt is None else 'advance'}"
+                raise InputError(f"{name} returned {len(own)} numbers, expected {element.size}")
+            found += list(own)
+    return pack(found, now.x)
+
+
+def applied(
+    model: Model, t: Any, state: State, inputs: Inputs = NO_INPUTS, dt: Any = None
+) -> tuple[jax.Array, LinkForces, jax.Array | None]:
+    """Generalized forces (nv,), forces on links, and x' (with dt: x after the step), on checked
+    arrays."""
+    now = Instant.of(model, t, state, inputs.ctrl)
+    tau, pushes = loads(model, now)
+    if inputs.tau is not None:
+        tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
+    if inputs.wrenches is not None:
+        d = now.links.driver
+        pushes = added(pushes, on_links(d, d.joints(state.q, None), inputs.wrenches))
+    return pack(tau, state.v), pushes, states(model, now, dt)
+
+
+@algorithm("state", "ctrl")
+def applied_forces(
+    model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
+) -> jax.Array:
+    """Generalized forces (nv,) of all that acts on the model: its springs, dampers and actuators,
+    and the force elements of `model.forces`.
+
+    tau = -K (q - q_rest) - D v + sum of moment^T f(u, l, l') + sum of tau_k + sum of J_k^T w_k.
+
+    Args:
+        model: the robot.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) where elements have states.
+        ctrl: (nu,) controls, clipped to their ranges; None for no actuation at all.
+        t: time in seconds, for elements that look at it.
+
+    Returns:
+        (nv,) N m or N, to be given to `forward_dynamics` as tau.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite.
+
+    Source: MuJoCo documentation, *Computation*, passive and actuation forces.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> rb.applied_forces(model, model.default_state(), jnp.ones(1)).shape
+        (2,)
+    """
+    if not model.nv:
+        return jnp.zeros(0, state.q.dtype)
+    now = Instant.of(model, t, state, ctrl)
+    tau, pushes = loads(model, now)
+    if pushes:
+        d = now.links.driver
+        summed = d.pack(generalized(d, d.joints(state.q, None), pushes), state.v)
+        tau = [add(x, summed[i]) for i, x in enumerate(tau)]
+    return pack(tau, state.v)
+
+
+@algorithm("q")
+def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
+    """Energy that the force elements store at rest, in joules: sum of k |q - q_rest|^2 / 2 of the
+    joint springs, and what others say.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> float(rb.forces.elastic_energy(model, model.default_state().q))
+        0.0
+    """
+    state = State(q, jnp.zeros(model.nv, q.dtype), model.start(q.dtype))
+    now = Instant.of(model, 0.0, state, None)
+    energy = total(element.energy(seen) for element, seen in sighted(model, now))
+    return jnp.asarray(energy, q.dtype)

@@ -1,0 +1,118 @@
+"""The protocol of force elements, and what an element gives.
+
+An element is a record of numbers with a method `loads`: from what it sees of the motion at an
+instant to generalized forces, wrenches on bodies, or both. An element with a state of its own says
+how many numbers that has (`size`), where they begin (`start`), and their rate:
+
+    tau, w = loads(t, q, v, x, u),      x' = rate(t, q, v, x, u)
+
+The numbers are leaves: they can be differentiated, vmapped over and changed with no recompilation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Lane, add, mul
+from rbjax.model.model import Record
+from rbjax.spatial import Force
+
+if TYPE_CHECKING:
+    from rbjax.forces.instant import Instant
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Forces on a robot; they add.
+
+    Fields: tau, generalized forces by velocity coordinate; wrenches, forces by link, in the link's
+    axes at its origin. `Frame.push` and `Joint.push` make them.
+    """
+
+    tau: Mapping[int, Lane] = field(default_factory=dict)
+    wrenches: Mapping[int, Force] = field(default_factory=dict)
+
+    def __add__(self, other: Loads) -> Loads:
+        return Loads(_summed(self.tau, other.tau), _summed(self.wrenches, other.wrenches))
+
+    def __radd__(self, other: Any) -> Loads:
+        return self if isinstance(other, int) and other == 0 else NotImplemented  # of sum()
+
+    def __neg__(self) -> Loads:
+        return self * -1.0
+
+    def __mul__(self, scale: Lane) -> Loads:
+        tau = {i: x * scale for i, x in self.tau.items()}
+        return Loads(tau, {i: x * scale for i, x in self.wrenches.items()})
+
+    __rmul__ = __mul__
+
+
+def _summed(a: Mapping, b: Mapping) -> dict:
+    out = dict(a)
+    for i, x in b.items():
+        if i not in out:
+            out[i] = x
+        else:
+            out[i] = out[i] + x if isinstance(x, Force) else add(out[i], x)
+    return out
+
+
+class Element(Record):
+    """A force on a robot. Make a subclass: its fields are the element's numbers.
+
+    `loads` alone must be written; the rest is for elements with a state of their own, and for those
+    that store energy.
+
+    Example:
+        >>> import rbjax as rb, jax, jax.numpy as jnp
+        >>> class Wind(rb.forces.Element):
+        ...     air: jax.Array  # (3,) m/s in the world
+        ...     drag: jax.Array  # N s/m
+        ...     def loads(self, now):
+        ...         trunk = now.body("trunk")
+        ...         return trunk.push((trunk.velocity - self.air) * -self.drag)
+        >>> model = rb.load("quadruped").with_forces(Wind(jnp.array([8.0, 0, 0]), jnp.array(5.0)))
+        >>> rb.applied_forces(model, model.default_state())[:3].tolist()
+        [40.0, 0.0, 0.0]
+    """
+
+    @property
+    def size(self) -> int:
+        """How many numbers its own state has."""
+        return 0
+
+    @property
+    def actuates(self) -> bool:
+        """Whether its generalized forces count as an actuator's: absent where there are no
+        controls, and held within the force ranges of the joints."""
+        return False
+
+    def loads(self, now: Instant) -> Loads:
+        """What it does to the robot at an instant."""
+        raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")
+
+    def start(self) -> jax.Array:
+        """The state (size,) from which a motion begins, unless its State says."""
+        return jnp.zeros(self.size)
+
+    def rate(self, now: Instant) -> Sequence[Lane]:
+        """The rate (size,) of its own state."""
+        raise NotImplementedError(
+            f"{type(self).__name__} has a state of size {self.size}, and no method "
+            "rate(self, now) -> (size,)"
+        )
+
+    def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
+        """Its own state after a step dt of `semi_implicit_euler`: x + dt x', unless the element
+        knows better, as of limits or an exact solution."""
+        return [add(x, mul(dt, rate)) for x, rate in zip(now.x, self.rate(now), strict=True)]
+
+    def energy(self, now: Instant) -> Lane:
+        """The energy that it stores, in joules."""
+        return 0.0

@@ -1,0 +1,58 @@
+"""What acts on a robot from outside its model: controls, generalized forces, wrenches on bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.arguments import check_array
+from rbjax.model import Model, State
+
+#: (t, state) -> an input
+Source = Callable[[Any, State], jax.Array]
+
+
+class Inputs(NamedTuple):
+    """Controls (nu,), generalized forces (nv,), and wrenches (nb, 6) [moment; force] on bodies, in
+    world axes at the bodies' origins; None where there are none."""
+
+    ctrl: Any = None
+    tau: Any = None
+    wrenches: Any = None
+
+
+#: what of an input the message of a wrong one says
+NAMES = Inputs("the control returned", "what tau returned", "what wrenches returned")
+
+
+def shapes(model: Model) -> Inputs:
+    """The shapes of a model's inputs."""
+    return Inputs((model.nu,), (model.nv,), (model.nb, 6))
+
+
+def check_returned(where: str, model: Model, k: int, value: Any, dtype: Any) -> jax.Array:
+    """What a function returned for input k."""
+    names = ("model.actuator_names", "the velocity coordinates", "model.body_names")
+    fix = f": one {'row' if k == 2 else 'number'} for each of {names[k]}"
+    return check_array(where, NAMES[k], value, shapes(model)[k], fix=fix).astype(dtype)
+
+
+def evaluated(where: str, model: Model, sources: Inputs, t: Any, state: State) -> Inputs:
+    """The inputs at a time: values of functions, arrays as they are."""
+
+    def value(k: int, source: Any) -> Any:
+        if not callable(source):
+            return source
+        return check_returned(where, model, k, source(t, state), state.q.dtype)
+
+    return Inputs(*(value(k, source) for k, source in enumerate(sources)))
+
+
+def joined(arrays: list[jax.Array]) -> jax.Array:
+    """Inputs (..., n_k) side by side, as (..., sum of n_k)."""
+    lead = jnp.broadcast_shapes(*(x.shape[:-1] for x in arrays))
+    wide = [jnp.broadcast_to(x, (*lead, x.shape[-1])) for x in arrays]
+    return wide[0] if len(wide) == 1 else jnp.concatenate(wide, -1)

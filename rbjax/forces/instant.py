@@ -1,0 +1,195 @@
+"""What a force element sees: the motion at one instant.
+
+Vectors are `Vec3` of lanes: they add, subtract, scale, have `dot`, `cross` and `norm`, and take
+(3,) arrays beside them. Poses and velocities are computed when they are first asked for, once.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+
+from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.link_motion import LinkMotion
+from rbjax.errors import InputError
+from rbjax.forces.element import Loads
+from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix
+from rbjax.model import JOINT_SIZES, WORLD, Model, State
+from rbjax.model.links import lane
+from rbjax.spatial import Force, Motion, Transform
+
+
+def table(x: Any, dtype: Any) -> Any:
+    """Numbers as numpy where they are known while tracing, so that zeros cost nothing."""
+    if isinstance(x, jax.core.Tracer):
+        return x.astype(dtype)
+    return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
+
+
+@dataclass(frozen=True)
+class Instant:
+    """Time t, configuration q (nq,), velocity v (nv,), controls u (nu,) or None, the element's own
+    state x (size,); bodies, sites and joints by name or index."""
+
+    model: Model
+    t: Any
+    q: jax.Array
+    v: jax.Array
+    u: Any
+    x: Any
+    links: LinkMotion
+
+    @classmethod
+    def of(cls, model: Model, t: Any, state: State, u: Any) -> Instant:
+        """The instant of a state; its x is that of all elements."""
+        links = LinkMotion(driver(model, state.q.dtype), state.q, state.v)
+        return cls(model, t, state.q, state.v, u, state.x, links)
+
+    def with_own(self, x: Any) -> Instant:
+        """The same, as an element with the state x sees it."""
+        return replace(self, x=x)
+
+    @property
+    def state(self) -> State:
+        """q, v and x as a State."""
+        return State(self.q, self.v, self.x)
+
+    def body(self, body: str | int) -> Frame:
+        """The frame of a body."""
+        b = self.model.body(body) if isinstance(body, str) else body
+        if b == WORLD:
+            return Frame(self.links, WORLD)
+        return Frame(self.links, self.model.topology.body_links[b], self.links.weld(b))
+
+    def site(self, site: str | int) -> Frame:
+        """The frame of a site."""
+        s = self.model.site(site) if isinstance(site, str) else site
+        sites, dtype = self.model.sites, self.q.dtype
+        position, orientation = (table(x, dtype) for x in (sites.position, sites.orientation))
+        placed = Transform(
+            quaternion_matrix(*(lane(orientation[:, k], s) for k in range(4))),
+            Vec3(*(lane(position[:, k], s) for k in range(3))),
+        )
+        return self.body(self.model.topology.site_bodies[s]).then(placed)
+
+    def joint(self, joint: str | int) -> Joint:
+        """A joint's coordinates."""
+        top = self.model.topology
+        j = self.model.joint(joint) if isinstance(joint, str) else joint
+        nq, nv = JOINT_SIZES[top.joint_kinds[j]]
+        qs, vs = top.joint_q[j], top.joint_v[j]
+        q, v = [self.q[qs + k] for k in range(nq)], [self.v[vs + k] for k in range(nv)]
+        return Joint(top.joint_kinds[j], q, v, vs)
+
+    def generalized(self, tau: Any) -> Loads:
+        """Generalized forces (nv,)."""
+        nv = self.model.nv
+        if np.shape(tau) != (nv,):
+            raise InputError(f"generalized: tau has shape {np.shape(tau)}, expected ({nv},)")
+        return Loads({i: tau[i] for i in range(nv)})
+
+
+class Frame:
+    """A frame fixed to a link, at an instant: a body or a site."""
+
+    def __init__(self, links: LinkMotion, link: int, *placed: Transform):
+        self._links, self.link, self._placed = links, link, placed
+
+    def then(self, placed: Transform) -> Frame:
+        """A frame whose pose in this one is `placed`."""
+        return Frame(self._links, self.link, *self._placed, placed)
+
+    def at(self, point: Any) -> Frame:
+        """The frame with its origin at a point (3,), given in its own axes."""
+        return self.then(Transform(Mat3.identity(), _vector("at", point)))
+
+    @cached_property
+    def pose(self) -> Transform:
+        """Its pose in the world."""
+        return functools.reduce(Transform.then, self._placed, self._links.pose(self.link))
+
+    @property
+    def position(self) -> Vec3:
+        """Its origin in the world, m."""
+        return self.pose.p
+
+    @property
+    def rotation(self) -> Mat3:
+        """From its axes to the world's."""
+        return self.pose.R
+
+    @cached_property
+    def twist(self) -> Motion:
+        """Angular and linear velocity in its own axes, at its origin."""
+        return functools.reduce(lambda V, X: X(V), self._placed, self._links.twist(self.link))
+
+    @cached_property
+    def velocity(self) -> Vec3:
+        """The velocity of its origin in world axes, m/s."""
+        return self.rotation @ self.twist.lin
+
+    @cached_property
+    def angular_velocity(self) -> Vec3:
+        """In world axes, rad/s."""
+        return self.rotation @ self.twist.ang
+
+    def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:
+        """A force (3,) N and a torque (3,) N m in world axes, at a point of the world; at the
+        frame's origin if None. The world itself cannot be pushed."""
+        force = _vector("push", force)
+        moment = Vec3.zero() if torque is None else _vector("push", torque)
+        if at is not None:
+            moment = moment + (_vector("push", at) - self.position).cross(force)
+        E = self.rotation.T
+        return self.push_own(Force(E @ moment, E @ force))
+
+    def push_own(self, wrench: Force) -> Loads:
+        """A wrench [torque; force] in the frame's own axes, at its origin."""
+        return Loads() if self.link == WORLD else Loads({}, {self.link: self._on_link(wrench)})
+
+    def _on_link(self, wrench: Force) -> Force:
+        return functools.reduce(lambda f, X: X.T(f), reversed(self._placed), wrench)
+
+    def arms(self, wrench: Force) -> dict[int, Lane]:
+        """J^T w of such a wrench, by velocity coordinate."""
+        wrench, out, at = self._on_link(wrench), {}, self.link
+        while at != WORLD:
+            X, S = self._links.to_parent(at)
+            out[at] = S.dot(wrench)
+            wrench = X.T(wrench)
+            at = self._links.driver.topology.links[at].parent
+        return out
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint at an instant: its kind, its coordinates q and velocities v, as lanes."""
+
+    kind: str
+    q: Sequence[Lane]
+    v: Sequence[Lane]
+    start: int
+
+    def push(self, *tau: Any) -> Loads:
+        """Generalized forces on its velocity coordinates: N m where it turns, N where it slides."""
+        if len(tau) == 1 and np.ndim(tau[0]) == 1:
+            tau = tuple(tau[0])
+        if len(tau) != len(self.v):
+            raise InputError(
+                f"push: got {len(tau)} forces on a {self.kind} joint, expected {len(self.v)}"
+            )
+        return Loads({self.start + k: x for k, x in enumerate(tau)})
+
+
+def _vector(where: str, x: Any) -> Vec3:
+    if isinstance(x, Vec3):
+        return x
+    if np.shape(x) != (3,):
+        raise InputError(f"{where}: a vector has shape {np.shape(x)}, expected (3,) or a Vec3")
+    return Vec3(*(x[i] for i in range(3)))

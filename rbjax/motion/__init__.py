@@ -1,0 +1,1 @@
+"""Motion: the field of a robot, its integrators, `rollout`, `simulate`, trajectories."""

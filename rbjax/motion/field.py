@@ -1,0 +1,102 @@
+"""The motion of a robot as a field: its forces, and the law by which they accelerate it.
+
+    tau, w, x' = elements(t, q, v, x, u),      v' = law(t, q, v, tau, w),      q' = v
+A law stands between "the forces are known" and "the acceleration is known": free motion is one, a
+constraint that holds is another. It is a function with its own derivative rules; `simulate`,
+`rollout`, `linearise` and GPU threads all take it. An integrator stands one step further out: from
+a field and a state to the state after a step.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.forward import acceleration
+from rbjax.dynamics.link_forces import LinkForces
+from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
+from rbjax.forces.acting import applied
+from rbjax.forces.inputs import Inputs
+from rbjax.lanes import is_literal
+from rbjax.materialize import materialize
+from rbjax.model import Model, State
+
+
+class Law(Protocol):
+    """From forces to accelerations (nv,), of one sample.
+
+    state: `State`; tau: (nv,) generalized forces; pushes: forces on links, in their axes at their
+    origins. It must be differentiable in all of them, and in the model.
+    """
+
+    def __call__(
+        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+    ) -> jax.Array: ...
+
+
+def free_motion(
+    model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+) -> jax.Array:
+    """v' = M^-1 (tau - b + sum of J_i^T f_i)."""
+    return acceleration(model, state.q, state.v, tau, pushes)
+
+
+@dataclass(frozen=True)
+class Field:
+    """The motion of a model under a law, for states of one sample or with the batch last."""
+
+    model: Model
+    law: Law = free_motion
+
+    def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
+        """v' (nv, ...) and x' (nx, ...)."""
+        return self._found(applied, t, state, u)
+
+    def pushed(
+        self, t: Any, state: State, u: Inputs, dt: Any
+    ) -> tuple[jax.Array, jax.Array | None]:
+        """v' (nv, ...), and x after a step in which its rate is held."""
+        return self._found(functools.partial(applied, dt=dt), t, state, u)
+
+    def _found(self, applied: Callable, t: Any, state: State, u: Inputs) -> tuple:
+        def forces(t: Any, state: State, u: Inputs) -> tuple:
+            return applied(self.model, t, state, u)
+
+        law = functools.partial(self.law, self.model)
+        if state.q.ndim == 1:
+            tau, pushes, x = forces(t, state, u)
+            return law(t, state, tau, pushes), x
+        tau, pushes, x = batch_last(forces, t, state, u)
+        if self.law is free_motion:  # takes lanes with a batch as they are
+            return law(t, state, tau, pushes), x
+        return batch_last(law, t, state, tau, pushes), x
+
+    def moved(self, q: jax.Array, dq: jax.Array) -> jax.Array:
+        """q (+) dq."""
+        return jnp.stack(materialize(integrate_lanes(self.model.topology, list(q), list(dq))))
+
+    def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
+        """u' of the increment u, where the configuration moves at v."""
+        if not self.model.topology.turn_starts:
+            return v
+        return jnp.stack(materialize(rate_lanes(self.model.topology, list(u), list(v))))
+
+
+def batch_last(f: Callable, t: Any, *args: Any) -> Any:
+    """f(t, *args) of each sample, the batch the last axis of the arguments and of what returns;
+    literals among that stay literals."""
+    kept: dict[str, Any] = {}
+
+    def arrays(*args: Any) -> list:
+        leaves, kept["tree"] = jax.tree.flatten(f(t, *args))
+        kept["literals"] = [x if is_literal(x) else None for x in leaves]
+        return [x for x in leaves if not is_literal(x)]
+
+    found = iter(jax.vmap(arrays, in_axes=-1, out_axes=-1)(*args))
+    leaves = [next(found) if x is None else x for x in kept["literals"]]
+    return jax.tree.unflatten(kept["tree"], leaves)

@@ -1,0 +1,75 @@
+"""Steps of fixed length on the manifold of configurations, for `rollout`. Batch last.
+
+    semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
+    Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
+
+A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: its order is
+that of its tableau, attitudes included (Munthe-Kaas 1998; Hairer, Lubich & Wanner, *Geometric
+Numerical Integration*, IV.8). Controls are held over a step.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, Protocol
+
+import diffrax
+import jax
+import jax.numpy as jnp
+
+from rbjax.forces.inputs import Inputs
+from rbjax.model import State
+from rbjax.motion.field import Field
+from rbjax.solvers.dop853 import DOP853
+from rbjax.solvers.steps import combine, explicit_stages, scaled
+from rbjax.solvers.tableau import KUTTA4, Tableau, of_diffrax
+
+#: stages times velocity coordinates up to which the stages of a step are written out
+WRITTEN_UP_TO = 13
+
+TABLEAUS = {
+    "rk4": KUTTA4,
+    "tsit5": of_diffrax(diffrax.Tsit5, 5).essential,
+    "dopri8": of_diffrax(diffrax.Dopri8, 8).essential,
+    "dop853": DOP853,
+}
+
+
+class Integrator(Protocol):
+    """A step: the state after dt, of one sample or with the batch last. Inputs are held over it."""
+
+    def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State: ...
+
+
+def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
+    """v+ = v + dt a(q, v);  q+ = q (+) dt v+;  x+ = x + dt x'. First order; symplectic where the
+    mass matrix is constant and no force depends on v, not for a mass matrix that moves with q."""
+    a, x = field.pushed(t, state, u, dt)
+    v = state.v + dt * a
+    return State(field.moved(state.q, dt * v), v, x)
+
+
+def runge_kutta(
+    table: Tableau, field: Field, t: Any, state: State, u: Inputs, dt: Any
+) -> State:
+    """A step of an explicit tableau; its stages are written out, or a loop where they are many."""
+    q0, v0, x0 = state.q, state.v, state.x
+
+    def rate(t, k):
+        at = State(field.moved(q0, k[0]), v0 + k[1], None if x0 is None else x0 + k[2])
+        a, x = field.rates(t, at, u)
+        return _given(field.increment_rate(k[0], at.v), a, x)
+
+    written = table.stages * field.model.nv <= WRITTEN_UP_TO
+    stages = explicit_stages(rate, table, t, dt, written=written)
+    start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
+    dq, dv, *dx = scaled(dt, combine(table.b, stages(start)))
+    return State(field.moved(q0, dq), v0 + dv, None if x0 is None else x0 + dx[0])
+
+
+def _given(*parts: Any) -> tuple:
+    return tuple(x for x in parts if x is not None)
+
+
+INTEGRATORS: dict[str, Integrator] = {"semi_implicit_euler": semi_implicit_euler}
+INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}

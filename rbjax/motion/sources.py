@@ -1,0 +1,83 @@
+"""Where the inputs of a rollout come from: a row of numbers a step, or functions of (t, state)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from rbjax.dynamics.arguments import check_array
+from rbjax.errors import InputError
+from rbjax.forces.inputs import Inputs, check_returned, joined, shapes
+from rbjax.model import Model, State
+
+
+class Sources(eqx.Module):
+    """Inputs along the steps of a rollout.
+
+    rows: (steps, k), or (B, steps, k) for a batch, of the inputs that are numbers; None if none is;
+    functions: of the others, or None; listed: which inputs stand in a row, in this order.
+    """
+
+    rows: jax.Array | None
+    functions: Inputs
+    listed: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def asks(self) -> bool:
+        """Whether any input is a function."""
+        return any(f is not None for f in self.functions)
+
+    def asked(self, model: Model, t: Any, state: State) -> jax.Array:
+        """What the functions return, side by side."""
+        found = [
+            check_returned("rollout", model, k, f(t, state), state.q.dtype).reshape(-1)
+            for k, f in enumerate(self.functions)
+            if f is not None
+        ]
+        return joined(found)
+
+    def inputs(self, model: Model, *given: Any) -> Inputs:
+        """The inputs of a step: of its row and of what the functions return, whichever there are,
+        of one sample or with the batch last."""
+        answered = tuple(k for k, f in enumerate(self.functions) if f is not None)
+        out: list[Any] = [None, None, None]
+        for numbers, which in zip(given, filter(None, (self.listed, answered)), strict=True):
+            at = 0
+            for k in which:
+                shape = shapes(model)[k]
+                n = math.prod(shape)
+                out[k] = numbers[at : at + n].reshape(*shape, *numbers.shape[1:])
+                at += n
+        return Inputs(*out)
+
+
+def check_sources(
+    model: Model, given: Inputs, steps: int | None, batch: tuple[int, ...], dtype: Any
+) -> tuple[Sources, int]:
+    """The checked inputs of a rollout, and how many steps they ask for."""
+    arrays = {k: x for k, x in enumerate(given) if x is not None and not callable(x)}
+    if steps is None:
+        if not arrays:
+            raise InputError(
+                "rollout: steps is None, expected a number with a policy or no controls"
+            )
+        k, x = next(iter(arrays.items()))
+        axis = -1 - len(shapes(model)[k])
+        steps = max(1, np.shape(x)[axis]) if np.ndim(x) >= -axis else 1
+    fixes = (
+        ": a row of nu numbers a step; or a policy (t, state) -> (nu,), or None",
+        ": a row of nv numbers a step; or a function (t, state) -> (nv,), or None",
+        ": wrenches on nb bodies a step; or a function (t, state) -> (nb, 6), or None",
+    )
+    rows = []
+    for k, x in arrays.items():
+        own = shapes(model)[k]
+        due = [(*lead, int(steps), *own) for lead in dict.fromkeys([(), batch])]
+        x = check_array("rollout", ("ctrls", "tau", "wrenches")[k], x, *due, fix=fixes[k])
+        rows.append(x.reshape(*x.shape[: x.ndim - len(own)], -1).astype(dtype))
+    functions = Inputs(*(x if callable(x) else None for x in given))
+    return Sources(joined(rows) if rows else None, functions, tuple(arrays)), int(steps)

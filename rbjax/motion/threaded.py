@@ -1,0 +1,168 @@
+"""A rollout with each sample a GPU thread: what the thread does, and what is done around it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics import drivers
+from rbjax.dynamics.devices import on_each_device
+from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing import opened
+from rbjax.forces.inputs import joined, shapes
+from rbjax.model import Model, State, known_zeros, made_ahead
+from rbjax.motion.field import Field, Law
+from rbjax.motion.integrators import Integrator
+from rbjax.motion.march import March, keep_every
+from rbjax.motion.sources import Sources
+from rbjax.threads.function import trace
+from rbjax.threads.primitive import run
+from rbjax.threads.programs import Moving, Program
+from rbjax.threads.uniform import split
+
+#: operations of a step from which on it is faster to keep what it leaves than to compute it again
+LEAVING_ABOVE = 4_000
+#: a policy of more operations runs between the steps
+POLICY_UP_TO = 4_000
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How a rollout goes: its law, its integrator, which states it keeps, how many steps there are,
+    and whether there is a batch."""
+
+    law: Law
+    integrator: Integrator
+    save_every: int
+    count: int
+    batched: bool
+
+
+def on_threads(
+    model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps, memory: float
+) -> State:
+    """The states (..., T, nq), (..., T, nv) and (..., T, nx) of a rollout, one sample a thread.
+
+    A policy of few operations is part of the thread. A larger one is evaluated for the whole batch
+    between the steps, by XLA's matrix products.
+    """
+    dtype = state.q.dtype
+    model = made_ahead(known_zeros(drivers.on_threads(model, dtype)), dtype)
+    batched, steps, save_every = how.batched, how.count, how.save_every
+    given, treedef = jax.tree.flatten(state)
+    one = [x[0] if batched else x for x in given]
+    size, rows = len(one), sources.rows
+    between = sources.asks and _is_large(sources, model, dt, jax.tree.unflatten(treedef, one))
+    driven = rows is not None or between
+    moving, closed = opened((model, dt))
+
+    def once(i: jax.Array, *args: jax.Array) -> list[jax.Array]:
+        state = jax.tree.unflatten(treedef, args[:size])
+        model, dt = closed(list(args[size + driven :]))
+        numbers = [args[size]] if driven else []
+        if between and rows is not None:
+            numbers = [args[size][: rows.shape[-1]], args[size][rows.shape[-1] :]]
+        if sources.asks and not between:
+            numbers.append(sources.asked(model, i * dt, state))
+        inputs = sources.inputs(model, *numbers)
+        return jax.tree.leaves(how.integrator(Field(model, how.law), i * dt, state, inputs, dt))
+
+    control = [jnp.zeros(_width(sources, model, rows, between), dtype)] if driven else []
+    step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
+    own = 1 + size + driven
+    known = [True] * len(shared) + [False] * own + [True] * len(moving)
+    step, shared = split(step, known, [*shared, *[None] * own, *moving])
+    if between:
+        return _between(model, step, shared, state, sources, dt, how, memory)
+    march = functools.partial(March, step, size, steps, save_every, driven)
+    each = sum(x.size * x.dtype.itemsize for x in one)
+
+    @functools.cache
+    def sized(batch: int, moving: Moving) -> Program:
+        left = march(1).pullback(moving).bytes
+        fits = left and steps * batch * (each + left) <= memory
+        if fits and operation_count(step, *step.inputs).total > LEAVING_ABOVE:
+            return march(1, leaving=True).program(plain)
+        return march(keep_every(save_every, steps, batch * each, memory)).program(plain)
+
+    plain = march(save_every).program()
+    program = Program(plain.closed, sized=sized)
+    operands = given if rows is None else [*given, rows]
+    f = functools.partial(_run, program)
+    if batched:
+        due = [2] * size + [3]
+        axes = [0 if x.ndim == n else None for x, n in zip(operands, due, strict=False)]
+        f = jax.vmap(f, in_axes=(*axes, *[None] * len(shared)))
+    return jax.tree.unflatten(treedef, f(*operands, *shared))
+
+
+def _run(program: Program, *operands: jax.Array) -> list[jax.Array]:
+    return run(program, operands)
+
+
+def _is_large(sources: Sources, model: Model, dt: jax.Array, one: State) -> bool:
+    count = operation_count(lambda state: sources.asked(model, 0 * dt, state), one)
+    return count.total > POLICY_UP_TO
+
+
+def _width(sources: Sources, model: Model, rows: jax.Array | None, between: bool) -> int:
+    """Numbers of a step's row, and of what is asked for between steps."""
+    asked = sum(
+        math.prod(shape)
+        for f, shape in zip(sources.functions, shapes(model), strict=True)
+        if f is not None
+    )
+    return (0 if rows is None else rows.shape[-1]) + (asked if between else 0)
+
+
+def _between(
+    model: Model, step: Program, shared: list, state: State, sources: Sources, dt: jax.Array,
+    how: Steps, memory: float,
+) -> State:  # fmt: skip
+    """A rollout whose policy is evaluated by XLA, and whose steps are a kernel each."""
+    given, treedef = jax.tree.flatten(state)
+    batched, save_every = how.batched, how.save_every
+    rows, per_sample = sources.rows, sources.rows is not None and sources.rows.ndim == 3
+
+    def act(args: list, /) -> Any:
+        def one(i: jax.Array, *state: jax.Array) -> jax.Array:
+            return sources.asked(model, i * dt, jax.tree.unflatten(treedef, state))
+
+        return (jax.vmap(one, in_axes=(None, *[0] * len(given))) if batched else one)(*args)
+
+    def advance(i: jax.Array, *args: jax.Array) -> list[jax.Array]:
+        return run(step, [i, *args, *shared])
+
+    if batched:
+        act = on_each_device(act, [jnp.int32(0), *given], [None, *[0] * len(given)], len(given[0]))
+        advance = jax.vmap(advance, in_axes=(None, *[0] * len(given), 0))
+
+    def numbers(i: jax.Array, asked: jax.Array) -> jax.Array:
+        if rows is None:
+            return asked
+        row = rows[:, i] if per_sample else rows[i]
+        return joined([row, asked])
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)  # the network's inside is not kept
+    def once(carry: Any, _: None) -> tuple[Any, None]:
+        i, *state = carry
+        return (i + 1, *advance(i, *state, numbers(i, act([i, *state])))), None
+
+    def segment(carry: Any, _: None) -> tuple[Any, Any]:
+        # a turn of XLA's loop costs as much as a small kernel
+        carry, _ = jax.lax.scan(once, carry, None, length=save_every, unroll=min(4, save_every))
+        return carry, carry[1:]
+
+    if how.count * sum(x.size * x.dtype.itemsize for x in given) > memory:
+        segment = jax.checkpoint(segment, prevent_cse=False)
+    start = (jnp.int32(0), *given)
+    _, saved = jax.lax.scan(segment, start, None, length=how.count // save_every)
+    states = [jnp.concatenate([x[None], y]) for x, y in zip(given, saved, strict=True)]
+    if batched:
+        states = [jnp.moveaxis(x, 0, 1) for x in states]
+    return jax.tree.unflatten(treedef, states)
