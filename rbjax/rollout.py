@@ -11,6 +11,7 @@ save_every) states and one step's intermediate values, per sample.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import equinox as eqx
@@ -32,6 +33,7 @@ from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.integrators import INTEGRATORS
 from rbjax.march import on_threads
+from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.solvers.arguments import check_whole
 from rbjax.threads import wanted
@@ -119,15 +121,17 @@ def rollout(
 def _run(
     model, state, given, dt, policy, integrator, save_every, steps, batched, threads, memory
 ) -> Trajectory:
-    ctrls = eqx.combine(given, policy)
-    policy = _acting(model, ctrls, state.q.dtype) if callable(ctrls) else None
-    ctrls = None if callable(ctrls) else ctrls
-    if threads:
-        qs, vs = on_threads(
-            model, state, ctrls, dt, policy, integrator, save_every, steps, batched, memory
-        )
-    else:
-        qs, vs = _on_lanes(model, state, ctrls, dt, policy, integrator, save_every, steps, batched)
+    march = functools.partial(on_threads, memory=memory) if threads else _on_lanes
+
+    def states(model, state, given, dt):
+        ctrls = eqx.combine(given, policy)
+        act = _acting(model, ctrls, state.q.dtype) if callable(ctrls) else None
+        ctrls = None if callable(ctrls) else ctrls
+        return march(model, state, ctrls, dt, act, integrator, save_every, steps, batched)
+
+    each = () if callable(policy) or given is None or given.ndim < 3 else (given,)
+    along = (state.q, state.v, *each) if batched else ()
+    qs, vs = on_auto_axes(states, model, state, given, dt, along=along)
     ts = dt * jnp.arange(0, steps + 1, save_every, dtype=qs.dtype)
     return Trajectory(ts, qs, vs, all_finite(qs, vs), stats={"steps": steps})
 

@@ -30,6 +30,7 @@ from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.forces.applied import applied
 from rbjax.materialize import materialize
+from rbjax.meshes import automatic
 from rbjax.model import Model, State, Topology, made_ahead, spans
 from rbjax.rotations import quaternion
 from rbjax.solvers import AbstractGroup, AbstractGroupSolver, OnGroup
@@ -154,6 +155,7 @@ def motion(
     return term, State(unit(top, state.q), state.v)
 
 
+@automatic
 def simulate(
     model: Model,
     state: State,
