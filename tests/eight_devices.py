@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -39,16 +40,17 @@ def mesh() -> Mesh:
 
 def check(
     what: str, f: Callable, args: tuple, want: Callable | None = None, sharding: Any = None,
-    sums: int | None = None, spread: int | None = None,
+    sums: int | None = None, spread: int | None = None, mesh: Mesh | None = None,
 ) -> None:  # fmt: skip
     """f(args) = want(args on one device), and nothing is gathered.
 
     want: f itself if None. sharding: of the first `spread` arrays of the result, or of all. sums:
-    how often something is summed over devices, outside of any loop.
+    how often something is summed over devices, outside of any loop. mesh: set while f runs.
     """
-    compiled = jax.jit(f, compiler_options=QUICK).lower(*args).compile()
-    text, got = compiled.as_text(), compiled(*args)
-    on_one = jax.tree.map(lambda x: jax.device_put(x, jax.devices()[0]), args)
+    with jax.set_mesh(mesh) if mesh else nullcontext():
+        compiled = jax.jit(f, compiler_options=QUICK).lower(*args).compile()
+        text, got = compiled.as_text(), compiled(*args)
+    on_one = jax.tree.map(lambda x: jax.device_put(np.asarray(x), jax.devices()[0]), args)
     expected = jax.jit(want or f, compiler_options=QUICK)(*on_one)
     for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
         assert relative_error(a, b) <= F64_TRANSFORM, what

@@ -11,7 +11,8 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 FLOORS = {
     "errors": "",
     "compiling": "errors",
-    "materialize": "compiling",
+    "meshes": "compiling",
+    "materialize": "meshes",
     "threads": "materialize",
     "lanes": "materialize",
     "rotations": "lanes",

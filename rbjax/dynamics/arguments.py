@@ -23,6 +23,7 @@ from rbjax.dynamics.batching import in_chunks
 from rbjax.dynamics.drivers import THREADS_APART_ABOVE, on_threads
 from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
+from rbjax.meshes import automatic
 from rbjax.model import Model, State
 from rbjax.threads import threaded, wanted
 
@@ -59,6 +60,7 @@ def algorithm(
         suited = functools.partial(for_threads, pairs=pairs, long=long)
         static = [n for n in ("body", "site") if n in signature.parameters]
 
+        @automatic
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
             on_gpu = wanted()

@@ -26,6 +26,7 @@ from rbjax.dynamics.devices import memory_share
 from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
+from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.field import Field, Law, batch_last, free_motion
 from rbjax.motion.integrators import INTEGRATORS, Integrator
@@ -122,11 +123,14 @@ def rollout(
 
 
 def _run(model, state, given, dt, functions, how, threads, memory) -> Trajectory:
-    sources = eqx.combine(given, functions)
-    if threads:
-        states = on_threads(model, state, sources, dt, how, memory)
-    else:
-        states = _on_lanes(model, state, sources, dt, how)
+    march = functools.partial(on_threads, memory=memory) if threads else _on_lanes
+
+    def moved(model: Model, state: State, given: Sources, dt: jax.Array) -> State:
+        return march(model, state, eqx.combine(given, functions), dt, how)
+
+    each = () if given.rows is None or given.rows.ndim < 3 else (given.rows,)
+    along = (*jax.tree.leaves(state), *each) if how.batched else ()
+    states = on_auto_axes(moved, model, state, given, dt, along=along)
     ts = dt * jnp.arange(0, how.count + 1, how.save_every, dtype=state.q.dtype)
     return Trajectory(
         ts, states.q, states.v, all_finite(states), stats={"steps": how.count}, x=states.x

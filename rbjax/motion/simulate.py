@@ -19,6 +19,7 @@ from rbjax.dynamics.drivers import on_threads
 from rbjax.dynamics.tracing import opened
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
+from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.field import Law, free_motion
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
@@ -27,6 +28,7 @@ from rbjax.solvers.arguments import check_solver, check_whole
 from rbjax.threads import threaded, wanted
 
 
+@automatic
 def simulate(
     model: Model,
     state: State,

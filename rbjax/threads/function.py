@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from rbjax.compiling import staged
+from rbjax.meshes import automatic
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
 from rbjax.threads.uniform import unnamed
@@ -85,6 +86,7 @@ def threaded(f: Callable, apart: Callable | None = None) -> Callable:
     """`threads` whether or not there is a GPU. `apart`: the same function as several kernels; both
     close over nothing that is traced."""
 
+    @automatic
     def bound(*args: Any, **kwargs: Any) -> Any:
         leaves, flat, shape = flattened(f, args, kwargs)
         program, closed_over = trace(flat, leaves)

@@ -1,0 +1,76 @@
+"""Batches on a mesh of explicit axes, as `jax.make_mesh` makes it: types say how arrays are spread.
+
+rbjax leaves to XLA how a batch goes through, as on automatic axes. So arguments are taken over to
+such axes at the door, and results are given types again.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
+
+from rbjax.compiling import staged
+from rbjax.errors import InputError
+
+F = TypeVar("F", bound=Callable)
+NOWHERE = NamedSharding(AbstractMesh((), ()), PartitionSpec())
+
+
+def automatic(f: F) -> F:
+    """f, whose arguments may lie on explicit axes; where they do, its results lie there too."""
+
+    @functools.wraps(f)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        return on_auto_axes(lambda args, kwargs: f(*args, **kwargs), args, kwargs)
+
+    return cast(F, call)
+
+
+def on_auto_axes(f: Callable, *args: Any, along: Sequence[jax.Array] = ()) -> Any:
+    """f(*args), on automatic axes where arrays among the arguments lie on explicit ones.
+
+    along: every result has the first axis of these, and is spread as the first that is spread. What
+    lies whole on every device, and is known, stays known.
+    """
+
+    def moves(x: Any) -> bool:
+        return isinstance(x, jax.core.Tracer) or any(_on(x).spec)
+
+    moving, known = eqx.partition(args, moves)
+    known = jax.tree.map(lambda x: np.asarray(x) if _on(x).mesh.explicit_axes else x, known)
+    around = [jax.sharding.get_abstract_mesh(), *(_on(x).mesh for x in jax.tree.leaves(moving))]
+    mesh = next((m for m in around if m.explicit_axes), None)
+    if mesh is None:
+        return f(*eqx.combine(moving, known))
+    rest = []
+
+    def arrays(moving: Any) -> Any:
+        given, other = eqx.partition(f(*eqx.combine(moving, known)), eqx.is_array)
+        rest.append(other)
+        return given
+
+    spread = [axes for x in along for axes in _on(x).spec[:1] if axes]
+    where = NamedSharding(mesh, PartitionSpec(*spread[:1]))
+    auto = jax.sharding.auto_axes(arrays, axes=mesh.explicit_axes, out_sharding=where)
+    try:
+        given = (auto if staged() else jax.jit(auto))(moving)
+    except ValueError as error:
+        if "context mesh" not in str(error).lower():
+            raise
+        raise InputError(
+            "a function closes over arrays on a mesh of explicit axes, which JAX refuses; expected "
+            "them as leaves of the function: jax.tree_util.Partial(function, *arrays), or an "
+            "equinox.Module"
+        ) from error
+    return eqx.combine(given, rest[0])
+
+
+def _on(x: Any) -> NamedSharding:
+    """How the type of a leaf says that it is spread."""
+    return jax.typeof(x).sharding if isinstance(x, jax.Array) else NOWHERE
