@@ -53,8 +53,8 @@ def _parameters(model, mass, com):
     return rb.inertial_parameters(model.replace(bodies=model.bodies.replace(mass=mass, com=com)))
 
 
-def _at_hand(function):
-    return lambda model, *x: function(model, *x[:-1], "hand", x[-1])
+def _at_a_point(function):
+    return lambda model, *x, body: function(model, *x[:-1], body, x[-1])
 
 
 REGISTRY = {
@@ -69,7 +69,9 @@ REGISTRY = {
     "forward_dynamics": Entry(rb.forward_dynamics, ("q", "v", "a", "wrenches")),
     "forward_dynamics_derivatives": Entry(rb.forward_dynamics_derivatives, ("q", "v", "a")),
     "forward_kinematics": Entry(rb.forward_kinematics, ("q",)),
-    "frame_bias_acceleration": Entry(_at_hand(rb.frame_bias_acceleration), ("q", "v", "point")),
+    "frame_bias_acceleration": Entry(
+        _at_a_point(rb.frame_bias_acceleration), ("q", "v", "point"), {"body": "hand"}
+    ),
     "frame_velocity": Entry(rb.frame_velocity, ("q", "v"), {"site": "tip"}),
     "generalized_forces": Entry(rb.dynamics.generalized_forces, ("q", "wrenches")),
     "gravity_forces": Entry(rb.gravity_forces, ("q",)),
@@ -79,7 +81,7 @@ REGISTRY = {
     "inverse_dynamics": Entry(rb.inverse_dynamics, ("q", "v", "a", "wrenches")),
     "inverse_dynamics_derivatives": Entry(rb.inverse_dynamics_derivatives, ("q", "v", "a")),
     "inverse_mass_matrix": Entry(rb.inverse_mass_matrix, ("q",)),
-    "jacobian": Entry(_at_hand(rb.jacobian), ("q", "point")),
+    "jacobian": Entry(_at_a_point(rb.jacobian), ("q", "point"), {"body": "hand"}),
     "jacobian_rate": Entry(rb.jacobian_rate, ("q", "v"), {"site": "tip"}),
     "kinetic_energy": Entry(rb.kinetic_energy, ("q", "v")),
     "mass_matrix": Entry(rb.mass_matrix, ("q",)),

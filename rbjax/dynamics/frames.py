@@ -17,11 +17,12 @@ import numpy as np
 from rbjax.dynamics.aba import swing
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.kinematics import link_motions
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3, quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.model.links import lane
-from rbjax.spatial import Motion, Transform
+from rbjax.spatial import Motion
 
 
 def carried_point(
@@ -55,21 +56,6 @@ def _lanes(leaf: jax.Array, i: int, like: jax.Array) -> list:
     if isinstance(leaf, jax.core.Tracer):
         return list(leaf[i].astype(like.dtype))
     return [float(x) for x in np.asarray(leaf)[i]]
-
-
-def link_motions(d: Driver, joints: Any) -> Any:
-    """Each link's pose in the world, and its twist in its own axes at its own origin."""
-
-    def step(x, parent):
-        link, joint = x
-        pose, V = parent
-        X = joint.transform(link)
-        V = X(V) + Motion(joint.rate, (joint.S * joint.qd).lin)
-        here = pose.then(X), V
-        return here, here
-
-    root = Transform(Mat3.identity(), Vec3.zero()), Motion.zero()
-    return d.outward(step, root, d.zip(d.constants, joints))
 
 
 def _row(d: Driver, values: Any, link: int, f: Any, like: jax.Array) -> jax.Array:

@@ -16,8 +16,8 @@ import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.frames import carried_point, link_motions
-from rbjax.dynamics.kinematics import body_poses, link_poses, world_poses
+from rbjax.dynamics.frames import carried_point
+from rbjax.dynamics.kinematics import body_poses, link_motions, link_poses, world_poses
 from rbjax.lanes import sub
 from rbjax.model import WORLD, Model, Topology
 from rbjax.spatial import Motion
