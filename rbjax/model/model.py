@@ -289,8 +289,13 @@ class Model(Record):
         """
         if not jnp.issubdtype(dtype, jnp.floating):
             raise InputError(f"Model.astype: got {dtype}, expected float32 or float64")
+
+        def cast(x: Any) -> Any:
+            floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
+            return jnp.asarray(x, dtype) if floating else x
+
         # numbers of links that were made ahead are of the old dtype
-        return jax.tree.map(lambda x: jnp.asarray(x, dtype), self.replace(prepared=None))
+        return jax.tree.map(cast, self.replace(prepared=None))
 
     def default_state(self) -> State:
         """The configuration in which the file draws the robot, at rest."""
