@@ -1,4 +1,4 @@
-"""The command line: `rbjax info | simulate | validate | bench | demo`.
+"""The command line: `rbjax info | simulate | validate | bench | demo`, `rbjax --version`.
 
 Computes in f64, inside `jax.enable_x64`. What goes wrong on purpose (`RbjaxError`) is one sentence
 and exit code 2; `validate` exits with 1 when a quantity is out of tolerance.
@@ -28,9 +28,7 @@ from rbjax.dynamics.operations import OperationCount, operation_count
 from rbjax.errors import InputError, RbjaxError
 from rbjax.model import Model
 
-app = typer.Typer(
-    add_completion=False, no_args_is_help=True, help="Differentiable rigid-body dynamics in JAX."
-)
+app = typer.Typer(add_completion=False, no_args_is_help=True)
 out, err = Console(), Console(stderr=True)
 
 File = Annotated[str, typer.Argument(help="MJCF or URDF file, or a bundled scene's name.")]
@@ -50,11 +48,36 @@ def _session() -> Iterator[None]:
             raise typer.Exit(2) from None
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"rbjax {rb.__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Differentiable rigid-body dynamics in JAX."""
+
+
 @contextlib.contextmanager
-def _progress(quiet: bool = False) -> Iterator[Any]:
-    """A line with a spinner and the time on stderr; yields (say, advance)."""
+def _progress(*, log: bool = False) -> Iterator[Any]:
+    """A line with a spinner and the time on stderr; yields (say, advance). `log`: where stderr is
+    no terminal each step is a line of its own, instead of nothing."""
+    if log and not err.is_terminal:
+        begin = time.perf_counter()
+
+        def line(text: str) -> None:
+            spent = f"{time.perf_counter() - begin:4.0f} s  "
+            err.print(spent + text, highlight=False, markup=False, soft_wrap=True)
+
+        yield line, lambda done, total: None
+        return
     columns = (SpinnerColumn(), BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=err, transient=True, disable=quiet) as bar:
+    with Progress(*columns, console=err, transient=True) as bar:
         task = bar.add_task("", total=None)
 
         def say(text: str) -> None:
@@ -306,7 +329,7 @@ def demo(
 
     total = sum(share for _, share in PARTS.values())
     begin = time.perf_counter()
-    with _session(), _progress() as (say, advance):
+    with _session(), _progress(log=True) as (say, advance):
         advance(0.0, total)
         report = run(folder, say=say, done=lambda name, share: advance(share, total))
     out.print(f"[green]done[/] in {time.perf_counter() - begin:.0f} s: open [bold]{report}[/]")

@@ -1,19 +1,42 @@
 """The command line as a user meets it: output, files, exit codes, one-sentence errors."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import rbjax as rb
 from rbjax.cli import app
+from rbjax.demo.report import Section
 
 
 def run(*args: str, code: int = 0):
     result = CliRunner().invoke(app, list(args))
     assert result.exit_code == code, (result.output, result.exception)
     return result
+
+
+def test_version() -> None:
+    assert run("--version").stdout == f"rbjax {rb.__version__}\n"
+    text = run("--help").output
+    assert "--version" in text and "Differentiable rigid-body dynamics" in text and "bench" in text
+
+
+def test_the_demo_says_each_step_where_there_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def part(folder, say, **options):
+        say("first [of two]")
+        say("second")
+        return Section("Part", ("Words.",))
+
+    monkeypatch.setattr("rbjax.demo.run.PARTS", {"motion": (part, 1.0)})
+    result = run("demo", "--out", str(tmp_path))
+    assert re.fullmatch(r" *\d+ s  first \[of two\]\n *\d+ s  second\n", result.stderr)
+    assert "done" in result.stdout and (tmp_path / "report.html").exists()
 
 
 def test_info_says_what_a_robot_is() -> None:

@@ -15,7 +15,8 @@ from rbjax.dynamics.energy import (
     potential_energy,
 )
 from rbjax.dynamics.forward import forward_dynamics, inverse_mass_matrix
-from rbjax.dynamics.jacobians import generalized_forces, jacobian
+from rbjax.dynamics.frames import frame_bias_acceleration, frame_velocity
+from rbjax.dynamics.jacobians import generalized_forces, jacobian, jacobian_rate
 from rbjax.dynamics.kinematics import Poses, body_velocities, forward_kinematics, site_pose
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.dynamics.rnea import bias_forces, gravity_forces, inverse_dynamics
@@ -33,6 +34,8 @@ __all__ = [
     "forward_dynamics",
     "forward_dynamics_derivatives",
     "forward_kinematics",
+    "frame_bias_acceleration",
+    "frame_velocity",
     "generalized_forces",
     "gravity_forces",
     "inertial_parameters",
@@ -42,6 +45,7 @@ __all__ = [
     "inverse_dynamics_derivatives",
     "inverse_mass_matrix",
     "jacobian",
+    "jacobian_rate",
     "kinetic_energy",
     "mass_matrix",
     "potential_energy",

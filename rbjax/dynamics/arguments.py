@@ -39,10 +39,13 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
     "x": lambda m: (m.nx,),
     "ctrl": lambda m: (m.nu,),
     "wrenches": lambda m: (m.nb, 6),
+    "point": lambda m: (3,),
 }
 
 #: arguments that may be None
-OPTIONAL = ("ctrl", "wrenches")
+OPTIONAL = ("ctrl", "wrenches", "point")
+#: arguments that take the dtype of the others
+FOLLOWING = ("point",)
 
 
 def algorithm(
@@ -91,6 +94,8 @@ def algorithm(
             bound = signature.bind(model, *args, **kwargs)
             given = {n: bound.arguments[n] for n in names if n in bound.arguments}
             bound.arguments.update(check_arrays(f.__name__, model, given))
+            for n in static:
+                check_name(f.__name__, n, bound.arguments.get(n))
             inside = opened((bound.args, bound.kwargs))[0] and staged()
             return (inlined if inside else program)(*bound.args, **bound.kwargs)
 
@@ -127,7 +132,8 @@ def check_arrays(
     for name, value in given.items():
         if value is not None or name not in OPTIONAL:
             out[name] = check_array(where, name, value, (*batch, *SHAPES[name](model)))
-    dtype = jnp.result_type(*out.values()) if out else jnp.result_type(float)
+    leading = [x for name, x in out.items() if name not in FOLLOWING]
+    dtype = jnp.result_type(*leading) if leading else jnp.result_type(float)
     out = {name: value.astype(dtype) for name, value in out.items()}
     for name in ("q", "q0", "q1"):
         if name in out:
@@ -153,6 +159,14 @@ def check_model(where: str, model: Any) -> None:
         raise InputError(
             f"{where}: the model's {name} has shape {shape}, expected {axes} "
             f"{'axis' if axes == 1 else 'axes'}; for a batch of models use jax.vmap over them"
+        )
+
+
+def check_name(where: str, kind: str, name: Any) -> None:
+    """Refuse what can be no name of a body or site; None is for the algorithm to judge."""
+    if not (name is None or isinstance(name, str)):
+        raise InputError(
+            f"{where}: {kind} is {type(name).__name__}, expected one of model.{kind}_names"
         )
 
 

@@ -1,4 +1,4 @@
-"""Geometric Jacobians, and the generalized forces of wrenches on bodies.
+"""Geometric Jacobians, their rates, and the generalized forces of wrenches on bodies.
 
     V = J(q) v;  column i is [z_i; z_i x (p - p_i)] for a hinge and [0; z_i] for a slide,
     tau = sum over bodies of J_b^T w_b                                       (virtual work)
@@ -8,18 +8,20 @@ Angular first, world axes, at a point of the body (Lynch & Park, *Modern Robotic
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.kinematics import body_poses, link_poses
+from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.frames import carried_point
+from rbjax.dynamics.kinematics import link_motions, world_poses
 from rbjax.dynamics.link_forces import generalized, on_links
-from rbjax.errors import InputError
+from rbjax.lanes import sub
 from rbjax.model import WORLD, Model, Topology
-from rbjax.model.links import matrix_apply
+from rbjax.spatial import Motion
 
 
 def world_axes(top: Topology, R: jax.Array, p: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -37,21 +39,29 @@ def ancestor_mask(top: Topology, link: int) -> np.ndarray:
     return mask
 
 
-@algorithm("q")
-def jacobian(model: Model, q: jax.Array, body: str, point: jax.Array | None = None) -> jax.Array:
-    """Jacobian (6, nv) of a point of a body: [angular; linear] in world axes, V = J v.
+@algorithm("q", "point")
+def jacobian(
+    model: Model,
+    q: jax.Array,
+    body: str | None = None,
+    point: jax.Array | None = None,
+    *,
+    site: str | None = None,
+) -> jax.Array:
+    """Jacobian (6, nv) of a point of a body or site: [angular; linear] in world axes, V = J v.
 
     Args:
         model: the robot.
         q: (nq,) configuration.
-        body: its name.
-        point: (3,) m in the body's frame; its origin if None.
+        body: the name of a body.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, in place of a body.
 
     Returns:
-        (6, nv).
+        (6, nv); zero where a coordinate does not move the point.
 
     Raises:
-        UnknownName: no such body. InputError: a wrong shape.
+        UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
 
     Source: Lynch & Park, *Modern Robotics*, 5.1 (there at the world's origin).
 
@@ -61,23 +71,95 @@ def jacobian(model: Model, q: jax.Array, body: str, point: jax.Array | None = No
         >>> rb.jacobian(model, model.default_state().q, "lower").shape
         (6, 2)
     """
-    b = model.body(body)
     d = driver(model, q.dtype)
-    if not model.nv:
-        return jnp.zeros((6, 0), q.dtype)
-    R, p = link_poses(d, q)
-    poses = body_poses(d, R, p)
-    if point is None:
-        at = poses.p[b]
-    else:
-        point = jnp.asarray(point, q.dtype)
-        if point.shape != (3,):
-            raise InputError(f"jacobian: point has shape {point.shape}, expected (3,)")
-        at = poses.p[b] + matrix_apply(poses.R[b], point)
-    angular, linear = world_axes(model.topology, R, p)
-    mask = ancestor_mask(model.topology, model.topology.body_links[b])[:, None]
-    columns = jnp.concatenate([angular, linear + jnp.cross(angular, at)], -1)
-    return jnp.where(mask, columns, 0.0).T
+    link, r = carried_point("jacobian", model, d, q, body, site, point)
+    if link == WORLD:
+        return jnp.zeros((6, model.nv), q.dtype)
+    poses = d.whole(world_poses(d, d.joints(q, None)))
+    here = d.each(lambda pose: pose.p + pose.R @ r, d.take(poses, [link]))
+
+    def column(pose, at, turns, moves):
+        z = pose.R.columns[2] * moves
+        spin = z * turns
+        return Motion(spin, spin.cross(at - pose.p) + z * sub(1.0, turns))
+
+    columns = d.each(column, poses, d.take(here, [0] * model.nv), *_kinds(d, link))
+    return d.stack(columns, lambda m: m, q).T
+
+
+@algorithm("q", "v", "point")
+def jacobian_rate(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    body: str | None = None,
+    point: jax.Array | None = None,
+    *,
+    site: str | None = None,
+) -> jax.Array:
+    """J'(q, v) (6, nv), the rate of `jacobian` while the robot moves at v.
+
+    With u the velocity of a link's origin and w that with which its axis z turns,
+    z' = w x z and (z x r)' = z' x r + z x (u_point - u). `frame_bias_acceleration` is J' v alone.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        body: the name of a body.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, in place of a body.
+
+    Returns:
+        (6, nv) [angular; linear] in world axes.
+
+    Raises:
+        UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
+
+    Source: Featherstone, 2.10 (the derivative of `jacobian`, written out).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> state = model.default_state()
+        >>> rb.jacobian_rate(model, state.q, state.v, "lower").shape
+        (6, 2)
+    """
+    d = driver(model, q.dtype)
+    link, r = carried_point("jacobian_rate", model, d, q, body, site, point)
+    if link == WORLD:
+        return jnp.zeros((6, model.nv), q.dtype)
+
+    def in_world(x):
+        pose, V = x
+        return pose, Motion(pose.R @ V.ang, pose.R @ V.lin)
+
+    def moving(x):
+        pose, V = x
+        arm = pose.R @ r
+        return pose.p + arm, V.lin + V.ang.cross(arm)
+
+    links = d.each(in_world, d.whole(link_motions(d, d.joints(q, v))))
+    here = d.each(moving, d.take(links, [link]))
+    carriers = d.take(links, [d.topology.last_of_ball(i) for i in range(model.nv)])
+
+    def column(x, carrier, point, turns, moves):
+        (pose, V), (_, T), (at, speed) = x, carrier, point
+        z = pose.R.columns[2] * moves
+        rate = T.ang.cross(z)
+        spin = rate * turns
+        swept = spin.cross(at - pose.p) + (z * turns).cross(speed - V.lin)
+        return Motion(spin, swept + rate * sub(1.0, turns))
+
+    point_of = d.take(here, [0] * model.nv)
+    columns = d.each(column, links, carriers, point_of, *_kinds(d, link))
+    return d.stack(columns, lambda m: m, q).T
+
+
+def _kinds(d: Driver, link: int) -> tuple[Any, Any]:
+    """Of each link 1 where it turns and 0 where it slides; 1 where it moves the given link."""
+    turns = d.known([1.0 if x.kind == "hinge" else 0.0 for x in d.topology.links])
+    return turns, d.known([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
 
 
 def moment_arms(

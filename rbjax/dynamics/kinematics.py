@@ -158,6 +158,21 @@ def link_twists(d: Driver, joints: Any) -> Any:
     return d.outward(step, Motion.zero(), d.zip(d.constants, joints))
 
 
+def link_motions(d: Driver, joints: Any) -> Any:
+    """Each link's pose in the world, and its twist in its own axes at its own origin."""
+
+    def step(x, parent):
+        link, joint = x
+        pose, V = parent
+        X = joint.transform(link)
+        V = X(V) + Motion(joint.rate, (joint.S * joint.qd).lin)
+        here = pose.then(X), V
+        return here, here
+
+    root = Transform(Mat3.identity(), Vec3.zero()), Motion.zero()
+    return d.outward(step, root, d.zip(d.constants, joints))
+
+
 @algorithm("q", "v")
 def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     """Twists of all bodies (nb, 6): [angular; linear] in world axes, at each body's frame origin.
@@ -184,12 +199,14 @@ def body_velocities(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     d = driver(model, q.dtype)
     if not model.nv:
         return jnp.zeros((model.nb, 6), q.dtype)
-    R, p = link_poses(d, q)
-    twists = d.columns(link_twists(d, d.joints(q, v)), v)
-    angular = matrix_apply(R, jnp.stack(list(twists.ang), -1))
-    linear = matrix_apply(R, jnp.stack(list(twists.lin), -1))
-    link = np.array(model.topology.body_links, int)
-    arm = body_poses(d, R, p).p - p[link]
-    omega = angular[link]
-    out = jnp.concatenate([omega, linear[link] + jnp.cross(omega, arm)], -1)
-    return jnp.where((link == WORLD)[:, None], 0.0, out)
+    poses, twists = d.unzip(link_motions(d, d.joints(q, v)), 2)
+    poses, twists = d.whole(poses), d.whole(twists)
+    link = [max(k, 0) for k in model.topology.body_links]
+    moves = d.known([0.0 if k == WORLD else 1.0 for k in model.topology.body_links])
+
+    def in_world(body, link, V, moves):
+        ang = (link.R @ V.ang) * moves
+        return Motion(ang, (link.R @ V.lin) * moves + ang.cross(body.p - link.p))
+
+    carriers = d.take(poses, link), d.take(twists, link)
+    return d.stack(d.each(in_world, body_transforms(d, poses), *carriers, moves), lambda V: V, q)

@@ -171,11 +171,10 @@ class Limbs(Sweeps, Listed):
 
     def scattered(self, values: Mapping[int, Any], zero: Any) -> Parts:
         """As `Unrolled.scattered`."""
-
-        def column(links: Sequence[int]) -> Any:
-            return jax.tree.map(_merged, *(values.get(i, zero) for i in links))
-
-        return self._parts(lambda i: values.get(i, zero), column)
+        return self._parts(
+            lambda i: values.get(i, zero),
+            lambda links: jax.tree.map(_merged, *(values.get(i, zero) for i in links)),
+        )
 
     def pack(self, lanes: Parts, like: jax.Array) -> jax.Array:
         """As `Unrolled.pack`. Limbs that follow each other are written as one block."""
@@ -236,8 +235,6 @@ class Limbs(Sweeps, Listed):
     def part(self, values: Parts, k: int) -> Parts:
         """As `Unrolled.part`."""
         return Parts([x[k] for x in values.trunk], [[x[k] for x in xs] for xs in values.limbs])
-
-    # ---------------------------------------------------------------- sweeps
 
     def outward(self, step: Step, root: Any, xs: Parts) -> Parts:
         """As `Unrolled.outward`: the trunk, then the limbs."""

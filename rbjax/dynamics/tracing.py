@@ -11,6 +11,8 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from rbjax.materialize import batch_first
@@ -35,7 +37,16 @@ def with_jvp(f: Callable, rule: Callable) -> Callable:
     zeros. Under `vmap` both return the batch first, as JAX takes for granted."""
     ruled = jax.custom_jvp(lambda *args: batch_first(f(*args)))
     ruled.defjvp(lambda *given: batch_first(rule(*given)), symbolic_zeros=True)
-    return ruled
+    return lambda *args: ruled(*jax.tree.map(of_jax, args))
+
+
+def of_jax(x: Any) -> Any:
+    """x, but where it maps or differentiates at numpy's numbers a copy, at JAX's: a custom rule
+    inside a `jit` takes no others (jax 0.10.2 asserts it)."""
+    inner = x
+    while isinstance(inner, jax.core.Tracer):
+        inner = getattr(inner, "val", getattr(inner, "primal", None))
+    return jnp.copy(x) if isinstance(inner, (np.ndarray, np.generic)) else x
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:

@@ -241,6 +241,7 @@ def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
     turn = turn.reshape(-1, 3, 3)
     inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
     limited = m.jnt_actfrclimited.astype(bool)[:, None]
+    ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool)[:, None]
     return Model(
         bodies=Bodies(
             mass=array(m.body_mass[1:]),
@@ -258,6 +259,7 @@ def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
             stiffness=array(unless(bit.mjDSBL_SPRING, m.jnt_stiffness)),
             springref=array(m.qpos_spring),
             forcerange=array(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
+            range=array(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
         ),
         actuators=_actuators(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),

@@ -19,7 +19,7 @@ import numpy as np
 
 from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
-from rbjax.model.topology import Topology
+from rbjax.model.topology import JOINT_SIZES, Topology
 from rbjax.rotations import quaternion
 
 #: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
@@ -30,8 +30,8 @@ AXES = {
     "bodies.mass": 1, "bodies.com": 2, "bodies.inertia": 3, "bodies.position": 2,
     "bodies.orientation": 2, "joints.placement": 2, "joints.axis": 2, "joints.reference": 1,
     "joints.armature": 1, "joints.damping": 1, "joints.stiffness": 1, "joints.springref": 1,
-    "joints.forcerange": 2, "actuators.gear": 2, "actuators.gain": 2, "actuators.bias": 2,
-    "actuators.ctrlrange": 2, "actuators.forcerange": 2, "gravity": 1,
+    "joints.forcerange": 2, "joints.range": 2, "actuators.gear": 2, "actuators.gain": 2,
+    "actuators.bias": 2, "actuators.ctrlrange": 2, "actuators.forcerange": 2, "gravity": 1,
 }  # fmt: skip
 _AXES = list(AXES.values())
 
@@ -85,7 +85,9 @@ class Joints(Record):
     Fields: placement (nj, 3) m, the joint's anchor in its body's frame; axis (nj, 3) in its body's
     frame (hinge and slide); reference (nq,), the configuration at which the file drew the robot;
     armature (nv,) kg m^2 or kg; damping (nv,); stiffness (nj,); springref (nq,), the springs' rest;
-    forcerange (nj, 2), limits of the actuators' sum on a joint (infinite where there are none).
+    forcerange (nj, 2), limits of the actuators' sum on a joint; range (nj, 2) rad or m, the least
+    and the largest coordinate (of a ball 0 and the largest angle of turning). Limits are infinite
+    where the file sets none. A range is known to who asks; nothing yet stops a joint at it.
     """
 
     placement: jax.Array
@@ -96,6 +98,7 @@ class Joints(Record):
     stiffness: jax.Array
     springref: jax.Array
     forcerange: jax.Array
+    range: jax.Array
 
 
 class Actuators(Record):
@@ -228,8 +231,29 @@ class Model(Record):
         return _index("body", name, self.body_names)
 
     def joint(self, name: str) -> int:
-        """The index of a joint; its coordinates start at topology.joint_q[i] and .joint_v[i]."""
+        """The index of a joint; `q_slice` and `v_slice` say where its coordinates are."""
         return _index("joint", name, self.joint_names)
+
+    def q_slice(self, joint: str) -> slice:
+        """Where a joint's coordinates are in q: of a free joint 7, of a ball 4, else 1.
+
+        Example:
+            >>> import rbjax as rb
+            >>> model = rb.load("cart_pole")
+            >>> model.q_slice(model.joint_names[1])
+            slice(1, 2, None)
+        """
+        i, top = self.joint(joint), self.topology
+        return slice(top.joint_q[i], top.joint_q[i] + JOINT_SIZES[top.joint_kinds[i]][0])
+
+    def v_slice(self, joint: str) -> slice:
+        """Where a joint's coordinates are in v: of a free joint 6, of a ball 3, else 1."""
+        i, top = self.joint(joint), self.topology
+        return slice(top.joint_v[i], top.joint_v[i] + JOINT_SIZES[top.joint_kinds[i]][1])
+
+    def actuator(self, name: str) -> int:
+        """The index of an actuator, for controls."""
+        return _index("actuator", name, self.actuator_names)
 
     def site(self, name: str) -> int:
         """The index of a site."""
@@ -258,6 +282,29 @@ class Model(Record):
             for name, x in leaves.items()
         )
         return self.replace(zeros=zeros)
+
+    def astype(self, dtype: Any) -> Model:
+        """The same model with its numbers in a floating dtype.
+
+        Algorithms compute in the dtype of q and v; states and keyframes come in the model's.
+
+        Raises:
+            InputError: the dtype is none of floating numbers.
+
+        Example:
+            >>> import rbjax as rb, jax.numpy as jnp
+            >>> rb.load("pendulum").astype(jnp.float32).default_state().q.dtype
+            dtype('float32')
+        """
+        if not jnp.issubdtype(dtype, jnp.floating):
+            raise InputError(f"Model.astype: got {dtype}, expected float32 or float64")
+
+        def cast(x: Any) -> Any:
+            floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
+            return jnp.asarray(x, dtype) if floating else x
+
+        # numbers of links that were made ahead are of the old dtype
+        return jax.tree.map(cast, self.replace(prepared=None))
 
     def default_state(self) -> State:
         """The configuration in which the file draws the robot, at rest."""

@@ -103,3 +103,21 @@ def test_outside_of_jit_nothing_compiles_twice(given):
         slope(other)
     assert not compiled
     assert relative_error(again, first) <= F64_TRANSFORM
+
+
+def test_numbers_of_numpy_are_mapped_over_inside_jit():
+    """JAX's custom rules take none of them there."""
+    q = np.random.default_rng(1).normal(size=(3, 2))
+
+    @jax.jit
+    def both(scale):
+        M, J = (jax.vmap(lambda q, f=f: f(MODEL, q))(q) for f in (rb.mass_matrix, last))
+        a = jax.vmap(lambda v: rb.forward_dynamics(MODEL, scale * v, v, v))(q)
+        return M, J, a, jax.jvp(lambda q: last(MODEL, q), (q[0],), (q[1],))[1]
+
+    def last(model, q):
+        return rb.jacobian(model, q, "pole")
+
+    M, J, a, _ = both(1.0)
+    assert M.shape == (3, 2, 2) and J.shape == (3, 6, 2)
+    assert relative_error(a[1], rb.forward_dynamics(MODEL, *(q[1],) * 3)) <= F64_TRANSFORM

@@ -14,7 +14,7 @@ TABLE = rb.load(
         <body name="cup" pos="0 0 1"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>
       </body></worldbody></mujoco>"""
 )
-SHAPES = {"wrenches": (2, 6), "mass": (2,), "com": (2, 3)}
+SHAPES = {"wrenches": (2, 6), "mass": (2,), "com": (2, 3), "point": (3,)}
 
 
 @pytest.mark.parametrize("closed", [True, False], ids=["closed over", "argument"])
@@ -35,4 +35,6 @@ def test_every_algorithm(closed: bool) -> None:
     np.testing.assert_allclose(out["potential_energy"], 3 * 9.81 * 10 / 3, rtol=1e-15)
     assert out["mass_matrix"].shape == (0, 0) and out["jacobian"].shape == (6, 0)
     assert out["inertial_regressor"].shape == (0, 20) and out["forward_dynamics"].shape == (0,)
+    assert out["jacobian_rate"].shape == (6, 0)
+    assert not np.any(out["frame_velocity"]) and not np.any(out["frame_bias_acceleration"])
     assert not np.any(out["body_velocities"]) and not np.any(out["centroidal_momentum"])

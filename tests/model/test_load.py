@@ -82,6 +82,23 @@ def test_leaves_are_the_numbers_of_the_file() -> None:
     np.testing.assert_array_equal(state.v, [1, 2, 3, 4, 5])
 
 
+def test_ranges_of_joints() -> None:
+    """In radians and metres, whatever the file's degrees; infinite where it sets none."""
+    text = mjcf(
+        f"""<body><joint name="hinge" range="-90 45"/>{MASS}
+        <body><joint name="slide" type="slide" range="-1 2"/>{MASS}
+        <body><joint name="none"/>
+        <joint name="off" axis="1 0 0" range="-1 1" limited="false"/>{MASS}
+        <body><joint name="ball" type="ball" range="0 60"/>{MASS}</body></body></body></body>"""
+    )
+    model = load_quietly(text)
+    inf, pi = np.inf, np.pi
+    want = [[-pi / 2, pi / 4], [-1, 2], [-inf, inf], [-inf, inf], [0, pi / 3]]
+    np.testing.assert_allclose(model.joints.range, want, rtol=1e-15)
+    off = text.replace("<mujoco>", '<mujoco><option><flag limit="disable"/></option>')
+    assert off != text and np.isinf(load_quietly(off).joints.range).all()
+
+
 def test_names_for_what_has_none() -> None:
     model = rb.load(mjcf(f"<body><joint/>{MASS}</body>", f"<body>{MASS}</body>"))
     assert model.body_names == ("body1", "body2") and model.joint_names == ("joint0",)
@@ -150,6 +167,14 @@ def test_urdf_root_is_fixed_unless_asked() -> None:
     assert model.body_names[-2:] == ("base", "arm")
     M = rb.mass_matrix(model, model.default_state().q)
     np.testing.assert_allclose(M[:3, :3], 4 * np.eye(3), atol=1e-12)  # the root's mass counts
+
+
+def test_urdf_ranges() -> None:
+    """Of a revolute and a prismatic joint; a continuous one has none, though the file says so."""
+    slide = (link("finger"), joint("grip", "hand", "finger", "prismatic"))
+    model = load_quietly(urdf(*ARM, link("hand"), joint("wrist", "arm", "hand"), *slide))
+    assert model.joint_names == ("elbow", "wrist", "grip")
+    np.testing.assert_array_equal(model.joints.range, [[-np.inf, np.inf], [-1, 1], [-1, 1]])
 
 
 def test_urdf_fixed_links_keep_their_names_and_mass() -> None:

@@ -1,11 +1,13 @@
 """Model and State: changing fields, names, keyframes, states."""
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.model.links import made_ahead
 from tests.robots import robot
 
 
@@ -55,6 +57,30 @@ def test_names(model: rb.Model) -> None:
         model.keyframe("straight")
     with pytest.raises(rb.UnknownName, match="there are none"):
         robot("tree:1").model.keyframe("any")
+
+
+def test_slices_of_joints(model: rb.Model) -> None:
+    names = ("slide", "hinge", "ball")
+    assert [model.q_slice(n) for n in names] == [slice(0, 1), slice(1, 2), slice(2, 6)]
+    assert [model.v_slice(n) for n in names] == [slice(0, 1), slice(1, 2), slice(2, 5)]
+    assert model.actuator("jet") == 3
+    satellite = rb.load("satellite")
+    assert satellite.q_slice("root") == slice(0, 7) and satellite.v_slice("root") == slice(0, 6)
+    for ask in (model.q_slice, model.v_slice, model.actuator):
+        with pytest.raises(rb.UnknownName, match=r"unknown (joint|actuator) 'nose'"):
+            ask("nose")
+
+
+def test_astype(model: rb.Model) -> None:
+    single = made_ahead(model, jnp.float64).astype(np.float32)
+    assert all(x.dtype == np.float32 for x in jax.tree.leaves(single))
+    assert single.prepared is None and single.topology is model.topology
+    state = single.default_state()
+    assert rb.mass_matrix(single, state.q).dtype == np.float32
+    back = single.astype("float64")
+    chex.assert_trees_all_close(back, model, rtol=1e-6)
+    with pytest.raises(rb.InputError, match=r"astype: got int32, expected float32 or float64"):
+        model.astype("int32")
 
 
 def test_states(model: rb.Model, key: jax.Array) -> None:

@@ -25,7 +25,7 @@ from tests.robots import QUICK
 from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
-march = importlib.import_module("rbjax.motion.march")
+threaded = importlib.import_module("rbjax.motion.threaded")
 STEPS, BATCH, N, NU = 12, 5, 3, 2
 RNG = np.random.default_rng(0)
 OTHER, Q, V = RNG.normal(size=N), RNG.normal(size=(BATCH, N)), RNG.normal(size=(BATCH, N))
@@ -258,7 +258,7 @@ def test_controls_and_masses(scene, integrator, some):
 @pytest.mark.parametrize("where", ["in the thread", "between the steps"])
 def test_a_policy(scene, integrator, some, where, monkeypatch):
     if where == "between the steps":
-        monkeypatch.setattr(march, "POLICY_UP_TO", 0)
+        monkeypatch.setattr(threaded, "POLICY_UP_TO", 0)
     model, state, _, weights = given(scene)
 
     def f(kernel, q, v, weights, mass):

@@ -19,7 +19,7 @@ from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F32_MAX, F64_IDENTITY, F64_PARITY, relative_error
 
 BATCH = 3
-FEW = ("forward_dynamics", "inverse_dynamics", "integrate", "jacobian", "site_pose")
+FEW = ("forward_dynamics", "inverse_dynamics", "integrate", "jacobian", "frame_velocity")
 ROBOTS = {
     "small": (lambda: robot("small", "unrolled"), {"body": "hand"}, {"site": "tip"}),
     "double_pendulum": (lambda: robot("double_pendulum", "unrolled"), {}, {}),
@@ -42,6 +42,7 @@ def given(sample, names: tuple[str, ...]) -> list[np.ndarray]:
         "wrenches": rng.normal(size=(BATCH, m.nb, 6)),
         "mass": np.asarray(bodies.mass) * rng.uniform(0.5, 2, (BATCH, m.nb)),
         "com": np.asarray(bodies.com) + rng.normal(size=(BATCH, m.nb, 3)),
+        "point": rng.normal(size=(BATCH, 3)),
     }
     return [drawn[name] for name in names]
 

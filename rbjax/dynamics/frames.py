@@ -1,0 +1,172 @@
+"""How a frame moves: the twist and the bias acceleration of a point of a body or site.
+
+    V = J v = [w; u + w x r],        dV/dt = J a + J' v,
+    J' v = [w'; u' + w' x r + w x (w x r)]  with w', u' of the link where v does not change
+The link that carries the frame has the twist [w; u] and the classical acceleration [w'; u'] at its
+own origin; r leads from there to the point. (Featherstone, *Rigid Body Dynamics Algorithms*, 2.11.)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.aba import swing
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.kinematics import link_motions
+from rbjax.errors import InputError
+from rbjax.lanes import Mat3, Vec3, quaternion_matrix
+from rbjax.model import WORLD, Model
+from rbjax.model.links import lane
+from rbjax.spatial import Motion
+
+
+def carried_point(
+    where: str, model: Model, d: Driver, like: jax.Array, body: Any, site: Any, point: Any
+) -> tuple[int, Vec3]:
+    """The link that carries a frame (or WORLD), and the point in that link's axes.
+
+    `where` names the caller in messages; `like` has the dtype of the lanes.
+    """
+    if (body is None) == (site is None):
+        got = "neither" if body is None else "both"
+        raise InputError(f"{where}: got {got} of body and site, expected exactly one of them")
+    at = Vec3.zero() if point is None else Vec3(*(point[i] for i in range(3)))
+    if site is not None:
+        i = model.site(site)
+        turn = quaternion_matrix(*_lanes(model.sites.orientation, i, like))
+        at = Vec3(*_lanes(model.sites.position, i, like)) + turn @ at
+        b = model.topology.site_bodies[i]
+    else:
+        b = model.body(body)
+    if b == WORLD:
+        return WORLD, at
+    R, p = d.prepared.body_R, d.prepared.body_p
+    weld_R = Mat3(*(lane(R[:, i, j], b) for i in range(3) for j in range(3)))
+    weld_p = Vec3(*(lane(p[:, i], b) for i in range(3)))
+    return model.topology.body_links[b], weld_p + weld_R @ at
+
+
+def _lanes(leaf: jax.Array, i: int, like: jax.Array) -> list:
+    """Row i of a leaf; numbers where the leaf is known."""
+    if isinstance(leaf, jax.core.Tracer):
+        return list(leaf[i].astype(like.dtype))
+    return [float(x) for x in np.asarray(leaf)[i]]
+
+
+def _row(d: Driver, values: Any, link: int, f: Any, like: jax.Array) -> jax.Array:
+    """f of the values of one link, a Motion, as an array (6,)."""
+    chosen = d.each(f, d.take(d.whole(values), [link]))
+    return d.stack(chosen, lambda m: m, like)[0]
+
+
+@algorithm("q", "v", "point")
+def frame_velocity(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    body: str | None = None,
+    point: jax.Array | None = None,
+    *,
+    site: str | None = None,
+) -> jax.Array:
+    """Twist (6,) of a point of a body or site: [angular; linear] in world axes, V = J v.
+
+    The cost is one sweep from the root; no Jacobian is made.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        body: the name of a body.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, in place of a body.
+
+    Returns:
+        (6,), rad/s and m/s; zero for what the world carries.
+
+    Raises:
+        UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
+
+    Source: Featherstone, 2.2, 4.4.
+
+    Example:
+        >>> import rbjax as rb, jax
+        >>> model = rb.load("arm7")
+        >>> state = model.random_state(jax.random.key(0))
+        >>> rb.frame_velocity(model, state.q, state.v, site="tool").shape
+        (6,)
+    """
+    d = driver(model, q.dtype)
+    link, r = carried_point("frame_velocity", model, d, q, body, site, point)
+    if link == WORLD:
+        return jnp.zeros(6, q.dtype)
+
+    def at_point(x):
+        pose, V = x
+        return Motion(pose.R @ V.ang, pose.R @ (V.lin + V.ang.cross(r)))
+
+    return _row(d, link_motions(d, d.joints(q, v)), link, at_point, q)
+
+
+@algorithm("q", "v", "point")
+def frame_bias_acceleration(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    body: str | None = None,
+    point: jax.Array | None = None,
+    *,
+    site: str | None = None,
+) -> jax.Array:
+    """J'(q, v) v (6,): the acceleration of a point of a body or site where that of v is zero.
+
+    It is the classical acceleration, the rate of `frame_velocity`: with an acceleration a of the
+    robot the point has J a + J' v. Gravity has no part in it. The cost is one sweep from the root.
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        body: the name of a body.
+        point: (3,) m in the frame of the body or site; its origin if None.
+        site: the name of a site, in place of a body.
+
+    Returns:
+        (6,) [angular; linear] in world axes, rad/s^2 and m/s^2; zero for what the world carries.
+
+    Raises:
+        UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
+
+    Source: Featherstone, 2.11; Luh, Walker & Paul (1980).
+
+    Example:
+        >>> import rbjax as rb, jax
+        >>> model = rb.load("arm7")
+        >>> state = model.random_state(jax.random.key(0))
+        >>> rb.frame_bias_acceleration(model, state.q, state.v, site="tool").shape
+        (6,)
+    """
+    d = driver(model, q.dtype)
+    link, r = carried_point("frame_bias_acceleration", model, d, q, body, site, point)
+    if link == WORLD:
+        return jnp.zeros(6, q.dtype)
+
+    def step(x, parent):
+        R, w_parent, a_parent = parent
+        w, moved = swing(x, w_parent)
+        here = R @ moved.X.R, w, moved.X(a_parent) + moved.c
+        return here, here
+
+    def at_point(x):
+        R, w, a = x
+        lin = a.lin + a.ang.cross(r) + w.cross(w.cross(r))
+        return Motion(R @ a.ang, R @ lin)
+
+    root = Mat3.identity(), Vec3.zero(), Motion.zero()
+    swept = d.outward(step, root, d.zip(d.constants, d.joints(q, v)))
+    return _row(d, swept, link, at_point, q)
