@@ -39,7 +39,8 @@ from rbjax.dynamics import (
 from rbjax.dynamics.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.forces import applied_forces
-from rbjax.model import Model, State, load, scenes
+from rbjax.loading import load, scenes
+from rbjax.model import Model, State
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
 from rbjax.motion.trajectory import Trajectory

@@ -20,7 +20,8 @@ from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull, QhullError
 
 from rbjax.dynamics import forward_kinematics
-from rbjax.model import Model, compile_model
+from rbjax.loading import compile_model
+from rbjax.model import Model
 
 Array = np.ndarray
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from rbjax.model import compile_model
+from rbjax.loading import compile_model
 from rbjax.validation.mjx import fast
 from tests.oracles.models import MODELS, switch_off_constraints
 from tests.oracles.random_trees import random_state, random_tree

@@ -22,9 +22,10 @@ FLOORS = {
     "dynamics": "body model threads",
     # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
     "forces": "dynamics",
+    "loading": "forces",
     "constraints": "forces",
     "solvers": "rotations",
-    "motion": "constraints solvers",
+    "motion": "constraints solvers loading",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "motion")  # noqa: SIM905
@@ -33,7 +34,7 @@ PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 UPWARDS = {("solvers/__init__", "rbjax.stability.recommend.recommend")}
 TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" is __init__.py
 GUESTS = {  # packages that only some files may import
-    "mujoco": ("model/load", "model/urdf", "validation/", "plotting", "cli"),
+    "mujoco": ("loading/", "validation/", "plotting", "cli"),
     "optax": ("sysid", "control", "demo"),
     "jax.config": ("threads/nvrtc",),  # the caller's; read to keep kernels beside JAX's cache
 }

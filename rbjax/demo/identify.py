@@ -15,7 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rbjax.demo.report import Section
-from rbjax.model import Model, load
+from rbjax.loading import load
+from rbjax.model import Model
 from rbjax.motion.rollout import rollout
 from rbjax.plotting import BLUE, GRID, INK, ORANGE, STYLE
 from rbjax.sysid import Fit, Unknown, fit

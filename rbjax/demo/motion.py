@@ -14,7 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rbjax.demo.report import Section
-from rbjax.model import Model, State, load
+from rbjax.loading import load
+from rbjax.model import Model, State
 from rbjax.motion.rollout import rollout
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting import BLUE, ORANGE, STYLE, Camera, bare, poses, strobe

@@ -18,7 +18,8 @@ import numpy as np
 import optax
 
 from rbjax.demo.report import Section
-from rbjax.model import Model, State, load
+from rbjax.loading import load
+from rbjax.model import Model, State
 from rbjax.motion.rollout import rollout
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, STYLE, Camera, strobe
 from rbjax.validation.reference import smooth, trajectory

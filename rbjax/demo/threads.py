@@ -9,7 +9,8 @@ import jax
 
 from rbjax.demo.report import Section
 from rbjax.dynamics import forward_dynamics
-from rbjax.model import Model, load
+from rbjax.loading import load
+from rbjax.model import Model
 from rbjax.threads import Explanation, explain
 
 _CODE = """\

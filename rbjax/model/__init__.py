@@ -1,8 +1,7 @@
-"""Models: what a robot is (`Topology`), its numbers (`Model`), how a file becomes one (`load`)."""
+"""Models: what a robot is (`Topology`) and its numbers (`Model`)."""
 
 from rbjax.model.limbs import Group, Partition, partition
 from rbjax.model.links import LinkConstants, Prepared, as_declared, known_zeros, made_ahead, prepare
-from rbjax.model.load import compile_model, load, scenes
 from rbjax.model.model import (
     DRIVER_NAMES,
     Actuators,
@@ -33,12 +32,9 @@ __all__ = [
     "State",
     "Topology",
     "as_declared",
-    "compile_model",
     "known_zeros",
-    "load",
     "made_ahead",
     "partition",
     "prepare",
     "spans",
-    "scenes",
 ]

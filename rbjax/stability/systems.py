@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.model import Model, load
+from rbjax.loading import load
+from rbjax.model import Model
 from rbjax.rotations import quaternion
 from rbjax.solvers import RigidBody
 

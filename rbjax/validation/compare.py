@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.model import compile_model
-from rbjax.model.load import from_compiled
+from rbjax.loading import compile_model
+from rbjax.loading.load import from_compiled
 from rbjax.validation import ours
 from rbjax.validation.mjx import Mjx
 from rbjax.validation.reference import (

@@ -17,8 +17,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.model import compile_model
-from rbjax.model.load_dropped import actuator_is_supported, dropped_features
+from rbjax.loading import compile_model
+from rbjax.loading.dropped import actuator_is_supported, dropped_features
 
 Array = np.ndarray
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.model import compile_model
+from rbjax.loading import compile_model
 from tests.robots import QUICK, at, load_quietly, robot
 from tests.tolerances import F32_MAX, F64_IDENTITY, F64_PARITY, relative_error
 

@@ -10,7 +10,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.manifold import rate_lanes
-from rbjax.model import compile_model
+from rbjax.loading import compile_model
 from rbjax.rotations import so3
 from tests.compilations import compilations
 from tests.tolerances import F64_IDENTITY, F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error

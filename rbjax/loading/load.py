@@ -16,10 +16,11 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
-from rbjax.model.load_dropped import actuator_is_off, actuator_is_supported, dropped_features
-from rbjax.model.load_inertials import write_inertials
-from rbjax.model.load_meshes import without_missing_mesh
-from rbjax.model.load_urdf import is_urdf, prepare_urdf
+from rbjax.loading.dropped import actuator_is_off, actuator_is_supported, dropped_features
+from rbjax.loading.forces import elements
+from rbjax.loading.inertials import write_inertials
+from rbjax.loading.meshes import without_missing_mesh
+from rbjax.loading.urdf import is_urdf, prepare_urdf
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
 
@@ -44,13 +45,22 @@ def scenes() -> tuple[str, ...]:
     return tuple(sorted(p.stem for p in _SCENES.glob("*.xml")))
 
 
-def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> Model:
+def load(
+    source: Any,
+    *,
+    floating_base: bool = False,
+    strict: bool = False,
+    limits: bool = False,
+    friction: bool = False,
+) -> Model:
     """A `Model` from an MJCF or URDF file.
 
     Args:
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
         floating_base: give a URDF's root link a free joint, so that its mass counts.
         strict: raise instead of warn about what the file has and the model leaves out.
+        limits: hold joints within their ranges by compliant stops (`rbjax.forces`).
+        friction: take the file's friction loss of joints as smooth Coulomb friction.
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;
@@ -74,7 +84,7 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
             f"of the other two; correct the file if these links matter",
             stacklevel=2,
         )
-    dropped = dropped_features(compiled)
+    dropped = dropped_features(compiled, limits=limits, friction=friction)
     if mimics:
         dropped += (f"mimic joints, which move on their own ({', '.join(mimics)})",)
     if dropped:
@@ -82,7 +92,7 @@ def load(source: Any, *, floating_base: bool = False, strict: bool = False) -> M
         if strict:
             raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
         warnings.warn(text, stacklevel=2)
-    return from_compiled(compiled, dropped)
+    return from_compiled(compiled, dropped, limits=limits, friction=friction)
 
 
 def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel:
@@ -199,7 +209,13 @@ def _fix(message: str) -> str:
     return next((fix for key, fix in hints.items() if key in message), "")
 
 
-def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
+def from_compiled(
+    m: mujoco.MjModel,
+    dropped: tuple[str, ...] = (),
+    *,
+    limits: bool = False,
+    friction: bool = False,
+) -> Model:
     """The `Model` of a compiled MuJoCo model."""
     _refuse_nan(m)
 
@@ -268,6 +284,7 @@ def from_compiled(m: mujoco.MjModel, dropped: tuple[str, ...] = ()) -> Model:
         topology=topology,
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
+        forces=elements(m, limits=limits, friction=friction),
     )
 
 

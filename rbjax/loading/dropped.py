@@ -19,7 +19,9 @@ _KINDS: dict[str, Any] = {
 }
 
 
-def dropped_features(m: mujoco.MjModel) -> tuple[str, ...]:
+def dropped_features(
+    m: mujoco.MjModel, *, limits: bool = False, friction: bool = False
+) -> tuple[str, ...]:
     """One entry for each feature that changes the motion and is not modelled."""
     off, bit, obj = m.opt.disableflags, mujoco.mjtDisableBit, mujoco.mjtObj
 
@@ -43,9 +45,9 @@ def dropped_features(m: mujoco.MjModel) -> tuple[str, ...]:
     constraints = enabled(bit.mjDSBL_CONSTRAINT)
     if constraints and enabled(bit.mjDSBL_CONTACT) and _may_collide(m):
         out.append(f"contacts ({m.ngeom} geoms)")
-    if constraints and enabled(bit.mjDSBL_LIMIT):
+    if constraints and enabled(bit.mjDSBL_LIMIT) and not limits:
         note("joint limits", m.jnt_limited, obj.mjOBJ_JOINT)
-    if constraints and enabled(bit.mjDSBL_FRICTIONLOSS):
+    if constraints and enabled(bit.mjDSBL_FRICTIONLOSS) and not friction:
         note("joint friction loss", joints_of_dofs, obj.mjOBJ_JOINT)
     if constraints and enabled(bit.mjDSBL_EQUALITY):
         note("equality constraints", m.eq_active0, obj.mjOBJ_EQUALITY)

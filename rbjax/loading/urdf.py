@@ -3,7 +3,7 @@
 MuJoCo reads URDF with habits of its own: it fuses links joined by fixed joints and forgets their
 names, gives the root's mass to the world, and stops at meshes that it cannot find and at inertials
 that it does not like. Here shapes are removed (the dynamics does not need them), names are kept,
-inertials are taken out (`load_inertials`), and `floating_base` gives the root a joint.
+inertials are taken out (`inertials`), and `floating_base` gives the root a joint.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
 from rbjax.errors import ModelError
-from rbjax.model.load_inertials import Inertial, take_inertials
+from rbjax.loading.inertials import Inertial, take_inertials
 
 #: settings of MuJoCo's compiler that change inertials; ours are the file's
 _TAMPERS = ("balanceinertia", "boundmass", "boundinertia", "settotalmass")

@@ -1,0 +1,20 @@
+"""The force elements of a compiled MuJoCo model.
+
+What MuJoCo computes as a force becomes an element with MuJoCo's own numbers. What it computes as a
+constraint (limits, friction loss) becomes a smooth element only where the caller asks for it.
+"""
+
+from __future__ import annotations
+
+import mujoco
+
+from rbjax.forces import Element
+from rbjax.loading.force_actuators import actuator_elements
+from rbjax.loading.force_fluid import fluid_elements
+from rbjax.loading.force_joints import joint_elements
+
+
+def elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[Element, ...]:
+    """The elements beside the joints' linear springs and the affine actuators."""
+    joints = joint_elements(m, limits=limits, friction=friction)
+    return (*joints, *fluid_elements(m), *actuator_elements(m))
