@@ -53,6 +53,10 @@ class Signals:
         """What a full turn adds to the length."""
         return self._transmission.turn(self.dtype)
 
+    def nearest(self, angle: Lane, to: Lane) -> Lane:
+        """Of all that differ from an angle by full turns, the one nearest to another."""
+        return angle - self.turn * jnp.round((angle - to) / self.turn)
+
 
 class Law(Record):
     """From an actuator's controls, state, length and speed to its force."""
@@ -180,7 +184,4 @@ class GainBias(Law):
         return [self._nearest(self.activation.advanced(seen.u[0], seen.x[0], dt), seen)]
 
     def _nearest(self, a: Lane, seen: Signals) -> Lane:
-        """a, or on a circle the same angle nearest to the length."""
-        if not self.circular:
-            return a
-        return a - seen.turn * jnp.round((a - seen.length) / seen.turn)
+        return seen.nearest(a, seen.length) if self.circular else a

@@ -137,9 +137,9 @@ class DCMotor(Law):
         """V."""
         out: Lane = 0.0
         if self.controller is not None:
-            K, R = scalar(self.windings.constant, seen.dtype), self._resistance(seen)
-            limit = scalar(self.windings.drive, seen.dtype)
-            out = at_least(R) / K * self.controller.output(seen, h) + K * seen.speed
+            w, dtype = self.windings, seen.dtype
+            K, R, limit = (scalar(x, dtype) for x in (w.constant, w.resistance, w.drive))
+            out = R / K * self.controller.output(seen, h, seen.x) + K * seen.speed
             out = jnp.clip(out, -limit, limit)
         return add(out, seen.u[-1]) if self.voltage else out
 

@@ -71,8 +71,9 @@ def length_curve(L: Lane, lmin: Lane, lmax: Lane) -> Lane:
     before = 1 - 0.5 * _square((1 - L) / at_least(1 - a))
     after = 1 - 0.5 * _square((L - 1) / at_least(b - 1))
     fall = 0.5 * _square((lmax - L) / at_least(lmax - b))
-    inner = jnp.where(L <= a, rise, jnp.where(L <= 1, before, jnp.where(L <= b, after, fall)))
-    return jnp.where((L >= lmin) & (L <= lmax), inner, 0.0)
+    short = jnp.where(a >= L, rise, before)
+    long = jnp.where(b >= L, after, fall)
+    return jnp.where((lmin > L) | (lmax < L), 0.0, jnp.where(L <= 1, short, long))
 
 
 def speed_curve(V: Lane, fvmax: Lane) -> Lane:

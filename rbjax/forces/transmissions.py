@@ -93,7 +93,8 @@ class SitePose(Transmission):
         if not all(map(is_zero, force)):
             length = force.dot(base.rotation.T @ (site.position - base.position))
         if not all(map(is_zero, torque)):
-            length = add(length, torque.dot(Vec3(*quaternion.log_lanes(relative(site, base, now.q.dtype)))))
+            turned = quaternion.log_lanes(relative(site, base, now.q.dtype))
+            length = add(length, torque.dot(Vec3(*turned)))
         force, torque = base.rotation @ force, base.rotation @ torque
         return Reach(length, between(site, base, force, torque))
 

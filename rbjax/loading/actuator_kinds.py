@@ -49,7 +49,7 @@ def is_at_joint(m: mujoco.MjModel, i: int) -> bool:
 
 def is_circular(m: mujoco.MjModel, i: int) -> bool:
     """Whether actuator i is a position servo on an angle, whose setpoints lie on a circle."""
-    servo = (
+    servo = m.actuator_gaintype[i] == Gain.PID or (
         m.actuator_gaintype[i] == Gain.FIXED
         and m.actuator_biastype[i] == Bias.AFFINE
         and m.actuator_gainprm[i, 0] == -m.actuator_biasprm[i, 1]

@@ -142,15 +142,19 @@ def _muscle(m: mujoco.MjModel, i: int, parameters: np.ndarray) -> Muscle:
 
 def _activation(m: mujoco.MjModel, i: int) -> Activation | None:
     kind, given = m.actuator_dyntype[i], m.actuator_dynprm[i]
-    limits = m.actuator_actrange[i] if m.actuator_actlimited[i] else [-np.inf, np.inf]
+    limits = _actrange(m, i)
     if kind == Dyn.NONE:
         return None
     if kind == Dyn.INTEGRATOR:
-        return Integrator(array(limits))
+        return Integrator(limits)
     if kind == Dyn.MUSCLE:
         smooth = bool(given[2] >= _LEAST)
-        return Recruitment(array(limits), array(given[:2]), array(given[2]), smooth)
-    return Filter(array(limits), array(given[0]), bool(kind == Dyn.FILTEREXACT))
+        return Recruitment(limits, array(given[:2]), array(given[2]), smooth)
+    return Filter(limits, array(given[0]), bool(kind == Dyn.FILTEREXACT))
+
+
+def _actrange(m: mujoco.MjModel, i: int) -> jax.Array:
+    return array(m.actuator_actrange[i] if m.actuator_actlimited[i] else [-np.inf, np.inf])
 
 
 def _controller(m: mujoco.MjModel, i: int, gains: list, windup: float, slew: float) -> Controller:
@@ -159,21 +163,23 @@ def _controller(m: mujoco.MjModel, i: int, gains: list, windup: float, slew: flo
     return Controller(
         array(gains), array(_or_infinite(windup)), array(_or_infinite(slew)), inputs,
         slews=bool(slew > 0), integrates=bool(gains[1] > 0),
+        circular=is_circular(m, i), clipped=bool(m.actuator_gaintype[i] == Gain.DCMOTOR),
     )  # fmt: skip
 
 
 def _pid(m: mujoco.MjModel, i: int) -> PID:
     (offset, kp, kv), (windup, slew) = m.actuator_biasprm[i, :3], m.actuator_dynprm[i, :2]
     gains = [-kp, m.actuator_gainprm[i, 0], -kv]
-    return PID(_controller(m, i, gains, windup, slew), array(offset))
+    controller = _controller(m, i, gains, windup, slew)
+    return PID(controller, array(offset), _actrange(m, i), bool(m.actuator_actearly[i]))
 
 
 def _dc_motor(m: mujoco.MjModel, i: int) -> DCMotor:
     R, K, alpha, T0, kp, ki, kd, drive = m.actuator_gainprm[i, :8]
     te, current_rate, RT, C, Ta, s0, s1, slew, windup = m.actuator_dynprm[i, :9]
     cogging, (FC, FS, vS) = m.actuator_biasprm[i, :3], m.actuator_biasprm[i, 3:6]
-    limits = (array(_or_infinite(x)) for x in (drive, te, current_rate))
-    windings = Windings(array(R), array(K), *limits, inductive=bool(te > 0))
+    drive, current_rate = _or_infinite(drive), _or_infinite(current_rate)
+    windings = Windings(*map(array, (R, K, drive, te, current_rate)), inductive=bool(te > 0))
     commanded = any((kp, ki, kd)) or slew > 0 or int(m.actuator_ctrlspec[i]) & 7
     return DCMotor(
         windings,
