@@ -16,7 +16,9 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.loading import compile_model
+from rbjax.loading.actuator_kinds import what_is_left_out
 from rbjax.validation.mjx import fast
+from rbjax.validation.reference import loosen
 from tests.oracles.models import MODELS, switch_off_constraints
 from tests.oracles.random_trees import random_state, random_tree
 
@@ -97,9 +99,8 @@ def _load(name: str) -> Robot:
     model = load_quietly(compiled)
     switch_off_constraints(compiled)
     for i in range(compiled.nactuator):  # what the model leaves out, the reference goes without
-        row = compiled.actuator_ctrladr[i]
-        if model.actuators.joints[row] == model.actuators.sites[row] == -1:
-            compiled.actuator_gainprm[i] = compiled.actuator_biasprm[i] = 0.0
+        if what_is_left_out(compiled, i):
+            loosen(compiled, i)
     return Robot(model, compiled)
 
 

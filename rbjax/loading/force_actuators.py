@@ -178,8 +178,14 @@ def _dc_motor(m: mujoco.MjModel, i: int) -> DCMotor:
     R, K, alpha, T0, kp, ki, kd, drive = m.actuator_gainprm[i, :8]
     te, current_rate, RT, C, Ta, s0, s1, slew, windup = m.actuator_dynprm[i, :9]
     cogging, (FC, FS, vS) = m.actuator_biasprm[i, :3], m.actuator_biasprm[i, 3:6]
-    drive, current_rate = _or_infinite(drive), _or_infinite(current_rate)
-    windings = Windings(*map(array, (R, K, drive, te, current_rate)), inductive=bool(te > 0))
+    windings = Windings(
+        resistance=array(R),
+        constant=array(K),
+        drive=array(_or_infinite(drive)),
+        time_constant=array(te),
+        current_rate=array(_or_infinite(current_rate)),
+        inductive=bool(te > 0),
+    )
     commanded = any((kp, ki, kd)) or slew > 0 or int(m.actuator_ctrlspec[i]) & 7
     return DCMotor(
         windings,

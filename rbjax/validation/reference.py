@@ -59,7 +59,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     for i in range(m.nactuator):
         if what_is_left_out(m, i):
-            _loosen(m, i)
+            loosen(m, i)
         if not is_at_joint(m, i):
             m.actuator_damping[i] = m.actuator_armature[i] = 0.0
     for field in _ZEROED:
@@ -69,7 +69,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     return m, off
 
 
-def _loosen(m: mujoco.MjModel, i: int) -> None:
+def loosen(m: mujoco.MjModel, i: int) -> None:
     """Take the forces of actuator i from the joints."""
     first = m.actuator_outadr[i]
     m.actuator_gear[first : first + m.actuator_outnum[i]] = 0.0

@@ -238,16 +238,25 @@ DROPPED = {  # word of the message: file that has it
         body('<joint name="a"/>'),
         extra='<equality><joint name="loop" joint1="a"/></equality>',
     ),
-    "tendons (rope)": mjcf(
+    "springs, dampers, limits and masses of tendons (rope)": mjcf(
         body('<joint name="a"/>'),
-        extra='<tendon><fixed name="rope"><joint joint="a" coef="1"/></fixed></tendon>',
+        extra='<tendon><fixed name="rope" stiffness="1"><joint joint="a" coef="1"/></fixed>'
+        '<fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>',
     ),
     "gravity compensation": mjcf(f'<body gravcomp="1"><joint/>{MASS}</body>'),
     "fluid forces": mjcf(body("<joint/>"), extra='<option density="1"/>'),
     "mocap bodies": mjcf(body("<joint/>"), '<body mocap="true"/>'),
-    "actuators": mjcf(
+    "actuators: delays of controls (late)": mjcf(
         body('<joint name="a"/>'),
-        extra='<actuator><general name="lag" joint="a" dyntype="filter"/></actuator>',
+        extra='<actuator><motor name="late" joint="a" delay="0.1" nsample="50"/></actuator>',
+    ),
+    "actuators: adhesion, which needs contacts (gecko)": mjcf(
+        body('<joint name="a"/>'),
+        extra='<actuator><adhesion name="gecko" body="b" ctrlrange="0 1"/></actuator>',
+    ),
+    "nonlinear damping of actuators (m)": mjcf(
+        body('<joint name="a"/>'),
+        extra='<actuator><motor name="m" joint="a" damping="1 2 3"/></actuator>',
     ),
 }  # fmt: skip
 
