@@ -1,0 +1,42 @@
+"""Orientation servos against MuJoCo C: on balls and between sites, vectors and quaternions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rbjax as rb
+from tests.forces.actuated import errors, limbs
+from tests.robots import load_quietly
+from tests.tolerances import F64_PARITY
+
+SO3 = 'gaintype="so3" biastype="so3" gainprm="3" biasprm="0.2 -3 -.1" dyntype="integrator"'
+SERVOS = [
+    '<orientation joint="b" kp="3" kv="0.1" forcerange="0 2" ctrlrange="-1 1"/>',
+    '<orientation joint="b" kp="3" kv="0.1" input="quat"/>',
+    '<orientation site="s4" refsite="s1" kp="3" kv="0.1"/>',
+    '<orientation site="s1" refsite="w" kp="3" kv="0.1" input="quat"/>',
+    f'<general joint="b" {SO3} actrange="-1 1"/>',
+    f'<general site="s4" refsite="s2" {SO3} actearly="true"/>',
+]
+
+
+def test_against_mujoco():
+    assert max(errors(limbs(*SERVOS))) < F64_PARITY
+
+
+def test_a_target_of_more_than_half_a_turn_becomes_the_shorter_one():
+    m = limbs(SERVOS[4].replace(' actrange="-1 1"', ""))
+    model = load_quietly(m)
+    state = model.default_state().replace(x=jnp.array([0.0, 3.1, 0.0]))
+    path = rb.rollout(model, state, jnp.full((50, 3), 1.0), 0.002)
+    assert float(path.x[-1, 1]) < -3 and np.isfinite(path.q).all()
+
+
+def test_derivatives_are_finite_at_the_target():
+    model = load_quietly(limbs(*SERVOS[:2]))
+    state = model.default_state()
+    u = jnp.array([0.0, 0, 0, 1, 0, 0, 0])
+    slopes = jax.jacfwd(lambda q, u: rb.applied_forces(model, state.replace(q=q), u), (0, 1))(
+        state.q, u
+    )
+    assert all(np.isfinite(x).all() for x in slopes)
