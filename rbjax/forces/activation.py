@@ -28,6 +28,11 @@ class Activation(Record):
 
     limits: jax.Array
 
+    @property
+    def follows(self) -> bool:
+        """Whether the control is where the state goes, and not how fast."""
+        return True
+
     def rate(self, u: Lane, a: Lane) -> Lane:
         """a' under the control u."""
         raise NotImplementedError
@@ -43,6 +48,10 @@ class Activation(Record):
 
 class Integrator(Activation):
     """a' = u."""
+
+    @property
+    def follows(self) -> bool:
+        return False
 
     def rate(self, u: Lane, a: Lane) -> Lane:
         return u

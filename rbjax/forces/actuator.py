@@ -169,19 +169,25 @@ class GainBias(Law):
         if self.activation is None:
             a = seen.u[0]
         elif self.early:
-            a = self.activation.advanced(seen.u[0], seen.x[0], seen.h)
+            a = self.activation.advanced(self._control(seen), seen.x[0], seen.h)
         else:
             a = seen.x[0]
+        a = seen.nearest(a, seen.length) if self.circular else a
         bias = 0.0 if self.bias is None else self.bias(seen)
-        return add(mul(self.gain(seen), self._nearest(a, seen)), bias)
+        return add(mul(self.gain(seen), a), bias)
 
     def rate(self, seen: Signals) -> Sequence[Lane]:
-        return [] if self.activation is None else [self.activation.rate(seen.u[0], seen.x[0])]
+        if self.activation is None:
+            return []
+        return [self.activation.rate(self._control(seen), seen.x[0])]
 
     def advanced(self, seen: Signals, dt: Any) -> Sequence[Lane]:
         if self.activation is None:
             return []
-        return [self._nearest(self.activation.advanced(seen.u[0], seen.x[0], dt), seen)]
+        a = self.activation.advanced(self._control(seen), seen.x[0], dt)
+        return [seen.nearest(a, seen.length) if self.circular else a]
 
-    def _nearest(self, a: Lane, seen: Signals) -> Lane:
-        return seen.nearest(a, seen.length) if self.circular else a
+    def _control(self, seen: Signals) -> Lane:
+        """The control; on a circle, where it is followed, the one nearest to the activation."""
+        followed = self.activation is not None and self.activation.follows
+        return seen.nearest(seen.u[0], seen.x[0]) if self.circular and followed else seen.u[0]

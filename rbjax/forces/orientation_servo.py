@@ -59,7 +59,8 @@ class OrientationServo(Element):
             torque.append(add(add(mul(kp, e), constant), -mul(kv, speed)))
         size = norm(sum(x * x for x in torque))
         limit = numbers(self.strongest[None], now.q.dtype)[0]
-        share = jnp.where(size > limit, limit / jnp.maximum(size, limit), 1.0)
+        strong = size > limit
+        share = jnp.where(strong, limit, 1.0) / jnp.where(strong, size, 1.0)
         tau: Arms = {}
         for row, x in zip(rows, torque, strict=True):
             tau = merged(tau, {n: mul(arm, share * x) for n, arm in row.items()})

@@ -53,7 +53,7 @@ def is_circular(m: mujoco.MjModel, i: int) -> bool:
         m.actuator_gaintype[i] == Gain.FIXED
         and m.actuator_biastype[i] == Bias.AFFINE
         and m.actuator_gainprm[i, 0] == -m.actuator_biasprm[i, 1]
-        and m.actuator_dyntype[i] in (Dyn.NONE, Dyn.INTEGRATOR)
+        and m.actuator_dyntype[i] != Dyn.MUSCLE
     )
     target, base = m.actuator_trnid[i]
     if is_at_joint(m, i):

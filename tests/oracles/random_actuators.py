@@ -32,7 +32,8 @@ def random_actuated(seed: int, count: int = 12) -> str:
     names = iter(range(99))
     text = re.sub(r" *<inertial", site, tree)
     text = text.replace("<worldbody>", '<worldbody><site name="base" pos="0.1 0.2 -0.3"/>')
-    text = re.sub(r'(<joint name="[^"]*_0" type="(hinge|slide)")', r'\1 actuatorfrcrange="-9 8"', text)
+    limited = r'\1 actuatorfrcrange="-9 8"'
+    text = re.sub(r'(<joint name="[^"]*_0" type="(hinge|slide)")', limited, text)
     text = re.sub(r"<option ([^>]*)/>", rf'<option \1 integrator="Euler">{_OFF}</option>', text)
     m = mujoco.MjModel.from_xml_string(text)
     sites = ["base", *(f"p{k}" for k in range(next(names)))]
