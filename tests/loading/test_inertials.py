@@ -8,7 +8,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from tests.model.test_load import joint, urdf
+from tests.loading.test_load import joint, urdf
 
 import rbjax as rb
 from rbjax.loading import compile_model
