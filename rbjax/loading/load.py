@@ -20,6 +20,7 @@ from rbjax.loading.dropped import actuator_is_off, actuator_is_supported, droppe
 from rbjax.loading.forces import elements
 from rbjax.loading.inertials import write_inertials
 from rbjax.loading.meshes import without_missing_mesh
+from rbjax.loading.motors import with_motors
 from rbjax.loading.urdf import is_urdf, prepare_urdf
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
@@ -52,6 +53,7 @@ def load(
     strict: bool = False,
     limits: bool = False,
     friction: bool = False,
+    motors: bool = False,
 ) -> Model:
     """A `Model` from an MJCF or URDF file.
 
@@ -60,6 +62,7 @@ def load(
         floating_base: give a URDF's root link a free joint, so that its mass counts.
         strict: raise instead of warn about what the file has and the model leaves out.
         limits: hold joints within their ranges by compliant stops (`rbjax.forces`).
+        motors: put a motor of gear 1, named as the joint, on each hinge and slide that has none.
         friction: take the file's friction loss of joints as smooth Coulomb friction.
 
     Returns:
@@ -92,7 +95,8 @@ def load(
         if strict:
             raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
         warnings.warn(text, stacklevel=2)
-    return from_compiled(compiled, dropped, limits=limits, friction=friction)
+    model = from_compiled(compiled, dropped, limits=limits, friction=friction)
+    return with_motors(model) if motors else model
 
 
 def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel:
