@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.drivers import Driver, Listed
+from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.kinematics import link_twists, world_poses
 from rbjax.lanes import Mat3, Vec3
 from rbjax.materialize import materialize
@@ -31,7 +31,7 @@ class LinkMotion:
 
     def pose(self, link: int) -> Transform:
         """The pose of the link in the world."""
-        if not isinstance(self.driver, Listed):
+        if not self.driver.listed:
             return self._poses[link] if link == WORLD else _row(self._columns[0], link)
         for i in self._missing(link, self._poses):
             parent = self._poses[self.driver.topology.links[i].parent]
@@ -42,7 +42,7 @@ class LinkMotion:
 
     def twist(self, link: int) -> Motion:
         """The twist of the link in its own axes, at its origin."""
-        if not isinstance(self.driver, Listed):
+        if not self.driver.listed:
             return self._twists[link] if link == WORLD else _row(self._columns[1], link)
         for i in self._missing(link, self._twists):
             parent = self._twists[self.driver.topology.links[i].parent]
