@@ -115,9 +115,10 @@ def stop_force(p: Lane, rate: Lane, k: Lane, d: Lane, w: Lane) -> Lane:
     unit = where(onset, p * p, zero + 1.0)  # taken out of both, so that nothing is 0 / 0 at p = 0
     spring = where(onset, zero + k / (2 * w), k * (p - w / 2))
     damper = mul(d, rate) * where(onset, (3 - 2 * p / w) / (w * w), zero + 1.0)
-    going = spring - jnp.minimum(damper, 0.0)
-    coming = spring * spring / where(going > 0, going, zero + 1.0)
-    return unit * where(damper > 0, spring + damper, coming)
+    inward = damper > 0
+    slowed = spring - where(inward, zero, damper)
+    outward = spring * spring / where(slowed > 0, slowed, zero + 1.0)
+    return unit * where(inward, spring + damper, outward)
 
 
 def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
