@@ -8,7 +8,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.forces.joint_limits import stop_energy, stop_force
-from tests.forces.against_mujoco import AT_A_JUMP, DRIVERS, applied, costs_nothing, slopes
+from tests.forces.against_mujoco import AT_A_JUMP, applied, costs_nothing, slopes
 from tests.robots import load_quietly
 from tests.tolerances import F64_IDENTITY
 
@@ -94,19 +94,10 @@ def test_depth_at_rest_under_load_as_of_mujoco(kind: str, more: str) -> None:
     )
 
 
-@pytest.mark.parametrize("driver", DRIVERS)
-def test_drivers_agree(driver: str) -> None:
+def test_only_where_asked_for_and_enabled() -> None:
     model = load_quietly(ARM, limits=True)
     assert not any("limits" in word for word in model.dropped)
     assert len(model.forces) == 1 and model.forces[0].joints == (0, 1, 2)
-    state = model.random_state(jax.random.key(3))
-    one = (state.q[None], state.v[None], jnp.zeros((1, 0)))
-    other = applied(model.replace(driver="unrolled"))(*one)
-    assert np.any(other)
-    np.testing.assert_allclose(applied(model.replace(driver=driver))(*one), other, rtol=1e-12)
-
-
-def test_only_where_asked_for_and_enabled() -> None:
     assert load_quietly(ARM).forces == ()
     assert any("joint limits" in word for word in load_quietly(ARM).dropped)
     for flag in ("limit", "constraint"):
