@@ -59,8 +59,8 @@ def load(
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
         floating_base: give a URDF's root link a free joint, so that its mass counts.
         strict: raise instead of warn about what the file has and the model leaves out.
-        limits: hold joints within their ranges by compliant stops (`rbjax.forces`).
-        friction: take the file's friction loss of joints as smooth Coulomb friction.
+        limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
+        friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;
