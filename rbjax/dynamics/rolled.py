@@ -207,7 +207,8 @@ class Rolled(Sweeps):
     def inward(self, step: Step, zero: Any, xs: Values) -> Values:
         """As `Unrolled.inward`."""
         nothing = as_arrays(zero, self._like)
-        chain = (self._index[1:, 2] == -1).all()
+        # the first link's message goes nowhere, or to the head
+        chain = (self._index[0 if self.head else 1 :, 2] == -1).all()
 
         def body(carry, index, x):
             total, slots = carry

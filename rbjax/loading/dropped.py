@@ -51,17 +51,12 @@ def dropped_features(
         note("joint friction loss", joints_of_dofs, obj.mjOBJ_JOINT)
     if constraints and enabled(bit.mjDSBL_EQUALITY):
         note("equality constraints", m.eq_active0, obj.mjOBJ_EQUALITY)
-    if m.ntendon:
-        note("tendons", np.ones(m.ntendon), obj.mjOBJ_TENDON)
+    note("tendons", [not tendon_is_supported(m, i) for i in range(m.ntendon)], obj.mjOBJ_TENDON)
     if m.nflex:
         note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
-    if m.ngravcomp:
-        note("gravity compensation", m.body_gravcomp, obj.mjOBJ_BODY)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
     note("fluid forces", m.opt.density > 0 or m.opt.viscosity > 0)
-    note("nonlinear joint stiffness", m.jnt_stiffnesspoly.any(-1), obj.mjOBJ_JOINT)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
-    note("nonlinear joint damping", m.dof_dampingpoly.any())
     supported = [actuator_is_off(m, i) or actuator_is_supported(m, i) for i in range(m.nactuator)]
     note("actuators that drive no joint or site directly, or have a state, delay or muscle",
          [not s for s in supported], obj.mjOBJ_ACTUATOR)  # fmt: skip
@@ -90,6 +85,22 @@ def actuator_is_supported(m: mujoco.MjModel, i: int) -> bool:
         and int(m.actuator_gaintype[i]) in kinds["gains"]
         and int(m.actuator_biastype[i]) in kinds["biases"]
         and not m.actuator_delay[i]
+    )
+
+
+def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
+    """Whether tendon i is nothing but a spring and a damper between two sites."""
+    start, count = m.tendon_adr[i], m.tendon_num[i]
+    off, bit = m.opt.disableflags, mujoco.mjtDisableBit
+    constraints = not off & int(bit.mjDSBL_CONSTRAINT)
+    limited = m.tendon_limited[i] and constraints and not off & int(bit.mjDSBL_LIMIT)
+    rubs = constraints and not off & int(bit.mjDSBL_FRICTIONLOSS) and m.tendon_frictionloss[i]
+    pulls = m.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
+    return bool(
+        count == 2
+        and (m.wrap_type[start : start + count] == int(mujoco.mjtWrap.mjWRAP_SITE)).all()
+        and not (limited or rubs or m.tendon_armature[i])
+        and not (pulls & (m.actuator_trnid[:, 0] == i)).any()
     )
 
 

@@ -61,9 +61,9 @@ def load(
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
         floating_base: give a URDF's root link a free joint, so that its mass counts.
         strict: raise instead of warn about what the file has and the model leaves out.
-        limits: hold joints within their ranges by compliant stops (`rbjax.forces`).
+        limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
         motors: put a motor of gear 1, named as the joint, on each hinge and slide that has none.
-        friction: take the file's friction loss of joints as smooth Coulomb friction.
+        friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;

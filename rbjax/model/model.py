@@ -87,7 +87,7 @@ class Joints(Record):
     armature (nv,) kg m^2 or kg; damping (nv,); stiffness (nj,); springref (nq,), the springs' rest;
     forcerange (nj, 2), limits of the actuators' sum on a joint; range (nj, 2) rad or m, the least
     and the largest coordinate (of a ball 0 and the largest angle of turning). Limits are infinite
-    where the file sets none. A range is known to who asks; nothing yet stops a joint at it.
+    where the file sets none. A range stops nothing: `rbjax.forces.JointLimits` does.
     """
 
     placement: jax.Array

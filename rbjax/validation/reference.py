@@ -18,17 +18,20 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
-from rbjax.loading.dropped import actuator_is_supported, dropped_features
+from rbjax.loading.dropped import actuator_is_supported, dropped_features, tendon_is_supported
 
 Array = np.ndarray
 
 #: what MuJoCo's Euler step does beyond the equation above
 _EULER = "implicit joint damping in MuJoCo's Euler step"
 _ZEROED = (
-    "body_gravcomp", "dof_frictionloss", "tendon_stiffness", "tendon_damping", "tendon_armature",
-    "tendon_frictionloss", "tendon_stiffnesspoly", "tendon_dampingpoly", "flex_stiffness",
-    "flex_damping", "flex_edgestiffness", "flex_edgedamping", "jnt_stiffnesspoly",
-    "dof_dampingpoly", "actuator_damping", "actuator_dampingpoly", "actuator_armature",
+    "dof_frictionloss", "tendon_frictionloss", "flex_stiffness", "flex_damping",
+    "flex_edgestiffness", "flex_edgedamping", "actuator_damping", "actuator_dampingpoly",
+    "actuator_armature",
+)  # fmt: skip
+_TENDONS = (
+    "tendon_stiffness", "tendon_damping", "tendon_armature", "tendon_stiffnesspoly",
+    "tendon_dampingpoly",
 )  # fmt: skip
 
 
@@ -46,6 +49,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     """
     m = copy.copy(compile_model(source, floating_base=floating_base))
     off = (*dropped_features(m), _EULER)
+    slack = [i for i in range(m.ntendon) if not tendon_is_supported(m, i)]
     bits = mujoco.mjtDisableBit
     for bit in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT):
         m.opt.disableflags |= int(bit)
@@ -63,6 +67,8 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
         values = getattr(m, field, None)  # several are new in MuJoCo 4
         if values is not None:
             values[:] = 0.0
+    for field in _TENDONS:
+        getattr(m, field)[slack] = 0.0
     return m, off
 
 
