@@ -58,7 +58,6 @@ def dropped_features(
     if m.ngravcomp:
         note("gravity compensation", m.body_gravcomp, obj.mjOBJ_BODY)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
-    note("fluid forces", m.opt.density > 0 or m.opt.viscosity > 0)
     note("nonlinear joint stiffness", m.jnt_stiffnesspoly.any(-1), obj.mjOBJ_JOINT)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
     note("nonlinear joint damping", m.dof_dampingpoly.any())

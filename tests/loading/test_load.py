@@ -243,7 +243,6 @@ DROPPED = {  # word of the message: file that has it
         extra='<tendon><fixed name="rope"><joint joint="a" coef="1"/></fixed></tendon>',
     ),
     "gravity compensation": mjcf(f'<body gravcomp="1"><joint/>{MASS}</body>'),
-    "fluid forces": mjcf(body("<joint/>"), extra='<option density="1"/>'),
     "mocap bodies": mjcf(body("<joint/>"), '<body mocap="true"/>'),
     "actuators": mjcf(
         body('<joint name="a"/>'),
