@@ -94,6 +94,7 @@ def _load(name: str) -> Robot:
             compiled = MODELS[name].load()
     else:
         compiled = compile_model(name)
+    compiled.opt.density = compiled.opt.viscosity = 0.0
     model = load_quietly(compiled).replace(forces=())  # which have tests of their own
     switch_off_constraints(compiled)
     for i in range(compiled.nactuator):  # what the model leaves out, the reference goes without

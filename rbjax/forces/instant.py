@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers import driver
@@ -30,6 +31,15 @@ def table(x: Any, dtype: Any) -> Any:
     if isinstance(x, jax.core.Tracer):
         return x.astype(dtype)
     return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
+
+
+def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
+    """numpy and the numbers as `table` has them, where all are known while tracing; otherwise
+    jax.numpy and arrays of the dtype. For what is computed of numbers that belong together."""
+    found = [table(x, dtype) for x in numbers]
+    if any(isinstance(x, jax.core.Tracer) for x in found):
+        return jnp, [jnp.asarray(x, dtype) for x in found]
+    return np, found
 
 
 @dataclass(frozen=True)

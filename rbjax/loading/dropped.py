@@ -55,7 +55,6 @@ def dropped_features(
     if m.nflex:
         note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
-    note("fluid forces", m.opt.density > 0 or m.opt.viscosity > 0)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
     supported = [actuator_is_off(m, i) or actuator_is_supported(m, i) for i in range(m.nactuator)]
     note("actuators that drive no joint or site directly, or have a state, delay or muscle",

@@ -56,7 +56,6 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     for bit in (bits.mjDSBL_FRICTIONLOSS, bits.mjDSBL_EQUALITY, bits.mjDSBL_EULERDAMP):
         m.opt.disableflags |= int(bit)
     m.geom_contype[:] = m.geom_conaffinity[:] = 0  # else MJX refuses some pairs of shapes
-    m.opt.density = m.opt.viscosity = 0.0
     m.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL

@@ -242,7 +242,6 @@ DROPPED = {  # word of the message: file that has it
         body('<joint name="a"/>'),
         extra='<tendon><fixed name="rope"><joint joint="a" coef="1"/></fixed></tendon>',
     ),
-    "fluid forces": mjcf(body("<joint/>"), extra='<option density="1"/>'),
     "mocap bodies": mjcf(body("<joint/>"), '<body mocap="true"/>'),
     "actuators": mjcf(
         body('<joint name="a"/>'),
