@@ -14,7 +14,6 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 
-from rbjax.dynamics.link_forces import generalized
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant, table
 from rbjax.lanes import Lane, Vec3, inner, is_zero, mul, total
@@ -61,8 +60,7 @@ class GravityCompensation(Element):
             return pushes
         if not pushes.wrenches:
             return Loads()
-        d, top = now.links.driver, now.model.topology
-        tau = d.pack(generalized(d, d.joints(now.q, None), pushes.wrenches), now.v)
+        top, tau = now.model.topology, now.generalized_of(pushes.wrenches)
         named = range(len(top.joint_kinds)) if self.joints is None else self.joints
         joints = [now.model.joint(j) if isinstance(j, str) else j for j in named]
         at = [top.joint_v[j] + k for j in joints for k in range(JOINT_SIZES[top.joint_kinds[j]][1])]

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.link_forces import LinkForces, generalized
 from rbjax.dynamics.link_motion import LinkMotion
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
@@ -103,6 +104,11 @@ class Instant:
         if np.shape(tau) != (nv,):
             raise InputError(f"generalized: tau has shape {np.shape(tau)}, expected ({nv},)")
         return Loads({i: tau[i] for i in range(nv)})
+
+    def generalized_of(self, wrenches: LinkForces) -> jax.Array:
+        """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
+        d = self.links.driver
+        return d.pack(generalized(d, d.joints(self.q, None), wrenches), self.v)
 
 
 class Frame:

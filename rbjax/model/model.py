@@ -172,6 +172,13 @@ class Model(Record):
                 "a step that is an array is for rollout(dt=...)"
             )
 
+    def replace(self, **changes: Any) -> Model:
+        """A copy with the given fields changed; shapes of arrays must stay. What was made ahead of
+        numbers that change is made anew."""
+        if changes.keys() & {"bodies", "joints", "gravity", "zeros"}:
+            changes = {"prepared": None} | changes
+        return super().replace(**changes)
+
     def several(self) -> tuple[str, tuple[int, ...], int] | None:
         """Name, shape and due number of axes of a leaf that has others, as in a batch of models."""
         leaves = jax.tree.leaves((self.bodies, self.joints, self.actuators, self.gravity))
