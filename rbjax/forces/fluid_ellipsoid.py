@@ -4,13 +4,13 @@
     drag         f = -(3 pi mu D + rho |v| (c_b A + c_s (A_max - A))) v
     turning      n = -(pi mu D^3 + rho |g|) w,      g_i = (c_a I_i + c_s (I_max - I_i)) w_i
     Magnus lift  f = c_m rho V w x v
-    Kutta lift   f = c_k rho A cos(alpha) (N x v) x v
+    Kutta lift   f = c_k rho A cos(alpha) |v|^2 (n x u) x u
 v and w are the velocity of the ellipsoid's centre relative to the fluid and its angular velocity,
-along its axes; r its semi-axes, V its volume, D = 2 (r_1 + r_2 + r_3) / 3. N_i = (r_j r_k)^2 v_i is
-normal to the cross-section that it projects along v, of area A, alpha the angle between the two:
-    A = pi |N| / sqrt(N . v),   cos(alpha) = N . v / (|N|^2 |v|)
-(the latter holds the square of |N| because N in the lift has no unit length). I_i = 8 pi / 15 r_i
-max(r_j, r_k)^4 are moments of drag, A_max and I_max the largest area and moment.
+along its axes; r its semi-axes, V its volume, D = 2 (r_1 + r_2 + r_3) / 3. A is the area that it
+projects along u = v / |v|, and n = N / |N| the normal of the cross-section of this outline:
+    N_i = (r_j r_k)^2 u_i,   A = pi |N| / sqrt(N . u),   cos(alpha) = n . u
+I_i = 8 pi / 15 r_i max(r_j, r_k)^4 are moments of drag, A_max and I_max the largest area and
+moment. At rest there is no u: all forces and their derivatives but the viscous ones are zero.
 (MuJoCo documentation, *Fluid forces*, ellipsoid model; of the added mass, the part that does not
 depend on the acceleration, as there.)
 """
@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.fluid_box import LEAST, in_lanes, relative_twist, rotations
+from rbjax.forces.fluid_box import in_lanes, relative_twist, rotations
 from rbjax.forces.instant import Frame, Instant, table, tables
 from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul
@@ -96,16 +96,17 @@ class EllipsoidFluid(Element):
         a, b, c = r = [semi_axes[:, k] for k in range(3)]
         longest, shortest = (f(f(a, b), c) for f in (xp.maximum, xp.minimum))
         middle = a + b + c - longest - shortest
-        diameter = (a + b + c) / 1.5
+        diameter, area = (a + b + c) / 1.5, longest * middle
         rho, mu = rho * scale, mu * scale
         moment = [_moment(r[k], xp.maximum(r[k - 1], r[k - 2])) for k in range(3)]
         largest = _moment(middle, longest)
         mass, inertia = (Vec3(*(x[:, k] * rho for k in range(3))) for x in virtual)
         return _Ellipsoid(
-            squares=Vec3(b * b * c * c, c * c * a * a, a * a * b * b),
+            squares=Vec3(*(x * x for x in (b * c / area, c * a / area, a * b / area))),
+            area=math.pi * area,
             viscous_force=3.0 * math.pi * mu * diameter,
             viscous_torque=math.pi * mu * diameter * diameter * diameter,
-            slender=rho * slender * (math.pi * longest * middle),
+            slender=rho * slender * (math.pi * area),
             blunt=rho * (blunt - slender),
             moments=Vec3(*(angular * x + slender * (largest - x) for x in moment)),
             density=rho,
@@ -119,7 +120,8 @@ class EllipsoidFluid(Element):
 class _Ellipsoid(NamedTuple):
     """What the forces on an ellipsoid are made of, the fluid's density and viscosity included."""
 
-    squares: Vec3  # (r_j r_k)^2
+    squares: Vec3  # (r_j r_k)^2, the largest of them 1
+    area: Lane  # A_max
     viscous_force: Lane
     viscous_torque: Lane
     slender: Lane
@@ -142,18 +144,23 @@ def _wrench(V: Motion, own: _Ellipsoid) -> Force:
     """The forces on an ellipsoid with that twist in the fluid, in its axes at its centre."""
     w, v = V.ang, V.lin
     p, h = _scaled(own.mass, v), _scaled(own.inertia, w)
-    normal = _scaled(own.squares, v)
-    along, square, speed = normal.dot(v), normal.dot(normal), root(v.dot(v))
-    area, cosine = 0.0, 0.0
-    if not is_zero(along):
-        area = math.pi * root(square / _at_least(along))
-        cosine = along / _at_least(mul(speed, square))
-    quadratic = mul(speed, add(own.slender, mul(own.blunt, area)))
     turning = mul(own.density, root(_squared(_scaled(own.moments, w))))
-    lift = normal.cross(v).cross(v) * mul(own.kutta, mul(cosine, area))
-    lift = lift + w.cross(v) * own.magnus
-    force = p.cross(w) + lift - v * add(own.viscous_force, quadratic)
+    force = p.cross(w) + w.cross(v) * own.magnus - v * own.viscous_force
+    if not is_zero(_squared(v)):
+        force = force + _quadratic(v, own)
     return Force(p.cross(v) + h.cross(w) - w * add(own.viscous_torque, turning), force)
+
+
+def _quadratic(v: Vec3, own: _Ellipsoid) -> Vec3:
+    """Drag and lift by the square of the speed."""
+    square = _squared(v)
+    speed, moves = root(square), square > 0
+    u = v * (1.0 / jnp.where(moves, speed, 1.0))
+    N = _scaled(own.squares, u)
+    along, normal = (jnp.where(moves, x, 1.0) for x in (N.dot(u), _squared(N)))
+    area = mul(own.area, jnp.sqrt(normal / along))
+    drag = v * mul(speed, add(own.slender, mul(own.blunt, area)))
+    return N.cross(u).cross(u) * mul(own.kutta, mul(area, along / normal) * square) - drag
 
 
 def _scaled(a: Vec3, b: Vec3) -> Vec3:
@@ -163,10 +170,6 @@ def _scaled(a: Vec3, b: Vec3) -> Vec3:
 
 def _squared(a: Vec3) -> Lane:
     return a.dot(a)
-
-
-def _at_least(x: Lane) -> Lane:
-    return max(x, LEAST) if is_literal(x) else jnp.maximum(x, LEAST)
 
 
 def root(x: Lane) -> Lane:
