@@ -41,6 +41,7 @@ from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, Unsupp
 from rbjax.forces import applied_forces
 from rbjax.loading import load, scenes
 from rbjax.model import Model, State
+from rbjax.motion.linearise import Linear, linearise, step
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
 from rbjax.motion.trajectory import Trajectory
@@ -62,6 +63,7 @@ __all__ = [
     "Model",
     "ModelError",
     "Poses",
+    "Linear",
     "RbjaxError",
     "State",
     "Trajectory",
@@ -93,6 +95,7 @@ __all__ = [
     "jacobian",
     "jacobian_rate",
     "kinetic_energy",
+    "linearise",
     "load",
     "mass_matrix",
     "operation_count",
@@ -105,6 +108,7 @@ __all__ = [
     "solvers",
     "spatial",
     "stability",
+    "step",
     "sysid",
     "threads",
     "validation",

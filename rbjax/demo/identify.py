@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -72,7 +71,7 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
     found = fit(model, start, jnp.asarray(ctrls), jnp.asarray(measured), unknowns, save_every=EVERY)
     rows, truth = [], {}
     for name, (u, unit, added) in TRUTH.items():
-        value: jax.Array = model
+        value: Any = model
         for part in u.leaf.split("."):
             value = getattr(value, part)
         guess = float(np.asarray(value)[u.index])

@@ -42,6 +42,9 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
     "point": lambda m: (3,),
 }
 
+#: arguments that are part of the program
+STATIC = ("body", "site", "integrator", "law")
+
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")
 #: arguments that take the dtype of the others
@@ -61,7 +64,7 @@ def algorithm(
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
         suited = functools.partial(for_threads, pairs=pairs, long=long)
-        static = [n for n in ("body", "site") if n in signature.parameters]
+        static = [n for n in STATIC if n in signature.parameters]
 
         @automatic
         @functools.wraps(f)
@@ -119,6 +122,7 @@ def check_arrays(
     has the axes of a batch before its own."""
     check_model(where, model)
     given, stated = dict(given), "state" in given
+    step = given.pop("dt", None)
     if stated:
         state = given.pop("state")
         if not isinstance(state, State):
@@ -138,6 +142,8 @@ def check_arrays(
     for name in ("q", "q0", "q1"):
         if name in out:
             check_quaternions(where, name, model, out[name])
+    if step is not None:
+        out["dt"] = check_step(where, "dt", step, dtype)
     if stated:
         x = out.pop("x", None)
         start = model.start(dtype) if x is None else None

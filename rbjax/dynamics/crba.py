@@ -18,9 +18,8 @@ from rbjax.dynamics.composites import (
     link_inertias,
     tree_poses,
 )
-from rbjax.dynamics.drivers import Driver, Listed, driver
+from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.pairs import packed, pair_matrix, with_armature
-from rbjax.dynamics.rolled import Rolled
 from rbjax.lanes import Lane, Sym3, Vec3, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model
@@ -59,7 +58,7 @@ def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
     return M
 
 
-def _rolled(d: Rolled, joints: Any, like: jax.Array) -> jax.Array:
+def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     """All F and S in world axes, and M as one masked sum of six outer products."""
     d.unroll = 2  # the steps are small
     poses = tree_poses(d, joints)
@@ -96,6 +95,6 @@ def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
         return jnp.zeros((0, 0), q.dtype)
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
-    if not isinstance(d, Listed):
-        return _rolled(d, joints, jnp.zeros(n, q.dtype))
+    if not d.listed:
+        return _by_columns(d, joints, jnp.zeros(n, q.dtype))
     return packed(_listed(d, joints), q)

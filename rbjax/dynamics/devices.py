@@ -69,5 +69,5 @@ def on_each_device(
 def parted(x: jax.Array, axis: int, count: int) -> jax.Array:
     """A batch, which comes first, in `count` parts, which then come first; a part has its samples
     at `axis` (0 or -1)."""
-    x = x.reshape(count, -1, *x.shape[1:])
+    x = x.reshape(count, x.shape[0] // count, *x.shape[1:])
     return jnp.moveaxis(x, 1, axis) if axis else x

@@ -13,17 +13,18 @@ A recursion is written once, as a step on the lanes of one link; a driver walks 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
 
+from rbjax.dynamics.contract import Driver as Driver
 from rbjax.dynamics.limbs import Limbs
 from rbjax.dynamics.rolled import Rolled
 from rbjax.dynamics.rolled import allocate_slots as allocate_slots
-from rbjax.dynamics.unrolled import Listed as Listed
 from rbjax.dynamics.unrolled import Unrolled
-from rbjax.model import DRIVER_NAMES, Model, partition, prepare
+from rbjax.model import DRIVER_NAMES, Model, Prepared, partition, prepare
 
 #: above this many velocity coordinates "auto" rolls. On the CPU unrolled code runs two to three
 #: times as fast, but compiling its gradient takes 0.8 s a link, rolled 4 s whatever the length
@@ -45,8 +46,9 @@ SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
 #: several kernels, a thread for each link of each sample
 THREADS_APART_ABOVE = 8
 
-Driver = Any  # one of these; per-link values are lists, columns, or both
-DRIVERS: dict[str, Any] = dict(zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True))
+DRIVERS: dict[str, Callable[[Model, Prepared], Driver]] = dict(
+    zip(DRIVER_NAMES[1:], (Unrolled, Rolled, Limbs), strict=True)
+)
 
 
 def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:

@@ -19,7 +19,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.drivers import Driver, Listed
+from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.packing import pack
 from rbjax.dynamics.pairs import pair_columns, pair_entries
 from rbjax.lanes import Lane, inner, mul, neg, sub
@@ -37,7 +37,7 @@ class InverseMass:
         self.carriers = list(enumerate(d.topology.ancestors))
         self.carried = [(j, [i for i, to in self.carriers if j in to]) for j in range(n)]
         scaled = d.each(lambda pose, U, x: pose.T(U) * x, poses, d.whole(U), d.whole(inverse_D))
-        if isinstance(d, Listed):
+        if d.listed:
             self.inverse_D = d.whole(inverse_D)
             self.P = self._by_substitution(S, scaled)
         else:
@@ -76,7 +76,7 @@ class InverseMass:
         d, n, like = self.d, self.d.topology.nv, self.like
         count = len(pairs) + 1
         flat = jnp.zeros(count * n, like.dtype)
-        if isinstance(d, Listed):
+        if d.listed:
             X = materialize([pair_entries(d.topology, *pair) for pair in pairs])
             out = [self.solve([[row[j] for row in x] for x in X], self.P[j]) for j in range(n)]
             for j in range(n):

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import Driver, Listed, driver
+from rbjax.dynamics.drivers import Driver, driver
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD, Model
 from rbjax.model.links import lane, matrix_apply, matrix_product
@@ -60,7 +60,7 @@ def body_poses(d: Driver, R: jax.Array, p: jax.Array) -> Poses:
 def body_transforms(d: Driver, poses: Any) -> Any:
     """The pose of each body, from those of the links in the form of `Driver.whole`."""
     top, R, p = d.topology, d.prepared.body_R, d.prepared.body_p
-    if isinstance(d, Listed):
+    if d.listed:
         welds = [
             Transform(
                 Mat3(*(lane(R[:, i, j], b) for i in range(3) for j in range(3))),

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics import unrolled
+from rbjax.dynamics.contract import Step, Sweeps
 from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_lanes, turning
 from rbjax.dynamics.packing import pack
-from rbjax.dynamics.unrolled import Listed, Step, Sweeps
 from rbjax.lanes import Lane, add, as_arrays, is_literal, sub
 from rbjax.materialize import materialize, sincos
 from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
@@ -95,7 +95,7 @@ class Limb:
         }  # fmt: skip
 
 
-class Limbs(Sweeps, Listed):
+class Limbs(Sweeps, unrolled.Listed):
     """The trunk written out; a loop over the limbs of each group."""
 
     def __init__(self, model: Model, prepared: Prepared):

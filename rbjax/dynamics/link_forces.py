@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers import Driver, Listed
+from rbjax.dynamics.drivers import Driver
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD
 from rbjax.model.links import lane
@@ -73,7 +73,7 @@ def on_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces:
     """Wrenches (nb, 6) on bodies, in world axes at the bodies' origins, as forces on links."""
     top, body_p = d.topology, d.prepared.body_p
     rotations = d.whole(world_rotations(d, joints))
-    if not isinstance(d, Listed):
+    if not d.listed:
         bodies = np.array([b for b, k in enumerate(top.body_links) if k != WORLD], int)
         links = [top.body_links[b] for b in bodies]
         arms = Vec3(*jnp.asarray(body_p, wrenches.dtype)[bodies].T)

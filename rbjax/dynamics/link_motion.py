@@ -2,6 +2,7 @@
 
 For what looks at a few links of a robot: a spring between two points, an actuator at a site. The
 recursions are those of `kinematics`, along the links from the base to the one that is asked for.
+`columns` and `scattered` are for what looks at many bodies at once.
 """
 
 from __future__ import annotations
@@ -11,14 +12,15 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from rbjax.dynamics.drivers import Driver, Listed
+from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.kinematics import link_twists, world_poses
-from rbjax.lanes import Mat3, Vec3
+from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.materialize import materialize
 from rbjax.model import WORLD
 from rbjax.model.links import lane
-from rbjax.spatial import Motion, Transform
+from rbjax.spatial import Force, Motion, Transform
 
 
 class LinkMotion:
@@ -31,7 +33,7 @@ class LinkMotion:
 
     def pose(self, link: int) -> Transform:
         """The pose of the link in the world."""
-        if not isinstance(self.driver, Listed):
+        if not self.driver.listed:
             return self._poses[link] if link == WORLD else _row(self._columns[0], link)
         for i in self._missing(link, self._poses):
             parent = self._poses[self.driver.topology.links[i].parent]
@@ -42,7 +44,7 @@ class LinkMotion:
 
     def twist(self, link: int) -> Motion:
         """The twist of the link in its own axes, at its origin."""
-        if not isinstance(self.driver, Listed):
+        if not self.driver.listed:
             return self._twists[link] if link == WORLD else _row(self._columns[1], link)
         for i in self._missing(link, self._twists):
             parent = self._twists[self.driver.topology.links[i].parent]
@@ -59,12 +61,28 @@ class LinkMotion:
 
     def weld(self, body: int) -> Transform:
         """The pose of a body in the link that carries it."""
-        made = self.driver.prepared
-        R, p = made.body_R, made.body_p
-        return Transform(
-            Mat3(*(lane(R[:, i, j], body) for i in range(3) for j in range(3))),
-            Vec3(*(lane(p[:, i], body) for i in range(3))),
-        )
+        return jax.tree.map(lambda column: lane(column, body), self._welds)
+
+    def columns(self, bodies: np.ndarray) -> tuple[Transform, Motion, Transform]:
+        """Of bodies that can move, as columns over them: the pose and the twist of the links that
+        carry them, and their poses in these links."""
+        links = np.array(self.driver.topology.body_links)[bodies]
+        pose, twist = (_row(x, links) for x in self._columns)
+        return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), self._welds)
+
+    def column(self, column: Any, rows: np.ndarray) -> Lane:
+        """Those rows of a column; a literal where they are known and agree."""
+        if not isinstance(column, np.ndarray):
+            return column[rows]
+        found = np.asarray(column[rows], np.float64)
+        alike = bool((found == found[0]).all())
+        return float(found[0]) if alike else jnp.asarray(found, self._q.dtype)
+
+    def scattered(self, bodies: np.ndarray, forces: Force) -> Force:
+        """Forces on the links that carry these bodies, as columns over all links."""
+        links = np.array(self.driver.topology.body_links)[bodies]
+        nothing = jnp.zeros(self.driver.topology.nv, self._q.dtype)
+        return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
 
     def _missing(self, link: int, found: dict) -> list[int]:
         path = () if link == WORLD else self.driver.topology.ancestors[link]
@@ -73,6 +91,12 @@ class LinkMotion:
     @cached_property
     def _joints(self) -> Any:
         return self.driver.joints(self._q, self._v)
+
+    @cached_property
+    def _welds(self) -> Transform:
+        R, p = self.driver.prepared.body_R, self.driver.prepared.body_p
+        axes = Mat3(*(R[:, i, j] for i in range(3) for j in range(3)))
+        return Transform(axes, Vec3(*(p[:, i] for i in range(3))))
 
     @cached_property
     def _links(self) -> list:
@@ -86,5 +110,5 @@ class LinkMotion:
         return poses, d.columns(link_twists(d, self._joints), like)
 
 
-def _row(columns: Any, i: int) -> Any:
+def _row(columns: Any, i: Any) -> Any:
     return jax.tree.map(lambda x: x[i], columns)

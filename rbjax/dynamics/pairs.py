@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers import Driver, Listed
+from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.packing import pack
 from rbjax.lanes import Lane, inner
 from rbjax.model import Topology
@@ -31,7 +31,7 @@ def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array
 
     (a, b) are `below` where j moves i (`movers`), else `above`; vectors of lanes.
     """
-    if isinstance(d, Listed):
+    if d.listed:
         return packed(pair_entries(d.topology, above, below), like)
     moves, [[above, below]] = _columns(d.topology, [(above, below)], like)
 

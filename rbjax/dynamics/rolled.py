@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics.contract import Step, Sweeps
 from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack
-from rbjax.dynamics.unrolled import Step, Sweeps
 from rbjax.lanes import Lane, add, as_arrays, is_literal
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model, Prepared
@@ -59,6 +59,8 @@ class PoseLane:
 
 class Rolled(Sweeps):
     """A scan over the links, after the head."""
+
+    listed = False
 
     def __init__(self, model: Model, prepared: Prepared):
         top = self.topology = model.topology
@@ -205,7 +207,8 @@ class Rolled(Sweeps):
     def inward(self, step: Step, zero: Any, xs: Values) -> Values:
         """As `Unrolled.inward`."""
         nothing = as_arrays(zero, self._like)
-        chain = (self._index[1:, 2] == -1).all()
+        # the first link's message goes nowhere, or to the head
+        chain = (self._index[0 if self.head else 1 :, 2] == -1).all()
 
         def body(carry, index, x):
             total, slots = carry

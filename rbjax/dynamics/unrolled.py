@@ -1,4 +1,4 @@
-"""The unrolled driver: every link's step written out, and what drivers share.
+"""The unrolled driver: every link's step written out, and what drivers of lists share.
 
 `outward` hands each step its parent's carry, `inward` the sum of its children's messages.
 """
@@ -11,38 +11,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.contract import Step, Sweeps
 from rbjax.dynamics.joints import JointMotion, joint_lanes
 from rbjax.dynamics.packing import pack, unpack
 from rbjax.lanes import Lane, add
 from rbjax.materialize import materialize
 from rbjax.model import WORLD, Model, Prepared
 
-#: step(x, carry or message) -> carry or message, y
-Step = Callable[[Any, Any], tuple[Any, Any]]
-
-
-class Sweeps:
-    """What follows from two sweeps."""
-
-    def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: Any) -> Any:
-        """An outward sweep with the steps outward(x_i, carry), then an inward one with the steps
-        inward((x_i, y_i), messages), y_i from the first; what the second returns."""
-        d: Any = self
-        return d.inward(inward, zero, d.zip(xs, d.outward(outward, root, xs)))
-
-    def unzip(self, tuples: Any, count: int) -> tuple[Any, ...]:
-        """The inverse of `zip`, of so many values."""
-        d: Any = self
-        return tuple(d.part(tuples, k) for k in range(count))
-
 
 class Listed:
     """Work on all links at once where `whole` is a list of one value for each link."""
 
-    constants: Any  # these of the driver
-    topology: Any
-    joints: Any
-    whole: Any
+    listed, unroll = True, 1
 
     def each(self, f: Callable, *whole: list) -> list:
         """f of each link's values."""
@@ -68,10 +48,14 @@ class Listed:
 class Unrolled(Sweeps, Listed):
     """Steps written out one after another. Per-link values are lists."""
 
+    prepared: Prepared
+
     def __init__(self, model: Model, prepared: Prepared | None):
         """`prepared`: None where steps need no constants of the links."""
-        self.topology, self.prepared = model.topology, prepared
-        self.constants = [prepared.link(i) for i in range(model.nv)] if prepared else []
+        self.topology, self.constants = model.topology, []
+        if prepared is not None:
+            self.prepared = prepared
+            self.constants = [prepared.link(i) for i in range(model.nv)]
 
     def joints(self, q: jax.Array, v: jax.Array | None) -> list[JointMotion]:
         """The joint motion of each link."""

@@ -1,15 +1,35 @@
 """What acts on a robot: its springs, dampers and actuators, and force elements of any kind."""
 
 from rbjax.forces.acting import applied_forces, elastic_energy
+from rbjax.forces.anchor import Anchor
+from rbjax.forces.bushing import Bushing
 from rbjax.forces.element import Element, Loads
+from rbjax.forces.fluid_box import InertiaBoxFluid
+from rbjax.forces.fluid_ellipsoid import EllipsoidFluid
+from rbjax.forces.gravity_compensation import GravityCompensation
 from rbjax.forces.instant import Frame, Instant, Joint
+from rbjax.forces.joint_friction import JointFriction
+from rbjax.forces.joint_limits import JointLimits
+from rbjax.forces.joint_polynomials import JointPolynomials
+from rbjax.forces.many import on_each
+from rbjax.forces.point_spring import PointSpring
 
 __all__ = [
+    "Anchor",
+    "Bushing",
     "Element",
+    "EllipsoidFluid",
     "Frame",
+    "GravityCompensation",
+    "InertiaBoxFluid",
     "Instant",
     "Joint",
+    "JointFriction",
+    "JointLimits",
+    "JointPolynomials",
     "Loads",
+    "PointSpring",
     "applied_forces",
     "elastic_energy",
+    "on_each",
 ]

@@ -11,9 +11,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.link_forces import LinkForces, added, generalized, on_links
+from rbjax.dynamics.link_forces import LinkForces, added, on_links
 from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.actuators import Actuators, clip
@@ -67,8 +68,12 @@ def _given(element: Element, seen: Instant) -> Loads:
 
 def _limited(model: Model, driven: Loads, now: Instant) -> Loads:
     """Actuators' forces within the force ranges of the joints."""
-    top, tau = model.topology, dict(driven.tau)
-    limits = table(model.joints.forcerange, now.v.dtype)
+    top, limits = model.topology, table(model.joints.forcerange, now.v.dtype)
+    endless = isinstance(limits, np.ndarray) and bool(np.isinf(limits).all())
+    if driven.wrenches and not endless:  # what a joint carries of them counts too
+        summed = now.generalized_of(driven.wrenches)
+        driven = Loads(driven.tau) + Loads({i: summed[i] for i in range(model.nv)})
+    tau = dict(driven.tau)
     for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
         if kind in ("hinge", "slide") and not is_zero(tau.get(at, 0.0)):
             tau[at] = clip(tau[at], limits, j)
@@ -139,8 +144,7 @@ def applied_forces(
     now = Instant.of(model, t, state, ctrl)
     tau, pushes = loads(model, now)
     if pushes:
-        d = now.links.driver
-        summed = d.pack(generalized(d, d.joints(state.q, None), pushes), state.v)
+        summed = now.generalized_of(pushes)
         tau = [add(x, summed[i]) for i, x in enumerate(tau)]
     return pack(tau, state.v)
 

@@ -11,7 +11,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers import Listed
 from rbjax.dynamics.jacobians import moment_arms
 from rbjax.dynamics.kinematics import body_poses, link_poses
 from rbjax.forces.element import Element, Loads
@@ -78,7 +77,7 @@ def _site_moments(now: Instant) -> dict[int, dict[int, Lane]]:
     model, q, d = now.model, now.q, now.links.driver
     top, actuators, sites = model.topology, model.actuators, model.sites
     driven = [i for i, site in enumerate(actuators.sites) if site >= 0]
-    if isinstance(d, Listed) or not driven:
+    if d.listed or not driven:
         gear = table(actuators.gear, q.dtype)
         out = {}
         for i in driven:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.link_forces import LinkForces, added
 from rbjax.lanes import Lane, add, mul
 from rbjax.model.model import Record
 from rbjax.spatial import Force
@@ -31,14 +32,14 @@ class Loads:
     """Forces on a robot; they add.
 
     Fields: tau, generalized forces by velocity coordinate; wrenches, forces by link, in the link's
-    axes at its origin. `Frame.push` and `Joint.push` make them.
+    axes at its origin, or columns over all links. `Frame.push` and `Joint.push` make them.
     """
 
     tau: Mapping[int, Lane] = field(default_factory=dict)
-    wrenches: Mapping[int, Force] = field(default_factory=dict)
+    wrenches: LinkForces = field(default_factory=dict)
 
     def __add__(self, other: Loads) -> Loads:
-        return Loads(_summed(self.tau, other.tau), _summed(self.wrenches, other.wrenches))
+        return Loads(_summed(self.tau, other.tau), added(self.wrenches, other.wrenches))
 
     def __radd__(self, other: Any) -> Loads:
         return self if isinstance(other, int) and other == 0 else NotImplemented  # of sum()
@@ -48,18 +49,17 @@ class Loads:
 
     def __mul__(self, scale: Lane) -> Loads:
         tau = {i: x * scale for i, x in self.tau.items()}
+        if isinstance(self.wrenches, Force):
+            return Loads(tau, self.wrenches * scale)
         return Loads(tau, {i: x * scale for i, x in self.wrenches.items()})
 
     __rmul__ = __mul__
 
 
-def _summed(a: Mapping, b: Mapping) -> dict:
+def _summed(a: Mapping[int, Lane], b: Mapping[int, Lane]) -> dict[int, Lane]:
     out = dict(a)
     for i, x in b.items():
-        if i not in out:
-            out[i] = x
-        else:
-            out[i] = out[i] + x if isinstance(x, Force) else add(out[i], x)
+        out[i] = add(out.get(i, 0.0), x)
     return out
 
 

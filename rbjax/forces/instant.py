@@ -13,9 +13,11 @@ from functools import cached_property
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.drivers import Listed, driver
+from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.link_forces import LinkForces, generalized
 from rbjax.dynamics.link_motion import LinkMotion
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
@@ -30,6 +32,15 @@ def table(x: Any, dtype: Any) -> Any:
     if isinstance(x, jax.core.Tracer):
         return x.astype(dtype)
     return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
+
+
+def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
+    """numpy and the numbers as `table` has them, where all are known while tracing; otherwise
+    jax.numpy and arrays of the dtype. For what is computed of numbers that belong together."""
+    found = [table(x, dtype) for x in numbers]
+    if any(isinstance(x, jax.core.Tracer) for x in found):
+        return jnp, [jnp.asarray(x, dtype) for x in found]
+    return np, found
 
 
 @dataclass(frozen=True)
@@ -93,6 +104,11 @@ class Instant:
         if np.shape(tau) != (nv,):
             raise InputError(f"generalized: tau has shape {np.shape(tau)}, expected ({nv},)")
         return Loads({i: tau[i] for i in range(nv)})
+
+    def generalized_of(self, wrenches: LinkForces) -> jax.Array:
+        """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
+        d = self.links.driver
+        return d.pack(generalized(d, d.joints(self.q, None), wrenches), self.v)
 
 
 class Frame:
@@ -158,7 +174,7 @@ class Frame:
 
     def arms(self, wrench: Force) -> dict[int, Lane]:
         """J^T w of such a wrench, by velocity coordinate."""
-        if not isinstance(self._links.driver, Listed):
+        if not self._links.driver.listed:
             return self.world_arms(self.rotation @ wrench.lin, self.rotation @ wrench.ang)
         wrench, out, at = self._on_link(wrench), {}, self.link
         while at != WORLD:
@@ -171,7 +187,7 @@ class Frame:
     def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:
         """J^T w of a force and a torque in world axes, at the frame's origin."""
         d = self._links.driver
-        if isinstance(d, Listed):
+        if d.listed:
             E = self.rotation.T
             return self.arms(Force(E @ torque, E @ force))
         out: dict[int, Lane] = {}

@@ -7,7 +7,7 @@ the model's own: joints.stiffness, joints.springref, joints.damping.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
 from rbjax.dynamics.manifold import difference_lanes
 from rbjax.forces.element import Element, Loads
@@ -36,17 +36,23 @@ class JointSprings(Element):
 
 def _stretched(now: Instant) -> list[tuple[Lane, int, list[Lane]]]:
     """Of each spring its stiffness, its first velocity coordinate, and how far it is stretched."""
-    model, q = now.model, now.q
-    top, joints = model.topology, model.joints
-    stiffness = table(joints.stiffness, q.dtype)
-    if isinstance(stiffness, np.ndarray) and not stiffness.any():
-        return []
-    rest = table(joints.springref, q.dtype)
-    at_rest = [lane(rest, i) for i in range(top.nq)]
-    stretch = difference_lanes(top, at_rest, [q[i] for i in range(top.nq)])
-    out = []
-    for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
-        k = lane(stiffness, j)
-        if not is_zero(k):
-            out.append((k, at, stretch[at : at + JOINT_SIZES[kind][1]]))
-    return out
+    stiffness = table(now.model.joints.stiffness, now.q.dtype)
+    ks = [lane(stiffness, j) for j in range(len(now.model.topology.joint_kinds))]
+    starts = now.model.topology.joint_v
+    return [(k, starts[j], stretch(now, j)) for j, k in enumerate(ks) if not is_zero(k)]
+
+
+def stretch(now: Instant, joint: int) -> list[Lane]:
+    """How far a joint is from the rest of its spring, in the coordinates of v."""
+    top, rest = now.model.topology, table(now.model.joints.springref, now.q.dtype)
+    kind, start = top.joint_kinds[joint], top.joint_q[joint]
+    at = range(start, start + JOINT_SIZES[kind][0])
+    return difference_lanes(_Alone((kind,)), [lane(rest, i) for i in at], [now.q[i] for i in at])
+
+
+class _Alone(NamedTuple):
+    """The topology of a joint alone, for `difference_lanes`."""
+
+    joint_kinds: tuple[str]
+    joint_q: tuple[int] = (0,)
+    joint_v: tuple[int] = (0,)

@@ -85,16 +85,19 @@ def what_is_left_out(m: mujoco.MjModel, i: int) -> str:
     return ""
 
 
-def reflected(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Armature and linear damping (nv,) that actuators add to the coordinates of their joints."""
+def reflected(m: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What actuators add to the coordinates of their joints: armature and linear damping (nv,),
+    and damping by higher powers of the velocity (nv, n)."""
     armature, damping = np.zeros(m.nv), np.zeros(m.nv)
+    polynomial = np.zeros_like(m.dof_dampingpoly)
     for i in range(m.nactuator):
         if is_at_joint(m, i):
             square = m.actuator_gear[m.actuator_outadr[i], 0] ** 2
             dofs = m.dof_jntid == m.actuator_trnid[i, 0]
             armature[dofs] += m.actuator_armature[i] * square
             damping[dofs] += m.actuator_damping[i] * square
-    return armature, damping
+            polynomial[dofs] += m.actuator_dampingpoly[i] * square
+    return armature, damping, polynomial
 
 
 def _law_is_known(m: mujoco.MjModel, i: int) -> bool:

@@ -44,26 +44,18 @@ def dropped_features(
         note("joint friction loss", joints_of_dofs, obj.mjOBJ_JOINT)
     if constraints and enabled(bit.mjDSBL_EQUALITY):
         note("equality constraints", m.eq_active0, obj.mjOBJ_EQUALITY)
-    if m.ntendon:
-        note("springs, dampers, limits and masses of tendons", _tendons_that_act(m),
-             obj.mjOBJ_TENDON)  # fmt: skip
+    note("tendons", [not tendon_is_supported(m, i) for i in range(m.ntendon)], obj.mjOBJ_TENDON)
     if m.nflex:
         note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
-    if m.ngravcomp:
-        note("gravity compensation", m.body_gravcomp, obj.mjOBJ_BODY)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
-    note("fluid forces", m.opt.density > 0 or m.opt.viscosity > 0)
-    note("nonlinear joint stiffness", m.jnt_stiffnesspoly.any(-1), obj.mjOBJ_JOINT)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
-    note("nonlinear joint damping", m.dof_dampingpoly.any())
     left_out = [what_is_left_out(m, i) for i in range(m.nactuator)]
     for why in dict.fromkeys(filter(None, left_out)):
         note(f"actuators: {why}", [why == what for what in left_out], obj.mjOBJ_ACTUATOR)
+    extra = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(-1) | (m.actuator_armature != 0)
     at_joint = [is_at_joint(m, i) for i in range(m.nactuator)]
-    linear = (m.actuator_damping != 0) | (m.actuator_armature != 0)
-    note("damping and armature of actuators at tendons", linear & ~np.array(at_joint, bool),
+    note("damping and armature of actuators at tendons", extra & ~np.array(at_joint, bool),
          obj.mjOBJ_ACTUATOR)  # fmt: skip
-    note("nonlinear damping of actuators", m.actuator_dampingpoly.any(-1), obj.mjOBJ_ACTUATOR)
     note("plugins", m.nplugin)
     return tuple(out)
 
@@ -74,6 +66,21 @@ def _tendons_that_act(m: mujoco.MjModel) -> np.ndarray:
     for name in ("stiffness", "damping", "frictionloss", "armature"):
         acts |= getattr(m, f"tendon_{name}") != 0
     return acts | m.tendon_stiffnesspoly.any(-1) | m.tendon_dampingpoly.any(-1)
+
+
+def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
+    """Whether of tendon i there is nothing but what actuators do with it, or a spring and a damper
+    between two sites."""
+    start, count = m.tendon_adr[i], m.tendon_num[i]
+    off, bit = m.opt.disableflags, mujoco.mjtDisableBit
+    constraints = not off & int(bit.mjDSBL_CONSTRAINT)
+    limited = m.tendon_limited[i] and constraints and not off & int(bit.mjDSBL_LIMIT)
+    rubs = constraints and not off & int(bit.mjDSBL_FRICTIONLOSS) and m.tendon_frictionloss[i]
+    sites = m.wrap_type[start : start + count] == int(mujoco.mjtWrap.mjWRAP_SITE)
+    polynomials = (*m.tendon_stiffnesspoly[i], *m.tendon_dampingpoly[i])
+    pulls = any((m.tendon_stiffness[i], m.tendon_damping[i], *polynomials))
+    held = limited or rubs or m.tendon_armature[i]
+    return bool(not held and (not pulls or (count == 2 and sites.all())))
 
 
 def _may_collide(m: mujoco.MjModel) -> bool:

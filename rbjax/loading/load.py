@@ -22,6 +22,7 @@ from rbjax.loading.force_actuators import key_states
 from rbjax.loading.forces import elements
 from rbjax.loading.inertials import write_inertials
 from rbjax.loading.meshes import without_missing_mesh
+from rbjax.loading.motors import with_motors
 from rbjax.loading.urdf import is_urdf, prepare_urdf
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
@@ -54,6 +55,7 @@ def load(
     strict: bool = False,
     limits: bool = False,
     friction: bool = False,
+    motors: bool = False,
 ) -> Model:
     """A `Model` from an MJCF or URDF file.
 
@@ -61,8 +63,9 @@ def load(
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
         floating_base: give a URDF's root link a free joint, so that its mass counts.
         strict: raise instead of warn about what the file has and the model leaves out.
-        limits: hold joints within their ranges by compliant stops (`rbjax.forces`).
-        friction: take the file's friction loss of joints as smooth Coulomb friction.
+        limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
+        motors: put a motor of gear 1, named as the joint, on each hinge and slide that has none.
+        friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;
@@ -94,7 +97,8 @@ def load(
         if strict:
             raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
         warnings.warn(text, stacklevel=2)
-    return from_compiled(compiled, dropped, limits=limits, friction=friction)
+    model = from_compiled(compiled, dropped, limits=limits, friction=friction)
+    return with_motors(model) if motors else model
 
 
 def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel:
@@ -259,7 +263,7 @@ def from_compiled(
     turn = turn.reshape(-1, 3, 3)
     inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
     limited = m.jnt_actfrclimited.astype(bool)[:, None]
-    armature, damping = reflected(m)
+    armature, damping, _ = reflected(m)
     ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool)[:, None]
     return Model(
         bodies=Bodies(

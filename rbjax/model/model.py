@@ -87,7 +87,7 @@ class Joints(Record):
     armature (nv,) kg m^2 or kg; damping (nv,); stiffness (nj,); springref (nq,), the springs' rest;
     forcerange (nj, 2), limits of the actuators' sum on a joint; range (nj, 2) rad or m, the least
     and the largest coordinate (of a ball 0 and the largest angle of turning). Limits are infinite
-    where the file sets none. A range is known to who asks; nothing yet stops a joint at it.
+    where the file sets none. A range stops nothing: `rbjax.forces.JointLimits` does.
     """
 
     placement: jax.Array
@@ -173,6 +173,13 @@ class Model(Record):
                 "correct <option timestep/> in the file, or model.replace(timestep=0.002); "
                 "a step that is an array is for rollout(dt=...)"
             )
+
+    def replace(self, **changes: Any) -> Model:
+        """A copy with the given fields changed; shapes of arrays must stay. What was made ahead of
+        numbers that change is made anew."""
+        if changes.keys() & {"bodies", "joints", "gravity", "zeros"}:
+            changes = {"prepared": None} | changes
+        return super().replace(**changes)
 
     def several(self) -> tuple[str, tuple[int, ...], int] | None:
         """Name, shape and due number of axes of a leaf that has others, as in a batch of models."""

@@ -17,6 +17,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field
@@ -73,3 +74,12 @@ def _given(*parts: Any) -> tuple:
 
 INTEGRATORS: dict[str, Integrator] = {"semi_implicit_euler": semi_implicit_euler}
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
+
+
+def integrator_of(where: str, integrator: str | Integrator) -> Integrator:
+    """An integrator by its name, or itself."""
+    if not isinstance(integrator, str):
+        return integrator
+    if integrator not in INTEGRATORS:
+        raise InputError(f"{where}: integrator {integrator!r}, expected one of {list(INTEGRATORS)}")
+    return INTEGRATORS[integrator]

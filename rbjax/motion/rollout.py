@@ -29,7 +29,7 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.field import Field, Law, batch_last, free_motion
-from rbjax.motion.integrators import INTEGRATORS, Integrator
+from rbjax.motion.integrators import Integrator, integrator_of
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
@@ -102,8 +102,7 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
-    if not callable(integrator) and integrator not in INTEGRATORS:
-        raise InputError(f"rollout: integrator {integrator!r}, expected one of {list(INTEGRATORS)}")
+    advance = integrator_of("rollout", integrator)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
     check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")
     if steps % save_every:
@@ -117,8 +116,7 @@ def rollout(
     run = _run if traced and (sources.asks or staged()) else _compiled
     threads = wanted() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
-    integrator = integrator if callable(integrator) else INTEGRATORS[integrator]
-    how = Steps(law, integrator, int(save_every), steps, batched)
+    how = Steps(law, advance, int(save_every), steps, batched)
     return run(model, state, given, step, functions, how, threads, memory)
 
 

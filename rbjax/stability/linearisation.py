@@ -1,9 +1,4 @@
-"""Motion linearised about its states, and where it is at rest.
-
-    d/dt [dq; dv] = A [dq; dv],    A = [[-[w]x, 1], [da/dq, da/dv]],    control held
-with dq on the tangent space (body axes for attitudes, hence -[w]x) and a = FD(q, v, applied
-forces), so that springs, dampers and the gains of servos are in it.
-"""
+"""Motions linearised along their states (`rb.linearise`), and where they are at rest."""
 
 from __future__ import annotations
 
@@ -14,16 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import algorithm, check_arrays
-from rbjax.dynamics.manifold import integrate
 from rbjax.errors import InputError
-from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
-from rbjax.motion.field import Field
+from rbjax.motion.linearise import beside, linearised
 
 
 @algorithm("state", "ctrl")
 def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
-    """A (2 nv, 2 nv) of the linearised motion d/dt [dq; dv] = A [dq; dv], the control held.
+    """A (n, n), n = 2 nv + nx, of the linearised motion d/dt dx = A dx, the control held.
 
     Args:
         model: the robot.
@@ -31,7 +24,8 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         ctrl: (nu,) controls; None for no actuation.
 
     Returns:
-        (2 nv, 2 nv) in 1/s and 1/s^2; dq on the tangent space, in the coordinates of v.
+        (n, n) in 1/s and 1/s^2, dx = [dq; dv; dx_e]: dq on the tangent space, in the coordinates
+        of v, and the states of force elements.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite.
@@ -44,28 +38,10 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         >>> rb.stability.state_matrix(model, model.default_state()).shape
         (2, 2)
     """
-    return _linearised(model, state, ctrl)[1]
+    return linearised(model, state, ctrl)[1]
 
 
-def _linearised(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
-    """The acceleration (nv,), and A."""
-    n = model.nv
-
-    def rate(x):
-        beside = State(integrate(model, state.q, x[:n]), state.v + x[n:], state.x)
-        a, _ = Field(model).rates(0.0, beside, Inputs(ctrl))
-        return a, a
-
-    lower, a = jax.jacfwd(rate, has_aux=True)(jnp.zeros(2 * n, state.q.dtype))
-    turning = jnp.zeros((n, n), state.q.dtype)
-    for start in model.topology.turn_starts:
-        rows = slice(start, start + 3)
-        turning = turning.at[rows, rows].set(-jnp.cross(state.v[rows], jnp.eye(3)).T)
-    upper = jnp.concatenate([turning, jnp.eye(n, dtype=state.q.dtype)], 1)
-    return a, jnp.concatenate([upper, lower])
-
-
-_both = jax.jit(_linearised)
+_both = jax.jit(lambda *at: linearised(*at)[:2])
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
@@ -126,7 +102,7 @@ def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray
 def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50) -> State:
     """The state at rest beside `state` where nothing accelerates under a held control.
 
-    Newton's method on a(q, 0) = 0, least squares where the equilibrium is not isolated.
+    Newton's method on a(q, 0, x) = 0, x' = 0, least squares where the equilibrium is not isolated.
 
     Args:
         model: the robot.
@@ -145,15 +121,17 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         True
     """
     found = check_arrays("equilibrium", model, {"state": state, "ctrl": ctrl})
-    q, v, ctrl = found["state"].q, jnp.zeros_like(found["state"].v), found.get("ctrl")
-    n = model.nv
+    state, ctrl, n = found["state"], found.get("ctrl"), model.nv
+    state = state.replace(v=jnp.zeros_like(state.v))
     for _ in range(steps):
-        a, A = map(np.asarray, _both(model, State(q, v), ctrl))
+        a, A = map(np.asarray, _both(model, state, ctrl))
         if _vanishes(a, A):
-            return State(q, v)
-        dq = np.linalg.lstsq(A[n:, :n], -a, rcond=1e-10)[0]
-        dq = dq * min(1.0, 0.5 / max(np.abs(dq).max(), 1e-300))
-        q = integrate(model, q, jnp.asarray(dq, q.dtype))
+            return state
+        dx = np.zeros(len(A))
+        rest = np.delete(np.arange(len(A)), np.s_[n : 2 * n])  # all but the velocities
+        dx[rest] = np.linalg.lstsq(A[n:, rest], -a, rcond=1e-10)[0]
+        dx = dx * min(1.0, 0.5 / max(np.abs(dx).max(), 1e-300))
+        state = beside(model, state, jnp.asarray(dx, state.q.dtype))
     raise InputError(
         f"equilibrium: an acceleration of {np.abs(a).max():.1e} is left after {steps} steps; "
         "begin nearer to a state of rest, if there is one"

@@ -108,7 +108,7 @@ def compare(
     for column, dtype in (("rbjax f64", np.float64), ("rbjax f32", np.float32)):
         say(column)
         with jax.enable_x64(True):
-            model = from_compiled(compiled, off).replace(driver=driver)
+            model = from_compiled(reference, off).replace(driver=driver)
             found[column] = ours.quantities(model, samples, dtype)
             found[column] |= ours.motion(model, few, dt, steps, slope, dtype)
     notes = [

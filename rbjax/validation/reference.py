@@ -19,17 +19,19 @@ import numpy as np
 
 from rbjax.loading import compile_model
 from rbjax.loading.actuator_kinds import is_at_joint, what_is_left_out
-from rbjax.loading.dropped import dropped_features
+from rbjax.loading.dropped import dropped_features, tendon_is_supported
 
 Array = np.ndarray
 
 #: what MuJoCo's Euler step does beyond the equation above
 _EULER = "implicit joint damping in MuJoCo's Euler step"
 _ZEROED = (
-    "body_gravcomp", "dof_frictionloss", "tendon_stiffness", "tendon_damping", "tendon_armature",
-    "tendon_frictionloss", "tendon_stiffnesspoly", "tendon_dampingpoly", "flex_stiffness",
-    "flex_damping", "flex_edgestiffness", "flex_edgedamping", "jnt_stiffnesspoly",
-    "dof_dampingpoly", "actuator_dampingpoly",
+    "dof_frictionloss", "tendon_frictionloss", "flex_stiffness", "flex_damping",
+    "flex_edgestiffness", "flex_edgedamping",
+)  # fmt: skip
+_TENDONS = (
+    "tendon_stiffness", "tendon_damping", "tendon_armature", "tendon_stiffnesspoly",
+    "tendon_dampingpoly",
 )  # fmt: skip
 
 
@@ -47,13 +49,13 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     """
     m = copy.copy(compile_model(source, floating_base=floating_base))
     off = (*dropped_features(m), _EULER)
+    slack = [i for i in range(m.ntendon) if not tendon_is_supported(m, i)]
     bits = mujoco.mjtDisableBit
     for bit in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_CONTACT, bits.mjDSBL_LIMIT):
         m.opt.disableflags |= int(bit)
     for bit in (bits.mjDSBL_FRICTIONLOSS, bits.mjDSBL_EQUALITY, bits.mjDSBL_EULERDAMP):
         m.opt.disableflags |= int(bit)
     m.geom_contype[:] = m.geom_conaffinity[:] = 0  # else MJX refuses some pairs of shapes
-    m.opt.density = m.opt.viscosity = 0.0
     m.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
@@ -61,11 +63,13 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
         if what_is_left_out(m, i):
             loosen(m, i)
         if not is_at_joint(m, i):
-            m.actuator_damping[i] = m.actuator_armature[i] = 0.0
+            m.actuator_damping[i] = m.actuator_dampingpoly[i] = m.actuator_armature[i] = 0.0
     for field in _ZEROED:
         values = getattr(m, field, None)  # several are new in MuJoCo 4
         if values is not None:
             values[:] = 0.0
+    for field in _TENDONS:
+        getattr(m, field)[slack] = 0.0
     return m, off
 
 

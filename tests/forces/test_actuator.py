@@ -12,6 +12,7 @@ from rbjax.forces.instant import Instant
 from tests.forces.actuated import Samples, actuation, errors, limbs, motion_errors, ours
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import QUICK, load_quietly
+from tests.threads.host import COMPILER, on_host
 from tests.tolerances import F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error
 
 SEEDS = [pytest.param(k, marks=() if k in (3, 4, 5) else pytest.mark.slow) for k in range(20)]
@@ -104,6 +105,19 @@ def test_a_gradient_through_a_motion():
     run = jax.jit(end, compiler_options=QUICK)
     differences = [(run(u + e) - run(u - e)) / (2 * h) for e in h * jnp.eye(2)]
     np.testing.assert_allclose(slope, differences, rtol=1e-6)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C++ compiler for the emitted program")
+def test_as_a_gpu_thread():
+    m = limbs(*MIXED)
+    model, samples = load_quietly(m).replace(driver="limbs"), Samples.of(m, 4)
+
+    def one(q, v, x, u):
+        return actuation(model, rb.State(q, v, x), u)
+
+    given = (jnp.asarray(x) for x in (samples.q, samples.v, samples.x, samples.u))
+    for a, b in zip(on_host(one, *given), ours(model, samples), strict=True):
+        assert relative_error(a, b) < F64_TRANSFORM
 
 
 def test_a_model_without_such_actuators_has_no_elements():

@@ -56,8 +56,8 @@ def test_controls_are_clipped_unless_the_file_says_no():
 
 def test_armature_and_damping_of_actuators_at_joints():
     m = limbs(
-        '<motor joint="h" gear="3" armature="0.5" damping="0.2"/>',
-        '<position jointinparent="b" gear="2 3 4" armature="0.1"/>',
+        '<motor joint="h" gear="3" armature="0.5" damping="0.2 0.1 0.3"/>',
+        '<position jointinparent="b" gear="2 3 4" armature="0.1" damping="0 0.1 0.2"/>',
         '<motor joint="f" gear="0.5 0 0 0 0 0" armature="0.2" damping="0.1"/>',
         '<motor tendon="band" armature="0.2"/>',
     )

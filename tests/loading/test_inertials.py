@@ -8,10 +8,10 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from tests.model.test_load import joint, urdf
 
 import rbjax as rb
 from rbjax.loading import compile_model
+from tests.loading.test_load import joint, urdf
 from tests.oracles.models import REFUSED
 from tests.oracles.pinocchio_urdf import Peer
 from tests.robots import QUICK

@@ -238,13 +238,11 @@ DROPPED = {  # word of the message: file that has it
         body('<joint name="a"/>'),
         extra='<equality><joint name="loop" joint1="a"/></equality>',
     ),
-    "springs, dampers, limits and masses of tendons (rope)": mjcf(
+    "tendons (rope)": mjcf(
         body('<joint name="a"/>'),
         extra='<tendon><fixed name="rope" stiffness="1"><joint joint="a" coef="1"/></fixed>'
         '<fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>',
     ),
-    "gravity compensation": mjcf(f'<body gravcomp="1"><joint/>{MASS}</body>'),
-    "fluid forces": mjcf(body("<joint/>"), extra='<option density="1"/>'),
     "mocap bodies": mjcf(body("<joint/>"), '<body mocap="true"/>'),
     "actuators: delays of controls (late)": mjcf(
         body('<joint name="a"/>'),
@@ -254,9 +252,10 @@ DROPPED = {  # word of the message: file that has it
         body('<joint name="a"/>'),
         extra='<actuator><adhesion name="gecko" body="b" ctrlrange="0 1"/></actuator>',
     ),
-    "nonlinear damping of actuators (m)": mjcf(
+    "damping and armature of actuators at tendons (m)": mjcf(
         body('<joint name="a"/>'),
-        extra='<actuator><motor name="m" joint="a" damping="1 2 3"/></actuator>',
+        extra='<tendon><fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>'
+        '<actuator><motor name="m" tendon="idle" damping="1 2 3"/></actuator>',
     ),
 }  # fmt: skip
 

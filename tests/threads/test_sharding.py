@@ -14,8 +14,8 @@ import rbjax as rb
 from rbjax.threads.function import threaded
 from tests.eight_devices import check, mesh, on_eight_devices
 
-march, places = (
-    importlib.import_module(f"rbjax.{name}") for name in ("march", "dynamics.devices")
+threaded_rollout, places = (
+    importlib.import_module(f"rbjax.{name}") for name in ("motion.threaded", "dynamics.devices")
 )
 
 
@@ -125,7 +125,7 @@ def child_rollouts():
 
         return jax.grad(total)
 
-    march.POLICY_UP_TO = 0  # a network between the steps
+    threaded_rollout.POLICY_UP_TO = 0  # a network between the steps
     check("by weights", by_weights(True), (jnp.ones((1, 2)), q, v), by_weights(False), sums=1)
 
 

@@ -1,0 +1,87 @@
+"""Gravity compensation: bodies held up against their own weight, wholly or in part.
+
+    w_b = -c_b m_b g   at the body's centre of mass,      tau = sum over bodies of J_b^T w_b
+
+c = 1 makes a body weightless, c = 2 lets it rise as fast as it would fall. On all joints this is a
+field of constant forces, of energy V = sum of c_b m_b g . p_b, p_b the centre of mass. A robot may
+leave some joints' share to their actuators, within whose force ranges it then has to stay; that of
+the other joints stays passive (MuJoCo: `actuatorgravcomp` of a joint). Two elements make up such a
+robot, one for the passive joints and one for the actuated ones.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+
+from rbjax.forces.element import Element, Loads
+from rbjax.forces.instant import Instant, table
+from rbjax.lanes import Lane, Vec3, inner, is_zero, mul, total
+from rbjax.model import JOINT_SIZES
+from rbjax.model.links import lane
+
+
+class GravityCompensation(Element):
+    """Forces against the weight of bodies.
+
+    w_b = -c_b m_b g at the centre of mass of each body.
+
+    Fields: fraction c (n,), of each body's weight. Static: `bodies`, their names or indices;
+    `joints`, names or indices of the joints at which the forces act, None for all; `actuated`,
+    whether they count as actuators' forces: absent without controls, and within the joints' ranges
+    of force.
+
+    Source: MuJoCo, XML reference, body gravcomp and joint actuatorgravcomp.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("two_link")
+        >>> held = rb.forces.GravityCompensation(jnp.ones(model.nb), model.body_names)
+        >>> state = model.default_state()
+        >>> tau = rb.applied_forces(model.with_forces(held), state)
+        >>> bool(jnp.allclose(tau, rb.gravity_forces(model, state.q)))
+        True
+    """
+
+    fraction: jax.Array
+    bodies: tuple[str | int, ...] = eqx.field(static=True)
+    joints: tuple[str | int, ...] | None = eqx.field(static=True, default=None)
+    actuated: bool = eqx.field(static=True, default=False)
+
+    @property
+    def actuates(self) -> bool:
+        return self.actuated
+
+    def loads(self, now: Instant) -> Loads:
+        pushes = Loads()
+        for frame, force in self._lifted(now):
+            pushes = pushes + frame.push(force)
+        if self.joints is None and not self.actuated:
+            return pushes
+        if not pushes.wrenches:
+            return Loads()
+        top, tau = now.model.topology, now.generalized_of(pushes.wrenches)
+        named = range(len(top.joint_kinds)) if self.joints is None else self.joints
+        joints = [now.model.joint(j) if isinstance(j, str) else j for j in named]
+        at = [top.joint_v[j] + k for j in joints for k in range(JOINT_SIZES[top.joint_kinds[j]][1])]
+        return Loads({i: tau[i] for i in at})
+
+    def energy(self, now: Instant) -> Lane:
+        """sum of c m g . p, where the forces act on all joints; those on some of them alone are
+        the gradient of no energy, and count as none."""
+        if self.joints is not None:
+            return 0.0
+        return total(-inner(force, frame.position) for frame, force in self._lifted(now))
+
+    def _lifted(self, now: Instant) -> list:
+        """The frame at the centre of mass of each lifted body, and the force on it."""
+        model, dtype, out = now.model, now.q.dtype, []
+        mass, com = table(model.bodies.mass, dtype), table(model.bodies.com, dtype)
+        fraction, gravity = table(self.fraction, dtype), table(model.gravity, dtype)
+        for n, name in enumerate(self.bodies):
+            b = model.body(name) if isinstance(name, str) else name
+            lift = mul(-1.0, mul(lane(fraction, n), lane(mass, b)))
+            force = Vec3(*(mul(lift, lane(gravity, k)) for k in range(3)))
+            if not all(map(is_zero, force)):
+                out.append((now.body(b).at(Vec3(*(lane(com[:, k], b) for k in range(3)))), force))
+        return out

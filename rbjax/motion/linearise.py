@@ -1,0 +1,164 @@
+"""One step of a motion, and a motion linearised about a state.
+
+    d/dt dx = A dx + B du,     dx = [dq; dv; dx_e],     A = [[-[w]x, 1, 0], [a_q, a_v, a_x], [..]]
+    dx+ = A dx + B du          where a step dt is given
+with dq on the tangent space of the configuration (body axes for attitudes, hence -[w]x) and x_e the
+states of force elements.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.manifold import difference, integrate
+from rbjax.forces.inputs import Inputs
+from rbjax.model import Model, State
+from rbjax.motion.field import Field, Law, free_motion
+from rbjax.motion.integrators import Integrator, integrator_of
+
+
+class Linear(NamedTuple):
+    """A (n, n) and B (n, nu) with n = 2 nv + nx."""
+
+    A: jax.Array
+    B: jax.Array
+
+
+@algorithm("state", "ctrl", "dt")
+def step(
+    model: Model,
+    state: State,
+    ctrl: jax.Array | None = None,
+    dt: Any = None,
+    *,
+    t: Any = 0.0,
+    integrator: str | Integrator = "semi_implicit_euler",
+    law: Law = free_motion,
+) -> State:
+    """The state after one step, the controls held over it: what `rollout` does once.
+
+    Args:
+        model: the robot.
+        state: `State(q (nq,), v (nv,))`, with x (nx,) where force elements have states.
+        ctrl: (nu,) controls; None for no actuation.
+        dt: step in seconds; the model's timestep if None.
+        t: time in seconds, for force elements that look at it.
+        integrator: as in `rollout`.
+        law: from forces to accelerations (`rbjax.motion.field.Law`).
+
+    Returns:
+        `State`.
+
+    Raises:
+        InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
+            is not positive.
+
+    Source: as `rollout`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("cart_pole")
+        >>> rb.step(model, model.default_state(), dt=0.01).q.shape
+        (2,)
+    """
+    dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
+    return integrator_of("step", integrator)(Field(model, law), t, state, Inputs(ctrl), dt)
+
+
+@algorithm("state", "ctrl", "dt")
+def linearise(
+    model: Model,
+    state: State,
+    ctrl: jax.Array | None = None,
+    dt: Any = None,
+    *,
+    t: Any = 0.0,
+    integrator: str | Integrator = "semi_implicit_euler",
+    law: Law = free_motion,
+) -> Linear:
+    """A and B of the motion linearised about a state and controls, with all forces that act.
+
+    d/dt dx = A dx + B du; with a step dt: dx+ = A dx + B du, the derivative of `rb.step`.
+
+    Args:
+        model: the robot.
+        state: `State(q (nq,), v (nv,))` about which to linearise; x (nx,) with it.
+        ctrl: (nu,) controls; None for no actuation, then B has no columns.
+        dt: step in seconds of the discrete form; None for the continuous one.
+        t: time in seconds, for force elements that look at it.
+        integrator: of the discrete form, as in `rollout`.
+        law: from forces to accelerations (`rbjax.motion.field.Law`).
+
+    Returns:
+        `Linear(A (n, n), B (n, nu))`, n = 2 nv + nx; rows and columns are dq on the tangent space,
+        in the coordinates of v, then dv, then the states of force elements.
+
+    Raises:
+        InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
+            is not positive.
+
+    Source: Carpentier & Mansard, *Analytical derivatives of rigid body dynamics*, RSS 2018.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
+        >>> A.shape, B.shape
+        ((4, 4), (4, 1))
+    """
+    if dt is None:
+        return Linear(*linearised(model, state, ctrl, t, law)[1:])
+    advance, field = integrator_of("linearise", integrator), Field(model, law)
+    u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
+    after = advance(field, t, state, Inputs(ctrl), dt)
+
+    def moved(dx: jax.Array, du: jax.Array) -> jax.Array:
+        inputs = Inputs(None if ctrl is None else ctrl + du)
+        new = advance(field, t, beside(model, state, dx), inputs, dt)
+        return apart(model, after, new)
+
+    n = 2 * model.nv + model.nx
+    return Linear(*jax.jacfwd(moved, (0, 1))(jnp.zeros(n, u.dtype), jnp.zeros_like(u)))
+
+
+def linearised(
+    model: Model, state: State, ctrl: Any, t: Any = 0.0, law: Law = free_motion
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The rates (nv + nx,) of v and of the elements' states, A and B of the continuous form."""
+    n, dtype = model.nv, state.q.dtype
+    u = jnp.zeros(0, dtype) if ctrl is None else ctrl
+
+    def rates(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, jax.Array]:
+        inputs = Inputs(None if ctrl is None else ctrl + du)
+        a, x = Field(model, law).rates(t, beside(model, state, dx), inputs)
+        found = a if x is None else jnp.concatenate([a, x])
+        return found, found
+
+    start = jnp.zeros(2 * n + model.nx, dtype)
+    (lower, B), found = jax.jacfwd(rates, (0, 1), has_aux=True)(start, jnp.zeros_like(u))
+    turning = jnp.zeros((n, n), dtype)
+    for at in model.topology.turn_starts:
+        rows = slice(at, at + 3)
+        turning = turning.at[rows, rows].set(-jnp.cross(state.v[rows], jnp.eye(3)).T)
+    upper = [turning, jnp.eye(n, dtype=dtype), jnp.zeros((n, model.nx), dtype)]
+    A = jnp.concatenate([jnp.concatenate(upper, 1), lower])
+    return found, A, jnp.concatenate([jnp.zeros((n, u.shape[0]), dtype), B])
+
+
+def beside(model: Model, state: State, dx: jax.Array) -> State:
+    """The state moved by dx = [dq; dv; dx_e]."""
+    n = model.nv
+    x = None if state.x is None else state.x + dx[2 * n :]
+    return State(integrate(model, state.q, dx[:n]), state.v + dx[n : 2 * n], x)
+
+
+def apart(model: Model, one: State, other: State) -> jax.Array:
+    """dx from one state to another."""
+    dx = [difference(model, one.q, other.q), other.v - one.v]
+    if one.x is not None and other.x is not None:
+        dx.append(other.x - one.x)
+    return jnp.concatenate(dx)

@@ -1,0 +1,91 @@
+"""`linearise` and `step` against differences of `rollout`, and a closed form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.motion.linearise import apart, beside
+from tests.forces.elements import Lag, Wind
+from tests.tolerances import F64_IDENTITY, relative_error
+
+EPS = 1e-6
+
+
+def model_with_states() -> rb.Model:
+    model = rb.load("quadrotor")
+    return model.with_forces(Wind(jnp.array([3.0, 1.0, 0.0]), jnp.array(2.0)), Lag(jnp.array(0.1)))
+
+
+def test_a_pendulum_in_closed_form():
+    model = rb.load("pendulum")
+    A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
+    mass, length = model.bodies.mass[0], jnp.linalg.norm(model.bodies.com[0])
+    inertia = rb.mass_matrix(model, model.default_state().q)[0, 0]
+    stiffness = mass * 9.81 * length
+    damping = model.joints.damping[0]
+    gravity = float(-model.gravity[2])
+    wanted = [[0, 1], [-stiffness * gravity / 9.81 / inertia, -damping / inertia]]
+    np.testing.assert_allclose(A, np.array(wanted, float), rtol=1e-12)
+    gear = model.actuators.gear[0, 0] * model.actuators.gain[0, 0]
+    np.testing.assert_allclose(B, [[0.0], [gear / inertia]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
+def test_a_step_is_one_of_rollout(integrator, key):
+    model = model_with_states()
+    state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)
+    one = rb.step(model, state, u, 0.01, integrator=integrator)
+    path = rb.rollout(model, state, u[None], 0.01, integrator=integrator)
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(path.state(1)), strict=True):
+        assert relative_error(a, b) < F64_IDENTITY
+
+
+def test_a_step_is_differentiated(key):
+    model = model_with_states()
+    state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)
+    A, B = rb.linearise(model, state, u, 0.01)
+    n = 2 * model.nv + model.nx
+    assert A.shape == (n, n) and B.shape == (n, model.nu)
+
+    @jax.jit
+    def moved(dx, du):
+        after = rb.step(model, beside(model, state, dx), u + du, 0.01)
+        return apart(model, rb.step(model, state, u, 0.01), after)
+
+    def differences(f, size):
+        return np.stack([(f(e) - f(-e)) / (2 * EPS) for e in EPS * np.eye(size)], -1)
+
+    still = jnp.zeros(n), jnp.zeros(model.nu)
+    by_state = differences(lambda e: moved(jnp.asarray(e), still[1]), n)
+    by_control = differences(lambda e: moved(still[0], jnp.asarray(e)), model.nu)
+    assert relative_error(A, by_state) < 1e-7
+    assert relative_error(B, by_control) < 1e-7
+
+
+def test_the_continuous_form_is_the_limit_of_the_discrete_one(key):
+    """(A_dt - 1) / dt = A + O(dt), for attitudes and element states too."""
+    model = model_with_states()
+    state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)
+    A, B = rb.linearise(model, state, u)
+    errors = []
+    for dt in (1e-3, 1e-4):
+        Ad, Bd = rb.linearise(model, state, u, dt)
+        slope = (Ad - jnp.eye(len(A))) / dt
+        errors.append([relative_error(slope, A), relative_error(Bd / dt, B)])
+    coarse, fine = np.array(errors)
+    np.testing.assert_allclose(coarse / fine, 10.0, rtol=0.1)
+
+
+def test_no_controls_no_columns():
+    model = rb.load("cart_pole")
+    assert rb.linearise(model, model.default_state()).B.shape == (4, 0)
+
+
+def test_bad_arguments():
+    model = rb.load("cart_pole")
+    with pytest.raises(rb.InputError, match=r"step: integrator 'rk5', expected one of \['semi_"):
+        rb.step(model, model.default_state(), integrator="rk5")
+    with pytest.raises(rb.InputError, match="linearise: dt is -1"):
+        rb.linearise(model, model.default_state(), dt=-1.0)
