@@ -101,7 +101,7 @@ def smoothstep(x: Lane) -> Lane:
 
 def decayed(h: Any, time_constant: Lane, gap: Lane) -> Lane:
     """How much of a gap a lag of first order closes in h."""
-    return -jnp.expm1(-h / at_least(time_constant)) * gap
+    return -jnp.expm1(jnp.asarray(-h / at_least(time_constant), gap.dtype)) * gap
 
 
 def at_least(x: Lane) -> Lane:

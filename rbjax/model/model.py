@@ -84,10 +84,11 @@ class Joints(Record):
 
     Fields: placement (nj, 3) m, the joint's anchor in its body's frame; axis (nj, 3) in its body's
     frame (hinge and slide); reference (nq,), the configuration at which the file drew the robot;
-    armature (nv,) kg m^2 or kg; damping (nv,); stiffness (nj,); springref (nq,), the springs' rest;
-    forcerange (nj, 2), limits of the actuators' sum on a joint; range (nj, 2) rad or m, the least
-    and the largest coordinate (of a ball 0 and the largest angle of turning). Limits are infinite
-    where the file sets none. A range stops nothing: `rbjax.forces.JointLimits` does.
+    armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at the joint add; stiffness
+    (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits of the actuators' sum on a
+    joint; range (nj, 2) rad or m, the least and the largest coordinate (of a ball 0 and the largest
+    angle of turning). Limits are infinite where the file sets none. A range stops nothing:
+    `rbjax.forces.JointLimits` does.
     """
 
     placement: jax.Array
@@ -106,7 +107,8 @@ class Actuators(Record):
 
     Fields: gear (nu, 6); gain (nu, 3); bias (nu, 3); ctrlrange, forcerange (nu, 2), infinite
     where the file sets no limit. Static: `joints`, the joint that each one drives (or -1), and
-    `sites`, the site at which gear is a wrench [force; torque] in the site's axes (or -1).
+    `sites`, the site at which gear is a wrench [force; torque] in the site's axes (or -1). One row
+    for each control; rows of actuators that are elements of `Model.forces` are zero.
     """
 
     gear: jax.Array
