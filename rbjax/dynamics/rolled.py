@@ -205,7 +205,8 @@ class Rolled(Sweeps):
     def inward(self, step: Step, zero: Any, xs: Values) -> Values:
         """As `Unrolled.inward`."""
         nothing = as_arrays(zero, self._like)
-        chain = (self._index[1:, 2] == -1).all()
+        # nothing takes the last message but the head
+        chain = (self._index[0 if self.head else 1 :, 2] == -1).all()
 
         def body(carry, index, x):
             total, slots = carry
