@@ -16,7 +16,9 @@ import numpy as np
 
 import rbjax as rb
 from rbjax.loading import compile_model
+from rbjax.loading.actuator_kinds import is_affine
 from rbjax.validation.mjx import fast
+from rbjax.validation.reference import loosen
 from tests.oracles.models import MODELS, switch_off_constraints
 from tests.oracles.random_trees import random_state, random_tree
 
@@ -97,10 +99,9 @@ def _load(name: str) -> Robot:
     compiled.opt.density = compiled.opt.viscosity = 0.0
     model = load_quietly(compiled).replace(forces=())  # which have tests of their own
     switch_off_constraints(compiled)
-    for i in range(compiled.nactuator):  # what the model leaves out, the reference goes without
-        row = compiled.actuator_ctrladr[i]
-        if model.actuators.joints[row] == model.actuators.sites[row] == -1:
-            compiled.actuator_gainprm[i] = compiled.actuator_biasprm[i] = 0.0
+    for i in range(compiled.nactuator):  # what its elements are, the reference goes without
+        if not is_affine(compiled, i):
+            loosen(compiled, i)
     return Robot(model, compiled)
 
 

@@ -15,8 +15,8 @@ from rbjax.dynamics.jacobians import moment_arms
 from rbjax.dynamics.kinematics import body_poses, link_poses
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant, table
+from rbjax.forces.transmissions import joint_reach
 from rbjax.lanes import Lane, Vec3, add, inner, is_literal, is_zero, mul, total
-from rbjax.model import JOINT_SIZES
 from rbjax.model.links import lane, matrix_apply, matrix_product
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force
@@ -62,21 +62,14 @@ def clip(x: Lane, limits: Any, i: int) -> Lane:
 
 def _moment(now: Instant, i: int, at_sites: dict) -> tuple[dict[int, Lane], Lane]:
     """Row of the moment arms of actuator i as {velocity coordinate: arm}, and its length."""
-    top, joint, q = now.model.topology, now.model.actuators.joints[i], now.q
+    joint = now.model.actuators.joints[i]
     if i in at_sites:
         return {n: arm for n, arm in at_sites[i].items() if not is_zero(arm)}, 0.0
     if joint < 0:
         return {}, 0.0
-    gear = table(now.model.actuators.gear, q.dtype)
-    g = [lane(gear[:, k], i) for k in range(6)]
-    kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
-    nv = JOINT_SIZES[kind][1]
-    arms = {at + k: g[k] for k in range(nv)}
-    if kind in ("hinge", "slide"):
-        return arms, mul(g[0], q[start])
-    if kind == "ball":
-        return arms, inner(g[:3], quaternion.log_lanes([q[start + k] for k in range(4)]))
-    return arms, 0.0
+    gear = table(now.model.actuators.gear, now.q.dtype)
+    length, arms = joint_reach(now, joint, [lane(gear[:, k], i) for k in range(6)])
+    return arms, length
 
 
 def _site_moments(now: Instant) -> dict[int, dict[int, Lane]]:

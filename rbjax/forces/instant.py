@@ -174,12 +174,28 @@ class Frame:
 
     def arms(self, wrench: Force) -> dict[int, Lane]:
         """J^T w of such a wrench, by velocity coordinate."""
+        if not self._links.driver.listed:
+            return self.world_arms(self.rotation @ wrench.lin, self.rotation @ wrench.ang)
         wrench, out, at = self._on_link(wrench), {}, self.link
         while at != WORLD:
             X, S = self._links.to_parent(at)
             out[at] = S.dot(wrench)
             wrench = X.T(wrench)
             at = self._links.driver.topology.links[at].parent
+        return out
+
+    def world_arms(self, force: Vec3, torque: Vec3) -> dict[int, Lane]:
+        """J^T w of a force and a torque in world axes, at the frame's origin."""
+        d = self._links.driver
+        if d.listed:
+            E = self.rotation.T
+            return self.arms(Force(E @ torque, E @ force))
+        out: dict[int, Lane] = {}
+        for i in () if self.link == WORLD else d.topology.ancestors[self.link]:
+            joint = self._links.pose(i)
+            z, turns = joint.R.columns[2], d.topology.links[i].kind == "hinge"
+            moment = torque + (self.position - joint.p).cross(force)
+            out[i] = z.dot(moment if turns else force)
         return out
 
 

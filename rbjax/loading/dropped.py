@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 
 from rbjax.errors import listed
+from rbjax.loading.actuator_kinds import is_at_joint, what_is_left_out
 
 _SHOWN = 4  # names listed before "and N more"
 _LAST_GROUP = 30  # of those that a file can disable
-_KINDS: dict[str, Any] = {
-    "joint": int(mujoco.mjtTrn.mjTRN_JOINT),
-    "site": int(mujoco.mjtTrn.mjTRN_SITE),
-    "gains": (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)),
-    "biases": (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)),
-}
 
 
 def dropped_features(
@@ -56,51 +49,38 @@ def dropped_features(
         note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
     note("mocap bodies, held where the file puts them", m.body_mocapid >= 0, obj.mjOBJ_BODY)
     note("plastic joint springs", m.jnt_plasticadr >= 0, obj.mjOBJ_JOINT)
-    supported = [actuator_is_off(m, i) or actuator_is_supported(m, i) for i in range(m.nactuator)]
-    note("actuators that drive no joint or site directly, or have a state, delay or muscle",
-         [not s for s in supported], obj.mjOBJ_ACTUATOR)  # fmt: skip
+    left_out = [what_is_left_out(m, i) for i in range(m.nactuator)]
+    for why in dict.fromkeys(filter(None, left_out)):
+        note(f"actuators: {why}", [why == what for what in left_out], obj.mjOBJ_ACTUATOR)
     extra = (m.actuator_damping != 0) | m.actuator_dampingpoly.any(-1) | (m.actuator_armature != 0)
-    note("damping and armature of actuators", extra, obj.mjOBJ_ACTUATOR)
+    at_joint = [is_at_joint(m, i) for i in range(m.nactuator)]
+    note("damping and armature of actuators at tendons", extra & ~np.array(at_joint, bool),
+         obj.mjOBJ_ACTUATOR)  # fmt: skip
     note("plugins", m.nplugin)
     return tuple(out)
 
 
-def actuator_is_off(m: mujoco.MjModel, i: int) -> bool:
-    """Whether the file switches actuator i off: all of them, or its group."""
-    group = int(m.actuator_group[i])
-    all_off = m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-    return bool(all_off or (0 <= group <= _LAST_GROUP and m.opt.disableactuator >> group & 1))
-
-
-def actuator_is_supported(m: mujoco.MjModel, i: int) -> bool:
-    """Whether actuator i is an affine force on a joint, or a wrench at a site."""
-    kinds = _KINDS
-    transmission = int(m.actuator_trntype[i])
-    frame_at_site = transmission == kinds["site"] and m.actuator_trnid[i, 1] == -1
-    return bool(
-        (transmission == kinds["joint"] or frame_at_site)
-        and m.actuator_ctrlnum[i] == 1
-        and m.actuator_dyntype[i] == int(mujoco.mjtDyn.mjDYN_NONE)
-        and int(m.actuator_gaintype[i]) in kinds["gains"]
-        and int(m.actuator_biastype[i]) in kinds["biases"]
-        and not m.actuator_delay[i]
-    )
+def _tendons_that_act(m: mujoco.MjModel) -> np.ndarray:
+    """Which tendons do more than carry the forces of actuators."""
+    acts = m.tendon_limited.astype(bool)
+    for name in ("stiffness", "damping", "frictionloss", "armature"):
+        acts |= getattr(m, f"tendon_{name}") != 0
+    return acts | m.tendon_stiffnesspoly.any(-1) | m.tendon_dampingpoly.any(-1)
 
 
 def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
-    """Whether tendon i is nothing but a spring and a damper between two sites."""
+    """Whether of tendon i there is nothing but what actuators do with it, or a spring and a damper
+    between two sites."""
     start, count = m.tendon_adr[i], m.tendon_num[i]
     off, bit = m.opt.disableflags, mujoco.mjtDisableBit
     constraints = not off & int(bit.mjDSBL_CONSTRAINT)
     limited = m.tendon_limited[i] and constraints and not off & int(bit.mjDSBL_LIMIT)
     rubs = constraints and not off & int(bit.mjDSBL_FRICTIONLOSS) and m.tendon_frictionloss[i]
-    pulls = m.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
-    return bool(
-        count == 2
-        and (m.wrap_type[start : start + count] == int(mujoco.mjtWrap.mjWRAP_SITE)).all()
-        and not (limited or rubs or m.tendon_armature[i])
-        and not (pulls & (m.actuator_trnid[:, 0] == i)).any()
-    )
+    sites = m.wrap_type[start : start + count] == int(mujoco.mjtWrap.mjWRAP_SITE)
+    polynomials = (*m.tendon_stiffnesspoly[i], *m.tendon_dampingpoly[i])
+    pulls = any((m.tendon_stiffness[i], m.tendon_damping[i], *polynomials))
+    held = limited or rubs or m.tendon_armature[i]
+    return bool(not held and (not pulls or (count == 2 and sites.all())))
 
 
 def _may_collide(m: mujoco.MjModel) -> bool:

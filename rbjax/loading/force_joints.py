@@ -28,6 +28,7 @@ from rbjax.forces import (
     JointLimits,
     JointPolynomials,
 )
+from rbjax.loading.actuator_kinds import reflected
 from rbjax.loading.force_tendons import tendon_elements
 
 _BITS = mujoco.mjtDisableBit
@@ -62,7 +63,7 @@ def _of(m: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
 
 def _polynomials(m: mujoco.MjModel) -> list[Element]:
     stiffness = m.jnt_stiffnesspoly * _on(m, _BITS.mjDSBL_SPRING)
-    damping = m.dof_dampingpoly * _on(m, _BITS.mjDSBL_DAMPER)
+    damping = (m.dof_dampingpoly + reflected(m)[2]) * _on(m, _BITS.mjDSBL_DAMPER)
     has = stiffness.any(-1)
     has[m.dof_jntid[damping.any(-1)]] = True
     joints = np.flatnonzero(has)

@@ -16,7 +16,9 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
-from rbjax.loading.dropped import actuator_is_off, actuator_is_supported, dropped_features
+from rbjax.loading.actuator_kinds import is_affine, is_off, reflected
+from rbjax.loading.dropped import dropped_features
+from rbjax.loading.force_actuators import key_states
 from rbjax.loading.forces import elements
 from rbjax.loading.inertials import write_inertials
 from rbjax.loading.meshes import without_missing_mesh
@@ -261,6 +263,7 @@ def from_compiled(
     turn = turn.reshape(-1, 3, 3)
     inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
     limited = m.jnt_actfrclimited.astype(bool)[:, None]
+    armature, damping, _ = reflected(m)
     ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool)[:, None]
     return Model(
         bodies=Bodies(
@@ -274,8 +277,8 @@ def from_compiled(
             placement=array(m.jnt_pos),
             axis=array(m.jnt_axis),
             reference=array(m.qpos0),
-            armature=array(m.dof_armature),
-            damping=array(unless(bit.mjDSBL_DAMPER, m.dof_damping)),
+            armature=array(m.dof_armature + armature),
+            damping=array(unless(bit.mjDSBL_DAMPER, m.dof_damping + damping)),
             stiffness=array(unless(bit.mjDSBL_SPRING, m.jnt_stiffness)),
             springref=array(m.qpos_spring),
             forcerange=array(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
@@ -283,7 +286,7 @@ def from_compiled(
         ),
         actuators=_actuators(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
-        keyframes=Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl)),
+        keyframes=_keyframes(m, array),
         gravity=array(unless(bit.mjDSBL_GRAVITY, m.opt.gravity)),
         topology=topology,
         timestep=float(m.opt.timestep),
@@ -325,8 +328,15 @@ def _control_names(m: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(out)
 
 
+def _keyframes(m: mujoco.MjModel, array) -> Keyframes:
+    states = key_states(m)
+    x = array(states) if states.shape[1] else None
+    return Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl), x=x)
+
+
 def _actuators(m: mujoco.MjModel, array) -> Actuators:
-    """One row for each control; rows of unsupported and of disabled actuators drive nothing.
+    """One row for each control; rows of disabled actuators, and of those that are force
+    elements or are left out, drive nothing.
 
     MuJoCo's arrays have a row for each actuator, but control limits for each control and gears for
     each output: an actuator of several shifts those of the next.
@@ -338,7 +348,7 @@ def _actuators(m: mujoco.MjModel, array) -> Actuators:
     clamp = not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
     for i in range(m.nactuator):
         row = int(m.actuator_ctrladr[i])
-        if actuator_is_off(m, i) or not actuator_is_supported(m, i):
+        if is_off(m, i) or not is_affine(m, i):
             continue
         gear[row] = m.actuator_gear[m.actuator_outadr[i]]
         affine_gain = m.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE)

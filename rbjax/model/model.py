@@ -126,11 +126,13 @@ class Sites(Record):
 
 
 class Keyframes(Record):
-    """Named states: q (nk, nq), v (nk, nv), ctrl (nk, nu)."""
+    """Named states: q (nk, nq), v (nk, nv), ctrl (nk, nu), and x (nk, n) of the force elements that
+    the file has."""
 
     q: jax.Array
     v: jax.Array
     ctrl: jax.Array
+    x: jax.Array | None = None
 
 
 class Model(Record):
@@ -337,8 +339,10 @@ class Model(Record):
     def keyframe(self, name: str) -> State:
         """A state that the file names."""
         i = _index("keyframe", name, self.keyframe_names)
-        q = self.keyframes.q[i]
-        return State(q, self.keyframes.v[i], self.start(q.dtype))
+        q, own, x = self.keyframes.q[i], self.keyframes.x, self.start(self.keyframes.q.dtype)
+        if x is not None and own is not None and own.shape[1] <= x.size:
+            x = x.at[: own.shape[1]].set(own[i])
+        return State(q, self.keyframes.v[i], x)
 
     def random_state(self, key: jax.Array) -> State:
         """Coordinates within 1 of the default state, uniform attitudes, velocities of spread 1."""

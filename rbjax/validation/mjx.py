@@ -40,6 +40,8 @@ class Mjx:
     def __init__(self, m: mujoco.MjModel):
         if m.jnt_stiffnesspoly.any() or m.dof_dampingpoly.any() or m.tendon_stiffnesspoly.any():
             raise NotImplementedError("it knows linear joint springs and dampers alone")
+        if m.actuator_damping.any() or m.actuator_dampingpoly.any() or m.actuator_armature.any():
+            raise NotImplementedError("it knows no damping and no armature of actuators")
         self.reference, self.model = m, mjx.put_model(m)
         self.blank = mjx.make_data(m)
         options = fast()

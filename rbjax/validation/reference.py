@@ -18,7 +18,8 @@ import mujoco
 import numpy as np
 
 from rbjax.loading import compile_model
-from rbjax.loading.dropped import actuator_is_supported, dropped_features, tendon_is_supported
+from rbjax.loading.actuator_kinds import is_at_joint, what_is_left_out
+from rbjax.loading.dropped import dropped_features, tendon_is_supported
 
 Array = np.ndarray
 
@@ -26,8 +27,7 @@ Array = np.ndarray
 _EULER = "implicit joint damping in MuJoCo's Euler step"
 _ZEROED = (
     "dof_frictionloss", "tendon_frictionloss", "flex_stiffness", "flex_damping",
-    "flex_edgestiffness", "flex_edgedamping", "actuator_damping", "actuator_dampingpoly",
-    "actuator_armature",
+    "flex_edgestiffness", "flex_edgedamping",
 )  # fmt: skip
 _TENDONS = (
     "tendon_stiffness", "tendon_damping", "tendon_armature", "tendon_stiffnesspoly",
@@ -60,8 +60,10 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     m.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     m.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     for i in range(m.nactuator):
-        if not actuator_is_supported(m, i):
-            m.actuator_gainprm[i] = m.actuator_biasprm[i] = 0.0
+        if what_is_left_out(m, i):
+            loosen(m, i)
+        if not is_at_joint(m, i):
+            m.actuator_damping[i] = m.actuator_dampingpoly[i] = m.actuator_armature[i] = 0.0
     for field in _ZEROED:
         values = getattr(m, field, None)  # several are new in MuJoCo 4
         if values is not None:
@@ -69,6 +71,14 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     for field in _TENDONS:
         getattr(m, field)[slack] = 0.0
     return m, off
+
+
+def loosen(m: mujoco.MjModel, i: int) -> None:
+    """Take the forces of actuator i from the joints."""
+    first = m.actuator_outadr[i]
+    m.actuator_gear[first : first + m.actuator_outnum[i]] = 0.0
+    if m.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_SO3:  # no gear turns its torques
+        m.actuator_gainprm[i] = m.actuator_biasprm[i] = 0.0
 
 
 @dataclass(frozen=True)

@@ -71,11 +71,11 @@ MOTORS = """
     ids=["orientation", "pid"],
 )
 def test_motors_after_an_actuator_of_several_controls(several, controls):
-    text = DRIVEN.format(option="", actuators=several.replace('kp="3"', 'kp="0"') + MOTORS)
-    ctrl = np.append(np.zeros(controls), [9.0, 9.0])
+    text = DRIVEN.format(option="", actuators=several + MOTORS)
+    ctrl = np.append(np.full(controls, 0.3), [9.0, 9.0])
     model = agrees_with_mujoco(text, ctrl)
     assert model.actuator_names == (*(f"o[{i}]" for i in range(controls)), "m", "p")
-    assert any(entry.endswith("(o)") for entry in model.dropped)
+    assert model.dropped == () and len(model.forces) == 1
     np.testing.assert_array_equal(model.actuators.gear[:, 0], [0] * controls + [7, 2])
     np.testing.assert_array_equal(model.actuators.ctrlrange[-2:], [[-1, 0.5], [-0.1, 0.2]])
     np.testing.assert_array_equal(model.actuators.forcerange[-2:], [[-3, 0.3], [-9, 9]])

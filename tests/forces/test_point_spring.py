@@ -72,10 +72,6 @@ def test_every_driver(driver: str) -> None:
 def test_other_tendons_are_left_out(more: str) -> None:
     model = load_quietly(ARM.format(more=more))
     assert model.dropped == ("tendons (slack)",) and len(model.forces) == 2
-    pulled = ARM.format(more="").replace(
-        "</mujoco>", '<actuator><motor tendon="plain"/></actuator></mujoco>'
-    )
-    assert "tendons (plain)" in load_quietly(pulled).dropped
 
 
 def test_disabled() -> None:

@@ -240,12 +240,22 @@ DROPPED = {  # word of the message: file that has it
     ),
     "tendons (rope)": mjcf(
         body('<joint name="a"/>'),
-        extra='<tendon><fixed name="rope"><joint joint="a" coef="1"/></fixed></tendon>',
+        extra='<tendon><fixed name="rope" stiffness="1"><joint joint="a" coef="1"/></fixed>'
+        '<fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>',
     ),
     "mocap bodies": mjcf(body("<joint/>"), '<body mocap="true"/>'),
-    "actuators": mjcf(
+    "actuators: delays of controls (late)": mjcf(
         body('<joint name="a"/>'),
-        extra='<actuator><general name="lag" joint="a" dyntype="filter"/></actuator>',
+        extra='<actuator><motor name="late" joint="a" delay="0.1" nsample="50"/></actuator>',
+    ),
+    "actuators: adhesion, which needs contacts (gecko)": mjcf(
+        body('<joint name="a"/>'),
+        extra='<actuator><adhesion name="gecko" body="b" ctrlrange="0 1"/></actuator>',
+    ),
+    "damping and armature of actuators at tendons (m)": mjcf(
+        body('<joint name="a"/>'),
+        extra='<tendon><fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>'
+        '<actuator><motor name="m" tendon="idle" damping="1 2 3"/></actuator>',
     ),
 }  # fmt: skip
 

@@ -134,11 +134,11 @@ def _bad_tendons(spec: mujoco.MjSpec, message: str) -> str:
 def switch_off_constraints(model: mujoco.MjModel) -> list[str]:
     """Leave an MjModel, in place, the smooth dynamics alone; return what it had that is off now.
 
-    Off: contact, limits, friction loss, equalities; tendons (springs, dampers, armature, and the
-    actuators that pull on them); air or water; gravity compensation; nonlinear spring and damper
-    terms; an actuator's own damping and armature; flexes' springs. Solver and cone become Newton
-    and pyramidal, which MJX takes. What stays: rigid bodies, gravity, joint armature, linear joint
-    springs and dampers, other actuators.
+    Off: contact, limits, friction loss, equalities; tendons (springs, dampers, armature); air or
+    water; gravity compensation; nonlinear spring and damper terms; damping and armature that
+    actuators have at tendons; flexes' springs. Solver and cone become Newton and pyramidal, which
+    MJX takes. What stays: rigid bodies, gravity, joint armature, linear joint springs and dampers,
+    actuators.
     """
     bits = mujoco.mjtDisableBit
     touching = model.geom_contype.any() or model.geom_conaffinity.any() or model.npair
@@ -159,15 +159,15 @@ def switch_off_constraints(model: mujoco.MjModel) -> list[str]:
     model.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
     model.opt.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     pulls = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
-    model.actuator_gainprm[pulls] = model.actuator_biasprm[pulls] = 0.0
-    off.append(("tendon actuators", bool(pulls.any())))
+    for field in ("actuator_damping", "actuator_armature"):
+        off.append((field.replace("_", " "), bool(getattr(model, field)[pulls].any())))
+        getattr(model, field)[pulls] = 0.0
     silent = "body_gravcomp dof_frictionloss tendon_stiffness tendon_damping tendon_armature"
     silent += " tendon_frictionloss tendon_stiffnesspoly tendon_dampingpoly flex_stiffness"
     silent += " flex_damping flex_edgestiffness flex_edgedamping"  # said above
     zeroed = dict.fromkeys(silent.split(), "")
     zeroed |= {"jnt_stiffnesspoly": "nonlinear springs", "dof_dampingpoly": "nonlinear dampers"}
-    zeroed |= dict.fromkeys(("actuator_damping", "actuator_dampingpoly"), "actuator damping")
-    zeroed |= {"actuator_armature": "actuator armature"}
+    zeroed |= {"actuator_dampingpoly": "nonlinear actuator damping"}
     for field, name in zeroed.items():
         values = getattr(model, field, None)  # several are new in MuJoCo 4
         if values is not None:

@@ -1,0 +1,215 @@
+"""Transmissions: how an actuator's force reaches the joints.
+
+    l = l(q),      l' = sum of r_n v_n,      tau_n = r_n f
+with the length l and the moment arms r, one for each velocity coordinate (MuJoCo, *Computation*,
+transmission). r is the gradient of l wherever l is a length in space. Where a site is measured in
+the axes of another, r is what the force does, as in MuJoCo: action and reaction on the two sites,
+and nothing on the joints that carry both.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.forces.instant import Frame, Instant, table
+from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub, total
+from rbjax.model.links import lane
+from rbjax.model.model import Record
+from rbjax.rotations import quaternion
+from rbjax.spatial import Force
+
+#: moment arms by velocity coordinate
+Arms = dict[int, Lane]
+
+
+class Reach(NamedTuple):
+    """The length of a transmission and its moment arms."""
+
+    length: Lane
+    arms: Arms
+
+    def speed(self, now: Instant) -> Lane:
+        """l'."""
+        return total(mul(arm, now.v[n]) for n, arm in self.arms.items())
+
+    def scaled(self, gear: Lane) -> Reach:
+        """The same through a gear."""
+        return Reach(mul(gear, self.length), {n: mul(gear, arm) for n, arm in self.arms.items()})
+
+
+class Transmission(Record):
+    """From a configuration to a length and moment arms."""
+
+    def reach(self, now: Instant) -> Reach:
+        """The length and the moment arms at an instant."""
+        raise NotImplementedError
+
+    def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
+        """How much a full turn adds to the length, where that is an angle."""
+        raise NotImplementedError
+
+
+class JointAxis(Transmission):
+    """A joint, or an axis of one: gear (6,), of a ball [axis, ...], of a free joint [force axis in
+    the world; torque axis]. `in_parent`: the axis of torque is in the parent's axes."""
+
+    gear: jax.Array
+    joint: int = eqx.field(static=True)
+    in_parent: bool = eqx.field(static=True, default=False)
+
+    def reach(self, now: Instant) -> Reach:
+        return joint_reach(now, self.joint, numbers(self.gear, now.q.dtype), self.in_parent)
+
+    def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
+        return 2 * jnp.pi * Vec3(*numbers(self.gear, dtype)[:3]).norm()
+
+
+class SiteWrench(Transmission):
+    """A wrench at a site, in its axes: gear (6,) is [force; torque]; the length is zero."""
+
+    gear: jax.Array
+    site: int = eqx.field(static=True)
+
+    def reach(self, now: Instant) -> Reach:
+        force, torque = halves(numbers(self.gear, now.q.dtype))
+        return Reach(0.0, now.site(self.site).arms(Force(torque, force)))
+
+
+class SitePose(Transmission):
+    """The pose of a site in the axes of another: l = gear . [position; rotation vector]."""
+
+    gear: jax.Array
+    site: int = eqx.field(static=True)
+    reference: int = eqx.field(static=True)
+
+    def reach(self, now: Instant) -> Reach:
+        site, base = now.site(self.site), now.site(self.reference)
+        force, torque = halves(numbers(self.gear, now.q.dtype))
+        length: Lane = 0.0
+        if not all(map(is_zero, force)):
+            length = force.dot(base.rotation.T @ (site.position - base.position))
+        if not all(map(is_zero, torque)):
+            turned = quaternion.log_lanes(relative(site, base, now.q.dtype))
+            length = add(length, torque.dot(Vec3(*turned)))
+        force, torque = base.rotation @ force, base.rotation @ torque
+        return Reach(length, between(site, base, force, torque))
+
+    def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
+        return 2 * jnp.pi * Vec3(*numbers(self.gear, dtype)[3:]).norm()
+
+
+class SliderCrank(Transmission):
+    """Where a slider is on the z axis of its site, pulled by a rod of constant length from the
+    crank's site. Beyond the rod's reach the slider follows the foot of the perpendicular."""
+
+    gear: jax.Array
+    rod: jax.Array
+    crank: int = eqx.field(static=True)
+    slider: int = eqx.field(static=True)
+
+    def reach(self, now: Instant) -> Reach:
+        dtype = now.q.dtype
+        crank, slider = now.site(self.crank), now.site(self.slider)
+        rod = lane(table(self.rod, dtype)[None], 0)
+        axis, r = slider.rotation.columns[2], crank.position - slider.position
+        along = axis.dot(r)
+        square = jnp.asarray(add(sub(mul(along, along), r.dot(r)), mul(rod, rod)), dtype)
+        near = square > 0
+        root = jnp.sqrt(jnp.where(near, square, 1.0))
+        # d length = by_r . dr + by_axis . d axis
+        share = jnp.where(near, 1 - along / root, 1.0)
+        by_r = axis * share + r * jnp.where(near, 1 / root, 0.0)
+        by_axis = r * share
+        length = sub(along, jnp.where(near, root, 0.0))
+        pulled = slider.world_arms(-by_r, axis.cross(by_axis))
+        arms = apart(crank.world_arms(by_r, Vec3.zero()), pulled)
+        return Reach(length, arms).scaled(numbers(self.gear, dtype)[0])
+
+
+class JointSum(Transmission):
+    """A fixed tendon: l = gear sum of c_k q_k over hinges and slides."""
+
+    gear: jax.Array
+    coefficients: jax.Array
+    joints: tuple[int, ...] = eqx.field(static=True)
+
+    def reach(self, now: Instant) -> Reach:
+        top, out = now.model.topology, Reach(0.0, {})
+        for c, j in zip(numbers(self.coefficients, now.q.dtype), self.joints, strict=True):
+            length = add(out.length, mul(c, now.q[top.joint_q[j]]))
+            out = Reach(length, merged(out.arms, {top.joint_v[j]: c}))
+        return out.scaled(numbers(self.gear, now.q.dtype)[0])
+
+
+class SitePath(Transmission):
+    """A spatial tendon along sites: l = gear sum of |p_b - p_a| / divisor over its segments."""
+
+    gear: jax.Array
+    divisors: jax.Array
+    segments: tuple[tuple[int, int], ...] = eqx.field(static=True)
+
+    def reach(self, now: Instant) -> Reach:
+        dtype, out = now.q.dtype, Reach(0.0, {})
+        for divisor, (a, b) in zip(numbers(self.divisors, dtype), self.segments, strict=True):
+            start, end = now.site(a), now.site(b)
+            r = end.position - start.position
+            square = jnp.asarray(r.dot(r), dtype)
+            some = square > 0
+            length = jnp.sqrt(jnp.where(some, square, 1.0))
+            e = r * jnp.where(some, 1 / (divisor * length), 0.0)
+            arms = between(end, start, e, Vec3.zero())
+            length = jnp.where(some, length, 0.0) / divisor
+            out = Reach(add(out.length, length), merged(out.arms, arms))
+        return out.scaled(numbers(self.gear, dtype)[0])
+
+
+def joint_reach(now: Instant, joint: int, gear: list[Lane], in_parent: bool = False) -> Reach:
+    """The length and arms of a gear (6 lanes) on a joint."""
+    top, q = now.model.topology, now.q
+    kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
+    if kind in ("hinge", "slide"):
+        return Reach(mul(gear[0], q[start]), {at: gear[0]})
+    turn = start + (3 if kind == "free" else 0)
+    turned = [q[turn + k] for k in range(4)]
+    axis = Vec3(*(gear[3:] if kind == "free" else gear[:3]))
+    own = quaternion_matrix(*turned).T @ axis if in_parent else axis
+    if kind == "ball":
+        length = inner(axis, quaternion.log_lanes(turned))  # an axis of turning is its own image
+        return Reach(length, {at + k: own[k] for k in range(3)})
+    return Reach(0.0, {at + k: x for k, x in enumerate([*gear[:3], *own])})
+
+
+def relative(site: Frame, base: Frame, dtype: jax.typing.DTypeLike) -> list[Lane]:
+    """A quaternion, of any length, of a frame's attitude in the axes of another."""
+    R = base.rotation.T @ site.rotation
+    return quaternion.from_matrix_lanes([jnp.asarray(x, dtype) for x in R])
+
+
+def between(site: Frame, base: Frame, force: Vec3, torque: Vec3) -> Arms:
+    """The arms of a force and a torque in world axes on a frame, and of their reaction."""
+    return apart(site.world_arms(force, torque), base.world_arms(-force, -torque))
+
+
+def apart(a: Arms, b: Arms) -> Arms:
+    """Arms of two limbs, without the joints that carry both."""
+    return {n: arm for n, arm in (a | b).items() if (n in a) != (n in b)}
+
+
+def merged(a: Arms, b: Arms) -> Arms:
+    """Their sum."""
+    return {n: add(a.get(n, 0.0), b.get(n, 0.0)) for n in a | b}
+
+
+def numbers(x: jax.Array, dtype: jax.typing.DTypeLike) -> list[Lane]:
+    """The entries of an array (n,) as lanes."""
+    column = table(x, dtype)
+    return [lane(column, i) for i in range(x.shape[0])]
+
+
+def halves(gear: list[Lane]) -> tuple[Vec3, Vec3]:
+    """The force and the torque of a gear."""
+    return Vec3(*gear[:3]), Vec3(*gear[3:])

@@ -1,0 +1,31 @@
+"""PID controllers against MuJoCo C: subsets of the inputs, slewing, wind-up, angles."""
+
+import pytest
+
+from tests.forces.actuated import errors, limbs
+from tests.tolerances import F64_PARITY
+
+GENERAL = '<general gaintype="pid" biastype="affine" biasprm="0.3 -2 -1" '
+CONTROLLERS = {
+    "joints": [
+        '<pid joint="h" kp="3" kv="0.5"/>',
+        '<pid joint="s" kp="3" ki="0.7" imax="0.11" slewmax="2" input="pos vel ff"'
+        ' posrange="-1 1" velrange="-2 2" ffrange="-.3 .3" forcerange="-3 4"/>',
+        '<pid joint="k" kp="3" kv="0.5" ki="0.7" input="pos ff"/>',
+        '<pid joint="k" kp="3" kv="0.5" slewmax="7" input="pos"/>',
+        '<pid tendon="band" kv="0.5" input="vel"/>',
+        f'{GENERAL} dyntype="pid" dynprm="0.2 3" gainprm="0.3" joint="h" actdim="2"'
+        ' actrange="-0.1 0.2" actearly="true"/>',
+    ],
+    "angles": [
+        '<pid joint="b" kp="3" kv="0.5" input="pos"/>',
+        '<pid joint="b" gear="0.2 0.3 0.1" kp="3" ki="0.7" imax="0.1" slewmax="99" input="pos"/>',
+        '<pid site="s4" refsite="s1" gear="0 0 0 0.2 0.3 0.1" kp="3" ki="0.7" slewmax="9"/>',
+        '<pid site="s4" refsite="s2" gear="0 1 0 0.2 0.3 0.1" kp="3" ki="0.7" slewmax="9"/>',
+    ],
+}
+
+
+@pytest.mark.parametrize("which", CONTROLLERS)
+def test_against_mujoco(which):
+    assert max(errors(limbs(*CONTROLLERS[which]))) < F64_PARITY
