@@ -73,11 +73,13 @@ def check_sources(
         ": a row of nv numbers a step; or a function (t, state) -> (nv,), or None",
         ": wrenches on nb bodies a step; or a function (t, state) -> (nb, 6), or None",
     )
-    rows = []
+    rows, listed = [], []
     for k, x in arrays.items():
         own = shapes(model)[k]
         due = [(*lead, int(steps), *own) for lead in dict.fromkeys([(), batch])]
         x = check_array("rollout", ("ctrls", "tau", "wrenches")[k], x, *due, fix=fixes[k])
-        rows.append(x.reshape(*x.shape[: x.ndim - len(own)], -1).astype(dtype))
+        if math.prod(own):  # of a robot without actuators the controls only say how many steps
+            listed.append(k)
+            rows.append(x.reshape(*x.shape[: x.ndim - len(own)], -1).astype(dtype))
     functions = Inputs(*(x if callable(x) else None for x in given))
-    return Sources(joined(rows) if rows else None, functions, tuple(arrays)), int(steps)
+    return Sources(joined(rows) if rows else None, functions, tuple(listed)), int(steps)

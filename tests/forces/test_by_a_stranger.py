@@ -4,6 +4,7 @@ were the package's own."""
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import rbjax as rb
 from tests.robots import QUICK
@@ -22,7 +23,7 @@ class Wind(rb.forces.Element):
         return trunk.push(flow * (-self.drag * flow.norm(1e-6)))
 
 
-def blown(wind, kernel):
+def end(wind, kernel):
     """Where the quadruped is after a while."""
     model = rb.load("quadruped").with_forces(wind)
     state = model.default_state()
@@ -30,23 +31,26 @@ def blown(wind, kernel):
     return jnp.concatenate([path.q[-1], path.v[-1]])
 
 
+blown = jax.jit(end, static_argnames="kernel", compiler_options=QUICK)
+WIND = Wind(jnp.array([8.0, 2.0, 0.0]), jnp.array(0.4))
+
+
 def test_wind_by_a_stranger():
-    wind = Wind(jnp.array([8.0, 2.0, 0.0]), jnp.array(0.4))
-    plain, thread = blown(wind, False), blown(wind, True)
-    still = blown(Wind(jnp.zeros(3), jnp.array(0.0)), False)
+    plain, thread = blown(WIND, kernel=False), blown(WIND, kernel=True)
+    still = blown(Wind(jnp.zeros(3), jnp.array(0.0)), kernel=False)
     assert relative_error(thread, plain) < F64_TRANSFORM
     assert plain[0] > still[0] + 1e-3  # it is blown along x
 
-    ways = np.random.default_rng(0).normal(size=plain.shape)
-    for kernel in (False, True):
-        slopes = jax.jit(
-            jax.grad(lambda wind, kernel=kernel: ways @ blown(wind, kernel)), compiler_options=QUICK
-        )(wind)
-        for name in ("air", "drag"):
-            x = getattr(wind, name)
-            along = jnp.asarray(np.random.default_rng(1).normal(size=x.shape))
-            ends = [
-                ways @ blown(wind.replace(**{name: x + s * along}), False) for s in (-STEP, STEP)
-            ]
-            expected = (ends[1] - ends[0]) / (2 * STEP)
-            assert relative_error((getattr(slopes, name) * along).sum(), expected) < 1e-6
+
+@pytest.mark.parametrize("kernel", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_gradients_by_its_numbers(kernel):
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=blown(WIND, kernel=False).shape)
+    slope = jax.jit(jax.grad(lambda x: ways @ end(x, kernel)), compiler_options=QUICK)
+    slopes = slope(WIND)
+    for name in ("air", "drag"):
+        x, g = getattr(WIND, name), getattr(slopes, name)
+        along = rng.normal(size=x.shape)
+        moved = [WIND.replace(**{name: x + s * along}) for s in (-STEP, STEP)]
+        ends = [ways @ blown(wind, kernel=False) for wind in moved]
+        assert relative_error((g * along).sum(), (ends[1] - ends[0]) / (2 * STEP)) < 1e-6
