@@ -16,7 +16,6 @@ from rbjax.threads import stores
 from rbjax.threads.c_source import PREAMBLE, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
 from rbjax.threads.lowering import Unsupported
-from rbjax.threads.prefetch import ahead
 
 #: threads of a block: a warp, which needs no others to wait for
 BLOCK = 32
@@ -55,7 +54,6 @@ template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, 
     }
   }
 }
-QUALIFIED void ahead(const void* p) { asm volatile("prefetch.global.L1 [%0];" :: "l"(p)); }
 template <class T> QUALIFIED T over_warp(T x) {
   for (int k = 16; k; k >>= 1) x += __shfl_down_sync(0xffffffffu, x, k);
   return x;
@@ -186,13 +184,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
         else:
             yield f"{kind}* y{k}=r{k}+({offset(layout, index)});"
-    rows_of_own = {
-        array.id
-        for array, layout in zip(program.operands, ins, strict=True)
-        if layout.rows(program.batch) is not None and array.id not in room.staged
-    }
-    fetched = ahead(program.builder.block, rows_of_own)
-    printer = stores.StorePrinter(names, tiles, room.spots, stores.passing(program), fetched)
+    printer = stores.StorePrinter(names, tiles, room.spots, stores.passing(program))
     yield from printer.lines(program.builder.block)
     yield from leaving
     yield from _sums(program)

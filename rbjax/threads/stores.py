@@ -17,7 +17,6 @@ import numpy as np
 
 from rbjax.threads.c_source import Printer, c_type
 from rbjax.threads.frame import Written
-from rbjax.threads.prefetch import Ahead, sectors
 from rbjax.threads.program import Block, Load, Loop, Op, Store, Var, walk
 
 #: rows of more entries than about a sector has, and of at most these, are staged whole
@@ -223,10 +222,10 @@ class StorePrinter(Printer):
 
     def __init__(
         self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], spots: dict[int, Spot],
-        passing: set[int], ahead: Ahead,
+        passing: set[int],
     ):  # fmt: skip
         super().__init__(names)
-        self.tiles, self.spots, self.passing, self.ahead = tiles, spots, passing, ahead
+        self.tiles, self.spots, self.passing = tiles, spots, passing
 
     def _lines(self, statement: Any) -> Iterator[str]:
         spot = self.spots.get(id(statement))
@@ -241,17 +240,6 @@ class StorePrinter(Printer):
                 yield f"const {c_type(dest.dtype)} {self.value(dest)}=__ldcs({at});"
         else:
             yield from super()._lines(statement)
-            if isinstance(statement, Op) and statement.dest.id in self.ahead:
-                yield from self._fetch_ahead(statement.dest)
-
-    def _fetch_ahead(self, base: Var) -> Iterator[str]:
-        loop, step, reads = self.ahead[base.id]
-        i = self.value(loop.counter)
-        yield f"if({i}{'>0' if loop.reverse else f'<{loop.count - 1}'}){{"
-        for array, first, last in reads:
-            for offset in sectors(array, first, last):
-                yield f"ahead(&{self.place(array, base, offset + step)});"
-        yield "}"
 
     def _through_tile(self, store: Store, spot: Spot) -> Iterator[str]:
         k, rows = self.tiles[store.array.id]
