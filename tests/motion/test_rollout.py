@@ -155,8 +155,9 @@ def test_memory_of_the_gradient_follows_the_law(key):
     def peak(steps, save_every):
         def loss(q):
             out = rb.rollout(
-                model, rb.State(q, state.v), None, 1e-3, steps=steps, save_every=save_every
-            )
+                model, rb.State(q, state.v), None, 1e-3, steps=steps, save_every=save_every,
+                kernel=False,
+            )  # fmt: skip
             return (out.q[-1] ** 2).sum()
 
         compiled = jax.jit(jax.grad(loss)).lower(state.q).compile()
