@@ -58,7 +58,9 @@ def scenes(name: str) -> Iterator[tuple[str, rb.Model, dict[str, Any]]]:
     yield "alone", model, {}
     yield "a wind", model.with_forces(wind), {}
     yield "friction of joints", model.with_forces(friction), {}
-    yield "stops of joints", model.with_forces(stops), {}
+    ranges = jnp.full_like(model.joints.range, 1.0).at[:, 0].set(-1.0)
+    held = model.replace(joints=model.joints.replace(range=ranges))
+    yield "stops of joints", held.with_forces(stops), {}
     yield "forces as functions", model, {"tau": lambda t, state: -state.v}
     water = rb.load(_in_water(name)).astype(jnp.float32)
     yield "water", water, {}

@@ -7,6 +7,7 @@ import matplotlib
 import pytest
 
 from rbjax.demo import demo
+from rbjax.demo.forces import forces
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
 from rbjax.demo.motion import motion
@@ -74,8 +75,17 @@ def test_threads_are_counted(tmp_path: Path) -> None:
     assert 5 < small < large < 1000
 
 
+def test_forces_act(tmp_path: Path) -> None:
+    section = forces(tmp_path, quiet, steps=200)
+    check(section, tmp_path)
+    lowest = {row[0]: float(row[1]) for row in section.rows}
+    assert lowest["nothing"] < lowest["dry friction"] < lowest["a stop"] < -0.8
+
+
 def test_the_report_holds_all(tmp_path: Path) -> None:
-    parts: dict = dict.fromkeys(("motion", "identify", "swing_up", "integrators", "threads"))
+    parts: dict = dict.fromkeys(
+        ("motion", "identify", "swing_up", "integrators", "forces", "threads")
+    )
     parts["validate"] = {"scenes": {"pendulum": False}}
     page = demo(tmp_path, say=quiet, options=parts)
     assert "<table>" in page.read_text()

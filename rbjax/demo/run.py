@@ -1,4 +1,4 @@
-"""The demo from start to end: six sections, in f64, and the report they make."""
+"""The demo from start to end: seven sections, in f64, and the report they make."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import matplotlib
 
+from rbjax.demo.forces import forces
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
 from rbjax.demo.motion import motion
@@ -30,6 +31,7 @@ PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "identify": (identify, 15),
     "swing_up": (swing_up, 4),
     "integrators": (integrators, 40),
+    "forces": (forces, 5),
     "threads": (threads, 2),
 }
 
@@ -54,7 +56,7 @@ def demo(
         say: called with a few words before each stage.
         done: called with a part's name and share after it.
         options: keyword arguments by part (motion, validate, identify, swing_up, integrators,
-            threads), to run smaller; a part given as None is left out.
+            forces, threads), to run smaller; a part given as None is left out.
 
     Returns:
         The path of report.html.
