@@ -32,7 +32,7 @@ import rbjax as rb
 from benchmarks.robots import as_model
 from rbjax.validation.reference import smooth
 
-FOLDER = Path(rb.model.__file__).parent / "scenes"
+FOLDER = Path(rb.loading.__file__).parent / "scenes"
 SAMPLE = 32
 Array = np.ndarray
 

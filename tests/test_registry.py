@@ -28,6 +28,7 @@ STEP = 6e-6  # of central differences: the cube root of the rounding unit
 ELSEWHERE = {
     "compiler_options",
     "load",
+    "on_each",
     "operation_count",
     "rollout",
     "scenes",
@@ -47,6 +48,15 @@ class Entry:
 
 def _with_state(model, q, v, ctrl):
     return rb.applied_forces(model, rb.State(q, v), ctrl)
+
+
+def _step(model, q, v, ctrl):
+    after = rb.step(model, rb.State(q, v), ctrl, 0.01)
+    return after.q, after.v
+
+
+def _linearise(model, q, v, ctrl):
+    return rb.linearise(model, rb.State(q, v), ctrl)
 
 
 def _parameters(model, mass, com):
@@ -84,9 +94,11 @@ REGISTRY = {
     "jacobian": Entry(_at_a_point(rb.jacobian), ("q", "point"), {"body": "hand"}),
     "jacobian_rate": Entry(rb.jacobian_rate, ("q", "v"), {"site": "tip"}),
     "kinetic_energy": Entry(rb.kinetic_energy, ("q", "v")),
+    "linearise": Entry(_linearise, ("q", "v", "ctrl")),
     "mass_matrix": Entry(rb.mass_matrix, ("q",)),
     "potential_energy": Entry(rb.potential_energy, ("q",)),
     "site_pose": Entry(rb.site_pose, ("q",), {"site": "tip"}),
+    "step": Entry(_step, ("q", "v", "ctrl")),
 }
 
 MODEL = robot("small", "rolled").model

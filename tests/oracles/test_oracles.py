@@ -29,7 +29,7 @@ from tests.oracles.random_trees import (
 from tests.oracles.textbook import Case, modern_robotics, planar_2r, rbdl, tip_forces, two_link
 
 Array = np.ndarray
-SCENES = sorted((Path(__file__).parents[2] / "rbjax" / "model" / "scenes").glob("*.xml"))
+SCENES = sorted((Path(__file__).parents[2] / "rbjax" / "loading" / "scenes").glob("*.xml"))
 
 
 def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
