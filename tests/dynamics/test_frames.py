@@ -4,6 +4,7 @@ One compiled program a robot and driver answers beside MuJoCo C (`mj_jac`, `mj_j
 `mj_jacDot`, `mj_objectVelocity`, `mj_objectAcceleration`) and beside derivatives of the pose.
 """
 
+import copy
 import functools
 import warnings
 from typing import Any, NamedTuple
@@ -99,7 +100,7 @@ def answers(model: rb.Model, frames: Any, point: Any, q: jax.Array, v: jax.Array
 def reference_answers(s: Sample, q: np.ndarray, v: np.ndarray, frame: tuple[str, str]) -> Any:
     """MuJoCo's, at the frame's origin; and its Jacobian and rate at `POINT`."""
     kind, name = frame
-    m = s.reference
+    m = copy.copy(s.reference)  # which others use too
     m.opt.gravity[:] = 0  # which MuJoCo's accelerations count in
     data = at(m, q, v)
     data.qacc[:] = 0
