@@ -78,6 +78,8 @@ class Field:
 
     def moved(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """q (+) dq."""
+        if not self.model.nv:
+            return q
         return jnp.stack(materialize(integrate_lanes(self.model.topology, list(q), list(dq))))
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:

@@ -124,7 +124,10 @@ def test_energy_of_a_pendulum() -> None:
 def test_energy_over_a_million_steps(name: str, coordinates: str) -> None:
     found, energy = energy_trend(name, coordinates, 1_000_000)
     assert not found.drifts, found
-    assert abs(found.slope) < 4 * found.error or abs(found.change) < 0.1 * found.amplitude
+    # rounding, half a unit of the energy a step, may add up where nothing else does
+    rounding = 1_000_000 * np.finfo(float).eps * np.abs(energy).max()
+    small = max(0.1 * found.amplitude, rounding)
+    assert abs(found.slope) < 4 * found.error or abs(found.change) < small
     early, late = (np.ptp(part) for part in np.array_split(energy, 2))
     assert late < 2 * early, (late, early)  # chaotic motion finds a little more, a drift the double
 
