@@ -124,7 +124,7 @@ def test_energy_of_a_pendulum() -> None:
 def test_energy_over_a_million_steps(name: str, coordinates: str) -> None:
     found, energy = energy_trend(name, coordinates, 1_000_000)
     assert not found.drifts, found
-    # rounding, half a unit of the energy a step, may add up where nothing else does
+    # rounding, a unit in the last place of the energy a step, may add up where nothing else does
     rounding = 1_000_000 * np.finfo(float).eps * np.abs(energy).max()
     small = max(0.1 * found.amplitude, rounding)
     assert abs(found.slope) < 4 * found.error or abs(found.change) < small
