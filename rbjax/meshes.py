@@ -1,7 +1,7 @@
 """Batches on a mesh of explicit axes, as `jax.make_mesh` makes it: types say how arrays are spread.
 
 rbjax leaves to XLA how a batch goes through, as on automatic axes. So arguments are taken over to
-such axes at the door, and results are given types again.
+such axes as they come in, and results are given types again.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ print(jax.jit(f)(0.0), f(0.0))
     assert out.stdout.split() == ["[[0.]]", "[[0.]]"], out.stderr
 
 
-# ------------------------------------------------- a changed number compiles nothing anew
+# ------------------------------------------------- a changed number compiles nothing again
 
 ARM = """<mujoco><option><flag contact="disable"/></option><worldbody>
   <body name="{0} upper"><joint name="a" axis="0 1 0" damping="0.1" armature="0.2"/>

@@ -214,12 +214,6 @@ def check_array(
     return x
 
 
-def check_control(where: str, model: Model, value: Any, dtype: Any) -> jax.Array:
-    """What a policy or a control returned, as (nu,) numbers."""
-    fix = ": one number for each of model.actuator_names"
-    return check_array(where, "the control returned", value, (model.nu,), fix=fix).astype(dtype)
-
-
 def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
     """A positive step as a number of the dtype."""
     step = check_array(where, name, value, (), fix=": a positive step in seconds")

@@ -12,16 +12,15 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.dynamics.aba import swing
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.kinematics import link_motions
 from rbjax.errors import InputError
-from rbjax.lanes import Mat3, Vec3, quaternion_matrix
+from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD, Model
-from rbjax.model.links import lane
+from rbjax.model.leaves import site_transform
 from rbjax.spatial import Motion
 
 
@@ -38,24 +37,15 @@ def carried_point(
     at = Vec3.zero() if point is None else Vec3(*(point[i] for i in range(3)))
     if site is not None:
         i = model.site(site)
-        turn = quaternion_matrix(*_lanes(model.sites.orientation, i, like))
-        at = Vec3(*_lanes(model.sites.position, i, like)) + turn @ at
+        placed = site_transform(model, i, like.dtype)
+        at = placed.p + placed.R @ at
         b = model.topology.site_bodies[i]
     else:
         b = model.body(body)
     if b == WORLD:
         return WORLD, at
-    R, p = d.prepared.body_R, d.prepared.body_p
-    weld_R = Mat3(*(lane(R[:, i, j], b) for i in range(3) for j in range(3)))
-    weld_p = Vec3(*(lane(p[:, i], b) for i in range(3)))
-    return model.topology.body_links[b], weld_p + weld_R @ at
-
-
-def _lanes(leaf: jax.Array, i: int, like: jax.Array) -> list:
-    """Row i of a leaf; numbers where the leaf is known."""
-    if isinstance(leaf, jax.core.Tracer):
-        return list(leaf[i].astype(like.dtype))
-    return [float(x) for x in np.asarray(leaf)[i]]
+    weld = d.prepared.weld(b)
+    return model.topology.body_links[b], weld.p + weld.R @ at
 
 
 def _row(d: Driver, values: Any, link: int, f: Any, like: jax.Array) -> jax.Array:

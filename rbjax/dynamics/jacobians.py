@@ -7,7 +7,6 @@ Angular first, world axes, at a point of the body (Lynch & Park, *Modern Robotic
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -22,13 +21,6 @@ from rbjax.dynamics.link_forces import generalized, on_links
 from rbjax.lanes import sub
 from rbjax.model import WORLD, Model, Topology
 from rbjax.spatial import Motion
-
-
-def world_axes(top: Topology, R: jax.Array, p: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Each link's unit twist at the world's origin: angular and linear parts (nv, 3)."""
-    z = R[:, :, 2]
-    turns = np.array([link.kind == "hinge" for link in top.links])[:, None]
-    return jnp.where(turns, z, 0.0), jnp.where(turns, jnp.cross(p, z), z)
 
 
 def ancestor_mask(top: Topology, link: int) -> np.ndarray:
@@ -100,7 +92,7 @@ def jacobian_rate(
     """J'(q, v) (6, nv), the rate of `jacobian` while the robot moves at v.
 
     With u the velocity of a link's origin and w that with which its axis z turns,
-    z' = w x z and (z x r)' = z' x r + z x (u_point - u). `frame_bias_acceleration` is J' v alone.
+    z' = w x z and (z x r)' = z' x r + z x (u_point - u). `frame_bias_acceleration` is J' v.
 
     Args:
         model: the robot.
@@ -160,27 +152,6 @@ def _kinds(d: Driver, link: int) -> tuple[Any, Any]:
     """Of each link 1 where it turns and 0 where it slides; 1 where it moves the given link."""
     turns = d.known([1.0 if x.kind == "hinge" else 0.0 for x in d.topology.links])
     return turns, d.known([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
-
-
-def moment_arms(
-    top: Topology,
-    R: jax.Array,
-    p: jax.Array,
-    bodies: Sequence[int],
-    at: jax.Array,
-    wrenches: jax.Array,
-) -> jax.Array:
-    """J_b^T w (k, nv) of k wrenches in world axes, each at a world point `at` (k, 3) of a body.
-
-    R, p are the world poses of the links; `bodies` says which body each wrench acts on.
-    """
-    moment, force = wrenches[:, :3], wrenches[:, 3:]
-    about_origin = jnp.concatenate([moment + jnp.cross(at, force), force], -1)
-    axes = jnp.concatenate(world_axes(top, R, p), -1)
-    moves = np.stack(
-        [ancestor_mask(top, WORLD if b == WORLD else top.body_links[b]) for b in bodies]
-    )
-    return jnp.where(moves, (about_origin[:, None, :] * axes[None]).sum(-1), 0.0)
 
 
 @algorithm("q", "wrenches")

@@ -16,7 +16,7 @@ from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD, Model
-from rbjax.model.links import lane, matrix_apply, matrix_product
+from rbjax.model.links import matrix_apply, matrix_product
 from rbjax.rotations import quaternion
 from rbjax.spatial import Motion, Transform
 
@@ -40,34 +40,11 @@ def world_poses(d: Driver, joints: Any) -> Any:
     return d.outward(step, root, d.zip(d.constants, joints))
 
 
-def link_poses(d: Driver, q: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """World poses of the links as arrays R (nv, 3, 3) and p (nv, 3)."""
-    columns = d.columns(world_poses(d, d.joints(q, None)), jnp.zeros(d.topology.nv, q.dtype))
-    return jnp.stack(list(columns.R), -1).reshape(-1, 3, 3), jnp.stack(list(columns.p), -1)
-
-
-def body_poses(d: Driver, R: jax.Array, p: jax.Array) -> Poses:
-    """World poses of the bodies, from those of the links that carry them."""
-    body_R = jnp.asarray(d.prepared.body_R, R.dtype)
-    body_p = jnp.asarray(d.prepared.body_p, R.dtype)
-    link = np.array(d.topology.body_links, int)
-    fixed = (link == WORLD)[:, None]
-    carrier_R = jnp.where(fixed[..., None], jnp.eye(3, dtype=R.dtype), R[link])
-    carrier_p = jnp.where(fixed, jnp.zeros(3, R.dtype), p[link])
-    return Poses(matrix_product(carrier_R, body_R), carrier_p + matrix_apply(carrier_R, body_p))
-
-
 def body_transforms(d: Driver, poses: Any) -> Any:
     """The pose of each body, from those of the links in the form of `Driver.whole`."""
-    top, R, p = d.topology, d.prepared.body_R, d.prepared.body_p
+    top = d.topology
     if d.listed:
-        welds = [
-            Transform(
-                Mat3(*(lane(R[:, i, j], b) for i in range(3) for j in range(3))),
-                Vec3(*(lane(p[:, i], b) for i in range(3))),
-            )
-            for b in range(top.nb)
-        ]
+        welds = [d.prepared.weld(b) for b in range(top.nb)]
         root = Transform(Mat3.identity(), Vec3.zero())
         carriers = [root if k == WORLD else poses[k] for k in top.body_links]
         return d.each(Transform.then, carriers, welds)
@@ -79,8 +56,7 @@ def body_transforms(d: Driver, poses: Any) -> Any:
             Mat3(*(jnp.where(fixed, one, x) for x, one in own)),
             Vec3(*(jnp.where(fixed, 0.0, x) for x in carrier.p)),
         )
-    R, p = jnp.asarray(R, carrier.p[0].dtype), jnp.asarray(p, carrier.p[0].dtype)
-    weld = Transform(Mat3(*(R[:, i, j] for i in range(3) for j in range(3))), Vec3(*p.T))
+    weld = jax.tree.map(lambda x: jnp.asarray(x, carrier.p[0].dtype), d.prepared.welds)
     return d.each(Transform.then, carrier, weld)
 
 
@@ -111,7 +87,8 @@ def forward_kinematics(model: Model, q: jax.Array) -> Poses:
     """
     d = driver(model, q.dtype)
     if not model.nv:
-        return body_poses(d, jnp.zeros((1, 3, 3), q.dtype), jnp.zeros((1, 3), q.dtype))
+        made = d.prepared
+        return Poses(jnp.asarray(made.body_R, q.dtype), jnp.asarray(made.body_p, q.dtype))
     poses = body_transforms(d, d.whole(world_poses(d, d.joints(q, None))))
     R, p = d.stack(poses, lambda pose: pose.R, q), d.stack(poses, lambda pose: pose.p, q)
     return Poses(R.reshape(-1, 3, 3), p)
@@ -147,12 +124,11 @@ def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Arr
 
 
 def link_twists(d: Driver, joints: Any) -> Any:
-    """Each link's pose in its parent's, and its twist in its own axes at its own origin."""
+    """Each link's twist in its own axes at its own origin."""
 
     def step(x, V_parent):
         link, joint = x
-        X = joint.transform(link)
-        V = X(V_parent) + Motion(joint.rate, (joint.S * joint.qd).lin)
+        V = joint.transform(link)(V_parent) + Motion(joint.rate, (joint.S * joint.qd).lin)
         return V, V
 
     return d.outward(step, Motion.zero(), d.zip(d.constants, joints))

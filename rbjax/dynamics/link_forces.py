@@ -17,7 +17,6 @@ import numpy as np
 from rbjax.dynamics.drivers import Driver
 from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD
-from rbjax.model.links import lane
 from rbjax.spatial import Force
 
 #: of some links by their index; or columns over all links
@@ -47,6 +46,12 @@ def added(a: LinkForces, b: LinkForces) -> LinkForces:
     return out
 
 
+def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force:
+    """The sums of forces on these links, one of which may come twice, as columns over all links."""
+    nothing = jnp.zeros(d.topology.nv, dtype)
+    return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
+
+
 def generalized(d: Driver, joints: Any, pushes: LinkForces) -> Any:
     """Generalized forces per link of forces on links."""
 
@@ -71,20 +76,18 @@ def world_rotations(d: Driver, joints: Any) -> Any:
 
 def on_links(d: Driver, joints: Any, wrenches: jax.Array) -> LinkForces:
     """Wrenches (nb, 6) on bodies, in world axes at the bodies' origins, as forces on links."""
-    top, body_p = d.topology, d.prepared.body_p
+    top = d.topology
     rotations = d.whole(world_rotations(d, joints))
     if not d.listed:
         bodies = np.array([b for b, k in enumerate(top.body_links) if k != WORLD], int)
         links = [top.body_links[b] for b in bodies]
-        arms = Vec3(*jnp.asarray(body_p, wrenches.dtype)[bodies].T)
+        arms = Vec3(*jnp.asarray(d.prepared.body_p, wrenches.dtype)[bodies].T)
         found = _turned(d.take(rotations, links), arms, Force.from_lanes(wrenches[bodies].T))
-        nothing = jnp.zeros(top.nv, wrenches.dtype)
-        return jax.tree.map(lambda x: nothing.at[np.array(links, int)].add(x), found)
+        return over_links(d, np.array(links, int), found, wrenches.dtype)
     out: dict[int, Force] = {}
     for b, k in enumerate(top.body_links):
         if k != WORLD:
-            arm = Vec3(*(lane(body_p[:, n], b) for n in range(3)))
-            push = _turned(rotations[k], arm, Force.from_lanes(wrenches[b]))
+            push = _turned(rotations[k], d.prepared.weld(b).p, Force.from_lanes(wrenches[b]))
             out[k] = out[k] + push if k in out else push
     return out
 

@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.kinematics import link_twists, world_poses
+from rbjax.dynamics.kinematics import link_motions
+from rbjax.dynamics.link_forces import over_links
 from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.materialize import materialize
 from rbjax.model import WORLD
-from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
 
 
@@ -61,14 +61,15 @@ class LinkMotion:
 
     def weld(self, body: int) -> Transform:
         """The pose of a body in the link that carries it."""
-        return jax.tree.map(lambda column: lane(column, body), self._welds)
+        return self.driver.prepared.weld(body)
 
     def columns(self, bodies: np.ndarray) -> tuple[Transform, Motion, Transform]:
         """Of bodies that can move, as columns over them: the pose and the twist of the links that
         carry them, and their poses in these links."""
         links = np.array(self.driver.topology.body_links)[bodies]
         pose, twist = (_row(x, links) for x in self._columns)
-        return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), self._welds)
+        welds = self.driver.prepared.welds
+        return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), welds)
 
     def column(self, column: Any, rows: np.ndarray) -> Lane:
         """Those rows of a column; a literal where they are known and agree."""
@@ -81,33 +82,27 @@ class LinkMotion:
     def scattered(self, bodies: np.ndarray, forces: Force) -> Force:
         """Forces on the links that carry these bodies, as columns over all links."""
         links = np.array(self.driver.topology.body_links)[bodies]
-        nothing = jnp.zeros(self.driver.topology.nv, self._q.dtype)
-        return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
+        return over_links(self.driver, links, forces, self._q.dtype)
 
     def _missing(self, link: int, found: dict) -> list[int]:
         path = () if link == WORLD else self.driver.topology.ancestors[link]
         return [i for i in path if i not in found]
 
     @cached_property
-    def _joints(self) -> Any:
+    def joints(self) -> Any:
+        """The joint motion of each link, per link."""
         return self.driver.joints(self._q, self._v)
-
-    @cached_property
-    def _welds(self) -> Transform:
-        R, p = self.driver.prepared.body_R, self.driver.prepared.body_p
-        axes = Mat3(*(R[:, i, j] for i in range(3) for j in range(3)))
-        return Transform(axes, Vec3(*(p[:, i] for i in range(3))))
 
     @cached_property
     def _links(self) -> list:
         d = self.driver
-        return list(zip(d.whole(self._joints), d.whole(d.constants), strict=True))
+        return list(zip(d.whole(self.joints), d.whole(d.constants), strict=True))
 
     @cached_property
     def _columns(self) -> tuple[Any, Any]:
         d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
-        poses = d.columns(world_poses(d, self._joints), like)
-        return poses, d.columns(link_twists(d, self._joints), like)
+        poses, twists = d.unzip(link_motions(d, self.joints), 2)
+        return d.columns(poses, like), d.columns(twists, like)
 
 
 def _row(columns: Any, i: Any) -> Any:

@@ -19,13 +19,12 @@ from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.actuators import Actuators, clip
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.inputs import Inputs
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.inputs import NO_INPUTS, Inputs
+from rbjax.forces.instant import Instant
 from rbjax.forces.joint_springs import JointSprings
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.model import Model, State
-
-NO_INPUTS = Inputs()
+from rbjax.model.leaves import table
 
 
 def elements(model: Model) -> tuple[Element, ...]:
@@ -105,8 +104,8 @@ def applied(
     if inputs.tau is not None:
         tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
     if inputs.wrenches is not None:
-        d = now.links.driver
-        pushes = added(pushes, on_links(d, d.joints(state.q, None), inputs.wrenches))
+        given = on_links(now.links.driver, now.links.joints, inputs.wrenches)
+        pushes = added(pushes, given)
     return pack(tau, state.v), pushes, states(model, now, dt)
 
 

@@ -7,6 +7,7 @@ exact filter is the solution for a held control, a + (u - a) (1 - exp(-h / T)).
 
 from __future__ import annotations
 
+import abc
 from typing import Any
 
 import equinox as eqx
@@ -14,8 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.actuators import clip
-from rbjax.forces.instant import table
 from rbjax.lanes import Lane, is_literal
+from rbjax.model.leaves import scalar, table
 from rbjax.model.links import lane
 from rbjax.model.model import Record
 
@@ -33,9 +34,9 @@ class Activation(Record):
         """Whether the control is where the state goes, and not how fast."""
         return True
 
+    @abc.abstractmethod
     def rate(self, u: Lane, a: Lane) -> Lane:
         """a' under the control u."""
-        raise NotImplementedError
 
     def advanced(self, u: Lane, a: Lane, h: Any) -> Lane:
         """a after a step h under a held control."""
@@ -107,8 +108,3 @@ def decayed(h: Any, time_constant: Lane, gap: Lane) -> Lane:
 def at_least(x: Lane) -> Lane:
     """x as a divisor."""
     return max(x, LEAST) if is_literal(x) else jnp.maximum(x, LEAST)
-
-
-def scalar(x: jax.Array, dtype: Any) -> Lane:
-    """An array () as a lane."""
-    return lane(table(x, dtype)[None], 0)

@@ -7,6 +7,7 @@ state" at joints and sites, all in one table.
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -18,10 +19,11 @@ import jax.numpy as jnp
 from rbjax.forces.activation import Activation
 from rbjax.forces.actuators import clip
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.instant import Instant
 from rbjax.forces.muscle import Muscle
-from rbjax.forces.transmissions import Reach, Transmission, numbers
+from rbjax.forces.transmissions import Reach, Transmission
 from rbjax.lanes import Lane, add, inner, mul
+from rbjax.model.leaves import numbers, table
 from rbjax.model.model import Record
 
 
@@ -66,9 +68,9 @@ class Law(Record):
         """How many numbers its state has."""
         return 0
 
+    @abc.abstractmethod
     def force(self, seen: Signals) -> Lane:
         """The force that the actuator's force range limits."""
-        raise NotImplementedError
 
     def friction(self, seen: Signals) -> Lane:
         """The force that nothing limits."""

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.forces.instant import Frame, Instant, table
+from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Vec3
 from rbjax.model import WORLD
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.model.model import Record
 

@@ -20,8 +20,9 @@ import jax.numpy as jnp
 
 from rbjax.forces.anchor import Anchor
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Mat3, Vec3, inner, is_zero, mul
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
 from rbjax.rotations.jacobians import inverse_left_lanes

@@ -16,11 +16,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.activation import at_least, decayed, scalar
+from rbjax.forces.activation import at_least, decayed
 from rbjax.forces.actuator import Law, Signals
 from rbjax.forces.pid import Controller
-from rbjax.forces.transmissions import numbers
 from rbjax.lanes import Lane, add
+from rbjax.model.leaves import numbers, scalar
 from rbjax.model.model import Record
 
 

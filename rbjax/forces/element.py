@@ -66,7 +66,7 @@ def _summed(a: Mapping[int, Lane], b: Mapping[int, Lane]) -> dict[int, Lane]:
 class Element(Record):
     """A force on a robot. Make a subclass: its fields are the element's numbers.
 
-    `loads` alone must be written; the rest is for elements with a state of their own, and for those
+    Only `loads` must be written; the rest is for elements with a state of their own, and for those
     that store energy.
 
     Example:

@@ -7,7 +7,7 @@ s are the edges of the uniform box with the body's mass m and principal moments 
 velocity of its centre relative to the fluid and its angular velocity, along the box's axes.
 (MuJoCo documentation, *Fluid forces*, inertia model.)
 
-The box follows the model's own masses, centres and inertias; its axes alone are numbers of the
+The box follows the model's own masses, centres and inertias; only its axes are numbers of the
 element. For I_i are the diagonal of the inertia in these axes, whose derivative is that of the
 principal moments, and no eigenvectors are computed, which have no derivative where moments agree.
 What is left out is how the axes turn with an inertia.
@@ -25,10 +25,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Frame, Instant, table, tables
+from rbjax.forces.instant import Frame, Instant
 from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_zero, mul, quaternion_matrix
 from rbjax.model import WORLD, Model
+from rbjax.model.leaves import table, tables
 from rbjax.model.links import as_declared, lane
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force, Motion, Transform

@@ -26,9 +26,10 @@ import jax.numpy as jnp
 
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid_box import in_lanes, relative_twist, rotations
-from rbjax.forces.instant import Frame, Instant, table, tables
+from rbjax.forces.instant import Frame, Instant
 from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul
+from rbjax.model.leaves import table, tables
 from rbjax.spatial import Force, Motion, Transform
 
 

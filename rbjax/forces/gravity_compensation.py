@@ -15,9 +15,10 @@ import equinox as eqx
 import jax
 
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3, inner, is_zero, mul, total
 from rbjax.model import JOINT_SIZES
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
 
@@ -67,7 +68,7 @@ class GravityCompensation(Element):
         return Loads({i: tau[i] for i in at})
 
     def energy(self, now: Instant) -> Lane:
-        """sum of c m g . p, where the forces act on all joints; those on some of them alone are
+        """sum of c m g . p, where the forces act on all joints; those on only some of them are
         the gradient of no energy, and count as none."""
         if self.joints is not None:
             return 0.0

@@ -24,6 +24,8 @@ class Inputs(NamedTuple):
     wrenches: Any = None
 
 
+NO_INPUTS = Inputs()
+
 #: what of an input the message of a wrong one says
 NAMES = Inputs("the control returned", "what tau returned", "what wrenches returned")
 

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers import driver
@@ -21,26 +20,10 @@ from rbjax.dynamics.link_forces import LinkForces, generalized
 from rbjax.dynamics.link_motion import LinkMotion
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
-from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix
+from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.model import JOINT_SIZES, WORLD, Model, State
-from rbjax.model.links import lane
+from rbjax.model.leaves import site_transform
 from rbjax.spatial import Force, Motion, Transform
-
-
-def table(x: Any, dtype: Any) -> Any:
-    """Numbers as numpy where they are known while tracing, so that zeros cost nothing."""
-    if isinstance(x, jax.core.Tracer):
-        return x.astype(dtype)
-    return np.asarray(x, np.float64) if isinstance(x, (jax.Array, np.ndarray)) else x
-
-
-def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
-    """numpy and the numbers as `table` has them, where all are known while tracing; otherwise
-    jax.numpy and arrays of the dtype. For what is computed of numbers that belong together."""
-    found = [table(x, dtype) for x in numbers]
-    if any(isinstance(x, jax.core.Tracer) for x in found):
-        return jnp, [jnp.asarray(x, dtype) for x in found]
-    return np, found
 
 
 @dataclass(frozen=True)
@@ -66,11 +49,6 @@ class Instant:
         """The same, as an element with the state x sees it."""
         return replace(self, x=x)
 
-    @property
-    def state(self) -> State:
-        """q, v and x as a State."""
-        return State(self.q, self.v, self.x)
-
     def body(self, body: str | int) -> Frame:
         """The frame of a body."""
         b = self.model.body(body) if isinstance(body, str) else body
@@ -81,12 +59,7 @@ class Instant:
     def site(self, site: str | int) -> Frame:
         """The frame of a site."""
         s = self.model.site(site) if isinstance(site, str) else site
-        sites, dtype = self.model.sites, self.q.dtype
-        position, orientation = (table(x, dtype) for x in (sites.position, sites.orientation))
-        placed = Transform(
-            quaternion_matrix(*(lane(orientation[:, k], s) for k in range(4))),
-            Vec3(*(lane(position[:, k], s) for k in range(3))),
-        )
+        placed = site_transform(self.model, s, self.q.dtype)
         return self.body(self.model.topology.site_bodies[s]).then(placed)
 
     def joint(self, joint: str | int) -> Joint:
@@ -108,7 +81,7 @@ class Instant:
     def generalized_of(self, wrenches: LinkForces) -> jax.Array:
         """The generalized forces (nv,) of forces on links: sum of J_i^T f_i."""
         d = self.links.driver
-        return d.pack(generalized(d, d.joints(self.q, None), wrenches), self.v)
+        return d.pack(generalized(d, self.links.joints, wrenches), self.v)
 
 
 class Frame:

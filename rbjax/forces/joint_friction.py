@@ -23,9 +23,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub
 from rbjax.model import JOINT_SIZES, Model
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
 

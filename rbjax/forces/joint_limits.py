@@ -32,8 +32,9 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, Joint, table
+from rbjax.forces.instant import Instant, Joint
 from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, sub, total
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
 from rbjax.rotations.coefficients import length, where

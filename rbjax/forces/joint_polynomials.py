@@ -25,9 +25,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.instant import Instant
 from rbjax.forces.joint_springs import stretch
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, total
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations.coefficients import length
 

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 from rbjax.dynamics.manifold import difference_lanes
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
 from rbjax.model import JOINT_SIZES
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
 
@@ -51,7 +52,7 @@ def stretch(now: Instant, joint: int) -> list[Lane]:
 
 
 class _Alone(NamedTuple):
-    """The topology of a joint alone, for `difference_lanes`."""
+    """The topology of one joint, for `difference_lanes`."""
 
     joint_kinds: tuple[str]
     joint_q: tuple[int] = (0,)

@@ -16,9 +16,10 @@ import numpy as np
 
 from rbjax.dynamics.unrolled import Unrolled
 from rbjax.forces.element import Loads
-from rbjax.forces.instant import Frame, Instant, table
+from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Vec3, as_arrays, is_literal
 from rbjax.model import WORLD
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.spatial import Force, Motion, Transform
 

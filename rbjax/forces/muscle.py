@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.activation import at_least
-from rbjax.forces.instant import table
 from rbjax.lanes import Lane
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.model.model import Record
 

@@ -17,9 +17,10 @@ import jax.numpy as jnp
 from rbjax.forces.activation import Activation
 from rbjax.forces.actuators import clip
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
-from rbjax.forces.transmissions import Arms, between, merged, numbers, relative
+from rbjax.forces.instant import Instant
+from rbjax.forces.transmissions import Arms, between, merged, relative
 from rbjax.lanes import Lane, Vec3, add, is_zero, mul, total
+from rbjax.model.leaves import numbers, table
 from rbjax.rotations import quaternion
 from rbjax.rotations.coefficients import length as norm
 

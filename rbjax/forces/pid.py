@@ -14,12 +14,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.activation import scalar
 from rbjax.forces.actuator import Law, Signals
 from rbjax.forces.actuators import clip
-from rbjax.forces.instant import table
-from rbjax.forces.transmissions import numbers
 from rbjax.lanes import Lane, add, mul, neg, sub
+from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.model import Record
 
 #: the inputs that a controller can have, in the order of the controls

@@ -25,9 +25,10 @@ import jax.numpy as jnp
 
 from rbjax.forces.anchor import Anchor
 from rbjax.forces.element import Element, Loads
-from rbjax.forces.instant import Instant, table
+from rbjax.forces.instant import Instant
 from rbjax.forces.joint_polynomials import polynomial
 from rbjax.lanes import Lane, Vec3, add, is_literal, is_zero, mul, sub
+from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations.coefficients import where
 

@@ -9,15 +9,16 @@ and nothing on the joints that carry both.
 
 from __future__ import annotations
 
+import abc
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.instant import Frame, Instant, table
+from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Lane, Vec3, add, inner, is_zero, mul, quaternion_matrix, sub, total
-from rbjax.model.links import lane
+from rbjax.model.leaves import numbers, scalar
 from rbjax.model.model import Record
 from rbjax.rotations import quaternion
 from rbjax.spatial import Force
@@ -44,13 +45,13 @@ class Reach(NamedTuple):
 class Transmission(Record):
     """From a configuration to a length and moment arms."""
 
+    @abc.abstractmethod
     def reach(self, now: Instant) -> Reach:
         """The length and the moment arms at an instant."""
-        raise NotImplementedError
 
     def turn(self, dtype: jax.typing.DTypeLike) -> Lane:
         """How much a full turn adds to the length, where that is an angle."""
-        raise NotImplementedError
+        raise TypeError(f"the length of {type(self).__name__} is no angle")
 
 
 class JointAxis(Transmission):
@@ -114,7 +115,7 @@ class SliderCrank(Transmission):
     def reach(self, now: Instant) -> Reach:
         dtype = now.q.dtype
         crank, slider = now.site(self.crank), now.site(self.slider)
-        rod = lane(table(self.rod, dtype)[None], 0)
+        rod = scalar(self.rod, dtype)
         axis, r = slider.rotation.columns[2], crank.position - slider.position
         along = axis.dot(r)
         square = jnp.asarray(add(sub(mul(along, along), r.dot(r)), mul(rod, rod)), dtype)
@@ -202,12 +203,6 @@ def apart(a: Arms, b: Arms) -> Arms:
 def merged(a: Arms, b: Arms) -> Arms:
     """Their sum."""
     return {n: add(a.get(n, 0.0), b.get(n, 0.0)) for n in a | b}
-
-
-def numbers(x: jax.Array, dtype: jax.typing.DTypeLike) -> list[Lane]:
-    """The entries of an array (n,) as lanes."""
-    column = table(x, dtype)
-    return [lane(column, i) for i in range(x.shape[0])]
 
 
 def halves(gear: list[Lane]) -> tuple[Vec3, Vec3]:

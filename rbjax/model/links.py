@@ -29,7 +29,7 @@ from rbjax.model.cells import (
 )
 from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
-from rbjax.spatial import RigidInertia
+from rbjax.spatial import RigidInertia, Transform
 
 #: concrete entries of rotations below this are rounding of pi/2 and the like, not geometry
 SNAP = 1e-15
@@ -63,6 +63,17 @@ class Prepared:
     def link(self, i: int) -> LinkConstants:
         """The lanes of link i."""
         return jax.tree.map(lambda column: lane(column, i), self.columns)
+
+    @property
+    def welds(self) -> Transform:
+        """The pose of each body in the link that carries it, as columns over the bodies."""
+        R, p = self.body_R, self.body_p
+        axes = Mat3(*(R[:, i, j] for i in range(3) for j in range(3)))
+        return Transform(axes, Vec3(*(p[:, i] for i in range(3))))
+
+    def weld(self, body: int) -> Transform:
+        """The same of one body, as lanes."""
+        return jax.tree.map(lambda column: lane(column, body), self.welds)
 
 
 def prepare(model: Model, dtype: Any) -> Prepared:

@@ -178,7 +178,7 @@ class Model(Record):
 
     def replace(self, **changes: Any) -> Model:
         """A copy with the given fields changed; shapes of arrays must stay. What was made ahead of
-        numbers that change is made anew."""
+        numbers that change is made again."""
         if changes.keys() & {"bodies", "joints", "gravity", "zeros"}:
             changes = {"prepared": None} | changes
         return super().replace(**changes)

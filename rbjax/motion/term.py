@@ -20,8 +20,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.rnea import momentum
 from rbjax.errors import InputError
-from rbjax.forces.acting import NO_INPUTS
-from rbjax.forces.inputs import Inputs, evaluated
+from rbjax.forces.inputs import NO_INPUTS, Inputs, evaluated
 from rbjax.materialize import materialize
 from rbjax.model import Model, State, Topology, spans
 from rbjax.motion.field import Field, Law, free_motion
