@@ -14,7 +14,7 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.timing import markdown_table, measure, save
-from rbjax.materialize import materialize, sincos
+from rbjax.lanes import fusion_barrier, sincos
 
 COUNT = 16_384
 WAYS = {"rbjax": sincos, "xla": lambda x: (jnp.cos(x), jnp.sin(x))}
@@ -29,7 +29,7 @@ def main() -> None:
         row: dict[str, object] = {"precision": precision}
         for name, pair in WAYS.items():
             run = jax.jit(
-                lambda x, pair=pair: materialize(pair(x)), compiler_options=rb.compiler_options()
+                lambda x, pair=pair: fusion_barrier(pair(x)), compiler_options=rb.compiler_options()
             )
             row[f"{name} ns"] = measure(run, x)["run_s"] / COUNT * 1e9
             row[f"{name} error"] = float(np.abs(np.asarray(run(x), float) - exact).max())

@@ -1,7 +1,7 @@
 """Options of XLA's compiler under which programs on lanes run fastest on the CPU.
 
 LLVM uses vectors of 256 bits unless told otherwise, also where a core has 512. And jaxlib 0.10's
-fusion emitters, on by default, compile a loop with many results (`materialize`) slower and to
+fusion emitters, on by default, compile a loop with many results (`fusion_barrier`) slower and to
 slower code than what they replace; jaxlib 0.11 has nothing else.
 """
 
@@ -77,7 +77,7 @@ def _imported_alone() -> bool:
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
-def staged() -> bool:
+def inside_jit() -> bool:
     """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
     a vmap or grad outside of any jit)."""
     return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)

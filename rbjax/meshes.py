@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax.sharding import AbstractMesh, NamedSharding, PartitionSpec
 
-from rbjax.compiling import staged
+from rbjax.compiling import inside_jit
 from rbjax.errors import InputError
 
 F = TypeVar("F", bound=Callable)
@@ -59,7 +59,7 @@ def on_auto_axes(f: Callable, *args: Any, along: Sequence[jax.Array] = ()) -> An
     where = NamedSharding(mesh, PartitionSpec(*spread[:1]))
     auto = jax.sharding.auto_axes(arrays, axes=mesh.explicit_axes, out_sharding=where)
     try:
-        given = (auto if staged() else jax.jit(auto))(moving)
+        given = (auto if inside_jit() else jax.jit(auto))(moving)
     except ValueError as error:
         if "context mesh" not in str(error).lower():
             raise

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.body import lagrange
-from rbjax.body.formulation import Formulation, State, apply
+from rbjax.body.formulation import Formulation, State
 from rbjax.body.rigid_body import (
     Body,
     Situation,
@@ -34,6 +34,7 @@ from rbjax.body.rigid_body import (
     total_wrench,
 )
 from rbjax.errors import InputError
+from rbjax.lanes import matvec
 from rbjax.rotations import se3
 
 #: nearer than this (rad) to a singularity the equations have no digits left
@@ -54,13 +55,13 @@ class _InCoordinates(Formulation):
 
     def _twist(self, q: jax.Array, qd: jax.Array) -> jax.Array:
         """A(q) q'."""
-        omega = apply(self.attitude.body_rate_matrix(q[3:]), qd[3:])
-        return jnp.concatenate([omega, apply(self.attitude.to_matrix(q[3:]).T, qd[:3])])
+        omega = matvec(self.attitude.body_rate_matrix(q[3:]), qd[3:])
+        return jnp.concatenate([omega, matvec(self.attitude.to_matrix(q[3:]).T, qd[:3])])
 
     def _rates(self, q: jax.Array, V: jax.Array) -> jax.Array:
         """B(q) V."""
-        turning = apply(self.attitude.inverse_body_rate_matrix(q[3:]), V[:3])
-        return jnp.concatenate([apply(self.attitude.to_matrix(q[3:]), V[3:]), turning])
+        turning = matvec(self.attitude.inverse_body_rate_matrix(q[3:]), V[:3])
+        return jnp.concatenate([matvec(self.attitude.to_matrix(q[3:]), V[3:]), turning])
 
 
 class Lagrange(_InCoordinates):

@@ -13,19 +13,19 @@ import jax
 import jax.numpy as jnp
 
 from rbjax import spatial
-from rbjax.body.formulation import apply
 from rbjax.body.rigid_body import Body
+from rbjax.lanes import matvec
 from rbjax.rotations.coefficients import length
 
 
 def _at(T: jax.Array, point: jax.Array) -> jax.Array:
     """A point of the body, in the world."""
-    return T[:3, 3] + apply(T[:3, :3], point)
+    return T[:3, 3] + matvec(T[:3, :3], point)
 
 
 def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
     """The wrench of a force (3,) in world axes at a point of the body."""
-    return spatial.force_at(apply(T[:3, :3].T, f), point)
+    return spatial.force_at(matvec(T[:3, :3].T, f), point)
 
 
 class UniformGravity(eqx.Module):
@@ -54,9 +54,9 @@ class CentralGravity(eqx.Module):
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         R = T[:3, :3]
-        d = apply(R.T, _at(T, body.com) - self.centre)
+        d = matvec(R.T, _at(T, body.com) - self.centre)
         r = jnp.sqrt((d * d).sum())
-        Id, trace = apply(body.inertia, d), jnp.trace(body.inertia)
+        Id, trace = matvec(body.inertia, d), jnp.trace(body.inertia)
         k = self.mu / r**5
         f = -self.mu * body.mass / r**3 * d
         f = f - k * (1.5 * trace * d + 3 * Id - 7.5 * (d * Id).sum() / r**2 * d)
@@ -64,9 +64,9 @@ class CentralGravity(eqx.Module):
         return spatial.force_at(f, body.com) + couple
 
     def potential(self, body: Body, T: jax.Array) -> jax.Array:
-        d = apply(T[:3, :3].T, _at(T, body.com) - self.centre)
+        d = matvec(T[:3, :3].T, _at(T, body.com) - self.centre)
         r = jnp.sqrt((d * d).sum())
-        second = jnp.trace(body.inertia) - 3 * (d * apply(body.inertia, d)).sum() / r**2
+        second = jnp.trace(body.inertia) - 3 * (d * matvec(body.inertia, d)).sum() / r**2
         return -self.mu * body.mass / r - self.mu * second / (2 * r**3)
 
 
@@ -96,7 +96,7 @@ class LinearDrag(eqx.Module):
     stream: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
-        return -apply(self.coefficients, _through(T, V, self.stream))
+        return -matvec(self.coefficients, _through(T, V, self.stream))
 
 
 class QuadraticDrag(eqx.Module):
@@ -140,11 +140,11 @@ class Damper(eqx.Module):
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor
         square = (d * d).sum()
-        v = apply(T[:3, :3], spatial.twist_at(V, self.point)[3:])
+        v = matvec(T[:3, :3], spatial.twist_at(V, self.point)[3:])
         f = -self.damping * (d * v).sum() / jnp.where(square > 0, square, 1.0) * d
         return _world_force(T, f, self.point)
 
 
 def _through(T: jax.Array, V: jax.Array, stream: jax.Array) -> jax.Array:
     """The twist relative to a fluid that streams without turning."""
-    return V - jnp.concatenate([jnp.zeros_like(stream), apply(T[:3, :3].T, stream)])
+    return V - jnp.concatenate([jnp.zeros_like(stream), matvec(T[:3, :3].T, stream)])

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 
 from rbjax import spatial
 from rbjax.body.rigid_body import Body, Situation
+from rbjax.lanes import matvec
 from rbjax.rotations import quaternion, se3
 from rbjax.rotations.representation import Representation, find
 
@@ -93,11 +94,6 @@ def quaternion_rate(q: jax.Array, omega: jax.Array) -> jax.Array:
     return quaternion.multiply(q, jnp.concatenate([jnp.zeros(1, q.dtype), omega])) / 2
 
 
-def apply(A: jax.Array, x: jax.Array) -> jax.Array:
-    """A x without a `dot`, whose f32 is not f32 everywhere."""
-    return (A * x).sum(-1)
-
-
 def accelerate(M: jax.Array, V: jax.Array, F: jax.Array) -> jax.Array:
     """V' of M V' + V x* M V = F."""
-    return jnp.linalg.solve(M, F - spatial.force_cross(V, apply(M, V)))
+    return jnp.linalg.solve(M, F - spatial.force_cross(V, matvec(M, V)))

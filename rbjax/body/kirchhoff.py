@@ -17,13 +17,13 @@ import jax.numpy as jnp
 from rbjax.body.formulation import (
     Spinning,
     State,
-    apply,
     attitude_matrix,
     coordinates,
     pose_of,
     quaternion_rate,
 )
 from rbjax.body.rigid_body import Body, Situation, kinetic_energy, total_wrench
+from rbjax.lanes import matvec
 
 
 class Kirchhoff(Spinning):
@@ -44,7 +44,7 @@ class Kirchhoff(Spinning):
         n = F[:3] - jnp.cross(omega, h[:3]) - jnp.cross(v, h[3:])
         f = F[3:] - jnp.cross(omega, h[3:])
         acceleration = jnp.linalg.solve(jax.hessian(energy)(V), jnp.concatenate([n, f]))
-        rate = jnp.concatenate([apply(attitude_matrix(y.q), v), quaternion_rate(y.q[3:], omega)])
+        rate = jnp.concatenate([matvec(attitude_matrix(y.q), v), quaternion_rate(y.q[3:], omega)])
         return State(rate, acceleration)
 
     def pose(self, body: Body, y: State) -> jax.Array:

@@ -21,13 +21,13 @@ from rbjax import spatial
 from rbjax.body.formulation import (
     Spinning,
     State,
-    apply,
     attitude_matrix,
     coordinates,
     pose_of,
     quaternion_rate,
 )
 from rbjax.body.rigid_body import Body, Situation, total_wrench
+from rbjax.lanes import matvec
 from rbjax.rotations import se3, so3
 
 
@@ -43,8 +43,8 @@ class NewtonEuler(Spinning):
         q = coordinates(T)
         at = spatial.twist_at(V, r)
         R = attitude_matrix(q)
-        q = q.at[:3].add(apply(R, r))
-        return State(q, jnp.concatenate([at[:3], apply(R, at[3:])]))
+        q = q.at[:3].add(matvec(R, r))
+        return State(q, jnp.concatenate([at[:3], matvec(R, at[3:])]))
 
     def rate(self, t: Any, y: State, args: Situation) -> State:
         body = args[0]
@@ -55,28 +55,30 @@ class NewtonEuler(Spinning):
         n, f = F[:3], F[3:]
         c = body.com - self._point(body)
         if self.point is None and body.added_mass is None:
-            alpha = jnp.linalg.solve(body.inertia, n - jnp.cross(omega, apply(body.inertia, omega)))
+            alpha = jnp.linalg.solve(
+                body.inertia, n - jnp.cross(omega, matvec(body.inertia, omega))
+            )
             a = f / body.mass
         else:
             I_P = spatial.parallel_axes(body.inertia, body.mass, c)
-            n = n - jnp.cross(omega, apply(I_P, omega))
+            n = n - jnp.cross(omega, matvec(I_P, omega))
             f = f - body.mass * jnp.cross(omega, jnp.cross(omega, c))
             mc = body.mass * so3.hat(c)
             M = jnp.block([[I_P, mc], [-mc, body.mass * jnp.eye(3)]])
             if body.added_mass is not None:
-                A, drag = self._fluid(body, jnp.concatenate([omega, apply(R.T, v)]))
+                A, drag = self._fluid(body, jnp.concatenate([omega, matvec(R.T, v)]))
                 M, n, f = M + A, n - drag[:3], f - drag[3:]
             x = jnp.linalg.solve(M, jnp.concatenate([n, f]))
             alpha, a = x[:3], x[3:]
         rate = jnp.concatenate([v, quaternion_rate(y.q[3:], omega)])
-        return State(rate, jnp.concatenate([alpha, apply(R, a)]))
+        return State(rate, jnp.concatenate([alpha, matvec(R, a)]))
 
     def pose(self, body: Body, y: State) -> jax.Array:
         T = pose_of(y.q)
-        return T.at[:3, 3].add(-apply(T[:3, :3], self._point(body)))
+        return T.at[:3, 3].add(-matvec(T[:3, :3], self._point(body)))
 
     def twist(self, body: Body, y: State) -> jax.Array:
-        at = jnp.concatenate([y.v[:3], apply(attitude_matrix(y.q).T, y.v[3:])])
+        at = jnp.concatenate([y.v[:3], matvec(attitude_matrix(y.q).T, y.v[3:])])
         return spatial.twist_at(at, -self._point(body))
 
     def _point(self, body: Body) -> jax.Array:
@@ -90,4 +92,4 @@ class NewtonEuler(Spinning):
         shift = se3.pose(jnp.eye(3, dtype=V.dtype), -self._point(body))
         A = spatial.transform_inertia(shift, body.added_mass)
         apart = jnp.concatenate([jnp.zeros(3, V.dtype), jnp.cross(V[:3], V[3:])])
-        return A, spatial.force_cross(V, apply(A, V)) - apply(A, apart)
+        return A, spatial.force_cross(V, matvec(A, V)) - matvec(A, apart)

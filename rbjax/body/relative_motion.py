@@ -19,8 +19,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.body.formulation import apply
 from rbjax.errors import InputError
+from rbjax.lanes import matmat, matvec
 from rbjax.rotations import so3
 
 
@@ -72,27 +72,27 @@ def moving_frame(path: Callable[[jax.Array], jax.Array], t: jax.Array) -> Moving
         raise InputError(f"moving_frame: the path gives shape {T.shape}, expected a pose (4, 4)")
     R, Rt = T[:3, :3], T[:3, :3].T
     # R'' R^T = [alpha] + [omega]^2, whose second term is symmetric
-    omega, alpha = (so3.vee(_product(d[:3, :3], Rt)) for d in (dT, ddT))
+    omega, alpha = (so3.vee(matmat(d[:3, :3], Rt)) for d in (dT, ddT))
     return MovingFrame(R, T[:3, 3], omega, dT[:3, 3], alpha, ddT[:3, 3])
 
 
 def position(frame: MovingFrame, r: jax.Array) -> jax.Array:
     """p + R r (3,) of a point at r in B."""
     r = _vector("position", r)
-    return frame.p + apply(frame.R, r)
+    return frame.p + matvec(frame.R, r)
 
 
 def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
     """In A's axes (3,), of a point at r in B that moves there with rd."""
     r, rd = _vector("velocity", r), _vector("velocity", rd)
-    return frame.v + jnp.cross(frame.omega, apply(frame.R, r)) + apply(frame.R, rd)
+    return frame.v + jnp.cross(frame.omega, matvec(frame.R, r)) + matvec(frame.R, rd)
 
 
 def acceleration_terms(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 ) -> AccelerationTerms:
     """The terms of the acceleration, of a point at r in B that moves there with rd and rdd."""
-    r, rd, rdd = (apply(frame.R, _vector("acceleration_terms", x)) for x in (r, rd, rdd))
+    r, rd, rdd = (matvec(frame.R, _vector("acceleration_terms", x)) for x in (r, rd, rdd))
     w = frame.omega
     return AccelerationTerms(
         transport=frame.a,
@@ -122,14 +122,14 @@ def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> Apparent
     (4.0, -12.0)
     """
     terms = acceleration_terms(frame, r, rd, jnp.zeros_like(frame.a))
-    return ApparentForces(*(-apply(frame.R.T, x) for x in terms[:4]))
+    return ApparentForces(*(-matvec(frame.R.T, x) for x in terms[:4]))
 
 
 def relative_acceleration(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, a: jax.Array
 ) -> jax.Array:
     """r'' (3,) in B's axes, of a point whose acceleration in A is a (3,), f/m if A is inertial."""
-    a = apply(frame.R.T, _vector("relative_acceleration", a))
+    a = matvec(frame.R.T, _vector("relative_acceleration", a))
     return sum(apparent_forces(frame, r, rd), start=a)
 
 
@@ -138,7 +138,7 @@ def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
 
     alpha_AC = alpha_AB + R alpha_BC + omega_AB x R omega_BC
     """
-    omega, alpha = apply(outer.R, inner.omega), apply(outer.R, inner.alpha)
+    omega, alpha = matvec(outer.R, inner.omega), matvec(outer.R, inner.alpha)
     return MovingFrame(
         so3.compose(outer.R, inner.R),
         position(outer, inner.p),
@@ -152,14 +152,10 @@ def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
 def inverse(frame: MovingFrame) -> MovingFrame:
     """A seen from B: its origin rests in A."""
     Rt = frame.R.T
-    r = -apply(Rt, frame.p)
-    rd = -apply(Rt, frame.v + jnp.cross(frame.omega, -frame.p))
+    r = -matvec(Rt, frame.p)
+    rd = -matvec(Rt, frame.v + jnp.cross(frame.omega, -frame.p))
     rdd = relative_acceleration(frame, r, rd, jnp.zeros_like(frame.a))
-    return MovingFrame(Rt, r, -apply(Rt, frame.omega), rd, -apply(Rt, frame.alpha), rdd)
-
-
-def _product(A: jax.Array, B: jax.Array) -> jax.Array:
-    return (A[:, :, None] * B[None, :, :]).sum(1)
+    return MovingFrame(Rt, r, -matvec(Rt, frame.omega), rd, -matvec(Rt, frame.alpha), rdd)
 
 
 def _vector(where: str, x: jax.Array) -> jax.Array:

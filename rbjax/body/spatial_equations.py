@@ -17,13 +17,13 @@ from rbjax.body.formulation import (
     Spinning,
     State,
     accelerate,
-    apply,
     attitude_matrix,
     coordinates,
     pose_of,
     quaternion_rate,
 )
 from rbjax.body.rigid_body import Body, Situation, inertia_matrix, total_wrench
+from rbjax.lanes import matvec
 from rbjax.rotations import se3
 
 
@@ -53,7 +53,7 @@ class _Spatial(Spinning):
 
     def _coordinate_rate(self, body: Body, y: State) -> jax.Array:
         V = self.twist(body, y)
-        v = apply(attitude_matrix(y.q), V[3:])
+        v = matvec(attitude_matrix(y.q), V[3:])
         return jnp.concatenate([v, quaternion_rate(y.q[3:], V[:3])])
 
 
@@ -80,7 +80,7 @@ class Momentum(_Spatial):
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
         q = coordinates(T)
-        h = apply(inertia_matrix(body), V)
+        h = matvec(inertia_matrix(body), V)
         return State(q, h if self.about is None else spatial.transform_force(self._frame(q), h))
 
     def rate(self, t: Any, y: State, args: Situation) -> State:

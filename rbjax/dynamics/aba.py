@@ -24,7 +24,7 @@ from rbjax.model import LinkConstants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
 
 
-class Swing(NamedTuple):
+class VelocityStep(NamedTuple):
     """A link's motion at given q and v: its pose, its bias acceleration, its bias force."""
 
     X: Transform
@@ -41,7 +41,9 @@ class Factor(NamedTuple):
     inverse_D: Lane
 
 
-def swing(x: tuple[LinkConstants, JointMotion], w_parent: Vec3) -> tuple[Vec3, Swing]:
+def velocity_step(
+    x: tuple[LinkConstants, JointMotion], w_parent: Vec3
+) -> tuple[Vec3, VelocityStep]:
     """Outward step: angular velocity and bias acceleration (centripetal, Coriolis, gyroscopic)."""
     link, joint = x
     X = joint.transform(link)
@@ -49,7 +51,7 @@ def swing(x: tuple[LinkConstants, JointMotion], w_parent: Vec3) -> tuple[Vec3, S
     w = carried + joint.rate
     centripetal = X.E @ w_parent.cross(w_parent.cross(X.p))
     coriolis = w.cross((joint.S * joint.qd).lin) * 2.0
-    return w, Swing(X, w, Motion(carried.cross(joint.rate), centripetal + coriolis))
+    return w, VelocityStep(X, w, Motion(carried.cross(joint.rate), centripetal + coriolis))
 
 
 def bias_force(inertia: RigidInertia, w: Vec3) -> Force:
@@ -98,7 +100,7 @@ def aba(
     outside."""
 
     def outward(x, w_parent):
-        return swing(x[:2], w_parent)
+        return velocity_step(x[:2], w_parent)
 
     def inward(x, message):
         (link, joint, tau, push), motion = x

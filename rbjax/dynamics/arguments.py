@@ -18,10 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiling import compiled, staged
+from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.batching import in_chunks
 from rbjax.dynamics.drivers import THREADS_APART_ABOVE, on_threads
-from rbjax.dynamics.tracing import opened
+from rbjax.dynamics.tracing import split_tracers
 from rbjax.errors import InputError
 from rbjax.meshes import automatic
 from rbjax.model import Model, State
@@ -70,7 +70,7 @@ def algorithm(
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
             on_gpu = wanted()
-            moving, closed = opened((suited(args) if on_gpu else args, kwargs))
+            moving, closed = split_tracers((suited(args) if on_gpu else args, kwargs))
 
             def run(moving: list) -> Any:
                 args, kwargs = closed(moving)
@@ -82,7 +82,7 @@ def algorithm(
                 return in_chunks(run)(moving)
             if apart is None or args[0].nv <= THREADS_APART_ABOVE:
                 return threaded(run)(moving)
-            as_given = opened((args, kwargs))[1]
+            as_given = split_tracers((args, kwargs))[1]
 
             def run_apart(moving: list) -> Any:
                 args, kwargs = as_given(moving)
@@ -99,7 +99,7 @@ def algorithm(
             bound.arguments.update(check_arrays(f.__name__, model, given))
             for n in static:
                 check_name(f.__name__, n, bound.arguments.get(n))
-            inside = opened((bound.args, bound.kwargs))[0] and staged()
+            inside = split_tracers((bound.args, bound.kwargs))[0] and inside_jit()
             return (inlined if inside else program)(*bound.args, **bound.kwargs)
 
         return call

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.aba import swing
+from rbjax.dynamics.aba import velocity_step
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.composites import (
     carried,
@@ -36,8 +36,7 @@ from rbjax.dynamics.drivers import driver, on_threads
 from rbjax.dynamics.jacobians import ancestor_mask
 from rbjax.dynamics.kinematics import body_transforms
 from rbjax.dynamics.pairs import pair_matrix
-from rbjax.lanes import Mat3, Sym3, Vec3, add, mul
-from rbjax.materialize import batch_first
+from rbjax.lanes import Mat3, Sym3, Vec3, add, batch_first, mul
 from rbjax.model import Model, as_declared
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 from rbjax.threads import side_by_side, threaded
@@ -99,7 +98,7 @@ def regressor_factors(
     def step(x, parent):
         w_parent, a_parent = parent
         constants, joint, qdd = x
-        w, moved = swing((constants, joint), w_parent)
+        w, moved = velocity_step((constants, joint), w_parent)
         acc = moved.X(a_parent) + moved.c + joint.S * qdd
         return (w, acc), (w, acc)
 

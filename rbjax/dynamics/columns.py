@@ -24,8 +24,7 @@ from rbjax.dynamics.operands import inverse_pairs, operands
 from rbjax.dynamics.packing import pack
 from rbjax.dynamics.pairs import pair_column, which_moves
 from rbjax.dynamics.unrolled import Unrolled
-from rbjax.lanes import Lane, Mat3, Vec3
-from rbjax.materialize import batch_first, batch_last
+from rbjax.lanes import Lane, Mat3, Vec3, batch_first, batch_last
 from rbjax.model import Model, prepare
 from rbjax.model.cells import stacked
 from rbjax.spatial import Force, Motion, Transform

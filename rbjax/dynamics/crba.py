@@ -20,8 +20,7 @@ from rbjax.dynamics.composites import (
 )
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.pairs import packed, pair_matrix, with_armature
-from rbjax.lanes import Lane, Sym3, Vec3, add
-from rbjax.materialize import materialize
+from rbjax.lanes import Lane, Sym3, Vec3, add, fusion_barrier
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, RigidInertia
 
@@ -51,7 +50,7 @@ def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
         M[i][i] = add(axes[i].dot(F), armatures[i])
         j = i
         while d.topology.parents[j] != WORLD:
-            F = materialize(X.T(F))
+            F = fusion_barrier(X.T(F))
             j = d.topology.parents[j]
             X = ys[j][0]
             M[i][j] = M[j][i] = axes[j].dot(F)

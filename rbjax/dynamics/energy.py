@@ -12,9 +12,8 @@ import jax.numpy as jnp
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.kinematics import body_velocities, forward_kinematics, link_twists
-from rbjax.lanes import add, mul
+from rbjax.lanes import add, matmat, matvec, mul
 from rbjax.model import Model, as_declared
-from rbjax.model.links import matrix_apply, matrix_product
 
 
 @algorithm("q", "v")
@@ -107,7 +106,7 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     speed = twists[:, 3:] + jnp.cross(omega, com - poses.p)
     inertia = as_declared(model).bodies.inertia.astype(q.dtype)
     in_body = (poses.R * omega[:, :, None]).sum(-2)
-    spin = matrix_apply(matrix_product(poses.R, inertia), in_body)
+    spin = matvec(matmat(poses.R, inertia), in_body)
     arm = com - (mass[:, None] * com).sum(0) / mass.sum()
     momentum = mass[:, None] * speed
     return jnp.concatenate([(spin + jnp.cross(arm, momentum)).sum(0), momentum.sum(0)])
@@ -117,5 +116,5 @@ def _centres(model: Model, q: jax.Array):
     """Poses, world positions of the centres of mass (nb, 3), masses (nb,)."""
     poses = forward_kinematics(model, q)
     bodies = as_declared(model).bodies
-    com = poses.p + matrix_apply(poses.R, bodies.com.astype(q.dtype))
+    com = poses.p + matvec(poses.R, bodies.com.astype(q.dtype))
     return poses, com, bodies.mass.astype(q.dtype)

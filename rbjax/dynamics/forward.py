@@ -23,7 +23,7 @@ from rbjax.dynamics.columns import inverse_mass_by_columns
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.link_forces import LinkForces, on_links
 from rbjax.dynamics.rnea import rnea
-from rbjax.dynamics.tracing import jvp_of, opened, with_jvp
+from rbjax.dynamics.tracing import jvp_of, split_tracers, with_jvp
 from rbjax.model import Model, made_ahead
 from rbjax.threads import wanted
 
@@ -58,8 +58,8 @@ def acceleration(
     forces that are known while tracing stay out of the custom derivative's arguments, so that they
     stay known.
     """
-    given, rebuilt = opened((model, pushes))
-    known_model = not opened(model)[0]
+    given, rebuilt = split_tracers((model, pushes))
+    known_model = not split_tracers(model)[0]
 
     def run(changed, q, v, tau, values=False):
         model, pushes = rebuilt(changed)

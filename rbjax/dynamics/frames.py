@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.aba import swing
+from rbjax.dynamics.aba import velocity_step
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.kinematics import link_motions
@@ -148,7 +148,7 @@ def frame_bias_acceleration(
 
     def step(x, parent):
         R, w_parent, a_parent = parent
-        w, moved = swing(x, w_parent)
+        w, moved = velocity_step(x, w_parent)
         here = R @ moved.X.R, w, moved.X(a_parent) + moved.c
         return here, here
 

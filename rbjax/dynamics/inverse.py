@@ -22,8 +22,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.packing import pack
 from rbjax.dynamics.pairs import pair_columns, pair_entries
-from rbjax.lanes import Lane, inner, mul, neg, sub
-from rbjax.materialize import materialize
+from rbjax.lanes import Lane, fusion_barrier, inner, mul, neg, sub
 from rbjax.spatial import Motion
 
 
@@ -46,14 +45,14 @@ class InverseMass:
             self.P = [list(row) for row in self.array]
 
     def _by_substitution(self, S: list, scaled: list) -> list[list[Lane]]:
-        L = materialize([[scaled[i].dot(S[j]) for j in to[:-1]] for i, to in self.carriers])
+        L = fusion_barrier([[scaled[i].dot(S[j]) for j in to[:-1]] for i, to in self.carriers])
         P: list[list[Lane]] = []
         for i, (*above, _) in self.carriers:
             row: list[Lane] = [0.0] * len(L)
             row[i] = 1.0
             for at, j in enumerate(above):
                 row[j] = neg(inner(L[i][at:], [P[k][j] for k in above[at:]]))
-            P.append(materialize(row))
+            P.append(fusion_barrier(row))
         return P
 
     def solve(self, columns: Sequence[Sequence[Lane]], row: Sequence[Lane]) -> list[list[Lane]]:
@@ -69,7 +68,7 @@ class InverseMass:
         def moved(y):
             return [inner([P[i][j] for j in to], [y[j] for j in to]) for i, to in self.carriers]
 
-        return [moved(y) for y in materialize([scaled(y) for y in (*map(driven, columns), row)])]
+        return [moved(y) for y in fusion_barrier([scaled(y) for y in (*map(driven, columns), row)])]
 
     def __call__(self, *pairs: Any) -> list[jax.Array]:
         """-M^-1 X of each X = `pair_matrix(d, *pair)`, then M^-1 itself."""
@@ -77,7 +76,7 @@ class InverseMass:
         count = len(pairs) + 1
         flat = jnp.zeros(count * n, like.dtype)
         if d.listed:
-            X = materialize([pair_entries(d.topology, *pair) for pair in pairs])
+            X = fusion_barrier([pair_entries(d.topology, *pair) for pair in pairs])
             out = [self.solve([[row[j] for row in x] for x in X], self.P[j]) for j in range(n)]
             for j in range(n):
                 out[j][-1][j + 1 :] = [out[i][-1][j] for i in range(j + 1, n)]  # symmetric
@@ -87,7 +86,7 @@ class InverseMass:
 
         def step(_, x):
             row, own = x
-            out = self.solve([list(x) for x in materialize(columns(own))], list(row))
+            out = self.solve([list(x) for x in fusion_barrier(columns(own))], list(row))
             return None, pack([x for column in out for x in column], flat)
 
         _, solved = jax.lax.scan(step, None, (self.array, xs))

@@ -15,8 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix, rotation_z, sub
-from rbjax.materialize import sincos
+from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix, rotation_z, sincos, sub
 from rbjax.model import Link, LinkConstants, Prepared, Topology
 from rbjax.model.cells import stacked
 from rbjax.spatial import Motion, Transform

@@ -14,9 +14,8 @@ import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
-from rbjax.lanes import Mat3, Vec3
+from rbjax.lanes import Mat3, Vec3, matmat, matvec
 from rbjax.model import WORLD, Model
-from rbjax.model.links import matrix_apply, matrix_product
 from rbjax.rotations import quaternion
 from rbjax.spatial import Motion, Transform
 
@@ -120,7 +119,7 @@ def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Arr
     p = model.sites.position[i].astype(q.dtype)
     if body == WORLD:
         return R, p
-    return matrix_product(poses.R[body], R), poses.p[body] + matrix_apply(poses.R[body], p)
+    return matmat(poses.R[body], R), poses.p[body] + matvec(poses.R[body], p)
 
 
 def link_twists(d: Driver, joints: Any) -> Any:

@@ -25,8 +25,7 @@ from rbjax.dynamics import unrolled
 from rbjax.dynamics.contract import Step, Sweeps
 from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_lanes, turning
 from rbjax.dynamics.packing import pack
-from rbjax.lanes import Lane, add, as_arrays, is_literal, sub
-from rbjax.materialize import materialize, sincos
+from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, sincos, sub
 from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
 
@@ -161,7 +160,7 @@ class Limbs(Sweeps, unrolled.Listed):
             return LimbJoint(link, constants, at, speed, None)
 
         out = self._parts(trunk, limbs, self.constants)
-        return Parts(materialize(out.trunk), out.limbs)
+        return Parts(fusion_barrier(out.trunk), out.limbs)
 
     def lanes(self, x: jax.Array | None) -> Parts:
         """As `Unrolled.lanes`."""

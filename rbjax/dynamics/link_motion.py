@@ -17,8 +17,7 @@ import numpy as np
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.kinematics import link_motions
 from rbjax.dynamics.link_forces import over_links
-from rbjax.lanes import Lane, Mat3, Vec3
-from rbjax.materialize import materialize
+from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
 from rbjax.model import WORLD
 from rbjax.spatial import Force, Motion, Transform
 
@@ -39,7 +38,7 @@ class LinkMotion:
             parent = self._poses[self.driver.topology.links[i].parent]
             joint, constants = self._links[i]
             pose = parent.then(joint.transform(constants))
-            self._poses[i] = materialize(pose, known=(parent, joint, constants))
+            self._poses[i] = fusion_barrier(pose, known=(parent, joint, constants))
         return self._poses[link]
 
     def twist(self, link: int) -> Motion:
@@ -51,7 +50,7 @@ class LinkMotion:
             joint, constants = self._links[i]
             own = Motion(joint.rate, (joint.S * joint.qd).lin)
             twist = joint.transform(constants)(parent) + own
-            self._twists[i] = materialize(twist, known=(parent, joint, constants))
+            self._twists[i] = fusion_barrier(twist, known=(parent, joint, constants))
         return self._twists[link]
 
     def to_parent(self, link: int) -> tuple[Transform, Motion]:

@@ -12,8 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.lanes import Lane, Vec3, sub
-from rbjax.materialize import horner
+from rbjax.lanes import Lane, Vec3, horner, sub
 from rbjax.model import Model, spans
 from rbjax.rotations import quaternion
 

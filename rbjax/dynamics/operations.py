@@ -147,7 +147,7 @@ def _is_variable(v: Any) -> bool:
 def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
     """Operations of one equation, and which of its inputs the wanted results need."""
     name, params = eqn.primitive.name, eqn.params
-    if name in ("materialize", "batch_first"):
+    if name in ("fusion_barrier", "batch_first"):
         return OperationCount(), out
     if name == "scan":
         return _scan(eqn, out)

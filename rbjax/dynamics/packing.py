@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Lane
-from rbjax.materialize import materialize
+from rbjax.lanes import Lane, fusion_barrier
 
 
 def unpack(x: jax.Array) -> list[Lane]:
@@ -24,4 +23,4 @@ def pack(lanes: Sequence[Lane], like: jax.Array) -> jax.Array:
     if not lanes:
         return jnp.zeros((0, *like.shape[1:]), like.dtype)
     rows = [jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape[1:]) for x in lanes]
-    return jnp.stack(materialize(rows))
+    return jnp.stack(fusion_barrier(rows))

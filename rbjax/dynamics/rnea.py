@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.aba import bias_force, swing
+from rbjax.dynamics.aba import bias_force, velocity_step
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.link_forces import LinkForces, on_links, per_link
@@ -31,7 +31,7 @@ def rnea(
     def outward(x, parent):
         w_parent, a_parent = parent
         link, joint, qdd, push = x
-        w, moved = swing((link, joint), w_parent)
+        w, moved = velocity_step((link, joint), w_parent)
         a = moved.X(a_parent) + moved.c + joint.S * qdd
         return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w) - push)
 

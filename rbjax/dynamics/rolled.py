@@ -21,8 +21,7 @@ import numpy as np
 from rbjax.dynamics.contract import Step, Sweeps
 from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack
-from rbjax.lanes import Lane, add, as_arrays, is_literal
-from rbjax.materialize import materialize
+from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal
 from rbjax.model import WORLD, Model, Prepared
 from rbjax.model.cells import lane_of
 
@@ -90,7 +89,7 @@ class Rolled(Sweeps):
         links = enumerate(self.topology.links[: self.head])
         head = [joint_lanes(link, self.constants.head[i], qs, vs, i) for i, link in links]
         make, columns = joint_columns(self.topology, self.prepared, q, v, self.head)
-        head, columns = materialize((head, columns))
+        head, columns = fusion_barrier((head, columns))
         return Values(head, Joints(make, columns))
 
     def lanes(self, x: jax.Array | None) -> Values:
@@ -131,7 +130,7 @@ class Rolled(Sweeps):
 
     def each(self, f: Callable, *whole: Any) -> Any:
         """As `Unrolled.each`."""
-        return materialize(f(*whole), known=whole)
+        return fusion_barrier(f(*whole), known=whole)
 
     def take(self, whole: Any, index: Sequence[int], world: Any = None) -> Any:
         """As `Unrolled.take`."""
@@ -182,7 +181,7 @@ class Rolled(Sweeps):
         ys: list = []
         for i in range(self.head):
             before = carries[-1] if i else root
-            carry, y = materialize(step(xs.head[i], before), known=(xs.head[i], before))
+            carry, y = fusion_barrier(step(xs.head[i], before), known=(xs.head[i], before))
             carries.append(carry)
             ys.append(y)
         before = as_arrays(carries[-1] if self.head else root, self._like)
@@ -232,7 +231,7 @@ class Rolled(Sweeps):
         for i in reversed(range(self.head)):
             if i in self._slot_of:
                 total = jax.tree.map(add, total, slots[self._slot_of[i]])
-            total, ys[i] = materialize(step(xs.head[i], total), known=(xs.head[i], total))
+            total, ys[i] = fusion_barrier(step(xs.head[i], total), known=(xs.head[i], total))
         return Values(ys, rest)
 
     def _scan(self, body, carry, xs, *, reverse: bool) -> tuple[Any, Any]:
@@ -280,7 +279,7 @@ class Rolled(Sweeps):
             carry, y = body(carry, index, given)
             out, emitted["tree"] = jax.tree.flatten(y)
             emitted["known"] = [a if is_literal(a) else known.get(id(a)) for a in out]
-            return materialize(
+            return fusion_barrier(
                 (carry, [a for a, k in zip(out, emitted["known"], strict=True) if k is None])
             )
 

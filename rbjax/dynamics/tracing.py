@@ -2,7 +2,7 @@
 
 A leaf of a model that is closed over is known: its zeros vanish from the program. Custom rules (of
 derivatives, of batches) turn all their arguments into tracers, so only what is traced anyway may be
-among them; `opened` parts the two.
+among them; `split_tracers` parts the two.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from rbjax.materialize import batch_first
+from rbjax.lanes import batch_first
 
 
-def opened(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
+def split_tracers(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
     """The traced leaves of a pytree, and the function that puts others in their places."""
     leaves, treedef = jax.tree.flatten(tree)
     where = [i for i, x in enumerate(leaves) if isinstance(x, jax.core.Tracer)]

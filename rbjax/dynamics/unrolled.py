@@ -14,8 +14,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.contract import Step, Sweeps
 from rbjax.dynamics.joints import JointMotion, joint_lanes
 from rbjax.dynamics.packing import pack, unpack
-from rbjax.lanes import Lane, add
-from rbjax.materialize import materialize
+from rbjax.lanes import Lane, add, fusion_barrier
 from rbjax.model import WORLD, Model, Prepared
 
 
@@ -26,7 +25,7 @@ class Listed:
 
     def each(self, f: Callable, *whole: list) -> list:
         """f of each link's values."""
-        return [materialize(f(*x), known=x) for x in zip(*whole, strict=True)]
+        return [fusion_barrier(f(*x), known=x) for x in zip(*whole, strict=True)]
 
     def take(self, whole: list, index: Sequence[int], world: Any = None) -> list:
         """The values of these links; `world` where an index is WORLD."""
@@ -62,7 +61,9 @@ class Unrolled(Sweeps, Listed):
         qs = unpack(q)
         vs = self.lanes(v)
         links = enumerate(self.topology.links)
-        return materialize([joint_lanes(link, self.constants[i], qs, vs, i) for i, link in links])
+        return fusion_barrier(
+            [joint_lanes(link, self.constants[i], qs, vs, i) for i, link in links]
+        )
 
     def lanes(self, x: jax.Array | None) -> list[Lane]:
         """An array (nv, ...) as one lane per link; zeros if None."""
@@ -114,7 +115,7 @@ def outward(
     ys: list = []
     for parent, x in zip(parents, xs, strict=True):
         before = root if parent == WORLD else carries[parent]
-        carry, y = materialize(step(x, before), known=(x, before, known))
+        carry, y = fusion_barrier(step(x, before), known=(x, before, known))
         carries.append(carry)
         ys.append(y)
     return carries, ys
@@ -126,7 +127,7 @@ def inward(
     """The messages and the y_i of an inward sweep; `sums` are the messages from elsewhere."""
     sums, messages, ys = list(sums), list(xs), list(xs)
     for i in reversed(range(len(xs))):
-        messages[i], ys[i] = materialize(step(xs[i], sums[i]), known=(xs[i], sums[i], known))
+        messages[i], ys[i] = fusion_barrier(step(xs[i], sums[i]), known=(xs[i], sums[i], known))
         if parents[i] != WORLD:
             sums[parents[i]] = jax.tree.map(add, sums[parents[i]], messages[i])
     return messages, ys

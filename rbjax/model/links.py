@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes import Lane, Mat3, Sym3, Vec3, quaternion_matrix
+from rbjax.lanes import Lane, Mat3, Sym3, Vec3, matmat, matrix_transpose, matvec, quaternion_matrix
 from rbjax.model.cells import (
     Cell,
     Sparse,
@@ -185,26 +185,26 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
     at_world = (parent_body == WORLD)[:, None, None]
     carry_R = xp.where(at_world, np.eye(3), weld_R[parent_body])
     carry_p = xp.where(at_world[..., 0], np.zeros(3), weld_p[parent_body])
-    base_p = carry_p + matrix_apply(carry_R, bodies.position[body])
-    base_R = xp.where(first[:, None, None], matrix_product(carry_R, body_R[body]), np.eye(3))
+    base_p = carry_p + matvec(carry_R, bodies.position[body])
+    base_R = xp.where(first[:, None, None], matmat(carry_R, body_R[body]), np.eye(3))
     base_p = xp.where(first[:, None], base_p, np.zeros(3))
 
     parent = np.array(top.parents, int)
     root = (parent == WORLD)[:, None, None]
     inner_R = xp.where(root, np.eye(3), moved_R[parent])
     inner_p = xp.where(root[..., 0], np.zeros(3), anchor[parent])
-    R = matrix_product(matrix_transpose(inner_R), matrix_product(base_R, own_R))
-    p = matrix_apply(matrix_transpose(inner_R), base_p + matrix_apply(base_R, anchor) - inner_p)
+    R = matmat(matrix_transpose(inner_R), matmat(base_R, own_R))
+    p = matvec(matrix_transpose(inner_R), base_p + matvec(base_R, anchor) - inner_p)
 
     # inertia about the link's origin, in its axes, of all bodies that move with it
     carrier_link = np.array(top.body_links, int)
     own = np.where(carrier_link == WORLD, n, carrier_link)  # the world is the frame after the last
     frame_R = xp.concatenate([moved_R, np.eye(3)[None]])[own]
     frame_p = xp.concatenate([anchor, np.zeros((1, 3))])[own]
-    to_link_R = matrix_product(matrix_transpose(frame_R), weld_R)
-    to_link_p = matrix_apply(matrix_transpose(frame_R), weld_p - frame_p)
-    com = to_link_p + matrix_apply(to_link_R, bodies.com)
-    central = matrix_product(matrix_product(to_link_R, bodies.inertia), matrix_transpose(to_link_R))
+    to_link_R = matmat(matrix_transpose(frame_R), weld_R)
+    to_link_p = matvec(matrix_transpose(frame_R), weld_p - frame_p)
+    com = to_link_p + matvec(to_link_R, bodies.com)
+    central = matmat(matmat(to_link_R, bodies.inertia), matrix_transpose(to_link_R))
     mass = bodies.mass
     square = (com * com).sum(-1)[:, None, None] * np.eye(3) - com[:, :, None] * com[:, None, :]
     J = _gather(central + mass[:, None, None] * square, carrier_link, n, xp)
@@ -266,8 +266,8 @@ def _welds(top: Topology, bodies, xp):
     for level in range(1, max(top.weld_depth, default=0) + 1):
         here = (depth == level) & (parent != WORLD)
         up_R, up_p = R[parent], p[parent]
-        p = xp.where(here[:, None], up_p + matrix_apply(up_R, bodies.position), p)
-        R = xp.where(here[:, None, None], matrix_product(up_R, body_R), R)
+        p = xp.where(here[:, None], up_p + matvec(up_R, bodies.position), p)
+        R = xp.where(here[:, None, None], matmat(up_R, body_R), R)
     return R, p, body_R
 
 
@@ -296,19 +296,6 @@ def _alignment_of_cells(row: np.ndarray) -> np.ndarray:
 
 def _quaternion_to_matrix(q, xp):
     return xp.stack(list(quaternion_matrix(*(q[:, i] for i in range(4)))), -1).reshape(-1, 3, 3)
-
-
-def matrix_product(A, B):
-    """A B for stacks of matrices, without `dot`."""
-    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
-
-
-def matrix_apply(A, x):
-    return (A * x[..., None, :]).sum(-1)
-
-
-def matrix_transpose(A):
-    return A.swapaxes(-1, -2)
 
 
 def _gather(x, index: np.ndarray, n: int, xp):

@@ -22,8 +22,7 @@ from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
 from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
-from rbjax.lanes import is_literal
-from rbjax.materialize import materialize
+from rbjax.lanes import fusion_barrier, is_literal
 from rbjax.model import Model, State
 
 
@@ -80,13 +79,13 @@ class Field:
         """q (+) dq."""
         if not self.model.nv:
             return q
-        return jnp.stack(materialize(integrate_lanes(self.model.topology, list(q), list(dq))))
+        return jnp.stack(fusion_barrier(integrate_lanes(self.model.topology, list(q), list(dq))))
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
         """u' of the increment u, where the configuration moves at v."""
         if not self.model.topology.turn_starts:
             return v
-        return jnp.stack(materialize(rate_lanes(self.model.topology, list(u), list(v))))
+        return jnp.stack(fusion_barrier(rate_lanes(self.model.topology, list(u), list(v))))
 
 
 def batch_last(f: Callable, t: Any, *args: Any) -> Any:

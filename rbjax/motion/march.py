@@ -69,7 +69,7 @@ class March:
             return traced(f, *avals)
 
         return Program(
-            plain.closed, pull=self._pull, keeping=keeping, reads=0 if every else self.size
+            plain.closed, vjp=self._vjp, keeping=keeping, reads=0 if every else self.size
         )
 
     def pullback(self, moving: Sequence[bool]) -> Pullback:
@@ -90,14 +90,14 @@ class March:
         return self.steps // self.save_every, self.save_every // self.k, self.k
 
     def _forward(
-        self, args: Sequence[Any], pull: Pullback | None = None
+        self, args: Sequence[Any], step_vjp: Pullback | None = None
     ) -> tuple[list, list, list]:
-        """States that are saved, states that are kept, and what the steps leave for `pull`."""
+        """States that are saved, states that are kept, and what the steps leave for `step_vjp`."""
         state, controls, others = self._parts(args)
         saved, kept, k = self._turns
 
         def once(carry: Any, u: Any) -> tuple[Any, Any]:
-            return self._advance(carry, u, others, pull)
+            return self._advance(carry, u, others, step_vjp)
 
         def chunk(carry: Any, us: Any) -> tuple[Any, Any]:
             after, left = jax.lax.scan(once, carry, us, length=k)
@@ -116,14 +116,14 @@ class March:
             [x.reshape(self.steps, -1) for x in left],
         )
 
-    def _advance(self, carry: Any, u: Any, others: Sequence[Any], pull: Pullback | None) -> Any:
-        """The number and the state of the next step, and what the step leaves for `pull`."""
+    def _advance(self, carry: Any, u: Any, others: Sequence[Any], step_vjp: Pullback | None) -> Any:
+        """The number and the state of the next step, and what the step leaves for `step_vjp`."""
         i, state = carry
-        step = pull.forward if pull else self.step
+        step = step_vjp.forward if step_vjp else self.step
         new = run(step, [i, *state, *_given(u), *others])  # one equation, however long it is
         return (i + 1, tuple(new[: self.size])), tuple(new[self.size :])
 
-    def _pull(self, moving: Moving, args: Sequence[Any], kept: Any, bars: Any) -> list:
+    def _vjp(self, moving: Moving, args: Sequence[Any], kept: Any, bars: Any) -> list:
         state, controls, others = self._parts(args)
         saved, chunks, k = self._turns
         kept, left = list(kept[: self.size]), kept[self.size :]
@@ -139,15 +139,15 @@ class March:
         first = self.size + self.driven  # of the others
         which = [n for n in range(len(others)) if moving[first + n]]
         steered = self.driven and moving[self.size]
-        pull = self.pullback(moving)
-        held = pull if 0 < k * pull.bytes <= HELD_UP_TO else None
+        step_vjp = self.pullback(moving)
+        held = step_vjp if 0 < k * step_vjp.bytes <= HELD_UP_TO else None
 
         def once(carry: Any, x: Any) -> tuple[Any, Any]:
             i, bar, sums = carry
             state, u, left = x
             at = (i - 1, *state, *_given(u), *others)
-            left = left or pull.forward(*at)[self.size :]
-            found = pull(at, left[0], bar)
+            left = left or step_vjp.forward(*at)[self.size :]
+            found = step_vjp(at, left[0], bar)
             new, found = tuple(found[: self.size]), found[self.size :]
             u_bar = found.pop(0) if steered else None
             sums = tuple(a + b for a, b in zip(sums, found, strict=True))

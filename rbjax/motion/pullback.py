@@ -35,8 +35,8 @@ class Pullback:
 
             keep = jax.checkpoint_policies.save_only_these_names(*LEFT)
             along = jax.checkpoint(along, prevent_cse=False, policy=keep)
-            new, pull = jax.vjp(along, *itertools.compress(args, moving))
-            leaves, self._tree = jax.tree.flatten(pull)
+            new, pullback = jax.vjp(along, *itertools.compress(args, moving))
+            leaves, self._tree = jax.tree.flatten(pullback)
             return [*new, *leaves]
 
         closed = jax.make_jaxpr(linearised)(*step.inputs)

@@ -19,11 +19,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiling import compiled, staged
+from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step
 from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.devices import memory_share
-from rbjax.dynamics.tracing import opened
+from rbjax.dynamics.tracing import split_tracers
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
@@ -112,8 +112,8 @@ def rollout(
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
     # the arrays of a policy that is a pytree are arguments, as the values of controls are
     given, functions = eqx.partition(sources, eqx.is_array)
-    traced = opened((model, state, given, step))[0]
-    run = _run if traced and (sources.asks or staged()) else _compiled
+    traced = split_tracers((model, state, given, step))[0]
+    run = _run if traced and (sources.asks or inside_jit()) else _compiled
     threads = wanted() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
     how = Steps(law, advance, int(save_every), steps, batched)

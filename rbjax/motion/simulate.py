@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiling import compiled, staged
+from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_arrays, check_moves, check_step
 from rbjax.dynamics.drivers import on_threads
-from rbjax.dynamics.tracing import opened
+from rbjax.dynamics.tracing import split_tracers
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
@@ -107,9 +107,9 @@ def simulate(
     # Outside, the model is an argument: a number that changes does not compile anew.
     if wanted():
         model = on_threads(model, state.q.dtype)
-    if not staged() or opened(model)[0]:
+    if not inside_jit() or split_tracers(model)[0]:
         model = made_ahead(model, state.q.dtype)
-    args, of_args = opened(model) if staged() else (model, itself)
+    args, of_args = split_tracers(model) if inside_jit() else (model, itself)
     if stepsize_controller is None:
         if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
@@ -120,7 +120,7 @@ def simulate(
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
     # one robot a GPU thread, each with its own steps; a thread cannot raise: that is done after it
-    on_gpu = wanted() and staged() and not progress
+    on_gpu = wanted() and inside_jit() and not progress
     solve = functools.partial(
         diffrax.diffeqsolve if on_gpu else _diffeqsolve,
         solver=solver,
@@ -140,9 +140,7 @@ def simulate(
         return out.ys, out.result, out.stats
 
     with _only_reverse():
-        path, result, stats = (threaded if on_gpu else itself)(solved)(
-            state, ts[0], elapsed, args
-        )
+        path, result, stats = (threaded if on_gpu else itself)(solved)(state, ts[0], elapsed, args)
     q = path.q
     ok = all_finite(path) & (result == diffrax.RESULTS.successful)
     if throw:

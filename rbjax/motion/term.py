@@ -21,7 +21,7 @@ from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.rnea import momentum
 from rbjax.errors import InputError
 from rbjax.forces.inputs import NO_INPUTS, Inputs, evaluated
-from rbjax.materialize import materialize
+from rbjax.lanes import fusion_barrier
 from rbjax.model import Model, State, Topology, spans
 from rbjax.motion.field import Field, Law, free_motion
 from rbjax.rotations import quaternion
@@ -79,11 +79,11 @@ class Manifold(AbstractGroup):
     topology: Topology = eqx.field(static=True)
 
     def retract(self, y: State, u: State) -> State:
-        q = materialize(integrate_lanes(self.topology, list(y.q), list(u.q)))
+        q = fusion_barrier(integrate_lanes(self.topology, list(y.q), list(u.q)))
         return State(jnp.stack(q), y.v + u.v, jax.tree.map(jnp.add, y.x, u.x))
 
     def difference(self, y: State, z: State) -> State:
-        dq = materialize(difference_lanes(self.topology, list(y.q), list(z.q)))
+        dq = fusion_barrier(difference_lanes(self.topology, list(y.q), list(z.q)))
         return State(jnp.stack(dq), z.v - y.v, jax.tree.map(jnp.subtract, z.x, y.x))
 
     def bracket(self, u: State, w: State) -> State:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from rbjax.dynamics import drivers
 from rbjax.dynamics.devices import on_each_device
 from rbjax.dynamics.operations import operation_count
-from rbjax.dynamics.tracing import opened
+from rbjax.dynamics.tracing import split_tracers
 from rbjax.forces.inputs import joined, shapes
 from rbjax.model import Model, State, known_zeros, made_ahead
 from rbjax.motion.field import Field, Law
@@ -59,7 +59,7 @@ def on_threads(
     size, rows = len(one), sources.rows
     between = sources.asks and _is_large(sources, model, dt, jax.tree.unflatten(treedef, one))
     driven = rows is not None or between
-    moving, closed = opened((model, dt))
+    moving, closed = split_tracers((model, dt))
 
     def once(i: jax.Array, *args: jax.Array) -> list[jax.Array]:
         state = jax.tree.unflatten(treedef, args[:size])

@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.materialize import horner, sincos
+from rbjax.lanes import horner, sincos
 
 
 def where(condition: jax.Array, a: Any, b: Any) -> jax.Array:

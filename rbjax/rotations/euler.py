@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Mat3, Vec3, add, mul, neg, sub
-from rbjax.materialize import sincos
+from rbjax.lanes import Mat3, Vec3, add, mul, neg, sincos, sub
 from rbjax.rotations.arguments import pack
 from rbjax.rotations.coefficients import angle, away_from_zero, length, where
 

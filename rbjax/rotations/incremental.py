@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
+from rbjax.lanes import matvec
 from rbjax.rotations import quaternion
 from rbjax.rotations.euler import SEQUENCES
 from rbjax.rotations.representation import Representation, find
@@ -51,7 +52,7 @@ def attitude(state: Incremental, local: str = "mrp") -> jax.Array:
 def rate(state: Incremental, omega: jax.Array, local: str = "mrp") -> jax.Array:
     """x' (..., 3) of the angular velocity in body axes (..., 3); the reference rests."""
     inverse = _local(local).inverse_body_rate_matrix(state.x)
-    return (inverse * omega[..., None, :]).sum(-1)
+    return matvec(inverse, omega)
 
 
 def fold(state: Incremental, local: str = "mrp", margin: float | None = None) -> Incremental:

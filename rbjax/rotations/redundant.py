@@ -10,8 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Mat3, Vec3, quaternion_matrix
-from rbjax.materialize import sincos
+from rbjax.lanes import Mat3, Vec3, quaternion_matrix, sincos
 from rbjax.rotations import quaternion
 from rbjax.rotations.coefficients import angle, arctan_over, away_from_zero, length, where
 from rbjax.rotations.jacobians import polynomial

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.lanes import Mat3, quaternion_matrix
+from rbjax.lanes import Mat3, matmat, quaternion_matrix
 from rbjax.rotations import quaternion
 from rbjax.rotations.arguments import pack, takes, unpack
 from rbjax.rotations.coefficients import away_from_zero
@@ -169,7 +169,7 @@ def _polar(M: jax.Array) -> jax.Array:
     U, _, Vt = jnp.linalg.svd(M)
     sign = jnp.where(_determinant(U) * _determinant(Vt) < 0, -1.0, 1.0).astype(M.dtype)
     last = U[..., :, 2:] * Vt[..., 2:, :] * sign[..., None, None]
-    return _product(U[..., :, :2], Vt[..., :2, :]) + last
+    return matmat(U[..., :, :2], Vt[..., :2, :]) + last
 
 
 @_polar.defjvp
@@ -197,11 +197,7 @@ def _polar_jvp(primals, tangents):
             (E * u + F * v + C * w) * scale,
         ]
     )
-    return R, _product(R, hat(turn))
-
-
-def _product(A: jax.Array, B: jax.Array) -> jax.Array:
-    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+    return R, matmat(R, hat(turn))
 
 
 def _determinant(M: jax.Array) -> jax.Array:

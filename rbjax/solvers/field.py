@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from rbjax.errors import InputError
-from rbjax.materialize import batch_first
+from rbjax.lanes import batch_first, matvec
 from rbjax.solvers.groups import OnGroup, Vector
 
 IN_TIME = (diffrax.ODETerm, OnGroup)  # dy = f dt: f times the length of a step
@@ -128,9 +128,4 @@ def _tangent(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     if moving or tangents[2] is None:
         return batch_first(eqx.filter_jvp(_batch, primals, tangents))
     rate, jacobian = jax.vmap(lambda t, y: linearized(f, t, y))(t, y)
-    return batch_first((rate, times(jacobian, tangents[2])))
-
-
-def times(matrix: jax.Array, x: jax.Array) -> jax.Array:
-    """matrix (..., m, n) times x (..., n), in full precision on every device."""
-    return (matrix * x[..., None, :]).sum(-1)
+    return batch_first((rate, matvec(jacobian, tangents[2])))

@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.materialize import materialize
+from rbjax.lanes import fusion_barrier
 from rbjax.rotations import quaternion
 
 
@@ -55,7 +55,7 @@ class SO3(AbstractGroup):
     """Unit quaternions (4,); algebra (3,), rotation vectors in body axes."""
 
     def retract(self, y, u):
-        return jnp.stack(materialize(quaternion.turned(list(y), list(u))))
+        return jnp.stack(fusion_barrier(quaternion.turned(list(y), list(u))))
 
     def difference(self, y, z):
         return quaternion.log(quaternion.normalize(quaternion.multiply(quaternion.conjugate(y), z)))

@@ -23,7 +23,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 
 from rbjax.errors import InputError
-from rbjax.solvers.field import times
+from rbjax.lanes import matvec
 
 MAX_STEPS = 100  # a chord's are cheap, and slow where a stiff spring shakes a heavy arm
 ROUNDING = 4  # units in the last place of the state
@@ -121,7 +121,7 @@ class Inverse(lx.AbstractLinearSolver):
 
     def compute(self, state, vector, options):
         flat, unravel = ravel_pytree(vector)
-        return unravel(times(state, flat)), lx.RESULTS.successful, {}
+        return unravel(matvec(state, flat)), lx.RESULTS.successful, {}
 
     def transpose(self, state, options):
         return state.T, options

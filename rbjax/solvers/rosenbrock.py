@@ -21,7 +21,8 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 
-from rbjax.solvers.field import flattened, linearized, times
+from rbjax.lanes import matvec
+from rbjax.solvers.field import flattened, linearized
 from rbjax.solvers.newton import iterative, refused, stopped, verdict
 from rbjax.solvers.steps import AbstractPolynomialSolver, hermite, mixed
 from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
@@ -89,7 +90,7 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
             )
         else:
             f0, jacobian = linearized(f, t0, y)
-            push = functools.partial(times, jacobian)
+            push = functools.partial(matvec, jacobian)
             one = jnp.eye(y.size, dtype=y.dtype)
             operator = lx.MatrixLinearOperator(one - h * diagonal * jacobian)
         slope = jax.jvp(lambda t: f(t, y), (t0,), (t0 * 0 + 1,))[1]

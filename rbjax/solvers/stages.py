@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import lineax as lx
 
-from rbjax.materialize import batch_first
-from rbjax.solvers.field import Field, linearized, rates, times
+from rbjax.lanes import batch_first, matvec
+from rbjax.solvers.field import Field, linearized, rates
 from rbjax.solvers.newton import linear_solver, matrix_free, root
 from rbjax.solvers.steps import mixed
 
@@ -73,7 +73,7 @@ class Chord(eqx.Module):
     jacobian: jax.Array
 
     def __call__(self, k: jax.Array, args: Any) -> tuple[jax.Array, None]:
-        return k - self.h * times(self.jacobian, mixed(self.a, k)), None
+        return k - self.h * matvec(self.jacobian, mixed(self.a, k)), None
 
 
 def solve(

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Mat3, Sym3, Vec3
+from rbjax.lanes import Mat3, Sym3, Vec3, matmat, matvec
 from rbjax.spatial.arguments import pack, pose_parts, takes, unpack
 from rbjax.spatial.inertia import ArticulatedInertia, RigidInertia
 from rbjax.spatial.transform import Transform
@@ -107,7 +107,7 @@ def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
 @takes(matrix="matrix6", V="twist")
 def momentum(matrix: jax.Array, V: jax.Array) -> jax.Array:
     """I V (..., 6): angular momentum about the origin, linear momentum."""
-    return (matrix * V[..., None, :]).sum(-1)
+    return matvec(matrix, V)
 
 
 @takes(matrix="matrix6", V="twist")
@@ -147,16 +147,12 @@ def _eigen_jvp(primals: Any, tangents: Any) -> Any:
     (S,), (dS,) = primals, tangents
     w, R = _eigen(S)
     Rt = jnp.swapaxes(R, -1, -2)
-    D = _product(_product(Rt, (dS + jnp.swapaxes(dS, -1, -2)) / 2), R)
+    D = matmat(matmat(Rt, (dS + jnp.swapaxes(dS, -1, -2)) / 2), R)
     apart = w[..., None, :] - w[..., :, None]
     scale = jnp.abs(w).max(-1)[..., None, None] * 8 * jnp.finfo(w.dtype).eps
     distinct = jnp.abs(apart) > scale
     W = jnp.where(distinct, D / jnp.where(distinct, apart, 1.0), 0.0)
-    return (w, R), (jnp.diagonal(D, axis1=-2, axis2=-1), _product(R, W))
-
-
-def _product(A: jax.Array, B: jax.Array) -> jax.Array:
-    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+    return (w, R), (jnp.diagonal(D, axis1=-2, axis2=-1), matmat(R, W))
 
 
 def _rigid(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> RigidInertia:

@@ -23,7 +23,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Mat3, Vec3
+from rbjax.lanes import Mat3, Vec3, matmat, outer
 from rbjax.rotations import so3
 from rbjax.spatial.arguments import pack, takes, unpack
 from rbjax.spatial.plucker import (
@@ -42,7 +42,7 @@ def double_cross(a: jax.Array, b: jax.Array) -> jax.Array:
     [-1.0, -1.0, 0.0]
     """
     dot = (a * b).sum(-1)[..., None, None]
-    return _outer(b, a) - dot * jnp.eye(3, dtype=a.dtype)
+    return outer(b, a) - dot * jnp.eye(3, dtype=a.dtype)
 
 
 @takes(a="vector", b="vector")
@@ -52,7 +52,7 @@ def cross_of_cross(a: jax.Array, b: jax.Array) -> jax.Array:
     >>> cross_of_cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0])[0].tolist()
     [0.0, -1.0, 0.0]
     """
-    return _outer(b, a) - _outer(a, b)
+    return outer(b, a) - outer(a, b)
 
 
 @takes(a="vector", b="vector")
@@ -96,7 +96,7 @@ def cross_sum(M: jax.Array, a: jax.Array) -> jax.Array:
 @takes(n="vector")
 def along(n: jax.Array) -> jax.Array:
     """n n^T / |n|^2 (..., 3, 3): the part of a vector along n."""
-    return _outer(n, n) / (n * n).sum(-1)[..., None, None]
+    return outer(n, n) / (n * n).sum(-1)[..., None, None]
 
 
 @takes(n="vector")
@@ -129,18 +129,10 @@ def double_cross_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
 @takes(T="pose", V="twist")
 def motion_transform_rate(T: jax.Array, V: jax.Array) -> jax.Array:
     """d/dt X_AB (..., 6, 6) = X_AB (V x), of a frame B with pose T and body twist V."""
-    return _product(motion_transform(T), motion_cross_matrix(V))
+    return matmat(motion_transform(T), motion_cross_matrix(V))
 
 
 @takes(T="pose", V="twist")
 def force_transform_rate(T: jax.Array, V: jax.Array) -> jax.Array:
     """d/dt X*_AB (..., 6, 6) = X*_AB (V x*), of a frame B with pose T and body twist V."""
-    return _product(force_transform(T), force_cross_matrix(V))
-
-
-def _outer(a: jax.Array, b: jax.Array) -> jax.Array:
-    return a[..., :, None] * b[..., None, :]
-
-
-def _product(A: jax.Array, B: jax.Array) -> jax.Array:
-    return (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+    return matmat(force_transform(T), force_cross_matrix(V))

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.materialize import polynomial_sincos
+from rbjax.lanes import polynomial_sincos
 from rbjax.threads.arrays import Small, View, each, filled, get, is_known, put, spread
 from rbjax.threads.folding import FOLD
 from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from rbjax.compiling import staged
+from rbjax.compiling import inside_jit
 from rbjax.meshes import automatic
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
@@ -99,7 +99,7 @@ def threaded(f: Callable, apart: Callable | None = None) -> Callable:
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
         # outside of a program JAX keeps what it has compiled for f
-        return (bound if staged() else compiled)(*args, **kwargs)
+        return (bound if inside_jit() else compiled)(*args, **kwargs)
 
     return call
 

@@ -269,7 +269,7 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
     uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
     uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
     for eqn in reversed(jaxpr.eqns):
-        if eqn.primitive.name == "materialize":
+        if eqn.primitive.name == "fusion_barrier":
             for var, made in zip(eqn.invars, eqn.outvars, strict=True):
                 shape = getattr(made.aval, "shape", ())
                 want(var, wanted.get(made) if shape else None)

@@ -222,7 +222,7 @@ def _batched(operands, dims, program, batch, ins, outs):
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
     varying = any(_varies(jax.typeof(x)) for x in operands)
-    own_ways = program.pull, program.sized, program.apart  # these take the operands as they are
+    own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are
     if any(known) and not varying and own_ways == (None, None, None):
         program, more = split(program, known, operands)
         operands = [x for x, k in zip(operands, known, strict=True) if not k] + more

@@ -17,12 +17,12 @@ Moving = tuple[bool, ...]
 class Program:
     """A function of one sample, traced.
 
-    pull: the transposed derivative, pull(moving, args, kept, bars) -> cotangents of the arguments
+    vjp: the transposed derivative, vjp(moving, args, kept, bars) -> cotangents of the arguments
         that move, of the cotangents of the results (None for zero); if None, that of the jaxpr,
         which needs only the arguments.
     keeping: of the arguments that move the program to run in place of this one where a derivative
-        is asked for: its results are these, and more that `pull` reads.
-    reads: the first of its results that `pull` reads, as `kept`.
+        is asked for: its results are these, and more that `vjp` reads.
+    reads: the first of its results that `vjp` reads, as `kept`.
     sized: the program that takes this one's place where a batch of a given size is differentiated,
         by the arguments that move.
     apart: the same function as several kernels, for a batch of its own on a GPU; inside of another
@@ -30,7 +30,7 @@ class Program:
     """
 
     closed: ClosedJaxpr
-    pull: Callable | None = None
+    vjp: Callable | None = None
     keeping: Callable[[Moving], Program] | None = None
     reads: int = 0
     sized: Callable[[int, Moving], Program] | None = None
@@ -96,9 +96,9 @@ class Program:
         def f(*xs: Any) -> list[Any]:
             n, end = len(moving), len(moving) + len(also)
             args, kept, given = xs[:n], xs[n:end], iter(xs[end:])
-            if self.pull is not None:
+            if self.vjp is not None:
                 bars = [next(given) if w else None for w in weighed]
-                return self.pull(moving, args, kept, bars)
+                return self.vjp(moving, args, kept, bars)
 
             along, moved = self._along(moving, args)
 
@@ -108,7 +108,7 @@ class Program:
             return list(jax.vjp(wanted, *moved)[1](list(given)))
 
         bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
-        return self.derive(("pull", moving, weighed), f, *self.inputs, *also, *bars)
+        return self.derive(("vjp", moving, weighed), f, *self.inputs, *also, *bars)
 
 
 def traced(f: Callable, *avals: Any) -> Program:

@@ -11,7 +11,7 @@ from rbjax.threads.elementwise import LOOP_ABOVE
 from rbjax.threads.lowering import Lowering, rule, writer
 
 
-@rule("materialize", "batch_first", "batch_last", "copy", "copy_p", "stop_gradient",
+@rule("fusion_barrier", "batch_first", "batch_last", "copy", "copy_p", "stop_gradient",
       "optimization_barrier", "device_put", "sharding_constraint", "name", "pvary", "reshard",
       "nonbatchable",
       "nondifferentiable_backward", "nontraceable")  # fmt: skip

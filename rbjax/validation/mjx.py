@@ -48,7 +48,7 @@ class Mjx:
         options = options if options is None else options | quick()
         step = jax.vmap(self._step, (None, 0, 0, 0))
         self.step = jax.jit(step, compiler_options=options)
-        self.pull = jax.jit(jax.vmap(self._pull, (None, 0, 0, 0, 0)), compiler_options=options)
+        self.vjp = jax.jit(jax.vmap(self._vjp, (None, 0, 0, 0, 0)), compiler_options=options)
 
     def _step(self, model: Any, q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, Any]:
         d = mjx.step(model, self.blank.replace(qpos=q, qvel=v, ctrl=ctrl))
@@ -69,7 +69,7 @@ class Mjx:
         angular, linear = d.cvel[1:, :3], d.cvel[1:, 3:]
         return jnp.concatenate([angular, linear + jnp.cross(angular, arm)], -1)
 
-    def _pull(self, model: Any, q: Any, v: Any, ctrl: Any, cotangent: Any) -> Any:
+    def _vjp(self, model: Any, q: Any, v: Any, ctrl: Any, cotangent: Any) -> Any:
         """Cotangents of (q, v, ctrl) from those of the next state."""
 
         def step(q, v, ctrl):
@@ -104,7 +104,7 @@ class Mjx:
         row = jnp.broadcast_to(jnp.asarray(weights, q.dtype), last.shape)
         cotangent, pulled = (row[:, :nq], row[:, nq:]), jnp.zeros_like(ctrl)
         for q, v in reversed(path):
-            dq, dv, du = self.pull(self.model, q, v, ctrl, cotangent)
+            dq, dv, du = self.vjp(self.model, q, v, ctrl, cotangent)
             cotangent, pulled = (dq, dv), pulled + du
         gradient = np.concatenate([cotangent[1], pulled], -1)
         out = {"trajectory": last, "gradient": gradient}

@@ -6,7 +6,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.operations import OperationCount, leaf_names, operation_count
-from rbjax.materialize import materialize, sincos
+from rbjax.lanes import fusion_barrier, sincos
 
 COUNTED = {
     "array": (lambda x: x * x + 2.0 * x, OperationCount(3, 6)),
@@ -19,7 +19,7 @@ COUNTED = {
     "moved, compared, chosen": (lambda x: jnp.where(x > 0, x[::-1], -x), OperationCount()),
     "jit": (jax.jit(lambda x: jnp.sin(x) * 2), OperationCount(0, 3, 0, 0, 3)),
     "sine and cosine": (lambda x: sincos(x[0])[0] + sincos(x[0])[1], OperationCount(1, 0, 0, 0, 2)),
-    "materialize": (lambda x: materialize((x * 2, jnp.exp(x)))[0], OperationCount(0, 3)),
+    "fusion_barrier": (lambda x: fusion_barrier((x * 2, jnp.exp(x)))[0], OperationCount(0, 3)),
     "loop": (
         lambda x: jax.lax.scan(lambda c, y: (c * y, c + y), 1.0, x)[0],
         OperationCount(0, 3),

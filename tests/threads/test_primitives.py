@@ -15,7 +15,7 @@ from jax.lax import GatherDimensionNumbers as Gather
 from jax.lax import GatherScatterMode as Mode
 from jax.lax import ScatterDimensionNumbers as Scatter
 
-from rbjax.materialize import sincos
+from rbjax.lanes import sincos
 from rbjax.threads.lowering import Unsupported
 from tests.threads.host import COMPILER, GPU_ASKED, Case, by_xla, many_on_host, on_host, written
 

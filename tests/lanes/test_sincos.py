@@ -1,4 +1,4 @@
-"""`materialize` changes nothing but when things are computed; `sincos` is as good as libm's."""
+"""`sincos` is as good as libm's."""
 
 import jax
 import jax.numpy as jnp
@@ -6,61 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from rbjax.materialize import materialize, sincos
+from rbjax.lanes import sincos
 from tests.tolerances import F64_ROUNDING
-
-TREE = {"a": np.array([1.0, -2.0, 3.0]), "b": (np.array(0.5), np.array([[1.0, 2.0], [3.0, 4.0]]))}
-
-
-def scrambled(tree):
-    """A function whose derivatives pass through `materialize`, and the same without."""
-    x = jax.tree.map(jnp.sin, tree)
-    return jax.tree.map(lambda a: a * a, materialize(x)), jax.tree.map(lambda a: a * a, x)
-
-
-def test_is_the_identity_with_its_derivatives() -> None:
-    tangent = jax.tree.map(lambda x: np.cos(3 * x), TREE)
-
-    @jax.jit
-    def everything(tree, tangent):
-        with_it, without = ((lambda t, i=i: scrambled(t)[i]) for i in (0, 1))
-        return [
-            (f(tree), jax.jvp(f, (tree,), (tangent,)), jax.vjp(f, tree)[1](tangent))
-            for f in (with_it, without)
-        ]
-
-    got, want = everything(TREE, tangent)
-    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=F64_ROUNDING)
-
-
-def test_vmap_over_some_of_its_arguments() -> None:
-    x, y = np.arange(6.0).reshape(2, 3), np.arange(3.0)
-    a, b = jax.jit(jax.vmap(lambda x, y: materialize((x, y)), (0, None), (0, None)))(x, y)
-    np.testing.assert_array_equal(a, x)
-    np.testing.assert_array_equal(b, y)
-    (a,) = jax.jit(jax.vmap(lambda x: materialize((x,)), 1, 1))(x)
-    np.testing.assert_array_equal(a, x)
-
-
-def test_literals_and_integers_pass() -> None:
-    tree = (0.0, 1, None, jnp.arange(3), jnp.array(2.5, jnp.float32))
-    for out in (materialize(tree), jax.jit(lambda *x: materialize((0.0, 1, None, *x)))(*tree[3:])):
-        assert out[2] is None and float(out[0]) == 0.0
-        assert out[3].dtype == tree[3].dtype and out[4].dtype == jnp.float32
-        np.testing.assert_array_equal(out[3], tree[3])
-    assert materialize((0.0, 1))[0] == 0.0 and isinstance(materialize((0.0, 1))[0], float)
-    assert materialize({}) == {}
-
-
-def test_half_of_the_arguments_constant_under_differentiation() -> None:
-    def f(x):
-        a, b = materialize((x * x, jnp.ones(())))
-        return a * b
-
-    assert jax.jit(jax.grad(f))(3.0) == 6.0
-    assert jax.jit(jax.grad(jax.grad(f)))(3.0) == 2.0
-
 
 ANGLES = np.concatenate(
     [

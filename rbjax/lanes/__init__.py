@@ -1,0 +1,62 @@
+"""Lanes: the scalars, small vectors and matrices that the algorithms are written on.
+
+    algebra           lanes, Vec3, Mat3, Sym3; literal zeros and ones vanish
+    products          stacks of matrices, without `dot`
+    fusion_barrier    where XLA's CPU compiler computes values and keeps them
+    sincos            cosine and sine by polynomials
+    batch_axis        where `vmap` leaves a result's batch
+
+Knows no frames and no physics.
+"""
+
+from rbjax.lanes.algebra import (
+    Lane,
+    Lanes,
+    Mat3,
+    Sym3,
+    Vec3,
+    add,
+    as_arrays,
+    inner,
+    is_literal,
+    is_zero,
+    mul,
+    neg,
+    quaternion_matrix,
+    rotation_z,
+    sub,
+    total,
+)
+from rbjax.lanes.batch_axis import batch_first, batch_last
+from rbjax.lanes.fusion_barrier import fusion_barrier
+from rbjax.lanes.products import matmat, matrix_transpose, matvec, outer
+from rbjax.lanes.sincos import horner, polynomial_sincos, sincos
+
+__all__ = [
+    "Lane",
+    "Lanes",
+    "Mat3",
+    "Sym3",
+    "Vec3",
+    "add",
+    "as_arrays",
+    "batch_first",
+    "batch_last",
+    "fusion_barrier",
+    "horner",
+    "inner",
+    "is_literal",
+    "is_zero",
+    "matvec",
+    "matmat",
+    "matrix_transpose",
+    "mul",
+    "neg",
+    "outer",
+    "polynomial_sincos",
+    "quaternion_matrix",
+    "rotation_z",
+    "sincos",
+    "sub",
+    "total",
+]
