@@ -7,7 +7,7 @@ million. Every function takes one sample and composes with jit, vmap, grad, jvp 
 import importlib
 from typing import Any
 
-from rbjax import body, dynamics, forces, rotations, solvers, spatial, sysid
+from rbjax import body, dynamics, forces, joints, rotations, solvers, spatial, sysid
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
@@ -94,6 +94,7 @@ __all__ = [
     "inverse_mass_matrix",
     "jacobian",
     "jacobian_rate",
+    "joints",
     "kinetic_energy",
     "linearise",
     "load",

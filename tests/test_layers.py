@@ -17,7 +17,8 @@ FLOORS = {
     "rotations": "lanes",
     "spatial": "rotations",
     "body": "spatial",
-    "model": "spatial",
+    "joints": "spatial",
+    "model": "joints",
     "dynamics": "body model threads",
     # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
     "forces": "dynamics",

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import jax
 
 from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.joints import JointMotion
 from rbjax.dynamics.link_forces import LinkForces, per_link
 from rbjax.errors import ModelError
+from rbjax.joints import JointMotion
 from rbjax.lanes import Lane, Sym3, Vec3, add, is_zero, mul, sub
 from rbjax.model import LinkConstants
 from rbjax.spatial import ArticulatedInertia, Force, Motion, RigidInertia, Transform
@@ -50,8 +50,9 @@ def velocity_step(
     carried = X.E @ w_parent
     w = carried + joint.rate
     centripetal = X.E @ w_parent.cross(w_parent.cross(X.p))
-    coriolis = w.cross((joint.S * joint.qd).lin) * 2.0
-    return w, VelocityStep(X, w, Motion(carried.cross(joint.rate), centripetal + coriolis))
+    coriolis = carried.cross(joint.twist.lin) * 2.0
+    c = Motion(carried.cross(joint.rate), centripetal + coriolis) + joint.bias
+    return w, VelocityStep(X, w, c)
 
 
 def bias_force(inertia: RigidInertia, w: Vec3) -> Force:

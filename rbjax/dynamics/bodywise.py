@@ -22,13 +22,13 @@ import numpy as np
 from rbjax.dynamics.aba import velocity_step
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.composites import (
+    axis_rates,
     carried,
     coriolis_block,
     link_axes,
     link_inertias,
     link_twists,
     tree_poses,
-    turning,
     twice_coriolis,
     twice_coriolis_transposed,
 )
@@ -68,9 +68,9 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     poses = tree_poses(d, joints)
-    S, inertias = link_axes(d, poses), link_inertias(d, poses)
+    S, inertias = link_axes(d, poses, joints), link_inertias(d, poses)
     V = link_twists(d, S, v)
-    S_rate = d.each(Motion.cross, turning(d, V), S)
+    S_rate = axis_rates(d, V, S, poses, joints)
     B = d.each(coriolis_block, inertias, V)
     nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), (Sym3.zero(), Force.zero()))
     composite = carried(d, d.each(lambda *x: x, inertias, B), nothing)
@@ -113,7 +113,7 @@ def regressor_factors(
         d.stack(wrenches, lambda forces, k=k: [list(f)[k] for f in forces], q).reshape(-1)
         for k in range(6)
     ]
-    return d.stack(link_axes(d, poses), list, q), jnp.stack(columns)
+    return d.stack(link_axes(d, poses, joints), list, q), jnp.stack(columns)
 
 
 def _moved_by(model: Model) -> np.ndarray:

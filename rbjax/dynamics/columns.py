@@ -19,7 +19,6 @@ import numpy as np
 from rbjax.dynamics.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.composites import link_axes, tree_poses
 from rbjax.dynamics.drivers import Driver, driver, on_threads
-from rbjax.dynamics.joints import own_axis
 from rbjax.dynamics.operands import inverse_pairs, operands
 from rbjax.dynamics.packing import pack
 from rbjax.dynamics.pairs import pair_column, which_moves
@@ -40,8 +39,9 @@ UNMOVED = Transform(Mat3.identity(), Vec3.zero())
 def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """Each link's row for the derivatives of inverse dynamics."""
     d = driver(model, q.dtype)
-    poses = tree_poses(d, d.joints(q, None))
-    S = link_axes(d, poses)
+    joints = d.joints(q, None)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses, joints)
 
     def row(pose, S, x):
         return _packed(v, S, x.row, *_seconds(inverse_pairs(S, x)))
@@ -62,8 +62,9 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
     """Each link's row for the derivatives of forward dynamics, from `accelerations`."""
     d = driver(model, q.dtype)
     a, inverse_D, *U = map(d.lanes, found)
-    poses = tree_poses(d, d.joints(q, None))
-    S = link_axes(d, poses)
+    joints = d.joints(q, None)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses, joints)
 
     def row(pose, S, x, inverse_D, U):
         U = pose.T(Force.from_lanes(U))
@@ -74,10 +75,12 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """X, U and 1 / D of each link, in its own axes (there f32 keeps more digits), as (19, nv)."""
+    """X, U and 1 / D of each link, in its own axes (there f32 keeps more digits), as (19, nv); and
+    S below, where the axes depend on q."""
     d = driver(model, q.dtype)
-    X, _, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
-    return _lane_rows(d, d.zip(X, U, inverse_D), q[:1])
+    X, S, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
+    moving = () if model.topology.straight else (S,)
+    return _lane_rows(d, d.zip(X, U, inverse_D, *moving), q[:1])
 
 
 def _lane_rows(d: Driver, values: Any, like: jax.Array) -> jax.Array:
@@ -143,12 +146,21 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
     rows = _kernel(lambda q: inverse_mass_rows(model, q), q)
     inward, outward = batch_first((rows, rows))
 
-    axes = [own_axis(link) for link in model.topology.links]
+    prepared, links = prepare(model, q.dtype), enumerate(model.topology.links)
+    axes = [
+        link.kind.axis(prepared.link(i).numbers) if link.kind.straight else None
+        for i, link in links
+    ]
 
     def factors(rows):
         lanes = [_lanes(rows[:, i], slice(None)) for i in range(model.nv)]
         return [
-            Factor(Transform(Mat3(*x[:9]), Vec3(*x[9:12])), S, Force.from_lanes(x[12:18]), x[18])
+            Factor(
+                Transform(Mat3(*x[:9]), Vec3(*x[9:12])),
+                Motion.from_lanes(x[19:]) if S is None else S,
+                Force.from_lanes(x[12:18]),
+                x[18],
+            )
             for S, x in zip(axes, lanes, strict=True)
         ]
 

@@ -10,8 +10,9 @@ from typing import Any
 import jax
 
 from rbjax.dynamics.drivers import Driver
+from rbjax.dynamics.joints import axes, own_axes
 from rbjax.dynamics.kinematics import world_poses
-from rbjax.lanes import Mat3, Sym3, Vec3, add, sub
+from rbjax.lanes import Mat3, Sym3, Vec3, add
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
@@ -22,15 +23,18 @@ def tree_poses(d: Driver, joints: Any) -> Any:
     return d.each(lambda pose, origin: Transform(pose.R, pose.p - origin.p), poses, origins)
 
 
-def link_axes(d: Driver, poses: Any) -> Any:
+def link_axes(d: Driver, poses: Any, joints: Any) -> Any:
     """Each link's axis S in world axes."""
+    return d.each(Transform.motion_to_parent, poses, own_axes(d, joints))
 
-    def axis(pose, turns):
-        z = pose.R.columns[2]
-        return Motion(z * turns, pose.p.cross(z * turns) + z * sub(1.0, turns))
 
-    turns = d.known([1.0 if link.kind == "hinge" else 0.0 for link in d.topology.links])
-    return d.each(axis, poses, turns)
+def axis_rates(d: Driver, V: Any, S: Any, poses: Any, joints: Any) -> Any:
+    """S' of each link in world axes."""
+    moved = d.each(Motion.cross, turning(d, V), S)
+    if d.topology.straight:
+        return moved
+    own = d.whole(axes(d, joints)[1])
+    return d.each(lambda moved, pose, own: moved + pose.motion_to_parent(own), moved, poses, own)
 
 
 def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
@@ -47,7 +51,7 @@ def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
 def turning(d: Driver, V: Any) -> Any:
     """The twist T with which each link's axis turns, S' = T x S: the link's own, but of a ball that
     of its last link for all three, whose axes are fixed in the body."""
-    return d.take(V, [d.topology.last_of_ball(i) for i in range(d.topology.nv)])
+    return d.take(V, [link.node[-1] for link in d.topology.links])
 
 
 def link_inertias(d: Driver, poses: Any) -> Any:

@@ -61,7 +61,7 @@ def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     """All F and S in world axes, and M as one masked sum of six outer products."""
     d.unroll = 2  # the steps are small
     poses = tree_poses(d, joints)
-    S = link_axes(d, poses)
+    S = link_axes(d, poses, joints)
     I_c = carried(d, link_inertias(d, poses), _ZERO)
     F = d.each(lambda inertia, S: inertia(S), I_c, S)
     return with_armature(d, pair_matrix(d, (S, F), (F, S), like))

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.by_differentiation import differentiated_forward, differentiated_inverse
 from rbjax.dynamics.columns import forward_by_columns, inverse_by_columns
 from rbjax.dynamics.composites import link_axes, tree_poses
 from rbjax.dynamics.drivers import driver
@@ -41,7 +42,17 @@ class ForwardDynamicsDerivatives(NamedTuple):
     tau: jax.Array
 
 
-@algorithm("q", "v", "a", apart=inverse_by_columns)
+def _inverse_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
+    by = inverse_by_columns if model.topology.straight else differentiated_inverse
+    return by(model, *given)
+
+
+def _forward_apart(model: Model, *given: jax.Array) -> tuple[jax.Array, ...]:
+    by = forward_by_columns if model.topology.straight else differentiated_forward
+    return by(model, *given)
+
+
+@algorithm("q", "v", "a", apart=_inverse_apart)
 def inverse_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> InverseDynamicsDerivatives:
@@ -64,15 +75,18 @@ def inverse_dynamics_derivatives(
     """
     if not model.nv:
         return InverseDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
+    if not model.topology.straight:
+        return InverseDynamicsDerivatives(*differentiated_inverse(model, q, v, a))
     d = driver(model, q.dtype)
-    poses = tree_poses(d, d.joints(q, None))
-    S = link_axes(d, poses)
+    joints = d.joints(q, None)
+    poses = tree_poses(d, joints)
+    S = link_axes(d, poses, joints)
     x = whole_operands(d, poses, S, v, d.lanes(a))
     by_q, by_v, M = (pair_matrix(d, a, b, v) for a, b in inverse_pairs(S, x))
     return InverseDynamicsDerivatives(by_q, by_v, with_armature(d, M))
 
 
-@algorithm("q", "v", "tau", pairs=True, apart=forward_by_columns)
+@algorithm("q", "v", "tau", pairs=True, apart=_forward_apart)
 def forward_dynamics_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> ForwardDynamicsDerivatives:
@@ -95,12 +109,14 @@ def forward_dynamics_derivatives(
     """
     if not model.nv:
         return ForwardDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
+    if not model.topology.straight:
+        return ForwardDynamicsDerivatives(*differentiated_forward(model, q, v, tau))
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     a, factors = aba(d, joints, d.lanes(tau), d.prepared.gravity)
     _, _, U, inverse_D = d.unzip(factors, 4)
     poses = tree_poses(d, joints)
-    S = link_axes(d, poses)
+    S = link_axes(d, poses, joints)
     x = whole_operands(d, poses, S, v, a)
     by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*inverse_pairs(S, x)[:2])
     return ForwardDynamicsDerivatives(by_q, by_v, inverse)

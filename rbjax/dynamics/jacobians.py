@@ -16,9 +16,9 @@ import numpy as np
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.frames import carried_point
+from rbjax.dynamics.joints import axes, own_axes
 from rbjax.dynamics.kinematics import link_motions, world_poses
 from rbjax.dynamics.link_forces import generalized, on_links
-from rbjax.lanes import sub
 from rbjax.model import WORLD, Model, Topology
 from rbjax.spatial import Motion
 
@@ -67,15 +67,17 @@ def jacobian(
     link, r = carried_point("jacobian", model, d, q, body, site, point)
     if link == WORLD:
         return jnp.zeros((6, model.nv), q.dtype)
-    poses = d.whole(world_poses(d, d.joints(q, None)))
+    joints = d.joints(q, None)
+    poses = d.whole(world_poses(d, joints))
     here = d.each(lambda pose: pose.p + pose.R @ r, d.take(poses, [link]))
 
-    def column(pose, at, turns, moves):
-        z = pose.R.columns[2] * moves
-        spin = z * turns
-        return Motion(spin, spin.cross(at - pose.p) + z * sub(1.0, turns))
+    def column(pose, at, S, moves):
+        S = S * moves
+        spin = pose.R @ S.ang
+        return Motion(spin, spin.cross(at - pose.p) + pose.R @ S.lin)
 
-    columns = d.each(column, poses, d.take(here, [0] * model.nv), *_kinds(d, link))
+    points = d.take(here, [0] * model.nv)
+    columns = d.each(column, poses, points, own_axes(d, joints), _moves(d, link))
     return d.stack(columns, lambda m: m, q).T
 
 
@@ -131,27 +133,31 @@ def jacobian_rate(
         arm = pose.R @ r
         return pose.p + arm, V.lin + V.ang.cross(arm)
 
-    links = d.each(in_world, d.whole(link_motions(d, d.joints(q, v))))
+    joints = d.joints(q, v)
+    links = d.each(in_world, d.whole(link_motions(d, joints)))
     here = d.each(moving, d.take(links, [link]))
-    carriers = d.take(links, [d.topology.last_of_ball(i) for i in range(model.nv)])
+    carriers = d.take(links, [x.node[-1] for x in d.topology.links])
 
-    def column(x, carrier, point, turns, moves):
+    def column(x, carrier, point, moves, S, S_rate=None):
         (pose, V), (_, T), (at, speed) = x, carrier, point
-        z = pose.R.columns[2] * moves
-        rate = T.ang.cross(z)
-        spin = rate * turns
-        swept = spin.cross(at - pose.p) + (z * turns).cross(speed - V.lin)
-        return Motion(spin, swept + rate * sub(1.0, turns))
+        S = S * moves
+        z, slid = pose.R @ S.ang, pose.R @ S.lin
+        spin, slip = T.ang.cross(z), T.ang.cross(slid)
+        if S_rate is not None:
+            spin = spin + pose.R @ (S_rate.ang * moves)
+            slip = slip + pose.R @ (S_rate.lin * moves)
+        return Motion(spin, spin.cross(at - pose.p) + z.cross(speed - V.lin) + slip)
 
-    point_of = d.take(here, [0] * model.nv)
-    columns = d.each(column, links, carriers, point_of, *_kinds(d, link))
+    points, S = d.take(here, [0] * model.nv), [own_axes(d, joints)]
+    if not d.topology.straight:
+        S.append(d.whole(axes(d, joints)[1]))
+    columns = d.each(column, links, carriers, points, _moves(d, link), *S)
     return d.stack(columns, lambda m: m, q).T
 
 
-def _kinds(d: Driver, link: int) -> tuple[Any, Any]:
-    """Of each link 1 where it turns and 0 where it slides; 1 where it moves the given link."""
-    turns = d.known([1.0 if x.kind == "hinge" else 0.0 for x in d.topology.links])
-    return turns, d.known([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
+def _moves(d: Driver, link: int) -> Any:
+    """Of each link 1 where it moves the given one, else 0."""
+    return d.known([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
 
 
 @algorithm("q", "wrenches")

@@ -1,82 +1,30 @@
-"""How each link moves against its parent, from q and v.
+"""The joint motions of a robot's links, in the forms that the drivers need.
 
-A hinge turns about z by q, a slide moves along z by q. The first link of a ball carries the whole
-rotation of its quaternion and the whole angular velocity; the other two stand still against it and
-only bring their axis. For all three the joint's share of the bias acceleration is w x S qd with w
-the final angular velocity, because the axes are fixed in the body (Featherstone, 4.5).
+What a link does is said by its kind (`rbjax.joints`); this is for many links at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.lanes import Lane, Mat3, Vec3, quaternion_matrix, rotation_z, sincos, sub
+from rbjax.dynamics.contract import Driver
+from rbjax.joints import HINGE, SLIDE, JointMotion, NodeMotion, turning
+from rbjax.lanes import Lane, Vec3, add, is_literal, mul, rotation_z, sincos
 from rbjax.model import Link, LinkConstants, Prepared, Topology
 from rbjax.model.cells import stacked
-from rbjax.spatial import Motion, Transform
-
-_CYCLE = Mat3(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # z to x, x to y, y to z
-_HINGE = Motion(Vec3(0.0, 0.0, 1.0), Vec3.zero())
-_SLIDE = Motion(Vec3.zero(), Vec3(0.0, 0.0, 1.0))
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class JointMotion:
-    """J turns the link against its parent, `slide` moves it along z; S is its axis.
-
-    `rate` is the angular velocity that the joint adds, `qd` the speed along S.
-    """
-
-    J: Mat3
-    slide: Lane
-    S: Motion
-    rate: Vec3
-    qd: Lane
-
-    def transform(self, link: LinkConstants) -> Transform:
-        """The pose of the link in its parent."""
-        return Transform(link.R @ self.J, link.p + link.R.columns[2] * self.slide)
-
-
-class PosedJoint(JointMotion):
-    """A joint motion that knows the link's pose already."""
-
-    pose: Transform
-
-    def __init__(self, motion: JointMotion, link: LinkConstants):
-        super().__init__(motion.J, motion.slide, motion.S, motion.rate, motion.qd)
-        object.__setattr__(self, "pose", motion.transform(link))
-
-    def transform(self, link: LinkConstants) -> Transform:
-        return self.pose
-
-
-def own_axis(link: Link) -> Motion:
-    """S in the link's own axes."""
-    return _SLIDE if link.kind == "slide" else _HINGE
+from rbjax.spatial import Motion
 
 
 def joint_lanes(
-    link: Link, constants: LinkConstants, q: list[Lane], v: list[Lane], i: int
+    link: Link, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
 ) -> JointMotion:
-    """The motion of one link, for the unrolled driver."""
-    qd = v[i]
-    if link.kind == "slide":
-        at = sub(q[link.q], constants.reference)
-        return JointMotion(Mat3.identity(), at, _SLIDE, Vec3.zero(), qd)
-    if link.quaternion:
-        J = quaternion_matrix(*q[link.q : link.q + 4]) @ _CYCLE
-        return JointMotion(J, 0.0, _HINGE, Vec3(v[i + 1], v[i + 2], v[i]), qd)
-    if link.q is None:
-        return JointMotion(Mat3.identity(), 0.0, _HINGE, Vec3.zero(), qd)
-    c, s = sincos(sub(q[link.q], constants.reference))
-    return turning(c, s, qd)
+    """The motion of one link, of the coordinates of all."""
+    return link.kind.motion([q[k] for k in link.q], [v[k] for k in link.v], constants)
 
 
 def joint_columns(
@@ -92,38 +40,83 @@ def joint_columns(
     def mask(flags):
         return np.array(list(flags), bool).reshape(-1, *batch)
 
-    hinge = mask(link.kind == "hinge" for link in links)
-    own = mask(link.kind == "hinge" and link.part is None for link in links)
-    places = np.array([0 if link.q is None else link.q for link in links])
+    hinge = mask(link.kind is HINGE for link in links)
+    slide = mask(link.kind is SLIDE for link in links)
+    places = np.array([link.q[0] if len(link.q) else 0 for link in links])
     reference = prepared.columns.reference[start:].reshape(-1, *batch)
     at = q[places] - stacked(reference, q.dtype)
     v = None if v is None else v[start:]
     qd = 0.0 if v is None else v
-    if own.all():
+    if hinge.all():
         return turning, [*sincos(at), qd]
-    J = rotation_z(*sincos(jnp.where(own, at, 0.0)))
-    rate = Vec3.zero() if v is None else Vec3(0.0, 0.0, jnp.where(own, v, 0.0))
-    first = np.array([i for i, link in enumerate(links) if link.quaternion], int)
-    if len(first):
-        quaternion = (q[places[first] + k] for k in range(4))
-        turned = quaternion_matrix(*quaternion) @ _CYCLE
-        J = Mat3(*(_insert(a, first, b, at) for a, b in zip(J, turned, strict=True)))
-        if v is not None:
-            extra = (v[first + 1], v[first + 2], v[first])
-            rate = Vec3(*(_insert(a, first, b, v) for a, b in zip(rate, extra, strict=True)))
-    S = _HINGE
-    if not hinge.all():
-        turns = jnp.asarray(hinge, q.dtype)
+    J = rotation_z(*sincos(jnp.where(hinge, at, 0.0)))
+    rate = Vec3.zero() if v is None else Vec3(0.0, 0.0, jnp.where(hinge, v, 0.0))
+    S = HINGE.axis(())
+    moves: Lane = 0.0
+    if slide.any():
+        turns = jnp.asarray(~slide, q.dtype)
         S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
-    slide = 0.0 if hinge.all() else jnp.where(hinge, 0.0, at)
-    leaves, treedef = jax.tree.flatten(JointMotion(J, slide, S, rate, qd))
+        moves = jnp.where(slide, at, 0.0)
+    motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
+    if not all(link.kind.straight for link in links):
+        motion = NodeMotion.of(motion)
+    # what else there is, kind by kind; what stands still is as above
+    others: dict[Any, list[int]] = {}
+    for i, link in enumerate(links):
+        if not (hinge[i].any() or slide[i].any() or link.kind.still):
+            others.setdefault(link.kind, []).append(i)
+    for kind, rows in others.items():
+        qs = [q[np.array(of)] for of in zip(*(links[i].q for i in rows), strict=True)]
+        vs = [
+            0.0 if v is None else v[np.array(of) - start]
+            for of in zip(*(links[i].v for i in rows), strict=True)
+        ]
+        whole = [start + i for i in rows]
+        constants = jax.tree.map(
+            lambda x, whole=whole: stacked(x[whole].reshape(-1, *batch), q.dtype), prepared.columns
+        )
+        own = kind.motion(qs, vs, constants)
+        own = NodeMotion.of(own) if type(own) is not type(motion) else own
+        motion = jax.tree.map(
+            lambda column, x, rows=rows: _insert(column, np.array(rows), x, at), motion, own
+        )
+    leaves, treedef = jax.tree.flatten(motion)
     return lambda *lanes: jax.tree.unflatten(treedef, lanes), leaves
 
 
-def turning(c: Lane, s: Lane, qd: Lane) -> JointMotion:
-    """The motion of a hinge that is not part of a ball: cosine, sine and speed."""
-    return JointMotion(rotation_z(c, s), 0.0, _HINGE, Vec3(0.0, 0.0, qd), qd)
+def _insert(column: Lane, rows: np.ndarray, values: Lane, like: jax.Array) -> Lane:
+    if is_literal(column) and is_literal(values) and column == values:
+        return column
+    wide = jnp.broadcast_to(jnp.asarray(column, like.dtype), like.shape)
+    return wide.at[rows].set(values)
 
 
-def _insert(column: Lane, rows: np.ndarray, values: jax.Array, like: jax.Array) -> jax.Array:
-    return jnp.broadcast_to(jnp.asarray(column, like.dtype), like.shape).at[rows].set(values)
+def axes(d: Driver, joints: Any) -> tuple[Any, Any]:
+    """S and S' of each link in its own axes, per link."""
+
+    def step(joint: JointMotion, _: tuple) -> tuple[tuple, tuple[Motion, Motion]]:
+        return (), (joint.S, joint.S_rate)
+
+    S, S_rate = d.unzip(d.outward(step, (), joints), 2)
+    return S, S_rate
+
+
+def own_axes(d: Driver, joints: Any) -> Any:
+    """S of each link in its own axes, in the form of `Driver.whole`."""
+    links = d.topology.links
+    if not d.topology.straight:
+        return d.whole(axes(d, joints)[0])
+
+    def axis(turns: Lane, slides: Lane) -> Motion:
+        return Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, slides))
+
+    turns = d.known([link.kind.turns for link in links])
+    slides = d.known([link.kind.slides for link in links])
+    screws = [link.kind.turns and link.kind.slide((1.0,)) for link in links]
+    if any(screws):
+
+        def pitched(link: LinkConstants, screw: Lane, slides: Lane) -> Lane:
+            return add(slides, mul(screw, link.numbers[0])) if link.numbers else slides
+
+        slides = d.each(pitched, d.whole(d.constants), d.known(screws), slides)
+    return d.each(axis, turns, slides)

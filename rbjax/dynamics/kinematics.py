@@ -127,7 +127,7 @@ def link_twists(d: Driver, joints: Any) -> Any:
 
     def step(x, V_parent):
         link, joint = x
-        V = joint.transform(link)(V_parent) + Motion(joint.rate, (joint.S * joint.qd).lin)
+        V = joint.transform(link)(V_parent) + joint.twist
         return V, V
 
     return d.outward(step, Motion.zero(), d.zip(d.constants, joints))
@@ -140,7 +140,7 @@ def link_motions(d: Driver, joints: Any) -> Any:
         link, joint = x
         pose, V = parent
         X = joint.transform(link)
-        V = X(V) + Motion(joint.rate, (joint.S * joint.qd).lin)
+        V = X(V) + joint.twist
         here = pose.then(X), V
         return here, here
 

@@ -12,7 +12,6 @@ nor is a link's pose, which is computed again from cosine and sine.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -23,8 +22,9 @@ import numpy as np
 
 from rbjax.dynamics import unrolled
 from rbjax.dynamics.contract import Step, Sweeps
-from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_lanes, turning
+from rbjax.dynamics.joints import joint_lanes
 from rbjax.dynamics.packing import pack
+from rbjax.joints import HINGE, JointMotion, PosedJoint, turning
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, sincos, sub
 from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
@@ -53,7 +53,7 @@ class LimbJoint:
         """The motion of one limb, whose lanes those are."""
         constants, q, v, trig = jax.tree.map(lane_of, self.columns)
         if trig is None:
-            return PosedJoint(joint_lanes(self.link, constants, q, v, 0), constants)
+            return PosedJoint(self.link.kind.motion(q, v, constants), constants)
         c, s = trig
         return PosedJoint(turning(c, s, v[0]), constants)
 
@@ -132,31 +132,28 @@ class Limbs(Sweeps, unrolled.Listed):
         """As `Unrolled.joints`."""
         self._like = jnp.zeros(q.shape[1:], q.dtype)
         links = self.topology.links
-        hinges = [i for i, link in enumerate(links) if link.kind == "hinge" and link.part is None]
+        hinges = [i for i, link in enumerate(links) if link.kind is HINGE]
         place = {i: n for n, i in enumerate(hinges)}
         c, s = jnp.zeros((2, 0), q.dtype)
         if hinges:
             reference = self._cast(self._column(self.prepared.columns.reference, hinges))
-            c, s = in_turn(sub(_rows(q, [links[i].q for i in hinges]), reference))
+            c, s = in_turn(sub(_rows(q, [links[i].q[0] for i in hinges]), reference))
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
 
         def trunk(i: int, constants: LinkConstants) -> JointMotion:
             if i in place:
                 return turning(c[place[i]], s[place[i]], vs[i])
-            return joint_lanes(links[i], constants, qs, vs, i)
+            return joint_lanes(links[i], constants, qs, vs)
 
         def limbs(index: Sequence[int], constants: LinkConstants) -> LimbJoint:
             link = links[index[0]]
-            speeds = range(3 if link.quaternion else 1)
-            speed = [0.0 if v is None else _rows(v, [i + k for i in index]) for k in speeds]
+            speeds = zip(*(links[i].v for i in index), strict=True)
+            speed = [0.0 if v is None else _rows(v, at) for at in speeds]
             if index[0] in place:
                 turned = [_rows(x, [place[i] for i in index]) for x in (c, s)]
                 return LimbJoint(link, constants, [], speed, turned)
-            starts = [links[i].q for i in index]
-            count = 0 if link.q is None else 4 if link.quaternion else 1
-            at = [_rows(q, [start + k for start in starts]) for k in range(count)]
-            link = dataclasses.replace(link, q=0 if count else None)
+            at = [_rows(q, every) for every in zip(*(links[i].q for i in index), strict=True)]
             return LimbJoint(link, constants, at, speed, None)
 
         out = self._parts(trunk, limbs, self.constants)

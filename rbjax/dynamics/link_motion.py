@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.drivers import Driver
+from rbjax.dynamics.joints import axes
 from rbjax.dynamics.kinematics import link_motions
 from rbjax.dynamics.link_forces import over_links
 from rbjax.lanes import Lane, Mat3, Vec3, fusion_barrier
@@ -48,8 +49,7 @@ class LinkMotion:
         for i in self._missing(link, self._twists):
             parent = self._twists[self.driver.topology.links[i].parent]
             joint, constants = self._links[i]
-            own = Motion(joint.rate, (joint.S * joint.qd).lin)
-            twist = joint.transform(constants)(parent) + own
+            twist = joint.transform(constants)(parent) + joint.twist
             self._twists[i] = fusion_barrier(twist, known=(parent, joint, constants))
         return self._twists[link]
 
@@ -57,6 +57,15 @@ class LinkMotion:
         """The pose of a link in its parent, and the axis of its joint."""
         joint, constants = self._links[link]
         return joint.transform(constants), joint.S
+
+    def axis(self, link: int) -> Motion:
+        """The axis S of a link in its own axes."""
+        if self.driver.listed:
+            return self._links[link][0].S
+        if self.driver.topology.straight:
+            kind = self.driver.topology.links[link].kind
+            return kind.axis(self.driver.prepared.link(link).numbers)
+        return _row(self._axes, link)
 
     def weld(self, body: int) -> Transform:
         """The pose of a body in the link that carries it."""
@@ -102,6 +111,11 @@ class LinkMotion:
         d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
         poses, twists = d.unzip(link_motions(d, self.joints), 2)
         return d.columns(poses, like), d.columns(twists, like)
+
+    @cached_property
+    def _axes(self) -> Any:
+        d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
+        return d.columns(axes(d, self.joints)[0], like)
 
 
 def _row(columns: Any, i: Any) -> Any:

@@ -97,10 +97,8 @@ def whole_operands(d: Driver, *args: Any) -> Operands:
 def _before(top: Topology, i: int) -> int:
     """The link whose motion says how the axis of link i moves while its own joint stands still: of
     a ball the parent of the first link, elsewhere the link itself, as S x S = 0."""
-    link = top.links[i]
-    if link.kind == "slide" or link.part is None:
-        return i
-    return top.parents[i - link.part]
+    node = top.links[i].node
+    return i if len(node) == 1 else top.parents[node[0]]
 
 
 def inverse_pairs(S: Any, x: Operands) -> tuple:

@@ -22,8 +22,8 @@ from rbjax.model.cells import stacked
 
 
 def movers(top: Topology, i: int) -> list[int]:
-    """The links whose coordinates move link i: those that carry it, itself, and all of its ball."""
-    return list(top.ancestors[top.last_of_ball(i)])
+    """The links whose coordinates move link i: those that carry it, all that share its frame."""
+    return list(top.ancestors[top.links[i].node[-1]])
 
 
 def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array:

@@ -19,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.contract import Step, Sweeps
-from rbjax.dynamics.joints import JointMotion, PosedJoint, joint_columns, joint_lanes
+from rbjax.dynamics.joints import joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack
+from rbjax.joints import JointMotion, PosedJoint
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal
 from rbjax.model import WORLD, Model, Prepared
 from rbjax.model.cells import lane_of
@@ -87,7 +88,7 @@ class Rolled(Sweeps):
         qs: Any = q
         vs: Any = [0.0] * self.topology.nv if v is None else v
         links = enumerate(self.topology.links[: self.head])
-        head = [joint_lanes(link, self.constants.head[i], qs, vs, i) for i, link in links]
+        head = [joint_lanes(link, self.constants.head[i], qs, vs) for i, link in links]
         make, columns = joint_columns(self.topology, self.prepared, q, v, self.head)
         head, columns = fusion_barrier((head, columns))
         return Values(head, Joints(make, columns))

@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.contract import Step, Sweeps
-from rbjax.dynamics.joints import JointMotion, joint_lanes
+from rbjax.dynamics.joints import joint_lanes
 from rbjax.dynamics.packing import pack, unpack
+from rbjax.joints import JointMotion
 from rbjax.lanes import Lane, add, fusion_barrier
 from rbjax.model import WORLD, Model, Prepared
 
@@ -62,7 +63,7 @@ class Unrolled(Sweeps, Listed):
         vs = self.lanes(v)
         links = enumerate(self.topology.links)
         return fusion_barrier(
-            [joint_lanes(link, self.constants[i], qs, vs, i) for i, link in links]
+            [joint_lanes(link, self.constants[i], qs, vs) for i, link in links]
         )
 
     def lanes(self, x: jax.Array | None) -> list[Lane]:

@@ -73,8 +73,8 @@ def _limited(model: Model, driven: Loads, now: Instant) -> Loads:
         summed = now.generalized_of(driven.wrenches)
         driven = Loads(driven.tau) + Loads({i: summed[i] for i in range(model.nv)})
     tau = dict(driven.tau)
-    for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
-        if kind in ("hinge", "slide") and not is_zero(tau.get(at, 0.0)):
+    for j, (joint, at) in enumerate(zip(top.joints, top.joint_v, strict=True)):
+        if joint.nv == 1 and not is_zero(tau.get(at, 0.0)):
             tau[at] = clip(tau[at], limits, j)
     return Loads(tau, driven.wrenches)
 

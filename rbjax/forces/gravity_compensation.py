@@ -17,7 +17,6 @@ import jax
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3, inner, is_zero, mul, total
-from rbjax.model import JOINT_SIZES
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
@@ -64,7 +63,7 @@ class GravityCompensation(Element):
         top, tau = now.model.topology, now.generalized_of(pushes.wrenches)
         named = range(len(top.joint_kinds)) if self.joints is None else self.joints
         joints = [now.model.joint(j) if isinstance(j, str) else j for j in named]
-        at = [top.joint_v[j] + k for j in joints for k in range(JOINT_SIZES[top.joint_kinds[j]][1])]
+        at = [top.joint_v[j] + k for j in joints for k in range(top.joints[j].nv)]
         return Loads({i: tau[i] for i in at})
 
     def energy(self, now: Instant) -> Lane:

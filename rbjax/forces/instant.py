@@ -20,8 +20,8 @@ from rbjax.dynamics.link_forces import LinkForces, generalized
 from rbjax.dynamics.link_motion import LinkMotion
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
-from rbjax.lanes import Lane, Mat3, Vec3
-from rbjax.model import JOINT_SIZES, WORLD, Model, State
+from rbjax.lanes import Lane, Mat3, Vec3, add
+from rbjax.model import WORLD, Model, State
 from rbjax.model.leaves import site_transform
 from rbjax.spatial import Force, Motion, Transform
 
@@ -66,7 +66,7 @@ class Instant:
         """A joint's coordinates."""
         top = self.model.topology
         j = self.model.joint(joint) if isinstance(joint, str) else joint
-        nq, nv = JOINT_SIZES[top.joint_kinds[j]]
+        nq, nv = top.joints[j].nq, top.joints[j].nv
         qs, vs = top.joint_q[j], top.joint_v[j]
         q, v = [self.q[qs + k] for k in range(nq)], [self.v[vs + k] for k in range(nv)]
         return Joint(top.joint_kinds[j], q, v, vs)
@@ -165,10 +165,9 @@ class Frame:
             return self.arms(Force(E @ torque, E @ force))
         out: dict[int, Lane] = {}
         for i in () if self.link == WORLD else d.topology.ancestors[self.link]:
-            joint = self._links.pose(i)
-            z, turns = joint.R.columns[2], d.topology.links[i].kind == "hinge"
-            moment = torque + (self.position - joint.p).cross(force)
-            out[i] = z.dot(moment if turns else force)
+            pose, S = self._links.pose(i), self._links.axis(i)
+            moment = torque + (self.position - pose.p).cross(force)
+            out[i] = add((pose.R @ S.ang).dot(moment), (pose.R @ S.lin).dot(force))
         return out
 
 

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub
-from rbjax.model import JOINT_SIZES, Model
+from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
@@ -73,7 +73,7 @@ class JointFriction(Element):
     ) -> JointFriction:
         """The friction of these joints, with the same numbers for all or (n,) of each kind."""
         named = [model.joint(j) if isinstance(j, str) else j for j in joints]
-        n = sum(JOINT_SIZES[model.topology.joint_kinds[j]][1] for j in named)
+        n = sum(model.topology.joints[j].nv for j in named)
 
         def column(x: Any) -> jax.Array:
             return jnp.broadcast_to(jnp.asarray(x, model.gravity.dtype), (n,))

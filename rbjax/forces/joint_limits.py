@@ -131,10 +131,13 @@ def stop_energy(p: Lane, k: Lane, w: Lane) -> Lane:
 
 def _coordinate(joint: Joint) -> tuple[Lane, list[Lane]]:
     """A joint's coordinate, and its gradient by the velocity coordinates."""
-    if joint.kind in ("hinge", "slide"):
+    if len(joint.q) == 1:
         return joint.q[0], [1.0]
-    if joint.kind == "free":
-        raise InputError("JointLimits: a free joint has no range; name hinges, slides and balls")
+    if joint.kind != "ball":
+        raise InputError(
+            f"JointLimits: a {joint.kind} joint has no range; name balls and joints of one "
+            "coordinate, such as hinges and slides"
+        )
     turn = quaternion.log_lanes(list(joint.q))
     angle = length(inner(turn, turn))
     scale = 1 / where(angle > 0, angle, jnp.ones_like(angle))

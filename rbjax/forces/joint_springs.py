@@ -13,7 +13,6 @@ from rbjax.dynamics.manifold import difference_lanes
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
-from rbjax.model import JOINT_SIZES
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
@@ -47,7 +46,7 @@ def stretch(now: Instant, joint: int) -> list[Lane]:
     """How far a joint is from the rest of its spring, in the coordinates of v."""
     top, rest = now.model.topology, table(now.model.joints.springref, now.q.dtype)
     kind, start = top.joint_kinds[joint], top.joint_q[joint]
-    at = range(start, start + JOINT_SIZES[kind][0])
+    at = range(start, start + top.joints[joint].nq)
     return difference_lanes(_Alone((kind,)), [lane(rest, i) for i in at], [now.q[i] for i in at])
 
 

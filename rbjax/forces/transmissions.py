@@ -172,8 +172,10 @@ def joint_reach(now: Instant, joint: int, gear: list[Lane], in_parent: bool = Fa
     """The length and arms of a gear (6 lanes) on a joint."""
     top, q = now.model.topology, now.q
     kind, at, start = top.joint_kinds[joint], top.joint_v[joint], top.joint_q[joint]
-    if kind in ("hinge", "slide"):
-        return Reach(mul(gear[0], q[start]), {at: gear[0]})
+    if not top.joints[joint].quaternion:
+        arms = gear[: top.joints[joint].nv]
+        length = inner(arms, [q[start + k] for k in range(len(arms))])
+        return Reach(length, {at + k: arm for k, arm in enumerate(arms)})
     turn = start + (3 if kind == "free" else 0)
     turned = [q[turn + k] for k in range(4)]
     axis = Vec3(*(gear[3:] if kind == "free" else gear[:3]))

@@ -283,6 +283,7 @@ def from_compiled(
             springref=array(m.qpos_spring),
             forcerange=array(np.where(limited, m.jnt_actfrcrange, [-np.inf, np.inf])),
             range=array(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
+            numbers=array(np.zeros(0)),
         ),
         actuators=_actuators(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),

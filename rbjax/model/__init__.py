@@ -12,11 +12,10 @@ from rbjax.model.model import (
     Sites,
     State,
 )
-from rbjax.model.topology import JOINT_SIZES, WORLD, Link, Topology, spans
+from rbjax.model.topology import WORLD, Link, Topology, spans
 
 __all__ = [
     "DRIVER_NAMES",
-    "JOINT_SIZES",
     "WORLD",
     "Actuators",
     "Bodies",

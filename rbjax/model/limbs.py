@@ -58,7 +58,7 @@ def partition(top: Topology) -> Partition:
     for i in reversed(range(top.nv)):
         link = top.links[i]
         below = sorted(children.get(i, ()), key=lambda k: (shapes[k], k))
-        shape = (link.kind, link.part, link.quaternion, *(shapes[k] for k in below))
+        shape = (link.form, *(shapes[k] for k in below))
         shapes[i] = numbers.setdefault(shape, len(numbers))
         members[i] = (i, *(k for child in below for k in members[child]))
 

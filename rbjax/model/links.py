@@ -48,6 +48,8 @@ class LinkConstants:
     inertia: RigidInertia
     armature: Lane
     reference: Lane
+    #: the joint's own numbers; none where no joint of the model has any
+    numbers: tuple[Lane, ...] = ()
 
 
 @jax.tree_util.register_dataclass
@@ -133,7 +135,8 @@ def made_ahead(model: Model, dtype: Any) -> Model:
         return model.replace(prepared=(made.columns, made.body_R, made.body_p, g))
     c, gravity = made.columns, np.array([_cell(x) for x in made.gravity], object)
     columns = LinkConstants(
-        sparse(c.R, units=True), *map(sparse, (c.p, c.inertia, c.armature, c.reference))
+        sparse(c.R, units=True),
+        *map(sparse, (c.p, c.inertia, c.armature, c.reference, c.numbers)),
     )
     body_R, body_p = (x.astype(dtype) for x in (made.body_R, made.body_p))
     return model.replace(prepared=(columns, body_R, body_p, sparse(gravity)))
@@ -166,21 +169,18 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
     links, n = top.links, top.nv
     weld_R, weld_p, body_R = _welds(top, bodies, xp)
 
-    # the frame of each link in its body, before (own) and after (moved) the rotation of a ball
-    align = _alignments(joints.axis, xp)
-    cycle = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]]].swapaxes(0, 1)  # z to x, y, z
+    # each link's frame in its body, before (own) and after (moved) a motion that turns the body
     joint = np.array([link.joint for link in links], int)
-    part = np.array([-1 if link.part is None else link.part for link in links], int)
-    ball = (part >= 0)[:, None, None]
-    moved_R = xp.where(ball, cycle[part], align[joint])
-    starts = np.array([link.quaternion for link in links], bool)[:, None, None]
+    numbers = _own_numbers(top, joints.numbers, xp)
+    moved_R = _link_axes(top, joints.axis, joints.numbers, xp)
+    starts = np.array([link.form.turns_body for link in links], bool)[:, None, None]
     own_R = xp.where(starts, np.eye(3), moved_R)
     anchor = joints.placement[joint]
 
     # the pose of the body in the carrier of its parent body, where the link is the body's first
     body = np.array([link.body for link in links], int)
     parent_body = np.array(top.body_parents, int)[body]
-    free = np.array([top.joint_kinds[j] == "free" for j in joint], bool)
+    free = np.array([top.joints[j].on_world for j in joint], bool)
     first = np.array([link.first_on_body for link in links], bool) & ~free
     at_world = (parent_body == WORLD)[:, None, None]
     carry_R = xp.where(at_world, np.eye(3), weld_R[parent_body])
@@ -211,8 +211,8 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
     h = _gather(mass[:, None] * com, carrier_link, n, xp)
     m = _gather(mass, carrier_link, n, xp)
 
-    q_of = np.array([0 if link.q is None else link.q for link in links], int)
-    scalar = np.array([not link.quaternion and link.part is None for link in links], bool)
+    q_of = np.array([link.q[0] if len(link.q) else 0 for link in links], int)
+    scalar = np.array([link.form.from_reference for link in links], bool)
     reference = xp.where(scalar, joints.reference[q_of], 0.0) if n else np.zeros(0)
     if R.dtype != object and xp is np:
         R, to_link_R = _snap(R), _snap(to_link_R)
@@ -234,6 +234,7 @@ def _prepare(top: Topology, bodies, joints, gravity, xp, dtype) -> Prepared:
         ),
         armature=cast(joints.armature),
         reference=cast(reference),
+        numbers=tuple(cast(numbers[:, k]) for k in range(numbers.shape[1])),
     )
     lanes = Vec3(*(lane(cast(gravity), i) for i in range(3)))
     return Prepared(columns, whole(to_link_R), whole(to_link_p), lanes)
@@ -269,6 +270,37 @@ def _welds(top: Topology, bodies, xp):
         p = xp.where(here[:, None], up_p + matvec(up_R, bodies.position), p)
         R = xp.where(here[:, None, None], matmat(up_R, body_R), R)
     return R, p, body_R
+
+
+def _own_numbers(top: Topology, given, xp):
+    """Of each link its joint's own numbers (nv, most), zeros behind them."""
+    counts = [len(joint.defaults) for joint in top.joints]
+    most, starts = max(counts, default=0), np.cumsum([0, *counts])
+    out = xp.concatenate([given, np.zeros(1)])  # the last for those that have fewer
+    rows = [
+        [starts[link.joint] + k if k < counts[link.joint] else -1 for k in range(most)]
+        for link in top.links
+    ]
+    return out[np.array(rows, int).reshape(len(rows), most)]
+
+
+def _link_axes(top: Topology, axis, given, xp):
+    """The axes (nv, 3, 3) of each link in its body, z along its own."""
+    links, starts = top.links, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
+    align = _alignments(axis, xp)[np.array([link.joint for link in links], int)]
+    of_body = np.array([not top.joints[link.joint].aligned for link in links], bool)
+    cycle = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]]].swapaxes(0, 1)  # z to x, y, z
+    turned = cycle[np.array([link.form.axis for link in links], int)]
+    if any(link.form.axis != 2 and not own for link, own in zip(links, of_body, strict=True)):
+        align = matmat(xp.where(of_body[:, None, None], np.eye(3), align), turned)
+    elif of_body.any():
+        align = xp.where(of_body[:, None, None], turned, align)
+    for i, link in enumerate(links):
+        if link.form.own_axis is not None:
+            at = starts[link.joint] + link.form.own_axis
+            own = _alignments(given[at : at + 3][None], xp)
+            align = xp.concatenate([align[:i], own, align[i + 1 :]])
+    return align
 
 
 def _alignments(axis, xp):

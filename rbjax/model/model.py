@@ -19,7 +19,8 @@ import numpy as np
 
 from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
-from rbjax.model.topology import JOINT_SIZES, Topology
+from rbjax.model.topology import Topology
+from rbjax.model.with_joint import with_joint
 from rbjax.rotations import quaternion
 
 #: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
@@ -30,8 +31,9 @@ AXES = {
     "bodies.mass": 1, "bodies.com": 2, "bodies.inertia": 3, "bodies.position": 2,
     "bodies.orientation": 2, "joints.placement": 2, "joints.axis": 2, "joints.reference": 1,
     "joints.armature": 1, "joints.damping": 1, "joints.stiffness": 1, "joints.springref": 1,
-    "joints.forcerange": 2, "joints.range": 2, "actuators.gear": 2, "actuators.gain": 2,
-    "actuators.bias": 2, "actuators.ctrlrange": 2, "actuators.forcerange": 2, "gravity": 1,
+    "joints.forcerange": 2, "joints.range": 2, "joints.numbers": 1,
+    "actuators.gear": 2, "actuators.gain": 2, "actuators.bias": 2, "actuators.ctrlrange": 2,
+    "actuators.forcerange": 2, "gravity": 1,
 }  # fmt: skip
 _AXES = list(AXES.values())
 
@@ -88,7 +90,8 @@ class Joints(Record):
     (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits of the actuators' sum on a
     joint; range (nj, 2) rad or m, the least and the largest coordinate (of a ball 0 and the largest
     angle of turning). Limits are infinite where the file sets none. A range stops nothing:
-    `rbjax.forces.JointLimits` does.
+    `rbjax.forces.JointLimits` does. numbers (n,), what kinds of joints have of their own, such as
+    the pitch of a screw, one joint after the other.
     """
 
     placement: jax.Array
@@ -100,6 +103,7 @@ class Joints(Record):
     springref: jax.Array
     forcerange: jax.Array
     range: jax.Array
+    numbers: jax.Array
 
 
 class Actuators(Record):
@@ -255,12 +259,12 @@ class Model(Record):
             slice(1, 2, None)
         """
         i, top = self.joint(joint), self.topology
-        return slice(top.joint_q[i], top.joint_q[i] + JOINT_SIZES[top.joint_kinds[i]][0])
+        return slice(top.joint_q[i], top.joint_q[i] + top.joints[i].nq)
 
     def v_slice(self, joint: str) -> slice:
         """Where a joint's coordinates are in v: of a free joint 6, of a ball 3, else 1."""
         i, top = self.joint(joint), self.topology
-        return slice(top.joint_v[i], top.joint_v[i] + JOINT_SIZES[top.joint_kinds[i]][1])
+        return slice(top.joint_v[i], top.joint_v[i] + top.joints[i].nv)
 
     def actuator(self, name: str) -> int:
         """The index of an actuator, for controls."""
@@ -282,7 +286,7 @@ class Model(Record):
         j = self.joints
         leaves = {**_numbers(self.bodies), "gravity": self.gravity}
         leaves |= {"placement": j.placement, "axis": j.axis}
-        leaves |= {"reference": j.reference, "armature": j.armature}
+        leaves |= {"reference": j.reference, "armature": j.armature, "numbers": j.numbers}
         zeros = tuple(
             (
                 name,
@@ -337,6 +341,30 @@ class Model(Record):
                     "or of a subclass of rbjax.forces.Element"
                 )
         return self.replace(forces=(*self.forces, *elements))
+
+    def with_joint(self, name: str, kind: str, **given: Any) -> Model:
+        """The model with another kind of joint in the place of one: `rbjax.joints.kinds()`.
+
+        The new joint keeps the anchor and the axis, in its body's frame; with as many coordinates
+        as the old one also what belongs to them (armature, damping, reference), and with one
+        coordinate each the spring and the ranges. Actuators drive its coordinates one for one.
+
+        Args:
+            name: the joint.
+            kind: the name of a kind.
+            given: axis (3,), reference (nq of the joint,), and the kind's own numbers by name.
+
+        Raises:
+            UnknownName: no such joint, kind or number. InputError: a wrong shape; forces that hold
+                a number for each coordinate of a joint that will have others.
+
+        Example:
+            >>> import rbjax as rb
+            >>> model = rb.load("cart_pole").with_joint("slider", "screw", pitch=0.01)
+            >>> model.topology.joint_kinds
+            ('screw', 'hinge')
+        """
+        return with_joint(self, name, kind, **given)
 
     def keyframe(self, name: str) -> State:
         """A state that the file names."""

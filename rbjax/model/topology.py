@@ -1,10 +1,8 @@
 """What of a robot is part of the program: its tree, joint kinds, names. Hashable, never a number.
 
-The arithmetic runs over *links*, one for each velocity coordinate. A hinge or slide is one link. A
-ball is three links in the same place whose axes are x, y, z of the body, the first of which carries
-the whole rotation; a free joint is three slides along the world's axes and a ball. Each link's
-frame is turned so that its joint axis is z. Bodies without joints are merged into the last link
-of the body that carries them.
+The arithmetic runs over *links*, one for each velocity coordinate: a hinge is one, a ball three
+(`rbjax.joints`). Each link's frame is turned so that its axis is z. Bodies without joints are
+merged into the last link of the body that carries them.
 """
 
 from __future__ import annotations
@@ -14,9 +12,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from rbjax.joints import Joint, LinkForm, LinkKind, kind
+
 WORLD = -1
-#: configuration and velocity coordinates of each joint kind
-JOINT_SIZES = {"free": (7, 6), "ball": (4, 3), "slide": (1, 1), "hinge": (1, 1)}
 
 
 class Span(NamedTuple):
@@ -30,12 +28,12 @@ class Span(NamedTuple):
 
 def spans(top: Any) -> Iterator[Span]:
     """The span of each joint of a topology."""
-    for kind, at, dat in zip(top.joint_kinds, top.joint_q, top.joint_v, strict=True):
-        nq, nv = JOINT_SIZES[kind]
-        straight = nv if nq == nv else nv - 3
+    for name, at, dat in zip(top.joint_kinds, top.joint_q, top.joint_v, strict=True):
+        joint = kind(name)
+        straight = joint.nv - 3 if joint.quaternion else joint.nv
         q, v = slice(at, at + straight), slice(dat, dat + straight)
-        turning = slice(q.stop, at + nq), slice(v.stop, dat + nv)
-        yield Span(q, v, None if nq == nv else turning)
+        turning = slice(q.stop, at + joint.nq), slice(v.stop, dat + joint.nv)
+        yield Span(q, v, turning if joint.quaternion else None)
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,18 @@ class Link:
     body: int
     joint: int
     parent: int  # link, or WORLD
-    kind: str  # "hinge" or "slide"
     first_on_body: bool
-    #: where its joint coordinate starts in q; None where a ball's first link has moved already
-    q: Any
-    #: 0, 1, 2 for the x, y, z link of a ball or of a free joint's slides, else None
-    part: int | None
-    #: the first link of a ball, which carries the rotation
-    quaternion: bool
+    form: LinkForm
+    #: the coordinates in q and in v that its motion reads
+    q: range
+    v: range
+    #: the links that share its frame
+    node: range
+
+    @property
+    def kind(self) -> LinkKind:
+        """How it moves."""
+        return self.form.kind
 
 
 @dataclass(frozen=True)
@@ -74,22 +76,27 @@ class Topology:
         return len(self.body_parents)
 
     @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """What the kind of each joint is."""
+        return tuple(kind(name) for name in self.joint_kinds)
+
+    @cached_property
     def nq(self) -> int:
-        return sum(JOINT_SIZES[k][0] for k in self.joint_kinds)
+        return sum(joint.nq for joint in self.joints)
 
     @cached_property
     def nv(self) -> int:
-        return sum(JOINT_SIZES[k][1] for k in self.joint_kinds)
+        return sum(joint.nv for joint in self.joints)
 
     @cached_property
     def joint_q(self) -> tuple[int, ...]:
         """Where each joint's coordinates start in q."""
-        return _starts([JOINT_SIZES[k][0] for k in self.joint_kinds])
+        return _starts([joint.nq for joint in self.joints])
 
     @cached_property
     def joint_v(self) -> tuple[int, ...]:
         """Where each joint's coordinates start in v."""
-        return _starts([JOINT_SIZES[k][1] for k in self.joint_kinds])
+        return _starts([joint.nv for joint in self.joints])
 
     @cached_property
     def quaternion_starts(self) -> tuple[int, ...]:
@@ -106,36 +113,24 @@ class Topology:
         """The links, in the order of v; parents come before children."""
         last = self.last_links
         out: list[Link] = []
-        for j, (kind, body) in enumerate(zip(self.joint_kinds, self.joint_bodies, strict=True)):
+        for j, (joint, body) in enumerate(zip(self.joints, self.joint_bodies, strict=True)):
             first = j == 0 or self.joint_bodies[j - 1] != body
-            q = self.joint_q[j]
-            for n in range(JOINT_SIZES[kind][1]):
-                slide = kind == "slide" or (kind == "free" and n < 3)
-                turn = kind in ("ball", "free") and not slide
+            q, v = self.joint_q[j], self.joint_v[j]
+            for n, form in enumerate(joint.links):
                 start = first and n == 0
                 parent = len(out) - 1
                 if start:
                     carrier = self._carrier(self.body_parents[body])
                     parent = WORLD if carrier == WORLD else last[carrier]
-                out.append(
-                    Link(
-                        body=body,
-                        joint=j,
-                        parent=parent,
-                        kind="slide" if slide else "hinge",
-                        first_on_body=start,
-                        q=None if turn and n % 3 else q + n,
-                        part=n % 3 if kind in ("ball", "free") else None,
-                        quaternion=turn and n % 3 == 0,
-                    )
-                )
+                at = _moved(form.q, q), _moved(form.v, v), _moved(form.node, v)
+                out.append(Link(body, j, parent, start, form, *at))
         return tuple(out)
 
     @cached_property
     def last_links(self) -> dict[int, int]:
         """The last link of each body that has joints."""
         return {
-            body: self.joint_v[j] + JOINT_SIZES[self.joint_kinds[j]][1] - 1
+            body: self.joint_v[j] + self.joints[j].nv - 1
             for j, body in enumerate(self.joint_bodies)
         }
 
@@ -177,10 +172,14 @@ class Topology:
             out.append((*(out[parent] if parent != WORLD else ()), i))
         return tuple(out)
 
-    def last_of_ball(self, i: int) -> int:
-        """The last link of the ball that link i belongs to; else the link itself."""
-        link = self.links[i]
-        return i if link.part is None or link.kind == "slide" else i + 2 - link.part
+    @cached_property
+    def straight(self) -> bool:
+        """Whether the axis of each link is constant in the link's frame."""
+        return all(link.kind.straight for link in self.links)
+
+
+def _moved(some: range, start: int) -> range:
+    return range(some.start + start, some.stop + start)
 
 
 def _starts(sizes: list[int]) -> tuple[int, ...]:

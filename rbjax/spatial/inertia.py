@@ -115,13 +115,11 @@ class ArticulatedInertia:
         """I_A - U U^T / D: what is left of the inertia across a joint that moves freely along S.
 
         Along S itself nothing is left but the armature's share, an exact zero where the armature is
-        a structural zero; saying so here spares the arithmetic and its rounding.
+        a structural zero and S is an axis; saying so here spares the arithmetic and its rounding.
         """
-        left = self.less(U, inverse_D)
-        if not (is_zero(armature) and all(is_literal(s) for s in S)):
-            return left
-        axis = list(S).index(1.0)
-        return left._with_zero_row(axis)
+        left, along = self.less(U, inverse_D), list(S)
+        axis = all(map(is_literal, along)) and sorted(along) == [0.0] * 5 + [1.0]
+        return left._with_zero_row(along.index(1.0)) if axis and is_zero(armature) else left
 
     def __sub__(self, other: ArticulatedInertia) -> ArticulatedInertia:
         return ArticulatedInertia(self.J - other.J, self.H - other.H, self.M - other.M)

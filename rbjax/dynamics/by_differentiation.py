@@ -1,0 +1,40 @@
+"""Derivatives of dynamics by differentiating it, for joints whose axes depend on q.
+
+`operands` knows how axes that are fixed in their links move with q. Those of a `Node` move in ways
+of their own, which differentiation finds.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.crba import mass_matrix
+from rbjax.dynamics.forward import forward_dynamics, inverse_mass_matrix
+from rbjax.dynamics.manifold import integrate
+from rbjax.dynamics.rnea import inverse_dynamics
+from rbjax.model import Model
+
+
+def differentiated_inverse(
+    model: Model, q: jax.Array, v: jax.Array, a: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """d ID / dq (tangent), d ID / dv, M, each (nv, nv)."""
+
+    def tau(dq: jax.Array, v: jax.Array) -> jax.Array:
+        return inverse_dynamics(model, integrate(model, q, dq), v, a)
+
+    by_q, by_v = jax.jacfwd(tau, (0, 1))(jnp.zeros_like(v), v)
+    return by_q, by_v, mass_matrix(model, q)
+
+
+def differentiated_forward(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """d FD / dq (tangent), d FD / dv, M^-1, each (nv, nv)."""
+
+    def a(dq: jax.Array, v: jax.Array) -> jax.Array:
+        return forward_dynamics(model, integrate(model, q, dq), v, tau)
+
+    by_q, by_v = jax.jacfwd(a, (0, 1))(jnp.zeros_like(v), v)
+    return by_q, by_v, inverse_mass_matrix(model, q)

@@ -1,0 +1,117 @@
+"""Node: k coordinates that move a body along any pose T(q), with axes S(q) that depend on q.
+
+    twist = S(q) qd,   bias = S'(q, qd) qd,   S_i = [vee(R^T dR/dq_i); R^T dr/dq_i]
+
+in the body's axes. `pose` alone is enough: axes and their rates are its derivatives. Write them by
+hand where that pays. For joints on curves and surfaces, rolling contacts, linkages in closed form,
+and the frames that a flexible body's modes move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.joints.joint import Joint, LinkForm, LinkKind
+from rbjax.joints.joint_motion import JointMotion, NodeMotion, Placed
+from rbjax.lanes import Lane, Mat3, Vec3, as_arrays, is_zero
+from rbjax.spatial import Motion, Transform
+
+
+class Node(Joint):
+    """A joint of k coordinates. Subclasses name themselves, set `coordinates`, and give `pose`.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.lanes import Mat3, Vec3
+        >>> from rbjax.spatial import Transform
+        >>> class OnParabola(rb.joints.Node):
+        ...     name, coordinates = "on_parabola", 1
+        ...     def pose(self, q, numbers):
+        ...         return Transform(Mat3.identity(), Vec3(q[0], 0.0, q[0] * q[0]))
+        >>> rb.joints.register(OnParabola())
+        >>> model = rb.load("pendulum").with_joint("hinge", "on_parabola")
+        >>> rb.mass_matrix(model, jnp.array([0.5])).shape
+        (1, 1)
+    """
+
+    coordinates: int
+
+    def __init__(self) -> None:
+        every = range(self.coordinates)
+        self.nq = self.coordinates
+        self.links = tuple(
+            LinkForm(NodeLink(self, k), every, every, node=every, from_reference=False)
+            for k in every
+        )
+
+    def pose(self, q: Sequence[Lane], numbers: Sequence[Lane]) -> Transform:
+        """The pose of the body's frame against the joint's frame, both at the anchor."""
+        raise NotImplementedError(f"{type(self).__name__} needs a pose(q, numbers)")
+
+    def axes(self, q: Sequence[Lane], numbers: Sequence[Lane]) -> list[Motion]:
+        """S_i (k of them) in the body's axes."""
+        qs = _arrays(q)
+
+        def lanes(*q: Lane) -> list[jax.Array]:
+            T = self.pose(q, numbers)
+            return as_arrays([*T.R, *T.p], qs[0])
+
+        out = []
+        for unit in _units(qs):
+            value, rate = jax.jvp(lanes, tuple(qs), unit)
+            E, dR = Mat3(*value[:9]).T, Mat3(*rate[:9])
+            W = E @ dR
+            out.append(Motion(Vec3(W[7], W[2], W[3]), E @ Vec3(*rate[9:])))
+        return out
+
+    def rates(
+        self, q: Sequence[Lane], v: Sequence[Lane], numbers: Sequence[Lane]
+    ) -> list[Motion]:
+        """S_i' (k of them) in the body's axes."""
+        qs = _arrays(q)
+
+        def lanes(*q: Lane) -> list[jax.Array]:
+            return as_arrays([x for S in self.axes(q, numbers) for x in S], qs[0])
+
+        vs = tuple(jnp.broadcast_to(jnp.asarray(x, qs[0].dtype), qs[0].shape) for x in v)
+        found = jax.jvp(lanes, tuple(qs), vs)[1]
+        return [Motion.from_lanes(found[6 * i : 6 * i + 6]) for i in range(len(qs))]
+
+
+class NodeLink(LinkKind):
+    """The k-th link of a node: the first carries the motion, each brings its axis."""
+
+    straight = False
+
+    def __init__(self, joint: Node, k: int):
+        self.joint, self.k = joint, k
+
+    def motion(self, q: Sequence[Lane], v: Sequence[Lane], link: Placed) -> JointMotion:
+        joint, numbers, zero = self.joint, link.numbers, Motion.zero()
+        S, moves = joint.axes(q, numbers), not all(map(is_zero, v))
+        rates = joint.rates(q, v, numbers) if moves else [zero] * len(S)
+        at = Transform(Mat3.identity(), Vec3.zero())
+        twist = bias = zero
+        if self.k == 0:
+            at = joint.pose(q, numbers)
+            for axis, rate, speed in zip(S, rates, v, strict=True):
+                twist, bias = twist + axis * speed, bias + rate * speed
+            # of the origin seen from the parent, whose axes do not turn with the body
+            bias = Motion(bias.ang, bias.lin + twist.ang.cross(twist.lin))
+        axis, rate, speed = S[self.k], rates[self.k], v[self.k]
+        return NodeMotion(at.R, at.p, axis, twist.ang, speed, twist.lin, bias, rate)
+
+
+def _arrays(q: Sequence[Lane]) -> list[jax.Array]:
+    like = next((x for x in q if hasattr(x, "dtype")), jnp.zeros(()))
+    return [jnp.broadcast_to(jnp.asarray(x, like.dtype), jnp.shape(like)) for x in q]
+
+
+def _units(qs: list[jax.Array]) -> list[tuple[jax.Array, ...]]:
+    return [
+        tuple(jnp.ones_like(x) if i == j else jnp.zeros_like(x) for j, x in enumerate(qs))
+        for i in range(len(qs))
+    ]

@@ -1,0 +1,68 @@
+"""The kinds of joints by name. A new one is a file in this room and a line here."""
+
+from __future__ import annotations
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.joints.ball import Ball
+from rbjax.joints.cylindrical import Cylindrical
+from rbjax.joints.free import Free
+from rbjax.joints.hinge import Hinge
+from rbjax.joints.joint import Joint
+from rbjax.joints.planar import Planar
+from rbjax.joints.screw import Screw
+from rbjax.joints.slide import Slide
+from rbjax.joints.universal import Universal
+
+_ALL = (Hinge(), Slide(), Ball(), Free(), Screw(), Cylindrical(), Planar(), Universal())
+_KINDS: dict[str, Joint] = {joint.name: joint for joint in _ALL}
+
+
+def kinds() -> dict[str, Joint]:
+    """All kinds of joints, by name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.joints.kinds()["ball"].nq, rb.joints.kinds()["ball"].nv
+        (4, 3)
+    """
+    return dict(_KINDS)
+
+
+def kind(name: str) -> Joint:
+    """A kind of joint.
+
+    Raises:
+        UnknownName: with the names there are.
+
+    Example:
+        >>> import rbjax as rb
+        >>> dict(rb.joints.kind("screw").numbers)
+        {'pitch': 0.0}
+    """
+    if name not in _KINDS:
+        raise UnknownName("joint kind", name, _KINDS)
+    return _KINDS[name]
+
+
+def register(joint: Joint) -> None:
+    """Add a kind of joint, for `Model.with_joint` and whatever makes a `Topology`.
+
+    Args:
+        joint: an instance of a subclass of `Node`, or of `Joint` with links of its own.
+
+    Raises:
+        InputError: no joint; a name that another kind has.
+
+    Example: see `rbjax.joints.Node`.
+    """
+    if not isinstance(joint, Joint):
+        raise InputError(
+            f"register: got {joint!r}, expected an instance of a subclass of rbjax.joints.Node"
+        )
+    there = _KINDS.get(joint.name)
+    if there is not None and type(there).__qualname__ != type(joint).__qualname__:
+        raise InputError(
+            f"register: {joint.name!r} is the name of {type(there).__qualname__} already; "
+            "give the new kind another name"
+        )
+    _KINDS[joint.name] = joint

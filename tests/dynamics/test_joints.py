@@ -1,0 +1,332 @@
+"""Every kind of joint, on every driver: against MuJoCo's chains of hinges and slides, Pinocchio's
+own joints, and identities that hold for any joint."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.lanes import Mat3, Vec3, rotation_z, sincos
+from rbjax.spatial import Transform
+from tests.tolerances import F64_ROUNDING
+
+#: a chain with a joint of every sort of neighbour; {joint} moves the second body
+CHAIN = """<mujoco><default><geom contype="0" conaffinity="0" type="box"/></default>
+<worldbody><body pos="0.1 0 0.3">
+  <joint name="first" axis="0.1 0.2 0.9" pos="0.02 0 0"/>
+  <geom size="0.1 0.04 0.06" pos="0.05 0.01 0" mass="1.3"/>
+  <body pos="0.2 0.05 0" euler="20 30 10">{joint}
+    <geom size="0.05 0.1 0.03" pos="0.02 0.1 0.03" mass="0.9"/>
+    <body pos="0 0.2 0.1" euler="0 50 0"><joint name="slide" type="slide" axis="0.6 0 0.8"/>
+      <geom size="0.02 0.05 0.03" pos="0.02 0.05 0.01" mass="0.4"/>
+      <body pos="0 0.1 0"><joint name="ball" type="ball" pos="0 0.02 0"/>
+        <geom size="0.03 0.02 0.05" pos="0 0.05 0.02" mass="0.3"/></body></body>
+  </body></body></worldbody></mujoco>"""
+AT = 'pos="0.03 0.02 0.01"'
+STAND_IN = f'<joint name="it" {AT} axis="2 -1 2"/>'
+#: Duff's rotation of z to the axis [2, -1, 2] / 3, by hand: x and y of its plane
+IN_PLANE = ("11 2 -10", "2 14 5")
+#: a kind, its numbers, and the chain that MuJoCo takes for it
+CHAINS = {
+    "cylindrical": ({}, f'<joint type="slide" {AT} axis="2 -1 2"/><joint {AT} axis="2 -1 2"/>'),
+    "planar": (
+        {},
+        "".join(f'<joint type="slide" {AT} axis="{a}"/>' for a in IN_PLANE)
+        + f'<joint {AT} axis="2 -1 2"/>',
+    ),
+    "universal": (
+        {"second_axis": [0.3, 0.4, -1.2]},
+        f'<joint {AT} axis="2 -1 2"/><joint {AT} axis="0.3 0.4 -1.2"/>',
+    ),
+}
+
+
+class OnCurve(rb.joints.Node):
+    """A body that slides along a helix-like curve and turns on the way: one coordinate."""
+
+    name, coordinates = "on_curve", 1
+
+    def pose(self, q, numbers):
+        c, s = sincos(q[0])
+        return Transform(rotation_z(c, s), Vec3(0.3 * c, 0.2 * s, 0.1 * q[0] * q[0]))
+
+
+class Bent(rb.joints.Node):
+    """What two modes of a beam do to the frame at its end, in second order: two coordinates."""
+
+    name, coordinates = "bent", 2
+
+    def pose(self, q, numbers):
+        (c, s), (d, e) = sincos(1.5 * q[0]), sincos(1.2 * q[1])
+        R = Mat3(1.0, 0.0, 0.0, 0.0, d, -e, 0.0, e, d)
+        short = 0.5 - 0.6 * (q[0] * q[0] + q[1] * q[1])
+        return Transform(rotation_z(c, s) @ R, Vec3(short, q[0], -q[1]))
+
+
+class Cardan(rb.joints.Node):
+    """A universal joint as a node: turns about z, then about x."""
+
+    name, coordinates = "cardan", 2
+
+    def pose(self, q, numbers):
+        (c, s), (d, e) = sincos(q[0]), sincos(q[1])
+        return Transform(rotation_z(c, s) @ Mat3(1, 0, 0, 0, d, -e, 0, e, d), Vec3.zero())
+
+
+for node in (OnCurve(), Bent(), Cardan()):
+    rb.joints.register(node)
+
+KINDS = {
+    "screw": {"pitch": 0.07},
+    **{name: given for name, (given, _) in CHAINS.items()},
+    "on_curve": {}, "bent": {}, "cardan": {},
+}  # fmt: skip
+
+
+def chain(kind: str, **given) -> rb.Model:
+    return rb.load(CHAIN.format(joint=STAND_IN)).with_joint("it", kind, **given)
+
+
+@functools.cache
+def moving(kind: str, **given):
+    model = chain(kind, **KINDS[kind])
+    state = model.random_state(jax.random.key(3))
+    a = jax.random.normal(jax.random.key(4), (model.nv,))
+    return model, state.q, state.v, a
+
+
+def everything(model, q, v, a):
+    """What the algorithms say of a motion."""
+    by_a = rb.inverse_dynamics(model, q, v, a)
+    return {
+        "tau": by_a,
+        "a": rb.forward_dynamics(model, q, v, a),
+        "M": rb.mass_matrix(model, q),
+        "inverse": rb.inverse_mass_matrix(model, q),
+        "C": rb.coriolis_matrix(model, q, v),
+        "V": rb.body_velocities(model, q, v),
+        "p": rb.forward_kinematics(model, q).p,
+        "R": rb.forward_kinematics(model, q).R,
+        "J": rb.jacobian(model, q, model.body_names[-1]),
+        "J_rate": rb.jacobian_rate(model, q, v, model.body_names[-1]),
+        "bias": rb.frame_bias_acceleration(model, q, v, model.body_names[-1]),
+        "by_q": rb.inverse_dynamics_derivatives(model, q, v, a),
+        "forward_by_q": rb.forward_dynamics_derivatives(model, q, v, a),
+        "regressor": rb.inertial_regressor(model, q, v, a),
+        "energy": rb.kinetic_energy(model, q, v),
+    }
+
+
+@functools.cache
+def found(kind: str, driver: str = "unrolled"):
+    model, q, v, a = moving(kind)
+    return jax.jit(lambda q, v, a: everything(model.replace(driver=driver), q, v, a))(q, v, a)
+
+
+@pytest.mark.parametrize("kind", CHAINS)
+def test_a_chain_is_mujoco_s(kind: str) -> None:
+    """Poses, mass matrix and inverse dynamics of the same robot in MuJoCo C."""
+    (_, q, v, a), ours = moving(kind), found(kind)
+    m = mujoco.MjModel.from_xml_string(CHAIN.format(joint=CHAINS[kind][1]))
+    data = mujoco.MjData(m)
+    data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+    mujoco.mj_forward(m, data)
+    M = np.zeros((m.nv, m.nv))
+    for k, unit in enumerate(np.eye(m.nv)):
+        mujoco.mj_mulM(m, data, M[k], unit)
+    data.qacc[:] = a
+    mujoco.mj_inverse(m, data)
+    np.testing.assert_allclose(ours["p"], data.xpos[1:], atol=1e-12)
+    np.testing.assert_allclose(ours["M"], M, atol=1e-12)
+    np.testing.assert_allclose(ours["tau"], data.qfrc_inverse, atol=1e-11)
+
+
+def test_a_screw_is_pinocchio_s() -> None:
+    """The mass matrix and inverse dynamics of a helical joint between two hinges."""
+    pin = pytest.importorskip("pinocchio", reason="pin is not installed")
+    theirs, at = pin.Model(), pin.SE3.Identity()
+    inertia = pin.Inertia(1.1, np.array([0.1, 0.02, -0.03]), np.diag([0.02, 0.03, 0.04]))
+    turn = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]])
+    z = np.array([0.0, 0.0, 1.0])
+    joints = (pin.JointModelRZ(), pin.JointModelHelicalUnaligned(z, 0.07), pin.JointModelRZ())
+    parent = 0
+    for n, joint in enumerate(joints):
+        parent = theirs.addJoint(parent, joint, at, f"{n}")
+        theirs.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        at = pin.SE3(turn, np.array([0.1, 0.2, 0.3]))
+    body = (
+        '<body name="{n}" pos="{p}" quat="{q}"><joint name="{n}"/><inertial mass="1.1" '
+        'pos="0.1 0.02 -0.03" diaginertia="0.02 0.03 0.04"/>{inside}</body>'
+    )
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, turn.ravel())
+    inside = ""
+    for n in (2, 1, 0):
+        p, turned = ("0.1 0.2 0.3", quat) if n else ("0 0 0", [1.0, 0.0, 0.0, 0.0])
+        turned = " ".join(repr(float(x)) for x in turned)
+        inside = body.format(n=f"j{n}", p=p, q=turned, inside=inside)
+    text = f"<mujoco><worldbody>{inside}</worldbody></mujoco>"
+    model = rb.load(text).with_joint("j1", "screw", pitch=0.07)
+    q, v, a = np.random.default_rng(0).normal(size=(3, 3))
+    data = theirs.createData()
+    want = pin.rnea(theirs, data, q, v, a)
+    np.testing.assert_allclose(rb.inverse_dynamics(model, q, v, a), want, atol=1e-12)
+    M = pin.crba(theirs, data, q)
+    M = np.triu(M) + np.triu(M, 1).T
+    np.testing.assert_allclose(rb.mass_matrix(model, q), M, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_identities(kind: str) -> None:
+    """Forward inverts inverse; M, C and the energy belong together; Jacobians are derivatives."""
+    (model, q, v, a), ours = moving(kind), found(kind)
+    tau = ours["tau"]
+    np.testing.assert_allclose(rb.forward_dynamics(model, q, v, tau), a, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(ours["M"] @ ours["inverse"], np.eye(model.nv), atol=1e-9)
+    np.testing.assert_allclose(ours["energy"], v @ ours["M"] @ v / 2, rtol=F64_ROUNDING)
+    rest = rb.gravity_forces(model, q)
+    np.testing.assert_allclose(ours["C"] @ v + ours["M"] @ a + rest, tau, rtol=1e-9, atol=1e-10)
+
+    def path(h):
+        return rb.integrate(model, q, h * v)
+
+    rate = jax.jvp(lambda h: rb.mass_matrix(model, path(h)), (0.0,), (1.0,))[1]
+    np.testing.assert_allclose(ours["C"] + ours["C"].T, rate, atol=1e-10)
+    last = model.body_names[-1]
+    rate = jax.jvp(lambda h: rb.jacobian(model, path(h), last), (0.0,), (1.0,))[1]
+    np.testing.assert_allclose(ours["J_rate"], rate, atol=1e-10)
+    np.testing.assert_allclose(ours["J"] @ v, ours["V"][-1], atol=1e-11)
+    np.testing.assert_allclose(ours["bias"], ours["J_rate"] @ v, atol=1e-10)
+    Y, pi = ours["regressor"], rb.inertial_parameters(model)
+    np.testing.assert_allclose(Y @ pi, tau, rtol=1e-9, atol=1e-10)
+    moved = jax.jvp(lambda h: rb.forward_kinematics(model, path(h)).p, (0.0,), (1.0,))[1]
+    np.testing.assert_allclose(ours["V"][:, 3:], moved, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives(kind: str) -> None:
+    """The derivatives of inverse and forward dynamics are those of differentiation."""
+    (model, q, v, a), ours = moving(kind), found(kind)
+
+    def inverse(dq, v, a):
+        return rb.inverse_dynamics(model, rb.integrate(model, q, dq), v, a)
+
+    def forward(dq, v, a):
+        return rb.forward_dynamics(model, rb.integrate(model, q, dq), v, a)
+
+    for f, name in ((inverse, "by_q"), (forward, "forward_by_q")):
+        want = jax.jit(jax.jacrev(f, (0, 1, 2)))(0 * v, v, a)
+        for got, one in zip(ours[name], want, strict=True):
+            np.testing.assert_allclose(got, one, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("driver", ["rolled", "limbs"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_drivers_agree(kind: str, driver: str) -> None:
+    if driver == "limbs":
+        kind_of, given = kind, KINDS[kind]
+        two = CHAIN.format(joint=STAND_IN).split("<worldbody>")[1].split("</worldbody>")[0]
+        again = two
+        for name in ("first", "it", "slide", "ball"):
+            again = again.replace(f'"{name}"', f'"{name}2"')
+        before = CHAIN.split("<worldbody>")[0]
+        model = rb.load(f"{before}<worldbody>{two}{again}</worldbody></mujoco>")
+        model = model.with_joint("it", kind_of, **given).with_joint("it2", kind_of, **given)
+        state = model.random_state(jax.random.key(3))
+        q, v, a = state.q, state.v, jnp.cos(state.v)
+        one, other = (
+            jax.jit(functools.partial(everything, model.replace(driver=d)))(q, v, a)
+            for d in ("limbs", "rolled")
+        )
+    else:
+        one, other = found(kind), found(kind, driver)
+    for x, y in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9)
+
+
+def test_a_node_is_the_chain_of_the_same_motion() -> None:
+    """A universal joint written as a node of two coordinates."""
+    _, q, v, a = moving("cardan")
+    A = np.array([[11, 2, 10], [2, 14, -5], [-10, 5, 10]]) / 15.0
+    second = A[:, 0]
+    same = chain("universal", second_axis=second)
+    want = jax.jit(lambda q, v, a: everything(same, q, v, a))(q, v, a)
+    ours = found("cardan")
+    for name in ("tau", "a", "M", "V", "p", "R", "energy", "by_q", "forward_by_q"):
+        for x, y in zip(jax.tree.leaves(ours[name]), jax.tree.leaves(want[name]), strict=True):
+            np.testing.assert_allclose(x, y, rtol=1e-8, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", ["screw", "universal", "bent"])
+def test_motion(kind: str) -> None:
+    """Energy is kept, forces of springs included; the gradient is the difference quotient."""
+    model, q, v, _ = moving(kind)
+    model = model.replace(gravity=jnp.array([0.0, 0.0, -2.0]), timestep=5e-4)
+    state = rb.State(q, 0.5 * v)
+
+    def energy(path):
+        each = jax.vmap(lambda q, v: rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q))
+        return each(path.q, path.v)
+
+    def run(scale):
+        return rb.rollout(model, state.replace(v=scale * state.v), steps=400, integrator="rk4")
+
+    rate = jax.jit(lambda s: jax.jvp(lambda s: run(s).q[-1], (s,), (1.0,))[1])(1.0)
+    kept = energy(run(1.0))
+    np.testing.assert_allclose(kept, kept[0], rtol=1e-6)
+    quotient = (run(1.0 + 1e-5).q[-1] - run(1.0 - 1e-5).q[-1]) / 2e-5
+    np.testing.assert_allclose(rate, quotient, rtol=1e-5, atol=1e-6)
+
+
+def test_gradients_by_the_pitch() -> None:
+    """A screw's pitch and a second axis are leaves: derivatives, and maps over them."""
+    for kind in ("screw", "universal"):
+        model, q, v, a = moving(kind)
+
+        def tau(numbers, model=model, q=q, v=v, a=a):
+            joints = model.joints.replace(numbers=numbers)
+            return rb.inverse_dynamics(model.replace(joints=joints), q, v, a).sum()
+
+        numbers = model.joints.numbers
+        h = 1e-6 * jnp.ones_like(numbers)
+        got = jax.grad(tau)(numbers) @ h
+        np.testing.assert_allclose(got, (tau(numbers + h) - tau(numbers - h)) / 2, rtol=1e-6)
+        both = jax.vmap(tau)(jnp.stack([numbers, 1.1 * numbers]))
+        np.testing.assert_allclose(both, [tau(numbers), tau(1.1 * numbers)], rtol=F64_ROUNDING)
+
+
+def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
+    model = rb.load("arm7")
+    name = model.joint_names[2]
+    screw = model.with_joint(name, "screw", pitch=0.02)
+    np.testing.assert_array_equal(screw.joints.armature, model.joints.armature)
+    np.testing.assert_array_equal(screw.joints.range, model.joints.range)
+    wide = model.replace(forces=()).with_joint(name, "planar", reference=[0.1, 0.2, 0.3])
+    assert wide.nq == model.nq + 2 and wide.keyframes.q.shape == (len(wide.keyframe_names), wide.nq)
+    assert wide.q_slice(name) == slice(2, 5)
+    np.testing.assert_array_equal(wide.default_state().q[2:5], [0.1, 0.2, 0.3])
+    fixed = screw.fix_zeros()
+    assert fixed.with_joint(name, "hinge").zeros is not None
+    with pytest.raises(rb.UnknownName, match="screw"):
+        model.with_joint(name, "scrw")
+    with pytest.raises(rb.UnknownName, match="pitch"):
+        model.with_joint(name, "screw", pich=0.1)
+    with pytest.raises(rb.InputError, match="second_axis"):
+        model.with_joint(name, "universal", second_axis=[1.0])
+
+
+def test_registering() -> None:
+    with pytest.raises(rb.InputError, match="expected an instance"):
+        rb.joints.register(OnCurve)  # type: ignore[arg-type]
+
+    class Another(rb.joints.Node):
+        name, coordinates = "hinge", 1
+
+    with pytest.raises(rb.InputError, match="another name"):
+        rb.joints.register(Another())
+    with pytest.raises(NotImplementedError, match="needs a pose"):
+        Another().pose([], [])
