@@ -14,7 +14,7 @@ import numpy as np
 
 from rbjax.dynamics.contract import Driver
 from rbjax.joints import HINGE, SLIDE, JointMotion, NodeMotion, turning
-from rbjax.lanes import Lane, Vec3, add, is_literal, mul, rotation_z, sincos
+from rbjax.lanes import Lane, Vec3, is_literal, rotation_z, sincos
 from rbjax.model import Link, LinkConstants, Prepared, Topology
 from rbjax.model.cells import stacked
 from rbjax.spatial import Motion
@@ -103,20 +103,12 @@ def axes(d: Driver, joints: Any) -> tuple[Any, Any]:
 
 def own_axes(d: Driver, joints: Any) -> Any:
     """S of each link in its own axes, in the form of `Driver.whole`."""
-    links = d.topology.links
-    if not d.topology.straight:
+    kinds = [link.kind for link in d.topology.links]
+    if not all(kind.straight and kind.alike for kind in kinds):
         return d.whole(axes(d, joints)[0])
 
     def axis(turns: Lane, slides: Lane) -> Motion:
         return Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, slides))
 
-    turns = d.known([link.kind.turns for link in links])
-    slides = d.known([link.kind.slides for link in links])
-    screws = [link.kind.turns and link.kind.slide((1.0,)) for link in links]
-    if any(screws):
-
-        def pitched(link: LinkConstants, screw: Lane, slides: Lane) -> Lane:
-            return add(slides, mul(screw, link.numbers[0])) if link.numbers else slides
-
-        slides = d.each(pitched, d.whole(d.constants), d.known(screws), slides)
+    turns, slides = d.known([k.turns for k in kinds]), d.known([k.slides for k in kinds])
     return d.each(axis, turns, slides)

@@ -24,22 +24,20 @@ from rbjax.spatial import Motion
 class LinkKind:
     """How one link moves.
 
-    `turns` and `slides` are its axis where that is constant in the link's frame (`straight`).
-    `still`: against the link before it, which carries its motion.
+    `turns` and `slides` are its axis where that is constant in the link's frame (`straight`) and
+    the same for all joints of the kind (`alike`); else `axis` says it. `still`: against the link
+    before it, which carries its motion.
     """
 
     turns: ClassVar[float] = 0.0
     slides: ClassVar[float] = 0.0
     straight: ClassVar[bool] = True
+    alike: ClassVar[bool] = True
     still: ClassVar[bool] = False
 
-    def slide(self, numbers: Sequence[Lane]) -> Lane:
-        """How far the link slides a unit of its coordinate; `numbers` are the joint's own."""
-        return self.slides
-
     def axis(self, numbers: Sequence[Lane]) -> Motion:
-        """S in the link's axes, where it is constant."""
-        return Motion(Vec3(0.0, 0.0, self.turns), Vec3(0.0, 0.0, self.slide(numbers)))
+        """S in the link's axes, where it is constant; `numbers` are the joint's own."""
+        return Motion(Vec3(0.0, 0.0, self.turns), Vec3(0.0, 0.0, self.slides))
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], link: Placed) -> JointMotion:
         """The motion of the link, of the coordinates that its `LinkForm` names."""

@@ -8,15 +8,16 @@ from types import MappingProxyType
 from rbjax.joints.joint import Chain, LinkKind
 from rbjax.joints.joint_motion import JointMotion, Placed
 from rbjax.lanes import Lane, Vec3, mul, rotation_z, sincos, sub
+from rbjax.spatial import Motion
 
 
 class ScrewLink(LinkKind):
     """Turns about z and slides along it, `numbers[0]` metres a radian."""
 
-    turns = 1.0
+    alike = False
 
-    def slide(self, numbers: Sequence[Lane]) -> Lane:
-        return numbers[0]
+    def axis(self, numbers: Sequence[Lane]) -> Motion:
+        return Motion(Vec3(0.0, 0.0, 1.0), Vec3(0.0, 0.0, numbers[0]))
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], link: Placed) -> JointMotion:
         angle = sub(q[0], link.reference)
