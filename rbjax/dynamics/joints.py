@@ -71,7 +71,7 @@ def joint_columns(
             0.0 if v is None else v[np.array(of) - start]
             for of in zip(*(links[i].v for i in rows), strict=True)
         ]
-        whole = [start + i for i in rows]
+        whole = np.array(rows) + start
         constants = jax.tree.map(
             lambda x, whole=whole: stacked(x[whole].reshape(-1, *batch), q.dtype), prepared.columns
         )

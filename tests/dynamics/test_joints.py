@@ -232,7 +232,7 @@ def test_drivers_agree(kind: str, driver: str) -> None:
         two = CHAIN.format(joint=STAND_IN).split("<worldbody>")[1].split("</worldbody>")[0]
         again = two
         for name in ("first", "it", "slide", "ball"):
-            again = again.replace(f'"{name}"', f'"{name}2"')
+            again = again.replace(f'name="{name}"', f'name="{name}2"')
         before = CHAIN.split("<worldbody>")[0]
         model = rb.load(f"{before}<worldbody>{two}{again}</worldbody></mujoco>")
         model = model.with_joint("it", kind_of, **given).with_joint("it2", kind_of, **given)
