@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
 from rbjax import body, spatial
-from rbjax.plotting import INK, PALETTE, STYLE, Camera, Solid, draw
+from rbjax.plotting import INK, PALETTE, STYLE, Camera, Solid, draw_solids
 from rbjax.rotations import incremental, quaternion, representations, se3, so3
 
 jax.config.update("jax_enable_x64", True)
@@ -380,7 +380,8 @@ figure, (above, below) = plt.subplots(
 camera, spacing = Camera(azimuth=-90, elevation=14), 0.58  # metres of picture a second
 for k, i in enumerate(range(7, 300, 15)):
     place = camera.axes[0] * spacing * ts[i]
-    draw(above, shape, T[i, :3, :3][None], place[None], camera=camera, shadow=False, zorder=2 + k)
+    R, style = T[i, :3, :3][None], {"camera": camera, "shadow": False, "zorder": 2 + k}
+    draw_solids(above, shape, R, place[None], **style)
 above.set(xlim=(0, spacing * ts[-1]), ylim=(-0.11, 0.11), aspect="equal")
 above.axis("off")
 for k, name, colour in ((middle, "stem (intermediate)", BLUE), (least, "grip (least)", ORANGE),

@@ -52,9 +52,10 @@ __version__ = "0.1.0"
 
 def __getattr__(name: str) -> Any:
     """Rooms that come when they are asked for, for what they import: `validation` MJX, which takes
-    seconds, `stability` SciPy's integrators and mpmath, which take as long as a third of the rest.
+    seconds, `plotting` matplotlib, `stability` SciPy's integrators and mpmath, which take as long
+    as a third of the rest.
     """
-    if name in ("stability", "validation"):
+    if name in ("plotting", "stability", "validation"):
         return importlib.import_module(f"rbjax.{name}")
     raise AttributeError(f"module 'rbjax' has no attribute {name!r}")
 
@@ -99,6 +100,7 @@ __all__ = [
     "load",
     "mass_matrix",
     "operation_count",
+    "plotting",
     "potential_energy",
     "rollout",
     "rotations",
