@@ -30,7 +30,7 @@ import rbjax as rb
 from benchmarks.timing import others, save
 from benchmarks.work_ladder import ON_GPU, PRECISIONS, Bench, clocked
 from benchmarks.work_scenes import SAMPLE, SCENES, prepared
-from rbjax.compiling import WIDE, WITHOUT_EMITTERS, takes
+from rbjax.compiling import WIDE, WITHOUT_EMITTERS, xla_accepts
 from rbjax.motion.integrators import INTEGRATORS, TABLEAUS
 from rbjax.validation.mjx import UNFUSED, mjx
 
@@ -49,7 +49,7 @@ def fastest(
         return None
     found: dict[float, dict[str, Any] | None] = {}
     for options in candidates:
-        if not all(takes(*option) for option in (options or {}).items()):
+        if not all(xla_accepts(*option) for option in (options or {}).items()):
             continue
         run = jax.jit(march, compiler_options=options).lower(*args).compile()
         jax.block_until_ready(run(*args))
@@ -107,7 +107,7 @@ MJX = ("RK4", "implicitfast", "Euler")
 
 def mjx_options() -> tuple[dict[str, Any] | None, ...]:
     """XLA's CPU fusion slows MJX down, up to a thousand times; jaxlibs differ in what stops it."""
-    if takes(*WITHOUT_EMITTERS):
+    if xla_accepts(*WITHOUT_EMITTERS):
         return dict([WITHOUT_EMITTERS]), dict([WITHOUT_EMITTERS, WIDE])
     return dict([UNFUSED[-1]]), None
 

@@ -4,6 +4,7 @@ A robot file goes in; fast, accurate, differentiable motion comes out, in a batc
 million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
+import functools
 import importlib
 from typing import Any
 
@@ -48,6 +49,16 @@ from rbjax.motion.trajectory import Trajectory
 from rbjax.threads import threads
 
 __version__ = "0.1.0"
+
+
+def _of(module: str, name: str) -> Any:
+    """A name of a module that is imported when it is asked for."""
+    return getattr(importlib.import_module(module), name)
+
+
+# Rooms that are looked for below where they stand: solvers and stability answer to these names.
+for _name in ("recommend", "Recommendation"):
+    solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend", _name)
 
 
 def __getattr__(name: str) -> Any:

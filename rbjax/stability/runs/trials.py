@@ -17,11 +17,11 @@ from rbjax.motion.simulate import simulate
 from rbjax.motion.term import motion
 from rbjax.motion.trajectory import Trajectory
 from rbjax.solvers import AbstractGroupSolver, RigidBodySplitting
-from rbjax.stability.march import DONE, NO_ROOT, NOT_FINITE, march
 from rbjax.stability.methods import Solver, made, stepping
-from rbjax.stability.scenes import SAMPLES, Scene, Truth, deviation, kept, truth
-from rbjax.stability.systems import Arm, Body, tumbling
-from rbjax.stability.verdicts import MOTION, Outcome, Verdict, verdict
+from rbjax.stability.runs.long_run import DONE, NO_ROOT, NOT_FINITE, long_run
+from rbjax.stability.runs.scenes import SAMPLES, Scene, Truth, deviation, kept, truth
+from rbjax.stability.runs.systems import Arm, Body, tumbling
+from rbjax.stability.runs.verdicts import MOTION, Outcome, Verdict, verdict
 
 TOLERANCE, BUDGET = 1e-6, 10_000
 
@@ -108,7 +108,8 @@ def _equally(solver: Any, scene: Scene, dtype: Any = np.float64) -> Run:
             term, args = system.term(dtype), weight
         else:
             term, args = diffrax.ODETerm(tumbling), (inertia, weight)
-    run = march(term, solver, state, scene.dt, kept, every=scene.every, samples=SAMPLES, args=args)
+    times = {"every": scene.every, "samples": SAMPLES}
+    run = long_run(term, solver, state, scene.dt, kept, **times, args=args)
     q, v = (np.asarray(x, np.float64) for x in jax.tree.leaves(run.kept))
     return Run(q, v, _ENDINGS[int(run.ending)], int(run.steps) * scene.dt)
 

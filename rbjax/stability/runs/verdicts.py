@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rbjax.errors import InputError
-from rbjax.stability.drift import trend
+from rbjax.stability.runs.drift import trend
 
 MOTION = 1e3  # sizes of the motion beyond which a state has blown up
 LOSS = 0.1  # of its size, beyond which a motion is another one

@@ -25,8 +25,8 @@ from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
 from rbjax.stability.methods import Solver, stepping
-from rbjax.stability.multistep_roots import Method, Theory, characteristic
-from rbjax.stability.regions import imaginary_limit
+from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
+from rbjax.stability.theory.regions import imaginary_limit
 
 DOUBLE = 1e-7  # a double root of modulus one is known to the root of rounding
 LOST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)

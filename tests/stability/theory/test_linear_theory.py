@@ -15,8 +15,8 @@ import pytest
 import rbjax as rb
 from rbjax import stability
 from rbjax.solvers import tableau
-from rbjax.stability.polynomials import value
-from rbjax.stability.stability_function import of_tableau
+from rbjax.stability.theory.polynomials import value
+from rbjax.stability.theory.stability_function import of_tableau
 from tests.oracles import load
 
 ORACLE = load("ode_theory")

@@ -9,7 +9,7 @@ import pytest
 import rbjax as rb
 from rbjax import stability
 from rbjax.stability import Characteristic
-from rbjax.stability.polynomials import Poly, poly, times
+from rbjax.stability.theory.polynomials import Poly, poly, times
 
 ROOTS = [Fraction(x) for x in ("-1", "-1/2", "0", "1/3", "1/2", "9/10", "1", "-3/2", "2")]
 

@@ -22,7 +22,7 @@ from rbjax import solvers
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.stability.methods import Solver, made
-from rbjax.stability.polynomials import (
+from rbjax.stability.theory.polynomials import (
     EPS,
     PRINTED,
     Poly,

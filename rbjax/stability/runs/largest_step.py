@@ -26,11 +26,11 @@ from rbjax.motion.integrators import INTEGRATORS
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
 from rbjax.solvers.dop853 import DOP853
-from rbjax.stability.linearisation import at_rest
 from rbjax.stability.methods import Solver, made, stepping
-from rbjax.stability.multistep_roots import Method, Theory, characteristic
-from rbjax.stability.oscillator import matrices_of_pair
-from rbjax.stability.regions import imaginary_limit
+from rbjax.stability.runs.linearisation import at_rest
+from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
+from rbjax.stability.theory.oscillator import matrices_of_pair
+from rbjax.stability.theory.regions import imaginary_limit
 
 #: an integrator of `rb.rollout` -> the solver that takes the same step
 ROLLOUT: dict[str, Solver] = {

@@ -25,7 +25,7 @@ import numpy as np
 from rbjax import solvers
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, made
-from rbjax.stability.polynomials import (
+from rbjax.stability.theory.polynomials import (
     DIGITS,
     EPS,
     PRINTED,
@@ -42,7 +42,7 @@ from rbjax.stability.polynomials import (
     times,
     value,
 )
-from rbjax.stability.stability_function import StabilityFunction, stability_function
+from rbjax.stability.theory.stability_function import StabilityFunction, stability_function
 
 RIM = 1e-14  # a root so far from the unit circle is on it
 

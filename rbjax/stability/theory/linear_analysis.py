@@ -11,10 +11,10 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.rosenbrock import RosenbrockW, holds
-from rbjax.stability import regions
 from rbjax.stability.methods import made
-from rbjax.stability.multistep_roots import Characteristic, Method, Theory, characteristic
-from rbjax.stability.stability_function import StabilityFunction, butcher, stability_function
+from rbjax.stability.theory import regions
+from rbjax.stability.theory.multistep_roots import Characteristic, Method, Theory, characteristic
+from rbjax.stability.theory.stability_function import StabilityFunction, butcher, stability_function
 
 VANISHES = 1e-9  # R(infinity) of coefficients that are printed to some twelve digits
 HIGHEST = 8  # order that conditions are looked at for: 115 trees of eight nodes

@@ -40,7 +40,7 @@ class March(eqx.Module):
     ending: jax.Array
 
 
-def march(
+def long_run(
     term: diffrax.AbstractTerm,
     solver: diffrax.AbstractSolver,
     y0: Any,
@@ -55,11 +55,11 @@ def march(
     y0 = as_floats(y0)
     dtype = jnp.result_type(*jax.tree.leaves(y0))
     check_times(dt, every * samples, dtype)
-    return _march(term, solver, y0, jnp.asarray(dt, dtype), keep, jnp.asarray(every), samples, args)
+    return _run(term, solver, y0, jnp.asarray(dt, dtype), keep, jnp.asarray(every), samples, args)
 
 
 @eqx.filter_jit
-def _march(term, solver, y0, dt, keep, every, samples, args) -> March:
+def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
     def sound(state):
         _, ending, _, _ = state
         return ending == DONE

@@ -33,8 +33,8 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.simulate import simulate
-from rbjax.stability.largest_step import stable_step
-from rbjax.stability.linearisation import motion_matrices
+from rbjax.stability.runs.largest_step import stable_step
+from rbjax.stability.runs.linearisation import motion_matrices
 
 TRIAL = 10.0  # seconds of motion that are run at most
 RADIANS = 5e4  # of the fastest mode in that time: a hundred thousand steps or so

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.stability.multistep_roots import Characteristic
-from rbjax.stability.polynomials import (
+from rbjax.stability.theory.multistep_roots import Characteristic
+from rbjax.stability.theory.polynomials import (
     Poly,
     between,
     chebyshev,
@@ -38,7 +38,7 @@ from rbjax.stability.polynomials import (
     times,
     value,
 )
-from rbjax.stability.stability_function import StabilityFunction, modulus_excess
+from rbjax.stability.theory.stability_function import StabilityFunction, modulus_excess
 
 Method = StabilityFunction | Characteristic
 BELOW_90 = math.nextafter(90, 0)  # 90 itself says A-stable

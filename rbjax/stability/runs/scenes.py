@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.model import State
-from rbjax.stability.march import march
-from rbjax.stability.systems import (
+from rbjax.stability.runs.long_run import long_run
+from rbjax.stability.runs.systems import (
     GRAVITY,
     Arm,
     Body,
@@ -108,7 +108,7 @@ def _reference(scene: Scene, refine: int) -> np.ndarray:
                            v2 * np.cos(q2) * s + v1 * np.sin(q2) * c, v2 * np.sin(q2)])  # fmt: skip
     else:
         args, first, second = system.coefficients(), first.cumsum(), second.cumsum()
-    run = march(
+    run = long_run(
         diffrax.ODETerm(equations), diffrax.Dopri8(), (first, second), scene.dt / refine, kept,
         every=scene.every * refine, samples=SAMPLES, args=args,
     )  # fmt: skip

@@ -31,8 +31,8 @@ from rbjax.errors import InputError
 from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
 from rbjax.motion.term import motion, unit
-from rbjax.stability.march import March, march
 from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.runs.long_run import March, long_run
 
 BLOCKS = 64  # means of a series that the slope is fitted to
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
@@ -198,4 +198,4 @@ def drift(
         raise InputError("drift: keep is None, expected what a term keeps: (t, y, args) -> arrays")
     else:
         term = system
-    return march(term, one, y0, dt, keep, every=steps // samples, samples=samples, args=args)
+    return long_run(term, one, y0, dt, keep, every=steps // samples, samples=samples, args=args)

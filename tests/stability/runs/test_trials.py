@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 import rbjax as rb
 from rbjax.stability import Arm, Body, Outcome, Truth, attempt, scenes, truth
-from rbjax.stability.scenes import SAMPLES
-from rbjax.stability.systems import spherical, tumbling
+from rbjax.stability.runs.scenes import SAMPLES
+from rbjax.stability.runs.systems import spherical, tumbling
 
 SOLVERS = rb.solvers.all()
 SCENES = scenes()

@@ -23,8 +23,8 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.term import motion
 from rbjax.solvers import rkmk
-from rbjax.stability.march import as_floats, check_times, finite
 from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.runs.long_run import as_floats, check_times, finite
 
 BLOCKS = 16  # of the run, whose means give the error of the whole
 
