@@ -491,8 +491,8 @@ plt.show()
 # ## What other libraries do at the singular points
 # At removable singularities (no turn, half a turn, a matrix in gimbal lock) there is a right
 # answer. Here is what others make of it, in f64, the worst of 500 attitudes or directions
-# (`python -m benchmarks.rotation_libraries`; manifpy was not to be had); *lock* is gimbal lock of
-# intrinsic z-y-x angles, d the distance to it in rad:
+# (`python -m benchmarks.accuracy.rotation_libraries`; manifpy was not to be had); *lock* is gimbal
+# lock of intrinsic z-y-x angles, d the distance to it in rad:
 #
 # | library | where | what it does |
 # | --- | --- | --- |

@@ -1,10 +1,10 @@
 """Every solver on every scene, on all cores and GPUs of a machine, within a deadline.
 
-`python -m benchmarks.work_queue --jobs 28 --gpus 2 --deadline 560` writes work-solvers-*.json into
+`python -m benchmarks.work.queue --jobs 28 --gpus 2 --deadline 560` writes work-solvers-*.json into
 results/ (one of the CPU, one of the GPUs), renewed every few seconds. A second call takes what the
 files there say was done on such a CPU (or those of `--resume`, wherever) and goes on with the rest.
 
-A task is (scene, solver, precision): see `benchmarks.work_solvers`. Each CPU worker has a core to
+A task is (scene, solver, precision): see `benchmarks.work.solvers`. Each CPU worker has a core to
 itself (on a machine with hyperthreads, half of one), so that times are those of one core of a busy
 machine; GPU workers compile side by side on the cores left and run one at a time on each GPU. Tasks
 go by importance: f64 before f32, the most telling solvers first; counts of evaluations last. One
@@ -30,9 +30,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.timing import RESULTS, cpu_model, save
-from benchmarks.work_scenes import SCENES
-from benchmarks.work_solvers import FIRST, IMPLICIT, MAKERS, applicable
+from benchmarks.shared.timing import RESULTS, cpu_model, save
+from benchmarks.work.scenes import SCENES
+from benchmarks.work.solvers import FIRST, IMPLICIT, MAKERS, applicable
 
 NAME = "work-solvers"
 EARLIER = ("cpu", "cores", "date", "commit", "dirty")  # what is told of runs resumed
@@ -161,7 +161,7 @@ class Worker(threading.Thread):
     def start_process(self) -> subprocess.Popen:
         with (self.folder / "log").open("a") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "benchmarks.work_solvers", str(self.folder)],
+                [sys.executable, "-m", "benchmarks.work.solvers", str(self.folder)],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, env=self.env,
             )  # fmt: skip
         os.sched_setaffinity(process.pid, self.cores)
@@ -230,7 +230,7 @@ def started(boards: list[Board], opts: argparse.Namespace, folder: Path) -> list
 def references(scenes: list[str], folder: Path) -> list[subprocess.Popen]:
     """Processes that look for where the scenes end."""
     env = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
-    command = [sys.executable, "-m", "benchmarks.work_scenes"]
+    command = [sys.executable, "-m", "benchmarks.work.scenes"]
     with (folder / "log").open("a") as log:
         return [
             subprocess.Popen([*command, s, str(folder / f"{s}.npz")], env=env, stderr=log)

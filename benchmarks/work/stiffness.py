@@ -3,7 +3,7 @@
 The springs' dampers grow with them (1 ms), so the fast modes die out and the motion that is left
 is a pendulum's; explicit methods pay for what is gone. For each stiffness: the fewest steps of a
 ladder with an error below 1e-4 after 1 s, and their time. One core, f64.
-`python -m benchmarks.work_stiffness` writes results/work-stiffness-<device>.json.
+`python -m benchmarks.work.stiffness` writes results/work-stiffness-<device>.json.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from benchmarks.robots import as_model
-from benchmarks.timing import save
-from benchmarks.work_ladder import clocked
-from benchmarks.work_scenes import SAMPLE, bare, chain, distance
+from benchmarks.shared.robots import as_model
+from benchmarks.shared.timing import save
+from benchmarks.work.ladder import clocked
+from benchmarks.work.scenes import SAMPLE, bare, chain, distance
 
 WANTED, SECONDS = 1e-4, 1.0
 RELAXATION = 1e-3  # damping over stiffness, seconds

@@ -1,20 +1,20 @@
 """Every public function under plain jit, batch 1,024, beside its fastest compiled form.
 
-`python -m benchmarks.cpu_forms`: one core, f64, Panda, default flags. Forms: plain
+`python -m benchmarks.cpu.forms`: one core, f64, Panda, default flags. Forms: plain
 `jit(vmap(f))` with the driver "auto" (what a user writes); the other driver; chunks of 240
 (`lax.map`); XLA's fusion pass off; its fusion emitters off. The figure is plain over the fastest.
 """
 
 from __future__ import annotations
 
-import benchmarks.one_core  # noqa: F401  isort: skip
+import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
 import jax
 import jax.numpy as jnp
 
 import rbjax as rb
-from benchmarks.robots import compiled, ours, states
-from benchmarks.timing import markdown_table, measure, save
+from benchmarks.shared.robots import compiled, ours, states
+from benchmarks.shared.timing import markdown_table, measure, save
 
 BATCH = 1024
 FUNCTIONS = {

@@ -1,7 +1,7 @@
 """Speed against accuracy of every solver of `rb.solvers` through `simulate`, with constant steps.
 
 A task is one solver on one scene in one precision: one program is compiled (vmapped over the batch,
-the step traced), and run at 4, 8, 16, ... steps. Rows are those of `benchmarks.work_ladder`, then
+the step traced), and run at 4, 8, 16, ... steps. Rows are those of `benchmarks.work.ladder`, then
 one "done" with the seconds that tracing and compiling took ("first_s") and the whole task.
 A motion that a solver gives up (a step's equations not solved), or that ends in no number, has an
 infinite error. On the CPU explicit solvers run on the unrolled driver; implicit ones, whose
@@ -16,7 +16,7 @@ f32 and the GPU too.
 `rigid_body_splitting` solves `RigidBody` alone: it takes part where the robot is one, the free body
 and the top, without `simulate`.
 
-This file is what `benchmarks.work_queue` runs in many processes.
+This file is what `benchmarks.work.queue` runs in many processes.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from benchmarks.gpu_timing import alone
-from benchmarks.timing import provenance
-from benchmarks.work_ladder import ON_GPU, Bench
-from benchmarks.work_scenes import prepared
+from benchmarks.shared.gpu_timing import alone
+from benchmarks.shared.timing import provenance
+from benchmarks.work.ladder import ON_GPU, Bench
+from benchmarks.work.scenes import prepared
 from rbjax.rotations import quaternion
 from rbjax.solvers import RigidBody
 

@@ -1,6 +1,6 @@
 """The two numbers that the CPU's rules rest on: where to roll, and how wide a chunk is.
 
-`python -m benchmarks.cpu_thresholds`, about three minutes: one core, f64. For serial chains of
+`python -m benchmarks.cpu.thresholds`, about three minutes: one core, f64. For serial chains of
 hinges, forward dynamics in both drivers: seconds to compile it and its gradient, and nanoseconds a
 sample in chunks of 240 (`drivers.UNROLLED_UP_TO`). For the Panda and G1, nanoseconds by the width
 of a chunk.
@@ -8,7 +8,7 @@ of a chunk.
 
 from __future__ import annotations
 
-import benchmarks.one_core  # noqa: F401  isort: skip
+import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
 import time
 import warnings
@@ -17,8 +17,8 @@ import jax
 import mujoco
 
 import rbjax as rb
-from benchmarks.robots import compiled, ours, states
-from benchmarks.timing import markdown_table, measure, save
+from benchmarks.shared.robots import compiled, ours, states
+from benchmarks.shared.timing import markdown_table, measure, save
 
 BATCH = 1024
 LENGTHS = (4, 6, 8, 10, 12, 16)

@@ -1,6 +1,6 @@
 """What force elements cost in a rollout: steps of a second, forward and by gradient.
 
-`python -m benchmarks.elements --robots quadruped humanoid` writes
+`python -m benchmarks.gpu.elements --robots quadruped humanoid` writes
 results/elements-<robot>-<device>.json: the robot alone; in a wind that a user wrote; with friction
 in all joints, stops at their ranges, and water around all bodies; with forces given as functions.
 Batch first, f32, 100 steps of semi-implicit Euler, calls in a row, blocked on the last.
@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from benchmarks.gpu_timing import timed
-from benchmarks.robots import compiled
-from benchmarks.timing import markdown_table, save
+from benchmarks.shared.gpu_timing import timed
+from benchmarks.shared.robots import compiled
+from benchmarks.shared.timing import markdown_table, save
 
 STEPS = 100
 COLUMNS = ("robot", "what", "run", "batch", "lower_s", "compile_s", "M/s median")

@@ -1,11 +1,11 @@
 """Speed against accuracy: error of a motion by computing time and by force evaluations.
 
-`python -m benchmarks.work_precision --scenes arm7 --parts ours mjx mujoco` writes
+`python -m benchmarks.work.precision --scenes arm7 --parts ours mjx mujoco` writes
 results/work-precision-<scene>-<device>.json, where it keeps what other parts found before;
-`benchmarks.work_precision_chart` draws all of them, and what `benchmarks.work_queue` wrote of the
+`benchmarks.work.precision_chart` draws all of them, and what `benchmarks.work.queue` wrote of the
 solvers of `simulate`.
 
-Rows: those of `benchmarks.work_ladder`, and "step", microseconds per robot and step at a batch.
+Rows: those of `benchmarks.work.ladder`, and "step", microseconds per robot and step at a batch.
 MJX's time for an error is its steps for that error times its fastest step, whatever the
 batch; errors are taken on the CPU, where a small sample costs less (they are the algorithm's, the
 same on a GPU). Compilation is not counted. "options": on the CPU, the seconds that both engines
@@ -27,9 +27,9 @@ import numpy as np
 from mujoco import rollout as native
 
 import rbjax as rb
-from benchmarks.timing import others, save
-from benchmarks.work_ladder import ON_GPU, PRECISIONS, Bench, clocked
-from benchmarks.work_scenes import SAMPLE, SCENES, prepared
+from benchmarks.shared.timing import others, save
+from benchmarks.work.ladder import ON_GPU, PRECISIONS, Bench, clocked
+from benchmarks.work.scenes import SAMPLE, SCENES, prepared
 from rbjax.compiling import WIDE, WITHOUT_EMITTERS, xla_accepts
 from rbjax.motion.integrators import INTEGRATORS, TABLEAUS
 from rbjax.validation.mjx import UNFUSED, mjx

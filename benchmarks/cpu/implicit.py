@@ -1,6 +1,6 @@
 """Implicit methods on robots: what compiling costs, a step, and how much of the field it takes.
 
-`python -m benchmarks.cpu_implicit [ROBOT ...] [--solvers NAME ...]`. f64, one sample, constant
+`python -m benchmarks.cpu.implicit [ROBOT ...] [--solvers NAME ...]`. f64, one sample, constant
 steps of 10 ms through `rb.simulate`, the model an argument. Compiling is in seconds of CPU, which a
 busy machine leaves as they are; both that and a step also under `rb.compiler_options()`.
 Evaluations are counted by the control, which every evaluation of the vector field asks; a Jacobian
@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from benchmarks.robots import NAMES, ours
-from benchmarks.timing import markdown_table, measure, save
+from benchmarks.shared.robots import NAMES, ours
+from benchmarks.shared.timing import markdown_table, measure, save
 
 jax.config.update("jax_enable_x64", True)
 

@@ -1,6 +1,6 @@
 """Timing where processes share one accelerator: they compile side by side, run one at a time.
 
-Each benchmark is one call: `python -m benchmarks.gpu_forward [--robots ...]`.
+Each benchmark is one call: `python -m benchmarks.gpu.threads [--robots ...]`.
 A row holds lower, compile and run seconds (`timing.measure`) and millions a second.
 """
 
@@ -19,8 +19,8 @@ from typing import Any
 
 import jax
 
-from benchmarks.robots import ALL
-from benchmarks.timing import markdown_table, measure, save
+from benchmarks.shared.robots import ALL
+from benchmarks.shared.timing import markdown_table, measure, save
 
 LOCK = Path(os.environ.get("RBJAX_GPU_LOCK", "/tmp/rbjax-gpu.lock"))
 COLUMNS = ("what", "robot", "engine", "batch", "lower_s", "compile_s", "run_s", "M/s median", "M/s")

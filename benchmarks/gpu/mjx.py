@@ -1,6 +1,6 @@
 """MJX (and frax) on an accelerator: forward dynamics, steps in a rollout, gradients of a rollout.
 
-`python -m benchmarks.gpu_mjx --robots panda` writes results/gpu-mjx-<robot>-<device>.json.
+`python -m benchmarks.gpu.mjx --robots panda` writes results/gpu-mjx-<robot>-<device>.json.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from mujoco import mjx
 
-from benchmarks.gpu_timing import finish, options, timed
-from benchmarks.robots import actuated, batch, exact, relative
+from benchmarks.shared.gpu_timing import finish, options, timed
+from benchmarks.shared.robots import actuated, batch, exact, relative
 
 STEPS = 100
 #: batches around each figure's best

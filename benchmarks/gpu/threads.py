@@ -1,6 +1,6 @@
 """What a user calls on a GPU, one sample a thread: batch first, `jax.vmap` of the public name.
 
-`python -m benchmarks.gpu_threads --robots panda --parts forward rollout` writes
+`python -m benchmarks.gpu.threads --robots panda --parts forward rollout` writes
 results/gpu-threads-<robot>-<device>.json, and keeps the parts that it does not renew.
 Rates are of calls in a row, blocked on the last. A gradient's error is against central differences
 of the rollout in f64 on the same device, of 20 steps, along random directions.
@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from benchmarks.gpu_timing import COLUMNS, timed
-from benchmarks.robots import ALL, actuated, as_model, batch, exact, relative
-from benchmarks.timing import markdown_table, others, save
+from benchmarks.shared.gpu_timing import COLUMNS, timed
+from benchmarks.shared.robots import ALL, actuated, as_model, batch, exact, relative
+from benchmarks.shared.timing import markdown_table, others, save
 
 MILLION, MANY, STEPS, WIDTH = 1_048_576, 65_536, 100, 128
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import jax
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 
 # A cached program would be reported as compiled in no time.
 jax.config.update("jax_enable_compilation_cache", False)

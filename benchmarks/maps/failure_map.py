@@ -1,11 +1,11 @@
 """Which solver fails where, and how: every solver of the registry on scenes built to break it.
 
-`python -m benchmarks.failure_map [--jobs N] [--only rk4,bdf2]`, or `make failure-map`: each cell
-is the verdict of `rb.stability.attempt`, the largest error or the way of failing. A solver's scenes
-share its compiled programs, which take nearly all of the time; with several jobs each process
-takes a solver at a time. With `--only` the rest of the map stays as the last run left it. Written
-to results/ and docs/failure_map.png. Nothing is timed here; the whole map took 20 minutes of a core
-that others shared.
+`python -m benchmarks.maps.failure_map [--jobs N] [--only rk4,bdf2]`, or `make failure-map`: each
+cell is the verdict of `rb.stability.attempt`, the largest error or the way of failing. A solver's
+scenes share its compiled programs, which take nearly all of the time; with several jobs each
+process takes a solver at a time. With `--only` the rest of the map stays as the last run left it.
+Written to results/ and docs/failure_map.png. Nothing is timed here; the whole map took 20 minutes
+of a core that others shared.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Patch, Rectangle
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from benchmarks.timing import save
+from benchmarks.shared.timing import RESULTS, save
 from rbjax import solvers
 from rbjax.plotting import INK, STYLE
 from rbjax.stability import Outcome, Truth, Verdict, attempt, scenes, truth
 
-PICTURE = Path(__file__).parents[1] / "docs" / "failure_map.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "failure_map.png"
 NAME = "failure-map"
 MARGIN = 100  # an error within so many errors of the truth is shown as that
 #: outcome -> letter, colour
@@ -80,7 +80,7 @@ def cell(found: Verdict) -> dict[str, Any]:
 def last_rows() -> dict[str, dict[str, Any]]:
     """Solver -> its row, of the results that are there."""
     rows: dict[str, dict[str, Any]] = {}
-    for path in sorted((Path(__file__).parent / "results").glob(f"{NAME}-*.json")):
+    for path in sorted(RESULTS.glob(f"{NAME}-*.json")):
         rows |= {r["solver"]: r for r in json.loads(path.read_text())["rows"] if "solver" in r}
     return rows
 

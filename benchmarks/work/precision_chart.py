@@ -1,6 +1,6 @@
 """Tables and pictures of the speed-accuracy benchmarks.
 
-`python -m benchmarks.work_precision_chart [folders]` reads work-*.json from benchmarks/results (and
+`python -m benchmarks.work.precision_chart [folders]` reads work-*.json from benchmarks/results (and
 other folders) and writes docs/work-precision.md with docs/work-precision-<what>.png.
 """
 
@@ -14,11 +14,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.timing import RESULTS, markdown_table
-from benchmarks.work_lines import CPU, DOCS, GPU, WANTED, Rows, at, lines, read, visible
-from benchmarks.work_scenes import SCENES
-from benchmarks.work_solvers import MAKERS
-from benchmarks.work_solvers_chart import gaps, solver_pictures, solver_tables
+from benchmarks.shared.timing import RESULTS, markdown_table
+from benchmarks.work.lines import CPU, DOCS, GPU, WANTED, Rows, at, lines, read, visible
+from benchmarks.work.scenes import SCENES
+from benchmarks.work.solvers import MAKERS
+from benchmarks.work.solvers_chart import gaps, solver_pictures, solver_tables
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
 
@@ -156,7 +156,7 @@ TEXT = """# Speed against accuracy
 Microseconds of computing per robot and simulated second for an error of {wanted:g}, each engine at
 its fastest batch, precision and integrator; one core of the CPU, and the H200. The scenes, the
 distance of two states and the references (closed forms or runs whose own error is bounded below
-1e-11) are in `benchmarks/work_scenes.py`; `make bench-work-precision` measures and draws.
+1e-11) are in `benchmarks/work/scenes.py`; `make bench-work-precision` measures and draws.
 
 {table}
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.timing import RESULTS
-from benchmarks.work_scenes import SCENES
+from benchmarks.shared.timing import RESULTS
+from benchmarks.work.scenes import SCENES
 
 DOCS = RESULTS.parents[1] / "docs"
 WANTED = 1e-6

@@ -1,12 +1,12 @@
 """Which representation of attitude fails where: the error after a tumble, over the first attitude.
 
-`python -m benchmarks.tumbling_map`, some minutes on one core: a free body turns at half a rad/s for
-10 s, from attitudes on a disc of rotation vectors phi = (phi_x, phi_y, 0), |phi| <= pi: the
-identity is its centre, half turns are its rim. Its attitude follows in each representation,
-x' = E^-1(x) omega beside Euler's equations of omega, and some whole formulations of the body with
-it, all in the same 100 steps of Dormand-Prince 8. Free motion is the same from every attitude,
-R(t) = R(0) S(t), so that one S, by quaternions at a tenth of the step, is the truth for all. Beside
-the error stands how near the motion came to the singularity. Written to results/ and
+`python -m benchmarks.maps.tumbling_map`, some minutes on one core: a free body turns at half a
+rad/s for 10 s, from attitudes on a disc of rotation vectors phi = (phi_x, phi_y, 0), |phi| <= pi:
+the identity is its centre, half turns are its rim. Its attitude follows in each representation, x'
+= E^-1(x) omega beside Euler's equations of omega, and some whole formulations of the body with it,
+all in the same 100 steps of Dormand-Prince 8. Free motion is the same from every attitude, R(t) =
+R(0) S(t), so that one S, by quaternions at a tenth of the step, is the truth for all. Beside the
+error stands how near the motion came to the singularity. Written to results/ and
 docs/tumbling_map.png.
 """
 
@@ -25,14 +25,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Circle
 
-from benchmarks.timing import markdown_table, save
+from benchmarks.shared.timing import markdown_table, save
 from rbjax import body, spatial
 from rbjax.body import Formulation, formulation
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 from rbjax.rotations import quaternion, representations, se3
 from rbjax.rotations.representation import Representation
 
-PICTURE = Path(__file__).parents[1] / "docs" / "tumbling_map.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "tumbling_map.png"
 SECONDS, STEP, ACROSS = 10.0, 0.1, 33
 OFF = 1e-3  # of the grid, so that no motion starts right at a singularity
 GOOD = 1e-10  # what the representations agree to where they hold

@@ -1,6 +1,6 @@
 """A batch spread over all GPUs against the same share of it on one: rollouts, gradients.
 
-`python -m benchmarks.gpu_sharded --robots humanoid` writes
+`python -m benchmarks.gpu.sharded --robots humanoid` writes
 results/gpu-sharded-<robot>-<device>.json. Twice the samples on two GPUs: the ideal is 2x.
 """
 
@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from benchmarks.gpu_threads import MANY, STEPS, Case, heavier
-from benchmarks.gpu_timing import finish, options, timed
+from benchmarks.gpu.threads import MANY, STEPS, Case, heavier
+from benchmarks.shared.gpu_timing import finish, options, timed
 
 
 def bench(name: str) -> list[dict]:

@@ -1,6 +1,6 @@
 """Rotations beside scipy's `Rotation`, a batch of a million: on one core and on all, f64 and f32.
 
-`python -m benchmarks.cpu_rotations`: what both have, `jit` of ours on batch-first arrays, with the
+`python -m benchmarks.cpu.rotations`: what both have, `jit` of ours on batch-first arrays, with the
 option that a call which stands alone has, against scipy's method; run time only, the least of many,
 ours and scipy's by turns. First a process pinned to one core, then one with all cores and XLA's own
 threads (scipy uses one core whatever there is, and f64 alone); then both again with ours in f32,
@@ -40,7 +40,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from benchmarks.timing import markdown_table, save
+from benchmarks.shared.timing import markdown_table, save
 from rbjax.compiling import wide_vectors
 from rbjax.rotations import quaternion, representations
 
@@ -136,7 +136,7 @@ def main() -> None:
     found = []
     for dtype in ("f64", "f32"):
         for cores in ("one", "all"):
-            command = [sys.executable, "-m", "benchmarks.cpu_rotations", cores, dtype]
+            command = [sys.executable, "-m", "benchmarks.cpu.rotations", cores, dtype]
             done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
             found += json.loads(done.stdout.splitlines()[-1])
     print(markdown_table(found, found[-1]))

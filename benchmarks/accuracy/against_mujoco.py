@@ -1,9 +1,9 @@
 """Relative error against MuJoCo C (f64) over the whole test list, f64 and f32, ours and MJX's.
 
-`python -m benchmarks.accuracy`: 100 random states of every loadable model and of 50 random trees;
-FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max |theirs| of one
-state; the tables give the largest over quantities and states (f64), and the median and largest
-(f32). MJX's f32 forward dynamics stands beside on the robots of the figures.
+`python -m benchmarks.accuracy.against_mujoco`: 100 random states of every loadable model and of 50
+random trees; FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max
+|theirs| of one state; the tables give the largest over quantities and states (f64), and the median
+and largest (f32). MJX's f32 forward dynamics stands beside on the robots of the figures.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from mujoco import mjx
 from rich.progress import track
 
 import rbjax as rb
-from benchmarks.robots import NAMES, states
-from benchmarks.timing import markdown_table, save
+from benchmarks.shared.robots import NAMES, states
+from benchmarks.shared.timing import markdown_table, save
 from tests.oracles.models import MODELS, SINGULAR, switch_off_constraints
 from tests.oracles.random_trees import random_tree
 

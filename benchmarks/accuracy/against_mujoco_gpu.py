@@ -1,8 +1,8 @@
 """f32 forward dynamics of rbjax and of MJX against MuJoCo C in f64, model by model.
 
-`python -m benchmarks.gpu_accuracy --processes 8 --limit 400`: 100 random states of every loadable
-model of the test list, springs, dampers and actuators off. MJX on models of up to 40 velocities.
-Writes results/gpu-accuracy-<device>.json with what is done after `--limit` seconds.
+`python -m benchmarks.accuracy.against_mujoco_gpu --processes 8 --limit 400`: 100 random states of
+every loadable model of the test list, springs, dampers and actuators off. MJX on models of up to 40
+velocities. Writes results/gpu-accuracy-<device>.json with what is done after `--limit` seconds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from benchmarks.timing import markdown_table, save
+from benchmarks.shared.timing import markdown_table, save
 
 COUNT = 100
 ENGINES, WHAT = ("rbjax", "MJX"), ("median", "max")
@@ -28,7 +28,7 @@ def errors(name: str) -> dict:
     from mujoco import mjx
 
     import rbjax as rb
-    from benchmarks.robots import as_model, relative, states
+    from benchmarks.shared.robots import as_model, relative, states
     from tests.oracles.models import MODELS, switch_off_constraints
 
     m = MODELS[name].load()

@@ -1,4 +1,4 @@
-"""`sincos` beside XLA's own sine and cosine on one CPU core: `python -m benchmarks.cpu_sincos`.
+"""`sincos` beside XLA's own sine and cosine on one CPU core: `python -m benchmarks.cpu.sincos`.
 
 Nanoseconds for a pair, of random angles of a few turns in an array that fits the cache and passes a
 barrier, as in the algorithms; the largest distance of both from NumPy's (in f32, from f64).
@@ -6,14 +6,14 @@ barrier, as in the algorithms; the largest distance of both from NumPy's (in f32
 
 from __future__ import annotations
 
-import benchmarks.one_core  # noqa: F401  isort: skip
+import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from benchmarks.timing import markdown_table, measure, save
+from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.lanes import fusion_barrier, sincos
 
 COUNT = 16_384

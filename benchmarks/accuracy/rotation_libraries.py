@@ -1,9 +1,9 @@
 """What other libraries do at and near the singular points of rotations, and what ours does, in f64.
 
-`python -m benchmarks.rotation_libraries`, after `pip install jaxlie pytransform3d`; a library that
-is not there is left out. Errors are the worst of 500 samples with fixed seeds. Attitudes are
-compared with what they came from, derivatives with ours, which the tests hold to a hundred digits.
-Written to results/; the notebook tumbling_body quotes it.
+`python -m benchmarks.accuracy.rotation_libraries`, after `pip install jaxlie pytransform3d`; a
+library that is not there is left out. Errors are the worst of 500 samples with fixed seeds.
+Attitudes are compared with what they came from, derivatives with ours, which the tests hold to a
+hundred digits. Written to results/; the notebook tumbling_body quotes it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.timing import markdown_table, save
+from benchmarks.shared.timing import markdown_table, save
 from rbjax.rotations import quaternion, representations, se3, so3
 
 Array = np.ndarray

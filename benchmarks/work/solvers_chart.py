@@ -1,4 +1,4 @@
-"""Pictures and tables of all solvers through `simulate`, by family; `work_precision_chart` asks."""
+"""Pictures and tables of all solvers through `simulate`, by family; `precision_chart` asks."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import NullFormatter
 
-from benchmarks.timing import markdown_table
-from benchmarks.work_lines import CPU, DOCS, GPU, WANTED, Rows, at, lines, visible
-from benchmarks.work_scenes import SCENES
+from benchmarks.shared.timing import markdown_table
+from benchmarks.work.lines import CPU, DOCS, GPU, WANTED, Rows, at, lines, visible
+from benchmarks.work.scenes import SCENES
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
 #: family -> colour and the beginnings of its solvers' names

@@ -1,6 +1,6 @@
 """Compile time of forward dynamics on the CPU, ours over MJX's: trace, lower and compile.
 
-`python -m benchmarks.cpu_compile [ROBOT ...] [--limit SECONDS]`. f32, batch 1,024, default flags,
+`python -m benchmarks.cpu.compile [ROBOT ...] [--limit SECONDS]`. f32, batch 1,024, default flags,
 model an argument in both; one result file a robot. MJX takes minutes a robot, so each engine is a
 process of its own that ends after `--limit` seconds.
 """
@@ -18,8 +18,8 @@ import mujoco
 from mujoco import mjx
 
 import rbjax as rb
-from benchmarks.robots import ALL, compiled, ours, states
-from benchmarks.timing import markdown_table, save
+from benchmarks.shared.robots import ALL, compiled, ours, states
+from benchmarks.shared.timing import markdown_table, save
 
 BATCH = 1024
 

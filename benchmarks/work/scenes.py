@@ -29,7 +29,7 @@ import numpy as np
 from scipy.special import ellipj, ellipkinc
 
 import rbjax as rb
-from benchmarks.robots import as_model
+from benchmarks.shared.robots import as_model
 from rbjax.validation.reference import smooth
 
 FOLDER = Path(rb.loading.__file__).parent / "scenes"
@@ -163,7 +163,7 @@ def reference_by_cpu(name: str) -> tuple[Array, Array, float]:
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/end.npz"
         here = {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
-        command = [sys.executable, "-m", "benchmarks.work_scenes", name, path]
+        command = [sys.executable, "-m", "benchmarks.work.scenes", name, path]
         subprocess.run(command, check=True, env=os.environ | here)
         with np.load(path) as end:
             return end["q"], end["v"], float(end["bound"])

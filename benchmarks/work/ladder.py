@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.gpu_timing import alone
-from benchmarks.work_scenes import (
+from benchmarks.shared.gpu_timing import alone
+from benchmarks.work.scenes import (
     SAMPLE,
     SCENES,
     distance,

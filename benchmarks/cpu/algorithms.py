@@ -1,12 +1,12 @@
 """Forward dynamics, RNEA and CRBA on one CPU core, f64, beside Pinocchio and MuJoCo C.
 
-`python -m benchmarks.cpu_algorithms` pins itself to one core. Ours runs as a user would run it:
+`python -m benchmarks.cpu.algorithms` pins itself to one core. Ours runs as a user would run it:
 `jax.vmap` under plain jit, the model closed over; G1 rolls by itself, and unrolled where asked.
 """
 
 from __future__ import annotations
 
-import benchmarks.one_core  # noqa: F401  isort: skip
+import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
 import time
 
@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 import rbjax as rb
-from benchmarks.robots import NAMES, compiled, ours, states
-from benchmarks.timing import markdown_table, measure, save
+from benchmarks.shared.robots import NAMES, compiled, ours, states
+from benchmarks.shared.timing import markdown_table, measure, save
 from tests.oracles.models import MODELS
 
 BATCH = 4096
