@@ -137,5 +137,7 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
     ):
         with pytest.raises(rb.InputError, match=words):
             rb.solvers.recommend(model, start, accuracy)
-    with pytest.raises(AttributeError, match="no attribute 'recommended'"):
-        rb.solvers.recommended  # noqa: B018
+    for room in (rb.solvers, rb.stability):
+        assert room.recommend is rb.recommend.recommend
+        with pytest.raises(AttributeError, match="no attribute 'recommended'"):
+            room.recommended  # noqa: B018

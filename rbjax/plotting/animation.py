@@ -103,7 +103,9 @@ def animate(
         write(path, _counted(pictures, len(ts), progress), fps)
         return path
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True, force_jupyter=False)
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
         task = bar.add_task(f"drawing {path.name}", total=len(ts))
         say = lambda done, total: bar.update(task, completed=done)  # noqa: E731
         write(path, _counted(pictures, len(ts), say), fps)

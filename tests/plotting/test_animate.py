@@ -87,6 +87,12 @@ def test_the_script_of_a_page_draws(tmp_path: Path) -> None:
     assert found["finite"]
 
 
+def test_it_is_silent_where_nobody_looks_on(tmp_path: Path, capfd) -> None:
+    model, run = swing(steps=5)
+    rb.plotting.animate(model, run, tmp_path / "a.gif", size=(80, 60))
+    assert "".join(capfd.readouterr()).strip() == ""
+
+
 def test_a_batch_shows_so_many_samples(tmp_path: Path) -> None:
     model, run = swing(batch=4)
     assert data_of(rb.plotting.animate(model, run, tmp_path / "a.html"))["samples"] == 4
