@@ -47,23 +47,23 @@ types: $(STAMP) ## mypy
 demo: $(STAMP) ## the main job on bundled scenes; pictures and a report in ./rbjax-demo/
 	$(BIN)/rbjax demo
 
-# gpu_* want an NVIDIA GPU and are left out where there is none
-BENCHES = $(basename $(notdir $(wildcard benchmarks/cpu_*.py benchmarks/accuracy.py))) \
-  $(if $(shell command -v nvidia-smi),gpu_mjx gpu_threads)
+# gpu/ wants an NVIDIA GPU and is left out where there is none
+BENCHES = $(subst /,.,$(basename $(wildcard benchmarks/cpu/*.py) benchmarks/accuracy/against_mujoco.py \
+  $(if $(shell command -v nvidia-smi),benchmarks/gpu/mjx.py benchmarks/gpu/threads.py)))
 
 bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
 	@for script in $(BENCHES); do \
-	  echo "benchmarks/$$script.py"; $(BIN)/python -m benchmarks.$$script || exit 1; \
+	  echo "$$script"; $(BIN)/python -m $$script || exit 1; \
 	done
 
 failure-map: $(STAMP) ## every solver on scenes built to break it; docs/failure_map.png
-	$(BIN)/python -m benchmarks.failure_map
+	$(BIN)/python -m benchmarks.maps.failure_map
 
 bench-work-precision: $(STAMP) ## error against time, here, hours; tables, and pictures in docs/
-	$(BIN)/python -m benchmarks.work_precision
-	$(BIN)/python -m benchmarks.work_queue
-	$(BIN)/python -m benchmarks.work_stiffness
-	$(BIN)/python -m benchmarks.work_precision_chart
+	$(BIN)/python -m benchmarks.work.precision
+	$(BIN)/python -m benchmarks.work.queue
+	$(BIN)/python -m benchmarks.work.stiffness
+	$(BIN)/python -m benchmarks.work.precision_chart
 
 notebooks: $(patsubst %.py,%.ipynb,$(wildcard notebooks/*.py)) ## execute every notebook anew
 

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
 from rbjax import body, spatial
-from rbjax.plotting import INK, PALETTE, STYLE, Camera, Solid, draw
+from rbjax.plotting import INK, PALETTE, STYLE, Camera, Solid, draw_solids
 from rbjax.rotations import incremental, quaternion, representations, se3, so3
 
 jax.config.update("jax_enable_x64", True)
@@ -380,7 +380,8 @@ figure, (above, below) = plt.subplots(
 camera, spacing = Camera(azimuth=-90, elevation=14), 0.58  # metres of picture a second
 for k, i in enumerate(range(7, 300, 15)):
     place = camera.axes[0] * spacing * ts[i]
-    draw(above, shape, T[i, :3, :3][None], place[None], camera=camera, shadow=False, zorder=2 + k)
+    R, style = T[i, :3, :3][None], {"camera": camera, "shadow": False, "zorder": 2 + k}
+    draw_solids(above, shape, R, place[None], **style)
 above.set(xlim=(0, spacing * ts[-1]), ylim=(-0.11, 0.11), aspect="equal")
 above.axis("off")
 for k, name, colour in ((middle, "stem (intermediate)", BLUE), (least, "grip (least)", ORANGE),
@@ -490,8 +491,8 @@ plt.show()
 # ## What other libraries do at the singular points
 # At removable singularities (no turn, half a turn, a matrix in gimbal lock) there is a right
 # answer. Here is what others make of it, in f64, the worst of 500 attitudes or directions
-# (`python -m benchmarks.rotation_libraries`; manifpy was not to be had); *lock* is gimbal lock of
-# intrinsic z-y-x angles, d the distance to it in rad:
+# (`python -m benchmarks.accuracy.rotation_libraries`; manifpy was not to be had); *lock* is gimbal
+# lock of intrinsic z-y-x angles, d the distance to it in rad:
 #
 # | library | where | what it does |
 # | --- | --- | --- |

@@ -4,6 +4,7 @@ A robot file goes in; fast, accurate, differentiable motion comes out, in a batc
 million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
+import functools
 import importlib
 from typing import Any
 
@@ -50,11 +51,22 @@ from rbjax.threads import threads
 __version__ = "0.1.0"
 
 
+def _of(module: str, name: str) -> Any:
+    """A name of a module that is imported when it is asked for."""
+    return getattr(importlib.import_module(module), name)
+
+
+# Rooms that are looked for below where they stand: solvers and stability answer to these names.
+for _name in ("recommend", "Recommendation"):
+    solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend", _name)
+
+
 def __getattr__(name: str) -> Any:
     """Rooms that come when they are asked for, for what they import: `validation` MJX, which takes
-    seconds, `stability` SciPy's integrators and mpmath, which take as long as a third of the rest.
+    seconds, `plotting` matplotlib, `stability` SciPy's integrators and mpmath, which take as long
+    as a third of the rest.
     """
-    if name in ("stability", "validation"):
+    if name in ("plotting", "stability", "validation"):
         return importlib.import_module(f"rbjax.{name}")
     raise AttributeError(f"module 'rbjax' has no attribute {name!r}")
 
@@ -100,6 +112,7 @@ __all__ = [
     "load",
     "mass_matrix",
     "operation_count",
+    "plotting",
     "potential_energy",
     "rollout",
     "rotations",

@@ -170,12 +170,18 @@ def simulate(
     keyframe: Annotated[str | None, typer.Option(help="Start from this state of the file.")] = None,
     save: Annotated[Path | None, typer.Option("--out", help="Write ts, q, v to this .npz.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw to this .png.")] = None,
+    video: Annotated[Path | None, typer.Option(help="Animate to .gif, .html or .mp4.")] = None,
+    fps: Annotated[float, typer.Option(help="Frames a second of the video.")] = 25.0,
     as_json: AsJson = False,
     floating_base: Floating = False,
 ) -> None:
     """Let a robot move, without controls but a keyframe's own."""
-    with _session(), _progress() as (say, _):
+    with _session(), _progress() as (say, advance):
         model = rb.load(file, floating_base=floating_base)
+        if video is not None:
+            from rbjax.plotting.animation import writable
+
+            writable(video)
         say("compiling and simulating")
         path = _simulate(model, seconds, solver, dt, keyframe)
         arrays: dict[str, Any] = {n: np.asarray(getattr(path, n)) for n in ("ts", "q", "v")}
@@ -183,7 +189,13 @@ def simulate(
             np.savez(save, **arrays)
         if plot is not None:
             say("drawing")
-            _plot(plot, file, model, arrays)
+            _plot(plot, file, model, arrays, floating_base)
+        if video is not None:
+            say(f"drawing {video.name}")
+            rb.plotting.animate(
+                model, path, video, source=file, floating_base=floating_base, fps=fps,
+                title=Path(file).stem, progress=lambda done, total: advance(1.0, total),
+            )  # fmt: skip
         energy = [
             float(rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q))
             for q, v in ((path.q[0], path.v[0]), (path.q[-1], path.v[-1]))
@@ -220,7 +232,9 @@ def _simulate(
     return rb.simulate(model, state, ts, lambda t, state: ctrl, solver=solvers[solver](), dt0=dt)
 
 
-def _plot(path: Path, file: str, model: Model, arrays: dict[str, np.ndarray]) -> None:
+def _plot(
+    path: Path, file: str, model: Model, arrays: dict[str, np.ndarray], floating_base: bool
+) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -233,7 +247,7 @@ def _plot(path: Path, file: str, model: Model, arrays: dict[str, np.ndarray]) ->
         grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.3))
         ax = figure.add_subplot(grid[:, 0])
         moments = np.linspace(0, len(arrays["ts"]) - 1, 7).astype(int)
-        strobe(ax, file, model, arrays["q"][moments])
+        strobe(ax, file, model, arrays["q"][moments], floating_base=floating_base)
         ax.set_title(Path(file).stem)
         axes = [figure.add_subplot(grid[i, 1]) for i in range(2)]
         names = model.joint_names if model.nq == len(model.joint_names) else ()

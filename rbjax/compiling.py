@@ -21,7 +21,7 @@ WITHOUT_EMITTERS = ("xla_cpu_use_fusion_emitters", False)
 
 
 @functools.cache
-def takes(option: str, value: Any) -> bool:
+def xla_accepts(option: str, value: Any) -> bool:
     """Whether this jaxlib's compiler knows an option: jaxlibs come and go with them."""
     try:
         jax.jit(lambda x: x + 1, compiler_options={option: value}).lower(1.0).compile()
@@ -63,7 +63,7 @@ def wide_vectors() -> dict[str, Any]:
 def _known(*options: tuple[str, Any]) -> dict[str, Any]:
     if jax.default_backend() != "cpu":
         return {}
-    return dict(option for option in options if takes(*option))
+    return dict(option for option in options if xla_accepts(*option))
 
 
 def alone() -> bool:

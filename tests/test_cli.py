@@ -75,6 +75,15 @@ def test_simulate_writes_files(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("suffix", ["gif", "html"])
+def test_simulate_writes_a_video(suffix: str, tmp_path: Path) -> None:
+    video = tmp_path / f"swing.{suffix}"
+    args = ("--seconds", "0.2", "--dt", "0.01", "--fps", "20", "--video", str(video), "--json")
+    found = json.loads(run("simulate", "pendulum", "--solver", "rk4", *args).stdout)
+    assert found["states"] == 21
+    assert video.read_bytes().startswith(b"GIF89a" if suffix == "gif" else b"<!doctype html>")
+
+
 @pytest.mark.parametrize(
     ("args", "says"),
     [
@@ -82,6 +91,7 @@ def test_simulate_writes_files(tmp_path: Path) -> None:
         (("info", "nowhere.xml"), "no such file"),
         (("simulate", "pendulum", "--solver", "magic"), "expected one of tsit5"),
         (("simulate", "pendulum", "--keyframe", "magic"), "unknown keyframe 'magic'"),
+        (("simulate", "pendulum", "--video", "swing.avi"), "ends in .gif, .mp4, .html"),
         (("validate", "nothing"), "unknown scene"),
     ],
 )

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.compiling import takes
+from rbjax.compiling import xla_accepts
 from rbjax.dynamics.unrolled import Unrolled
 from tests.tolerances import F64_ROUNDING
 
 
 def test_every_option_is_known_and_an_unknown_one_is_told() -> None:
     options = rb.compiler_options()
-    assert options and all(takes(name, value) for name, value in options.items())
-    assert not takes("xla_cpu_no_such_option", True)
+    assert options and all(xla_accepts(name, value) for name, value in options.items())
+    assert not xla_accepts("xla_cpu_no_such_option", True)
 
 
 def rolled(model, start):

@@ -1,4 +1,4 @@
-"""The examples of the guides run as they stand, each page from top to bottom."""
+"""The guides: examples run as they stand, page by page, and what commands name is there."""
 
 import re
 from pathlib import Path
@@ -16,3 +16,18 @@ def test_examples_run(page):
     scope: dict = {}
     for block in blocks:
         exec(compile(block, page, "exec"), scope)
+
+
+def test_benchmarks_that_are_named_exist():
+    root = Path(__file__).parents[1]
+    pages = [root / "Makefile", *root.glob("*.md"), *root.glob("docs/*.md")]
+    for folder in ("benchmarks", "notebooks", "rbjax", "tests"):
+        pages += (root / folder).rglob("*.py")
+    named = {
+        (page.relative_to(root), name.replace(".", "/"))
+        for page in pages
+        for name in re.findall(r"-m (benchmarks(?:\.[a-z_]+)+)", page.read_text())
+    }
+    assert len(named) > 20
+    missing = [(page, name) for page, name in named if not (root / f"{name}.py").exists()]
+    assert not missing

@@ -30,8 +30,9 @@ FLOORS = {
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "motion")  # noqa: SIM905
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
-# rb.solvers.recommend runs motions to choose a solver, and answers to its name from above, lazily.
-UPWARDS = {("solvers/__init__", "rbjax.stability.recommend.recommend")}
+FLOORS |= {"recommend": "stability"}  # runs motions to choose a solver
+# Inside a room: what the first folder holds knows nothing of the second.
+STOREYS = {"stability/theory/": "rbjax.stability.runs"}
 TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" is __init__.py
 GUESTS = {  # packages that only some files may import
     "mujoco": ("loading/", "validation/", "plotting", "cli"),
@@ -72,8 +73,9 @@ def allowed(path: Path, name: str) -> bool:
         if f"{name}.".startswith(f"{guest}."):
             return file.startswith(hosts)
     here, there = room_of(".".join(path.relative_to(ROOT).with_suffix("").parts)), room_of(name)
-    if (file.removesuffix(".py"), name) in UPWARDS:
-        return True
+    for below_it, above_it in STOREYS.items():
+        if file.startswith(below_it) and f"{name}.".startswith(f"{above_it}."):
+            return False
     if here in TOP or not f"{name}.".startswith("rbjax."):
         return True
     return there == here or there in below(here) or (here, there) in PEERS

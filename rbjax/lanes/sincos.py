@@ -1,7 +1,7 @@
 """Cosine and sine by polynomials.
 
 XLA's own sine and cosine are scalar calls on the CPU and cost there three times as much in f32, ten
-in f64 (benchmarks/cpu_sincos.py). Where XLA's fusion emitters leave a loop of many results scalar,
+in f64 (benchmarks/cpu/sincos.py). Where XLA's fusion emitters leave a loop of many results scalar,
 f32 algorithms of an arm take 1.2 times as long with the polynomials, those of G1 0.6 to 0.8
 (cpu_algorithms); without the emitters all are faster.
 """

@@ -48,7 +48,7 @@ def unit(top: Topology, q: jax.Array) -> jax.Array:
     return q
 
 
-class Motion(eqx.Module):
+class VectorField(eqx.Module):
     """The vector field of a robot under its own forces and inputs, for diffrax.
 
     model: of diffrax' args, which hold what is traced of it; what is known stays known. start: the
@@ -121,10 +121,10 @@ def motion(
     """The term of a robot's motion that a solver takes, and where it starts: solvers on groups move
     along the manifold, from quaternions of unit length. The term's args hold the model."""
     if not isinstance(solver, AbstractGroupSolver):
-        return diffrax.ODETerm(Motion(inputs, of_args, law, start)), state
+        return diffrax.ODETerm(VectorField(inputs, of_args, law, start)), state
     top = model.topology
     check_takes_robots(solver)
-    field = Motion(inputs, of_args, law, start, tangent=True)
+    field = VectorField(inputs, of_args, law, start, tangent=True)
     term = OnGroup(field, Manifold(top), Momentum(of_args))
     return term, State(unit(top, state.q), state.v, state.x)
 

@@ -107,13 +107,13 @@ def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:
         raise InputError(f"{where}: the last row of {name} is not (0, 0, 0, 1), expected a pose")
 
 
-def unpack(x: jax.Array, axes: int = 1) -> list[jax.Array]:
+def entries(x: jax.Array, axes: int = 1) -> list[jax.Array]:
     """The entries of the last axes, row by row, each an array over the leading axes."""
     flat = x.reshape(*x.shape[: x.ndim - axes], -1)
     return [flat[..., i] for i in range(flat.shape[-1])]
 
 
-def pack(values: Iterable[Any], *shape: int) -> jax.Array:
+def stacked(values: Iterable[Any], *shape: int) -> jax.Array:
     """Lanes, row by row, as one array (..., *shape); by default a vector. An array stays as it is.
 
     Few lanes are chosen among by index, axis by axis: XLA's CPU compiler unrolls that into one loop

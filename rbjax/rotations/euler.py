@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, add, mul, neg, sincos, sub
-from rbjax.rotations.arguments import pack
+from rbjax.rotations.arguments import stacked
 from rbjax.rotations.coefficients import angle, away_from_zero, length, where
 
 AXES = "xyz"
@@ -80,7 +80,7 @@ class EulerAngles:
         factor, shift = [1.0, 2.0, 1.0], [0.0, 0.0, 0.0]
         if not self.proper:
             factor, shift[1] = [1.0, 2 * sign, -1.0], -sign * jnp.pi / 2
-        out = angle(pack(self._ordered(sine)), pack(self._ordered(cosine)))
+        out = angle(stacked(self._ordered(sine)), stacked(self._ordered(cosine)))
         factor, shift = self._ordered(factor), self._ordered(shift)
         return out * jnp.array(factor, out.dtype) + jnp.array(shift, out.dtype)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import jax
 
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.rotations.coefficients import inverse_jacobian_coefficient, stumpff
 
 
@@ -48,22 +48,22 @@ def left_jacobian(phi: jax.Array) -> jax.Array:
     >>> left_jacobian([0.0, 0.0, 0.0]).tolist()
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
-    return pack(left_lanes(unpack(phi)), 3, 3)
+    return stacked(left_lanes(entries(phi)), 3, 3)
 
 
 @takes(phi="vector")
 def right_jacobian(phi: jax.Array) -> jax.Array:
     """J_r (..., 3, 3): omega_body = J_r phi'."""
-    return pack(left_lanes([-p for p in unpack(phi)]), 3, 3)
+    return stacked(left_lanes([-p for p in entries(phi)]), 3, 3)
 
 
 @takes(phi="vector")
 def inverse_left_jacobian(phi: jax.Array) -> jax.Array:
     """J_l^-1 (..., 3, 3): phi' = J_l^-1 omega_space, for |phi| < 2 pi."""
-    return pack(inverse_left_lanes(unpack(phi)), 3, 3)
+    return stacked(inverse_left_lanes(entries(phi)), 3, 3)
 
 
 @takes(phi="vector")
 def inverse_right_jacobian(phi: jax.Array) -> jax.Array:
     """J_r^-1 (..., 3, 3): phi' = J_r^-1 omega_body, for |phi| < 2 pi."""
-    return pack(inverse_left_lanes([-p for p in unpack(phi)]), 3, 3)
+    return stacked(inverse_left_lanes([-p for p in entries(phi)]), 3, 3)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from rbjax.rotations.arguments import apart, pack, takes, unpack
+from rbjax.rotations.arguments import apart, entries, stacked, takes
 from rbjax.rotations.coefficients import arctan_over, length, stumpff, where
 from rbjax.rotations.jacobians import (
     inverse_left_jacobian,
@@ -36,7 +36,7 @@ def identity(dtype=None) -> jax.Array:
 @takes(a="quaternion", b="quaternion")
 def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
     """The rotation b followed by a, in a's axes: a b."""
-    return pack(product(unpack(a), unpack(b)))
+    return stacked(product(entries(a), entries(b)))
 
 
 @takes(a="quaternion")
@@ -58,9 +58,9 @@ def rotate(a: jax.Array, v: jax.Array) -> jax.Array:
     >>> rotate([1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).tolist()
     [1.0, 2.0, 3.0]
     """
-    (w, x, y, z), (a1, a2, a3) = unpack(a), unpack(v)
+    (w, x, y, z), (a1, a2, a3) = entries(a), entries(v)
     t1, t2, t3 = 2 * (y * a3 - z * a2), 2 * (z * a1 - x * a3), 2 * (x * a2 - y * a1)
-    return pack(
+    return stacked(
         [
             a1 + w * t1 + (y * t3 - z * t2),
             a2 + w * t2 + (z * t1 - x * t3),
@@ -75,8 +75,8 @@ def to_matrix(a: jax.Array) -> jax.Array:
 
     1 + s [u](w + [u]), s = 2 / |a|^2: `lanes.quaternion_matrix`, in one pass over memory.
     """
-    w, x, y, z = unpack(a)
-    turn = pack([
+    w, x, y, z = entries(a)
+    turn = stacked([
         y * y + z * z, x * y - w * z, x * z + w * y,
         x * y + w * z, x * x + z * z, y * z - w * x,
         x * z - w * y, y * z + w * x, x * x + y * y,
@@ -92,15 +92,15 @@ def from_matrix(R: jax.Array) -> jax.Array:
     >>> from_matrix([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
-    q = from_matrix_lanes(unpack(R, 2))
+    q = from_matrix_lanes(entries(R, 2))
     shrink = _sign(q[0]) / jnp.sqrt(sum(a * a for a in q))
-    return pack([a * shrink for a in q])
+    return stacked([a * shrink for a in q])
 
 
 @takes(phi="vector")
 def exp(phi: jax.Array) -> jax.Array:
     """The quaternion [cos(|phi|/2), phi sin(|phi|/2)/|phi|] of a rotation vector (..., 3)."""
-    return pack(exp_lanes(unpack(phi)))
+    return stacked(exp_lanes(entries(phi)))
 
 
 @takes(a="quaternion")
@@ -110,7 +110,7 @@ def log(a: jax.Array) -> jax.Array:
     phi = 2 atan2(|u|, |w|) u / |u| sign(w). The angle pi is a genuine singularity: one of the two
     vectors is returned, and the derivative is that of its branch.
     """
-    return pack(log_lanes(unpack(a)))
+    return stacked(log_lanes(entries(a)))
 
 
 @takes(a="quaternion")
@@ -120,7 +120,7 @@ def angle(a: jax.Array) -> jax.Array:
     >>> float(angle([0.0, 0.0, 2.0, 0.0]))
     3.14159...
     """
-    w, *u = unpack(a)
+    w, *u = entries(a)
     return angle_lanes(w, u)
 
 
@@ -131,7 +131,7 @@ def distance(a: jax.Array, b: jax.Array) -> jax.Array:
     >>> float(distance([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]))
     3.14159...
     """
-    w, *u = product(_conjugate(unpack(a)), unpack(b))
+    w, *u = product(_conjugate(entries(a)), entries(b))
     return angle_lanes(w, u)
 
 
@@ -142,9 +142,9 @@ def interpolate(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
     >>> interpolate([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], 0.5).round(3).tolist()
     [0.707, 0.0, 0.0, 0.707]
     """
-    p = unpack(a)
-    turn = log_lanes(product(_conjugate(p), unpack(b)))
-    return pack(product(p, exp_lanes([s * x for x in turn])))
+    p = entries(a)
+    turn = log_lanes(product(_conjugate(p), entries(b)))
+    return stacked(product(p, exp_lanes([s * x for x in turn])))
 
 
 def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from rbjax.errors import UnknownName
 from rbjax.lanes import quaternion_matrix
 from rbjax.rotations import quaternion, redundant
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.rotations.euler import SEQUENCES, EulerAngles
 from rbjax.rotations.vectorial import VECTORIAL
 
@@ -56,44 +56,44 @@ class Representation:
     @takes(["self"], x="parameters")
     def to_matrix(self, x: jax.Array) -> jax.Array:
         """R (..., 3, 3)."""
-        return pack(quaternion_matrix(*self.formulas.to_quaternion(unpack(x))), 3, 3)
+        return stacked(quaternion_matrix(*self.formulas.to_quaternion(entries(x))), 3, 3)
 
     @takes(["self"], R="rotation")
     def from_matrix(self, R: jax.Array) -> jax.Array:
         """x (..., size)."""
-        return pack(self.formulas.from_quaternion(quaternion.from_matrix_lanes(unpack(R, 2))))
+        return stacked(self.formulas.from_quaternion(quaternion.from_matrix_lanes(entries(R, 2))))
 
     @takes(["self"], x="parameters")
     def to_quaternion(self, x: jax.Array) -> jax.Array:
         """A unit quaternion w, x, y, z (..., 4), of either sign."""
-        q = self.formulas.to_quaternion(unpack(x))
+        q = self.formulas.to_quaternion(entries(x))
         shrink = 1 / jnp.sqrt(sum(a * a for a in q))
-        return pack([a * shrink for a in q])
+        return stacked([a * shrink for a in q])
 
     @takes(["self"], q="quaternion")
     def from_quaternion(self, q: jax.Array) -> jax.Array:
         """x (..., size) of a quaternion of any nonzero length and either sign."""
-        return pack(self.formulas.from_quaternion(unpack(q)))
+        return stacked(self.formulas.from_quaternion(entries(q)))
 
     @takes(["self"], x="parameters")
     def body_rate_matrix(self, x: jax.Array) -> jax.Array:
         """E (..., 3, size): omega_body = E x'."""
-        return pack(self.formulas.body_rate(unpack(x)), 3, self.size)
+        return stacked(self.formulas.body_rate(entries(x)), 3, self.size)
 
     @takes(["self"], x="parameters")
     def space_rate_matrix(self, x: jax.Array) -> jax.Array:
         """E (..., 3, size): omega_space = E x'."""
-        return pack(self.formulas.space_rate(unpack(x)), 3, self.size)
+        return stacked(self.formulas.space_rate(entries(x)), 3, self.size)
 
     @takes(["self"], x="parameters")
     def inverse_body_rate_matrix(self, x: jax.Array) -> jax.Array:
         """(..., size, 3): x' from omega_body, the attitude inverse kinematics."""
-        return pack(self.formulas.inverse_body_rate(unpack(x)), self.size, 3)
+        return stacked(self.formulas.inverse_body_rate(entries(x)), self.size, 3)
 
     @takes(["self"], x="parameters")
     def inverse_space_rate_matrix(self, x: jax.Array) -> jax.Array:
         """(..., size, 3): x' from omega_space."""
-        return pack(self.formulas.inverse_space_rate(unpack(x)), self.size, 3)
+        return stacked(self.formulas.inverse_space_rate(entries(x)), self.size, 3)
 
     @takes(["self"], x="parameters", xd="parameters", xdd="parameters")
     def body_acceleration(self, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
@@ -118,7 +118,7 @@ class Representation:
     @takes(["self"], x="parameters")
     def singularity_distance(self, x: jax.Array) -> jax.Array:
         """The angle (...) of the smallest turn to where `singular_set` says; inf where none."""
-        return self.formulas.distance(unpack(x))
+        return self.formulas.distance(entries(x))
 
 
 def _apply(matrix: list, v: list) -> list:
@@ -129,15 +129,15 @@ def _apply(matrix: list, v: list) -> list:
 
 def _rate_of(E, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
     """d/dt (E(x) x'), differentiated along the motion."""
-    args, rates = (unpack(x), unpack(xd)), (unpack(xd), unpack(xdd))
-    return pack(jax.jvp(lambda x, xd: _apply(E(x), xd), args, rates)[1])
+    args, rates = (entries(x), entries(xd)), (entries(xd), entries(xdd))
+    return stacked(jax.jvp(lambda x, xd: _apply(E(x), xd), args, rates)[1])
 
 
 def _second_rate(inverse, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
     """d/dt (E^-1(x) omega), along the motion that omega is."""
-    p, w = unpack(x), unpack(omega)
+    p, w = entries(x), entries(omega)
     xd = _apply(inverse(p), w)
-    return pack(jax.jvp(lambda p, w: _apply(inverse(p), w), (p, w), (xd, unpack(alpha)))[1])
+    return stacked(jax.jvp(lambda p, w: _apply(inverse(p), w), (p, w), (xd, entries(alpha)))[1])
 
 
 @functools.cache

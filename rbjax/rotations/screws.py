@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Vec3
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.rotations.coefficients import length
 
 __all__ = [
@@ -40,7 +40,7 @@ def from_twist(twist: jax.Array) -> Screw:
     >>> s.axis.tolist(), abs(s.point).tolist(), float(s.pitch), float(s.magnitude)
     ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], 3.0, 2.0)
     """
-    parts = unpack(twist)
+    parts = entries(twist)
     omega, v = Vec3(*parts[:3]), Vec3(*parts[3:])
     square, straight = omega.dot(omega), v.dot(v)
     turns, slides = square > 0, straight > 0
@@ -55,7 +55,7 @@ def from_twist(twist: jax.Array) -> Screw:
     axis = [jnp.where(turns | slides, a, c) for a, c in zip(axis, still, strict=True)]
     point = [jnp.where(turns, a / safe, 0.0) for a in omega.cross(v)]
     pitch = jnp.where(turns, omega.dot(v) / safe, jnp.inf)
-    return Screw(pack(axis), pack(point), pitch, magnitude)
+    return Screw(stacked(axis), stacked(point), pitch, magnitude)
 
 
 @takes(axis="vector", point="vector", pitch="scalar_or_infinite", magnitude="scalar")
@@ -65,10 +65,10 @@ def to_twist(axis: jax.Array, point: jax.Array, pitch: jax.Array, magnitude: jax
     >>> to_twist([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], jnp.inf, 2.0).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 2.0]
     """
-    s, r = Vec3(*unpack(axis)), Vec3(*unpack(point))
+    s, r = Vec3(*entries(axis)), Vec3(*entries(point))
     turns = jnp.isfinite(pitch)
     h = jnp.where(turns, pitch, 0.0)
     turning = [*s, *(r.cross(s) + h * s)]
     sliding = [0.0, 0.0, 0.0, *s]
     both = zip(turning, sliding, strict=True)
-    return pack([magnitude * jnp.where(turns, a, b) for a, b in both])
+    return stacked([magnitude * jnp.where(turns, a, b) for a, b in both])

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, quaternion_matrix
 from rbjax.rotations import quaternion
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.rotations.coefficients import inverse_jacobian_coefficient, length, stumpff
 from rbjax.rotations.jacobians import inverse_left_lanes, left_lanes
 
@@ -41,7 +41,7 @@ def pose(R: jax.Array, p: jax.Array) -> jax.Array:
     >>> pose(jnp.eye(3), [1.0, 2.0, 3.0])[:3, 3].tolist()
     [1.0, 2.0, 3.0]
     """
-    return _pose(unpack(R, 2), unpack(p))
+    return _pose(entries(R, 2), entries(p))
 
 
 @takes(xi="twist")
@@ -51,17 +51,17 @@ def hat(xi: jax.Array) -> jax.Array:
     >>> hat([0.0, 0.0, 1.0, 4.0, 5.0, 6.0])[0].tolist()
     [0.0, -1.0, 0.0, 4.0]
     """
-    x, y, z, a, b, c = unpack(xi)
+    x, y, z, a, b, c = entries(xi)
     o = jnp.zeros_like(x)
-    return pack([o, -z, y, a, z, o, -x, b, -y, x, o, c, o, o, o, o], 4, 4)
+    return stacked([o, -z, y, a, z, o, -x, b, -y, x, o, c, o, o, o, o], 4, 4)
 
 
 @takes(W="matrix4")
 def vee(W: jax.Array) -> jax.Array:
     """xi (..., 6) of [xi]; the angular part is that of the skew-symmetric part."""
-    m = unpack(W, 2)
+    m = entries(W, 2)
     skew = [(m[9] - m[6]) / 2, (m[2] - m[8]) / 2, (m[4] - m[1]) / 2]
-    return pack([*skew, m[3], m[7], m[11]])
+    return stacked([*skew, m[3], m[7], m[11]])
 
 
 @takes(xi="twist")
@@ -71,7 +71,7 @@ def exp(xi: jax.Array) -> jax.Array:
     >>> exp([0.0, 0.0, jnp.pi, 0.0, 1.0, 0.0])[:3, 3].round(6).tolist()
     [-0.63662, 0.0, 0.0]
     """
-    phi, rho = _halves(unpack(xi))
+    phi, rho = _halves(entries(xi))
     c2, c3 = stumpff(phi.dot(phi), 2, 3)
     once = phi.cross(rho)
     R = quaternion_matrix(*quaternion.exp_lanes(list(phi)))
@@ -89,7 +89,7 @@ def log(T: jax.Array) -> jax.Array:
     phi = Vec3(*quaternion.log_lanes(quaternion.from_matrix_lanes(list(R))))
     e = inverse_jacobian_coefficient(phi.dot(phi))
     once = phi.cross(p)
-    return pack([*phi, *(p - 0.5 * once + e * phi.cross(once))])
+    return stacked([*phi, *(p - 0.5 * once + e * phi.cross(once))])
 
 
 @takes(A="pose", B="pose")
@@ -139,32 +139,32 @@ def adjoint(T: jax.Array) -> jax.Array:
 @takes(xi="twist")
 def ad(xi: jax.Array) -> jax.Array:
     """ad(xi) (..., 6, 6) = [[[phi], 0], [[rho], [phi]]]: ad(a) b = [a, b] is the Lie bracket."""
-    phi, rho = _halves(unpack(xi))
+    phi, rho = _halves(entries(xi))
     return _blocks(list(Mat3.skew(phi)), list(Mat3.skew(rho)))
 
 
 @takes(xi="twist")
 def left_jacobian(xi: jax.Array) -> jax.Array:
     """J_l (..., 6, 6): exp(xi + d) = exp(J_l d) exp(xi), so V_space = J_l xi'."""
-    return _dual(left_lanes, unpack(xi))
+    return _dual(left_lanes, entries(xi))
 
 
 @takes(xi="twist")
 def right_jacobian(xi: jax.Array) -> jax.Array:
     """J_r (..., 6, 6): exp(xi + d) = exp(xi) exp(J_r d), so V_body = J_r xi'."""
-    return _dual(left_lanes, unpack(-xi))
+    return _dual(left_lanes, entries(-xi))
 
 
 @takes(xi="twist")
 def inverse_left_jacobian(xi: jax.Array) -> jax.Array:
     """J_l^-1 (..., 6, 6): xi' = J_l^-1 V_space, for angles below 2 pi."""
-    return _dual(inverse_left_lanes, unpack(xi))
+    return _dual(inverse_left_lanes, entries(xi))
 
 
 @takes(xi="twist")
 def inverse_right_jacobian(xi: jax.Array) -> jax.Array:
     """J_r^-1 (..., 6, 6): xi' = J_r^-1 V_body, for angles below 2 pi."""
-    return _dual(inverse_left_lanes, unpack(-xi))
+    return _dual(inverse_left_lanes, entries(-xi))
 
 
 # ----------------------------------------------------------------------- pose kinematics
@@ -174,7 +174,7 @@ def inverse_right_jacobian(xi: jax.Array) -> jax.Array:
 def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
     """T' = T [V_body] (..., 4, 4)."""
     R, _ = _parts(T)
-    omega, v = _halves(unpack(V))
+    omega, v = _halves(entries(V))
     return _bottomed(R @ Mat3.skew(omega), R @ v, 0.0)
 
 
@@ -182,7 +182,7 @@ def rate_from_body_twist(T: jax.Array, V: jax.Array) -> jax.Array:
 def rate_from_space_twist(T: jax.Array, V: jax.Array) -> jax.Array:
     """T' = [V_space] T (..., 4, 4)."""
     R, p = _parts(T)
-    omega, v = _halves(unpack(V))
+    omega, v = _halves(entries(V))
     return _bottomed(Mat3.skew(omega) @ R, omega.cross(p) + v, 0.0)
 
 
@@ -194,7 +194,7 @@ def body_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
     [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     """
     (R, _), (dR, dp) = _parts(T), _parts(dT)
-    return pack([*_vee(R.T @ dR), *(R.T @ dp)])
+    return stacked([*_vee(R.T @ dR), *(R.T @ dp)])
 
 
 @takes(T="pose", dT="matrix4")
@@ -202,7 +202,7 @@ def space_twist(T: jax.Array, dT: jax.Array) -> jax.Array:
     """V_space (..., 6), [V_space] = T' T^-1."""
     (R, p), (dR, dp) = _parts(T), _parts(dT)
     omega = _vee(dR @ R.T)
-    return pack([*omega, *(dp - omega.cross(p))])
+    return stacked([*omega, *(dp - omega.cross(p))])
 
 
 # ------------------------------------------------------------------------------- on lanes
@@ -214,11 +214,11 @@ def _pose(R, p) -> jax.Array:
 
 def _bottomed(R, p, corner: float) -> jax.Array:
     r, p = list(R), list(p)
-    return pack([*r[0:3], p[0], *r[3:6], p[1], *r[6:9], p[2], 0.0, 0.0, 0.0, corner], 4, 4)
+    return stacked([*r[0:3], p[0], *r[3:6], p[1], *r[6:9], p[2], 0.0, 0.0, 0.0, corner], 4, 4)
 
 
 def _parts(T: jax.Array) -> tuple[Mat3, Vec3]:
-    m = unpack(T, 2)
+    m = entries(T, 2)
     return Mat3(*m[0:3], *m[4:7], *m[8:11]), Vec3(m[3], m[7], m[11])
 
 
@@ -234,7 +234,7 @@ def _blocks(A: list, B: list) -> jax.Array:
     """[[A, 0], [B, A]]."""
     rows = [[*A[3 * i : 3 * i + 3], 0.0, 0.0, 0.0] for i in range(3)]
     rows += [[*B[3 * i : 3 * i + 3], *A[3 * i : 3 * i + 3]] for i in range(3)]
-    return pack([x for row in rows for x in row], 6, 6)
+    return stacked([x for row in rows for x in row], 6, 6)
 
 
 def _dual(J: Callable[[list], list], xi: list) -> jax.Array:

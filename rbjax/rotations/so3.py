@@ -14,7 +14,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, matmat, quaternion_matrix
 from rbjax.rotations import quaternion
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.rotations.coefficients import away_from_zero
 from rbjax.rotations.jacobians import (
     inverse_left_jacobian,
@@ -42,9 +42,9 @@ def hat(phi: jax.Array) -> jax.Array:
     >>> hat([1.0, 2.0, 3.0]).tolist()
     [[0.0, -3.0, 2.0], [3.0, 0.0, -1.0], [-2.0, 1.0, 0.0]]
     """
-    x, y, z = unpack(phi)
+    x, y, z = entries(phi)
     o = jnp.zeros_like(x)
-    return pack([o, -z, y, z, o, -x, -y, x, o], 3, 3)
+    return stacked([o, -z, y, z, o, -x, -y, x, o], 3, 3)
 
 
 @takes(W="matrix")
@@ -54,8 +54,8 @@ def vee(W: jax.Array) -> jax.Array:
     >>> vee(hat([1.0, 2.0, 3.0])).tolist()
     [1.0, 2.0, 3.0]
     """
-    _, xy, xz, yx, _, yz, zx, zy, _ = unpack(W, 2)
-    return pack([(zy - yz) / 2, (xz - zx) / 2, (yx - xy) / 2])
+    _, xy, xz, yx, _, yz, zx, zy, _ = entries(W, 2)
+    return stacked([(zy - yz) / 2, (xz - zx) / 2, (yx - xy) / 2])
 
 
 @takes(phi="vector")
@@ -65,7 +65,7 @@ def exp(phi: jax.Array) -> jax.Array:
     >>> exp([0.0, 0.0, jnp.pi / 2]).round(6).tolist()
     [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     """
-    return pack(quaternion_matrix(*quaternion.exp_lanes(unpack(phi))), 3, 3)
+    return stacked(quaternion_matrix(*quaternion.exp_lanes(entries(phi))), 3, 3)
 
 
 @takes(R="rotation")
@@ -78,13 +78,13 @@ def log(R: jax.Array) -> jax.Array:
     >>> log([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]).tolist()
     [0.0, 3.14159..., 0.0]
     """
-    return pack(quaternion.log_lanes(quaternion.from_matrix_lanes(unpack(R, 2))))
+    return stacked(quaternion.log_lanes(quaternion.from_matrix_lanes(entries(R, 2))))
 
 
 @takes(A="rotation", B="rotation")
 def compose(A: jax.Array, B: jax.Array) -> jax.Array:
     """A B, the rotation B followed by A (in the axes that A maps into)."""
-    return pack(Mat3(*unpack(A, 2)) @ Mat3(*unpack(B, 2)), 3, 3)
+    return stacked(Mat3(*entries(A, 2)) @ Mat3(*entries(B, 2)), 3, 3)
 
 
 @takes(R="rotation")
@@ -110,10 +110,10 @@ def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
     >>> log(interpolate(exp([0.0, 0.0, 0.1]), exp([0.0, 0.0, 1.1]), 0.5)).round(6).tolist()
     [0.0, 0.0, 0.6]
     """
-    a, b = Mat3(*unpack(A, 2)), Mat3(*unpack(B, 2))
+    a, b = Mat3(*entries(A, 2)), Mat3(*entries(B, 2))
     turn = quaternion.log_lanes(quaternion.from_matrix_lanes(list(a.T @ b)))
     step = quaternion_matrix(*quaternion.exp_lanes([s * x for x in turn]))
-    return pack(a @ step, 3, 3)
+    return stacked(a @ step, 3, 3)
 
 
 def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array:
@@ -181,8 +181,8 @@ def _polar_jvp(primals, tangents):
     """
     (M,), (dM,) = primals, tangents
     R = _polar(M)
-    r = Mat3(*unpack(R, 2)).T
-    S, D = r @ Mat3(*unpack(M, 2)), list(r @ Mat3(*unpack(dM, 2)))
+    r = Mat3(*entries(R, 2)).T
+    S, D = r @ Mat3(*entries(M, 2)), list(r @ Mat3(*entries(dM, 2)))
     xx, yy, zz = S[0], S[4], S[8]
     xy, xz, yz = (S[1] + S[3]) / 2, (S[2] + S[6]) / 2, (S[5] + S[7]) / 2
     a, b, c, d, e, f = yy + zz, xx + zz, xx + yy, -xy, -xz, -yz  # tr(S) 1 - S
@@ -190,7 +190,7 @@ def _polar_jvp(primals, tangents):
     Dd, E, F = e * f - d * c, d * f - b * e, d * e - a * f
     scale = 1 / away_from_zero(a * A + d * Dd + e * E)
     u, v, w = D[7] - D[5], D[2] - D[6], D[3] - D[1]
-    turn = pack(
+    turn = stacked(
         [
             (A * u + Dd * v + E * w) * scale,
             (Dd * u + B * v + F * w) * scale,
@@ -201,5 +201,5 @@ def _polar_jvp(primals, tangents):
 
 
 def _determinant(M: jax.Array) -> jax.Array:
-    a, b, c = Mat3(*unpack(M, 2)).rows
+    a, b, c = Mat3(*entries(M, 2)).rows
     return a.dot(b.cross(c))

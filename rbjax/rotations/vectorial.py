@@ -25,7 +25,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.rotations import quaternion
-from rbjax.rotations.arguments import apart, pack, takes, unpack
+from rbjax.rotations.arguments import apart, entries, stacked, takes
 from rbjax.rotations.coefficients import (
     arctan_over,
     away_from_zero,
@@ -60,7 +60,7 @@ class Vectorial:
     def from_quaternion(self, q: list) -> jax.Array:
         w, *u = (apart(a, 3) for a in q) if self.short else (a[..., None] for a in q)
         sign = where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))
-        return sign * self.scale * self.parameter(w * sign, u) * pack(q[1:])
+        return sign * self.scale * self.parameter(w * sign, u) * stacked(q[1:])
 
     def body_rate(self, x: list) -> list:
         p, s = self._scaled(x)
@@ -211,9 +211,9 @@ def mrp_shadow(p: jax.Array) -> jax.Array:
     >>> mrp_shadow([0.0, 0.0, 2.0]).tolist()
     [-0.0, -0.0, -0.5]
     """
-    x = unpack(p)
+    x = entries(p)
     scale = -1 / away_from_zero(_square(x))
-    return pack([scale * a for a in x])
+    return stacked([scale * a for a in x])
 
 
 @takes(p="vector")

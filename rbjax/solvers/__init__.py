@@ -15,6 +15,7 @@ The last three rows take terms `OnGroup` (and the first of them any pair of arra
 `Compensated` around a solver of the first row keeps what its additions round off.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 from rbjax.solvers.compensated import Compensated
@@ -55,13 +56,14 @@ from rbjax.solvers.splitting import (
 from rbjax.solvers.steps import AbstractGroupSolver
 from rbjax.solvers.tableau import Tableau
 
+#: names that a room above answers to, here where they are looked for: `rbjax` hangs them up
+FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+
 
 def __getattr__(name: str) -> Any:
     """`recommend` runs motions to choose a solver: it lives above, and comes when asked for."""
-    if name == "recommend":
-        from rbjax.stability.recommend import recommend
-
-        return recommend
+    if name in FROM_ABOVE:
+        return FROM_ABOVE[name]()
     raise AttributeError(f"module 'rbjax.solvers' has no attribute {name!r}")
 
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
-from rbjax.rotations.arguments import pack, takes, unpack
+from rbjax.rotations.arguments import entries, stacked, takes
 from rbjax.spatial.vectors import Force, Motion
 
-__all__ = ["force", "motion", "pack", "pose_parts", "positive", "takes", "unpack"]
+__all__ = ["force", "motion", "stacked", "pose_parts", "positive", "takes", "entries"]
 
 
 def positive(*names: str) -> Callable[[Callable], Callable]:
@@ -41,15 +41,15 @@ def positive(*names: str) -> Callable[[Callable], Callable]:
 
 def pose_parts(T: jax.Array) -> tuple[Mat3, Vec3]:
     """R and p of a pose on lanes."""
-    m = unpack(T, 2)
+    m = entries(T, 2)
     return Mat3(*m[0:3], *m[4:7], *m[8:11]), Vec3(m[3], m[7], m[11])
 
 
 def motion(V: jax.Array) -> Motion:
     """A twist on lanes."""
-    return Motion.from_lanes(unpack(V))
+    return Motion.from_lanes(entries(V))
 
 
 def force(F: jax.Array) -> Force:
     """A wrench on lanes."""
-    return Force.from_lanes(unpack(F))
+    return Force.from_lanes(entries(F))

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Sym3, Vec3, matmat, matvec
-from rbjax.spatial.arguments import pack, pose_parts, takes, unpack
+from rbjax.spatial.arguments import entries, pose_parts, stacked, takes
 from rbjax.spatial.inertia import ArticulatedInertia, RigidInertia
 from rbjax.spatial.transform import Transform
 from rbjax.spatial.vectors import Motion
@@ -80,7 +80,7 @@ def parallel_axes(inertia: jax.Array, mass: jax.Array, offset: jax.Array) -> jax
 @takes(R="rotation", inertia="matrix")
 def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
     """R I R^T (..., 3, 3): I_A of I_B and R = R_AB."""
-    return pack(Sym3.upper(Mat3(*unpack(inertia, 2))).rotated(Mat3(*unpack(R, 2))).dense, 3, 3)
+    return stacked(Sym3.upper(Mat3(*entries(inertia, 2))).rotated(Mat3(*entries(R, 2))).dense, 3, 3)
 
 
 @takes(T="pose", mass="scalar", com="vector", inertia="matrix")
@@ -90,7 +90,7 @@ def moved(T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array) -> 
     """
     R, p = pose_parts(T)
     turned = rotate_inertia(T[..., :3, :3], inertia)
-    return MassProperties(mass, pack(p + R @ Vec3(*unpack(com))), turned)
+    return MassProperties(mass, stacked(p + R @ Vec3(*entries(com))), turned)
 
 
 @takes(T="pose", matrix="matrix6")
@@ -99,7 +99,7 @@ def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
 
     Any symmetric (6, 6), so that added mass moves as well.
     """
-    J, H, M = (unpack(matrix[..., i : i + 3, j : j + 3], 2) for i, j in ((0, 0), (0, 3), (3, 3)))
+    J, H, M = (entries(matrix[..., i : i + 3, j : j + 3], 2) for i, j in ((0, 0), (0, 3), (3, 3)))
     inertia = ArticulatedInertia(Sym3.upper(Mat3(*J)), Mat3(*H), Sym3.upper(Mat3(*M)))
     return _matrix(Transform(*pose_parts(T)).articulated_to_parent(inertia))
 
@@ -137,7 +137,7 @@ def principal_axes(inertia: jax.Array) -> PrincipalAxes:
 @jax.custom_jvp
 def _eigen(S: jax.Array) -> tuple[jax.Array, jax.Array]:
     w, V = jnp.linalg.eigh(S)
-    a, b, c = Mat3(*unpack(V, 2)).columns
+    a, b, c = Mat3(*entries(V, 2)).columns
     return w, V * jnp.where(a.dot(b.cross(c)) < 0, -1.0, 1.0)[..., None, None]
 
 
@@ -156,12 +156,12 @@ def _eigen_jvp(primals: Any, tangents: Any) -> Any:
 
 
 def _rigid(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> RigidInertia:
-    J = Sym3.upper(Mat3(*unpack(inertia, 2)))
-    return RigidInertia(mass, Vec3.zero(), J).shifted(Vec3(*unpack(com)))
+    J = Sym3.upper(Mat3(*entries(inertia, 2)))
+    return RigidInertia(mass, Vec3.zero(), J).shifted(Vec3(*entries(com)))
 
 
 def _matrix(inertia: Any) -> jax.Array:
     """The columns I e_k of an inertia on lanes."""
     unit = [[1.0 if i == k else 0.0 for i in range(6)] for k in range(6)]
     columns = [list(inertia(Motion.from_lanes(e))) for e in unit]
-    return pack([columns[j][i] for i in range(6) for j in range(6)], 6, 6)
+    return stacked([columns[j][i] for i in range(6) for j in range(6)], 6, 6)

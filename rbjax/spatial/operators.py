@@ -25,7 +25,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Mat3, Vec3, matmat, outer
 from rbjax.rotations import so3
-from rbjax.spatial.arguments import pack, takes, unpack
+from rbjax.spatial.arguments import entries, stacked, takes
 from rbjax.spatial.plucker import (
     force_cross_matrix,
     force_transform,
@@ -82,7 +82,7 @@ def rotated_cross(R: jax.Array, a: jax.Array) -> jax.Array:
 @takes(M="matrix", a="vector")
 def congruent_cross(M: jax.Array, a: jax.Array) -> jax.Array:
     """M^T [M a] M (..., 3, 3) = det(M) [a] of any matrix."""
-    x, y, z = Mat3(*unpack(M, 2)).rows
+    x, y, z = Mat3(*entries(M, 2)).rows
     return x.dot(y.cross(z))[..., None, None] * so3.hat(a)
 
 
@@ -116,14 +116,14 @@ def triple_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
     >>> float(triple_product([1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]))
     6.0
     """
-    return Vec3(*unpack(a)).dot(Vec3(*unpack(b)).cross(Vec3(*unpack(c))))
+    return Vec3(*entries(a)).dot(Vec3(*entries(b)).cross(Vec3(*entries(c))))
 
 
 @takes(a="vector", b="vector", c="vector")
 def double_cross_product(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
     """a x (b x c) (..., 3) = (a . c) b - (a . b) c."""
-    u, v, w = (Vec3(*unpack(x)) for x in (a, b, c))
-    return pack(u.dot(w) * v - u.dot(v) * w)
+    u, v, w = (Vec3(*entries(x)) for x in (a, b, c))
+    return stacked(u.dot(w) * v - u.dot(v) * w)
 
 
 @takes(T="pose", V="twist")

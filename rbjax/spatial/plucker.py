@@ -16,7 +16,7 @@ import jax
 
 from rbjax.lanes import Mat3, Vec3
 from rbjax.rotations import se3
-from rbjax.spatial.arguments import force, motion, pack, pose_parts, takes, unpack
+from rbjax.spatial.arguments import entries, force, motion, pose_parts, stacked, takes
 from rbjax.spatial.transform import Transform
 
 
@@ -44,19 +44,19 @@ def force_transform(T: jax.Array) -> jax.Array:
 @takes(T="pose", V="twist")
 def transform_motion(T: jax.Array, V: jax.Array) -> jax.Array:
     """X_AB V (..., 6) without the matrix: (R omega, R v + p x R omega)."""
-    return pack(Transform(*pose_parts(T)).motion_to_parent(motion(V)))
+    return stacked(Transform(*pose_parts(T)).motion_to_parent(motion(V)))
 
 
 @takes(T="pose", F="twist")
 def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
     """X*_AB F (..., 6) without the matrix: (R n + p x R f, R f)."""
-    return pack(Transform(*pose_parts(T)).T(force(F)))
+    return stacked(Transform(*pose_parts(T)).T(force(F)))
 
 
 @takes(R="rotation")
 def extended_rotation(R: jax.Array) -> jax.Array:
     """diag(R, R) (..., 6, 6): another frame's axes, for motions and for forces."""
-    r = Mat3(*unpack(R, 2))
+    r = Mat3(*entries(R, 2))
     return _blocks(r, Mat3.zero(), Mat3.zero(), r)
 
 
@@ -66,7 +66,7 @@ def extended_translation(p: jax.Array) -> jax.Array:
     given at the origin to p.
     """
     one = Mat3.identity()
-    return _blocks(one, Mat3.zero(), Mat3.skew(Vec3(*unpack(p))), one)
+    return _blocks(one, Mat3.zero(), Mat3.skew(Vec3(*entries(p))), one)
 
 
 @takes(omega="vector")
@@ -74,7 +74,7 @@ def extended_cross(omega: jax.Array) -> jax.Array:
     """diag([omega], [omega]) (..., 6, 6): d/dt extended_rotation(R) = extended_rotation(R) of it,
     with omega in body axes.
     """
-    w = Mat3.skew(Vec3(*unpack(omega)))
+    w = Mat3.skew(Vec3(*entries(omega)))
     return _blocks(w, Mat3.zero(), Mat3.zero(), w)
 
 
@@ -99,7 +99,7 @@ def motion_cross(V: jax.Array, m: jax.Array) -> jax.Array:
     >>> motion_cross([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 5.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, -5.0, 0.0]
     """
-    return pack(motion(V).cross(motion(m)))
+    return stacked(motion(V).cross(motion(m)))
 
 
 @takes(V="twist", f="twist")
@@ -109,10 +109,10 @@ def force_cross(V: jax.Array, f: jax.Array) -> jax.Array:
     >>> force_cross([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     """
-    return pack(motion(V).cross_force(force(f)))
+    return stacked(motion(V).cross_force(force(f)))
 
 
 def _blocks(a: Mat3, b: Mat3, c: Mat3, d: Mat3) -> jax.Array:
     """[a, b; c, d]."""
     rows = [[*x, *y] for x, y in zip(a.rows + c.rows, b.rows + d.rows, strict=True)]
-    return pack([x for row in rows for x in row], 6, 6)
+    return stacked([x for row in rows for x in row], 6, 6)

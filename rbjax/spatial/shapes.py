@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.spatial.arguments import pack, positive, takes, unpack
+from rbjax.spatial.arguments import entries, positive, stacked, takes
 from rbjax.spatial.mass import MassProperties, parallel_axes
 from rbjax.spatial.mesh import mesh, points
 
@@ -37,7 +37,7 @@ def box(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> MassPr
     >>> box([1.0, 2.0, 3.0], density=2.0).inertia.diagonal().tolist()
     [13.0, 10.0, 5.0]
     """
-    a, b, c = unpack(size)
+    a, b, c = entries(size)
     xx, yy, zz = a * a / 12, b * b / 12, c * c / 12
     return _body(a * b * c, [0.0, 0.0, 0.0], [yy + zz, xx + zz, xx + yy], density, mass)
 
@@ -50,7 +50,7 @@ def ellipsoid(semi_axes: jax.Array, *, density: Maybe = None, mass: Maybe = None
     >>> ellipsoid([1.0, 2.0, 3.0], mass=5.0).inertia.diagonal().tolist()
     [13.0, 10.0, 5.0]
     """
-    a, b, c = unpack(semi_axes)
+    a, b, c = entries(semi_axes)
     xx, yy, zz = a * a / 5, b * b / 5, c * c / 5
     volume = 4 / 3 * jnp.pi * a * b * c
     return _body(volume, [0.0, 0.0, 0.0], [yy + zz, xx + zz, xx + yy], density, mass)
@@ -158,7 +158,7 @@ def plate(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> Mass
     >>> plate([2.0, 4.0], mass=3.0).inertia.diagonal().tolist()
     [4.0, 1.0, 5.0]
     """
-    a, b = unpack(size)
+    a, b = entries(size)
     xx, yy = a * a / 12, b * b / 12
     return _body(a * b, [0.0, 0.0, 0.0], [yy, xx, xx + yy], density, mass)
 
@@ -210,4 +210,4 @@ def _body(volume, com: list, moments: list, density: Maybe, mass: Maybe) -> Mass
         raise InputError(f"got {both} of density and mass, expected one of them")
     a, b, c = (total * x for x in moments)
     where = [jnp.broadcast_to(jnp.asarray(x, total.dtype), total.shape) for x in com]
-    return MassProperties(total, pack(where), pack([a, 0, 0, 0, b, 0, 0, 0, c], 3, 3))
+    return MassProperties(total, stacked(where), stacked([a, 0, 0, 0, b, 0, 0, 0, c], 3, 3))

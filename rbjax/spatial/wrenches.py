@@ -12,7 +12,7 @@ import jax
 from rbjax.lanes import Vec3
 from rbjax.rotations import screws
 from rbjax.rotations.screws import Screw
-from rbjax.spatial.arguments import force, motion, pack, takes, unpack
+from rbjax.spatial.arguments import entries, force, motion, stacked, takes
 from rbjax.spatial.vectors import Force, Motion
 
 
@@ -23,8 +23,8 @@ def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
     >>> twist_at([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, 2.0, 0.0]
     """
-    m, r = motion(V), Vec3(*unpack(point))
-    return pack(Motion(m.ang, m.lin + m.ang.cross(r)))
+    m, r = motion(V), Vec3(*entries(point))
+    return stacked(Motion(m.ang, m.lin + m.ang.cross(r)))
 
 
 @takes(F="twist", point="vector")
@@ -34,8 +34,8 @@ def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
     >>> wrench_at([0.0, 0.0, 2.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     """
-    f, r = force(F), Vec3(*unpack(point))
-    return pack(Force(f.ang - r.cross(f.lin), f.lin))
+    f, r = force(F), Vec3(*entries(point))
+    return stacked(Force(f.ang - r.cross(f.lin), f.lin))
 
 
 @takes(f="vector", point="vector")
@@ -45,8 +45,8 @@ def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
     >>> force_at([0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 2.0, 0.0, 1.0, 0.0]
     """
-    f_, r = Vec3(*unpack(f)), Vec3(*unpack(point))
-    return pack(Force(r.cross(f_), f_))
+    f_, r = Vec3(*entries(f)), Vec3(*entries(point))
+    return stacked(Force(r.cross(f_), f_))
 
 
 @takes(wrenches="twist", points="vector", about="vector")
@@ -83,4 +83,4 @@ def central_axis(F: jax.Array) -> Screw:
     ([0.0, 1.0, 0.0], [2.0, 0.0, 0.0], 1.0)
     """
     f = force(F)
-    return screws.from_twist(pack([*f.lin, *f.ang]))
+    return screws.from_twist(stacked([*f.lin, *f.ang]))

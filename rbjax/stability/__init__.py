@@ -14,16 +14,30 @@
     lyapunov, gradient_growth             chaos, and how long a gradient says anything
     verdict, attempt, scenes              how a run failed; every solver on scenes built to break it
     plot_regions, plot_spectral_radius    on axes of matplotlib
+
+`theory/` is what is known of a method by itself, `runs/` what motions show.
 """
 
-from rbjax.stability.canonical import Hamiltonian, from_canonical, to_canonical
-from rbjax.stability.drift import Invariants, Trend, drift, trend
-from rbjax.stability.largest_step import ROLLOUT, measured_stable_step, stable_step
-from rbjax.stability.linear_analysis import LinearAnalysis, linear_analysis, order_by_conditions
-from rbjax.stability.linearisation import equilibrium, motion_matrices, state_matrix
-from rbjax.stability.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
-from rbjax.stability.march import DONE, NO_ROOT, NOT_FINITE, March
-from rbjax.stability.multistep_roots import (
+from typing import Any
+
+from rbjax import solvers
+from rbjax.stability.pictures import plot_regions, plot_spectral_radius
+from rbjax.stability.runs.canonical import Hamiltonian, from_canonical, to_canonical
+from rbjax.stability.runs.drift import Invariants, Trend, drift, trend
+from rbjax.stability.runs.largest_step import ROLLOUT, measured_stable_step, stable_step
+from rbjax.stability.runs.linearisation import equilibrium, motion_matrices, state_matrix
+from rbjax.stability.runs.long_run import DONE, NO_ROOT, NOT_FINITE, March
+from rbjax.stability.runs.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
+from rbjax.stability.runs.scenes import Scene, Truth, scenes, truth
+from rbjax.stability.runs.systems import Arm, Body
+from rbjax.stability.runs.trials import attempt
+from rbjax.stability.runs.verdicts import Outcome, Verdict, verdict
+from rbjax.stability.theory.linear_analysis import (
+    LinearAnalysis,
+    linear_analysis,
+    order_by_conditions,
+)
+from rbjax.stability.theory.multistep_roots import (
     Characteristic,
     adams,
     backward_differentiation,
@@ -31,8 +45,8 @@ from rbjax.stability.multistep_roots import (
     multistep,
     pece,
 )
-from rbjax.stability.orders import MeasuredOrder, measured_order
-from rbjax.stability.oscillator import (
+from rbjax.stability.theory.orders import MeasuredOrder, measured_order
+from rbjax.stability.theory.oscillator import (
     dissipation,
     growth_factors,
     oscillation_limit,
@@ -40,20 +54,22 @@ from rbjax.stability.oscillator import (
     period_elongation,
     spectral_radius,
 )
-from rbjax.stability.pictures import plot_regions, plot_spectral_radius
-from rbjax.stability.recommend import Recommendation, recommend
-from rbjax.stability.regions import (
+from rbjax.stability.theory.regions import (
     alpha_degrees,
     imaginary_limit,
     real_limit,
     stability_region,
     stiff_stability,
 )
-from rbjax.stability.scenes import Scene, Truth, scenes, truth
-from rbjax.stability.stability_function import StabilityFunction, stability_function
-from rbjax.stability.systems import Arm, Body
-from rbjax.stability.trials import attempt
-from rbjax.stability.verdicts import Outcome, Verdict, verdict
+from rbjax.stability.theory.stability_function import StabilityFunction, stability_function
+
+
+def __getattr__(name: str) -> Any:
+    """`recommend` lives above this room; it comes when asked for, as it does for `rb.solvers`."""
+    if name in solvers.FROM_ABOVE:
+        return getattr(solvers, name)
+    raise AttributeError(f"module 'rbjax.stability' has no attribute {name!r}")
+
 
 __all__ = [
     # linear theory

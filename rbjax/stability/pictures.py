@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.stability.multistep_roots import Method, characteristic
-from rbjax.stability.oscillator import spectral_radius
-from rbjax.stability.regions import stability_region
+from rbjax.stability.theory.multistep_roots import Method, characteristic
+from rbjax.stability.theory.oscillator import spectral_radius
+from rbjax.stability.theory.regions import stability_region
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

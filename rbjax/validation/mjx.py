@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from rbjax.compiling import WITHOUT_EMITTERS, takes
+from rbjax.compiling import WITHOUT_EMITTERS, xla_accepts
 from rbjax.validation.ours import quick
 from rbjax.validation.reference import Array, Samples
 
@@ -31,7 +31,7 @@ def fast() -> dict[str, Any] | None:
     """The first of `UNFUSED` that this jaxlib knows (0.11 lost the first); None off the CPU."""
     if jax.default_backend() != "cpu":
         return None
-    return dict([next(option for option in UNFUSED if takes(*option))])
+    return dict([next(option for option in UNFUSED if xla_accepts(*option))])
 
 
 class Mjx:

@@ -1,6 +1,6 @@
 """SE(3) against matrix power series in a hundred digits, and the laws of the group.
 
-What other libraries do at the same points: `python -m benchmarks.rotation_libraries`.
+What other libraries do at the same points: `python -m benchmarks.accuracy.rotation_libraries`.
 """
 
 import jax

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from benchmarks.robots import as_model, compiled, states
+from benchmarks.shared.robots import as_model, compiled, states
 from rbjax.dynamics.drivers import on_threads
 from tests.dynamics.test_limbs import CART, walker
 from tests.robots import QUICK, robot

@@ -1,0 +1,78 @@
+"""Every public function under plain jit, batch 1,024, beside its fastest compiled form.
+
+`python -m benchmarks.cpu.forms`: one core, f64, Panda, default flags. Forms: plain
+`jit(vmap(f))` with the driver "auto" (what a user writes); the other driver; chunks of 240
+(`lax.map`); XLA's fusion pass off; its fusion emitters off. The figure is plain over the fastest.
+"""
+
+from __future__ import annotations
+
+import benchmarks.shared.one_core  # noqa: F401  isort: skip
+
+import jax
+import jax.numpy as jnp
+
+import rbjax as rb
+from benchmarks.shared.robots import compiled, ours, states
+from benchmarks.shared.timing import markdown_table, measure, save
+
+BATCH = 1024
+FUNCTIONS = {
+    "forward_kinematics": lambda m, q, v, u: rb.forward_kinematics(m, q),
+    "body_velocities": lambda m, q, v, u: rb.body_velocities(m, q, v),
+    "jacobian": lambda m, q, v, u: rb.jacobian(m, q, m.body_names[-1]),
+    "inverse_dynamics": rb.inverse_dynamics,
+    "forward_dynamics": rb.forward_dynamics,
+    "mass_matrix": lambda m, q, v, u: rb.mass_matrix(m, q),
+    "inverse_mass_matrix": lambda m, q, v, u: rb.inverse_mass_matrix(m, q),
+    "bias_forces": lambda m, q, v, u: rb.bias_forces(m, q, v),
+    "gravity_forces": lambda m, q, v, u: rb.gravity_forces(m, q),
+    "coriolis_matrix": lambda m, q, v, u: rb.coriolis_matrix(m, q, v),
+    "applied_forces": lambda m, q, v, u: rb.applied_forces(m, rb.State(q, v)),
+    "inverse_dynamics_derivatives": rb.inverse_dynamics_derivatives,
+    "forward_dynamics_derivatives": rb.forward_dynamics_derivatives,
+    "inertial_regressor": rb.inertial_regressor,
+    "kinetic_energy": lambda m, q, v, u: rb.kinetic_energy(m, q, v),
+    "potential_energy": lambda m, q, v, u: rb.potential_energy(m, q),
+    "center_of_mass": lambda m, q, v, u: rb.center_of_mass(m, q),
+    "centroidal_momentum": lambda m, q, v, u: rb.centroidal_momentum(m, q, v),
+    "integrate": lambda m, q, v, u: rb.integrate(m, q, v),
+    "difference": lambda m, q, v, u: rb.difference(m, q, q + v),
+}
+
+
+def main() -> None:
+    model = ours("panda")
+    given = tuple(jnp.asarray(x) for x in states(compiled("panda"), BATCH))
+    rows = []
+    for name, f in FUNCTIONS.items():
+
+        def plain(*x, f=f, model=model):
+            return jax.vmap(lambda *one: f(model, *one))(*x)
+
+        def rolled(*x, plain=plain):
+            return plain(*x, model=model.replace(driver="rolled"))
+
+        def mapped(*x, f=f, model=model):
+            return jax.lax.map(lambda one: f(model, *one), x, batch_size=240)
+
+        forms = {
+            "plain": (plain, None),
+            "rolled": (rolled, None),
+            "chunks": (mapped, None),
+            "no fusion": (plain, {"xla_disable_hlo_passes": "fusion"}),
+            "no emitters": (plain, {"xla_cpu_use_fusion_emitters": False}),
+        }
+        row = {"function": name}
+        for form, (g, options) in forms.items():
+            timed = measure(g, *given, budget_s=0.4, compiler_options=options)
+            row[form] = timed["run_min_s"] / BATCH * 1e9
+        row["plain over fastest"] = row["plain"] / min(row[form] for form in forms)
+        rows.append(row)
+        print(row, flush=True)
+    print(markdown_table(rows, rows[0]))
+    print(save("cpu-forms", rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,326 @@
+"""Every solver on every scene, on all cores and GPUs of a machine, within a deadline.
+
+`python -m benchmarks.work.queue --jobs 28 --gpus 2 --deadline 560` writes work-solvers-*.json into
+results/ (one of the CPU, one of the GPUs), renewed every few seconds. A second call takes what the
+files there say was done on such a CPU (or those of `--resume`, wherever) and goes on with the rest.
+
+A task is (scene, solver, precision): see `benchmarks.work.solvers`. Each CPU worker has a core to
+itself (on a machine with hyperthreads, half of one), so that times are those of one core of a busy
+machine; GPU workers compile side by side on the cores left and run one at a time on each GPU. Tasks
+go by importance: f64 before f32, the most telling solvers first; counts of evaluations last. One
+that would not end in time, by what others of its kind took, is not begun. What was left out, or
+failed, or does not apply, is a row that says so, and a second call tries again what failed.
+Linux alone, since processes are pinned to cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.shared.timing import RESULTS, cpu_model, save
+from benchmarks.work.scenes import SCENES
+from benchmarks.work.solvers import FIRST, IMPLICIT, MAKERS, applicable
+
+NAME = "work-solvers"
+EARLIER = ("cpu", "cores", "date", "commit", "dirty")  # what is told of runs resumed
+Rows = list[dict[str, Any]]
+
+
+class Task(NamedTuple):
+    """What one worker does at a time; the precision "count" is the count of evaluations."""
+
+    scene: str
+    method: str
+    precision: str
+
+    def importance(self) -> tuple[int, int]:
+        return ("f64", "f32", "count").index(self.precision), self.method not in FIRST
+
+    def row(self, what: str, note: str) -> dict[str, Any]:
+        return {"what": what, "scene": self.scene, "engine": "simulate", "method": self.method,
+                "precision": self.precision, "note": note}  # fmt: skip
+
+
+def tasks(scenes: Iterable[str], methods: Iterable[str], precisions: Iterable[str]) -> list[Task]:
+    """All that apply; evaluations of explicit solvers are counted on one scene."""
+    scenes, out = list(scenes), []
+    for method in methods:
+        for precision in precisions:
+            here = [s for s in scenes if applicable(s, method)]
+            if precision == "count" and method not in IMPLICIT:
+                here = here[:1]
+            out += [Task(scene, method, precision) for scene in here]
+    return sorted(out, key=Task.importance)  # which keeps the order within one importance
+
+
+class Board:
+    """The tasks of one platform and what they found; the threads of its workers share it."""
+
+    def __init__(self, platform: str, wanted: list[Task], deadline: float, name: str = NAME):
+        self.platform, self.deadline, self.name = platform, deadline, name
+        self.found: dict[Task, Rows] = {}
+        self.source: dict[str, Any] | None = None
+        self.earlier: list[dict[str, Any]] = []
+        self.waiting, self.lock = wanted, threading.Lock()
+
+    def resume(self, paths: Iterable[Path], cpu: str | None) -> None:
+        """Take what files say is done, on this CPU (None: on any)."""
+        for path in paths:
+            data = json.loads(path.read_text())
+            source = data["provenance"]
+            if (source["platform"] == "cpu") != (self.platform == "cpu"):
+                continue
+            if cpu not in (None, source["cpu"]):
+                continue
+            self.source = source
+            self.earlier += [*source.pop("earlier", []), {k: source[k] for k in EARLIER}]
+            by_task: dict[Task, Rows] = {}
+            for row in data["rows"]:
+                if row.get("engine") == "simulate":
+                    precision = "count" if row["what"] == "count" else row["precision"]
+                    task = Task(row["scene"], row["method"], precision)
+                    by_task.setdefault(task, []).append(row)
+            self.found |= {t: r for t, r in by_task.items() if r[-1]["what"] in ("done", "count")}
+        self.waiting = [task for task in self.waiting if task not in self.found]
+
+    def next(self) -> Task | None:
+        """The most important task that others of its kind say will end in time."""
+        with self.lock:
+            took: dict[Any, float] = {}
+            for task, rows in self.found.items():
+                seconds = rows[-1].get("task_s", 0.0)
+                took[_kind(task)] = max(seconds, took.get(_kind(task), 0.0))
+            for task in self.waiting:
+                if time.monotonic() + took.get(_kind(task), 0.0) < self.deadline:
+                    self.waiting.remove(task)
+                    return task
+        return None
+
+    def give_back(self, task: Task) -> None:
+        with self.lock:
+            self.waiting.insert(0, task)
+
+    def put(self, task: Task, rows: Rows) -> None:
+        with self.lock:
+            self.found[task] = rows
+        last = rows[-1]
+        print(self.platform, *task, last["what"], last.get("note", ""), last.get("task_s", ""),
+              flush=True)  # fmt: skip
+
+    def rows(self, counts: dict[tuple[str, str], Any]) -> Rows:
+        """Everything, with force evaluations a second where they were counted."""
+        with self.lock:
+            out = [row for rows in self.found.values() for row in rows]
+            out += [task.row("left out", "out of time") for task in self.waiting]
+        for row in out:
+            count = counts.get((row["scene"] if row["method"] in IMPLICIT else "", row["method"]))
+            if row["what"] == "point" and count:
+                a_step = np.interp(np.log(row["steps"]), np.log(count[0]), count[1])
+                seconds = SCENES[row["scene"]].seconds
+                row["evaluations"] = float(f"{a_step * row['steps'] / seconds:.5g}")
+        return out
+
+    def counts(self) -> dict[tuple[str, str], Any]:
+        """(scene, method) -> steps and evaluations a step; no scene for an explicit solver."""
+        with self.lock:
+            rows = [rows[-1] for task, rows in self.found.items() if task.precision == "count"]
+        out = {}
+        for row in rows:
+            if row["what"] == "count" and row["of_steps"]:
+                scene = row["scene"] if row["method"] in IMPLICIT else ""
+                out[scene, row["method"]] = row["of_steps"], row["a_step"]
+        return out
+
+
+def _kind(task: Task) -> tuple[str, bool, bool]:
+    return task.scene, task.method in IMPLICIT, task.precision == "count"
+
+
+class Worker(threading.Thread):
+    """A process that does tasks of a board one after another; a new one where it dies."""
+
+    def __init__(self, board: Board, env: dict[str, str], cores: set[int], folder: Path):
+        super().__init__(daemon=True)
+        self.board, self.env, self.cores, self.folder = board, os.environ | env, cores, folder
+        self.process: subprocess.Popen | None = None
+        self.since, self.over = time.monotonic(), False
+
+    def start_process(self) -> subprocess.Popen:
+        with (self.folder / "log").open("a") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "benchmarks.work.solvers", str(self.folder)],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, env=self.env,
+            )  # fmt: skip
+        os.sched_setaffinity(process.pid, self.cores)
+        self.process, self.since = process, time.monotonic()
+        return process
+
+    def run(self) -> None:
+        process = None
+        while not self.over and (task := self.board.next()):
+            if process is None:
+                process = self.start_process()
+                source = process.stdout.readline()
+                if not source:
+                    print(self.board.platform, "worker does not start: see the log", flush=True)
+                    self.board.give_back(task)
+                    return
+                self.board.source = json.loads(source)
+            self.since = time.monotonic()
+            try:
+                process.stdin.write(json.dumps(task) + "\n")
+                process.stdin.flush()
+                answer = process.stdout.readline()
+            except BrokenPipeError:
+                answer = ""
+            if answer:
+                self.board.put(task, json.loads(answer))
+                continue
+            code, process = process.wait(), None
+            after = f"after {time.monotonic() - self.since:.0f} s"
+            note = f"killed {after}" if code == -9 else f"its process ended, code {code}, {after}"
+            self.board.put(task, [task.row("left out" if code == -9 else "failed", note)])
+        self.kill()
+
+    def kill(self) -> None:
+        if self.process and self.process.poll() is None:
+            self.process.kill()
+
+
+def started(boards: list[Board], opts: argparse.Namespace, folder: Path) -> list[Worker]:
+    """CPU workers on a core each, GPU workers and this process' other children on those left."""
+    cores = sorted(os.sched_getaffinity(0))
+    on_gpu = opts.per_gpu * opts.gpus
+    on_cpu = 0 if opts.no_cpu else max(1, opts.jobs - on_gpu)
+    left = set(cores[on_cpu:] or cores)
+    os.sched_setaffinity(0, left)
+    out = []
+    for board in boards:
+        if board.platform == "cpu":
+            for k in range(on_cpu):
+                env = {"JAX_PLATFORMS": "cpu", "RBJAX_GPU_LOCK": str(folder / f"cpu{k}.lock")}
+                out.append(Worker(board, env, {cores[k % len(cores)]}, folder))
+        else:
+            for k in range(on_gpu):
+                env = {
+                    "JAX_PLATFORMS": opts.gpu_platform,
+                    "CUDA_VISIBLE_DEVICES": str(k % opts.gpus),
+                    "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
+                    "RBJAX_GPU_LOCK": str(folder / f"gpu{k % opts.gpus}.lock"),
+                }
+                out.append(Worker(board, env, left, folder))
+    for worker in out:
+        worker.start()
+    return out
+
+
+def references(scenes: list[str], folder: Path) -> list[subprocess.Popen]:
+    """Processes that look for where the scenes end."""
+    env = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
+    command = [sys.executable, "-m", "benchmarks.work.scenes"]
+    with (folder / "log").open("a") as log:
+        return [
+            subprocess.Popen([*command, s, str(folder / f"{s}.npz")], env=env, stderr=log)
+            for s in scenes
+        ]
+
+
+def write(boards: list[Board], folder: Path, kept: Rows) -> None:
+    """Files of results, and beside their copies the workers' log."""
+    ends: Rows = []
+    for path in sorted(folder.glob("*.npz")):
+        if path.stem in SCENES:
+            with np.load(path) as end:
+                ends.append({"what": "reference", "scene": path.stem, "bound": float(end["bound"]),
+                             "seconds": SCENES[path.stem].seconds})  # fmt: skip
+    counts = {k: v for board in boards for k, v in board.counts().items()}
+    for board in boards:
+        if board.source is None:
+            continue
+        source = board.source | ({"earlier": board.earlier} if board.earlier else {})
+        save(board.name, [*ends, *kept, *board.rows(counts)], source)
+    copies = os.environ.get("RBJAX_RESULTS")
+    if copies and (folder / "log").exists():
+        shutil.copy(folder / "log", Path(copies) / f"{NAME}.log")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", nargs="*", default=list(SCENES))
+    parser.add_argument("--solvers", nargs="*", default=list(MAKERS))
+    parser.add_argument("--precisions", nargs="*", default=["f64", "f32", "count"])
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes in all")
+    parser.add_argument("--gpus", type=int, default=0)
+    parser.add_argument("--per-gpu", type=int, default=5, help="processes that share a GPU")
+    parser.add_argument("--gpu-platform", default="cuda", help="cpu: a rehearsal without a GPU")
+    parser.add_argument("--no-cpu", action="store_true")
+    parser.add_argument("--deadline", type=float, default=36_000.0, help="seconds in all")
+    parser.add_argument("--task-limit", type=float, default=240.0, help="seconds a task")
+    parser.add_argument("--resume", nargs="*", type=Path, help="folders or files, of any CPU")
+    opts = parser.parse_args()
+    os.environ["JAX_PLATFORMS"] = "cpu"  # this process leaves the GPUs alone
+    deadline = time.monotonic() + opts.deadline - 5.0
+
+    boards = [] if opts.no_cpu else [
+        Board("cpu", tasks(opts.scenes, opts.solvers, opts.precisions), deadline)
+    ]  # fmt: skip
+    on_gpu = [p for p in opts.precisions if p != "count"]
+    if opts.gpus:
+        name = NAME if opts.gpu_platform != "cpu" else f"rehearsal-{NAME}"
+        boards.append(Board("gpu", tasks(opts.scenes, opts.solvers, on_gpu), deadline, name))
+    for board in boards:
+        for where in [RESULTS] if opts.resume is None else opts.resume:
+            paths = sorted(where.glob(f"{NAME}-*.json")) if where.is_dir() else [where]
+            board.resume(paths, cpu_model() if opts.resume is None else None)
+        print(board.platform, len(board.found), "tasks done before,", len(board.waiting), "to do")
+    note = "takes rigid bodies alone, and the robot is none"
+    not_applicable = [
+        Task(scene, method, "-").row("not applicable", note)
+        for scene in opts.scenes
+        for method in opts.solvers
+        if not applicable(scene, method)
+    ]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        needed = {task.scene for board in boards for task in board.waiting}
+        workers = started(boards, opts, folder)
+        looking = references([s for s in opts.scenes if s in needed], folder)
+        saved = time.monotonic()
+        while any(w.is_alive() for w in workers) and time.monotonic() < deadline:
+            time.sleep(0.5)
+            for worker in workers:
+                if worker.is_alive() and time.monotonic() - worker.since > opts.task_limit:
+                    worker.kill()
+            if time.monotonic() - saved > 10.0:
+                write(boards, folder, not_applicable)
+                saved = time.monotonic()
+        for worker in workers:
+            worker.over = True
+            worker.kill()
+        for worker in workers:
+            worker.join(5.0)
+        for process in looking:
+            process.kill()
+            process.wait()
+        write(boards, folder, not_applicable)
+    for board in boards:
+        done = sum(rows[-1]["what"] in ("done", "count") for rows in board.found.values())
+        bad = len(board.found) - done
+        print(board.platform, done, "done,", bad, "failed or killed,", len(board.waiting), "left")
+
+
+if __name__ == "__main__":
+    main()

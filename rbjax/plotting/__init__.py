@@ -1,0 +1,52 @@
+"""Pictures of robots with matplotlib alone, no GL and no window: postures, motions, charts.
+
+`draw` shows one posture, `strobe` a motion in one picture; `animate` writes a GIF, an MP4 or a
+page. Each takes a model alone (rods and ellipsoids of inertia) or with its file (the geoms).
+"""
+
+from rbjax.plotting.animation import animate
+from rbjax.plotting.camera import Camera
+from rbjax.plotting.charts import time_plot
+from rbjax.plotting.drawing import bare, draw, draw_solids
+from rbjax.plotting.film import poses
+from rbjax.plotting.skeleton import skeleton
+from rbjax.plotting.solids import Solid, solids
+from rbjax.plotting.strobe import strobe
+from rbjax.plotting.style import (
+    BLUE,
+    GREEN,
+    GRID,
+    INK,
+    ORANGE,
+    PALETTE,
+    PAPER,
+    PURPLE,
+    RED,
+    STYLE,
+    TEAL,
+)
+
+__all__ = [
+    "BLUE",
+    "GREEN",
+    "GRID",
+    "INK",
+    "ORANGE",
+    "PALETTE",
+    "PAPER",
+    "PURPLE",
+    "RED",
+    "STYLE",
+    "TEAL",
+    "Camera",
+    "Solid",
+    "animate",
+    "bare",
+    "draw",
+    "draw_solids",
+    "poses",
+    "skeleton",
+    "solids",
+    "strobe",
+    "time_plot",
+]

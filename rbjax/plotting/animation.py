@@ -1,0 +1,195 @@
+"""A trajectory as a moving picture: GIF, MP4, or a page that turns under the mouse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from rbjax.errors import InputError
+from rbjax.model import Model
+from rbjax.motion.trajectory import Trajectory
+from rbjax.plotting import movie_files, offscreen, page
+from rbjax.plotting.camera import Camera
+from rbjax.plotting.drawing import Stage, shapes_of
+from rbjax.plotting.film import Film, film, frames
+from rbjax.plotting.style import INK
+
+SUFFIXES = (".gif", ".mp4", ".html")
+RENDERERS = ("drawing", "mujoco")
+_DPI = 100
+
+
+def animate(
+    model: Model,
+    trajectory: Trajectory,
+    path: str | Path,
+    *,
+    source: Any = None,
+    floating_base: bool = False,
+    fps: float = 25.0,
+    speed: float = 1.0,
+    samples: int = 8,
+    camera: Camera | None = None,
+    follow: bool | None = None,
+    trace: str | Sequence[str] = (),
+    title: str = "",
+    size: tuple[int, int] = (800, 600),
+    renderer: str = "drawing",
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write an animation of a trajectory.
+
+    Without `source` the robot is rods from joint to joint and ellipsoids of inertia, by the model's
+    numbers alone. The format follows the file's name: .gif; .mp4, for which ffmpeg must be
+    installed; .html, one file that needs nothing else, where the mouse turns the view.
+
+    Args:
+        model: one robot, the one that moved.
+        trajectory: what `rollout` or `simulate` gives; q (T, nq) or (B, T, nq), times in s. Frames
+            between its states are interpolated.
+        path: the file to write, .gif, .mp4 or .html.
+        source: what `rbjax.load` took, to draw the file's geoms.
+        floating_base: of a source that is a URDF, as for `rbjax.load`.
+        fps: frames a second of the animation.
+        speed: seconds of motion in a second of the animation; 0.1 is slow motion.
+        samples: how many of a batch are drawn, the first strongly, the others faded.
+        camera: line of sight; None looks across a flat motion, else from a corner.
+        follow: whether the picture moves with the robot; None: if it goes far.
+        trace: a body, or several, whose origins leave a line.
+        title: written above.
+        size: width and height in pixels (of .gif and .mp4).
+        renderer: "drawing", or "mujoco" for MuJoCo's own pictures of `source`, which need OpenGL
+            (EGL or OSMesa where there is no display); they show the first sample.
+        progress: called with frames done and frames in all; None shows a bar in a terminal.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: another suffix or renderer, a trajectory of another model, ffmpeg missing.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> import jax.numpy as jnp, rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> run = rb.rollout(model, rb.State(jnp.ones(2), jnp.zeros(2)), None, 0.01, steps=20)
+        >>> file = pathlib.Path(tempfile.mkdtemp()) / "swing.html"
+        >>> rb.plotting.animate(model, run, file).name
+        'swing.html'
+    """
+    path, trace = Path(path), (trace,) if isinstance(trace, str) else tuple(trace)
+    writable(path)
+    _check(fps, speed, samples, renderer, source)
+    ts, q = frames(model, trajectory, fps, speed, samples)
+    shapes = shapes_of(model, source, floating_base)
+    shown = film(model, ts, q, shapes, camera=camera, follow=follow, trace=trace)
+    if path.suffix == ".html":
+        page.write(path, shown, title, fps=fps, speed=speed)
+        return path
+    pictures: Iterable[np.ndarray] = _drawn(shown, title, speed, size)
+    if renderer == "mujoco":
+        rendered = offscreen.render(source, floating_base, q[0], shown, size)
+        if rendered is not None:
+            pictures = _labelled(rendered, shown, title, speed, size)
+    write = movie_files.gif if path.suffix == ".gif" else movie_files.mp4
+    if progress is not None:
+        write(path, _counted(pictures, len(ts), progress), fps)
+        return path
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    console = Console(stderr=True, force_jupyter=False)
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task(f"drawing {path.name}", total=len(ts))
+        say = lambda done, total: bar.update(task, completed=done)  # noqa: E731
+        write(path, _counted(pictures, len(ts), say), fps)
+    return path
+
+
+def writable(path: Path) -> None:
+    """Raise InputError where `animate` cannot write such a file, before anything is computed."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(
+            f"animate: got the file name {path.name!r}, expected one that ends in "
+            f"{', '.join(SUFFIXES)}"
+        )
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"animate: no such folder: {path.parent}; make it first")
+    if path.suffix == ".mp4" and movie_files.ffmpeg() is None:
+        raise InputError(
+            f"animate: {path.name} needs ffmpeg, which is not installed here: "
+            f"write {path.stem}.gif or {path.stem}.html instead"
+        )
+
+
+def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -> None:
+    for name, value in {"fps": fps, "speed": speed, "samples": samples}.items():
+        if not value > 0:
+            raise InputError(f"animate: {name} is {value}, expected more than 0")
+    if renderer not in RENDERERS:
+        raise InputError(f"animate: renderer {renderer!r}, expected one of {', '.join(RENDERERS)}")
+    if renderer == "mujoco" and source is None:
+        raise InputError("animate: renderer 'mujoco' draws a robot file: give it as source=")
+
+
+def _counted(
+    pictures: Iterable[np.ndarray], total: int, progress: Callable[[int, int], None]
+) -> Iterator[np.ndarray]:
+    for done, picture in enumerate(pictures, 1):
+        yield picture
+        progress(done, total)
+
+
+def _figure(film: Film, title: str, speed: float, size: tuple[int, int]) -> tuple[Any, Any, Any]:
+    """A canvas, its one axis, and the text of the time."""
+    figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
+    canvas = FigureCanvasAgg(figure)
+    ax = figure.add_axes((0, 0, 1, 1))
+    height = 12 * min(1.0, size[0] / 600)
+    figure.text(0.025, 0.965, title, size=height, weight="bold", color=INK, va="top")
+    label = figure.text(0.025, 0.03, "", size=height, color=INK, family="monospace")
+    return canvas, ax, label
+
+
+def _time(film: Film, frame: int, speed: float) -> str:
+    rate = "" if speed == 1 else f"   {speed:g} x real time"
+    return f"t = {film.ts[frame]:.2f} s{rate}"
+
+
+def _picture(canvas: Any) -> np.ndarray:
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def _drawn(film: Film, title: str, speed: float, size: tuple[int, int]) -> Iterator[np.ndarray]:
+    """Frames (height, width, 3) of the film, drawn by matplotlib."""
+    canvas, ax, label = _figure(film, title, speed, size)
+    stage = Stage(ax, film)
+    for frame in range(len(film.ts)):
+        stage.show(frame)
+        label.set_text(_time(film, frame, speed))
+        yield _picture(canvas)
+
+
+def _labelled(
+    rendered: Iterable[np.ndarray], film: Film, title: str, speed: float, size: tuple[int, int]
+) -> Iterator[np.ndarray]:
+    """MuJoCo's pictures with title and time on them."""
+    canvas, ax, label = _figure(film, title, speed, size)
+    ax.axis("off")
+    shown = None
+    for text in canvas.figure.texts:
+        text.set_bbox({"facecolor": "white", "alpha": 0.75, "lw": 0, "pad": 3})
+    canvas.figure.texts[0].set_visible(bool(title))
+    for frame, picture in enumerate(rendered):
+        if shown is None:
+            shown = ax.imshow(picture, aspect="auto")
+        shown.set_data(picture)
+        label.set_text(_time(film, frame, speed))
+        yield _picture(canvas)

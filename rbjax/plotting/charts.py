@@ -1,0 +1,33 @@
+"""Charts of trajectories: coordinates over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+
+def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str] = ()) -> None:
+    """Configuration and velocity coordinates over time, on two axes.
+
+    Args:
+        axes: two axes, for q and for v.
+        ts: (T,) s.
+        q: (T, nq) m, rad, or quaternions' numbers.
+        v: (T, nv) m/s, rad/s.
+        names: of the first coordinates, for a legend.
+
+    Example:
+        >>> import matplotlib.figure, numpy as np
+        >>> from rbjax.plotting import time_plot
+        >>> axes = matplotlib.figure.Figure().subplots(2)
+        >>> time_plot(axes, np.arange(3.0), np.zeros((3, 2)), np.zeros((3, 2)), ["hip", "knee"])
+        >>> len(axes[0].lines)
+        2
+    """
+    for ax, x, label in ((axes[0], q, "q  [m, rad, -]"), (axes[1], v, "v  [m/s, rad/s]")):
+        for i in range(np.shape(x)[-1]):
+            ax.plot(ts, x[:, i], lw=1.4, label=names[i] if i < len(names) else None)
+        ax.set(xlabel="time [s]", ylabel=label)

@@ -1,0 +1,266 @@
+"""One posture on a matplotlib axis: convex hulls of projected points, far ones first, a shadow.
+
+No GL and no window: points of each solid, moved by our own forward kinematics, are projected
+along the line of sight, and their convex hull is filled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.patches import Polygon
+from scipy.spatial import ConvexHull, QhullError
+
+from rbjax.errors import InputError
+from rbjax.model import Model
+from rbjax.plotting.camera import Camera
+from rbjax.plotting.film import Film, film
+from rbjax.plotting.skeleton import skeleton
+from rbjax.plotting.solids import Solid, solids
+from rbjax.plotting.style import BLUE, GRID
+
+Array = np.ndarray
+_GROUND = "#f4f6f8"
+#: how strongly the samples after the first are drawn
+FADED = 0.22
+
+
+class Outline(NamedTuple):
+    """A filled polygon (n, 2) with its colours (red, green, blue, opacity)."""
+
+    points: Array
+    face: tuple[float, float, float, float]
+    edge: tuple[float, float, float, float]
+
+
+def outlines(
+    shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, alpha: float = 1.0,
+    world: bool = True,
+) -> list[Outline]:  # fmt: skip
+    """The solids as seen, from far to near: R (nb, 3, 3), p (nb, 3)."""
+    axes, found = camera.axes, []
+    for s in shapes:
+        if s.body < 0 and not world:
+            continue
+        view = _placed(s, R, p) @ axes.T
+        hull = _hull(view[:, :2])
+        if hull is not None:
+            (red, green, blue), opacity = s.color, alpha * s.alpha
+            edge = (0.62 * red, 0.62 * green, 0.62 * blue, opacity)
+            outline = Outline(hull, (red, green, blue, opacity), edge)
+            found.append((float(view[:, 2].mean()), outline))
+    return [outline for _, outline in sorted(found, key=lambda item: item[0])]
+
+
+def shadows(
+    shapes: Sequence[Solid], R: Array, p: Array, camera: Camera, *, floor: float = 0.0,
+    world: bool = True,
+) -> list[Array]:  # fmt: skip
+    """Outlines (n, 2) of the solids' shadows, straight below them on the floor."""
+    hulls = []
+    for s in shapes:
+        if s.body >= 0 or world:
+            hulls.append(_hull((_placed(s, R, p) * [1, 1, 0] + [0, 0, floor]) @ camera.axes[:2].T))
+    return [hull for hull in hulls if hull is not None]
+
+
+def _placed(s: Solid, R: Array, p: Array) -> Array:
+    return s.points if s.body < 0 else s.points @ R[s.body].T + p[s.body]
+
+
+def _hull(points: Array) -> Array | None:
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # seen edge on
+        return None
+
+
+def draw_solids(
+    ax: Axes,
+    shapes: Sequence[Solid],
+    R: Array,
+    p: Array,
+    *,
+    camera: Camera | None = None,
+    alpha: float = 1.0,
+    shadow: bool = True,
+    world: bool = True,
+    zorder: float = 2.0,
+) -> None:
+    """Solids at one pose, added to an axis as patches.
+
+    Args:
+        ax: the axis.
+        shapes: what `solids` or `skeleton` gives.
+        R: (nb, 3, 3), body to world axes.
+        p: (nb, 3) m, the bodies' origins in the world's frame.
+        camera: line of sight.
+        alpha: opacity.
+        shadow: whether they throw one on z = 0.
+        world: whether what is fixed to the world is drawn too.
+        zorder: matplotlib's, of the farthest.
+
+    Example:
+        >>> import matplotlib.figure, numpy as np
+        >>> from rbjax.plotting import draw_solids, solids
+        >>> ax = matplotlib.figure.Figure().add_subplot()
+        >>> draw_solids(ax, solids("pendulum"), np.eye(3)[None], np.zeros((1, 3)), shadow=False)
+        >>> len(ax.patches)
+        3
+    """
+    camera = camera or Camera()
+    if shadow:
+        for hull in shadows(shapes, R, p, camera, world=world):
+            ax.add_patch(
+                Polygon(hull, color="#000000", alpha=0.06 * alpha, lw=0, zorder=zorder - 1)
+            )
+    for depth, one in enumerate(outlines(shapes, R, p, camera, alpha=alpha, world=world)):
+        style: Any = {"facecolor": one.face, "edgecolor": one.edge, "zorder": zorder + 1e-3 * depth}
+        ax.add_patch(Polygon(one.points, lw=0.7, joinstyle="round", **style))
+
+
+class Stage:
+    """An axis that shows one frame of a film after another."""
+
+    def __init__(self, ax: Axes, film: Film):
+        self.ax, self.film = ax, film
+        self.disc = PolyCollection([], facecolors=_GROUND, linewidths=0, zorder=0)
+        self.grid = LineCollection([], colors=GRID, linewidths=0.8, zorder=0.5)
+        # blended once, so that overlapping shadows do not add up to black
+        self.shadow = PolyCollection([], facecolors="#e3e7eb", linewidths=0, zorder=1)
+        first = [(*to_rgb(BLUE), 1.0 if strong else FADED) for strong in film.strong]
+        self.paths = LineCollection([], colors=first, linewidths=1.6, zorder=1.5)
+        self.solids = PolyCollection([], linewidths=0.8, zorder=2, joinstyle="round")
+        for collection in (self.disc, self.grid, self.shadow, self.paths, self.solids):
+            ax.add_collection(collection, autolim=False)
+        ax.axis("off")
+        ax.set_aspect("equal", adjustable="datalim")
+
+    def show(self, frame: int) -> None:
+        """Draw a frame in place of the last."""
+        f, axes = self.film, self.film.camera.axes[:2]
+        centre, half = f.centre[frame] @ axes.T, f.size / 2 * [1.0, 1.15]  # title and time
+        width, height = self.ax.get_window_extent().size  # what the axis has more to one side
+        half = np.maximum(half, half[::-1] * [width / height, height / width])
+        self.ax.set(
+            xlim=(centre[0] - half[0], centre[0] + half[0]),
+            ylim=(centre[1] - half[1], centre[1] + half[1]),
+        )
+        disc, grid = ground(f, frame, float(np.hypot(*half)))
+        self.disc.set_verts([disc @ axes.T])
+        self.grid.set_segments([line @ axes.T for line in grid])
+        self.shadow.set_verts(
+            shadows(f.shapes, f.R[0, frame], f.p[0, frame], f.camera, floor=f.floor)
+        )
+        self.paths.set_segments([path[: frame + 1] @ axes.T for path in f.paths])
+        shown = []
+        for sample in reversed(range(len(f.R))):  # the first over the others
+            style: Any = {"alpha": 1.0 if sample == 0 else FADED, "world": sample == 0}
+            shown += outlines(f.shapes, f.R[sample, frame], f.p[sample, frame], f.camera, **style)
+        self.solids.set_verts([one.points for one in shown])
+        self.solids.set_facecolor([one.face for one in shown])
+        self.solids.set_edgecolor([one.edge for one in shown])
+
+
+def ground(film: Film, frame: int, reach: float) -> tuple[Array, list[Array]]:
+    """A disc (n, 3) of the ground under the middle of a frame, and the lines of its grid."""
+    x, y, _ = film.centre[frame]
+    radius, spacing = 1.1 * reach, _even(reach / 2.5)
+    turn = np.linspace(0, 2 * np.pi, 97)
+    disc = np.stack(
+        [x + radius * np.cos(turn), y + radius * np.sin(turn), 0 * turn + film.floor], -1
+    )
+    lines = []
+    for along, middle in ((0, y), (1, x)):
+        start = x if along == 0 else y
+        for k in np.arange(np.ceil((middle - radius) / spacing), (middle + radius) / spacing):
+            half = np.sqrt(max(radius**2 - (k * spacing - middle) ** 2, 0.0))
+            line = np.full((2, 3), film.floor)
+            line[:, along] = start - half, start + half
+            line[:, 1 - along] = k * spacing
+            lines.append(line)
+    return disc, lines
+
+
+def _even(length: float) -> float:
+    """The nearest of 1, 2, 5 times a power of ten below a length."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(power * max(k for k in (1, 2, 5) if k * power <= length * 1.0000001))
+
+
+def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[Solid]:
+    """The geoms of a file, or a skeleton where there is none or it holds no geom."""
+    return (source is not None and solids(source, floating_base=floating_base)) or skeleton(model)
+
+
+def draw(
+    model: Model,
+    q: Any,
+    ax: Axes | None = None,
+    *,
+    source: Any = None,
+    camera: Camera | None = None,
+) -> Axes:
+    """One posture of a robot, on the ground that it may stand on.
+
+    Args:
+        model: one robot.
+        q: (nq,) configuration.
+        ax: where; None makes a figure.
+        source: what `rbjax.load` took, to draw the file's geoms; None draws rods from joint to
+            joint and ellipsoids of inertia.
+        camera: line of sight; None chooses one.
+
+    Returns:
+        The axis; `ax.figure.savefig(path)` writes it.
+
+    Raises:
+        InputError: q is of another shape or not finite.
+
+    Example:
+        >>> import matplotlib.figure
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> ax = matplotlib.figure.Figure().add_subplot()
+        >>> rb.plotting.draw(model, [0.3, 0.5], ax).get_aspect()
+        1.0
+    """
+    q = np.asarray(q, model.joints.reference.dtype)
+    if q.shape != (model.nq,) or not np.isfinite(q).all():
+        raise InputError(f"draw: got q = {q}, expected shape ({model.nq},) of finite numbers")
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(figsize=(6, 5), layout="constrained")[1]
+    shapes = shapes_of(model, source)
+    Stage(ax, film(model, np.zeros(1), q[None, None], shapes, camera=camera)).show(0)
+    return ax
+
+
+def bare(ax: Axes, margin: float = 0.05) -> None:
+    """Fit an axis to its polygons and lines, in equal scales, without frame or ticks.
+
+    Args:
+        ax: the axis.
+        margin: left free on each side, as a share of the larger extent.
+
+    Example:
+        >>> import matplotlib.figure
+        >>> from rbjax.plotting import bare
+        >>> ax = matplotlib.figure.Figure().add_subplot()
+        >>> _ = ax.fill([0, 1, 1], [0, 0, 1])
+        >>> bare(ax)
+        >>> ax.get_xlim()
+        (np.float64(-0.05), np.float64(1.05))
+    """
+    points = np.concatenate([patch.get_xy() for patch in ax.patches if isinstance(patch, Polygon)])
+    points = np.concatenate([points, *(line.get_xydata() for line in ax.lines)])
+    low, high = points.min(0), points.max(0)
+    pad = margin * (high - low).max()
+    ax.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), aspect="equal")
+    ax.axis("off")

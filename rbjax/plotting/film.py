@@ -1,0 +1,172 @@
+"""What an animation shows, before anything is drawn: poses at even times, a view that fits them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics import difference, forward_kinematics, integrate
+from rbjax.errors import InputError
+from rbjax.model import Model
+from rbjax.motion.trajectory import Trajectory
+from rbjax.plotting.camera import Camera, facing
+from rbjax.plotting.solids import Solid
+
+Array = np.ndarray
+#: frames whose every point is looked at to find the view
+_PROBED = 60
+#: a motion that goes this many sizes of the robot across the picture is followed
+_FAR = 4.0
+
+
+@dataclass(frozen=True)
+class Film:
+    """Poses of samples at frames, and the view of them; all in the world's frame, in m.
+
+    Fields: ts (F,) s; R (S, F, nb, 3, 3) and p (S, F, nb, 3), bodies of each sample; shapes;
+    camera; floor, the height of the ground that is drawn; centre (F, 3), the middle of the picture;
+    size (2,), its least width and height; paths (n, F, 3), of bodies that leave a line, and strong
+    (n,), whether each is of the first sample.
+    """
+
+    ts: Array
+    R: Array
+    p: Array
+    shapes: Sequence[Solid]
+    camera: Camera
+    floor: float
+    centre: Array
+    size: Array
+    paths: Array
+    strong: tuple[bool, ...] = ()
+
+
+def poses(model: Model, q: Array) -> tuple[Array, Array]:
+    """Rotations (T, nb, 3, 3) and positions (T, nb, 3) of the bodies along a motion q (T, nq)."""
+    R, p = jax.jit(jax.vmap(forward_kinematics, (None, 0)))(model, jnp.asarray(q))
+    return np.asarray(R, float), np.asarray(p, float)
+
+
+def frames(
+    model: Model, trajectory: Trajectory, fps: float, speed: float, samples: int
+) -> tuple[Array, Array]:
+    """Times (F,) s, 1/fps of playing apart, and configurations (S, F, nq) at them.
+
+    Between saved states a body moves along the shortest way, attitudes included. What comes after
+    a state that is not finite is left out, with a warning.
+    """
+    ts, q = np.asarray(trajectory.ts, float), np.asarray(trajectory.q)
+    q = q[None] if q.ndim == 2 else q[:samples]
+    if q.ndim != 3 or q.shape[1:] != (len(ts), model.nq) or not q.size:
+        raise InputError(
+            f"animate: trajectory.q has shape {np.shape(trajectory.q)}, expected "
+            f"({len(ts)}, {model.nq}) or (B, {len(ts)}, {model.nq}) for this model and its "
+            f"{len(ts)} times: give the model that made the trajectory"
+        )
+    whole = np.isfinite(q).all((0, 2)) & np.isfinite(ts)
+    kept = len(ts) if whole.all() else int(whole.argmin())
+    if not kept:
+        raise InputError("animate: the first state is not finite, expected numbers to draw")
+    if kept < len(ts):
+        warnings.warn(
+            f"the motion is not finite after t = {ts[kept - 1]:.4g} s; what follows is left out",
+            stacklevel=3,
+        )
+        ts, q = ts[:kept], q[:, :kept]
+    count = 1 + int(np.floor((ts[-1] - ts[0]) * fps / speed + 1e-6))
+    wanted = ts[0] + np.arange(count) * speed / fps
+    if kept == 1:
+        return wanted, q[:, :1]
+    before = np.clip(np.searchsorted(ts, wanted, side="right") - 1, 0, kept - 2)
+    share = (wanted - ts[before]) / np.maximum(ts[before + 1] - ts[before], 1e-300)
+
+    def between(q0: Any, q1: Any, w: Any) -> Any:
+        return integrate(model, q0, w * difference(model, q0, q1))
+
+    blend = jax.jit(jax.vmap(jax.vmap(between), (0, 0, None)))
+    share = np.clip(share, 0.0, 1.0).astype(q.dtype)
+    return wanted, np.asarray(blend(q[:, before], q[:, before + 1], share))
+
+
+def film(
+    model: Model,
+    ts: Array,
+    q: Array,
+    shapes: Sequence[Solid],
+    *,
+    camera: Camera | None = None,
+    follow: bool | None = None,
+    trace: Sequence[str] = (),
+) -> Film:
+    """Poses of configurations q (S, F, nq), and the view that fits them.
+
+    Args:
+        model: the robot.
+        ts: (F,) s.
+        q: (S, F, nq), all finite.
+        shapes: what is drawn.
+        camera: line of sight; None chooses one by how flat the motion is.
+        follow: whether the picture moves with the robot; None: if it goes far.
+        trace: bodies whose origins leave a line.
+    """
+    samples, count = q.shape[:2]
+    R, p = poses(model, q.reshape(-1, model.nq))
+    R, p = R.reshape(samples, count, *R.shape[1:]), p.reshape(samples, count, *p.shape[1:])
+    probed = np.unique(np.linspace(0, count - 1, min(count, _PROBED)).astype(int))
+    if not shapes:
+        raise InputError("nothing to draw: the model has no body with a size, the file no geom")
+    # (S, probed, n, 3): every point of every solid, and which of them move
+    points = np.concatenate([_placed(s, R[:, probed], p[:, probed]) for s in shapes], axis=2)
+    moving = np.concatenate([np.full(len(s.points), s.body >= 0) for s in shapes])
+    camera = camera or facing(points.reshape(-1, 3))
+    robot = points[:, :, moving] if moving.any() else points
+    middle = robot.mean((0, 2))  # (probed, 3)
+    seen = robot @ camera.axes[:2].T
+    at_once = (seen.max((0, 2)) - seen.min((0, 2))).max()
+    across = np.ptp(middle @ camera.axes[:2].T, axis=0).max()
+    extent = float(np.ptp(points.reshape(-1, 3), axis=0).max()) or 1.0
+    if follow is None:
+        follow = bool(across > _FAR * at_once)
+    if follow:
+        centre = np.stack([np.interp(np.arange(count), probed, x) for x in middle.T], -1)
+        reach = (robot - middle[:, None]) @ camera.axes[:2].T
+        size = 2.2 * np.abs(reach).max((0, 1, 2))
+    else:
+        view = points @ camera.axes.T
+        low, high = view.min((0, 1, 2)), view.max((0, 1, 2))
+        centre = np.tile((low + high) / 2 @ camera.axes, (count, 1))
+        size = 1.1 * (high - low)[:2]
+    lowest = float(robot[..., 2].min())
+    floor = 0.0 if -0.01 * extent <= lowest <= 0.6 * extent else lowest - 0.05 * extent
+    if not follow:
+        size, centre = _with_floor(size, centre, camera, floor)
+    paths = np.array([p[s, :, model.body(name)] for name in trace for s in range(samples)])
+    size = np.maximum(size, 1e-6)
+    paths, strong = (
+        paths.reshape(-1, count, 3),
+        tuple(s == 0 for _ in trace for s in range(samples)),
+    )
+    return Film(ts, R, p, shapes, camera, floor, centre, size, paths, strong)
+
+
+def _placed(solid: Solid, R: Array, p: Array) -> Array:
+    """Its points in the world, (S, F, n, 3)."""
+    if solid.body < 0:
+        return np.broadcast_to(solid.points, (*R.shape[:2], *solid.points.shape))
+    return solid.points @ np.swapaxes(R[:, :, solid.body], -1, -2) + p[:, :, None, solid.body]
+
+
+def _with_floor(size: Array, centre: Array, camera: Camera, floor: float) -> tuple[Array, Array]:
+    """The view made higher until the ground under its middle is in it."""
+    up = camera.axes[1]
+    ground = np.array([*centre[0, :2], floor])
+    below = (centre[0] - ground) @ up - size[1] / 2 + 0.06 * size.max()
+    if below <= 0:
+        return size, centre
+    return size + np.array([0.0, below]), centre - 0.5 * below * up

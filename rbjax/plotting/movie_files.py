@@ -1,0 +1,70 @@
+"""Frames into files: GIF by Pillow, MP4 by ffmpeg."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from rbjax.errors import RbjaxError
+
+#: colours of a GIF; drawn robots have few
+_COLORS = 128
+
+
+def gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
+    """Write pictures (height, width, 3) of bytes; a GIF counts time in hundredths of a second."""
+    images = [
+        Image.fromarray(picture).quantize(_COLORS, dither=Image.Dither.NONE) for picture in pictures
+    ]
+    edges = np.round(100.0 / fps * np.arange(len(images) + 1))
+    # browsers slow down what is faster than 50 frames a second
+    durations = [max(20, 10 * int(d)) for d in np.diff(edges)]
+    durations[-1] = max(durations[-1], 700)  # a rest before it starts again
+    images[0].save(
+        path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=True
+    )
+
+
+def ffmpeg() -> str | None:
+    """The path of the ffmpeg program, or None."""
+    return shutil.which("ffmpeg")
+
+
+def mp4(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
+    """Write pictures (height, width, 3) of bytes as H.264, which every browser plays."""
+    program, process = ffmpeg(), None
+    assert program is not None, "animate has looked"
+    with tempfile.TemporaryFile() as said:
+        for picture in pictures:
+            if process is None:
+                process = subprocess.Popen(
+                    _command(program, path, picture.shape[:2], fps),
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=said,
+                )
+            assert process.stdin is not None
+            try:
+                process.stdin.write(picture.tobytes())
+            except BrokenPipeError:  # it has ended and said why
+                break
+        assert process is not None and process.stdin is not None, "a film has a frame"
+        process.communicate()
+        if process.returncode:
+            said.seek(0)
+            raise RbjaxError(
+                f"ffmpeg wrote no {path}; it said: {said.read().decode(errors='replace').strip()}"
+            )
+
+
+def _command(program: str, path: Path, shape: tuple[int, ...], fps: float) -> list[str]:
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{shape[1]}x{shape[0]}", "-r", f"{fps}"]
+    # H.264 in yuv420p, as browsers want it, has even numbers of pixels
+    wanted = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", "18"]
+    return [program, "-y", "-loglevel", "error", *given, "-i", "-", *wanted, str(path)]

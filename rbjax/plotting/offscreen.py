@@ -1,0 +1,111 @@
+"""MuJoCo's renderer without a window, in a process of its own.
+
+MuJoCo reads which OpenGL to use from the environment when it is first imported, and a driver that
+is missing may end the process. So another process renders, with EGL and then OSMesa tried unless
+`MUJOCO_GL` says which; this one keeps its environment.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rbjax.loading import compile_model
+from rbjax.plotting.film import Film
+
+# Reads a folder's model.mjb, q.npy, view.json; writes raw pictures to its standard output.
+_PROGRAM = """
+import json, sys
+import mujoco, numpy as np
+folder = sys.argv[1]
+m = mujoco.MjModel.from_binary_path(f"{folder}/model.mjb")
+q, view = np.load(f"{folder}/q.npy"), json.load(open(f"{folder}/view.json"))
+width, height = view["size"]
+m.vis.global_.offwidth, m.vis.global_.offheight = width, height
+d, camera = mujoco.MjData(m), mujoco.MjvCamera()
+camera.azimuth, camera.elevation = view["azimuth"], view["elevation"]
+camera.distance = view["distance"]
+m.vis.map.zfar = max(m.vis.map.zfar, 4 * view["distance"] / m.stat.extent)
+with mujoco.Renderer(m, height, width) as renderer:
+    for row, centre in zip(q, view["centre"]):
+        d.qpos[:] = row
+        mujoco.mj_forward(m, d)
+        camera.lookat[:] = centre
+        renderer.update_scene(d, camera)
+        sys.stdout.buffer.write(renderer.render().tobytes())
+"""
+
+
+def render(
+    source: Any, floating_base: bool, q: np.ndarray, film: Film, size: tuple[int, int]
+) -> Iterator[np.ndarray] | None:
+    """Pictures (height, width, 3) of configurations q (F, nq) of a robot file.
+
+    None, with a warning that says why, where no OpenGL renders without a display.
+    """
+    chosen = os.environ.get("MUJOCO_GL")
+    for gl in [chosen] if chosen else ["egl", "osmesa"]:
+        with tempfile.TemporaryDirectory() as folder:
+            _write(Path(folder), source, floating_base, q[:1], film, size)
+            tried = _start(folder, gl)
+            _, said = tried.communicate()
+        if tried.returncode == 0:
+            return _pictures(gl, source, floating_base, q, film, size)
+    last = said.decode(errors="replace").strip().splitlines()
+    warnings.warn(
+        "MuJoCo's renderer does not work here without a display "
+        f"(MUJOCO_GL={gl}: {last[-1] if last else 'it ended without a word'}); "
+        "the geoms are drawn by rbjax instead. Installing libegl1 or libosmesa6 may help.",
+        stacklevel=3,
+    )
+    return None
+
+
+def _write(
+    folder: Path, source: Any, floating_base: bool, q: np.ndarray, film: Film, size: Any
+) -> None:
+    m = compile_model(source, floating_base=floating_base)
+    mujoco.mj_saveModel(m, str(folder / "model.mjb"))
+    np.save(folder / "q.npy", np.asarray(q, float))
+    # as far away that the film's height fits the lens; MuJoCo's azimuth is where it looks to
+    half = max(film.size[1], film.size[0] * size[1] / size[0]) / 2
+    view = {
+        "size": list(size),
+        "azimuth": film.camera.azimuth + 180.0,
+        "elevation": -film.camera.elevation,
+        "distance": float(1.15 * half / np.tan(np.radians(m.vis.global_.fovy) / 2)),
+        "centre": film.centre.tolist(),
+    }
+    (folder / "view.json").write_text(json.dumps(view))
+
+
+def _start(folder: str, gl: str | None) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM, folder],
+        env=os.environ | {"MUJOCO_GL": gl or ""},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+
+def _pictures(
+    gl: str | None, source: Any, floating_base: bool, q: np.ndarray, film: Film, size: Any
+) -> Iterator[np.ndarray]:
+    width, height = size
+    with tempfile.TemporaryDirectory() as folder:
+        _write(Path(folder), source, floating_base, q, film, size)
+        with _start(folder, gl) as process:
+            assert process.stdout is not None
+            for _ in range(len(q)):
+                data = process.stdout.read(3 * width * height)
+                yield np.frombuffer(data, np.uint8).reshape(height, width, 3)

@@ -1,0 +1,120 @@
+"""Convex solids fixed to bodies, of which every picture is made: the geoms of a MuJoCo file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rbjax.loading import compile_model
+
+Array = np.ndarray
+#: more points than this add nothing that is seen
+_MOST_POINTS = 400
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A convex solid: surface points (n, 3) in its body's frame, body (-1: world), colour (r, g, b)
+    from 0 to 1, opacity."""
+
+    points: Array
+    body: int
+    color: tuple[float, float, float]
+    alpha: float
+
+
+def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
+    """The visible geoms of a robot file, floors left out.
+
+    Args:
+        source: what `rbjax.load` takes.
+        floating_base: of a URDF, as for `rbjax.load`.
+
+    Returns:
+        One `Solid` a geom; a mesh is its convex hull.
+
+    Raises:
+        ModelError: the source is no robot file.
+
+    Example:
+        >>> from rbjax.plotting import solids
+        >>> len(solids("pendulum"))
+        3
+    """
+    m = compile_model(source, floating_base=floating_base)
+    out = []
+    for i in range(m.ngeom):
+        surface = _surface(m, i)
+        if surface is None or m.geom_group[i] > 2:
+            continue
+        R = np.zeros(9)
+        mujoco.mju_quat2Mat(R, m.geom_quat[i])
+        rgba = m.geom_rgba[i] if m.geom_matid[i] < 0 else m.mat_rgba[m.geom_matid[i]]
+        color = (float(rgba[0]), float(rgba[1]), float(rgba[2]))
+        points = surface @ R.reshape(3, 3).T + m.geom_pos[i]
+        if rgba[3] > 0:
+            out.append(Solid(points, int(m.geom_bodyid[i]) - 1, color, float(rgba[3])))
+    return out
+
+
+def sphere(radius: float) -> Array:
+    """Points (n, 3) of a sphere about the origin."""
+    return radius * _SPHERE
+
+
+def ellipsoid(a: float, b: float, c: float) -> Array:
+    """Points (n, 3) of an ellipsoid with semi-axes a, b, c along x, y, z."""
+    return _SPHERE * [a, b, c]
+
+
+def capsule(start: Array, end: Array, radius: float) -> Array:
+    """Points (n, 3) of a rod with round ends between two points."""
+    return np.concatenate([sphere(radius) + start, sphere(radius) + end])
+
+
+def cylinder(radius: float, half: float) -> Array:
+    """Points (n, 3) of a cylinder about z from -half to half."""
+    ring = np.stack([radius * np.cos(_TURN), radius * np.sin(_TURN), 0 * _TURN], -1)
+    up = np.array([0, 0, half])
+    return np.concatenate([ring + up, ring - up])
+
+
+def _surface(m: mujoco.MjModel, i: int) -> Array | None:
+    """Points of a geom's surface in its own frame; None for planes and the like."""
+    a, b, c = m.geom_size[i]
+    kind, shape = mujoco.mjtGeom(m.geom_type[i]), mujoco.mjtGeom
+    if kind == shape.mjGEOM_SPHERE:
+        return sphere(a)
+    if kind == shape.mjGEOM_ELLIPSOID:
+        return ellipsoid(a, b, c)
+    if kind == shape.mjGEOM_CAPSULE:
+        return capsule(np.array([0, 0, b]), np.array([0, 0, -b]), a)
+    if kind == shape.mjGEOM_CYLINDER:
+        return cylinder(a, b)
+    if kind == shape.mjGEOM_BOX:
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        return corners * [a, b, c]
+    if kind == shape.mjGEOM_MESH:
+        k = m.geom_dataid[i]
+        return _outermost(m.mesh_vert[m.mesh_vertadr[k] : m.mesh_vertadr[k] + m.mesh_vertnum[k]])
+    return None
+
+
+def _outermost(points: Array) -> Array:
+    """Of many points those that lie farthest in one of many directions: all that a hull shows."""
+    if len(points) <= _MOST_POINTS:
+        return points
+    return points[np.unique((points @ _SPHERE.T).argmax(0))]
+
+
+_TURN = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+_SPHERE = np.array(
+    [
+        [np.cos(t) * np.sin(e), np.sin(t) * np.sin(e), np.cos(e)]
+        for e in np.linspace(0, np.pi, 13)
+        for t in _TURN[: 1 if np.sin(e) < 1e-9 else None]
+    ]
+)

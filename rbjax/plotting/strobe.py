@@ -1,0 +1,61 @@
+"""A motion in one picture: its postures over one another."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from rbjax.model import Model
+from rbjax.plotting.camera import Camera
+from rbjax.plotting.drawing import bare, draw_solids, shapes_of
+from rbjax.plotting.film import poses
+from rbjax.plotting.style import ORANGE
+
+
+def strobe(
+    ax: Axes,
+    source: Any,
+    model: Model,
+    q: np.ndarray,
+    *,
+    camera: Camera | None = None,
+    trace: str | None = None,
+    color: str = ORANGE,
+    shadow: bool = True,
+    floating_base: bool = False,
+) -> None:
+    """Poses along a motion over one another, later ones stronger; `trace` draws a body's path.
+
+    Args:
+        ax: the axis.
+        source: what `rbjax.load` takes, for the shapes; None draws rods and ellipsoids.
+        model: the robot.
+        q: (T, nq) configurations, one drawn pose each.
+        camera: line of sight.
+        trace: a body whose origin leaves a line.
+        color: of the line.
+        shadow: whether the last pose throws one on the floor.
+        floating_base: of a source that is a URDF, as for `rbjax.load`.
+
+    Example:
+        >>> import matplotlib.figure, numpy as np
+        >>> import rbjax as rb
+        >>> ax = matplotlib.figure.Figure().add_subplot()
+        >>> path = np.linspace(0.0, 1.0, 5)[:, None]
+        >>> rb.plotting.strobe(ax, "pendulum", rb.load("pendulum"), path, shadow=False)
+        >>> len(ax.patches)
+        11
+    """
+    shapes = shapes_of(model, source, floating_base)
+    R, p = poses(model, np.asarray(q))
+    for i in range(len(q)):
+        last = i == len(q) - 1
+        alpha = 1.0 if last else 0.12 + 0.4 * (i / len(q)) ** 2
+        draw_solids(ax, shapes, R[i], p[i], camera=camera, alpha=alpha, shadow=shadow and last,
+                    world=last, zorder=2 + i)  # fmt: skip
+    if trace is not None:
+        path = p[:, model.body(trace)] @ (camera or Camera()).axes[:2].T
+        ax.plot(*path.T, color=color, lw=1.2, zorder=2 + len(q))
+    bare(ax)

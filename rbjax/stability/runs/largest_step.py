@@ -1,0 +1,263 @@
+"""The largest step at which a method stands a robot's motion: predicted, and found by running.
+
+A method is stable at a step h where no mode of the linearised motion grows that does not by nature:
+h lambda lies in its region, for every eigenvalue lambda of A (`linearisation`) with Re lambda <= 0.
+A method for q' = v, v' = K q + D v is asked itself: its step's matrix on that pair has no more
+roots outside the unit circle than the pair has modes that grow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax import solvers
+from rbjax.dynamics.manifold import difference, integrate
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+from rbjax.motion.integrators import INTEGRATORS
+from rbjax.motion.rollout import rollout
+from rbjax.motion.simulate import simulate
+from rbjax.solvers.dop853 import DOP853
+from rbjax.stability.methods import Solver, made, stepping
+from rbjax.stability.runs.linearisation import at_rest
+from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
+from rbjax.stability.theory.oscillator import matrices_of_pair
+from rbjax.stability.theory.regions import imaginary_limit
+
+#: an integrator of `rb.rollout` -> the solver that takes the same step
+ROLLOUT: dict[str, Solver] = {
+    "semi_implicit_euler": "symplectic_euler",
+    "rk4": "rk4",
+    "tsit5": diffrax.Tsit5(),
+    "dopri8": diffrax.Dopri8(),
+    "dop853": solvers.MuntheKaas(DOP853),
+}
+PAIRS = (
+    solvers.GeneralizedAlpha, solvers.CentralDifferences, solvers.SemiImplicitEuler,
+    solvers.VariationalMidpoint, solvers.Splitting,
+)  # fmt: skip
+AXIS = 1e-9  # |Re lambda| / |lambda| that is rounding, of a vibration without damping
+SLACK = 1e-12  # of a growth factor over one
+GREW = 1e-6  # the same of a step's matrix, which knows a double root to the root of rounding
+ROUNDING = 1e-14  # of the largest factor, in the others
+NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| looked at
+SMALL, GROWN = 1e-9, 1e5  # a deviation, and what it grows by where a step is too large
+
+
+def stable_step(method: Method, matrices: Any) -> float:
+    """The largest step up to which no mode grows that does not by nature, as theory predicts it.
+
+    A mode that vibrates undamped counts: for it the limit of a first-order method is exact,
+    `imaginary_limit` / |lambda|, and 0 for those like Heun's that let every vibration grow, however
+    slowly (`spectral_radius` says how much). For damped modes |zeta| may exceed one by 1e-12. Steps
+    of the methods for q' = v, v' = a are measured, without the turning of a body's axes, [w]x in A,
+    and |zeta| may exceed one by 1e-6.
+
+    Args:
+        method: what `linear_analysis` takes (a name, a solver, a tableau or a polynomial), or a
+            solver of q' = v, v' = a. `ROLLOUT[integrator]` is that of `rb.rollout`.
+        matrices: A (2 nv, 2 nv) or (T, 2 nv, 2 nv), of `state_matrix` or `motion_matrices`.
+
+    Returns:
+        Seconds; inf where no step is too large, 0 where none is small enough.
+
+    Raises:
+        InputError: solvers without linear theory; matrices of another shape, or not finite.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> A = rb.stability.state_matrix(model, model.default_state())
+        >>> h = rb.stability.stable_step("stoermer_verlet", A)
+        >>> bool(abs(h * abs(np.linalg.eigvals(A)).max() - 2) < 0.02)
+        True
+    """
+    A = _square(matrices)
+    solver = method if isinstance(method, Theory) else made(method)
+    if isinstance(solver, PAIRS):
+        return min(_of_pair(solver, a) for a in A)
+    phi = characteristic(solver)
+    eigenvalues = np.linalg.eigvals(A).ravel()
+    size = np.abs(eigenvalues)
+    counts = (size > 1e-7 * size.max()) & (eigenvalues.real <= AXIS * size)
+    found = np.unique(eigenvalues[counts].round(12))
+    found = found[found.imag >= 0]
+    on_axis = np.abs(found.real) <= AXIS * np.abs(found)
+    limits = [_along_ray(phi.radius, x) for x in found[~on_axis]]
+    if on_axis.any():
+        limits.append(imaginary_limit(phi) / float(np.abs(found[on_axis]).max()))
+    return min(limits, default=math.inf)
+
+
+def _square(matrices: Any) -> np.ndarray:
+    """A (T, 2 nv, 2 nv)."""
+    A = np.asarray(matrices, np.float64)
+    if A.ndim not in (2, 3) or A.shape[-1] != A.shape[-2] or A.shape[-1] % 2 or not A.size:
+        raise InputError(
+            f"stable_step: matrices have shape {A.shape}, expected (2 nv, 2 nv) or "
+            "(T, 2 nv, 2 nv), of state_matrix or motion_matrices"
+        )
+    if not np.isfinite(A).all():
+        raise InputError(
+            "stable_step: matrices are not finite; look at the motion where they come from"
+        )
+    return A.reshape(-1, *A.shape[-2:])
+
+
+def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> float:
+    """The h up to which h lambda stays in the region."""
+
+    def unstable(h):
+        return ~(radius(h * eigenvalue) <= 1 + SLACK)
+
+    return _first(unstable, 1 / abs(eigenvalue))
+
+
+def _of_pair(solver: Any, A: np.ndarray) -> float:
+    """The h from which more factors grow than modes of q' = v, v' = K q + D v do by nature.
+
+    They are counted: which factor is whose cannot be told where the step is long.
+    """
+    n = len(A) // 2
+    K, D = A[n:, :n], A[n:, n:]
+    rates = np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [K, D]]))
+
+    def unstable(h):
+        h = h[:, None, None]
+        step = matrices_of_pair(solver, h * h * K, h * D)
+        broken = ~np.isfinite(step).all((-2, -1))
+        step = np.where(broken[:, None, None], 0, step)
+        factors = np.abs(np.linalg.eigvals(step))
+        rounding = ROUNDING * factors.max(-1, keepdims=True)  # of the others, where one is huge
+        natural = h[:, 0] * rates.real > GREW / 2
+        return broken | ((factors > 1 + GREW + rounding).sum(-1) > natural.sum(-1))
+
+    return _first(unstable, 1 / max(np.abs(rates).max(), 1e-12))
+
+
+def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
+    """The first h at which a method is unstable, on nested grids of one size, in `scale`."""
+    grid = np.geomspace(NEAR, FAR, POINTS) * scale
+    bad = unstable(grid)
+    if not bad.any():
+        return math.inf
+    if bad[0]:
+        return 0.0
+    while grid[-1] - grid[0] > 1e-9 * grid[-1]:
+        first = int(bad.argmax())
+        grid = np.linspace(grid[first - 1], grid[first], POINTS)
+        bad = unstable(grid)
+        bad[0], bad[-1] = False, True
+    return float(grid[0])
+
+
+@eqx.filter_jit
+def _deviation(
+    model: Model, state: State, beside: State, ctrl: Any, dt: Any, method: Any, steps: int
+) -> jax.Array:
+    """How far from `state` the motion from beside it ends after so many steps, by where it began.
+
+    The state is at rest; a second motion from there would be lost to rounding like the first.
+    """
+    if isinstance(method, str):
+        ctrls = None if ctrl is None else jnp.broadcast_to(ctrl, (steps, *ctrl.shape))
+        path = rollout(
+            model, beside, ctrls, dt, integrator=method, steps=steps, save_every=steps,
+            kernel=False,
+        )  # fmt: skip
+    else:
+        control = None if ctrl is None else (lambda t, _: ctrl)
+        ts = jnp.array([0.0, 1.0]) * dt * steps * (1 - 1e-12)
+        path = simulate(
+            model, beside, ts, control, solver=method, dt0=dt, throw=False, max_steps=steps + 1,
+            adjoint=diffrax.ForwardMode(),
+        )  # fmt: skip
+
+    def away(x):
+        return jnp.linalg.norm(jnp.concatenate([difference(model, state.q, x.q), x.v - state.v]))
+
+    return away(path.state(-1)) / away(beside)
+
+
+def measured_stable_step(
+    method: Solver,
+    model: Model,
+    state: State,
+    ctrl: Any = None,
+    *,
+    near: float,
+    steps: int = 2000,
+) -> float:
+    """The largest step at which a small deviation from an equilibrium does not grow, by running.
+
+    A motion starts 1e-9 beside it and takes `steps` steps; the interval between a step that is
+    stable and one that is not is halved. Unstable is what grows by 1e5, |zeta| > 1 + 12 / steps:
+    sharp to about 10 / steps where |zeta| passes one at a slope, but blind to a weak instability.
+    Tsit5 on a pendulum without friction is measured at 1.61 / omega; theory has growth from 0.478.
+
+    Args:
+        method: "rollout rk4", likewise with the other integrators of `rb.rollout`; or a name of
+            `rb.solvers.all()`, a solver or an `rb.solvers.Tableau`, run by `rb.simulate`.
+        model: the robot.
+        state: a stable equilibrium under ctrl (`equilibrium` finds one).
+        ctrl: (nu,) held control, or None.
+        near: a step to search around, from a quarter of it to four times it.
+        steps: of each run, at least 10.
+
+    Returns:
+        Seconds; 0 where a quarter of `near` is unstable, inf where four times it is stable.
+
+    Raises:
+        InputError: an unknown integrator or method; a state that is no equilibrium, or one from
+            which the motion itself departs; `near` not positive, `steps` too few; shapes.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> found = rb.stability.measured_stable_step(
+        ...     "rollout semi_implicit_euler", model, model.default_state(), near=0.5)
+        >>> round(found, 2)
+        0.52
+    """
+    run: Any = method
+    if isinstance(method, str) and method.startswith("rollout "):
+        run = method.removeprefix("rollout ")
+        if run not in INTEGRATORS:
+            raise InputError(
+                f"measured_stable_step: integrator {run!r}, expected one of {list(INTEGRATORS)}"
+            )
+    else:
+        run = stepping(method)
+    if not (0 < near < math.inf and steps >= 10):
+        raise InputError(
+            f"measured_stable_step: got near {near} s and {steps} steps, expected a positive time "
+            "and at least 10"
+        )
+    state = at_rest("measured_stable_step", model, state, ctrl)
+    rng = np.random.default_rng(0)
+    q, v = state.q, state.v
+    kick = SMALL * rng.normal(size=(2, model.nv))
+    beside = State(integrate(model, q, jnp.asarray(kick[0], q.dtype)), v + kick[1])
+    ctrl = None if ctrl is None else jnp.asarray(ctrl, q.dtype)
+
+    def stable(dt: float) -> bool:
+        found = _deviation(model, State(q, v), beside, ctrl, jnp.asarray(dt, q.dtype), run, steps)
+        return bool(found < GROWN)
+
+    low, high = near / 4, near * 4
+    if not stable(low):
+        return 0.0
+    if stable(high):
+        return math.inf
+    while high - low > low / steps:
+        mid = math.sqrt(low * high)
+        low, high = (mid, high) if stable(mid) else (low, mid)
+    return low

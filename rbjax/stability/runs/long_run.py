@@ -1,0 +1,116 @@
+"""Equal steps of any solver, in one compiled program whose memory does not grow with their number.
+
+    y_{n+1} = step(t_n, h, y_n),    t_n = n h;    keep(t, y, args) every so many steps
+The steps are the solver's own, without interpolation, controller or checkpoints. A run stops where
+the next state would not be finite, or where the root of an implicit step is not found; it says so
+in `ending`. What it kept then stays as it last was, finite, at times that are nan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+
+#: how a run ends, by the number in `March.ending`
+DONE, NOT_FINITE, NO_ROOT = ENDINGS = range(3)
+
+Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> what is kept
+
+
+class March(eqx.Module):
+    """What is left of a run.
+
+    Fields: ts (K + 1,) s, nan where the run did not come to; kept, what `keep` returned, each leaf
+    (K + 1, ...), of the last state y where ts is nan; y; steps (), how many were taken; ending (),
+    one of `DONE`, `NOT_FINITE`, `NO_ROOT` of `rb.stability`.
+    """
+
+    ts: jax.Array
+    kept: Any
+    y: Any
+    steps: jax.Array
+    ending: jax.Array
+
+
+def long_run(
+    term: diffrax.AbstractTerm,
+    solver: diffrax.AbstractSolver,
+    y0: Any,
+    dt: Any,
+    keep: Keep,
+    *,
+    every: int,
+    samples: int,
+    args: Any = None,
+) -> March:
+    """samples * every steps of dt from t = 0. One program serves every dt, `every`, y0 and args."""
+    y0 = as_floats(y0)
+    dtype = jnp.result_type(*jax.tree.leaves(y0))
+    check_times(dt, every * samples, dtype)
+    return _run(term, solver, y0, jnp.asarray(dt, dtype), keep, jnp.asarray(every), samples, args)
+
+
+@eqx.filter_jit
+def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
+    def sound(state):
+        _, ending, _, _ = state
+        return ending == DONE
+
+    def once(state):
+        n, _, y, memory = state
+        t = n * dt
+        y1, _, _, memory, result = solver.step(term, t, t + dt, y, args, memory, made_jump=False)
+        found = result == diffrax.RESULTS.successful
+        ending = jnp.where(found, jnp.where(finite(y1), DONE, NOT_FINITE), NO_ROOT)
+        y1 = jax.tree.map(lambda new, old: jnp.where(ending == DONE, new, old), y1, y)
+        return n + (ending == DONE), ending, y1, memory
+
+    def sample(state, _):
+        until = state[0] + every
+        state = jax.lax.while_loop(lambda s: (s[0] < until) & sound(s), once, state)
+        t = state[0] * dt
+        reached = jnp.where(sound(state), t, jnp.nan)
+        return state, (reached, keep(t, state[2], args))
+
+    memory = solver.init(term, 0 * dt, dt, y0, args)
+    start = (jnp.zeros((), jnp.int32), jnp.full((), DONE), y0, memory)
+    (steps, ending, y, _), later = jax.lax.scan(sample, start, length=samples)
+    first = (0 * dt, keep(0 * dt, y0, args))
+    ts, kept = jax.tree.map(
+        lambda a, b: jnp.concatenate([jnp.asarray(a)[None], b]), first, later
+    )
+    return March(ts, kept, y, steps, ending)
+
+
+def finite(y: Any) -> jax.Array:
+    """Whether all numbers of a state are."""
+    return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(y)]).all()
+
+
+def as_floats(y: Any) -> Any:
+    """A state as arrays of one float type."""
+    dtype = jnp.result_type(*jax.tree.leaves(y))
+    dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype), y)
+
+
+def check_times(dt: Any, steps: int, dtype: Any) -> None:
+    """Refuse times that the type cannot tell apart: t + h - t is then not h any more."""
+    h = np.asarray(dt, dtype)
+    if not (np.isfinite(h) and h > 0 and steps > 0):
+        raise InputError(f"got {steps} steps of dt = {dt} s, expected positive numbers")
+    exact = np.frexp(h)[0] == 0.5 and steps * np.finfo(dtype).eps <= 1
+    if not exact and steps * np.finfo(dtype).eps > 1e-3:
+        power = float(2.0 ** np.round(np.log2(float(h))))
+        raise InputError(
+            f"got {steps} steps of dt = {dt} s in {np.dtype(dtype).name}, whose times cannot tell "
+            f"so many steps apart; take a power of two, dt = {power!r}, or float64"
+        )

@@ -1,0 +1,248 @@
+"""How fast neighbours part: Lyapunov exponents, and how long a gradient through motion is of use.
+
+    lambda = lim 1/t log |Phi(t) u|,    Phi(t) = d y(t) / d y(0), the tangent map
+Benettin's method: a tangent goes along, through the derivative of each step, and is brought back to
+length 1 after every few; lambda is the mean of the logarithms. A gradient of a loss at time t is
+made of Phi(t): rounding of relative size eps is amplified as much, so that beyond |Phi| eps = 1 the
+gradient is noise, whatever computes it. (Benettin, Galgani, Giorgilli & Strelcyn, *Meccanica* 15,
+1980; Metz, Freeman, Schoenholz & Kachman, *Gradients are not all you need*, 2021.)
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.model import Model
+from rbjax.motion.term import motion
+from rbjax.solvers import rkmk
+from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.runs.long_run import as_floats, check_times, finite
+
+BLOCKS = 16  # of the run, whose means give the error of the whole
+
+
+class Exponent(NamedTuple):
+    """A largest Lyapunov exponent.
+
+    Fields: value, a second; error, its standard error; ts (K,) s and running (K,), the estimate
+    from the end of the transient to each time; finite, whether the motion stayed so.
+    """
+
+    value: float
+    error: float
+    ts: np.ndarray
+    running: np.ndarray
+    finite: bool
+
+
+class GradientGrowth(NamedTuple):
+    """The norm of the tangent map along time.
+
+    Fields: ts (K + 1,) s; log10_norm (K + 1,), of the largest singular value of Phi(t); f32 and
+    f64, the times at which rounding, so amplified, reaches the size of the gradient itself
+    (infinite where it does not within the run); finite, whether the motion stayed so.
+    """
+
+    ts: np.ndarray
+    log10_norm: np.ndarray
+    f32: float
+    f64: float
+    finite: bool
+
+
+def lyapunov(
+    system: Model | diffrax.AbstractTerm,
+    y0: Any,
+    *,
+    dt: float,
+    steps: int,
+    solver: Solver | None = None,
+    every: int = 10,
+    transient: float = 0.1,
+    args: Any = None,
+) -> Exponent:
+    """The largest Lyapunov exponent of a motion, by Benettin's method.
+
+    lambda = 1 / (K m h) sum_k log |u_k|, u_k the tangent after m steps from length 1.
+
+    Args:
+        system: a robot, or a diffrax term.
+        y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
+        dt: step, s.
+        steps: how many.
+        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None, which is RK4 where
+            nothing turns and keeps attitudes, and so their tangents, on their manifold.
+        every: m, steps between two normalizations.
+        transient: share of the run that is left out at its beginning.
+        args: the term's; a robot's is the model.
+
+    Returns:
+        `Exponent`. About 0 for regular motion (it falls as log t / t), negative at a sink.
+
+    Raises:
+        UnknownName: a solver's name that is not there.
+        InputError: steps too few; times that the type cannot tell apart.
+
+    Source: Benettin et al., *Meccanica* 15, 1980.
+
+    Example:
+        >>> import rbjax as rb, diffrax, jax.numpy as jnp
+        >>> saddle = diffrax.ODETerm(lambda t, y, args: jnp.array([0.5, -2.0]) * y)
+        >>> found = rb.stability.lyapunov(saddle, jnp.zeros(2), dt=0.05, steps=1000)
+        >>> round(found.value, 6)
+        0.5
+    """
+    samples = steps // every if every > 0 else 0
+    skip = int(transient * samples)
+    if not 0 <= transient < 1 or samples - skip < 16:
+        raise InputError(
+            f"lyapunov: got {steps} steps, every {every}, transient {transient}; expected at least "
+            "16 normalizations after the transient, which is a share from 0 to below 1"
+        )
+    term, solver, y0, args = _opened(system, y0, solver, args, dt, steps)
+    size = sum(x.size for x in jax.tree.leaves(y0))
+    direction = np.random.default_rng(0).normal(size=(size, 1))
+    direction /= np.linalg.norm(direction)
+    parts, fine = _stretching(term, solver, y0, dt, direction, every, samples, args)
+    rates = np.log(np.abs(np.asarray(parts)[skip:, 0, 0])) / (dt * every)
+    running = np.cumsum(rates) / np.arange(1, len(rates) + 1)
+    blocks = np.array([part.mean() for part in np.array_split(rates, BLOCKS)])
+    error = float(blocks.std(ddof=1) / np.sqrt(BLOCKS))
+    ts = dt * every * np.arange(skip + 1, samples + 1)
+    return Exponent(float(running[-1]), error, ts, running, bool(fine))
+
+
+def gradient_growth(
+    system: Model | diffrax.AbstractTerm,
+    y0: Any,
+    *,
+    dt: float,
+    steps: int,
+    solver: Solver | None = None,
+    samples: int = 100,
+    args: Any = None,
+) -> GradientGrowth:
+    """How a gradient through a motion grows, and the horizon beyond which it is noise.
+
+    |Phi(t)| = |d y(t) / d y(0)|, and T with |Phi(T)| eps = 1.
+
+    Args:
+        system: a robot, or a diffrax term.
+        y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
+        dt: step, s.
+        steps: how many; a multiple of `samples`.
+        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None.
+        samples: how many times to keep; the tangents are made orthogonal as often.
+        args: the term's; a robot's is the model.
+
+    Returns:
+        `GradientGrowth`. The state is of mixed units (rad, rad/s), and so is the norm.
+
+    Raises:
+        UnknownName: a solver's name that is not there.
+        InputError: steps that samples do not divide; times that the type cannot tell apart.
+
+    Source: Metz et al., *Gradients are not all you need*, 2021.
+
+    Example:
+        >>> import rbjax as rb, diffrax, jax.numpy as jnp
+        >>> saddle = diffrax.ODETerm(lambda t, y, args: jnp.array([1.0, -2.0]) * y)
+        >>> found = rb.stability.gradient_growth(saddle, jnp.zeros(2), dt=0.05, steps=1000)
+        >>> round(found.f32, 1), round(found.f64, 1)
+        (15.9, 36.0)
+    """
+    if samples < 1 or steps < samples or steps % samples:
+        raise InputError(
+            f"gradient_growth: got {steps} steps and {samples} samples, expected a multiple"
+        )
+    term, solver, y0, args = _opened(system, y0, solver, args, dt, steps)
+    size = sum(x.size for x in jax.tree.leaves(y0))
+    every = steps // samples
+    parts, fine = _stretching(term, solver, y0, dt, np.eye(size), every, samples, args)
+    # Phi = Q R_K ... R_1: the product is kept at norm 1, and the logarithm of what it lost
+    product, lost, norms = np.eye(size), 0.0, [0.0]
+    for part in np.asarray(parts, np.float64):
+        product = part @ product
+        norm = np.linalg.norm(product, 2)
+        product, lost = product / norm, lost + np.log10(norm)
+        norms.append(lost)
+    ts, found = dt * every * np.arange(samples + 1), np.array(norms)
+    f32, f64 = (_crossing(ts, found, -np.log10(np.finfo(t).eps)) for t in (np.float32, np.float64))
+    return GradientGrowth(ts, found, f32, f64, bool(fine))
+
+
+def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
+    """The first time at which a series reaches a level, between samples by a line."""
+    above = np.flatnonzero(xs >= level)
+    if not len(above):
+        return float("inf")
+    i = max(above[0], 1)
+    return float(np.interp(level, xs[i - 1 : i + 1], ts[i - 1 : i + 1]))
+
+
+def _opened(system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int) -> tuple:
+    solver = rkmk(4) if solver is None else stepping(solver)
+    if isinstance(system, Model):
+        term, y0 = motion(system, y0, solver)
+        args = system
+    else:
+        term = system
+    y0 = as_floats(y0)
+    check_times(dt, steps, jnp.result_type(*jax.tree.leaves(y0)))
+    return term, _forward(solver), y0, args
+
+
+def _forward(solver: Any) -> Any:
+    """The solver with loops that take tangents: diffrax' own Runge-Kutta methods ask for that."""
+    if getattr(solver, "scan_kind", "") is not None:
+        return solver
+    return eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
+
+
+@eqx.filter_jit
+def _stretching(term, solver, y0, dt, directions, every, samples, args):
+    """R of Phi_k Q_{k-1} = Q_k R_k for each sample, (samples, n, n), and whether all is finite."""
+    flat, unflat = jax.flatten_util.ravel_pytree(y0)
+    dt, number = jnp.asarray(dt, flat.dtype), directions.shape[1]
+    memory = solver.init(term, 0 * dt, dt, y0, args)
+    moving, still = eqx.partition(memory, eqx.is_inexact_array)
+
+    def once(_, carry):
+        n, y, moving, still, tangents = carry
+        t = n * dt
+
+        def step(y, moving):
+            state = eqx.combine(moving, still)
+            y1, _, _, state, _ = solver.step(
+                term, t, t + dt, unflat(y), args, state, made_jump=False
+            )
+            moved, rest = eqx.partition(state, eqx.is_inexact_array)
+            return (jax.flatten_util.ravel_pytree(y1)[0], moved), rest
+
+        def pushed(tangent):
+            return jax.jvp(step, (y, moving), tangent, has_aux=True)
+
+        (y, moving), tangents, still = jax.vmap(pushed, out_axes=(None, 0, None))(tangents)
+        return n + 1, y, moving, still, tangents
+
+    def sample(carry, _):
+        *state, (rows, past) = jax.lax.fori_loop(0, every, once, carry)
+        Q, R = jnp.linalg.qr(rows.T)
+        # what the solver remembers has tangents too, which follow the change of basis
+        inverse = jnp.linalg.inv(R)
+        past = jax.tree.map(lambda x: jnp.tensordot(inverse.T, x, axes=1), past)
+        return (*state, (Q.T, past)), R
+
+    rows = jnp.asarray(directions.T, flat.dtype)
+    past = jax.tree.map(lambda x: jnp.zeros((number, *x.shape), x.dtype), moving)
+    start = (jnp.zeros((), jnp.int32), flat, moving, still, (rows, past))
+    (_, y, *_), parts = jax.lax.scan(sample, start, length=samples)
+    return parts, finite(y)

@@ -1,0 +1,1 @@
+"""What is known of a method by itself: its polynomials, roots, regions, orders, and one step."""

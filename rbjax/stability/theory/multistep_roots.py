@@ -1,0 +1,331 @@
+"""The characteristic polynomial of a method on y' = lambda y, and what its roots say.
+
+    linear multistep:  rho(zeta) - z sigma(zeta) = 0,    y_n ~ zeta^n,    z = h lambda
+    PECE:              rho(zeta) - z sigma(zeta) - z^2 b_0 sigma*(zeta) = 0
+    one-step:          Q(z) zeta - P(z) = 0
+with sigma* that of the predictor. All are sum_m z^m c_m(zeta). Where zeta = exp(z) is put in, the
+first power of z left over is order + 1, and its coefficient by rho'(1) the error constant C:
+y(t + h) - y1 = C h^(order + 1) y^(order + 1) + ...
+Zero-stable: the roots of rho lie in the unit disc, those on its rim are simple (Dahlquist).
+(Hairer, Norsett & Wanner, *Solving ODEs I*, III.2-3.)
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import diffrax
+import mpmath
+import numpy as np
+
+from rbjax import solvers
+from rbjax.errors import InputError
+from rbjax.stability.methods import Solver, made
+from rbjax.stability.theory.polynomials import (
+    DIGITS,
+    EPS,
+    PRINTED,
+    Poly,
+    added,
+    common,
+    derivative,
+    divided,
+    exact,
+    plus,
+    poly,
+    rational,
+    roots,
+    times,
+    value,
+)
+from rbjax.stability.theory.stability_function import StabilityFunction, stability_function
+
+RIM = 1e-14  # a root so far from the unit circle is on it
+
+
+@dataclass(frozen=True)
+class Characteristic:
+    """phi(zeta, z) = sum_m z^m c_m(zeta), exactly.
+
+    Field: by_power, c_0 = rho, c_1 = -sigma, ... each constant first; `multistep(rho, sigma)` makes
+    one of two. Doubles are taken for the simple fractions beside them.
+
+    Raises:
+        InputError: coefficients that are not finite numbers; rho or all the others zero.
+
+    Example:
+        >>> import rbjax as rb
+        >>> phi = rb.stability.characteristic("bdf2")
+        >>> phi.order, phi.error_constant, phi.zero_stable
+        (2, Fraction(-1, 3), True)
+    """
+
+    by_power: tuple[Poly, ...]
+
+    def __post_init__(self) -> None:
+        powers = tuple(exact(p, "Characteristic: a polynomial") for p in self.by_power)
+        if not (powers and powers[0] and any(powers[1:])):
+            raise InputError(f"Characteristic: got {powers}, expected (rho, -sigma), neither zero")
+        object.__setattr__(self, "by_power", powers)
+
+    @property
+    def rho(self) -> Poly:
+        return self.by_power[0]
+
+    @property
+    def sigma(self) -> Poly:
+        return tuple(-c for c in self.by_power[1])
+
+    @property
+    def steps(self) -> int:
+        """The k of a k-step method."""
+        return max(map(len, self.by_power)) - 1
+
+    @functools.cached_property
+    def _defect(self) -> tuple[int, Fraction]:
+        """The first power of z in phi(exp z, z), and its coefficient."""
+        for n in range(2 * sum(map(len, self.by_power)) + 2):
+            terms = [
+                c * Fraction(j) ** (n - m) / math.factorial(n - m)
+                for m, p in enumerate(self.by_power[: n + 1])
+                for j, c in enumerate(p)
+            ]
+            left, size = added(terms), added(map(abs, terms))
+            if abs(left) > PRINTED * size:
+                return n, rational(left, 8 * EPS * size)
+        raise AssertionError("zeta = exp(z) solves no polynomial")
+
+    @property
+    def order(self) -> int:
+        """Consistent from 1 on; 0 where rho(1) = 0, but not rho'(1) = sigma(1); else -1."""
+        return self._defect[0] - 1
+
+    @property
+    def error_constant(self) -> Fraction | float:
+        """C, by rho'(1); inf where that is zero."""
+        slope = value(derivative(self.rho), Fraction(1))
+        return self._defect[1] / slope if slope else math.inf
+
+    @functools.cached_property
+    def spurious_roots(self) -> np.ndarray:
+        """The roots of rho but for zeta = 1, largest first, complex."""
+        rest = plus(self.rho, ())
+        while rest and value(rest, Fraction(1)) == 0:
+            rest = divided(rest, poly([-1, 1]))[0]
+        found = np.array([complex(r) for r in roots(rest)])
+        return found[np.argsort(-np.abs(found), kind="stable")]
+
+    @functools.cached_property
+    def zero_stable(self) -> bool:
+        """Dahlquist's root condition."""
+        inside = max((float(abs(r)) for r in roots(self.rho)), default=0.0) <= 1 + RIM
+        double = roots(common(self.rho, derivative(self.rho)))
+        return inside and all(float(abs(r)) < 1 - RIM for r in double)
+
+    def roots(self, z: Any) -> np.ndarray:
+        """The roots zeta (..., k) at z (...), complex."""
+        z = np.asarray(z, dtype=complex)
+        k = self.steps
+        rows = np.zeros((*z.shape, k + 1), complex)
+        for m, p in enumerate(self.by_power):
+            rows[..., : len(p)] += z[..., None] ** m * np.array([float(c) for c in p])
+        companion = np.zeros((*z.shape, k, k), complex)
+        companion[..., np.arange(1, k), np.arange(k - 1)] = 1
+        with np.errstate(divide="ignore", invalid="ignore"):
+            companion[..., :, -1] = -rows[..., :-1] / rows[..., -1:]
+        broken = ~np.isfinite(companion).all((-2, -1))  # a root has gone to infinity
+        companion[broken] = 0
+        out = np.linalg.eigvals(companion)
+        out[broken] = np.inf
+        return out
+
+    def radius(self, z: Any) -> np.ndarray:
+        """The largest |zeta|."""
+        return np.abs(self.roots(z)).max(-1)
+
+    def largest(self, x: Fraction, y: Fraction) -> mpmath.mpf:
+        """The largest |zeta| at z = x + i y, to `DIGITS` digits."""
+        with mpmath.workdps(DIGITS):
+            z = mpmath.mpc(*(mpmath.mpf(w.numerator) / w.denominator for w in (x, y)))
+            row = [mpmath.mpc(0)] * (self.steps + 1)
+            for m, p in enumerate(self.by_power):
+                for j, c in enumerate(p):
+                    row[j] += z**m * c.numerator / c.denominator
+            if row[-1] == 0:
+                return mpmath.inf
+            while row[0] == 0:
+                row.pop(0)
+            found = mpmath.polyroots(row, maxsteps=500, extraprec=200, asc=True)
+            return max(map(abs, found), default=mpmath.mpf(0))
+
+
+Theory = (StabilityFunction, Characteristic)  # what is all theory, and no code
+Method = Solver | StabilityFunction | Characteristic
+
+
+def multistep(rho: Any, sigma: Any) -> Characteristic:
+    """The linear multistep method of two polynomials, made exact.
+
+    sum_j rho_j y_(n+j) = h sum_j sigma_j f_(n+j), j = 0 ... k from the oldest to the newest.
+
+    Args:
+        rho: (k + 1,) numbers, doubles or fractions; the last, that of the newest y, not zero.
+        sigma: at most k + 1; explicit methods end in 0, or are shorter.
+
+    Returns:
+        `Characteristic`. Its order says whether the method is consistent: from 1 on it is; 0 where
+        rho'(1) = sigma(1) fails, -1 where rho(1) = 0 does.
+
+    Raises:
+        InputError: lengths, numbers that are not finite, a last rho or all of sigma zero.
+
+    Source: Hairer, Norsett & Wanner, *Solving ODEs I*, III.2 (2.1).
+
+    Example:
+        >>> import rbjax as rb
+        >>> leapfrog = rb.stability.multistep([-1, 0, 1], [0, 2])
+        >>> leapfrog.order, leapfrog.error_constant, leapfrog.zero_stable
+        (2, Fraction(1, 6), True)
+    """
+    sizes = np.shape(rho), np.shape(sigma)
+    if not (len(sizes[0]) == len(sizes[1]) == 1 and 1 <= sizes[1][0] <= sizes[0][0] > 1):
+        raise InputError(
+            f"multistep: got rho {sizes[0]} and sigma {sizes[1]}, expected (k + 1,), k >= 1, and "
+            "at most as many"
+        )
+    a, b = exact(rho, "multistep: rho"), exact(sigma, "multistep: sigma")
+    if len(a) < sizes[0][0]:
+        raise InputError(
+            "multistep: the last rho is zero, expected that of the newest y; coefficients go from "
+            "the oldest to the newest"
+        )
+    if not b:
+        raise InputError("multistep: sigma is zero, expected the weights of the rates")
+    return Characteristic((a, poly(-c for c in b)))
+
+
+def _ordered(name: str, order: Any, least: int = 1) -> None:
+    if not isinstance(order, (int, np.integer)) or order < least:
+        raise InputError(f"{name}: order is {order!r}, expected a whole number from {least} on")
+
+
+def adams(order: int, implicit: bool) -> Characteristic:
+    """Adams-Bashforth, or Adams-Moulton, whose rates are those of the last `order` times.
+
+    InputError below order 1. Implicit ones of order 1 and 2: backward Euler, the trapezoidal rule.
+
+    Example:
+        >>> from rbjax.stability import adams
+        >>> adams(2, implicit=False).error_constant, adams(2, implicit=True).error_constant
+        (Fraction(5, 12), Fraction(-1, 12))
+    """
+    _ordered("adams", order)
+    steps = max(order - 1, 1) if implicit else order
+    last = steps if implicit else steps - 1
+    nodes = list(range(last, last - order, -1))  # times of the rates, the last first
+    sigma = [Fraction(0)] * (steps + 1)
+    for j in nodes:
+        l = poly([1])
+        for m in nodes:
+            if m != j:
+                l = times(l, poly([Fraction(-m, j - m), Fraction(1, j - m)]))
+        whole = poly([0, *(c / (k + 1) for k, c in enumerate(l))])  # from steps - 1 to steps
+        sigma[j] = value(whole, Fraction(steps)) - value(whole, Fraction(steps - 1))
+    rho = poly([0] * (steps - 1) + [-1, 1])
+    return Characteristic((rho, poly(-c for c in sigma)))
+
+
+def backward_differentiation(order: int) -> Characteristic:
+    """BDF: sum_j (1/j) nabla^j y = h f; of any order from 1, those above 6 being unstable.
+
+    InputError below.
+
+    Example:
+        >>> from rbjax.stability import backward_differentiation
+        >>> bool(abs(backward_differentiation(7).spurious_roots[0]) > 1.02)
+        True
+    """
+    _ordered("backward_differentiation", order)
+    rho, difference = poly([]), poly([1])
+    for j in range(1, order + 1):
+        difference = times(difference, poly([-1, 1]))
+        shifted = poly([0] * (order - j) + list(difference))
+        rho = plus(rho, shifted, Fraction(1, j))
+    return Characteristic((rho, poly([0] * order + [-1])))
+
+
+def pece(order: int) -> Characteristic:
+    """Predicted by Adams-Bashforth of order - 1, evaluated, corrected by Adams-Moulton, evaluated.
+
+    InputError below order 2.
+
+    Example:
+        >>> from rbjax.stability import pece
+        >>> pece(2).by_power[2]  # h^2 lambda^2 y_n / 2: Heun's method
+        (Fraction(-1, 2),)
+    """
+    _ordered("pece", order, 2)
+    corrector, predictor = adams(order, implicit=True), adams(order - 1, implicit=False)
+    k = corrector.steps
+    shift = poly([0] * (k - predictor.steps) + [1])
+    newest = corrector.by_power[1][k]  # -b_0
+    older = poly(corrector.by_power[1][:k])
+    at_predicted = poly([0] * (k - 1) + [newest])
+    twice = times(shift, poly(newest * c for c in predictor.sigma))
+    return Characteristic((corrector.rho, plus(older, at_predicted), twice))
+
+
+def of_one_step(R: StabilityFunction) -> Characteristic:
+    """Q(z) zeta - P(z)."""
+    n = max(len(R.numerator), len(R.denominator))
+    p, q = (tuple(x) + (Fraction(0),) * (n - len(x)) for x in (R.numerator, R.denominator))
+    return Characteristic(tuple(poly([-a, b]) for a, b in zip(p, q, strict=True)))
+
+
+def characteristic(solver: Method) -> Characteristic:
+    """phi(zeta, z), whose roots are the growth factors of a method on y' = lambda y, exactly.
+
+    Args:
+        solver: a name of `rb.solvers.all()`, any multistep, Runge-Kutta or Rosenbrock solver of
+            rbjax or diffrax, an `rb.solvers.Tableau`, a `StabilityFunction`, or a polynomial that
+            is known already. Steps are equal.
+
+    Returns:
+        `Characteristic`: order, error_constant, zero_stable, spurious_roots, roots(z), radius(z).
+
+    Raises:
+        InputError: for methods of q' = v, v' = a alone, and what is unknown.
+
+    Source: Hairer, Norsett & Wanner, *Solving ODEs I*, III.2.
+
+    Example:
+        >>> import rbjax as rb
+        >>> phi = rb.stability.characteristic("adams_moulton2")  # the trapezoidal rule
+        >>> phi.order, phi.error_constant
+        (2, Fraction(-1, 12))
+    """
+    if isinstance(solver, Characteristic):
+        return solver
+    if isinstance(solver, StabilityFunction):
+        return of_one_step(solver)
+    one = made(solver)
+    if isinstance(one, solvers.BDF):
+        return backward_differentiation(one.formula_order)
+    if isinstance(one, solvers.Adams):
+        if one.corrector == "once":
+            return pece(one.formula_order)
+        return adams(one.formula_order, implicit=one.corrector == "root")
+    if isinstance(one, diffrax.LeapfrogMidpoint):
+        return Characteristic((poly([-1, 0, 1]), poly([0, -2])))
+    try:
+        return of_one_step(stability_function(one))
+    except InputError as error:
+        raise InputError(
+            f"characteristic: {type(one).__name__} has no linear theory here, expected a "
+            "multistep, Runge-Kutta or Rosenbrock method; spectral_radius(solver, h_omega) "
+            "measures those of q' = v, v' = a"
+        ) from error

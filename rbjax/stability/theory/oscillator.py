@@ -1,0 +1,296 @@
+"""What a solver's own step does to linear motion: growth factors, dissipation, period elongation.
+
+    y' = lambda y:  as two real equations, z = h lambda
+    q'' + 2 xi omega q' + omega^2 q = 0:  (q, v / omega), Omega = h omega
+A step is linear in the state and in what the solver remembers, so one step from each unit vector is
+its matrix, and the eigenvalues of that are its growth factors: what is measured is the code. The
+exact ones are exp(z) and exp(+-i Omega); a factor exp(Omega' (-xi' +- i)) stands for a vibration of
+the frequency Omega' / h and the damping ratio xi'.
+(Hughes, *The Finite Element Method*, 9.3; Chung & Hulbert, *J. Applied Mechanics* 60, 1993.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from rbjax.errors import InputError
+from rbjax.solvers import Adams, GeneralizedAlpha
+from rbjax.solvers.multistep import AbstractMultistep
+from rbjax.stability.methods import Solver, stepping
+from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
+from rbjax.stability.theory.regions import imaginary_limit
+
+DOUBLE = 1e-7  # a double root of modulus one is known to the root of rounding
+LOST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
+
+
+def _scalar(t: Any, y: Any, z: jax.Array) -> jax.Array:
+    """y' = z y, of the real and imaginary part."""
+    a, b = z
+    return jnp.stack([a * y[0] - b * y[1], b * y[0] + a * y[1]])
+
+
+def _oscillator(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.Array]:
+    k, d = stiffness_damping
+    q, v = y
+    return v, -k * q - d * v
+
+
+def _remembered(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
+    """What a solver's state adds to the motion's, and the solver's state of such numbers."""
+    if isinstance(solver, AbstractMultistep):
+        full = state.ts.shape[0]
+        return state.values, lambda old: state._replace(values=old, filled=jnp.array(full))
+    if isinstance(solver, GeneralizedAlpha):
+        return state[0], lambda carried: (carried, jnp.array(False))
+    return (), lambda nothing: state
+
+
+@eqx.filter_jit
+def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, scale: Any) -> jax.Array:
+    """The matrix of one step of length one (n, k, k), for rows of arguments (n, ...)."""
+    term = diffrax.ODETerm(field)
+    t0, t1 = jnp.array(0.0), jnp.array(1.0)
+
+    def matrix(args, scale):
+        fresh = solver.init(term, t0, t1, like, args)
+        memory, _ = _remembered(solver, fresh)
+        _, unravel = ravel_pytree((like, memory))
+
+        def step(x):
+            y, memory = unravel(x)
+            before = solver.init(term, t0, t1, y, args)
+            before = _remembered(solver, before)[1](memory)
+            y1, _, _, after, _ = solver.step(term, t0, t1, y, args, before, made_jump=False)
+            return ravel_pytree((y1, _remembered(solver, after)[0]))[0]
+
+        return jax.vmap(step)(jnp.diag(scale)).T / scale[:, None]
+
+    return jax.vmap(matrix)(args, scale)
+
+
+def _measured(*args: Any) -> np.ndarray:
+    """`_matrices` in f64, whatever the caller works in."""
+    with jax.enable_x64(True):
+        return np.asarray(_matrices(*args))
+
+
+def _prepared(solver: Solver) -> Any:
+    """The solver, with numbers in the place of constants, so that all of a kind share a program."""
+    one = stepping(solver)
+    if isinstance(one, LOST) or one.term_structure is not diffrax.AbstractTerm:
+        raise InputError(
+            f"stability: {type(one).__name__} does not step a linear equation from a state "
+            "alone, expected a solver of vector fields, or of q' = v, v' = a"
+        )
+    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, one)
+
+
+def _pair(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array, jax.Array]:
+    K, D = stiffness_damping
+    q, v = y
+    return v, K @ q + D @ v
+
+
+def matrices_of_pair(solver: Any, K: np.ndarray, D: np.ndarray) -> np.ndarray:
+    """The matrix (m, k, k) of one step of length one on q' = v, v' = K q + D v; K, D (m, n, n)."""
+    solver = _prepared(solver)
+    n = K.shape[-1]
+    like, args = (np.zeros(n), np.zeros(n)), np.stack([K, D], 1)
+    ones = np.ones((len(K), _size(_pair, solver, like, args[0])))
+    return _measured(_pair, solver, like, args, ones)
+
+
+def growth_factors(solver: Method, z: Any) -> np.ndarray:
+    """The factors by which a step of the code multiplies y of y' = lambda y, z = h lambda.
+
+    Args:
+        solver: a name of `rb.solvers.all()`, a diffrax solver of any vector field, or an
+            `rb.solvers.Tableau`; of a `StabilityFunction` or a `Characteristic`, the roots.
+        z: complex, any shape (...).
+
+    Returns:
+        (..., k) complex: R(z) for a one-step method; all roots, largest first, of a multistep one.
+
+    Raises:
+        InputError: solvers of other equations.
+
+    Example:
+        >>> import rbjax as rb
+        >>> factor = rb.stability.growth_factors("euler", -0.5)
+        >>> float(factor[0].real)
+        0.5
+    """
+    z = np.asarray(z, complex)
+    if isinstance(solver, Theory):
+        return _sorted(characteristic(solver).roots(z))
+    solver = _prepared(solver)
+    rows = np.stack([z.real.ravel(), z.imag.ravel()], -1)
+    ones = np.ones((len(rows), _size(_scalar, solver, np.zeros(2), rows[0])))
+    real = _measured(_scalar, solver, np.zeros(2), rows, ones)
+    # a complex number is [[a, -b], [b, a]]: each block's first column is a + i b
+    matrix = real[:, ::2, ::2] + 1j * real[:, 1::2, ::2]
+    return _sorted(np.linalg.eigvals(matrix)).reshape(*z.shape, -1)
+
+
+def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
+    """The factors by which a step of the code multiplies an oscillation, largest first.
+
+    Args:
+        solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field or of
+            q' = v, v' = a; or what else `growth_factors` takes.
+        h_omega: Omega = h omega (...), step times natural angular frequency, positive.
+        damping_ratio: xi of q'' + 2 xi omega q' + omega^2 q = 0.
+
+    Returns:
+        (..., k) complex, k = 2 and what the method remembers.
+
+    Raises:
+        InputError: solvers of other equations; an h_omega that is not positive.
+
+    Example:
+        >>> import rbjax as rb, numpy as np
+        >>> factors = rb.stability.oscillator_factors("stoermer_verlet", np.sqrt(2.0))
+        >>> bool(abs(factors - [1j, -1j]).max() < 1e-6)
+        True
+    """
+    omega = np.asarray(h_omega, float)
+    wrong = ~((omega > 0) & np.isfinite(omega))
+    if wrong.any():
+        raise InputError(
+            f"oscillator_factors: h_omega has {omega[wrong][0]}, expected h times omega, positive "
+            "and finite; at zero nothing oscillates"
+        )
+    if not np.isfinite(damping_ratio):
+        raise InputError(f"oscillator_factors: damping_ratio is {damping_ratio}, expected a number")
+    if isinstance(solver, Theory):  # two scalar equations
+        pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
+        roots = characteristic(solver).roots(omega[..., None] * pair)
+        return _sorted(roots.reshape(*omega.shape, -1))
+    solver = _prepared(solver)
+    w = omega.ravel()
+    like = (np.zeros(()), np.zeros(()))
+    rows = np.stack([w**2, 2 * damping_ratio * w], -1)
+    powers = _powers(solver, _size(_oscillator, solver, like, rows[0]))
+    matrix = _measured(_oscillator, solver, like, rows, w[:, None] ** powers)
+    return _sorted(np.linalg.eigvals(matrix)).reshape(*omega.shape, -1)
+
+
+def _powers(solver: Any, n: int) -> np.ndarray:
+    """The powers of omega that make q, v and what is remembered of them alike in size."""
+    if isinstance(solver, GeneralizedAlpha):
+        return np.array([0, 1, 2])
+    past = (n - 2) // 2
+    rates = int(isinstance(solver, Adams))
+    return np.array([0, 1] + [rates] * past + [1 + rates] * past)
+
+
+def _size(field: Any, solver: Any, like: Any, args: Any) -> int:
+    """Numbers in the state and the memory."""
+    term, zero = diffrax.ODETerm(field), jnp.array(0.0)
+    state = jax.eval_shape(lambda: solver.init(term, zero, zero + 1, like, args))
+    memory, _ = _remembered(solver, state)
+    return sum(int(np.size(x)) for x in jax.tree.leaves((like, memory)))
+
+
+def _sorted(factors: np.ndarray) -> np.ndarray:
+    return np.take_along_axis(factors, np.argsort(-np.abs(factors), axis=-1, kind="stable"), -1)
+
+
+def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
+    """The largest growth factor's modulus on an oscillator of h omega (...), of the code's step.
+
+    Example:
+        >>> import rbjax as rb
+        >>> solver = rb.solvers.generalized_alpha(0.8)
+        >>> round(float(rb.stability.spectral_radius(solver, 1e4)), 2)
+        0.8
+    """
+    return np.abs(oscillator_factors(solver, h_omega, damping_ratio)).max(-1)
+
+
+def _principal(solver: Method, h_omega: Any) -> np.ndarray:
+    """The factor that stands for exp(i Omega); nan where none oscillates."""
+    factors = oscillator_factors(solver, h_omega)
+    distance = np.abs(factors - np.exp(1j * np.asarray(h_omega, float))[..., None])
+    factor = np.take_along_axis(factors, distance.argmin(-1)[..., None], -1)[..., 0]
+    return np.where(factor.imag > 0, factor, np.nan)
+
+
+def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
+    """The numerical damping ratio xi' of an undamped oscillation, of the code's step.
+
+    xi' = -ln |zeta| / arg zeta, of the factor zeta that stands for exp(i Omega).
+
+    Args:
+        solver: as in `oscillator_factors`.
+        h_omega: Omega = h omega (...), below pi: a slower sampling shows no oscillation.
+
+    Returns:
+        (...) damping ratio; negative where the method adds energy, nan where nothing oscillates.
+
+    Source: Hughes, *The Finite Element Method*, 9.3.
+
+    Example:
+        >>> import rbjax as rb
+        >>> abs(float(rb.stability.dissipation("newmark", 0.5))) < 1e-12
+        True
+    """
+    factor = _principal(solver, h_omega)
+    return -np.log(np.abs(factor)) / np.angle(factor)
+
+
+def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
+    """(T' - T) / T of an undamped oscillation, of the code's step: Omega / arg zeta - 1.
+
+    Args, and where it is nan: as `dissipation`. Newmark's average acceleration: Omega^2 / 12.
+
+    Example:
+        >>> import rbjax as rb
+        >>> round(float(rb.stability.period_elongation("newmark", 0.1)) * 12e2, 2)
+        1.0
+    """
+    return np.asarray(h_omega, float) / np.angle(_principal(solver, h_omega)) - 1
+
+
+def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
+    """The largest h omega up to which an undamped oscillation does not grow; inf above `highest`.
+
+    Exact (`imaginary_limit`) where there is linear theory. Otherwise, as for methods of q' = v,
+    v' = a, by halving, of the code's step: |zeta| may exceed one by 1e-7, and limits nearer to zero
+    than `highest` / 500 are zero.
+
+    Example:
+        >>> import rbjax as rb
+        >>> round(rb.stability.oscillation_limit("central_differences"), 9)
+        2.0
+    """
+    try:
+        exact = imaginary_limit(characteristic(solver))
+    except InputError:  # no linear theory: by its code
+        return _measured_limit(solver, highest)
+    return exact if exact <= highest else np.inf
+
+
+def _measured_limit(solver: Method, highest: float) -> float:
+    grid = np.linspace(0, highest, 501)[1:]
+    grown = spectral_radius(solver, grid) > 1 + DOUBLE
+    if not grown.any():
+        return np.inf
+    if grown[0]:
+        return 0.0
+    low, high = grid[grown.argmax() - 1], grid[grown.argmax()]
+    while high - low > 4 * np.finfo(float).eps * high:
+        points = np.linspace(low, high, len(grid))  # as many as the program was made for
+        grown = spectral_radius(solver, points) > 1 + DOUBLE
+        first = int(grown.argmax())
+        low, high = points[first - 1], points[first]
+    return float(low)

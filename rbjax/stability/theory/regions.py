@@ -1,0 +1,275 @@
+"""Regions of absolute stability: their limits on the axes, their angle, their strip.
+
+    S = {z : every root of phi(zeta, z) has |zeta| <= 1}
+    real limit: the least x <= 0 with [x, 0] in S
+    imaginary limit: the largest y with i [0, y] in S
+    A-stable: S holds the left half-plane;  A(alpha): the sector |arg(-z)| <= alpha
+    stiffly stable: the half-plane Re z <= -D;  L-stable: A-stable, and R(infinity) = 0
+The rim of S lies on the curve where a root has modulus one. For a one-step method it meets the axes
+at roots of P^2 - Q^2 and of |P(iy)|^2 - |Q(iy)|^2; for a multistep method it is
+z = rho / sigma at zeta = exp(i theta), whose parts are rational in c = cos theta: limits, angle and
+D are then values at exact roots. A predictor-corrector's z is quadratic; real and imaginary part of
+its equation vanish together where their resultant, a polynomial in c, does. Between such points one
+z decides, in `DIGITS` digits: |zeta| - 1 of a weakly unstable method may be 1e-15.
+(Hairer & Wanner, *Solving ODEs II*, IV.3, V.1-2; Gear 1971.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.stability.theory.multistep_roots import Characteristic
+from rbjax.stability.theory.polynomials import (
+    Poly,
+    between,
+    chebyshev,
+    derivative,
+    divided,
+    plus,
+    poly,
+    real_roots,
+    roots,
+    times,
+    value,
+)
+from rbjax.stability.theory.stability_function import StabilityFunction, modulus_excess
+
+Method = StabilityFunction | Characteristic
+BELOW_90 = math.nextafter(90, 0)  # 90 itself says A-stable
+GROWN = 1e-20  # of a root's modulus over one, in `DIGITS` digits
+SHARP, FARTHEST = Fraction(1, 2**40), 2**40  # D, of its own size, and where it is sought
+ONE_SQUARED = poly([1, 0, -1])  # 1 - c^2
+
+
+def real_limit(method: Method) -> float:
+    """The least x <= 0 such that the method is stable on [x, 0]; -inf, or 0 for none."""
+    method = _simplest(method)
+    if isinstance(method, StabilityFunction):
+        p, q = (_mirrored(x) for x in (method.numerator, method.denominator))
+        points = sorted({x for s in (1, -1) for x in real_roots(plus(p, q, s), low=0)})
+        return 0.0 - _first_end(points, lambda x: abs(value(p, x)) <= abs(value(q, x)))
+    if len(method.by_power) == 2:
+        N, M, S = _curve(method)
+        crossings = [Fraction(-1), *_inside(M)]
+        found = [value(N, c) / value(S, c) for c in crossings if value(S, c)]
+    else:
+        ends = (poly(value(p, Fraction(zeta)) for p in method.by_power) for zeta in (1, -1))
+        found = [x for p in ends for x in real_roots(p)]
+        even, odd = _on_circle(method)
+        found += [x for _, x in _common_roots(even, odd)]
+    points = sorted({-x for x in found if x < 0})
+    return 0.0 - _first_end(points, lambda x: bool(method.largest(-x, Fraction(0)) <= 1 + GROWN))
+
+
+def imaginary_limit(method: Method) -> float:
+    """The largest y such that the method is stable on i [0, y]; inf, or 0 for none."""
+    method = _simplest(method)
+    if isinstance(method, StabilityFunction):
+        excess = modulus_excess(method)
+        points = real_roots(excess, low=0)
+        return math.sqrt(_first_end(points, lambda w: value(excess, w) <= 0))
+    if len(method.by_power) == 2:
+        N, M, S = _curve(method)
+        # where the curve crosses the axis, or, all on it, turns: (1 - c^2) M^2 / S^2 is stationary
+        turning = plus(times(_slope(M), S), times(ONE_SQUARED, times(M, derivative(S))), -1)
+        found = [(c, value(M, c) / value(S, c)) for c in _inside(N or turning) if value(S, c)]
+    else:
+        # z = i sin(theta) x: the real part, and the imaginary one by sin(theta)
+        (a, b, c), (d, e, f) = _on_circle(method)
+        minus = plus((), ONE_SQUARED, -1)
+        found = _common_roots((a, times(minus, e), times(minus, c)), (d, b, times(minus, f)))
+    heights = (abs(float(x)) * math.sqrt(1 - c * c) for c, x in found)
+    points = sorted({Fraction(y) for y in heights if y > 0})
+    return _first_end(points, lambda y: bool(method.largest(Fraction(0), y) <= 1 + GROWN))
+
+
+def alpha_degrees(method: Method) -> float:
+    """The angle of A(alpha)-stability: 90 if A-stable, 0 where the real limit is finite."""
+    method = _simplest(method)
+    if real_limit(method) > -math.inf or not _bounded(method):
+        return 0.0
+    if isinstance(method, StabilityFunction):
+        return 90.0 if _A_stable(method) else _widest_ray(method)
+    N, M, _ = _curve(method)
+    # tan^2 alpha = (1 - c^2) M^2 / N^2 is least at an end or where this vanishes:
+    stationary = plus(times(_slope(M), N), times(ONE_SQUARED, times(M, derivative(N))), -1)
+    angles = [90.0]
+    for c in [*real_roots(stationary, -1, 1), *real_roots(M, -1, 1)]:
+        n, m = value(N, c), value(M, c)
+        if n < 0:
+            tangent = abs(float(m / n)) * math.sqrt(1 - c * c)
+            angles.append(math.degrees(math.atan(tangent)))
+    return min(angles)
+
+
+def stiff_stability(method: Method) -> float:
+    """D of stiff stability: the method is stable where Re z <= -D; inf where for no D."""
+    method = _simplest(method)
+    if real_limit(method) > -math.inf or not _bounded(method):
+        return math.inf
+    if isinstance(method, StabilityFunction):
+        return _least_shift(method)
+    N, _, S = _curve(method)
+    turning = plus(times(derivative(N), S), times(N, derivative(S)), -1)
+    ends = [c for c in (Fraction(-1), Fraction(1)) if value(S, c)]
+    found = (-float(value(N, c) / value(S, c)) for c in [*ends, *real_roots(turning, -1, 1)])
+    return max(0.0, *found)
+
+
+def at_infinity(method: Method) -> float:
+    """|R(infinity)|, the largest root in the limit of stiffness; inf where it is not bounded."""
+    if isinstance(method, StabilityFunction):
+        return abs(method.at_infinity)
+    last = method.by_power[-1]
+    if len(last) - 1 < method.steps:
+        return math.inf
+    return max((float(abs(r)) for r in roots(last)), default=0.0)
+
+
+def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
+    """The largest |zeta| (len(y), len(x)) over a grid x + i y of z: stable where at most one."""
+    return method.radius(np.asarray(x)[None, :] + 1j * np.asarray(y)[:, None])
+
+
+def _simplest(method: Method) -> Method:
+    """The stability function of a polynomial of one step."""
+    if isinstance(method, StabilityFunction):
+        return method
+    if method.steps == 1:
+        padded = [p + (Fraction(0),) * (2 - len(p)) for p in method.by_power]
+        return StabilityFunction(poly(-p[0] for p in padded), poly(p[1] for p in padded))
+    if len(method.by_power) > 3:
+        raise InputError(
+            f"regions: a multistep method with z^{len(method.by_power) - 1}, expected at most z^2 "
+            "(one corrector)"
+        )
+    return method
+
+
+def _bounded(method: Method) -> bool:
+    """Whether no root passes one where z goes to infinity."""
+    return at_infinity(method) <= 1
+
+
+def _A_stable(R: StabilityFunction) -> bool:
+    """|R| <= 1 on the axis, and left of it by the maximum principle, there being no pole."""
+    return imaginary_limit(R) == math.inf and all(p.real > 0 for p in roots(R.denominator))
+
+
+def _least_shift(R: StabilityFunction) -> float:
+    """The least D for which R(z - D) is A-stable, by halving: the half-planes are nested."""
+    if _A_stable(R):
+        return 0.0
+    low, high = Fraction(0), Fraction(1)
+    while not _A_stable(_shifted(R, high)):
+        low, high = high, 2 * high
+        if high > FARTHEST:
+            return math.inf
+    while high - low > high * SHARP:
+        mid = (low + high) / 2
+        low, high = (low, mid) if _A_stable(_shifted(R, mid)) else (mid, high)
+    return float(high)
+
+
+def _shifted(R: StabilityFunction, D: Fraction) -> StabilityFunction:
+    """R(z - D)."""
+    parts = []
+    for p in (R.numerator, R.denominator):
+        out: Poly = ()
+        for c in reversed(p):
+            out = plus(times(out, poly([-D, 1])), poly([c]))
+        parts.append(out)
+    return StabilityFunction(*parts)
+
+
+def _mirrored(p: Poly) -> Poly:
+    """p(-x)."""
+    return poly((-1) ** k * c for k, c in enumerate(p))
+
+
+def _first_end(points: list[Fraction], stable: Callable[[Fraction], bool]) -> float:
+    """Where the intervals between points, from zero on, stop being stable; inf for nowhere."""
+    intervals = between(points, Fraction(0))
+    reached = Fraction(0)
+    for end, mid in intervals:
+        if not stable(mid):
+            return float(reached)
+        reached = end
+    return math.inf
+
+
+def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
+    """N, M, S in c = cos theta: rho / sigma at exp(i theta) is (N + i sin(theta) M) / S."""
+    if len(method.by_power) > 2:
+        raise InputError(
+            "regions: a multistep method with z^2, expected rho - z sigma for its angle and strip"
+        )
+    rho, sigma = method.rho, method.sigma
+    N, M, S = (poly([]) for _ in range(3))
+    for j, b in enumerate(sigma):
+        for out_of, i, a in [("r", i, a) for i, a in enumerate(rho)] + [
+            ("s", i, a) for i, a in enumerate(sigma)
+        ]:
+            t, u = chebyshev(abs(i - j))
+            if out_of == "s":
+                S = plus(S, t, a * b)
+            else:
+                N = plus(N, t, a * b)
+                M = plus(M, u, a * b * (1 if i > j else -1))
+    return N, M, S
+
+
+def _slope(M: Poly) -> Poly:
+    """(1 - c^2) M' - c M: the derivative of sqrt(1 - c^2) M, times that root."""
+    return plus(times(ONE_SQUARED, derivative(M)), times(poly([0, 1]), M), -1)
+
+
+def _on_circle(method: Characteristic) -> tuple[list[Poly], list[Poly]]:
+    """Of each power of z, the real part at zeta = exp(i theta), and the imaginary by sin(theta)."""
+    even, odd = [], []
+    for p in method.by_power:
+        parts: tuple[Poly, Poly] = ((), ())
+        for j, a in enumerate(p):
+            parts = (plus(parts[0], chebyshev(j)[0], a), plus(parts[1], chebyshev(j)[1], a))
+        even.append(parts[0])
+        odd.append(parts[1])
+    return even, odd
+
+
+def _common_roots(f: Sequence[Poly], g: Sequence[Poly]) -> list[tuple[Fraction, Fraction]]:
+    """(c, x), |c| < 1, at which f_0 + f_1 x + f_2 x^2 and g_0 + ... vanish, polynomials in c."""
+
+    def minor(i: int, j: int) -> Poly:
+        return plus(times(f[i], g[j]), times(f[j], g[i]), -1)
+
+    top, bottom = minor(0, 2), minor(2, 1)
+    resultant = plus(times(top, top), times(bottom, minor(1, 0)), -1)
+    return [(c, value(top, c) / value(bottom, c)) for c in _inside(resultant) if value(bottom, c)]
+
+
+def _inside(p: Poly) -> list[Fraction]:
+    """The roots between -1 and 1, not these: there z is zero or infinite, in all multiplicity."""
+    for end in (1, -1):
+        while p and value(p, Fraction(end)) == 0:
+            p = divided(p, poly([-end, 1]))[0]
+    return real_roots(p, -1, 1)
+
+
+def _widest_ray(R: StabilityFunction) -> float:
+    """Of an A(0)-stable one-step method: the rays on which |R| <= 1, by halving the angle."""
+
+    def stable(angle: float) -> bool:
+        z = -np.exp(1j * angle) * np.logspace(-6, 8, 20_001)
+        return bool((R.radius(z) <= 1 + 1e-12).all())
+
+    low, high = 0.0, math.pi / 2
+    for _ in range(55):
+        mid = (low + high) / 2
+        low, high = (mid, high) if stable(mid) else (low, mid)
+    return min(math.degrees(low), BELOW_90)

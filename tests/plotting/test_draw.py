@@ -1,0 +1,100 @@
+"""One posture: what is drawn lies where the robot is."""
+
+import matplotlib
+import matplotlib.figure
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.plotting.solids import _outermost
+
+matplotlib.use("Agg")
+
+
+def axis():
+    return matplotlib.figure.Figure(figsize=(5, 4)).add_subplot()
+
+
+@pytest.mark.parametrize("scene", rb.scenes())
+@pytest.mark.parametrize("geoms", [False, True])
+def test_every_scene(scene: str, geoms: bool) -> None:
+    model = rb.load(scene)
+    shapes = rb.plotting.solids(scene) if geoms else rb.plotting.skeleton(model)
+    ax = rb.plotting.draw(model, model.joints.reference, axis(), source=scene if geoms else None)
+    ax.figure.canvas.draw()
+    solids = ax.collections[-1]
+    assert 0 < len(solids.get_paths()) <= len(shapes)
+    assert ax.get_aspect() == 1.0  # equal axes
+    for path in solids.get_paths():
+        assert np.isfinite(path.vertices).all()
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    points = np.concatenate([path.vertices for path in solids.get_paths()])
+    assert left < points[:, 0].min() and points[:, 0].max() < right
+    assert low < points[:, 1].min() and points[:, 1].max() < high
+
+
+def test_a_figure_of_its_own() -> None:
+    import matplotlib.pyplot as plt
+
+    ax = rb.plotting.draw(rb.load("pendulum"), [0.5])
+    assert ax.figure.axes == [ax]
+    plt.close(ax.figure)
+
+
+@pytest.mark.parametrize("q", [[0.1, 0.2], [np.nan]])
+def test_q_of_another_robot(q: list[float]) -> None:
+    with pytest.raises(rb.InputError, match=r"expected shape \(1,\) of finite numbers"):
+        rb.plotting.draw(rb.load("pendulum"), q, axis())
+
+
+def test_a_rod_by_its_numbers_is_a_rod() -> None:
+    """A uniform rod of length L on a hinge at its end: the ellipsoid and the line reach its tip."""
+    model = rb.load(
+        "<mujoco><worldbody><body><joint axis='0 1 0'/>"
+        "<inertial pos='0 0 -0.6' mass='2' diaginertia='0.24 0.24 1e-9'/>"
+        "</body></worldbody></mujoco>"
+    )
+    shapes = rb.plotting.skeleton(model)
+    assert len(shapes) == 3
+    ellipsoid, line, _ = shapes
+    assert ellipsoid.points[:, 2].min() == pytest.approx(-1.2, abs=1e-3)
+    assert ellipsoid.points[:, 2].max() == pytest.approx(0.0, abs=1e-3)
+    assert line.points[:, 2].min() == pytest.approx(-1.2, abs=0.03)
+
+
+def test_limbs_meet_at_their_joints() -> None:
+    """Every rod of a skeleton starts and ends where kinematics has a joint or a tip."""
+    model = rb.load("arm7")
+    R, p = rb.forward_kinematics(model, model.keyframe("home").q)
+    on = np.array(model.topology.joint_bodies)
+    anchors = np.asarray(p[on] + np.einsum("bij,bj->bi", R[on], model.joints.placement))
+    rods = [s for s in rb.plotting.skeleton(model) if s.alpha == 1.0]
+    points = np.concatenate([s.points @ np.asarray(R[s.body]).T + p[s.body] for s in rods])
+    for anchor in anchors:
+        assert np.linalg.norm(points - anchor, axis=1).min() < 0.05
+
+
+def test_a_body_without_mass_and_a_site() -> None:
+    model = rb.load(
+        "<mujoco><worldbody><body><freejoint/><geom size='0.1'/>"
+        "<body pos='1 0 0'><site name='tip'/></body></body></worldbody></mujoco>"
+    )
+    ax = rb.plotting.draw(model, model.joints.reference, axis())
+    assert len(ax.collections[-1].get_paths()) >= 4  # a ball with axes, a rod to the tip
+
+
+def test_a_mesh_keeps_its_outermost_points() -> None:
+    points = np.random.default_rng(0).normal(size=(5000, 3))
+    kept = _outermost(points)
+    assert len(kept) < 400
+    assert kept.max(0) == pytest.approx(points.max(0)) and kept.min(0) == pytest.approx(
+        points.min(0)
+    )
+
+
+def test_importing_rbjax_leaves_matplotlib_alone() -> None:
+    import subprocess
+    import sys
+
+    program = "import rbjax, sys; assert 'matplotlib' not in sys.modules; rbjax.plotting.Camera"
+    subprocess.run([sys.executable, "-c", program], check=True)
