@@ -3,6 +3,7 @@
     algebra           lanes, Vec3, Mat3, Sym3; literal zeros and ones vanish
     products          stacks of matrices, without `dot`
     fusion_barrier    where XLA's CPU compiler computes values and keeps them
+    ldlt              L D L^T of small symmetric matrices
     sincos            cosine and sine by polynomials
     batch_axis        where `vmap` leaves a result's batch
 
@@ -29,10 +30,12 @@ from rbjax.lanes.algebra import (
 )
 from rbjax.lanes.batch_axis import batch_first, batch_last
 from rbjax.lanes.fusion_barrier import fusion_barrier
+from rbjax.lanes.ldlt import LDLT, elimination_order, ldlt
 from rbjax.lanes.products import matmat, matrix_transpose, matvec, outer
 from rbjax.lanes.sincos import horner, polynomial_sincos, sincos
 
 __all__ = [
+    "LDLT",
     "Lane",
     "Lanes",
     "Mat3",
@@ -42,11 +45,13 @@ __all__ = [
     "as_arrays",
     "batch_first",
     "batch_last",
+    "elimination_order",
     "fusion_barrier",
     "horner",
     "inner",
     "is_literal",
     "is_zero",
+    "ldlt",
     "matvec",
     "matmat",
     "matrix_transpose",
