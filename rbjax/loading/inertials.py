@@ -18,6 +18,9 @@ from rbjax.errors import ModelError, listed
 
 #: a moment beyond the sum of the other two by less than this part of it is the file's rounding
 ROUNDING = 1e-6
+#: part of the largest below which an eigenvalue of M is rounding, for each velocity
+_SINGULAR = 1e-15
+_SMALL = 1000  # velocities up to which eigenvalues take no time
 _SHOWN = 8  # names listed before "and N more"
 # At an angle and off the link's origin, so that MuJoCo takes no short cuts from its zeros.
 _PLACEHOLDER = """<inertial><origin xyz="1 2 3" rpy="1 1 1"/><mass value="1"/>
@@ -98,9 +101,9 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
     mujoco.mj_kinematics(m, data)
     mujoco.mj_comPos(m, data)
     mujoco.mj_crb(m, data)
-    moved = np.zeros((m.nv, m.nv))
-    mujoco.mj_fullM(m, data, moved)
-    moved = np.abs(np.diag(moved))
+    M = np.zeros((m.nv, m.nv))
+    mujoco.mj_fullM(m, data, M)
+    moved = np.abs(np.diag(M))
     still = np.flatnonzero(moved <= 1e-15 * moved.max(initial=0.0))
     if len(still):
         joints = dict.fromkeys(int(m.dof_jntid[i]) for i in still)
@@ -110,6 +113,19 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
             f"singular and their accelerations are undefined, expected mass on each moving link or "
             f"on one that it carries; give the links an <inertial>, or their joints type='fixed'"
         )
+    if 0 < m.nv <= _SMALL:
+        values, motions = np.linalg.eigh(M / np.sqrt(moved * moved[:, None]))
+        least = np.argmin(np.abs(values))
+        if np.abs(values[least]) <= _SINGULAR * m.nv:
+            share = np.abs(motions[:, least])
+            some = dict.fromkeys(m.dof_jntid[np.flatnonzero(share > 0.1 * share.max())])
+            words = [m.joint(j).name for j in some]
+            raise ModelError(
+                f"{name}: joints that together move no mass: {listed(words, _SHOWN)}; one undoes "
+                f"what the others do, the mass matrix is singular and their accelerations are "
+                f"undefined, expected mass on the links between them; give these an <inertial>, or "
+                f"one of the joints type='fixed'"
+            )
 
 
 def _read(link: ET.Element, where: str) -> Inertial:

@@ -24,6 +24,7 @@ from rbjax.loading.inertials import write_inertials
 from rbjax.loading.meshes import without_missing_mesh
 from rbjax.loading.motors import with_motors
 from rbjax.loading.urdf import is_urdf, prepare_urdf
+from rbjax.loading.urdf_floating import add_floats
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
 
@@ -135,6 +136,8 @@ def _compile_source(
     except Exception as error:
         message = _sentence(error)
         raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{_fix(message)}") from error
+    if urdf is not None:
+        add_floats(spec, urdf.floats)
     compiled = _compile(spec, name)
     if urdf is None:
         return compiled, "", ()
@@ -206,10 +209,9 @@ def _fix(message: str) -> str:
         "<compiler balanceinertia='true'/>",
         "repeated name": "; give each body, joint or other element a name of its own",
         "opening file": "; put the file where the model names it, or remove the element",
-        "free joint can only be used on top": "; a URDF's floating joint moves a child of the root "
-        "link, and that is named 'world'",
-        "joint found in world body": "; the link named 'world' is the ground and cannot move: "
-        "rename it, or load without floating_base",
+        "free joint can only be used on top": "; put the body into <worldbody>, or give it three "
+        "slides and a ball",
+        "joint found in world body": "; the world cannot move: put the joint into a <body>",
         "inertia must have positive eigenvalues": "; give every principal moment a positive value",
     }
     return next((fix for key, fix in hints.items() if key in message), "")

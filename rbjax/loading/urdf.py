@@ -13,9 +13,12 @@ from dataclasses import dataclass
 
 from rbjax.errors import ModelError
 from rbjax.loading.inertials import Inertial, take_inertials
+from rbjax.loading.urdf_floating import float_root, free_name, take_floats
 
 #: settings of MuJoCo's compiler that change inertials; ours are the file's
 _TAMPERS = ("balanceinertia", "boundmass", "boundinertia", "settotalmass")
+
+_KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
 
 _XACRO = "; run xacro first: `xacro robot.urdf.xacro > robot.urdf`"
 
@@ -42,11 +45,13 @@ def is_urdf(text: str, name: str) -> bool:
 
 @dataclass(frozen=True)
 class Urdf:
-    """What MuJoCo is given; and what it is not: inertials by link, and which joints mimic."""
+    """What MuJoCo is given; and what it is not: inertials by link, which joints mimic, and which
+    float far from the ground, with the links that they move."""
 
     text: str
     inertials: dict[str, Inertial]
     mimics: tuple[str, ...]
+    floats: dict[str, str]
 
 
 def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
@@ -62,8 +67,14 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
             raise ModelError(
                 f"{name}: more than one {kind} is named {', '.join(twice)}; give each its own name"
             )
-    links = {link.get("name", ""): link for link in there}
-    root = _root(robot, set(links), name)
+    _check_kinds(robot, name)
+    root = _root(robot, {link.get("name", "") for link in there}, name)
+    free_name(robot, root)
+    if floating_base:
+        float_root(robot, root, name)
+        root = "world"
+    floats = take_floats(robot, root)
+    links = {link.get("name", ""): link for link in robot.findall("link")}
     for link in links.values():
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
@@ -82,13 +93,16 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
         compiler.attrib.pop(attribute, None)
     compiler.set("fusestatic", "false")
     compiler.set("inertiafromgeom", "false")
-    if floating_base:
-        world = "world" if "world" not in links else "rbjax_world"
-        robot.insert(0, ET.Element("link", name=world))
-        joint = ET.SubElement(robot, "joint", name="floating_base", type="floating")
-        ET.SubElement(joint, "parent", link=world)
-        ET.SubElement(joint, "child", link=root)
-    return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics)
+    return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics, floats)
+
+
+def _check_kinds(robot: ET.Element, name: str) -> None:
+    for joint in robot.findall("joint"):
+        if joint.get("type") not in _KINDS:
+            raise ModelError(
+                f"{name}: joint {joint.get('name')!r} has the invalid joint type "
+                f"{joint.get('type')!r}, expected one of {', '.join(_KINDS)}; correct its type"
+            )
 
 
 def _take_mimics(robot: ET.Element) -> tuple[str, ...]:
