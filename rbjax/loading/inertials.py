@@ -15,12 +15,10 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, listed
+from rbjax.loading.singular import joints_that_cancel, mass_matrix
 
 #: a moment beyond the sum of the other two by less than this part of it is the file's rounding
 ROUNDING = 1e-6
-#: part of the largest below which an eigenvalue of M is rounding, for each velocity
-_SINGULAR = 1e-15
-_SMALL = 1000  # velocities up to which eigenvalues take no time
 _SHOWN = 8  # names listed before "and N more"
 # At an angle and off the link's origin, so that MuJoCo takes no short cuts from its zeros.
 _PLACEHOLDER = """<inertial><origin xyz="1 2 3" rpy="1 1 1"/><mass value="1"/>
@@ -93,16 +91,7 @@ def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
     """A joint that moves no mass, at a pose like any other, has no acceleration to speak of."""
-    data = mujoco.MjData(m)
-    mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
-    m.body_subtreemass[:] = m.body_mass
-    for i in range(m.nbody - 1, 0, -1):
-        m.body_subtreemass[m.body_parentid[i]] += m.body_subtreemass[i]
-    mujoco.mj_kinematics(m, data)
-    mujoco.mj_comPos(m, data)
-    mujoco.mj_crb(m, data)
-    M = np.zeros((m.nv, m.nv))
-    mujoco.mj_fullM(m, data, M)
+    M = mass_matrix(m)
     moved = np.abs(np.diag(M))
     still = np.flatnonzero(moved <= 1e-15 * moved.max(initial=0.0))
     if len(still):
@@ -113,19 +102,14 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
             f"singular and their accelerations are undefined, expected mass on each moving link or "
             f"on one that it carries; give the links an <inertial>, or their joints type='fixed'"
         )
-    if 0 < m.nv <= _SMALL:
-        values, motions = np.linalg.eigh(M / np.sqrt(moved * moved[:, None]))
-        least = np.argmin(np.abs(values))
-        if np.abs(values[least]) <= _SINGULAR * m.nv:
-            share = np.abs(motions[:, least])
-            some = dict.fromkeys(m.dof_jntid[np.flatnonzero(share > 0.1 * share.max())])
-            words = [m.joint(j).name for j in some]
-            raise ModelError(
-                f"{name}: joints that together move no mass: {listed(words, _SHOWN)}; one undoes "
-                f"what the others do, the mass matrix is singular and their accelerations are "
-                f"undefined, expected mass on the links between them; give these an <inertial>, or "
-                f"one of the joints type='fixed'"
-            )
+    undone = joints_that_cancel(m, M)
+    if undone:
+        raise ModelError(
+            f"{name}: joints that together move no mass: {listed(undone, _SHOWN)}; one undoes what "
+            f"the others do, the mass matrix is singular and their accelerations are undefined, "
+            f"expected mass on the links between them; give these an <inertial>, or one of the "
+            f"joints type='fixed'"
+        )
 
 
 def _read(link: ET.Element, where: str) -> Inertial:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
+from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
 from rbjax.loading.actuator_kinds import is_affine, is_off, reflected
 from rbjax.loading.dropped import dropped_features
 from rbjax.loading.force_actuators import key_states
@@ -23,6 +23,7 @@ from rbjax.loading.forces import elements
 from rbjax.loading.inertials import write_inertials
 from rbjax.loading.meshes import without_missing_mesh
 from rbjax.loading.motors import with_motors
+from rbjax.loading.singular import joints_that_cancel
 from rbjax.loading.urdf import is_urdf, prepare_urdf
 from rbjax.loading.urdf_floating import add_floats
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
@@ -34,6 +35,7 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
+_SHOWN = 8  # names listed before "and N more"
 _LONG = 300  # characters of a path that a message shows
 _SCENES = Path(__file__).parent / "scenes"
 
@@ -99,6 +101,14 @@ def load(
             raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
         warnings.warn(text, stacklevel=2)
     model = from_compiled(compiled, dropped, limits=limits, friction=friction)
+    undone = joints_that_cancel(compiled)
+    if undone:
+        warnings.warn(
+            f"{_describe(source)}: joints that together move no mass: {listed(undone, _SHOWN)}; "
+            f"the mass matrix is singular and forward dynamics has no finite answer; give one of them "
+            f"an armature, or remove one that does what the others do",
+            stacklevel=2,
+        )
     return with_motors(model) if motors else model
 
 

@@ -9,6 +9,7 @@ inertials are taken out (`inertials`), and `floating_base` gives the root a join
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections import Counter
 from dataclasses import dataclass
 
 from rbjax.errors import ModelError
@@ -17,6 +18,9 @@ from rbjax.loading.urdf_floating import float_root, free_name, take_floats
 
 #: settings of MuJoCo's compiler that change inertials; ours are the file's
 _TAMPERS = ("balanceinertia", "boundmass", "boundinertia", "settotalmass")
+
+#: bodies of a file, which MuJoCo reads in half a minute; it takes at most 1023 in a chain
+_MANY, _DEEPEST = 20_000, 1000
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
 
@@ -34,11 +38,18 @@ def is_urdf(text: str, name: str) -> bool:
             f"{name}: not well-formed XML: {error}; expected MJCF (<mujoco>) or URDF (<robot>)"
             f"{_XACRO if 'xacro:' in text else ''}"
         ) from error
-    if any("/xacro}" in element.tag for element in root.iter()):
+    if any("/xacro}" in x.tag or (x.tag[0] == "{" and "<xacro:" in text) for x in root.iter()):
         raise ModelError(f"{name}: got xacro's macros, expected URDF{_XACRO}")
     if root.tag not in ("mujoco", "mujocoinclude", "robot"):
         raise ModelError(
             f"{name}: root element <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
+        )
+    many = sum(1 for _ in root.iter("link" if root.tag == "robot" else "body"))
+    if many > _MANY:
+        raise ModelError(
+            f"{name}: got {many:,} bodies, expected at most {_MANY:,}, for the time that MuJoCo "
+            f"takes to read them grows with their square; load one of the robots of a crowd, and "
+            f"jax.vmap over states"
         )
     return root.tag == "robot"
 
@@ -62,7 +73,7 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
         raise ModelError(f"{name}: <robot> has no <link>, expected at least one{_XACRO}")
     for kind in ("link", "joint"):
         names = [element.get("name", "") for element in robot.findall(kind)]
-        twice = sorted({repr(n) for n in names if names.count(n) > 1})
+        twice = sorted(repr(n) for n, times in Counter(names).items() if times > 1)
         if twice:
             raise ModelError(
                 f"{name}: more than one {kind} is named {', '.join(twice)}; give each its own name"
@@ -139,10 +150,19 @@ def _root(robot: ET.Element, links: set, name: str) -> str:
     if len(roots) != 1:
         what = f"{len(roots)} roots ({', '.join(roots)})" if roots else "a cycle and no root"
         raise ModelError(f"{name}: the joints leave {what}, expected one root link")
-    reached, front = {roots[0]}, [roots[0]]
+    children: dict[str, list[str]] = {}
+    for child, parent in parents.items():
+        children.setdefault(parent, []).append(child)
+    reached, front, depth = {roots[0]}, [roots[0]], 1
     while front:
-        front = [c for c, p in parents.items() if p in front]
+        front = [child for link in front for child in children.get(link, ())]
         reached.update(front)
+        depth += 1
+        if depth > _DEEPEST:
+            raise ModelError(
+                f"{name}: more than {_DEEPEST} links in a chain, such as {front[0]!r}, which "
+                f"MuJoCo does not read; expected a shorter one: weld or split it"
+            )
     if reached != links:
         raise ModelError(
             f"{name}: links {', '.join(sorted(links - reached))} form a cycle apart from the root "

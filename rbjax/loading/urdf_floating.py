@@ -64,7 +64,7 @@ def take_floats(robot: ET.Element, root: str) -> dict[str, str]:
 
 
 def add_floats(spec: mujoco.MjSpec, floats: dict[str, str]) -> None:
-    """Three slides and a ball for each joint of `take_floats`, named after it: _TX, _TY, _TZ, _R."""
+    """Three slides and a ball, name_TX, _TY, _TZ and _R, for each joint of `take_floats`."""
     for name, child in floats.items():
         body = spec.body(child)
         for suffix, axis in _SLIDES.items():

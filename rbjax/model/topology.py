@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 WORLD = -1
@@ -184,4 +185,4 @@ class Topology:
 
 
 def _starts(sizes: list[int]) -> tuple[int, ...]:
-    return tuple(sum(sizes[:i]) for i in range(len(sizes)))
+    return tuple(accumulate([0, *sizes]))[:-1]
