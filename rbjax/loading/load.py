@@ -72,7 +72,8 @@ def load(
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;
-        links with one that no rigid body has are named in a warning.
+        links with one that no rigid body has are named in a warning, and so are joints whose
+        motions cancel. A URDF's link 'world' that is not the ground becomes 'world_link'.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.
@@ -105,8 +106,8 @@ def load(
     if undone:
         warnings.warn(
             f"{_describe(source)}: joints that together move no mass: {listed(undone, _SHOWN)}; "
-            f"the mass matrix is singular and forward dynamics has no finite answer; give one of them "
-            f"an armature, or remove one that does what the others do",
+            f"the mass matrix is singular and forward dynamics has no finite answer; give one of "
+            f"them an armature, or remove one that does what the others do",
             stacklevel=2,
         )
     return with_motors(model) if motors else model

@@ -139,7 +139,7 @@ def _write_bodies(draft: Draft) -> None:
 def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
     """Mass, principal moments and their axes, as a quaternion, of each body."""
     model, out, wrong, raised = draft.model, [], [], []
-    jointed, boxes = set(model.topology.joint_bodies), box_axes(model)
+    bare, boxes = _bare(model), box_axes(model)
     for b, name in enumerate(model.body_names):
         mass: Any = model.bodies.mass[b]
         moments, axes = _principal(model.bodies.inertia[b], boxes.get(b))
@@ -154,7 +154,7 @@ def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
             moments[order[:2]] += excess / 2
             while moments[order[0]] + moments[order[1]] < high:
                 moments[order[1]] = np.nextafter(moments[order[1]], np.inf)
-        if b in jointed and (mass < _LEAST or moments.min() < _LEAST):
+        if b in bare and (mass < _LEAST or moments.min() < _LEAST):
             raised.append(name)
             mass, moments = max(mass, _LEAST), np.maximum(moments, _LEAST)
         out.append((mass, moments, axes))
@@ -168,6 +168,15 @@ def _inertials(draft: Draft) -> list[tuple[Any, np.ndarray, np.ndarray]]:
     if raised:
         draft.note(f"masses or moments raised to {_LEAST:g}, which is MuJoCo's least", raised)
     return out
+
+
+def _bare(model: Model) -> set[int]:
+    """The bodies with joints on which no body with a mass and an inertia is welded."""
+    top, own = model.topology, model.bodies
+    smallest = np.linalg.eigvalsh(np.asarray(own.inertia, np.float64)).min(-1, initial=np.inf)
+    solid = np.flatnonzero((np.asarray(own.mass) >= _LEAST) & (smallest >= _LEAST))
+    held = {top.carriers[b] for b in solid if top.carriers[b] != b}
+    return set(top.joint_bodies) - held
 
 
 def _principal(inertia: Any, asked: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -251,7 +260,8 @@ def _serialised(draft: Draft) -> str:
     root = ET.Element(draft.root.tag, draft.root.attrib)
     for note in draft.notes:
         root.append(ET.Comment(f" not as in the model: {note} ".replace("--", "- -")))
-    for left_out in draft.model.dropped:
+    # a range is in the file although the model has no force of it
+    for left_out in (x for x in draft.model.dropped if not x.startswith("joint limits")):
         said = f" left out when the model was loaded: {left_out} "
         root.append(ET.Comment(said.replace("--", "- -")))
     root.extend(x for x in draft.root if len(x) or x.attrib)

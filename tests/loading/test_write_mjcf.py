@@ -315,6 +315,12 @@ def test_massless_links_get_the_least_that_mujoco_takes() -> None:
     assert relative_error(accelerations(file, q, v, u), want).max() <= F64_PARITY
 
 
+def test_massless_links_that_carry_mass_are_left_alone() -> None:
+    text = urdf('<link name="base"/>', link("trunk", 1), joint("weld", "base", "trunk", "fixed"))
+    model = rb.load(text, floating_base=True)
+    assert rb.load(written(model)).bodies.mass.tolist() == [0, 1]
+
+
 # ---------------------------------------------------------------------------- what is refused
 
 
