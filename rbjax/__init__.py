@@ -40,7 +40,7 @@ from rbjax.dynamics import (
 from rbjax.dynamics.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.forces import applied_forces
-from rbjax.loading import load, scenes
+from rbjax.loading import load, scenes, write_mjcf
 from rbjax.model import Model, State
 from rbjax.motion.linearise import Linear, linearise, step
 from rbjax.motion.rollout import rollout
@@ -126,4 +126,5 @@ __all__ = [
     "sysid",
     "threads",
     "validation",
+    "write_mjcf",
 ]

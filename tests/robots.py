@@ -80,7 +80,7 @@ class Robot:
 def load_quietly(source: Any, **options: Any) -> rb.Model:
     """`rb.load`, for tests that are not about what it leaves out."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*left out of the model")
+        warnings.filterwarnings("ignore", message=".*(left out of the model|move no mass)")
         return rb.load(source, **options)
 
 

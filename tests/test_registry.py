@@ -34,6 +34,7 @@ ELSEWHERE = {
     "scenes",
     "simulate",
     "threads",
+    "write_mjcf",
 }
 
 

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, listed
+from rbjax.loading.singular import joints_that_cancel, mass_matrix
 
 #: a moment beyond the sum of the other two by less than this part of it is the file's rounding
 ROUNDING = 1e-6
@@ -90,17 +91,8 @@ def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
     """A joint that moves no mass, at a pose like any other, has no acceleration to speak of."""
-    data = mujoco.MjData(m)
-    mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
-    m.body_subtreemass[:] = m.body_mass
-    for i in range(m.nbody - 1, 0, -1):
-        m.body_subtreemass[m.body_parentid[i]] += m.body_subtreemass[i]
-    mujoco.mj_kinematics(m, data)
-    mujoco.mj_comPos(m, data)
-    mujoco.mj_crb(m, data)
-    moved = np.zeros((m.nv, m.nv))
-    mujoco.mj_fullM(m, data, moved)
-    moved = np.abs(np.diag(moved))
+    M = mass_matrix(m)
+    moved = np.abs(np.diag(M))
     still = np.flatnonzero(moved <= 1e-15 * moved.max(initial=0.0))
     if len(still):
         joints = dict.fromkeys(int(m.dof_jntid[i]) for i in still)
@@ -109,6 +101,14 @@ def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
             f"{name}: joints that move no mass: {listed(words, _SHOWN)}; the mass matrix is "
             f"singular and their accelerations are undefined, expected mass on each moving link or "
             f"on one that it carries; give the links an <inertial>, or their joints type='fixed'"
+        )
+    undone = joints_that_cancel(m, M)
+    if undone:
+        raise ModelError(
+            f"{name}: joints that together move no mass: {listed(undone, _SHOWN)}; one undoes what "
+            f"the others do, the mass matrix is singular and their accelerations are undefined, "
+            f"expected mass on the links between them; give these an <inertial>, or one of the "
+            f"joints type='fixed'"
         )
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from rbjax.errors import ModelError, UnknownName, UnsupportedFeature
+from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
 from rbjax.loading.actuator_kinds import is_affine, is_off, reflected
 from rbjax.loading.dropped import dropped_features
 from rbjax.loading.force_actuators import key_states
@@ -23,7 +23,9 @@ from rbjax.loading.forces import elements
 from rbjax.loading.inertials import write_inertials
 from rbjax.loading.meshes import without_missing_mesh
 from rbjax.loading.motors import with_motors
+from rbjax.loading.singular import joints_that_cancel
 from rbjax.loading.urdf import is_urdf, prepare_urdf
+from rbjax.loading.urdf_floating import add_floats
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
 
@@ -33,6 +35,7 @@ _KINDS = {
     int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
     int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
 }
+_SHOWN = 8  # names listed before "and N more"
 _LONG = 300  # characters of a path that a message shows
 _SCENES = Path(__file__).parent / "scenes"
 
@@ -69,7 +72,8 @@ def load(
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;
-        links with one that no rigid body has are named in a warning.
+        links with one that no rigid body has are named in a warning, and so are joints whose
+        motions cancel. A URDF's link 'world' that is not the ground becomes 'world_link'.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.
@@ -98,6 +102,14 @@ def load(
             raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
         warnings.warn(text, stacklevel=2)
     model = from_compiled(compiled, dropped, limits=limits, friction=friction)
+    undone = joints_that_cancel(compiled)
+    if undone:
+        warnings.warn(
+            f"{_describe(source)}: joints that together move no mass: {listed(undone, _SHOWN)}; "
+            f"the mass matrix is singular and forward dynamics has no finite answer; give one of "
+            f"them an armature, or remove one that does what the others do",
+            stacklevel=2,
+        )
     return with_motors(model) if motors else model
 
 
@@ -135,6 +147,8 @@ def _compile_source(
     except Exception as error:
         message = _sentence(error)
         raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{_fix(message)}") from error
+    if urdf is not None:
+        add_floats(spec, urdf.floats)
     compiled = _compile(spec, name)
     if urdf is None:
         return compiled, "", ()
@@ -206,10 +220,9 @@ def _fix(message: str) -> str:
         "<compiler balanceinertia='true'/>",
         "repeated name": "; give each body, joint or other element a name of its own",
         "opening file": "; put the file where the model names it, or remove the element",
-        "free joint can only be used on top": "; a URDF's floating joint moves a child of the root "
-        "link, and that is named 'world'",
-        "joint found in world body": "; the link named 'world' is the ground and cannot move: "
-        "rename it, or load without floating_base",
+        "free joint can only be used on top": "; put the body into <worldbody>, or give it three "
+        "slides and a ball",
+        "joint found in world body": "; the world cannot move: put the joint into a <body>",
         "inertia must have positive eigenvalues": "; give every principal moment a positive value",
     }
     return next((fix for key, fix in hints.items() if key in message), "")

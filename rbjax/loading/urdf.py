@@ -9,13 +9,20 @@ inertials are taken out (`inertials`), and `floating_base` gives the root a join
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections import Counter
 from dataclasses import dataclass
 
 from rbjax.errors import ModelError
 from rbjax.loading.inertials import Inertial, take_inertials
+from rbjax.loading.urdf_floating import float_root, free_name, take_floats
 
 #: settings of MuJoCo's compiler that change inertials; ours are the file's
 _TAMPERS = ("balanceinertia", "boundmass", "boundinertia", "settotalmass")
+
+#: bodies of a file, which MuJoCo reads in half a minute; it takes at most 1023 in a chain
+_MANY, _DEEPEST = 20_000, 1000
+
+_KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
 
 _XACRO = "; run xacro first: `xacro robot.urdf.xacro > robot.urdf`"
 
@@ -31,22 +38,31 @@ def is_urdf(text: str, name: str) -> bool:
             f"{name}: not well-formed XML: {error}; expected MJCF (<mujoco>) or URDF (<robot>)"
             f"{_XACRO if 'xacro:' in text else ''}"
         ) from error
-    if any("/xacro}" in element.tag for element in root.iter()):
+    if any("/xacro}" in x.tag or (x.tag[0] == "{" and "<xacro:" in text) for x in root.iter()):
         raise ModelError(f"{name}: got xacro's macros, expected URDF{_XACRO}")
     if root.tag not in ("mujoco", "mujocoinclude", "robot"):
         raise ModelError(
             f"{name}: root element <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
+        )
+    many = sum(1 for _ in root.iter("link" if root.tag == "robot" else "body"))
+    if many > _MANY:
+        raise ModelError(
+            f"{name}: got {many:,} bodies, expected at most {_MANY:,}, for the time that MuJoCo "
+            f"takes to read them grows with their square; load one of the robots of a crowd, and "
+            f"jax.vmap over states"
         )
     return root.tag == "robot"
 
 
 @dataclass(frozen=True)
 class Urdf:
-    """What MuJoCo is given; and what it is not: inertials by link, and which joints mimic."""
+    """What MuJoCo is given; and what it is not: inertials by link, which joints mimic, and which
+    float far from the ground, with the links that they move."""
 
     text: str
     inertials: dict[str, Inertial]
     mimics: tuple[str, ...]
+    floats: dict[str, str]
 
 
 def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
@@ -57,13 +73,19 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
         raise ModelError(f"{name}: <robot> has no <link>, expected at least one{_XACRO}")
     for kind in ("link", "joint"):
         names = [element.get("name", "") for element in robot.findall(kind)]
-        twice = sorted({repr(n) for n in names if names.count(n) > 1})
+        twice = sorted(repr(n) for n, times in Counter(names).items() if times > 1)
         if twice:
             raise ModelError(
                 f"{name}: more than one {kind} is named {', '.join(twice)}; give each its own name"
             )
-    links = {link.get("name", ""): link for link in there}
-    root = _root(robot, set(links), name)
+    _check_kinds(robot, name)
+    root = _root(robot, {link.get("name", "") for link in there}, name)
+    free_name(robot, root)
+    if floating_base:
+        float_root(robot, root, name)
+        root = "world"
+    floats = take_floats(robot, root)
+    links = {link.get("name", ""): link for link in robot.findall("link")}
     for link in links.values():
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
@@ -82,13 +104,16 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
         compiler.attrib.pop(attribute, None)
     compiler.set("fusestatic", "false")
     compiler.set("inertiafromgeom", "false")
-    if floating_base:
-        world = "world" if "world" not in links else "rbjax_world"
-        robot.insert(0, ET.Element("link", name=world))
-        joint = ET.SubElement(robot, "joint", name="floating_base", type="floating")
-        ET.SubElement(joint, "parent", link=world)
-        ET.SubElement(joint, "child", link=root)
-    return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics)
+    return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics, floats)
+
+
+def _check_kinds(robot: ET.Element, name: str) -> None:
+    for joint in robot.findall("joint"):
+        if joint.get("type") not in _KINDS:
+            raise ModelError(
+                f"{name}: joint {joint.get('name')!r} has the invalid joint type "
+                f"{joint.get('type')!r}, expected one of {', '.join(_KINDS)}; correct its type"
+            )
 
 
 def _take_mimics(robot: ET.Element) -> tuple[str, ...]:
@@ -125,10 +150,19 @@ def _root(robot: ET.Element, links: set, name: str) -> str:
     if len(roots) != 1:
         what = f"{len(roots)} roots ({', '.join(roots)})" if roots else "a cycle and no root"
         raise ModelError(f"{name}: the joints leave {what}, expected one root link")
-    reached, front = {roots[0]}, [roots[0]]
+    children: dict[str, list[str]] = {}
+    for child, parent in parents.items():
+        children.setdefault(parent, []).append(child)
+    reached, front, depth = {roots[0]}, [roots[0]], 1
     while front:
-        front = [c for c, p in parents.items() if p in front]
+        front = [child for link in front for child in children.get(link, ())]
         reached.update(front)
+        depth += 1
+        if depth > _DEEPEST:
+            raise ModelError(
+                f"{name}: more than {_DEEPEST} links in a chain, such as {front[0]!r}, which "
+                f"MuJoCo does not read; expected a shorter one: weld or split it"
+            )
     if reached != links:
         raise ModelError(
             f"{name}: links {', '.join(sorted(links - reached))} form a cycle apart from the root "

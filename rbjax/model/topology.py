@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 from rbjax.joints import Joint, LinkForm, LinkKind, kind
@@ -183,4 +184,4 @@ def _moved(some: range, start: int) -> range:
 
 
 def _starts(sizes: list[int]) -> tuple[int, ...]:
-    return tuple(sum(sizes[:i]) for i in range(len(sizes)))
+    return tuple(accumulate([0, *sizes]))[:-1]
