@@ -12,7 +12,7 @@ from rbjax.forces import Element, PointSpring
 from rbjax.forces.actuator import Actuator
 from rbjax.forces.orientation_servo import OrientationServo
 from rbjax.loading.draft import Draft
-from rbjax.model import JOINT_SIZES, Model
+from rbjax.model import Model
 
 Array = np.ndarray
 _CLOSE = {8: 1e-11, 4: 1e-6}  # relative, by the bytes of a number
@@ -62,7 +62,7 @@ def _of_bodies(model: Model, again: Model) -> Iterator[Difference]:
 
 def _of_joints(model: Model, again: Model) -> Iterator[Difference]:
     top, names = model.topology, model.joint_names
-    sizes = [JOINT_SIZES[kind] for kind in top.joint_kinds]
+    sizes = [(joint.nq, joint.nv) for joint in top.joints]
     in_q = [name for name, (n, _) in zip(names, sizes, strict=True) for _ in range(n)]
     in_v = [name for name, (_, n) in zip(names, sizes, strict=True) for _ in range(n)]
     turning = [j for j, kind in enumerate(top.joint_kinds) if kind in ("hinge", "slide")]

@@ -23,7 +23,7 @@ from rbjax.forces import (
 from rbjax.forces.actuator import Actuator
 from rbjax.forces.orientation_servo import OrientationServo
 from rbjax.loading.draft import Draft, text, unique
-from rbjax.model import JOINT_SIZES, WORLD, Model
+from rbjax.model import WORLD, Model
 
 Array = np.ndarray
 _TERMS = 2  # of MJCF's polynomials, beyond the linear one
@@ -65,7 +65,7 @@ def _indices(model: Model, names: tuple) -> list[int]:
 
 def _dofs(model: Model, joint: int) -> range:
     start = model.topology.joint_v[joint]
-    return range(start, start + JOINT_SIZES[model.topology.joint_kinds[joint]][1])
+    return range(start, start + model.topology.joints[joint].nv)
 
 
 def _write_polynomials(draft: Draft, elements: list[JointPolynomials]) -> list[Element]:

@@ -22,9 +22,10 @@ from rbjax.loading.load import from_compiled
 from rbjax.loading.read_back import differences
 from rbjax.loading.write_actuators import write_actuators
 from rbjax.loading.write_forces import box_axes, write_forces
-from rbjax.model import JOINT_SIZES, WORLD, Model
+from rbjax.model import WORLD, Model
 from rbjax.model.links import as_declared
 
+_KINDS = {"free", "ball", "slide", "hinge"}
 _DEEPEST = 490  # of nested bodies: MuJoCo's reader takes no more than about 500 nested elements
 _LEAST = 2e-15  # kg or kg m^2: MuJoCo takes nothing below 1e-15 as the mass of what moves
 _ROUNDING = 1e-6  # part of a moment by which it may exceed the sum of the other two, and is lowered
@@ -96,6 +97,13 @@ def _known(model: Model) -> Model:
         raise InputError(
             f"write_mjcf: got {name} of shape {shape}, expected {axes} axes, as one model has; "
             f"write one model of the batch, jax.tree.map(lambda x: x[0], models)"
+        )
+    kinds = zip(model.joint_names, model.topology.joint_kinds, strict=True)
+    others = [f"{name} ({kind})" for name, kind in kinds if kind not in _KINDS]
+    if others:
+        raise UnsupportedFeature(
+            f"write_mjcf: MJCF has no such joints: {', '.join(others)}; expected {sorted(_KINDS)}; "
+            "put one of these in their place, model.with_joint(name, kind)"
         )
     model = jax.tree.map(np.asarray, as_declared(model).replace(prepared=None))
     endless = ("forcerange", "range", "ctrlrange")  # where infinite means that there is no limit
@@ -211,7 +219,7 @@ def _write_joints(draft: Draft) -> None:
         zip(names, top.joint_kinds, top.joint_bodies, strict=True)
     ):
         q, start = top.joint_q[j], top.joint_v[j]
-        v = slice(start, start + JOINT_SIZES[kind][1])
+        v = slice(start, start + top.joints[j].nv)
         given = {"armature": own.armature[v], "damping": own.damping[v]}
         uneven += [f"{key} of {name}" for key, x in given.items() if np.ptp(x)]
         given = {key: x[0] for key, x in given.items()} | {"stiffness": own.stiffness[j]}

@@ -365,3 +365,9 @@ def test_names_that_xml_does_not_like() -> None:
     top = dataclasses.replace(model.topology, body_names=("a<b>&\"c'--", "π 关节"))
     model = model.replace(topology=top)
     assert rb.load(written(model)).body_names == top.body_names
+
+
+def test_joints_that_mjcf_has_not_are_refused() -> None:
+    model = rb.load("cart_pole").with_joint("slider", "screw", pitch=0.01)
+    with pytest.raises(rb.UnsupportedFeature, match=r"slider \(screw\)"):
+        rb.write_mjcf(model)
