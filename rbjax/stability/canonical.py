@@ -65,9 +65,10 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
         >>> q, p = rb.stability.to_canonical(model, model.default_state())
     """
     _check("to_canonical", model)
-    if getattr(state, "x", None) is not None:
+    x = getattr(state, "x", None)
+    if x is not None:
         raise InputError(
-            f"to_canonical: state.x has shape {np.shape(state.x)}, expected None: (q, p) hold no "
+            f"to_canonical: state.x has shape {np.shape(x)}, expected None: (q, p) hold no "
             "states of force elements, and the model has none"
         )
     state = check_arrays("to_canonical", model, {"state": state})["state"]
