@@ -15,9 +15,9 @@ from rbjax.dynamics.energy import (
     potential_energy,
 )
 from rbjax.dynamics.forward import forward_dynamics, inverse_mass_matrix
-from rbjax.dynamics.frames import frame_bias_acceleration, frame_velocity
+from rbjax.dynamics.frames import frame_bias_acceleration, frame_velocity, site_pose
 from rbjax.dynamics.jacobians import generalized_forces, jacobian, jacobian_rate
-from rbjax.dynamics.kinematics import Poses, body_velocities, forward_kinematics, site_pose
+from rbjax.dynamics.kinematics import Poses, body_velocities, forward_kinematics
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.dynamics.rnea import bias_forces, gravity_forces, inverse_dynamics
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import jax
@@ -40,6 +40,7 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
     "ctrl": lambda m: (m.nu,),
     "wrenches": lambda m: (m.nb, 6),
     "point": lambda m: (3,),
+    "t": lambda m: (),
 }
 
 #: arguments that are part of the program
@@ -48,7 +49,7 @@ STATIC = ("body", "site", "integrator", "law")
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")
 #: arguments that take the dtype of the others
-FOLLOWING = ("point",)
+FOLLOWING = ("point", "t")
 
 
 def algorithm(
@@ -65,6 +66,7 @@ def algorithm(
         signature = inspect.signature(f)
         suited = functools.partial(for_threads, pairs=pairs, long=long)
         static = [n for n in STATIC if n in signature.parameters]
+        required = [n for n in names if signature.parameters[n].default is not None]
 
         @automatic
         @functools.wraps(f)
@@ -96,9 +98,9 @@ def algorithm(
         def call(model: Model, *args: Any, **kwargs: Any) -> Any:
             bound = signature.bind(model, *args, **kwargs)
             given = {n: bound.arguments[n] for n in names if n in bound.arguments}
-            bound.arguments.update(check_arrays(f.__name__, model, given))
+            bound.arguments.update(check_arrays(f.__name__, model, given, (), required))
             for n in static:
-                check_name(f.__name__, n, bound.arguments.get(n))
+                check_static(f.__name__, n, bound.arguments.get(n))
             inside = split_tracers((bound.args, bound.kwargs))[0] and inside_jit()
             return (inlined if inside else program)(*bound.args, **bound.kwargs)
 
@@ -116,10 +118,14 @@ def for_threads(args: tuple, **work: bool) -> tuple:
 
 
 def check_arrays(
-    where: str, model: Model, given: dict[str, Any], batch: tuple[int, ...] = ()
+    where: str,
+    model: Model,
+    given: dict[str, Any],
+    batch: tuple[int, ...] = (),
+    required: Sequence[str] = (),
 ) -> dict[str, Any]:
     """The named arrays in one floating dtype, with shapes and (where known) values checked. Each
-    has the axes of a batch before its own."""
+    has the axes of a batch before its own. `required` may not be None."""
     check_model(where, model)
     given, stated = dict(given), "state" in given
     step = given.pop("dt", None)
@@ -134,7 +140,7 @@ def check_arrays(
             given["x"] = state.x
     out: dict[str, Any] = {}
     for name, value in given.items():
-        if value is not None or name not in OPTIONAL:
+        if value is not None or name not in OPTIONAL or name in required:
             out[name] = check_array(where, name, value, (*batch, *SHAPES[name](model)))
     leading = [x for name, x in out.items() if name not in FOLLOWING]
     dtype = jnp.result_type(*leading) if leading else jnp.result_type(float)
@@ -168,11 +174,19 @@ def check_model(where: str, model: Any) -> None:
         )
 
 
-def check_name(where: str, kind: str, name: Any) -> None:
-    """Refuse what can be no name of a body or site; None is for the algorithm to judge."""
-    if not (name is None or isinstance(name, str)):
+def check_static(where: str, kind: str, value: Any) -> None:
+    """Refuse what can be no name of a body or site, no integrator and no law; None, and names that
+    there are not, are for the algorithm to judge."""
+    if value is None or isinstance(value, str):
+        return
+    if kind in ("body", "site"):
         raise InputError(
-            f"{where}: {kind} is {type(name).__name__}, expected one of model.{kind}_names"
+            f"{where}: {kind} is {type(value).__name__}, expected one of model.{kind}_names"
+        )
+    if not callable(value) or not isinstance(value, Hashable):
+        raise InputError(
+            f"{where}: {kind} is {type(value).__name__}, expected "
+            f"{'a name or a function' if kind == 'integrator' else 'a function'} that is hashable"
         )
 
 
@@ -192,7 +206,7 @@ def check_array(
     expected = " or ".join(map(str, shapes)) + fix
     try:
         x = jnp.asarray(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{where}: {name} is {type(value).__name__}, expected an array of shape {expected}"
         ) from error
@@ -214,12 +228,39 @@ def check_array(
     return x
 
 
+def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
+    """The shape of what should be an array."""
+    try:
+        return tuple(map(int, np.shape(value)))
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{where}: {name} is {type(value).__name__}, expected an array of numbers with rows "
+            "of one length"
+        ) from error
+
+
 def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
     """A positive step as a number of the dtype."""
     step = check_array(where, name, value, (), fix=": a positive step in seconds")
     if not isinstance(step, jax.core.Tracer) and not step > 0:
         raise InputError(f"{where}: {name} is {value}, expected a positive step in seconds")
     return step.astype(dtype)
+
+
+def check_takes(where: str, name: str, f: Any, *arguments: str) -> None:
+    """Refuse what is no function of these arguments; what tells no signature is taken as it is."""
+    due = f"a function ({', '.join(arguments)})"
+    if not callable(f) or isinstance(f, type):
+        got = f"the class {f.__name__}" if isinstance(f, type) else type(f).__name__
+        raise InputError(f"{where}: {name} is {got}, expected {due}")
+    try:
+        taken = inspect.signature(f)
+    except (TypeError, ValueError):  # of what is built in nothing is known
+        return
+    try:
+        taken.bind(*arguments)
+    except TypeError as error:
+        raise InputError(f"{where}: {name} takes {taken}, expected {due}") from error
 
 
 def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.aba import velocity_step
-from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.arguments import algorithm, check_model
 from rbjax.dynamics.composites import (
     axis_rates,
     carried,
@@ -199,6 +199,7 @@ def inertial_parameters(model: Model) -> jax.Array:
         >>> rb.inertial_parameters(rb.load("pendulum")).shape
         (10,)
     """
+    check_model("inertial_parameters", model)
     bodies = as_declared(model).bodies
     m, c = bodies.mass, bodies.com
     square = (c * c).sum(-1)[:, None, None] * jnp.eye(3) - c[:, :, None] * c[:, None, :]

@@ -1,4 +1,4 @@
-"""Forward kinematics: where links, bodies and sites are, and how bodies move.
+"""Forward kinematics: where links and bodies are, and how bodies move.
 
     R_WC = R_WP R_PC,   p_WC = p_WP + R_WP p_PC,   w_C = w_P + z qd,   v_C = v_P + w_P x r + z qd
 (Featherstone, 4.4; Lynch & Park, *Modern Robotics*, ch. 4-5.)
@@ -14,9 +14,8 @@ import numpy as np
 
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import Driver, driver
-from rbjax.lanes import Mat3, Vec3, matmat, matvec
+from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD, Model
-from rbjax.rotations import quaternion
 from rbjax.spatial import Motion, Transform
 
 
@@ -91,35 +90,6 @@ def forward_kinematics(model: Model, q: jax.Array) -> Poses:
     poses = body_transforms(d, d.whole(world_poses(d, d.joints(q, None))))
     R, p = d.stack(poses, lambda pose: pose.R, q), d.stack(poses, lambda pose: pose.p, q)
     return Poses(R.reshape(-1, 3, 3), p)
-
-
-@algorithm("q")
-def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Array]:
-    """Pose of a named site in the world: R (3, 3), p (3,).
-
-    Args:
-        model: the robot.
-        q: (nq,) configuration.
-        site: its name in the file.
-
-    Raises:
-        UnknownName: with the names there are.
-
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("arm7")
-        >>> R, p = rb.site_pose(model, model.default_state().q, "tool")
-        >>> p.shape
-        (3,)
-    """
-    i = model.site(site)
-    poses = forward_kinematics(model, q)
-    body = model.topology.site_bodies[i]
-    R = quaternion.to_matrix(model.sites.orientation[i]).astype(q.dtype)
-    p = model.sites.position[i].astype(q.dtype)
-    if body == WORLD:
-        return R, p
-    return matmat(poses.R[body], R), poses.p[body] + matvec(poses.R[body], p)
 
 
 def link_twists(d: Driver, joints: Any) -> Any:

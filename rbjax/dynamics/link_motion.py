@@ -24,9 +24,9 @@ from rbjax.spatial import Force, Motion, Transform
 
 
 class LinkMotion:
-    """Poses in the world and twists of the links of a robot at (q, v)."""
+    """Poses in the world and twists of the links of a robot at (q, v); v None is at rest."""
 
-    def __init__(self, d: Driver, q: jax.Array, v: jax.Array):
+    def __init__(self, d: Driver, q: jax.Array, v: jax.Array | None):
         self.driver, self._q, self._v = d, q, v
         self._poses = {WORLD: Transform(Mat3.identity(), Vec3.zero())}
         self._twists = {WORLD: Motion.zero()}

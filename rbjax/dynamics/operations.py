@@ -2,8 +2,9 @@
 
 The function is traced to a jaxpr and walked from its results backwards, so what no result needs is
 not counted. An operation on an array counts once per element, a loop's body once per turn. Data
-movement (reshape, slice, gather, select, compare, convert) and signs cost nothing: the same rule by
-which textbooks count, e.g. Featherstone, *Rigid Body Dynamics Algorithms*, table 10.1.
+movement (reshape, slice, gather, select, compare, convert) and signs cost nothing, nor does work on
+whole numbers: the same rule by which textbooks count, e.g. Featherstone, *Rigid Body Dynamics
+Algorithms*, table 10.1. A primitive that is in no table here is refused.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.errors import UnknownName
+from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.threads.control import over_time
 
@@ -62,6 +63,8 @@ def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> Ope
 
     Raises:
         UnknownName: a name in `traced` that is no leaf of the model.
+        InputError: the function computes floating-point numbers by a primitive whose operations are
+            not known, as an FFT or an eigenvalue.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -116,14 +119,26 @@ def leaf_names(model: Model) -> tuple[str, ...]:
     return tuple(jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
 
 
-_ADDITIONS = {"add", "sub", "add_any", "scatter-add", "cumsum"}
+_ADDITIONS = {"add", "sub", "add_any", "scatter-add", "scatter-sub", "cumsum"}
 _MULTIPLICATIONS = {"mul", "square", "cumprod", "scatter-mul"}
 _ROOTS = {"sqrt", "rsqrt", "cbrt"}
 _TRIGONOMETRY = {
     "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
     "acosh", "atanh", "exp", "exp2", "expm1", "log", "log1p", "log2", "logistic", "pow", "erf",
+    "erfc", "erf_inv", "lgamma", "digamma", "bessel_i0e", "bessel_i1e", "logaddexp",
 }  # fmt: skip
 _REDUCTIONS = {"reduce_sum": "additions", "reduce_prod": "multiplications"}
+#: what costs nothing: data movement, comparisons, conversions, signs
+_FREE = {
+    "abs", "argsort", "bitcast_convert_type", "broadcast_in_dim", "ceil", "clamp", "complex",
+    "concatenate", "conj", "convert_element_type", "copy", "copy_p", "copysign", "cummax", "cummin",
+    "device_put", "dynamic_slice", "dynamic_update_slice", "empty", "empty2", "expand_dims",
+    "floor", "full", "gather", "imag", "iota", "max", "min", "name", "neg", "nextafter",
+    "optimization_barrier", "pad", "pbroadcast", "pvary", "real", "reduce_max", "reduce_min",
+    "reduce_precision", "reshape", "reshard", "rev", "round", "scatter", "scatter-max",
+    "scatter-min", "scatter_max", "scatter_min", "select_n", "sharding_constraint", "sign", "slice",
+    "sort", "split", "squeeze", "stack", "tile", "top_k", "transpose", "unstack",
+}  # fmt: skip
 
 
 def _walk(jaxpr: Any, wanted: Sequence[bool]) -> tuple[OperationCount, list[bool]]:
@@ -189,12 +204,13 @@ def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
 def _primitive(eqn: Any) -> OperationCount:
     """Operations of an equation that has no program inside."""
     name = eqn.primitive.name
-    result = eqn.outvars[0].aval
-    if not jnp.issubdtype(getattr(result, "dtype", jnp.int32), jnp.inexact):
+    results = [v.aval for v in eqn.outvars]
+    inexact = [jnp.issubdtype(getattr(x, "dtype", jnp.int32), jnp.inexact) for x in results]
+    if name in _FREE or not any(inexact):
         return OperationCount()
-    size = math.prod(result.shape)
+    size = math.prod(results[0].shape)
     if name in _ADDITIONS:
-        if name == "scatter-add":
+        if name.startswith("scatter"):
             size = math.prod(eqn.invars[2].aval.shape)
         return OperationCount(additions=size)
     if name in _MULTIPLICATIONS:
@@ -215,7 +231,32 @@ def _primitive(eqn: Any) -> OperationCount:
         (contracted, _), _ = eqn.params["dimension_numbers"]
         length = math.prod(eqn.invars[0].aval.shape[i] for i in contracted)
         return OperationCount(additions=size * (length - 1), multiplications=size * length)
-    return OperationCount()
+    if name in _ELIMINATIONS:
+        return _elimination(eqn)
+    raise InputError(
+        f"operation_count: the function has the primitive {name!r}, which makes {results[0]} and "
+        "whose operations are not known; expected arithmetic, elementary functions, data movement, "
+        "loops and branches, lu, cholesky and triangular_solve; count the function without it"
+    )
+
+
+_ELIMINATIONS = {"lu", "cholesky", "triangular_solve"}
+
+
+def _elimination(eqn: Any) -> OperationCount:
+    """Of matrices (..., n, n), by the textbook: Golub & Van Loan, *Matrix Computations*, 3-4."""
+    name, shape = eqn.primitive.name, eqn.invars[0].aval.shape
+    n, many = min(shape[-2:]), math.prod(shape[:-2])
+    half = n * (n - 1) // 2
+    if name == "triangular_solve":
+        of_b = eqn.invars[1].aval.shape[-1 if eqn.params["left_side"] else -2]
+        divisions = 0 if eqn.params["unit_diagonal"] else n
+        return many * of_b * OperationCount(half, half, divisions)
+    if name == "cholesky":
+        inner = (n**3 - n) // 6
+        return many * OperationCount(inner, inner, half, n)
+    inner = sum((shape[-2] - k) * (shape[-1] - k) for k in range(1, n + 1))
+    return many * OperationCount(inner, inner, sum(shape[-2] - k for k in range(1, n + 1)))
 
 
 def _integer_power(y: int, size: int) -> OperationCount:

@@ -18,7 +18,7 @@ from rbjax.dynamics.link_forces import LinkForces, added, on_links
 from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.actuators import Actuators, clip
-from rbjax.forces.element import Element, Loads
+from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.instant import Instant
 from rbjax.forces.joint_springs import JointSprings
@@ -36,6 +36,7 @@ def sighted(model: Model, now: Instant) -> list[tuple[Element, Instant]]:
     """Each element with the instant as it sees it: with its own part of x."""
     out, at = [], 0
     for element in elements(model):
+        check_shapes(element, model)
         n = element.size
         out.append((element, now.with_own(None if now.x is None else now.x[at : at + n])))
         at += n
@@ -109,7 +110,7 @@ def applied(
     return pack(tau, state.v), pushes, states(model, now, dt)
 
 
-@algorithm("state", "ctrl")
+@algorithm("state", "ctrl", "t")
 def applied_forces(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:

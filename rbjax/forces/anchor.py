@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 
+from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Vec3
@@ -36,6 +38,11 @@ class Anchor(Record):
                 f"Anchor: got body {self.body!r} and site {self.site!r}; give one of them, or none "
                 "for the world"
             )
+        for kind, name in (("body", self.body), ("site", self.site)):
+            if isinstance(name, bool) or not isinstance(name, str | int | None):
+                raise InputError(
+                    f"Anchor: {kind} is {name!r}, expected its name, its index, or None"
+                )
 
     @classmethod
     def on(
@@ -46,7 +53,7 @@ class Anchor(Record):
         point: jax.typing.ArrayLike | list[float] = (0.0, 0.0, 0.0),  # type: ignore[assignment]
     ) -> Anchor:
         """The anchor at a point, at the origin of the frame if none is given."""
-        return cls(jnp.asarray(point, float), body, site)
+        return cls(check_array("Anchor.on", "point", point, (3,)).astype(float), body, site)
 
     def frame(self, now: Instant) -> Frame:
         """Its frame at an instant."""
@@ -56,3 +63,14 @@ class Anchor(Record):
             frame = now.body(WORLD if self.body is None else self.body)
         point = table(self.point, now.q.dtype)
         return frame.at(Vec3(*(lane(point, k) for k in range(3))))
+
+
+def check_anchors(element: Any) -> None:
+    """Refuse ends a and b of an element that are no anchors."""
+    for end in ("a", "b"):
+        got = getattr(element, end)
+        if not isinstance(got, Anchor):
+            raise InputError(
+                f"{type(element).__name__}: {end} is {type(got).__name__}, expected an Anchor: "
+                "rbjax.forces.Anchor.on(body=...), on(site=...) or on() for the world"
+            )

@@ -18,10 +18,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.anchor import Anchor
-from rbjax.forces.element import Element, Loads
+from rbjax.dynamics.arguments import check_array
+from rbjax.forces.anchor import Anchor, check_anchors
+from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Mat3, Vec3, inner, is_zero, mul
+from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
@@ -59,8 +61,18 @@ class Bushing(Element):
     @classmethod
     def of(cls, a: Anchor, b: Anchor, *, stiffness: Any = 0.0, damping: Any = 0.0) -> Bushing:
         """The bushing with these six numbers of each kind, or one for all."""
-        k, d = (jnp.broadcast_to(jnp.asarray(x, float), (6,)) for x in (stiffness, damping))
-        return cls(a, b, k, d)
+        given = {"stiffness": stiffness, "damping": damping}
+        k, d = (check_array("Bushing.of", n, x, (), (6,)) for n, x in given.items())
+        return cls(a, b, *(jnp.broadcast_to(x.astype(float), (6,)) for x in (k, d)))
+
+    def __check_init__(self) -> None:
+        check_anchors(self)
+
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        return {"stiffness": (6,), "damping": (6,)}
 
     def loads(self, now: Instant) -> Loads:
         a, b = self.a.frame(now), self.b.frame(now)

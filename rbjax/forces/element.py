@@ -11,20 +11,28 @@ The numbers are leaves: they can be differentiated, vmapped over and changed wit
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.link_forces import LinkForces, added
+from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul
-from rbjax.model.model import Record
+from rbjax.model import Model
+from rbjax.model.record import Record, check_numbers
 from rbjax.spatial import Force
 
 if TYPE_CHECKING:
     from rbjax.forces.instant import Instant
+
+#: the shapes of an element's numbers by the names of its fields; None for any length
+Shapes = Mapping[str, tuple[int | None, ...]]
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,28 @@ class Element(Record):
         [40.0, 0.0, 0.0]
     """
 
+    def __check_init__(self) -> None:
+        for f in dataclasses.fields(self):
+            value, where = getattr(self, f.name), f"{type(self).__name__}({f.name}=...)"
+            if f.type in ("jax.Array", jax.Array):
+                if not (eqx.is_array(value) or isinstance(value, (np.ndarray, np.generic, float))):
+                    raise InputError(
+                        f"{where}: got {type(value).__name__}, expected an array of numbers, as "
+                        "jax.numpy.asarray makes it"
+                    )
+                check_numbers(where, value, endless=self.may_be_endless(f.name))
+            named = str(f.type).startswith("tuple[") and not isinstance(value, tuple)
+            if named and (value is not None or "None" not in str(f.type)):
+                raise InputError(f"{where}: got {type(value).__name__}, expected a tuple")
+
+    def may_be_endless(self, name: str) -> bool:
+        return True
+
+    def shapes(self, model: Model) -> Shapes:
+        """The shapes that its numbers have on a model, by name of the field; None for any length.
+        Others are refused where the element acts."""
+        return {}
+
     @property
     def size(self) -> int:
         """How many numbers its own state has."""
@@ -116,3 +146,21 @@ class Element(Record):
     def energy(self, now: Instant) -> Lane:
         """The energy that it stores, in joules."""
         return 0.0
+
+
+def check_shapes(element: Element, model: Model) -> None:
+    """Refuse numbers of an element of other shapes than it has on the model."""
+    for name, due in element.shapes(model).items():
+        shape = np.shape(getattr(element, name))
+        alike = [n in (m, None) for m, n in zip(shape, due, strict=False)]
+        if len(shape) != len(due) or not all(alike):
+            expected = str(tuple("any" if n is None else n for n in due)).replace("'", "")
+            raise InputError(
+                f"{type(element).__name__}: {name} has shape {shape}, expected {expected}; for a "
+                "batch of elements or models use jax.vmap over them"
+            )
+
+
+def coordinates(model: Model, joints: Iterable[str | int]) -> int:
+    """How many velocity coordinates these joints have."""
+    return sum(model.topology.joints[model.joint(j)].nv for j in joints)

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.forces.element import Element, Loads
+from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Frame, Instant
 from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_zero, mul, quaternion_matrix
@@ -63,6 +63,10 @@ class InertiaBoxFluid(Element):
     wind: jax.Array
     orientation: jax.Array
     bodies: tuple[int, ...] = eqx.field(static=True)
+
+    def shapes(self, model: Model) -> Shapes:
+        alone = {"density": (), "viscosity": (), "wind": (3,)}
+        return alone | {"orientation": (len(self.bodies), 4)}
 
     @classmethod
     def of(

@@ -24,11 +24,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.element import Element, Loads
+from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.fluid_box import in_lanes, relative_twist, rotations
 from rbjax.forces.instant import Frame, Instant
 from rbjax.forces.many import on_each
 from rbjax.lanes import Lane, Mat3, Vec3, add, is_literal, is_zero, mul
+from rbjax.model import Model
 from rbjax.model.leaves import table, tables
 from rbjax.spatial import Force, Motion, Transform
 
@@ -75,6 +76,11 @@ class EllipsoidFluid(Element):
     virtual_inertia: jax.Array
     interaction: jax.Array
     bodies: tuple[int, ...] = eqx.field(static=True)
+
+    def shapes(self, model: Model) -> Shapes:
+        n, alone = len(self.bodies), {"density": (), "viscosity": (), "wind": (3,)}
+        rows = {"semi_axes": (n, 3), "position": (n, 3), "orientation": (n, 4)}
+        return alone | rows | dict.fromkeys(("virtual_mass", "virtual_inertia"), (n, 3))
 
     def loads(self, now: Instant) -> Loads:
         """The forces on each ellipsoid."""

@@ -14,9 +14,10 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 
-from rbjax.forces.element import Element, Loads
+from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3, inner, is_zero, mul, total
+from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
@@ -52,6 +53,12 @@ class GravityCompensation(Element):
     def actuates(self) -> bool:
         return self.actuated
 
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        return {"fraction": (len(self.bodies),)}
+
     def loads(self, now: Instant) -> Loads:
         pushes = Loads()
         for frame, force in self._lifted(now):
@@ -62,7 +69,7 @@ class GravityCompensation(Element):
             return Loads()
         top, tau = now.model.topology, now.generalized_of(pushes.wrenches)
         named = range(len(top.joint_kinds)) if self.joints is None else self.joints
-        joints = [now.model.joint(j) if isinstance(j, str) else j for j in named]
+        joints = [now.model.joint(j) for j in named]
         at = [top.joint_v[j] + k for j in joints for k in range(top.joints[j].nv)]
         return Loads({i: tau[i] for i in at})
 
@@ -79,7 +86,7 @@ class GravityCompensation(Element):
         mass, com = table(model.bodies.mass, dtype), table(model.bodies.com, dtype)
         fraction, gravity = table(self.fraction, dtype), table(model.gravity, dtype)
         for n, name in enumerate(self.bodies):
-            b = model.body(name) if isinstance(name, str) else name
+            b = model.body(name)
             lift = mul(-1.0, mul(lane(fraction, n), lane(mass, b)))
             force = Vec3(*(mul(lift, lane(gravity, k)) for k in range(3)))
             if not all(map(is_zero, force)):

@@ -51,21 +51,21 @@ class Instant:
 
     def body(self, body: str | int) -> Frame:
         """The frame of a body."""
-        b = self.model.body(body) if isinstance(body, str) else body
-        if b == WORLD:
+        if isinstance(body, int) and body == WORLD:
             return Frame(self.links, WORLD)
+        b = self.model.body(body)
         return Frame(self.links, self.model.topology.body_links[b], self.links.weld(b))
 
     def site(self, site: str | int) -> Frame:
         """The frame of a site."""
-        s = self.model.site(site) if isinstance(site, str) else site
+        s = self.model.site(site)
         placed = site_transform(self.model, s, self.q.dtype)
         return self.body(self.model.topology.site_bodies[s]).then(placed)
 
     def joint(self, joint: str | int) -> Joint:
         """A joint's coordinates."""
         top = self.model.topology
-        j = self.model.joint(joint) if isinstance(joint, str) else joint
+        j = self.model.joint(joint)
         nq, nv = top.joints[j].nq, top.joints[j].nv
         qs, vs = top.joint_q[j], top.joint_v[j]
         q, v = [self.q[qs + k] for k in range(nq)], [self.v[vs + k] for k in range(nv)]

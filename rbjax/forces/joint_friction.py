@@ -22,7 +22,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.element import Element, Loads
+from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.forces.element import Element, Loads, Shapes, coordinates
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub
 from rbjax.model import Model
@@ -72,20 +73,28 @@ class JointFriction(Element):
         viscous: Any = 0.0,
     ) -> JointFriction:
         """The friction of these joints, with the same numbers for all or (n,) of each kind."""
-        named = [model.joint(j) if isinstance(j, str) else j for j in joints]
-        n = sum(model.topology.joints[j].nv for j in named)
+        check_model("JointFriction.of", model)
+        n = coordinates(model, joints)
 
-        def column(x: Any) -> jax.Array:
-            return jnp.broadcast_to(jnp.asarray(x, model.gravity.dtype), (n,))
+        def column(name: str, x: Any) -> jax.Array:
+            found = check_array("JointFriction.of", name, x, (), (n,))
+            return jnp.broadcast_to(found.astype(model.gravity.dtype), (n,))
 
         return cls(
-            coulomb=column(coulomb),
-            breakaway=column(coulomb if breakaway is None else breakaway),
-            stribeck=column(stribeck),
-            smoothing=column(smoothing),
-            viscous=column(viscous),
+            coulomb=column("coulomb", coulomb),
+            breakaway=column("breakaway", coulomb if breakaway is None else breakaway),
+            stribeck=column("stribeck", stribeck),
+            smoothing=column("smoothing", smoothing),
+            viscous=column("viscous", viscous),
             joints=tuple(joints),
         )
+
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        n = coordinates(model, self.joints)
+        return dict.fromkeys(("coulomb", "breakaway", "stribeck", "smoothing", "viscous"), (n,))
 
     def loads(self, now: Instant) -> Loads:
         given = (self.coulomb, self.breakaway, self.stribeck, self.smoothing, self.viscous)

@@ -31,9 +31,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.forces.element import Element, Loads
+from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Instant, Joint
 from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg, sub, total
+from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations import quaternion
@@ -69,6 +70,12 @@ class JointLimits(Element):
     width: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
 
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        return dict.fromkeys(("stiffness", "damping", "margin", "width"), (len(self.joints),))
+
     def loads(self, now: Instant) -> Loads:
         out: dict[int, Lane] = {}
         for n, joint, depth, along in self._stops(now):
@@ -95,7 +102,7 @@ class JointLimits(Element):
             joint = now.joint(name)
             if is_zero(lane(stiffness, n)):
                 continue
-            index = now.model.joint(name) if isinstance(name, str) else name
+            index = now.model.joint(name)
             low, high = lane(ends[:, 0], index), lane(ends[:, 1], index)
             margin = lane(margins, n)
             x, axis = _coordinate(joint)

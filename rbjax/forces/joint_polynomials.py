@@ -24,10 +24,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.element import Element, Loads
+from rbjax.forces.element import Element, Loads, Shapes, coordinates
 from rbjax.forces.instant import Instant
 from rbjax.forces.joint_springs import stretch
 from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, total
+from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations.coefficients import length
@@ -59,6 +60,15 @@ class JointPolynomials(Element):
     stiffness: jax.Array
     damping: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
+
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        return {
+            "stiffness": (len(self.joints), None),
+            "damping": (coordinates(model, self.joints), None),
+        }
 
     def loads(self, now: Instant) -> Loads:
         out: dict[int, Lane] = {}
@@ -92,7 +102,7 @@ class JointPolynomials(Element):
             coefficients = _row(stiffness, row)
             if all(map(is_zero, coefficients)):
                 continue
-            index = now.model.joint(name) if isinstance(name, str) else name
+            index = now.model.joint(name)
             x, at = stretch(now, index), now.model.topology.joint_v[index]
             out += [(coefficients, at + i, x[i : i + 3]) for i in range(0, len(x), 3)]
         return out

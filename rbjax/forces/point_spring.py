@@ -23,11 +23,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.anchor import Anchor
-from rbjax.forces.element import Element, Loads
+from rbjax.dynamics.arguments import check_array, shape_of
+from rbjax.forces.anchor import Anchor, check_anchors
+from rbjax.forces.element import Element, Loads, Shapes
 from rbjax.forces.instant import Instant
 from rbjax.forces.joint_polynomials import polynomial
 from rbjax.lanes import Lane, Vec3, add, is_literal, is_zero, mul, sub
+from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.rotations.coefficients import where
@@ -68,8 +70,21 @@ class PointSpring(Element):
         cls, a: Anchor, b: Anchor, *, stiffness: Any = 0.0, damping: Any = 0.0, length: Any = 0.0
     ) -> PointSpring:
         """The spring of this length at rest, or slack between two lengths."""
-        k, d = (jnp.atleast_1d(jnp.asarray(x, float)) for x in (stiffness, damping))
-        return cls(a, b, k, d, jnp.broadcast_to(jnp.asarray(length, float), (2,)))
+        where, given = "PointSpring.of", {"stiffness": stiffness, "damping": damping}
+        row = {n: (max(1, *shape_of(where, n, x), 1),) for n, x in given.items()}
+        k, d = (check_array(where, n, x, (), row[n]) for n, x in given.items())
+        slack = check_array(where, "length", length, (), (2,))
+        k, d, slack = (x.astype(float) for x in (k, d, slack))
+        return cls(a, b, jnp.atleast_1d(k), jnp.atleast_1d(d), jnp.broadcast_to(slack, (2,)))
+
+    def __check_init__(self) -> None:
+        check_anchors(self)
+
+    def may_be_endless(self, name: str) -> bool:
+        return name == "slack"
+
+    def shapes(self, model: Model) -> Shapes:
+        return {"stiffness": (None,), "damping": (None,), "slack": (2,)}
 
     def loads(self, now: Instant) -> Loads:
         a, b = self.a.frame(now), self.b.frame(now)

@@ -19,6 +19,7 @@ import numpy as np
 
 from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
+from rbjax.model.record import Record as Record
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 from rbjax.rotations import quaternion
@@ -36,26 +37,6 @@ AXES = {
     "actuators.forcerange": 2, "gravity": 1,
 }  # fmt: skip
 _AXES = list(AXES.values())
-
-
-class Record(eqx.Module):
-    """An immutable pytree with named fields."""
-
-    def replace(self, **changes: Any):
-        """A copy with the given fields changed; shapes of arrays must stay."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        for name, value in changes.items():
-            if name not in fields:
-                raise UnknownName(f"field of {type(self).__name__}", name, fields)
-            old = fields[name]
-            if eqx.is_array(old) and np.shape(value) != np.shape(old):
-                raise InputError(
-                    f"{type(self).__name__}.replace({name}=...): got shape {np.shape(value)}, "
-                    f"expected {np.shape(old)}; build a new model to change its size, "
-                    f"or jax.vmap over models to have many"
-                )
-            fields[name] = jnp.asarray(value, old.dtype) if eqx.is_array(old) else value
-        return type(self)(**fields)
 
 
 class State(Record):
@@ -241,11 +222,11 @@ class Model(Record):
     def keyframe_names(self) -> tuple[str, ...]:
         return self.topology.keyframe_names
 
-    def body(self, name: str) -> int:
-        """The index of a body, for arrays over bodies."""
+    def body(self, name: str | int) -> int:
+        """The index of a body, for arrays over bodies; an index is checked, and itself."""
         return _index("body", name, self.body_names)
 
-    def joint(self, name: str) -> int:
+    def joint(self, name: str | int) -> int:
         """The index of a joint; `q_slice` and `v_slice` say where its coordinates are."""
         return _index("joint", name, self.joint_names)
 
@@ -266,11 +247,11 @@ class Model(Record):
         i, top = self.joint(joint), self.topology
         return slice(top.joint_v[i], top.joint_v[i] + top.joints[i].nv)
 
-    def actuator(self, name: str) -> int:
+    def actuator(self, name: str | int) -> int:
         """The index of an actuator, for controls."""
         return _index("actuator", name, self.actuator_names)
 
-    def site(self, name: str) -> int:
+    def site(self, name: str | int) -> int:
         """The index of a site."""
         return _index("site", name, self.site_names)
 
@@ -311,7 +292,11 @@ class Model(Record):
             >>> rb.load("pendulum").astype(jnp.float32).default_state().q.dtype
             dtype('float32')
         """
-        if not jnp.issubdtype(dtype, jnp.floating):
+        try:
+            floating = dtype is not None and jnp.issubdtype(np.dtype(dtype), jnp.floating)
+        except TypeError:  # numpy's, of what is no dtype
+            floating = False
+        if not floating:
             raise InputError(f"Model.astype: got {dtype}, expected float32 or float64")
 
         def cast(x: Any) -> Any:
@@ -335,9 +320,9 @@ class Model(Record):
     def with_forces(self, *elements: Any) -> Model:
         """The model with force elements (`rbjax.forces`) beside those that it has."""
         for element in elements:
-            if not callable(getattr(element, "loads", None)):
+            if isinstance(element, type) or not callable(getattr(element, "loads", None)):
                 raise InputError(
-                    f"with_forces: got {type(element).__name__}, expected elements of rbjax.forces "
+                    f"with_forces: got {_described(element)}, expected elements of rbjax.forces "
                     "or of a subclass of rbjax.forces.Element"
                 )
         return self.replace(forces=(*self.forces, *elements))
@@ -391,7 +376,14 @@ def _numbers(record: Record) -> dict[str, jax.Array]:
     return {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
 
 
-def _index(kind: str, name: str, names: tuple[str, ...]) -> int:
-    if name not in names:
-        raise UnknownName(kind, name, names)
-    return names.index(name)
+def _described(x: Any) -> str:
+    return f"the class {x.__name__}" if isinstance(x, type) else type(x).__name__
+
+
+def _index(kind: str, name: str | int, names: tuple[str, ...]) -> int:
+    if isinstance(name, (int, np.integer)) and not isinstance(name, bool):
+        if 0 <= name < len(names):
+            return int(name)
+    elif isinstance(name, str) and name in names:
+        return names.index(name)
+    raise UnknownName(kind, name, names)

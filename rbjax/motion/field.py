@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
@@ -66,7 +67,13 @@ class Field:
         def forces(t: Any, state: State, u: Inputs) -> tuple:
             return applied(self.model, t, state, u)
 
-        law = functools.partial(self.law, self.model)
+        def law(t: Any, state: State, tau: jax.Array, pushes: LinkForces) -> jax.Array:
+            a = self.law(self.model, t, state, tau, pushes)
+            if self.law is free_motion:
+                return a
+            what = "what the law returned"
+            return check_array("a law", what, a, (self.model.nv,)).astype(state.q.dtype)
+
         if state.q.ndim == 1:
             tau, pushes, x = forces(t, state, u)
             return law(t, state, tau, pushes), x
@@ -86,6 +93,12 @@ class Field:
         if not self.model.topology.turn_starts:
             return v
         return jnp.stack(fusion_barrier(rate_lanes(self.model.topology, list(u), list(v))))
+
+
+def check_law(where: str, law: Any) -> None:
+    """Refuse what is no law."""
+    if law is not free_motion:
+        check_takes(where, "law", law, "model", "t", "state", "tau", "pushes")
 
 
 def batch_last(f: Callable, t: Any, *args: Any) -> Any:

@@ -17,6 +17,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
@@ -79,7 +80,32 @@ INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.
 def integrator_of(where: str, integrator: str | Integrator) -> Integrator:
     """An integrator by its name, or itself."""
     if not isinstance(integrator, str):
+        if not callable(integrator):
+            raise InputError(
+                f"{where}: integrator is {type(integrator).__name__}, expected one of "
+                f"{list(INTEGRATORS)} or a function (field, t, state, inputs, dt) -> state; "
+                "solvers of diffrax are for simulate"
+            )
+        check_takes(where, "integrator", integrator, "field", "t", "state", "inputs", "dt")
         return integrator
     if integrator not in INTEGRATORS:
         raise InputError(f"{where}: integrator {integrator!r}, expected one of {list(INTEGRATORS)}")
     return INTEGRATORS[integrator]
+
+
+def advanced(
+    integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
+) -> State:
+    """The state after a step; what is none is refused."""
+    after: Any = integrator(field, t, state, u, dt)
+    due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
+    found = jax.tree.leaves(after)
+    tree: Any = jax.tree.structure(after)
+    alike = tree == jax.tree.structure(state)
+    if not alike or [(jnp.shape(x), getattr(x, "dtype", None)) for x in found] != due:
+        got = [getattr(x, "shape", type(x).__name__) for x in found]
+        raise InputError(
+            f"an integrator returned {type(after).__name__} of {got}, expected a State of "
+            f"{[shape for shape, _ in due]} in {state.q.dtype}, as the state that it was given"
+        )
+    return after

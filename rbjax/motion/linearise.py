@@ -8,6 +8,7 @@ states of force elements.
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -17,8 +18,8 @@ from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, Law, free_motion
-from rbjax.motion.integrators import Integrator, integrator_of
+from rbjax.motion.field import Field, Law, check_law, free_motion
+from rbjax.motion.integrators import Integrator, advanced, integrator_of
 
 
 class Linear(NamedTuple):
@@ -28,7 +29,7 @@ class Linear(NamedTuple):
     B: jax.Array
 
 
-@algorithm("state", "ctrl", "dt")
+@algorithm("state", "ctrl", "dt", "t")
 def step(
     model: Model,
     state: State,
@@ -66,10 +67,12 @@ def step(
         (2,)
     """
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
-    return integrator_of("step", integrator)(Field(model, law), t, state, Inputs(ctrl), dt)
+    check_law("step", law)
+    integrator = integrator_of("step", integrator)
+    return advanced(integrator, Field(model, law), t, state, Inputs(ctrl), dt)
 
 
-@algorithm("state", "ctrl", "dt")
+@algorithm("state", "ctrl", "dt", "t")
 def linearise(
     model: Model,
     state: State,
@@ -110,9 +113,11 @@ def linearise(
         >>> A.shape, B.shape
         ((4, 4), (4, 1))
     """
+    check_law("linearise", law)
     if dt is None:
         return Linear(*linearised(model, state, ctrl, t, law)[1:])
-    advance, field = integrator_of("linearise", integrator), Field(model, law)
+    advance = functools.partial(advanced, integrator_of("linearise", integrator))
+    field = Field(model, law)
     u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
     after = advance(field, t, state, Inputs(ctrl), dt)
 

@@ -17,10 +17,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
-from rbjax.dynamics.arguments import check_arrays, check_moves, check_step
+from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
 from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.devices import memory_share
 from rbjax.dynamics.tracing import split_tracers
@@ -28,8 +27,8 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, Law, batch_last, free_motion
-from rbjax.motion.integrators import Integrator, integrator_of
+from rbjax.motion.field import Field, Law, batch_last, check_law, free_motion
+from rbjax.motion.integrators import Integrator, advanced, integrator_of
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
@@ -103,6 +102,8 @@ def rollout(
         (11, 2)
     """
     advance = integrator_of("rollout", integrator)
+    check_law("rollout", law)
+    _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
     check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")
     if steps % save_every:
@@ -178,7 +179,8 @@ def _march(
         if sources.asks:
             ask = functools.partial(sources.asked, model)
             given.append(batch_last(ask, i * dt, state) if batch else ask(i * dt, state))
-        return how.integrator(field, i * dt, state, sources.inputs(model, *given), dt), None
+        inputs = sources.inputs(model, *given)
+        return advanced(how.integrator, field, i * dt, state, inputs, dt), None
 
     def segment(state: State, start: jax.Array) -> tuple[State, State]:
         if how.save_every == 1:
@@ -197,7 +199,7 @@ def _checked(
     model: Model, state: State, given: Inputs, steps: int | None
 ) -> tuple[State, Sources, int, bool]:
     """State and inputs in one dtype, the number of steps, and whether there is a batch."""
-    shape = np.shape(state.q) if isinstance(state, State) else ()
+    shape = shape_of("rollout", "q", state.q) if isinstance(state, State) else ()
     batched = len(shape) == 2
     batch = shape[:1] if batched else ()
     if batch == (0,):
@@ -210,3 +212,11 @@ def _checked(
         check_whole("rollout", "steps", steps, 1)
     sources, steps = check_sources(model, given, steps, batch, state.q.dtype)
     return state, sources, steps, batched
+
+
+def _check_where(kernel: Any, memory: Any) -> None:
+    """Refuse what is no choice, and no number of bytes."""
+    if not (kernel is None or isinstance(kernel, bool)):
+        raise InputError(f"rollout: kernel is {kernel!r}, expected True, False or None to choose")
+    if not (memory is None or (isinstance(memory, (int, float)) and memory > 0)):
+        raise InputError(f"rollout: memory is {memory!r}, expected a positive number of bytes")

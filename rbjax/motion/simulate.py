@@ -14,14 +14,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
-from rbjax.dynamics.arguments import check_array, check_arrays, check_moves, check_step
+from rbjax.dynamics.arguments import (
+    check_array,
+    check_arrays,
+    check_moves,
+    check_step,
+    check_takes,
+    shape_of,
+)
 from rbjax.dynamics.drivers import on_threads
 from rbjax.dynamics.tracing import split_tracers
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
-from rbjax.motion.field import Law, free_motion
+from rbjax.motion.field import Law, check_law, free_motion
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.solvers.arguments import check_solver, check_whole
@@ -101,6 +108,9 @@ def simulate(
     solver = diffrax.Tsit5() if solver is None else solver
     check_solver("simulate", solver)
     check_takes_robots(solver)
+    check_law("simulate", law)
+    _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
+    _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt0 is not None:
         _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
     # Inside a caller's jit diffrax would trace what the caller holds constant.
@@ -174,6 +184,9 @@ def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> 
             f"simulate: control is {type(control).__name__}, expected a function (t, state) -> "
             "(nu,) or None; controls in an array are for rollout"
         )
+    for name, f in {"control": control, "tau": tau, "wrenches": wrenches}.items():
+        if callable(f):
+            check_takes("simulate", name, f, "t", "state")
     found = {"tau": tau, "wrenches": wrenches}
     for (name, x), shape in zip(found.items(), shapes(model)[1:], strict=True):
         if x is not None and not callable(x):
@@ -182,9 +195,21 @@ def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> 
     return Inputs(control, **found)
 
 
+def _check_kind(name: str, value: Any, kind: type) -> None:
+    """Refuse what diffrax would not take, a class in place of what it makes among it."""
+    if value is None or isinstance(value, kind):
+        return
+    got = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+    raise InputError(
+        f"simulate: {name} is {got}, expected None or a {kind.__name__} of diffrax, as "
+        "diffrax.DirectAdjoint() or diffrax.ConstantStepSize()"
+    )
+
+
 def _times(ts: Any, dtype) -> tuple[jax.Array, jax.Array]:
     """The times, and the time since the first, taken before it is rounded to the dtype."""
     known = not isinstance(ts, jax.core.Tracer)
+    shape_of("simulate", "ts", ts)
     ts = np.asarray(ts) if known else ts
     if ts.ndim != 1 or ts.shape[0] < 2:
         raise InputError(f"simulate: ts has shape {ts.shape}, expected (T,) with at least 2 times")

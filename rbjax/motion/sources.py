@@ -7,12 +7,13 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import numpy as np
 
-from rbjax.dynamics.arguments import check_array
+from rbjax.dynamics.arguments import check_array, check_takes, shape_of
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, check_returned, joined, shapes
 from rbjax.model import Model, State
+
+NAMES = ("ctrls", "tau", "wrenches")
 
 
 class Sources(eqx.Module):
@@ -67,7 +68,8 @@ def check_sources(
             )
         k, x = next(iter(arrays.items()))
         axis = -1 - len(shapes(model)[k])
-        steps = max(1, np.shape(x)[axis]) if np.ndim(x) >= -axis else 1
+        shape = shape_of("rollout", NAMES[k], x)
+        steps = max(1, shape[axis]) if len(shape) >= -axis else 1
     fixes = (
         ": a row of nu numbers a step; or a policy (t, state) -> (nu,), or None",
         ": a row of nv numbers a step; or a function (t, state) -> (nv,), or None",
@@ -77,9 +79,12 @@ def check_sources(
     for k, x in arrays.items():
         own = shapes(model)[k]
         due = [(*lead, int(steps), *own) for lead in dict.fromkeys([(), batch])]
-        x = check_array("rollout", ("ctrls", "tau", "wrenches")[k], x, *due, fix=fixes[k])
+        x = check_array("rollout", NAMES[k], x, *due, fix=fixes[k])
         if math.prod(own):  # of a robot without actuators the controls only say how many steps
             listed.append(k)
             rows.append(x.reshape(*x.shape[: x.ndim - len(own)], -1).astype(dtype))
     functions = Inputs(*(x if callable(x) else None for x in given))
+    for name, f in zip(NAMES, functions, strict=True):
+        if f is not None:
+            check_takes("rollout", name, f, "t", "state")
     return Sources(joined(rows) if rows else None, functions, tuple(listed)), int(steps)

@@ -17,7 +17,7 @@ from rbjax.dynamics.tracing import split_tracers
 from rbjax.forces.inputs import joined, shapes
 from rbjax.model import Model, State, known_zeros, made_ahead
 from rbjax.motion.field import Field, Law
-from rbjax.motion.integrators import Integrator
+from rbjax.motion.integrators import Integrator, advanced
 from rbjax.motion.march import March, keep_every
 from rbjax.motion.sources import Sources
 from rbjax.threads.function import trace
@@ -70,7 +70,8 @@ def on_threads(
         if sources.asks and not between:
             numbers.append(sources.asked(model, i * dt, state))
         inputs = sources.inputs(model, *numbers)
-        return jax.tree.leaves(how.integrator(Field(model, how.law), i * dt, state, inputs, dt))
+        field = Field(model, how.law)
+        return jax.tree.leaves(advanced(how.integrator, field, i * dt, state, inputs, dt))
 
     control = [jnp.zeros(_width(sources, model, rows, between), dtype)] if driven else []
     step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])

@@ -26,6 +26,9 @@ def check_between(solver: str, what: str, value: Any, low: float, high: float) -
     if isinstance(value, jax.core.Tracer):
         return
     numbers = np.asarray(value)
+    if numbers.dtype.kind not in "biuf":
+        got = f"{value!r} of {type(value).__name__}"
+        raise InputError(f"{solver}: {what} = {got}, expected a number from {low} to {high}")
     if not ((low <= numbers) & (numbers <= high)).all():
         raise InputError(f"{solver}: {what} = {value}, expected a number from {low} to {high}")
 

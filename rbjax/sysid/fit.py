@@ -23,6 +23,7 @@ from rbjax.dynamics import difference
 from rbjax.dynamics.arguments import check_array, check_arrays, check_step
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
+from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
 from rbjax.solvers.arguments import check_whole
 
@@ -100,8 +101,16 @@ def fit(
         1.3
     """
     state = check_arrays("fit", model, {"state": state})["state"]
+    integrator_of("fit", integrator)
     for name, value in (("save_every", save_every), ("max_steps", max_steps)):
         check_whole("fit", name, value, 1)
+    if not isinstance(unknowns, Mapping) or not all(
+        isinstance(u, Unknown) for u in unknowns.values()
+    ):
+        raise InputError(
+            f"fit: unknowns is {unknowns!r}, expected names of {Unknown.__name__}s, as "
+            '{"mass": Unknown("bodies.mass", 0)}'
+        )
     if not unknowns:
         raise InputError('fit: no unknowns, expected some, as {"mass": Unknown("bodies.mass", 0)}')
     rows = max(1, np.shape(ctrls)[0]) if np.ndim(ctrls) else 1

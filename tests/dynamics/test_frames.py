@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics.frames import PATH_UNROLLED_UP_TO
 from rbjax.loading import compile_model
 from tests.robots import QUICK, at, load_quietly, robot
 from tests.tolerances import F32_MAX, F64_IDENTITY, F64_PARITY, relative_error
@@ -274,3 +275,37 @@ def test_a_ball_with_a_slide_behind_it() -> None:
 
     rate = jax.jvp(along, (0.0,), (1.0,))[1]
     assert relative_error(rb.jacobian_rate(model, q, v, "b"), rate) <= F64_IDENTITY
+
+
+CHAIN = "<mujoco><worldbody>{}<site name='end' pos='0 0 1'/>{}</worldbody></mujoco>".format(
+    "".join(f"<body name='{i}' pos='0 .1 .2'><joint axis='{i % 2} 1 0'/><inertial pos='0 0 0' "
+            "mass='1' diaginertia='1 1 1'/>" for i in range(PATH_UNROLLED_UP_TO + 2)),
+    "</body>" * (PATH_UNROLLED_UP_TO + 2),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "driver"),
+    [("humanoid", "rolled"), ("quadruped", "limbs"), ("arm7", "unrolled"), (CHAIN, "rolled")],
+    ids=["humanoid", "quadruped", "arm7", "chain"],
+)
+def test_the_pose_of_a_site_asks_for_its_path_alone(name: str, driver: str) -> None:
+    """It is that of the body and of the site in it, for less arithmetic than all bodies take."""
+    model = load_quietly(name).replace(driver=driver)
+    q = model.random_state(jax.random.key(1)).q
+    site = len(model.site_names) - 1
+    body = model.topology.site_bodies[site]
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def both(model, q):
+        poses = rb.forward_kinematics(model, q)
+        return rb.site_pose(model, q, model.site_names[site]), (poses.R[body], poses.p[body])
+
+    (R, p), (E, o) = both(model, q)
+    own = rb.rotations.quaternion.to_matrix(model.sites.orientation[site])
+    assert relative_error(R, E @ own) <= F64_IDENTITY
+    assert relative_error(p, o + E @ model.sites.position[site]) <= F64_IDENTITY
+    asked = rb.operation_count(lambda m, q: rb.site_pose(m, q, model.site_names[site]), model, q)
+    every = rb.operation_count(rb.forward_kinematics, model, q)
+    least = {"arm7": 1.1, CHAIN: 1.1}.get(name, 1 / 3)  # they have one path, and all bodies on it
+    assert asked.total < least * every.total

@@ -2,11 +2,18 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import pytest
 
 import rbjax as rb
 from rbjax.dynamics.operations import OperationCount, leaf_names, operation_count
 from rbjax.lanes import fusion_barrier, sincos
+from tests.forces.test_drivers import TWO_ARMED
+from tests.oracles.random_actuators import random_actuated
+from tests.robots import load_quietly
+
+NO_ELEMENTS = {"Anchor", "Element", "Frame", "Instant", "Joint", "Loads", "applied_forces",
+               "elastic_energy", "on_each"}  # fmt: skip
 
 COUNTED = {
     "array": (lambda x: x * x + 2.0 * x, OperationCount(3, 6)),
@@ -28,6 +35,12 @@ COUNTED = {
         lambda x: jax.lax.cond(x[0] > 0, lambda y: y * y * y, lambda y: y, x),
         OperationCount(0, 6),
     ),
+    "Cholesky": (lambda x: jnp.linalg.cholesky(jnp.diag(x), symmetrize_input=False),
+                 OperationCount(4, 4, 3, 3)),
+    "triangle": (lambda x: jax.scipy.linalg.solve_triangular(jnp.diag(x), x),
+                 OperationCount(3, 3, 3)),
+    "LU": (lambda x: jax.lax.linalg.lu(jnp.diag(x))[0], OperationCount(5, 5, 3)),
+    "whole numbers": (lambda x: jnp.argmax(x) + 3, OperationCount()),
     "checkpoint": (jax.checkpoint(lambda x: x + 1), OperationCount(3)),
 }
 
@@ -51,3 +64,31 @@ def test_leaves_have_names() -> None:
     assert {"bodies.mass", "joints.damping", "gravity"} <= set(leaf_names(model))
     with pytest.raises(rb.UnknownName, match=r"bodies\.mass"):
         operation_count(rb.gravity_forces, model, jnp.ones(1), traced=("bodies.weight",))
+
+
+@pytest.mark.parametrize("f", [jnp.fft.rfft, lambda x: jnp.linalg.eigvalsh(jnp.diag(x))])
+def test_what_has_no_count_is_refused(f) -> None:
+    with pytest.raises(rb.InputError, match=r"primitive '(fft|eigh)', which makes .* not known"):
+        operation_count(f, jnp.ones(3))
+
+
+@pytest.mark.parametrize("driver", ["unrolled", "rolled"])
+def test_our_elements_have_counts(driver: str) -> None:
+    """All that act in files with every actuator, spring and fluid, over a step."""
+    fluid = """<mujoco><option density="1.2" viscosity="0.1"/><worldbody><body><freejoint/>
+      <geom type="ellipsoid" size="0.1 0.2 0.3" fluidshape="{}"/></body></worldbody></mujoco>"""
+    arms = load_quietly(mujoco.MjModel.from_xml_string(TWO_ARMED), limits=True, friction=True)
+    ends = (rb.forces.Anchor.on(body=name) for name in ("left", "right"))
+    sprung = arms.with_forces(rb.forces.Bushing.of(*ends, stiffness=3.0, damping=1.0))
+    immersed = [load_quietly(fluid.format(shape)) for shape in ("ellipsoid", "none")]
+    names = set()
+    for model in (sprung, load_quietly(random_actuated(0)), *immersed):
+        model = model.replace(driver=driver)
+        state = model.random_state(jax.random.key(0))
+        names |= {type(element).__name__ for element in model.forces}
+
+        def after(state, u, model=model):
+            return rb.step(model, state, u, 0.01)
+
+        assert operation_count(after, state, jnp.ones(model.nu)).total > 0
+    assert set(rb.forces.__all__) - NO_ELEMENTS <= names

@@ -12,8 +12,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 
 from rbjax.dynamics import inverse_mass_matrix, kinetic_energy, mass_matrix, potential_energy
+from rbjax.dynamics.arguments import check_array, check_arrays, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
 from rbjax.model import Model, State
@@ -25,7 +27,7 @@ class Hamiltonian(eqx.Module):
     Springs, dampers and no control act as in `simulate`.
 
     Raises:
-        InputError: from `to_canonical`, for a model with quaternions.
+        InputError: a model with quaternions, or with force elements that have states.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VI.1.
 
@@ -38,8 +40,7 @@ class Hamiltonian(eqx.Module):
     """
 
     def __call__(self, t: Any, y: tuple[jax.Array, jax.Array], model: Model) -> Any:
-        q, p = y
-        v = (inverse_mass_matrix(model, q) * p).sum(-1)
+        q, v = _velocity("Hamiltonian", model, y)
 
         def lagrangian(q):
             return kinetic_energy(model, q, v) - potential_energy(model, q)
@@ -55,23 +56,30 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
         state: `State(q (nq,), v (nv,))`.
 
     Raises:
-        InputError: the model has quaternions.
+        InputError: the model has quaternions, or force elements with states; shapes, dtypes, values
+            that are not finite.
 
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("pendulum")
         >>> q, p = rb.stability.to_canonical(model, model.default_state())
     """
-    if model.topology.quaternion_starts:
+    _check("to_canonical", model)
+    x = getattr(state, "x", None)
+    if x is not None:
         raise InputError(
-            "to_canonical: got a model with quaternions, expected hinges and slides alone; "
-            "simulate it with rb.solvers.VariationalMidpoint, which is symplectic on its manifold"
+            f"to_canonical: state.x has shape {np.shape(x)}, expected None: (q, p) hold no "
+            "states of force elements, and the model has none"
         )
+    state = check_arrays("to_canonical", model, {"state": state})["state"]
     return state.q, (mass_matrix(model, state.q) * state.v).sum(-1)
 
 
 def from_canonical(model: Model, y: tuple[jax.Array, jax.Array]) -> State:
     """The state of (q, p).
+
+    Raises:
+        InputError: as `to_canonical`.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -79,5 +87,31 @@ def from_canonical(model: Model, y: tuple[jax.Array, jax.Array]) -> State:
         >>> rb.stability.from_canonical(model, (jnp.zeros(1), jnp.ones(1))).v.shape
         (1,)
     """
-    q, p = y
-    return State(q, (inverse_mass_matrix(model, q) * p).sum(-1))
+    return State(*_velocity("from_canonical", model, y))
+
+
+def _velocity(where: str, model: Model, y: Any) -> tuple[jax.Array, jax.Array]:
+    """q, and v of the momentum p."""
+    _check(where, model)
+    if not (isinstance(y, tuple | list) and len(y) == 2):
+        raise InputError(f"{where}: y is {type(y).__name__}, expected a pair (q (nq,), p (nv,))")
+    q = check_arrays(where, model, {"q": y[0]})["q"]
+    p = check_array(where, "p", y[1], (model.nv,))
+    return q, (inverse_mass_matrix(model, q) * p).sum(-1)
+
+
+def _check(where: str, model: Model) -> None:
+    """Refuse what (q, p) cannot hold."""
+    check_model(where, model)
+    if model.topology.quaternion_starts:
+        raise InputError(
+            f"{where}: got a model with quaternions, expected hinges and slides alone; "
+            "simulate it with rb.solvers.VariationalMidpoint, which is symplectic on its manifold"
+        )
+    if model.nx:
+        names = ", ".join(type(element).__name__ for element in model.forces if element.size)
+        raise InputError(
+            f"{where}: got a model with force elements that have states of their own ({names}), "
+            "expected none: (q, p) cannot hold them; take these elements out with "
+            "model.replace(forces=...), or rb.simulate the model, which moves them with q and v"
+        )

@@ -8,6 +8,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.stability import trend
+from tests.forces.elements import Lag
 from tests.solvers.scenes import INERTIA
 
 SOLVERS = rb.solvers.all()
@@ -168,6 +169,25 @@ def test_attitudes_have_no_canonical_coordinates() -> None:
     model = rb.load("spinning_top")
     with pytest.raises(rb.InputError, match="hinges and slides alone"):
         rb.stability.to_canonical(model, model.default_state())
+
+
+def test_canonical_coordinates_hold_no_states_of_elements() -> None:
+    """They are refused by name, not left out; so is a state that brings some."""
+    model = rb.load("double_pendulum")
+    bare, y = model.default_state(), (jnp.zeros(2), jnp.ones(2))
+    lagging = model.with_forces(Lag(jnp.array(0.1)))
+    words = r"states of their own \(Lag\), expected none.*model.replace"
+    for call in (
+        lambda: rb.stability.to_canonical(lagging, lagging.default_state()),
+        lambda: rb.stability.from_canonical(lagging, y),
+        lambda: rb.stability.Hamiltonian()(0.0, y, lagging),
+    ):
+        with pytest.raises(rb.InputError, match=words):
+            call()
+    with pytest.raises(rb.InputError, match=r"state.x has shape \(1,\), expected None"):
+        rb.stability.to_canonical(model, bare.replace(x=jnp.zeros(1)))
+    with pytest.raises(rb.InputError, match=r"from_canonical: p has shape \(3,\)"):
+        rb.stability.from_canonical(model, (jnp.zeros(2), jnp.ones(3)))
 
 
 # ------------------------------------------------------------------------------------ manifolds
