@@ -44,6 +44,7 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 
 #: arguments that are part of the program
 STATIC = ("body", "site", "integrator", "law")
+NAMED = frozenset({"body", "site"})
 
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")
@@ -97,7 +98,7 @@ def algorithm(
             bound = signature.bind(model, *args, **kwargs)
             given = {n: bound.arguments[n] for n in names if n in bound.arguments}
             bound.arguments.update(check_arrays(f.__name__, model, given))
-            for n in static:
+            for n in NAMED.intersection(static):
                 check_name(f.__name__, n, bound.arguments.get(n))
             inside = split_tracers((bound.args, bound.kwargs))[0] and inside_jit()
             return (inlined if inside else program)(*bound.args, **bound.kwargs)

@@ -113,6 +113,11 @@ class Element(Record):
         knows better, as of limits or an exact solution."""
         return [add(x, mul(dt, rate)) for x, rate in zip(now.x, self.rate(now), strict=True)]
 
+    def within(self, x: jax.Array) -> Sequence[Lane]:
+        """Its own state, within the range that it has: what a step of another integrator ends
+        with."""
+        return list(x)
+
     def energy(self, now: Instant) -> Lane:
         """The energy that it stores, in joules."""
         return 0.0

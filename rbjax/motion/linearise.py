@@ -66,7 +66,7 @@ def step(
         (2,)
     """
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
-    return integrator_of("step", integrator)(Field(model, law), t, state, Inputs(ctrl), dt)
+    return integrator_of("step", integrator)(Field(model, law, dt), t, state, Inputs(ctrl), dt)
 
 
 @algorithm("state", "ctrl", "dt")
@@ -112,7 +112,7 @@ def linearise(
     """
     if dt is None:
         return Linear(*linearised(model, state, ctrl, t, law)[1:])
-    advance, field = integrator_of("linearise", integrator), Field(model, law)
+    advance, field = integrator_of("linearise", integrator), Field(model, law, dt)
     u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
     after = advance(field, t, state, Inputs(ctrl), dt)
 

@@ -166,7 +166,7 @@ def _march(
     model: Model, state: State, rows: Any, sources: Sources, dt: jax.Array, how: Steps
 ) -> State:
     """States (T, nq, ...), (T, nv, ...) and (T, nx, ...) from the first one on. Batch last."""
-    field = Field(model, how.law)
+    field = Field(model, how.law, dt)
     batch = state.q.shape[1:]
 
     def once(state: State, i: jax.Array) -> tuple[State, None]:

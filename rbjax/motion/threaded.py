@@ -70,7 +70,8 @@ def on_threads(
         if sources.asks and not between:
             numbers.append(sources.asked(model, i * dt, state))
         inputs = sources.inputs(model, *numbers)
-        return jax.tree.leaves(how.integrator(Field(model, how.law), i * dt, state, inputs, dt))
+        field = Field(model, how.law, dt)
+        return jax.tree.leaves(how.integrator(field, i * dt, state, inputs, dt))
 
     control = [jnp.zeros(_width(sources, model, rows, between), dtype)] if driven else []
     step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
