@@ -94,6 +94,17 @@ def states(model: Model, now: Instant, dt: Any = None) -> jax.Array | None:
     return pack(found, now.x)
 
 
+def chord(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
+    """What the forces of a step dt add to the diagonal of the mass matrix, as `Element.chord`, by
+    velocity coordinate where it is not known to be zero."""
+    out: dict[int, Lane] = {}
+    for element, seen in sighted(model, Instant.of(model, t, state, ctrl, dt)):
+        if ctrl is not None or not element.actuates:
+            for i, x in element.chord(seen, dt).items():
+                out[i] = add(out.get(i, 0.0), x)
+    return {i: x for i, x in out.items() if not is_zero(x)}
+
+
 def within(model: Model, x: jax.Array | None) -> jax.Array | None:
     """The states (nx,) of the elements, within the ranges that they have."""
     if x is None or all(type(e).within is Element.within for e in model.forces):

@@ -13,7 +13,7 @@ from rbjax.dynamics.manifold import difference_lanes
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
-from rbjax.model import JOINT_SIZES, Model
+from rbjax.model import JOINT_SIZES
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 
@@ -30,6 +30,17 @@ class JointSprings(Element):
                 out[i] = add(out[i], neg(mul(k, x)))
         return Loads(out)
 
+    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+        top, dtype = now.model.topology, now.v.dtype
+        joints = now.model.joints
+        damping, stiffness = table(joints.damping, dtype), table(joints.stiffness, dtype)
+        out: dict[int, Lane] = {}
+        for j, (kind, at) in enumerate(zip(top.joint_kinds, top.joint_v, strict=True)):
+            spring = mul(h * h / 4, lane(stiffness, j))
+            for i in range(at, at + JOINT_SIZES[kind][1]):
+                out[i] = add(mul(h / 2, lane(damping, i)), spring)
+        return out
+
     def energy(self, now: Instant) -> Lane:
         """sum of k |q - q_rest|^2 / 2."""
         return total(mul(mul(0.5, k), total(x * x for x in d)) for k, _, d in _stretched(now))
@@ -41,21 +52,6 @@ def _stretched(now: Instant) -> list[tuple[Lane, int, list[Lane]]]:
     ks = [lane(stiffness, j) for j in range(len(now.model.topology.joint_kinds))]
     starts = now.model.topology.joint_v
     return [(k, starts[j], stretch(now, j)) for j, k in enumerate(ks) if not is_zero(k)]
-
-
-def chord(model: Model, h: Any, dtype: Any) -> dict[int, Lane]:
-    """h D / 2 + h^2 K / 4 by velocity coordinate, where it is not known to be zero: what these
-    forces, taken at the middle of a step h, add to the mass matrix."""
-    damping, stiffness = (table(x, dtype) for x in (model.joints.damping, model.joints.stiffness))
-    out: dict[int, Lane] = {}
-    kinds, starts = model.topology.joint_kinds, model.topology.joint_v
-    for j, (kind, at) in enumerate(zip(kinds, starts, strict=True)):
-        spring = mul(h * h / 4, lane(stiffness, j))
-        for i in range(at, at + JOINT_SIZES[kind][1]):
-            own = add(mul(h / 2, lane(damping, i)), spring)
-            if not is_zero(own):
-                out[i] = own
-    return out
 
 
 def stretch(now: Instant, joint: int) -> list[Lane]:

@@ -21,7 +21,7 @@ from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
 from rbjax.dynamics.rnea import forces_of
-from rbjax.forces.acting import applied, within
+from rbjax.forces.acting import applied, chord, within
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import fusion_barrier, is_literal
 from rbjax.model import Model, State
@@ -101,6 +101,15 @@ class Field:
         if not self.model.nv:
             return q
         return jnp.stack(fusion_barrier(integrate_lanes(self.model.topology, list(q), list(dq))))
+
+    def chord(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
+        """What forces at the middle of a step add to the diagonal of the mass matrix, lanes (...)
+        by velocity coordinate."""
+
+        def added(t: Any, state: State, u: Inputs) -> dict:
+            return chord(self.model, t, state, u.ctrl, dt)
+
+        return added(t, state, u) if state.q.ndim == 1 else batch_last(added, t, state, u)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
         """The states (nx, ...) of force elements, within the ranges that they have."""

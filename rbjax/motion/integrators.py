@@ -1,6 +1,7 @@
 """Steps of fixed length on the manifold of configurations, for `rollout`. Batch last.
 
     semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
+    variational midpoint  of momenta: `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
 A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: its order is

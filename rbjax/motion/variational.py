@@ -13,10 +13,10 @@ too. (Marsden & West, *Acta Numerica* 2001; Bou-Rabee & Marsden, *Foundations of
 Mathematics* 9, 2009, on Lie groups.) The states of force elements go by the implicit midpoint rule.
 
 R = 0 is looked for by a chord: w - (M + h D / 2 + h^2 K / 4)^-1 R(w), the matrix at q0 (+) h v0 / 2
-with the joints' own dampers D and springs K, by its articulated-body factors. Each evaluation is
-O(n), and divides the error by about h |dM/dq v| / |M|. The chord of other forces is not known, so
-that a spring k of a force element on a mass m converges for h < 2 sqrt(m / k), as explicit methods
-are stable.
+with the dampers D and springs K of joints and the gains of their servos, by its articulated-body
+factors. Each evaluation is O(n), and divides the error by about h |dM/dq v| / |M|. Of an element
+without a `chord`, a spring k on a mass m converges for h < 2 sqrt(m / k), as explicit methods are
+stable.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ import jax.numpy as jnp
 from rbjax.dynamics.momenta import momentum_and_rate, momentum_of, nearby_velocity, velocity_of
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
-from rbjax.forces.joint_springs import chord
 from rbjax.lanes import Lane, Vec3, fusion_barrier
 from rbjax.model import State, Topology, spans
 from rbjax.motion.field import Field
@@ -48,8 +47,10 @@ class VariationalMidpoint:
     """An integrator of `rollout`: symplectic in (q, p = M v), symmetric, of order 2, on the
     manifold.
 
-    Each evaluation costs a pass over the tree and a solve with factors at hand, about half of
-    forward dynamics; a step has two eliminations beside. A step whose equations do not converge is
+    Each evaluation costs a pass over the tree and a solve with factors at hand, half as much as
+    forward dynamics; a step has two eliminations beside. The derivative is that of the evaluations,
+    with the factors held: as far from that of the equations as the step is from their solution. A
+    step whose equations do not converge is
     nan, which `Trajectory.ok` tells. One that has converged in part is as accurate as any, but
     symplectic only as far: more evaluations, or shorter steps, help.
 
@@ -68,8 +69,9 @@ class VariationalMidpoint:
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
         model, q0, v0, x0 = field.model, state.q, state.v, state.x
         p0, half = momentum_of(model, q0, v0), dt / 2
-        extra = jax.lax.stop_gradient(chord(model, dt, q0.dtype))
-        correction = nearby_velocity(model, field.moved(q0, half * v0), extra)
+        middle = field.moved(q0, half * v0)
+        extra = field.chord(t + half, State(middle, v0, x0), u, dt)
+        correction = nearby_velocity(model, middle, jax.lax.stop_gradient(extra))
 
         def evaluated(w: jax.Array, x: Any) -> tuple[jax.Array, jax.Array, Any]:
             """R(w), F and x' at the midpoint."""
@@ -126,9 +128,7 @@ def residual(
     return _on_attitudes(top, p - p0 - half * force, turned, half * w, p, p0, force)
 
 
-def carried(
-    top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Array
-) -> jax.Array:
+def carried(top: Topology, half: Any, w: jax.Array, p0: jax.Array, force: jax.Array) -> jax.Array:
     """p1 = E (E p0 + h F)."""
 
     def turned(y: Vec3, p0: Vec3, force: Vec3) -> Vec3:

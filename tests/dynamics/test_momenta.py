@@ -42,9 +42,13 @@ def test_momenta_and_their_rates(name, driver):
     def found(q, v, tau, f):
         p, rate = momentum_and_rate(model, q, v, tau)
         extra = {model.nv - 1: 0.3}
-        return p, rate, momentum_of(model, q, v), velocity_of(model, q, f), nearby_velocity(
-            model, q, extra
-        )(f)
+        return (
+            p,
+            rate,
+            momentum_of(model, q, v),
+            velocity_of(model, q, f),
+            nearby_velocity(model, q, extra)(f),
+        )
 
     p, rate, alone, speed, nearby = found(q, v, tau, f)
     assert relative_error(p, momentum(0.0)) < F64_PARITY
