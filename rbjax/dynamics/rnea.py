@@ -55,7 +55,7 @@ def _run(
     joints = d.joints(q, v)
     pushes = pushes if wrenches is None else on_links(d, joints, wrenches)
     tau = rnea(d, joints, d.lanes(a), g, pushes)
-    return d.pack(tau, jnp.zeros(model.nv, q.dtype))
+    return d.pack(tau, jnp.zeros((model.nv, *q.shape[1:]), q.dtype))
 
 
 def momentum(model: Model, q: jax.Array, v: jax.Array, *, values: bool = False) -> jax.Array:

@@ -37,8 +37,8 @@ from rbjax.rotations.coefficients import stumpff
 
 #: evaluations times velocity coordinates up to which they are written out
 WRITTEN_UP_TO = 13
-#: a step has not converged where its last correction is larger than half of the first, and than
-#: this part of the velocity
+#: a step has not converged where its last correction is larger than half of the first, than this
+#: part of the velocity, and moves half of the digits of the configuration: at rest all is rounding
 LOST = 1e-3
 
 
@@ -100,8 +100,9 @@ class VariationalMidpoint:
         w, _, force, rate, last = at
         q = field.moved(q0, dt * w)
         v = velocity_of(model, q, carried(model.topology, half, w, p0, force))
-        lost = largest(last) > jnp.maximum(largest(first) / 2, LOST * largest(w))
-        v = jnp.where(lost, jnp.nan, v)
+        digits = float(jnp.finfo(q.dtype).eps) ** 0.5 * (1 + largest(q0)) / dt
+        kept = jnp.maximum(largest(first) / 2, LOST * largest(w))
+        v = jnp.where(largest(last) > jnp.maximum(kept, digits), jnp.nan, v)
         return State(q, v, None if x0 is None else field.within(x0 + dt * rate))
 
 

@@ -207,6 +207,18 @@ def test_a_step_that_does_not_converge_is_no_number():
     assert rb.rollout(rb.load("pendulum"), still, None, 0.5, steps=3, integrator=NAME).ok
 
 
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_at_rest_corrections_are_rounding(dtype):
+    """A robot that comes to rest is no step that does not converge."""
+    model = rb.load("double_pendulum").astype(dtype)
+    damped = model.joints.replace(damping=jnp.full(2, 2.0))
+    state = rb.State(jnp.array([0.3, 0.2], dtype), jnp.zeros(2, dtype))
+    path = rb.rollout(
+        model.replace(joints=damped), state, None, 0.01, steps=4000, save_every=500, integrator=NAME
+    )
+    assert path.ok and np.abs(path.v[-1]).max() < 1e-3
+
+
 def test_springs_and_dampers_of_joints_may_be_stiff():
     model = rb.load("double_pendulum")
     stiff = model.joints.replace(damping=1e4 * jnp.ones(2), stiffness=1e6 * jnp.ones(2))
