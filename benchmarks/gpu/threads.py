@@ -51,6 +51,25 @@ class Case:
         return (q * q).sum() + (v * v).sum()
 
 
+def methods(c: Case) -> Iterator[dict]:
+    """Rollouts by the integrators of low order, and their gradients by controls."""
+    q, v, _, ctrls = c.batch(MANY)
+    ctrls = jnp.broadcast_to(ctrls[:, None], (MANY, STEPS, ctrls.shape[-1]))
+    for name in ("semi_implicit_euler", "rk4", "variational_midpoint"):
+
+        def last(u: Any, q: Any, v: Any, name: str = name) -> Any:
+            out = rb.rollout(
+                c.model, rb.State(q, v), u, 0.002, save_every=STEPS, integrator=name
+            )
+            return out.q[:, -1], out.v[:, -1]
+
+        def loss(u: Any, q: Any, v: Any, last: Callable = last) -> jax.Array:
+            return sum((x * x).sum() for x in last(u, q, v))
+
+        yield c.row(f"rollout, {name}", MANY, last, ctrls, q, v, work=MANY * STEPS)
+        yield c.row(f"gradient, {name}", MANY, jax.grad(loss), ctrls, q, v, work=MANY * STEPS)
+
+
 def forward(c: Case) -> Iterator[dict]:
     """Forward dynamics in f32, its error, and in f64."""
     run = jax.vmap(lambda q, v, tau: rb.forward_dynamics(c.model, q, v, tau))
@@ -235,7 +254,10 @@ def adaptive(c: Case) -> Iterator[dict]:
     yield c.row("simulate", size, jax.vmap(one), q, v)
 
 
-PARTS = {f.__name__: f for f in (forward, rollout, policy, gradient, memory, algorithms, adaptive)}
+PARTS = {
+    f.__name__: f
+    for f in (forward, rollout, policy, gradient, methods, memory, algorithms, adaptive)
+}
 
 
 def main() -> None:

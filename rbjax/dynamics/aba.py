@@ -11,6 +11,7 @@ is ever needed (Luh, Walker & Paul 1980), and forces still add as spatial forces
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -126,16 +127,20 @@ def aba(
     return qdd, factors
 
 
-def factorize(d: Driver, joints: Any) -> Any:
-    """The factors of the mass matrix at rest: articulated inertias alone."""
+def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
+    """The factors of the mass matrix at rest: articulated inertias alone. `extra`: what is added to
+    its diagonal, per link."""
 
     def inward(x, I_children):
-        link, joint = x
+        link, joint, *more = x
+        if more:
+            link = replace(link, armature=add(link.armature, more[0]))
         X = joint.transform(link)
         I_a, factor = eliminate(link, joint.S, X, link.inertia.articulated() + I_children)
         return to_parent(X, I_a, factor, rigid_mass(link, joint.S, I_children)), factor
 
-    return d.inward(inward, ArticulatedInertia.zero(), d.zip(d.constants, joints))
+    given = (d.constants, joints) if extra is None else (d.constants, joints, extra)
+    return d.inward(inward, ArticulatedInertia.zero(), d.zip(*given))
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:

@@ -45,20 +45,30 @@ def rnea(
     return d.out_and_in(outward, root, inward, Force.zero(), xs)
 
 
-def _run(model: Model, q, v, a, gravity: Vec3 | None = None, wrenches=None) -> jax.Array:
+def _run(
+    model: Model, q, v, a, gravity: Vec3 | None = None, wrenches=None, pushes=None, values=False
+) -> jax.Array:
     if not model.nv:
         return jnp.zeros(0, q.dtype)
-    d = driver(model, q.dtype)
+    d = driver(model, q.dtype, values=values)
     g = d.prepared.gravity if gravity is None else gravity
     joints = d.joints(q, v)
-    pushes = None if wrenches is None else on_links(d, joints, wrenches)
+    pushes = pushes if wrenches is None else on_links(d, joints, wrenches)
     tau = rnea(d, joints, d.lanes(a), g, pushes)
-    return d.pack(tau, jnp.zeros(model.nv, q.dtype))
+    return d.pack(tau, jnp.zeros((model.nv, *q.shape[1:]), q.dtype))
 
 
-def momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
-    """p = M(q) v (nv,): the forces that accelerate at v from rest, without gravity."""
-    return _run(model, q, None, v, gravity=Vec3.zero())
+def momentum(model: Model, q: jax.Array, v: jax.Array, *, values: bool = False) -> jax.Array:
+    """p = M(q) v (nv,): the forces that accelerate at v from rest, without gravity. `values`: as of
+    `driver`."""
+    return _run(model, q, None, v, gravity=Vec3.zero(), values=values)
+
+
+def forces_of(
+    model: Model, q: jax.Array, v: jax.Array, a: jax.Array, pushes: LinkForces
+) -> jax.Array:
+    """The generalized forces (nv,) beside forces on links under which it accelerates at a."""
+    return _run(model, q, v, a, pushes=pushes)
 
 
 @algorithm("q", "v", "a", "wrenches")

@@ -95,19 +95,47 @@ def states(model: Model, now: Instant, dt: Any = None) -> jax.Array | None:
     return pack(found, now.x)
 
 
+def chord(model: Model, t: Any, state: State, ctrl: Any, dt: Any) -> dict[int, Lane]:
+    """What the forces of a step dt add to the diagonal of the mass matrix, as `Element.chord`, by
+    velocity coordinate where it is not known to be zero."""
+    out: dict[int, Lane] = {}
+    for element, seen in sighted(model, Instant.of(model, t, state, ctrl, dt)):
+        if ctrl is not None or not element.actuates:
+            for i, x in element.chord(seen, dt).items():
+                out[i] = add(out.get(i, 0.0), x)
+    return {i: x for i, x in out.items() if not is_zero(x)}
+
+
+def within(model: Model, x: jax.Array | None) -> jax.Array | None:
+    """The states (nx,) of the elements, within the ranges that they have."""
+    if x is None or all(type(e).within is Element.within for e in model.forces):
+        return x
+    found: list[Lane] = []
+    at = 0
+    for element in model.forces:
+        found += list(element.within(x[at : at + element.size])) if element.size else []
+        at += element.size
+    return pack(found, x)
+
+
 def applied(
-    model: Model, t: Any, state: State, inputs: Inputs = NO_INPUTS, dt: Any = None
+    model: Model,
+    t: Any,
+    state: State,
+    inputs: Inputs = NO_INPUTS,
+    dt: Any = None,
+    advance: bool = False,
 ) -> tuple[jax.Array, LinkForces, jax.Array | None]:
-    """Generalized forces (nv,), forces on links, and x' (with dt: x after the step), on checked
-    arrays."""
-    now = Instant.of(model, t, state, inputs.ctrl)
+    """Generalized forces (nv,), forces on links, and x' (`advance`: x after the step), on checked
+    arrays. dt: the step that elements see, or None."""
+    now = Instant.of(model, t, state, inputs.ctrl, dt)
     tau, pushes = loads(model, now)
     if inputs.tau is not None:
         tau = [add(x, inputs.tau[i]) for i, x in enumerate(tau)]
     if inputs.wrenches is not None:
         given = on_links(now.links.driver, now.links.joints, inputs.wrenches)
         pushes = added(pushes, given)
-    return pack(tau, state.v), pushes, states(model, now, dt)
+    return pack(tau, state.v), pushes, states(model, now, dt if advance else None)
 
 
 @algorithm("state", "ctrl", "t")

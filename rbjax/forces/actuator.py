@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -29,28 +28,29 @@ from rbjax.model.model import Record
 
 class Signals:
     """What the law of an actuator sees: its controls u within their ranges, its state x, the length
-    and speed of its transmission, and the model's timestep h."""
+    and speed of its transmission, and the step h: the model's timestep where none is fixed."""
 
     def __init__(self, now: Instant, u: Sequence[Lane], transmission: Transmission):
-        self.u, self.x, self.h, self.dtype = u, now.x, now.model.timestep, now.q.dtype
+        self.u, self.x, self.dtype = u, now.x, now.q.dtype
+        self.h = now.model.timestep if now.dt is None else now.dt
         self._now, self._transmission = now, transmission
 
-    @cached_property
+    @property
     def reach(self) -> Reach:
         """Length and moment arms."""
-        return self._transmission.reach(self._now)
+        return self._now.once(self._transmission, lambda: self._transmission.reach(self._now))
 
-    @cached_property
+    @property
     def length(self) -> Lane:
         """l."""
         return self.reach.length
 
-    @cached_property
+    @property
     def speed(self) -> Lane:
         """l'."""
-        return self.reach.speed(self._now)
+        return self._now.once(self.reach, lambda: self.reach.speed(self._now))
 
-    @cached_property
+    @property
     def turn(self) -> Lane:
         """What a full turn adds to the length."""
         return self._transmission.turn(self.dtype)
@@ -84,6 +84,10 @@ class Law(Record):
         """x after a step."""
         return []
 
+    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
+        """x within its range."""
+        return x
+
 
 class Actuator(Element):
     """One actuator. Fields: ctrlrange (n, 2) of its controls and forcerange (2,), infinite where
@@ -115,6 +119,9 @@ class Actuator(Element):
 
     def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
         return now.x if now.u is None else self.law.advanced(self._signals(now), dt)
+
+    def within(self, x: jax.Array) -> Sequence[Lane]:
+        return self.law.within(list(x), x.dtype)
 
     def _signals(self, now: Instant) -> Signals:
         limits = table(self.ctrlrange, now.q.dtype)
@@ -188,6 +195,9 @@ class GainBias(Law):
             return []
         a = self.activation.advanced(self._control(seen), seen.x[0], dt)
         return [seen.nearest(a, seen.length) if self.circular else a]
+
+    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
+        return x if self.activation is None else [self.activation.within(a) for a in x]
 
     def _control(self, seen: Signals) -> Lane:
         """The control; on a circle, where it is followed, the one nearest to the activation."""

@@ -14,7 +14,7 @@ import numpy as np
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant
 from rbjax.forces.transmissions import Reach, halves, joint_reach
-from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul
+from rbjax.lanes import Lane, add, inner, is_literal, is_zero, mul, neg
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
 from rbjax.spatial import Force
@@ -46,6 +46,28 @@ class Actuators(Element):
             for n, arm in reach.arms.items():
                 out[n] = add(out.get(n, 0.0), mul(arm, force))
         return Loads(out)
+
+    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+        """Of servos and dampers at hinges and slides; of one at the end of its force range none."""
+        model, dtype = now.model, now.v.dtype
+        actuators, top = model.actuators, model.topology
+        gain, bias = table(actuators.gain, dtype), table(actuators.bias, dtype)
+        ctrlrange = table(actuators.ctrlrange, dtype)
+        limits = table(actuators.forcerange, dtype)
+        out: dict[int, Lane] = {}
+        for i, j in enumerate(actuators.joints):
+            rows = [[lane(x[:, k], i) for k in range(3)] for x in (gain, bias)]
+            sloped = not all(is_zero(x) for row in rows for x in row[1:])
+            if not sloped or j < 0 or top.joint_kinds[j] not in ("hinge", "slide"):
+                continue
+            u, reach = clip(now.u[i], ctrlrange, i), _reach(now, i)
+            c, k, d = (add(mul(g, u), b) for g, b in zip(*rows, strict=True))
+            own = neg(add(mul(h / 2, d), mul(h * h / 4, k)))
+            force = add(c, add(mul(k, reach.length), mul(d, reach.speed(now))))
+            own = jnp.where(clip(force, limits, i) == force, jnp.maximum(own, 0.0), 0.0)
+            for n, arm in reach.arms.items():
+                out[n] = add(out.get(n, 0.0), mul(mul(arm, arm), own))
+        return out
 
 
 def clip(x: Lane, limits: Any, i: int) -> Lane:

@@ -119,6 +119,12 @@ class DCMotor(Law):
             out.append(self._current_after(seen, dt))
         return out
 
+    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
+        if self.controller is None:
+            return x
+        n = self.controller.size
+        return [*self.controller.within(x[:n], dtype), *x[n:]]
+
     def _parts(self, seen: Signals) -> dict[str, Lane]:
         """The states beside the controller's."""
         own = [("T", self.heat is not None), ("z", self.bristles is not None)]

@@ -143,6 +143,17 @@ class Element(Record):
         knows better, as of limits or an exact solution."""
         return [add(x, mul(dt, rate)) for x, rate in zip(now.x, self.rate(now), strict=True)]
 
+    def chord(self, now: Instant, h: Any) -> Mapping[int, Lane]:
+        """h D / 2 + h^2 K / 4 by velocity coordinate, where -D and -K are the slopes of its
+        generalized forces: what these, taken at the middle of a step h, add to the diagonal of the
+        mass matrix. Only how fast an implicit step converges depends on it."""
+        return {}
+
+    def within(self, x: jax.Array) -> Sequence[Lane]:
+        """Its own state, within the range that it has: what a step of another integrator ends
+        with."""
+        return list(x)
+
     def energy(self, now: Instant) -> Lane:
         """The energy that it stores, in joules."""
         return 0.0

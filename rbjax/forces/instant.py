@@ -7,8 +7,8 @@ Vectors are `Vec3` of lanes: they add, subtract, scale, have `dot`, `cross` and 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +29,8 @@ from rbjax.spatial import Force, Motion, Transform
 @dataclass(frozen=True)
 class Instant:
     """Time t, configuration q (nq,), velocity v (nv,), controls u (nu,) or None, the element's own
-    state x (size,); bodies, sites and joints by name or index."""
+    state x (size,), the length dt of the step in which it stands, or None where that is not fixed;
+    bodies, sites and joints by name or index."""
 
     model: Model
     t: Any
@@ -38,16 +39,25 @@ class Instant:
     u: Any
     x: Any
     links: LinkMotion
+    dt: Any = None
+    found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, model: Model, t: Any, state: State, u: Any) -> Instant:
+    def of(cls, model: Model, t: Any, state: State, u: Any, dt: Any = None) -> Instant:
         """The instant of a state; its x is that of all elements."""
         links = LinkMotion(driver(model, state.q.dtype), state.q, state.v)
-        return cls(model, t, state.q, state.v, u, state.x, links)
+        return cls(model, t, state.q, state.v, u, state.x, links, dt)
 
     def with_own(self, x: Any) -> Instant:
         """The same, as an element with the state x sees it."""
         return replace(self, x=x)
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What `make` returns, made once for this key (an object) and this instant: for what
+        follows of t, q, v and u alone, which `loads` and `rate` both ask for."""
+        if id(key) not in self.found:
+            self.found[id(key)] = key, make()
+        return self.found[id(key)][1]
 
     def body(self, body: str | int) -> Frame:
         """The frame of a body."""

@@ -97,19 +97,23 @@ class JointLimits(Element):
         """Each stop: its joint's place among the fields, its joint, how deep that is in it, and the
         direction in which it goes deeper."""
         given = (now.model.joints.range, self.stiffness, self.margin)
-        ends, stiffness, margins = (table(x, now.q.dtype) for x in given)
+        ranges, stiffness, margins = (table(x, now.q.dtype) for x in given)
         for n, name in enumerate(self.joints):
             joint = now.joint(name)
             if is_zero(lane(stiffness, n)):
                 continue
             index = now.model.joint(name)
-            low, high = lane(ends[:, 0], index), lane(ends[:, 1], index)
+            low, high = lane(ranges[:, 0], index), lane(ranges[:, 1], index)
             margin = lane(margins, n)
             x, axis = _coordinate(joint)
+            lower, upper = add(low, margin), sub(high, margin)
+            if joint.kind != "ball" and _apart(lower, upper):
+                yield n, joint, *_nearer(x, lower, upper)
+                continue
             if joint.kind != "ball" and not _infinite(low):
-                yield n, joint, sub(add(low, margin), x), [neg(a) for a in axis]
+                yield n, joint, sub(lower, x), [neg(a) for a in axis]
             if not _infinite(high):
-                yield n, joint, sub(x, sub(high, margin)), axis
+                yield n, joint, sub(x, upper), axis
 
 
 def stop_force(p: Lane, rate: Lane, k: Lane, d: Lane, w: Lane) -> Lane:
@@ -149,6 +153,22 @@ def _coordinate(joint: Joint) -> tuple[Lane, list[Lane]]:
     angle = length(inner(turn, turn))
     scale = 1 / where(angle > 0, angle, jnp.ones_like(angle))
     return angle, [x * scale for x in turn]
+
+
+def _apart(low: Lane, high: Lane) -> bool:
+    """Whether two stops are known never to act at once: one begins below where the other does."""
+    known = is_literal(low) and is_literal(high)
+    return known and bool(np.isfinite(low) and np.isfinite(high) and low <= high)
+
+
+def _nearer(x: Lane, low: Lane, high: Lane) -> tuple[Lane, list[Lane]]:
+    """How deep x is in the stop of the nearer end, and in which direction it goes deeper: of two
+    stops that are apart the other does nothing, so one evaluation of the law serves both."""
+    below = x < (low + high) / 2
+    end, side = (
+        where(below, jnp.full_like(x, a), jnp.full_like(x, b)) for a, b in ((low, high), (-1, 1))
+    )
+    return side * (x - end), [side]
 
 
 def _infinite(x: Lane) -> bool:

@@ -7,7 +7,7 @@ the model's own: joints.stiffness, joints.springref, joints.damping.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rbjax.dynamics.manifold import difference_lanes
 from rbjax.forces.element import Element, Loads
@@ -28,6 +28,17 @@ class JointSprings(Element):
             for i, x in enumerate(stretch, at):
                 out[i] = add(out[i], neg(mul(k, x)))
         return Loads(out)
+
+    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+        top, dtype = now.model.topology, now.v.dtype
+        joints = now.model.joints
+        damping, stiffness = table(joints.damping, dtype), table(joints.stiffness, dtype)
+        out: dict[int, Lane] = {}
+        for j, (joint, at) in enumerate(zip(top.joints, top.joint_v, strict=True)):
+            spring = mul(h * h / 4, lane(stiffness, j))
+            for i in range(at, at + joint.nv):
+                out[i] = add(mul(h / 2, lane(damping, i)), spring)
+        return out
 
     def energy(self, now: Instant) -> Lane:
         """sum of k |q - q_rest|^2 / 2."""

@@ -76,7 +76,15 @@ class OrientationServo(Element):
     def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
         if self.activation is None or now.u is None:
             return now.x
-        phi = self._next(now, dt)
+        return self._nearest(self._next(now, dt))
+
+    def within(self, x: jax.Array) -> Sequence[Lane]:
+        if self.activation is None:
+            return list(x)
+        return self._nearest([self.activation.within(a) for a in x])
+
+    def _nearest(self, phi: list[Lane]) -> list[Lane]:
+        """The shortest rotation vector of the same attitude."""
         angle = norm(sum(x * x for x in phi))
         far = angle > jnp.pi
         turns = 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))

@@ -86,8 +86,13 @@ class Controller(Record):
     def advanced(self, seen: Signals, h: Any) -> list[Lane]:
         """Its states after a step h."""
         x = [x + h * rate for x, rate in zip(seen.x, self.rate(seen, h), strict=False)]
+        return self.within(x, seen.dtype)
+
+    def within(self, x: Sequence[Lane], dtype: Any) -> list[Lane]:
+        """Its states, the integral within the windup limit where that is `clipped`."""
+        x = list(x)
         if self.integrates and self.clipped:
-            windup = scalar(self.windup, seen.dtype)
+            windup = scalar(self.windup, dtype)
             x[self.slews] = jnp.clip(x[self.slews], neg(windup), windup)
         return x
 
@@ -113,5 +118,11 @@ class PID(Law):
         return self.controller.rate(seen, seen.h)
 
     def advanced(self, seen: Signals, dt: Any) -> Sequence[Lane]:
-        limits = table(self.limits, seen.dtype)[None]
-        return [clip(x, limits, 0) for x in self.controller.advanced(seen, dt)]
+        return self._ranged(self.controller.advanced(seen, dt), seen.dtype)
+
+    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
+        return self._ranged(self.controller.within(x, dtype), dtype)
+
+    def _ranged(self, x: Sequence[Lane], dtype: Any) -> list[Lane]:
+        limits = table(self.limits, dtype)[None]
+        return [clip(a, limits, 0) for a in x]

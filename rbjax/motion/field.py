@@ -21,7 +21,8 @@ from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
-from rbjax.forces.acting import applied
+from rbjax.dynamics.rnea import forces_of
+from rbjax.forces.acting import applied, chord, within
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import fusion_barrier, is_literal
 from rbjax.model import Model, State
@@ -48,25 +49,28 @@ def free_motion(
 
 @dataclass(frozen=True)
 class Field:
-    """The motion of a model under a law, for states of one sample or with the batch last."""
+    """The motion of a model under a law, for states of one sample or with the batch last. dt: the
+    step that force elements see; None where none is fixed."""
 
     model: Model
     law: Law = free_motion
+    dt: Any = None
 
     def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
         """v' (nv, ...) and x' (nx, ...)."""
-        return self._found(applied, t, state, u)
+        return self._found(self._applied, t, state, u)
 
     def pushed(
         self, t: Any, state: State, u: Inputs, dt: Any
     ) -> tuple[jax.Array, jax.Array | None]:
         """v' (nv, ...), and x after a step in which its rate is held."""
-        return self._found(functools.partial(applied, dt=dt), t, state, u)
+        advance = functools.partial(applied, self.model, dt=dt, advance=True)
+        return self._found(advance, t, state, u)
 
-    def _found(self, applied: Callable, t: Any, state: State, u: Inputs) -> tuple:
-        def forces(t: Any, state: State, u: Inputs) -> tuple:
-            return applied(self.model, t, state, u)
+    def _applied(self, t: Any, state: State, u: Inputs) -> tuple:
+        return applied(self.model, t, state, u, self.dt)
 
+    def _found(self, forces: Callable, t: Any, state: State, u: Inputs) -> tuple:
         def law(t: Any, state: State, tau: jax.Array, pushes: LinkForces) -> jax.Array:
             a = self.law(self.model, t, state, tau, pushes)
             if self.law is free_motion:
@@ -82,11 +86,41 @@ class Field:
             return law(t, state, tau, pushes), x
         return batch_last(law, t, state, tau, pushes), x
 
+    def forces(
+        self, t: Any, state: State, u: Inputs
+    ) -> tuple[jax.Array, LinkForces, jax.Array | None]:
+        """Generalized forces (nv, ...), forces on links, and x' (nx, ...). Those of a law other
+        than free motion are what gives its acceleration: with the forces of a constraint."""
+
+        def acting(t: Any, state: State, u: Inputs) -> tuple:
+            tau, pushes, x = self._applied(t, state, u)
+            if self.law is not free_motion:
+                a = self.law(self.model, t, state, tau, pushes)
+                tau = forces_of(self.model, state.q, state.v, a, pushes)
+            return tau, pushes, x
+
+        if state.q.ndim == 1:
+            return acting(t, state, u)
+        return batch_last(acting, t, state, u)
+
     def moved(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """q (+) dq."""
         if not self.model.nv:
             return q
         return jnp.stack(fusion_barrier(integrate_lanes(self.model.topology, list(q), list(dq))))
+
+    def chord(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
+        """What forces at the middle of a step add to the diagonal of the mass matrix, lanes (...)
+        by velocity coordinate."""
+
+        def added(t: Any, state: State, u: Inputs) -> dict:
+            return chord(self.model, t, state, u.ctrl, dt)
+
+        return added(t, state, u) if state.q.ndim == 1 else batch_last(added, t, state, u)
+
+    def within(self, x: jax.Array | None) -> jax.Array | None:
+        """The states (nx, ...) of force elements, within the ranges that they have."""
+        return within(self.model, x)
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
         """u' of the increment u, where the configuration moves at v."""

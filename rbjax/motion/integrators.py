@@ -1,6 +1,7 @@
 """Steps of fixed length on the manifold of configurations, for `rollout`. Batch last.
 
     semi-implicit Euler   v+ = v + h a(q, v),   q+ = q (+) h v+
+    variational midpoint  of momenta: `variational`
     Runge-Kutta           q = q0 (+) u,   u' = J_r(u)^-1 v,   v' = a(q0 (+) u, v)
 
 A Runge-Kutta method runs on the increments (u, v - v0), which are a vector space: its order is
@@ -22,6 +23,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field
+from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.dop853 import DOP853
 from rbjax.solvers.steps import combine, explicit_stages, scaled
 from rbjax.solvers.tableau import KUTTA4, Tableau, of_diffrax
@@ -66,14 +68,17 @@ def runge_kutta(
     stages = explicit_stages(rate, table, t, dt, written=written)
     start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
     dq, dv, *dx = scaled(dt, combine(table.b, stages(start)))
-    return State(field.moved(q0, dq), v0 + dv, None if x0 is None else x0 + dx[0])
+    return State(field.moved(q0, dq), v0 + dv, None if x0 is None else field.within(x0 + dx[0]))
 
 
 def _given(*parts: Any) -> tuple:
     return tuple(x for x in parts if x is not None)
 
 
-INTEGRATORS: dict[str, Integrator] = {"semi_implicit_euler": semi_implicit_euler}
+INTEGRATORS: dict[str, Integrator] = {
+    "semi_implicit_euler": semi_implicit_euler,
+    "variational_midpoint": variational_midpoint,
+}
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
 

@@ -69,7 +69,7 @@ def step(
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
     check_law("step", law)
     integrator = integrator_of("step", integrator)
-    return advanced(integrator, Field(model, law), t, state, Inputs(ctrl), dt)
+    return advanced(integrator, Field(model, law, dt), t, state, Inputs(ctrl), dt)
 
 
 @algorithm("state", "ctrl", "dt", "t")
@@ -117,7 +117,7 @@ def linearise(
     if dt is None:
         return Linear(*linearised(model, state, ctrl, t, law)[1:])
     advance = functools.partial(advanced, integrator_of("linearise", integrator))
-    field = Field(model, law)
+    field = Field(model, law, dt)
     u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
     after = advance(field, t, state, Inputs(ctrl), dt)
 

@@ -70,7 +70,7 @@ def on_threads(
         if sources.asks and not between:
             numbers.append(sources.asked(model, i * dt, state))
         inputs = sources.inputs(model, *numbers)
-        field = Field(model, how.law)
+        field = Field(model, how.law, dt)
         return jax.tree.leaves(advanced(how.integrator, field, i * dt, state, inputs, dt))
 
     control = [jnp.zeros(_width(sources, model, rows, between), dtype)] if driven else []

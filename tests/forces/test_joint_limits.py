@@ -120,6 +120,35 @@ def test_the_law() -> None:
     np.testing.assert_allclose(slope, still.ravel(), rtol=F64_IDENTITY, atol=1e-12)
 
 
+def test_two_stops_that_are_apart_cost_as_one() -> None:
+    """The nearer end's alone is evaluated; where they may act at once, both are: with the same
+    forces."""
+    text = STOPPED.format(kind="hinge", range="-1 0.5", more="")
+    model = load_quietly(text).with_forces(
+        rb.forces.JointLimits(*(jnp.array([x]) for x in (1000.0, 20.0, 0.0, 0.05)), ("j",))
+    )
+    model = model.replace(joints=model.joints.replace(range=jnp.array([[-1.0, 0.5]])))
+    wide = model.forces[0].replace(margin=jnp.array([0.8]))  # both begin within the range
+
+    def force(model, q, v):
+        return rb.applied_forces(model, rb.State(q, v))[0]
+
+    def both(q, v, margin):
+        low = stop_force(-1.0 + margin - q, -v, *STOP)
+        return low - stop_force(q - 0.5 + margin, v, *STOP)
+
+    q = jnp.linspace(-1.3, 0.8, 85)
+    v = 3 * jnp.cos(40 * q)
+    for element, margin in ((model.forces[0], 0.0), (wide, 0.8)):
+        changed = model.replace(forces=(element,))
+        run = jax.jit(jax.vmap(lambda q, v, m=changed: force(m, q[None], v[None])))
+        np.testing.assert_allclose(run(q, v), both(q, v, margin), rtol=F64_IDENTITY, atol=1e-9)
+    at = (jnp.array([0.6]), jnp.array([1.0]))
+    one = rb.operation_count(force, model, *at).total
+    two = rb.operation_count(force, model.replace(forces=(wide,)), *at).total
+    assert one < 0.65 * two
+
+
 @pytest.mark.parametrize("rate", [-2.0, 0.0, 2.0])
 @pytest.mark.parametrize("p", [0.0, 0.02, STOP[2], 0.2])
 def test_the_law_is_once_differentiable(p: float, rate: float) -> None:

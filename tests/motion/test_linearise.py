@@ -42,6 +42,24 @@ def test_a_step_is_one_of_rollout(integrator, key):
         assert relative_error(a, b) < F64_IDENTITY
 
 
+def test_a_step_takes_what_a_rollout_takes():
+    """Integrators and laws that are functions, too."""
+    model = rb.load("cart_pole")
+    state = model.default_state().replace(v=jnp.array([1.0, 2.0]))
+
+    def euler(field, t, state, inputs, dt):
+        a, _ = field.rates(t, state, inputs)
+        return rb.State(field.moved(state.q, dt * state.v), state.v + dt * a)
+
+    def held(model, t, state, tau, pushes):
+        return jnp.zeros(2)
+
+    after = rb.step(model, state, dt=0.01, integrator=euler, law=held)
+    np.testing.assert_allclose(after.q - state.q, [0.01, 0.02], rtol=1e-12)
+    A, _ = rb.linearise(model, state, dt=0.01, integrator=euler, law=held)
+    np.testing.assert_allclose(A[:2], np.eye(4)[:2] + 0.01 * np.eye(4)[2:], rtol=1e-12)
+
+
 def test_a_step_is_differentiated(key):
     model = model_with_states()
     state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)

@@ -50,6 +50,7 @@ def test_semi_implicit_euler_is_mujoco_s(scene, key):
     ("integrator", "order", "steps"),
     [
         ("semi_implicit_euler", 1, 256),
+        ("variational_midpoint", 2, 256),
         ("rk4", 4, 128),
         ("tsit5", 5, 128),
         ("dopri8", 8, 32),

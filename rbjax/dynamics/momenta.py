@@ -1,0 +1,140 @@
+"""Momenta: p = M(q) v, their rate, and the velocity of a momentum, each in O(n).
+
+With V_i the twist of a link, h_i the momentum of it and of all that it carries, and f_i the weight
+of these and what pushes them,
+
+    p_i  = S_i.h_i + armature v_i
+    p'_i = S_i.(f_i - V_i x* h_i) + tau_i        (dL/dq_i + tau_i; of attitudes less w x p)
+
+which needs no accelerations and no derivative of M. (Featherstone, *Rigid Body Dynamics
+Algorithms*, 2.9 and 2.12, of the subtree that a joint carries: its axis moves at V x S.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.aba import factorize, solve
+from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.link_forces import LinkForces, per_link
+from rbjax.dynamics.rnea import momentum
+from rbjax.dynamics.tracing import jvp_of, split_tracers, with_jvp
+from rbjax.lanes import Lane, Vec3, add, mul
+from rbjax.model import Model
+from rbjax.spatial import Force, Motion
+
+
+def momentum_of(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
+    """p = M(q) v (nv, ...), on checked arrays."""
+
+    def run(given: Any, q: jax.Array, v: jax.Array, values: bool) -> jax.Array:
+        return momentum(given[0], q, v, values=values)
+
+    return _ruled(run, (model,), q, v)
+
+
+def momentum_and_rate(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    tau: jax.Array,
+    pushes: LinkForces | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """p = M(q) v and p' under generalized forces and forces on links, (nv, ...) each, on checked
+    arrays."""
+
+    def outward(x, parent):
+        link, joint, _, _ = x
+        V_parent, g_parent = parent
+        X = joint.transform(link)
+        V = X(V_parent) + Motion(joint.rate, (joint.S * joint.qd).lin)
+        g = X.E @ g_parent
+        return (V, g), (X, V, g)
+
+    def inward(x, children):
+        (link, joint, tau, push), (X, V, g) = x
+        h = link.inertia(V) + children[0]
+        f = link.inertia(Motion(Vec3.zero(), g)) + push + children[1]
+        p = add(joint.S.dot(h), mul(link.armature, joint.qd))
+        rate = add(joint.S.dot(f - V.cross_force(h)), tau)
+        return (X.T(h), X.T(f)), (p, rate)
+
+    def run(given: Any, q: jax.Array, v: jax.Array, tau: jax.Array, values: bool) -> tuple:
+        model, pushes = given
+        d = driver(model, q.dtype, values=values)
+        xs = d.zip(d.constants, d.joints(q, v), d.lanes(tau), per_link(d, pushes))
+        root = (Motion.zero(), d.prepared.gravity)
+        found = d.out_and_in(outward, root, inward, (Force.zero(), Force.zero()), xs)
+        p, rate = d.unzip(found, 2)
+        return d.pack(p, v), d.pack(rate, v)
+
+    return _ruled(run, (model, pushes), q, v, tau)
+
+
+def _ruled(run: Callable, given: Any, *args: jax.Array) -> Any:
+    """run(given, *args, values=), by the driver for values; its derivative by the one for these.
+    The first of `given` is the model."""
+    moving, rebuilt = split_tracers(given)
+    known = not split_tracers(given[0])[0]
+
+    def plain(changed, *args):
+        return run(rebuilt(changed), *args, values=known)
+
+    def tangent(primals, tangents):
+        def f(changed, *args):
+            return run(rebuilt(changed), *args, values=False)
+
+        out, rate = jvp_of(f, primals, tangents)
+        return out, jax.tree.map(jnp.zeros_like, out) if rate is None else rate
+
+    return with_jvp(plain, tangent)(moving, *args)
+
+
+def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
+    """v = M(q)^-1 p (nv, ...), on checked arrays, with the derivative
+
+    dv = M^-1 (dp - d(M(q) v)),   v held.
+    """
+    given, rebuilt = split_tracers(model)
+    known_model = not given
+
+    def factors(changed, q, values=False):
+        d = driver(rebuilt(changed), q.dtype, values=values)
+        return d, factorize(d, d.joints(q, None))
+
+    def plain(changed, q, p):
+        d, found = factors(changed, q, known_model)
+        return d.pack(solve(d, found, d.lanes(p)), p)
+
+    def tangent(primals, tangents):
+        changed, q, p = primals
+        d, found = factors(changed, q)
+        v = known(changed, q, p, d.pack(solve(d, found, d.lanes(p)), p))
+        _, dp = jvp_of(lambda m, q, p: p - momentum(rebuilt(m), q, v), primals, tangents)
+        if dp is None:
+            return v, jnp.zeros_like(v)
+        return v, d.pack(solve(d, found, d.lanes(dp)), p)
+
+    def at_hand(at, moving):
+        return at[-1], tangent(at[:-1], moving[:-1])[1]
+
+    # v = forward(changed, q, p), which is at hand: what it says to a next derivative
+    known = with_jvp(lambda *at: at[-1], at_hand)
+    forward = with_jvp(plain, tangent)
+    return forward(given, q, p)
+
+
+def nearby_velocity(
+    model: Model, q: jax.Array, extra: Mapping[int, Lane] | None = None
+) -> Callable[[jax.Array], jax.Array]:
+    """The function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...), with one elimination for all
+    of them. `extra`: lanes by velocity coordinate. Its derivative by q and the model is zero."""
+    moving, closed = split_tracers(model)  # what is known of it stays known
+    still, q = closed(jax.lax.stop_gradient(moving)), jax.lax.stop_gradient(q)
+    d = driver(still, q.dtype, values=not moving)
+    found = factorize(d, d.joints(q, None), d.scattered(extra or {}, 0.0))
+    return lambda p: d.pack(solve(d, found, d.lanes(p)), p)
