@@ -59,6 +59,11 @@ def simulate(
     q' = N(q) v, v' = M^-1 (applied forces - b). Solved in the time since ts[0], so that a late
     start costs no digits.
 
+    A number of the model that changes compiles nothing anew, unless a zero of the links' numbers
+    (placements, axes, masses, centres, inertias, armatures, references) or of gravity comes or
+    goes: these zeros are part of the program. Without them a step of an arm takes 1.4 times as
+    long, of 256 arms at once 1.14 times; of a quadruped and a humanoid about as long (CPU, f64).
+
     Args:
         model: the robot.
         state: initial q (nq,), v (nv,).
