@@ -10,7 +10,7 @@ import pytest
 
 import rbjax as rb
 from tests.oracles.models import MODELS, SINGULAR
-from tests.robots import Robot, at, mass_matrix, robot
+from tests.robots import AS_USERS, Robot, at, mass_matrix, robot
 from tests.tolerances import F32_MAX, F32_MEDIAN, F64_PARITY, relative_error
 
 STATES = 100
@@ -92,9 +92,11 @@ def errors(name: str, driver: str, *, argument: bool = False, dtype: type = np.f
     want = expected(sample.reference, given)
     batch = [given[n] for n in ("q", "v", "ctrl", "tau", "w")]
     if argument:
-        got = jax.jit(jax.vmap(answer, (None, 0, 0, 0, 0, 0)))(sample.model, *batch)
+        mapped = jax.vmap(answer, (None, 0, 0, 0, 0, 0))
+        got = jax.jit(mapped, compiler_options=AS_USERS)(sample.model, *batch)
     else:
-        got = jax.jit(jax.vmap(lambda *x: answer(sample.model, *x)))(*batch)
+        mapped = jax.vmap(lambda *x: answer(sample.model, *x))
+        got = jax.jit(mapped, compiler_options=AS_USERS)(*batch)
     assert all(x.dtype == dtype for x in got.values())
     if name in SINGULAR:
         del want["acceleration"]
