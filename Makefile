@@ -3,10 +3,12 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
-PYTEST := $(BIN)/pytest -n 2
+# worksteal: a worker gets a half of the files in a row, so what a file's tests share is compiled once
+PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 # Tests and the demo compile the same programs again and again: keep them between runs.
+# Tests that are not slow compile them without optimizations, too: tests/conftest.py.
 # (Benchmarks measure compilation, so they do without.)
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5

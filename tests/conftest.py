@@ -4,14 +4,42 @@ The tests are a caller of rbjax, so they choose x64 here; rbjax itself never tou
 JAX reads `JAX_COMPILATION_CACHE_DIR` by itself: the Makefile sets it, a bare `pytest` does without.
 """
 
+import gc
+import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import jax
 import pytest
+from jaxlib.version import __version_info__ as jaxlib_version
 
 jax.config.update("jax_enable_x64", True)
+
+# Nearly all that the tests take is XLA compiling programs that then run for milliseconds. Without
+# LLVM's optimizations and without the fusion emitters a small program compiles in 0.4 of the time
+# (23 ms for 55 ms), a large one in 0.6. A test of what users get, with the optimizations, gives
+# `tests.robots.AS_USERS` to its `jit`; and a run with the slow tests is as users are throughout.
+QUICK_FLAGS = ["--xla_backend_optimization_level=0"]
+if jaxlib_version < (0, 11):  # which has no emitters to leave out, and dies of flags unknown to it
+    QUICK_FLAGS.append("--xla_cpu_use_fusion_emitters=false")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """XLA reads its flags when the first program is compiled, later than this."""
+    on_gpu = "cuda" in os.environ.get("JAX_PLATFORMS", "")
+    if "not slow" in config.option.markexpr and not on_gpu:
+        given = os.environ.get("XLA_FLAGS", "")
+        os.environ["XLA_FLAGS"] = " ".join([*QUICK_FLAGS, given]).strip()
+
+
+def pytest_collection_finish() -> None:
+    """Tracing makes objects by the million; Python's search for cycles among them, which begins at
+    every 700 that stay, takes a tenth of a run."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000, 20, 50)
+
 
 # Every compiled program keeps some memory mapped, and Linux allows a process 65,530 maps; beyond
 # that LLVM dies of "Cannot allocate memory".

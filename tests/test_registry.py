@@ -45,6 +45,7 @@ class Entry:
     function: Callable[..., Any]
     arrays: tuple[str, ...]
     rest: dict[str, Any] = field(default_factory=dict)
+    robot: str = "small"  # a smaller one for what differentiates by itself: a program of a minute
 
 
 def _with_state(model, q, v, ctrl):
@@ -78,7 +79,9 @@ REGISTRY = {
     "difference": Entry(rb.difference, ("q", "q1")),
     "elastic_energy": Entry(rb.forces.elastic_energy, ("q",)),
     "forward_dynamics": Entry(rb.forward_dynamics, ("q", "v", "a", "wrenches")),
-    "forward_dynamics_derivatives": Entry(rb.forward_dynamics_derivatives, ("q", "v", "a")),
+    "forward_dynamics_derivatives": Entry(
+        rb.forward_dynamics_derivatives, ("q", "v", "a"), robot="cart_pole"
+    ),
     "forward_kinematics": Entry(rb.forward_kinematics, ("q",)),
     "frame_bias_acceleration": Entry(
         _at_a_point(rb.frame_bias_acceleration), ("q", "v", "point"), {"body": "hand"}
@@ -90,12 +93,14 @@ REGISTRY = {
     "inertial_regressor": Entry(rb.inertial_regressor, ("q", "v", "a")),
     "integrate": Entry(rb.integrate, ("q", "v")),
     "inverse_dynamics": Entry(rb.inverse_dynamics, ("q", "v", "a", "wrenches")),
-    "inverse_dynamics_derivatives": Entry(rb.inverse_dynamics_derivatives, ("q", "v", "a")),
+    "inverse_dynamics_derivatives": Entry(
+        rb.inverse_dynamics_derivatives, ("q", "v", "a"), robot="cart_pole"
+    ),
     "inverse_mass_matrix": Entry(rb.inverse_mass_matrix, ("q",)),
     "jacobian": Entry(_at_a_point(rb.jacobian), ("q", "point"), {"body": "hand"}),
     "jacobian_rate": Entry(rb.jacobian_rate, ("q", "v"), {"site": "tip"}),
     "kinetic_energy": Entry(rb.kinetic_energy, ("q", "v")),
-    "linearise": Entry(_linearise, ("q", "v", "ctrl")),
+    "linearise": Entry(_linearise, ("q", "v", "ctrl"), robot="cart_pole"),
     "mass_matrix": Entry(rb.mass_matrix, ("q",)),
     "potential_energy": Entry(rb.potential_energy, ("q",)),
     "site_pose": Entry(rb.site_pose, ("q",), {"site": "tip"}),
@@ -105,17 +110,17 @@ REGISTRY = {
 MODEL = robot("small", "rolled").model
 
 
-def samples(names: tuple[str, ...], n: int = 3) -> list[np.ndarray]:
+def samples(names: tuple[str, ...], of: str = "small", n: int = 3) -> list[np.ndarray]:
     """n of each named array, one behind the other; attitudes of unit length."""
-    q, v = robot("small").states(2 * n)
+    q, v = robot(of).states(2 * n)
     rng = np.random.default_rng(0)
-    bodies = MODEL.bodies
+    model, bodies = robot(of).model, MODEL.bodies
     drawn = {
         "q": q[:n],
         "q1": q[n:],
         "v": v[:n],
-        "a": rng.normal(size=(n, 5)),
-        "ctrl": rng.uniform(-0.4, 0.4, (n, 5)),
+        "a": rng.normal(size=(n, model.nv)),
+        "ctrl": rng.uniform(-0.4, 0.4, (n, model.nu)),
         "wrenches": rng.normal(size=(n, 4, 6)),
         "mass": np.asarray(bodies.mass) * rng.uniform(0.5, 2, (n, 4)),
         "com": np.asarray(bodies.com) + rng.normal(size=(n, 4, 3)),
@@ -129,21 +134,21 @@ def flat(tree: Any) -> jax.Array:
     return jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(tree)])
 
 
-# the derivative of a derivative is a program of a minute
-HEAVY = {"forward_dynamics_derivatives", "inverse_dynamics_derivatives"}
+# of every kind of joint, these are the derivative of a derivative
+LARGE = [n for n, entry in REGISTRY.items() if entry.robot != "small"]
+CASES = [(n, entry.robot) for n, entry in REGISTRY.items()]
+CASES += [pytest.param(n, "small", marks=pytest.mark.slow) for n in LARGE]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in HEAVY else n for n in REGISTRY]
-)
-def test_composes(name: str) -> None:
-    entry = REGISTRY[name]
-    xs = samples(entry.arrays)
+@pytest.mark.parametrize(("name", "of"), CASES)
+def test_composes(name: str, of: str) -> None:
+    entry, model = REGISTRY[name], MODEL if of == "small" else robot(of).model
+    xs = samples(entry.arrays, of)
     rng = np.random.default_rng(1)
     tangents = [rng.normal(size=x.shape[1:]) for x in xs]
 
     def f(*arrays):
-        return flat(entry.function(MODEL, *arrays, **entry.rest))
+        return flat(entry.function(model, *arrays, **entry.rest))
 
     def everything(tangents, weight, *batch):
         first = [x[0] for x in batch]

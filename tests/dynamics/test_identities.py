@@ -104,7 +104,9 @@ def test_identities(case: str) -> None:
         assert error.max() <= F64_IDENTITY, name
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(  # those of every kind of joint: test_derivatives.py
+    "case", [pytest.param(c, marks=pytest.mark.slow) if c == "small, rolled" else c for c in CASES]
+)
 def test_partial_derivatives(case: str) -> None:
     """Of inverse and forward dynamics with respect to q (tangent), v, and a or tau."""
     sample = robot(*case.split(", "))

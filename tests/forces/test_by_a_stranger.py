@@ -1,6 +1,7 @@
-"""A force element that somebody else writes: wind on a quadruped, run and differentiated as if it
-were the package's own."""
+"""A force element that somebody else writes: wind on a robot, run and differentiated as if it were
+the package's own."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,16 +17,20 @@ STEP, STEPS = 1e-6, 20
 class Wind(rb.forces.Element):
     air: jax.Array  # (3,) m/s in the world
     drag: jax.Array  # N s^2/m^2
+    on: str = eqx.field(static=True, default="trunk")
 
     def loads(self, now):
-        trunk = now.body("trunk")
-        flow = trunk.velocity - self.air
-        return trunk.push(flow * (-self.drag * flow.norm(1e-6)))
+        body = now.body(self.on)
+        flow = body.velocity - self.air
+        return body.push(flow * (-self.drag * flow.norm(1e-6)))
+
+
+SCENE = {"trunk": "quadruped", "frame": "quadrotor"}  # by the body that the wind blows on
 
 
 def end(wind, kernel):
-    """Where the quadruped is after a while."""
-    model = rb.load("quadruped").with_forces(wind)
+    """Where the robot is after a while."""
+    model = rb.load(SCENE[wind.on]).with_forces(wind)
     state = model.default_state()
     path = rb.rollout(model, state, steps=STEPS, save_every=STEPS, kernel=kernel)
     return jnp.concatenate([path.q[-1], path.v[-1]])
@@ -42,15 +47,22 @@ def test_wind_by_a_stranger():
     assert plain[0] > still[0] + 1e-3  # it is blown along x
 
 
-@pytest.mark.parametrize("kernel", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_gradients_by_its_numbers(kernel):
-    rng = np.random.default_rng(0)
-    ways = rng.normal(size=blown(WIND, kernel=False).shape)
+@pytest.mark.parametrize(
+    ("on", "kernel"),
+    [
+        ("frame", False),
+        pytest.param("trunk", False, marks=pytest.mark.slow),
+        pytest.param("trunk", True, marks=pytest.mark.slow),
+    ],
+)
+def test_gradients_by_its_numbers(on, kernel):
+    rng, wind = np.random.default_rng(0), Wind(WIND.air, WIND.drag, on)
+    ways = rng.normal(size=blown(wind, kernel=False).shape)
     slope = jax.jit(jax.grad(lambda x: ways @ end(x, kernel)), compiler_options=QUICK)
-    slopes = slope(WIND)
+    slopes = slope(wind)
     for name in ("air", "drag"):
-        x, g = getattr(WIND, name), getattr(slopes, name)
+        x, g = getattr(wind, name), getattr(slopes, name)
         along = rng.normal(size=x.shape)
-        moved = [WIND.replace(**{name: x + s * along}) for s in (-STEP, STEP)]
-        ends = [ways @ blown(wind, kernel=False) for wind in moved]
+        moved = [wind.replace(**{name: x + s * along}) for s in (-STEP, STEP)]
+        ends = [ways @ blown(w, kernel=False) for w in moved]
         assert relative_error((g * along).sum(), (ends[1] - ends[0]) / (2 * STEP)) < 1e-6

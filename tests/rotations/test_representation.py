@@ -107,10 +107,11 @@ def test_there_are_thirty_and_more_in_a_stable_order() -> None:
         assert rep.size >= 3 and rep.singular_set and rep.name in repr(rep)
 
 
+@pytest.mark.parametrize("count", [1_000, pytest.param(10_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("dtype", "limit"), [(np.float64, 1e-14), (np.float32, 2e-6)])
-def test_round_trips_among_all(dtype, limit) -> None:
-    """10,000 random rotations from each representation into each other one and back."""
-    q = jnp.asarray(QUATERNIONS, dtype)
+def test_round_trips_among_all(dtype, limit, count) -> None:
+    """Random rotations from each representation into each other one and back."""
+    q = jnp.asarray(QUATERNIONS[:count], dtype)
     trips = {}
     for name, rep in REPS.items():
 
@@ -247,8 +248,7 @@ def test_redundant_maps(name) -> None:
 
 # one of each kind; the other Euler sequences differ from these by the names of axes
 MOVING = [n for n in REPS if n not in EULER] + [
-    *("roll_pitch_yaw", "zyz", "intrinsic_yxz", "intrinsic_xzy", "intrinsic_zxz"),
-    *("extrinsic_zxy", "extrinsic_xyx"),
+    *("roll_pitch_yaw", "zyz", "intrinsic_xzy", "extrinsic_xyx"),
 ]
 
 
