@@ -86,6 +86,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
 
 def _known(model: Model) -> Model:
     """The model with NumPy leaves, if it is one and can be written."""
+    if not isinstance(model, Model):
+        raise InputError(f"write_mjcf: got {type(model).__name__}, expected a Model (rbjax.load)")
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model)):
         raise InputError(
             "write_mjcf: got a traced model, expected known numbers; call it outside of jit, vmap "

@@ -336,7 +336,11 @@ def test_what_is_no_robot_is_refused_by_name() -> None:
     names = model.body_names
     refused(rb.ModelError, names[1], "rb.spatial", mass=own.mass.at[1].set(-1.0))
     refused(rb.ModelError, names[0], inertia=own.inertia.at[0, 0, 0].set(99.0))
-    refused(rb.ModelError, "bodies.com", "nan", com=own.com.at[1, 2].set(np.nan))
+    broken = dataclasses.replace(own, com=own.com.at[1, 2].set(np.nan))
+    with pytest.raises(rb.ModelError, match=r"bodies\.com has nan"):
+        rb.write_mjcf(model.replace(bodies=broken))
+    with pytest.raises(rb.InputError, match="expected a Model"):
+        rb.write_mjcf("cart_pole")
     with pytest.raises(rb.InputError, match=r"\(3, 2\).*one model of the batch"):
         rb.write_mjcf(jax.tree.map(lambda x: jnp.stack([x] * 3), model))
     with pytest.raises(rb.InputError, match="traced"):

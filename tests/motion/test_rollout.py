@@ -172,7 +172,10 @@ def test_memory_of_the_gradient_follows_the_law(key):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"integrator": "euler"}, "expected one of .'semi_implicit_euler', 'rk4'."),
+        (
+            {"integrator": "euler"},
+            "expected one of .'semi_implicit_euler', 'variational_midpoint', 'rk4'",
+        ),
         ({"save_every": 7}, "expected a divisor of the 10 steps"),
         ({"ctrls": np.zeros((10, 3))}, "ctrls has shape .10, 3., expected .10, 1."),
         ({"ctrls": np.full((10, 1), np.nan)}, r"ctrls\[0, 0\] is nan, expected finite"),

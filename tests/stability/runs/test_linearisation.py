@@ -88,7 +88,9 @@ def test_largest_step_of_a_pendulum(method: str) -> None:
 
 
 def test_every_integrator_of_rollout_has_its_solver() -> None:
-    assert stability.ROLLOUT.keys() == INTEGRATORS.keys()
+    """But for the variational one, of which linear theory has the implicit midpoint rule: stable at
+    any step, which its fixed number of evaluations does not reach."""
+    assert stability.ROLLOUT.keys() == INTEGRATORS.keys() - {"variational_midpoint"}
 
 
 @slow
