@@ -85,14 +85,14 @@ def prepare(model: Model, dtype: Any) -> Prepared:
     its body's frame, A z = s. With B the body's frame in its carrier's and F a link's frame in its
     body, the pose of a link in its parent link is F_parent^-1 B F.
     """
-    if model.prepared is not None:
-        return _again(model.prepared)
+    if model.execution.prepared is not None:
+        return _again(model.execution.prepared)
     leaves = (model.bodies, model.joints, model.gravity)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
-        if model.zeros is None:
+        if model.execution.zeros is None:
             bodies, joints, gravity = leaves
             return _prepare(model.topology, bodies, joints, gravity, jnp, dtype)
-        bodies, joints, gravity = _as_cells(leaves, dict(model.zeros))
+        bodies, joints, gravity = _as_cells(leaves, dict(model.execution.zeros))
         return _prepare(model.topology, bodies, joints, gravity, np, dtype)
     model = as_declared(model)
     leaves = (model.bodies, model.joints, model.gravity)
@@ -102,9 +102,9 @@ def prepare(model: Model, dtype: Any) -> Prepared:
 
 def as_declared(model: Model) -> Model:
     """The model whose leaves hold what `fix_zeros` declared, whatever they were given since."""
-    if model.zeros is None:
+    if model.execution.zeros is None:
         return model
-    zeros = dict(model.zeros)
+    zeros = dict(model.execution.zeros)
 
     def record(r):
         names = [f.name for f in dataclasses.fields(r) if f.name in zeros]
@@ -121,10 +121,10 @@ def as_declared(model: Model) -> Model:
 def made_ahead(model: Model, dtype: Any) -> Model:
     """The model with the numbers of its links made, for programs of which it is an argument: they
     need not make them wherever they use them, and know the zeros that are known here."""
-    if model.prepared is not None:
+    if model.execution.prepared is not None:
         return model
     leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
-    unknown = any(isinstance(x, jax.core.Tracer) for x in leaves) and model.zeros is None
+    unknown = any(isinstance(x, jax.core.Tracer) for x in leaves) and model.execution.zeros is None
 
     def sparse(columns: Any, units: bool = False) -> Any:
         return jax.tree.map(lambda x: Sparse.of(x, dtype, units=units), columns)
@@ -148,7 +148,7 @@ def known_zeros(model: Model) -> Model:
     leaves = jax.tree.leaves((model.bodies, model.joints, model.gravity))
     traced = [isinstance(x, jax.core.Tracer) for x in leaves]
     partly = any(traced) and not all(traced)
-    declared = model.zeros is not None or model.prepared is not None
+    declared = model.execution.zeros is not None or model.execution.prepared is not None
     return model.fix_zeros() if partly and not declared else model
 
 

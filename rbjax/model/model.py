@@ -19,13 +19,12 @@ import numpy as np
 
 from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
+from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
+from rbjax.model.execution import EXECUTION, Execution
 from rbjax.model.record import Record as Record
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 from rbjax.rotations import quaternion
-
-#: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
-DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
 
 #: the axes that each number has in one model, in the order of the leaves
 AXES = {
@@ -142,17 +141,12 @@ class Model(Record):
     topology: Topology = eqx.field(static=True)
     timestep: float = eqx.field(static=True)
     dropped: tuple[str, ...] = eqx.field(static=True)
-    driver: str = eqx.field(static=True, default="auto")
-    #: entries of leaves that are part of the program (`fix_zeros`), or None
-    zeros: tuple | None = eqx.field(static=True, default=None)
-    #: the links' numbers, where they have been made before a loop (`made_ahead`), or None
-    prepared: Any = None
+    #: how algorithms run on it
+    execution: Execution = Execution()
     #: force elements (`rbjax.forces.Element`) beside the joints' springs and the actuators
     forces: tuple = ()
 
     def __check_init__(self) -> None:
-        if self.driver not in DRIVER_NAMES:
-            raise UnknownName("driver", self.driver, DRIVER_NAMES)
         real = isinstance(self.timestep, numbers.Real)
         if not (real and 0 < self.timestep < math.inf):
             raise ModelError(
@@ -162,11 +156,19 @@ class Model(Record):
             )
 
     def replace(self, **changes: Any) -> Model:
-        """A copy with the given fields changed; shapes of arrays must stay. What was made ahead of
-        numbers that change is made again."""
-        if changes.keys() & {"bodies", "joints", "gravity", "zeros"}:
-            changes = {"prepared": None} | changes
+        """A copy with the given fields changed, those of `execution` too; shapes of arrays must
+        stay. What was made ahead of numbers that change is made again."""
+        how = {name: changes.pop(name) for name in EXECUTION if name in changes}
+        if changes.keys() & {"bodies", "joints", "gravity"} or "zeros" in how:
+            how = {"prepared": None} | how
+        if how:
+            changes["execution"] = changes.get("execution", self.execution).replace(**how)
         return super().replace(**changes)
+
+    @property
+    def driver(self) -> str:
+        """How the recursions run: one of `DRIVER_NAMES`."""
+        return self.execution.driver
 
     def several(self) -> tuple[str, tuple[int, ...], int] | None:
         """Name, shape and due number of axes of a leaf that has others, as in a batch of models."""

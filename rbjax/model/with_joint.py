@@ -77,12 +77,11 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
         "keyframes": type(keys)(
             q=coordinates(keys.q, q, start), v=speeds(keys.v), ctrl=keys.ctrl, x=keys.x
         ),
-        "zeros": None,
-        "prepared": None,
+        "execution": model.execution.replace(zeros=None, prepared=None),
     }
     every = {f.name: getattr(model, f.name) for f in dataclasses.fields(model)}
     changed = type(model)(**every | fields)
-    return changed if model.zeros is None else changed.fix_zeros()
+    return changed if model.execution.zeros is None else changed.fix_zeros()
 
 
 def start_of(joint: Joint) -> np.ndarray:

@@ -345,7 +345,7 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
     assert wide.q_slice(name) == slice(2, 5)
     np.testing.assert_array_equal(wide.default_state().q[2:5], [0.1, 0.2, 0.3])
     fixed = screw.fix_zeros()
-    assert fixed.with_joint(name, "hinge").zeros is not None
+    assert fixed.with_joint(name, "hinge").execution.zeros is not None
     with pytest.raises(rb.UnknownName, match="screw"):
         model.with_joint(name, "scrw")
     with pytest.raises(rb.UnknownName, match="pitch"):

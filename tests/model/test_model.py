@@ -74,7 +74,7 @@ def test_slices_of_joints(model: rb.Model) -> None:
 def test_astype(model: rb.Model) -> None:
     single = made_ahead(model, jnp.float64).astype(np.float32)
     assert all(x.dtype == np.float32 for x in jax.tree.leaves(single))
-    assert single.prepared is None and single.topology is model.topology
+    assert single.execution.prepared is None and single.topology is model.topology
     state = single.default_state()
     assert rb.mass_matrix(single, state.q).dtype == np.float32
     back = single.astype("float64")
