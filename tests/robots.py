@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from rbjax.compiling import takes
+from rbjax.compiling import xla_accepts
 from rbjax.loading import compile_model
 from rbjax.loading.actuator_kinds import is_affine
 from rbjax.validation.mjx import fast
@@ -32,7 +32,7 @@ QUICK = {  # two thirds of the time to compile; what these programs are asked fo
 """Options of `jax.jit` for programs that are run once."""
 
 AS_USERS = {"xla_backend_optimization_level": 3}
-if takes("xla_cpu_use_fusion_emitters", True):
+if xla_accepts("xla_cpu_use_fusion_emitters", True):
     AS_USERS["xla_cpu_use_fusion_emitters"] = True
 """XLA's defaults as options of `jax.jit`, whatever flags the tests run under (conftest.py)."""
 
