@@ -10,6 +10,7 @@ from rbjax.demo import demo
 from rbjax.demo.forces import forces
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
+from rbjax.demo.joints import joints
 from rbjax.demo.motion import motion
 from rbjax.demo.report import Section
 from rbjax.demo.swing_up import swing_up
@@ -75,6 +76,12 @@ def test_threads_are_counted(tmp_path: Path) -> None:
     assert 5 < small < large < 1000
 
 
+def test_carts_swing_on_bent_rails(tmp_path: Path) -> None:
+    section = joints(tmp_path, quiet, steps=50)
+    assert (tmp_path / "joints.png").stat().st_size > 10_000
+    assert all(float(lost) < 1e-6 for *_, lost in section.rows)
+
+
 def test_forces_act(tmp_path: Path) -> None:
     section = forces(tmp_path, quiet, steps=200)
     check(section, tmp_path)
@@ -84,7 +91,7 @@ def test_forces_act(tmp_path: Path) -> None:
 
 def test_the_report_holds_all(tmp_path: Path) -> None:
     parts: dict = dict.fromkeys(
-        ("motion", "identify", "swing_up", "integrators", "forces", "threads")
+        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "threads")
     )
     parts["validate"] = {"scenes": {"pendulum": False}}
     page = demo(tmp_path, say=quiet, options=parts)

@@ -1,4 +1,4 @@
-"""The demo from start to end: seven sections, in f64, and the report they make."""
+"""The demo from start to end: eight sections, in f64, and the report they make."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import matplotlib
 from rbjax.demo.forces import forces
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
+from rbjax.demo.joints import joints
 from rbjax.demo.motion import motion
 from rbjax.demo.report import Section, write
 from rbjax.demo.swing_up import swing_up
@@ -32,6 +33,7 @@ PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "swing_up": (swing_up, 4),
     "integrators": (integrators, 40),
     "forces": (forces, 5),
+    "joints": (joints, 5),
     "threads": (threads, 2),
 }
 
@@ -56,7 +58,7 @@ def demo(
         say: called with a few words before each stage.
         done: called with a part's name and share after it.
         options: keyword arguments by part (motion, validate, identify, swing_up, integrators,
-            forces, threads), to run smaller; a part given as None is left out.
+            forces, joints, threads), to run smaller; a part given as None is left out.
 
     Returns:
         The path of report.html.

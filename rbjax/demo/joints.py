@@ -1,0 +1,94 @@
+"""Kinds of joints: a cart on rails that a user bends, by the pose of its joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+
+from rbjax import joints as kinds
+from rbjax.demo.report import Section
+from rbjax.dynamics import forward_kinematics, kinetic_energy, potential_energy
+from rbjax.lanes import Lane, Mat3, Vec3
+from rbjax.loading import load
+from rbjax.model import Model, State
+from rbjax.motion.rollout import rollout
+from rbjax.plotting import BLUE, GREEN, ORANGE, STYLE
+from rbjax.spatial import Transform
+
+STEPS, DT = 800, 0.005
+
+_CODE = """\
+class Rail(rb.joints.Node):
+    name, coordinates = "rail", 1
+    numbers = {"opening": 0.0}                      # 1/m
+
+    def pose(self, q, numbers):
+        height = numbers[0] * q[0] * q[0]
+        return Transform(Mat3.identity(), Vec3(q[0], 0.0, height))
+
+rb.joints.register(Rail())
+bent = rb.load("cart_pole").with_joint("slider", "rail", opening=0.5, axis=[0, 0, 1])"""
+
+
+class Rail(kinds.Node):
+    """A rail that is bent to a parabola: one coordinate."""
+
+    name, coordinates = "rail", 1
+    numbers = MappingProxyType({"opening": 0.0})
+
+    def pose(self, q: Sequence[Lane], numbers: Sequence[Lane]) -> Transform:
+        height = numbers[0] * q[0] * q[0]
+        return Transform(Mat3.identity(), Vec3(q[0], 0.0, height))
+
+
+def _bent(opening: float) -> Model:
+    kinds.register(Rail())
+    cart = load("cart_pole").with_joint("slider", "rail", opening=opening, axis=[0.0, 0.0, 1.0])
+    return cart.replace(joints=cart.joints.replace(damping=[0.0, 0.0]))
+
+
+def joints(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> Section:
+    """Run and draw."""
+    rows, drawn = [], []
+    for opening, colour in ((0.2, GREEN), (0.5, ORANGE), (1.0, BLUE)):
+        say(f"a cart on a rail of opening {opening} /m")
+        model = _bent(opening)
+        start = State(jnp.array([1.0, 0.3]), jnp.zeros(2))
+        path = rollout(model, start, None, DT, steps=steps, integrator="rk4")
+
+        def seen(q: jax.Array, v: jax.Array, model: Model = model) -> tuple[jax.Array, jax.Array]:
+            energy = kinetic_energy(model, q, v) + potential_energy(model, q)
+            return forward_kinematics(model, q).p[0], energy
+
+        cart, energy = jax.jit(jax.vmap(seen))(path.q, path.v)
+        lost = float(jnp.abs(energy / energy[0] - 1).max())
+        drawn.append((opening, colour, np.asarray(cart), path))
+        rows.append((f"{opening}", f"{float(path.q[-1, 0]):.4f}", f"{lost:.1e}"))
+    with plt.rc_context(STYLE):
+        figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.4), layout="constrained")
+        for opening, colour, cart, path in drawn:
+            left.plot(cart[:, 0], cart[:, 2], color=colour, lw=3, label=f"{opening} /m")
+            right.plot(path.ts, path.q[:, 0], color=colour)
+        left.set(xlabel="x [m]", ylabel="z [m]", aspect="equal", title="Rails")
+        right.set(xlabel="time [s]", ylabel="cart [m]", title="Where the cart is")
+        left.legend(loc="upper center", ncols=len(drawn))
+        figure.savefig(folder / "joints.png")
+        plt.close(figure)
+    return Section(
+        title="Joints of your own",
+        text=(
+            "A joint is the pose of its body; its axes, and how they turn, follow. Screws, "
+            "cylindrical, planar and universal joints are in the library. The numbers of a joint, "
+            "here the opening of the rail, can be differentiated.",
+        ),
+        pictures=(("joints.png", "A cart with a hanging pole, let go at 1 m on three rails."),),
+        columns=("opening [1/m]", "cart at the end [m]", "energy lost, of all"),
+        rows=tuple(rows),
+        code=_CODE,
+    )
