@@ -56,14 +56,14 @@ def _stretched(now: Instant) -> list[tuple[Lane, int, list[Lane]]]:
 def stretch(now: Instant, joint: int) -> list[Lane]:
     """How far a joint is from the rest of its spring, in the coordinates of v."""
     top, rest = now.model.topology, table(now.model.joints.springref, now.q.dtype)
-    kind, start = top.joint_kinds[joint], top.joint_q[joint]
-    at = range(start, start + top.joints[joint].nq)
+    kind, start = top.joints[joint], top.joint_q[joint]
+    at = range(start, start + kind.nq)
     return difference_lanes(_Alone((kind,)), [lane(rest, i) for i in at], [now.q[i] for i in at])
 
 
 class _Alone(NamedTuple):
     """The topology of one joint, for `difference_lanes`."""
 
-    joint_kinds: tuple[str]
+    joints: tuple[Any]
     joint_q: tuple[int] = (0,)
     joint_v: tuple[int] = (0,)

@@ -7,6 +7,7 @@ merged into the last link of the body that carries them.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,8 +30,7 @@ class Span(NamedTuple):
 
 def spans(top: Any) -> Iterator[Span]:
     """The span of each joint of a topology."""
-    for name, at, dat in zip(top.joint_kinds, top.joint_q, top.joint_v, strict=True):
-        joint = kind(name)
+    for joint, at, dat in zip(top.joints, top.joint_q, top.joint_v, strict=True):
         straight = joint.nv - 3 if joint.quaternion else joint.nv
         q, v = slice(at, at + straight), slice(dat, dat + straight)
         turning = slice(q.stop, at + joint.nq), slice(v.stop, dat + joint.nv)
@@ -71,15 +71,21 @@ class Topology:
     site_names: tuple[str, ...] = ()
     site_bodies: tuple[int, ...] = ()
     keyframe_names: tuple[str, ...] = ()
+    #: what the kinds are, by identity: a name that is registered anew is another program
+    joints: tuple[Joint, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.joints:
+            object.__setattr__(self, "joints", tuple(kind(name) for name in self.joint_kinds))
+
+    def __reduce__(self) -> tuple:
+        """Kinds are found again by their names where a topology is unpickled."""
+        given = [getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "joints"]
+        return Topology, tuple(given)
 
     @property
     def nb(self) -> int:
         return len(self.body_parents)
-
-    @cached_property
-    def joints(self) -> tuple[Joint, ...]:
-        """What the kind of each joint is."""
-        return tuple(kind(name) for name in self.joint_kinds)
 
     @cached_property
     def nq(self) -> int:

@@ -58,7 +58,9 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
     endless = [-np.inf, np.inf]
     fields = {
         "topology": dataclasses.replace(
-            top, joint_kinds=(*top.joint_kinds[:j], kind, *top.joint_kinds[j + 1 :])
+            top,
+            joint_kinds=(*top.joint_kinds[:j], kind, *top.joint_kinds[j + 1 :]),
+            joints=(*top.joints[:j], new, *top.joints[j + 1 :]),
         ),
         "joints": type(joints)(
             placement=joints.placement,

@@ -2,6 +2,7 @@
 own joints, and identities that hold for any joint."""
 
 import functools
+import pickle
 
 import jax
 import jax.numpy as jnp
@@ -352,6 +353,29 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
         model.with_joint(name, "screw", pich=0.1)
     with pytest.raises(rb.InputError, match="second_axis"):
         model.with_joint(name, "universal", second_axis=[1.0])
+
+
+def test_a_kind_registered_anew_is_another_program() -> None:
+    """As when the cell of a notebook is run again: new models move anew, old ones as before."""
+
+    def rail(height):
+        class Rail(rb.joints.Node):
+            name, coordinates = "rail", 1
+
+            def pose(self, q, numbers):
+                return Transform(Mat3.identity(), Vec3(q[0], 0.0, height * q[0]))
+
+        rb.joints.register(Rail())
+        return rb.load("cart_pole").with_joint("slider", "rail")
+
+    q = jnp.array([0.5, 0.0])
+    flat = rail(0.0)
+    before = rb.kinetic_energy(flat, q, jnp.array([1.0, 0.0]))
+    steep = rail(2.0)
+    energies = [rb.kinetic_energy(m, q, jnp.array([1.0, 0.0])) for m in (steep, flat)]
+    np.testing.assert_allclose(energies, [5 * before, before], rtol=F64_ROUNDING)
+    again = pickle.loads(pickle.dumps(steep.topology))
+    assert again.joint_kinds == steep.topology.joint_kinds and again.links
 
 
 def test_registering() -> None:
