@@ -286,7 +286,12 @@ CHAIN = "<mujoco><worldbody>{}<site name='end' pos='0 0 1'/>{}</worldbody></mujo
 
 @pytest.mark.parametrize(
     ("name", "driver"),
-    [("humanoid", "rolled"), ("quadruped", "limbs"), ("arm7", "unrolled"), (CHAIN, "rolled")],
+    [
+        pytest.param("humanoid", "rolled", marks=pytest.mark.slow),
+        ("quadruped", "limbs"),
+        pytest.param("arm7", "unrolled", marks=pytest.mark.slow),
+        (CHAIN, "rolled"),
+    ],
     ids=["humanoid", "quadruped", "arm7", "chain"],
 )
 def test_the_pose_of_a_site_asks_for_its_path_alone(name: str, driver: str) -> None:

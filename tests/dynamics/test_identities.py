@@ -20,7 +20,7 @@ STATES = 8
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
 CASES = [  # robot, driver
     "double_pendulum, unrolled",
-    "small, rolled",
+    pytest.param("small, rolled", marks=pytest.mark.slow),
     pytest.param("quadruped, rolled", marks=pytest.mark.slow),
     pytest.param("small, unrolled", marks=pytest.mark.slow),
     pytest.param("free_body, unrolled", marks=pytest.mark.slow),
@@ -105,7 +105,7 @@ def test_identities(case: str) -> None:
 
 
 @pytest.mark.parametrize(  # those of every kind of joint: test_derivatives.py
-    "case", [pytest.param(c, marks=pytest.mark.slow) if c == "small, rolled" else c for c in CASES]
+    "case", CASES
 )
 def test_partial_derivatives(case: str) -> None:
     """Of inverse and forward dynamics with respect to q (tangent), v, and a or tau."""

@@ -186,7 +186,7 @@ def test_a_screw_is_pinocchio_s() -> None:
     np.testing.assert_allclose(rb.mass_matrix(model, q), M, atol=1e-13)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FEW)
 def test_identities(kind: str) -> None:
     """Forward inverts inverse; M, C and the energy belong together; Jacobians are derivatives."""
     check_identities(kind, SLIDE)
@@ -260,7 +260,8 @@ def test_the_rolled_driver_agrees_before_a_ball(kind: str) -> None:
     agree(found(kind, last=BALL), found(kind, "rolled", BALL))
 
 
-@pytest.mark.parametrize("kind", ONE)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
 def test_limbs_agree(kind: str) -> None:
     """Two equal chains: one of them in a loop."""
     before, rest = CHAIN.format(joint=STAND_IN, last=SLIDE).split("<worldbody>")
@@ -285,6 +286,7 @@ def agree(one, other) -> None:
         np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_node_is_the_chain_of_the_same_motion() -> None:
     """A universal joint written as a node of two coordinates."""
     _, q, v, a = moving("cardan")
@@ -297,7 +299,7 @@ def test_a_node_is_the_chain_of_the_same_motion() -> None:
         np.testing.assert_allclose(x, want[name], rtol=1e-8, atol=1e-9, err_msg=name)
 
 
-@pytest.mark.parametrize("kind", FEW)
+@pytest.mark.parametrize("kind", ONE)
 def test_motion(kind: str) -> None:
     """Energy is kept, forces of springs included; the gradient is the difference quotient."""
     model, q, v, _ = moving(kind)

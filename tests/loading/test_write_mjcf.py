@@ -28,6 +28,9 @@ from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 
 TREES = [f"tree:{seed}" for seed in range(3)]
 ROBOTS = [*rb.scenes(), "small", *TREES]
+#: a robot of each sort; the others are slow ones
+SORTS = {"pendulum", "free_body", "arm7", "small", TREES[0]}
+FEW = [pytest.param(name, marks=() if name in SORTS else pytest.mark.slow) for name in ROBOTS]
 
 
 def identified(model: rb.Model, seed: int = 0) -> rb.Model:
@@ -81,7 +84,7 @@ def drawn(m: mujoco.MjModel, count: int = 10) -> tuple[np.ndarray, np.ndarray, n
 # ---------------------------------------------------------------------------- the same robot
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", FEW)
 def test_the_same_dynamics(name: str) -> None:
     model = identified(robot(name).model)
     text = written(model)

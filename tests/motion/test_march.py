@@ -216,7 +216,7 @@ def mostly_slow(*quick: str) -> list:
     """Robots and integrators, and what is asked of them: little of the first, else everything."""
     return [
         ("cart_pole", "semi_implicit_euler", quick),
-        ("cart_pole", "variational_midpoint", quick),
+        pytest.param("cart_pole", "variational_midpoint", quick, marks=SLOW),
         pytest.param("quadrotor", "variational_midpoint", (), marks=SLOW),
         pytest.param("cart_pole", "semi_implicit_euler", (), marks=SLOW),
         pytest.param("cart_pole", "rk4", (), marks=SLOW),

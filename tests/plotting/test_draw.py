@@ -15,7 +15,13 @@ def axis():
     return matplotlib.figure.Figure(figsize=(5, 4)).add_subplot()
 
 
-@pytest.mark.parametrize("scene", rb.scenes())
+@pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param(name, marks=() if name in ("arm7", "quadrotor") else pytest.mark.slow)
+        for name in rb.scenes()
+    ],
+)
 @pytest.mark.parametrize("geoms", [False, True])
 def test_every_scene(scene: str, geoms: bool) -> None:
     model = rb.load(scene)

@@ -86,7 +86,13 @@ def by_kernels(f: Any, *args: Any) -> tuple[list[np.ndarray], list[str]]:
 
 
 @pytest.mark.parametrize("driver", ["limbs", pytest.param("rolled", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", list(PUBLIC))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "forward" else ())
+        for name in PUBLIC
+    ],
+)
 def test_by_columns(name, driver):
     model, args = given()
     f = jax.vmap(functools.partial(PUBLIC[name][1], model.replace(driver=driver)))
