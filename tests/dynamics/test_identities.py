@@ -104,9 +104,7 @@ def test_identities(case: str) -> None:
         assert error.max() <= F64_IDENTITY, name
 
 
-@pytest.mark.parametrize(  # those of every kind of joint: test_derivatives.py
-    "case", CASES
-)
+@pytest.mark.parametrize("case", CASES)  # those of every kind of joint: test_derivatives.py
 def test_partial_derivatives(case: str) -> None:
     """Of inverse and forward dynamics with respect to q (tangent), v, and a or tau."""
     sample = robot(*case.split(", "))
