@@ -16,12 +16,13 @@ from rbjax.demo.report import Section
 from rbjax.dynamics import forward_kinematics, kinetic_energy, potential_energy
 from rbjax.lanes import Lane, Mat3, Vec3
 from rbjax.loading import load
-from rbjax.model import Model, State
+from rbjax.model import State
 from rbjax.motion.rollout import rollout
 from rbjax.plotting import BLUE, GREEN, ORANGE, STYLE
 from rbjax.spatial import Transform
 
 STEPS, DT = 800, 0.005
+OPENINGS, COLOURS = (0.2, 0.5, 1.0), (GREEN, ORANGE, BLUE)  # 1/m
 
 _CODE = """\
 class Rail(rb.joints.Node):
@@ -47,34 +48,35 @@ class Rail(kinds.Node):
         return Transform(Mat3.identity(), Vec3(q[0], 0.0, height))
 
 
-def _bent(opening: float) -> Model:
-    kinds.register(Rail())
-    cart = load("cart_pole").with_joint("slider", "rail", opening=opening, axis=[0.0, 0.0, 1.0])
-    return cart.replace(joints=cart.joints.replace(damping=[0.0, 0.0]))
-
-
 def joints(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> Section:
     """Run and draw."""
-    rows, drawn = [], []
-    for opening, colour in ((0.2, GREEN), (0.5, ORANGE), (1.0, BLUE)):
-        say(f"a cart on a rail of opening {opening} /m")
-        model = _bent(opening)
-        start = State(jnp.array([1.0, 0.3]), jnp.zeros(2))
+    say("carts on rails of three openings")
+    kinds.register(Rail())
+    cart = load("cart_pole").with_joint("slider", "rail", axis=[0.0, 0.0, 1.0])
+    cart = cart.replace(joints=cart.joints.replace(damping=[0.0, 0.0]))
+    start = State(jnp.array([1.0, 0.3]), jnp.zeros(2))
+
+    def run(opening: jax.Array) -> tuple[jax.Array, ...]:
+        model = cart.replace(joints=cart.joints.replace(numbers=opening[None]))
         path = rollout(model, start, None, DT, steps=steps, integrator="rk4")
 
-        def seen(q: jax.Array, v: jax.Array, model: Model = model) -> tuple[jax.Array, jax.Array]:
+        def seen(q: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
             energy = kinetic_energy(model, q, v) + potential_energy(model, q)
             return forward_kinematics(model, q).p[0], energy
 
-        cart, energy = jax.jit(jax.vmap(seen))(path.q, path.v)
-        lost = float(jnp.abs(energy / energy[0] - 1).max())
-        drawn.append((opening, colour, np.asarray(cart), path))
-        rows.append((f"{opening}", f"{float(path.q[-1, 0]):.4f}", f"{lost:.1e}"))
+        return path.ts, path.q[:, 0], *jax.vmap(seen)(path.q, path.v)
+
+    rows, drawn = [], []
+    every = map(np.asarray, jax.jit(jax.vmap(run))(jnp.array(OPENINGS)))
+    for opening, colour, ts, x, at, energy in zip(OPENINGS, COLOURS, *every, strict=True):
+        lost = np.abs(energy / energy[0] - 1).max()
+        drawn.append((opening, colour, at, ts, x))
+        rows.append((f"{opening}", f"{x[-1]:.4f}", f"{lost:.1e}"))
     with plt.rc_context(STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.4), layout="constrained")
-        for opening, colour, cart, path in drawn:
-            left.plot(cart[:, 0], cart[:, 2], color=colour, lw=3, label=f"{opening} /m")
-            right.plot(path.ts, path.q[:, 0], color=colour)
+        for opening, colour, at, ts, x in drawn:
+            left.plot(at[:, 0], at[:, 2], color=colour, lw=3, label=f"{opening} /m")
+            right.plot(ts, x, color=colour)
         left.set(xlabel="x [m]", ylabel="z [m]", aspect="equal", title="Rails")
         right.set(xlabel="time [s]", ylabel="cart [m]", title="Where the cart is")
         left.legend(loc="upper center", ncols=len(drawn))
