@@ -140,12 +140,14 @@ def jacobian_rate(
 
     def column(x, carrier, point, moves, S, S_rate=None):
         (pose, V), (_, T), (at, speed) = x, carrier, point
-        S = S * moves
-        z, slid = pose.R @ S.ang, pose.R @ S.lin
-        spin, slip = T.ang.cross(z), T.ang.cross(slid)
-        if S_rate is not None:
-            spin = spin + pose.R @ (S_rate.ang * moves)
-            slip = slip + pose.R @ (S_rate.lin * moves)
+        if S_rate is None:  # both parts of S are along z
+            axis = pose.R.columns[2] * moves
+            rate = T.ang.cross(axis)
+            z, spin, slip = axis * S.ang[2], rate * S.ang[2], rate * S.lin[2]
+        else:
+            z, slid = pose.R @ (S.ang * moves), pose.R @ (S.lin * moves)
+            spin = T.ang.cross(z) + pose.R @ (S_rate.ang * moves)
+            slip = T.ang.cross(slid) + pose.R @ (S_rate.lin * moves)
         return Motion(spin, spin.cross(at - pose.p) + z.cross(speed - V.lin) + slip)
 
     points, S = d.take(here, [0] * model.nv), [own_axes(d, joints)]
