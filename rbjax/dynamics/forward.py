@@ -15,7 +15,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jax.custom_derivatives import SymbolicZero
 
 from rbjax.dynamics.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.arguments import algorithm
@@ -23,7 +22,7 @@ from rbjax.dynamics.columns import inverse_mass_by_columns
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.link_forces import LinkForces, on_links
 from rbjax.dynamics.rnea import rnea
-from rbjax.dynamics.tracing import jvp_of, split_tracers, with_jvp
+from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
 from rbjax.model import Model, made_ahead
 from rbjax.threads import wanted
 
@@ -70,35 +69,18 @@ def acceleration(
     def plain(changed, q, v, tau):
         return run(changed, q, v, tau, values=known_model)[1]
 
-    def tangent(primals, tangents):
-        changed, q, v, tau = primals
+    def solved(changed, q, v, tau):
         d, a, factors = run(changed, q, v, tau)
         a, factors = _left(a, factors)
-        a = known(changed, q, v, tau, a)
+        return a, lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)
 
-        def inverse(changed, q, v):
-            model, pushes = rebuilt(changed)
-            d = driver(model, q.dtype)
-            forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, pushes)
-            return d.pack(forces, tau)
+    def residual(changed, q, v, tau, a):
+        model, pushes = rebuilt(changed)
+        d = driver(model, q.dtype)
+        forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, pushes)
+        return tau - d.pack(forces, tau)
 
-        _, dtau = jvp_of(inverse, (changed, q, v), tangents[:3])
-        rate = tangents[3]
-        if not isinstance(rate, SymbolicZero):
-            dtau = rate if dtau is None else rate - dtau
-        elif dtau is not None:
-            dtau = -dtau
-        if dtau is None:
-            return a, jnp.zeros_like(a)
-        return a, d.pack(solve(d, factors, d.lanes(dtau)), tau)
-
-    def at_hand(at, moving):
-        return at[-1], tangent(at[:-1], moving[:-1])[1]
-
-    # a = forward(changed, q, v, tau), which is at hand: what it says to a next derivative
-    known = with_jvp(lambda *at: at[-1], at_hand)
-    forward = with_jvp(plain, tangent)
-    return forward(given, q, v, tau)
+    return with_implicit_jvp(plain, solved, residual)(given, q, v, tau)
 
 
 @algorithm("q", "v", "tau", "wrenches", long=True)

@@ -4,10 +4,11 @@ With V_i the twist of a link, h_i the momentum of it and of all that it carries,
 of these and what pushes them,
 
     p_i  = S_i.h_i + armature v_i
-    p'_i = S_i.(f_i - V_i x* h_i) + tau_i        (dL/dq_i + tau_i; of attitudes less w x p)
+    p'_i = S_i.(f_i - V_i x* h_i) + S'_i.h_i + tau_i    (dL/dq_i + tau_i; of attitudes less w x p)
 
 which needs no accelerations and no derivative of M. (Featherstone, *Rigid Body Dynamics
-Algorithms*, 2.9 and 2.12, of the subtree that a joint carries: its axis moves at V x S.)
+Algorithms*, 2.9 and 2.12, of the subtree that a joint carries: its axis moves at V x S + S', with
+S' its rate in the link, zero but for joints whose axes depend on q.)
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from rbjax.dynamics.aba import factorize, solve
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.link_forces import LinkForces, per_link
 from rbjax.dynamics.rnea import momentum
-from rbjax.dynamics.tracing import jvp_of, split_tracers, with_jvp
+from rbjax.dynamics.tracing import jvp_of, split_tracers, with_implicit_jvp, with_jvp
 from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion
@@ -51,7 +52,7 @@ def momentum_and_rate(
         link, joint, _, _ = x
         V_parent, g_parent = parent
         X = joint.transform(link)
-        V = X(V_parent) + Motion(joint.rate, (joint.S * joint.qd).lin)
+        V = X(V_parent) + joint.twist
         g = X.E @ g_parent
         return (V, g), (X, V, g)
 
@@ -60,7 +61,7 @@ def momentum_and_rate(
         h = link.inertia(V) + children[0]
         f = link.inertia(Motion(Vec3.zero(), g)) + push + children[1]
         p = add(joint.S.dot(h), mul(link.armature, joint.qd))
-        rate = add(joint.S.dot(f - V.cross_force(h)), tau)
+        rate = add(joint.S.dot(f - V.cross_force(h)), add(joint.S_rate.dot(h), tau))
         return (X.T(h), X.T(f)), (p, rate)
 
     def run(given: Any, q: jax.Array, v: jax.Array, tau: jax.Array, values: bool) -> tuple:
@@ -110,22 +111,18 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
         d, found = factors(changed, q, known_model)
         return d.pack(solve(d, found, d.lanes(p)), p)
 
-    def tangent(primals, tangents):
-        changed, q, p = primals
+    def solved(changed, q, p):
         d, found = factors(changed, q)
-        v = known(changed, q, p, d.pack(solve(d, found, d.lanes(p)), p))
-        _, dp = jvp_of(lambda m, q, p: p - momentum(rebuilt(m), q, v), primals, tangents)
-        if dp is None:
-            return v, jnp.zeros_like(v)
-        return v, d.pack(solve(d, found, d.lanes(dp)), p)
 
-    def at_hand(at, moving):
-        return at[-1], tangent(at[:-1], moving[:-1])[1]
+        def velocity(p):
+            return d.pack(solve(d, found, d.lanes(p)), p)
 
-    # v = forward(changed, q, p), which is at hand: what it says to a next derivative
-    known = with_jvp(lambda *at: at[-1], at_hand)
-    forward = with_jvp(plain, tangent)
-    return forward(given, q, p)
+        return velocity(p), velocity
+
+    def residual(changed, q, p, v):
+        return p - momentum(rebuilt(changed), q, v)
+
+    return with_implicit_jvp(plain, solved, residual)(given, q, p)
 
 
 def nearby_velocity(

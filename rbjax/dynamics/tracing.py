@@ -40,6 +40,34 @@ def with_jvp(f: Callable, rule: Callable) -> Callable:
     return lambda *args: ruled(*jax.tree.map(of_jax, args))
 
 
+def with_implicit_jvp(plain: Callable, solved: Callable, residual: Callable) -> Callable:
+    """x = plain(*at), the solution of residual(*at, x) = 0, whose derivative is that of the
+    equation:
+
+        dx = solve(d residual(*at, x)),   x held
+
+    Args:
+        plain: the value, where nothing is differentiated.
+        solved: x, and the function solve, of *at.
+        residual: linear in x, with its sign such that `solve` takes its change to that of x.
+
+    Derivatives of higher order ask `solved` again for `solve`, and not for x.
+    """
+
+    def tangent(primals: tuple, tangents: tuple) -> tuple:
+        x, solve = solved(*primals)
+        x = found(*primals, x)
+        _, change = jvp_of(lambda *at: residual(*at, x), primals, tangents)
+        return x, jnp.zeros_like(x) if change is None else solve(change)
+
+    def again(at: tuple, moving: tuple) -> tuple:
+        return at[-1], tangent(at[:-1], moving[:-1])[1]
+
+    # x = plain(*at), which is computed already: what it says to a next derivative
+    found = with_jvp(lambda *at: at[-1], again)
+    return with_jvp(plain, tangent)
+
+
 def of_jax(x: Any) -> Any:
     """x, but where it maps or differentiates at numpy's numbers a copy, at JAX's: a custom rule
     inside a `jit` takes no others (jax 0.10.2 asserts it)."""

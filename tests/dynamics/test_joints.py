@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics.momenta import momentum_and_rate
 from rbjax.lanes import Mat3, Vec3, rotation_z, sincos
 from rbjax.spatial import Transform
 from tests.tolerances import F64_ROUNDING
@@ -297,6 +298,31 @@ def test_a_node_is_the_chain_of_the_same_motion() -> None:
     ours = found("cardan")
     for name, x in ours.items():
         np.testing.assert_allclose(x, want[name], rtol=1e-8, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", FEW)
+def test_momenta(kind: str) -> None:
+    """p = M v, and p' along the motion: of axes that depend on q too."""
+    model, q, v, a = moving(kind)
+    tau = found(kind)["tau"]
+    p, rate = jax.jit(lambda q, v, tau: momentum_and_rate(model, q, v, tau))(q, v, tau)
+    want = jax.jit(
+        lambda q, v, a: jax.jvp(lambda q, v: rb.mass_matrix(model, q) @ v, (q, v), (v, a))
+    )(q, v, a)
+    np.testing.assert_allclose(p, want[0], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(rate, want[1], rtol=1e-9, atol=1e-10)
+
+
+def test_the_variational_step_is_of_order_two_on_a_node() -> None:
+    model = rb.load("cart_pole").with_joint("slider", "on_curve", axis=[0.0, 0.0, 1.0])
+    state = rb.State(jnp.array([0.4, 0.3]), jnp.array([0.5, -0.2]))
+
+    def end(integrator, n):
+        return rb.rollout(model, state, None, 0.4 / n, steps=n, integrator=integrator).q[-1]
+
+    exact = end("dopri8", 64)
+    coarse, fine = (jnp.abs(end("variational_midpoint", n) - exact).max() for n in (16, 32))
+    assert abs(np.log2(coarse / fine) - 2) < 0.1
 
 
 @pytest.mark.parametrize("kind", ONE)
