@@ -7,6 +7,7 @@ recursions are those of `kinematics`, along the links from the base to the one t
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.dynamics.aba import velocity_step
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.joints import axes
 from rbjax.dynamics.kinematics import link_motions
@@ -24,12 +26,23 @@ from rbjax.spatial import Force, Motion, Transform
 
 
 class LinkMotion:
-    """Poses in the world and twists of the links of a robot at (q, v); v None is at rest."""
+    """Poses in the world, twists and accelerations of the links of a robot at (q, v, a); v None is
+    at rest, a None is zero."""
 
-    def __init__(self, d: Driver, q: jax.Array, v: jax.Array | None):
-        self.driver, self._q, self._v = d, q, v
+    def __init__(
+        self, d: Driver, q: jax.Array, v: jax.Array | None, a: jax.Array | None = None
+    ):
+        self.driver, self._q, self._v, self._a = d, q, v, a
         self._poses = {WORLD: Transform(Mat3.identity(), Vec3.zero())}
         self._twists = {WORLD: Motion.zero()}
+        self._accelerations = {WORLD: Motion.zero()}
+
+    def accelerating(self, a: jax.Array) -> LinkMotion:
+        """The same motion, with the accelerations a (nv,)."""
+        out = copy.copy(self)
+        out._a, out._accelerations = a, {WORLD: Motion.zero()}
+        out.__dict__.pop("_acceleration_columns", None)
+        return out
 
     def pose(self, link: int) -> Transform:
         """The pose of the link in the world."""
@@ -52,6 +65,23 @@ class LinkMotion:
             twist = joint.transform(constants)(parent) + joint.twist
             self._twists[i] = fusion_barrier(twist, known=(parent, joint, constants))
         return self._twists[link]
+
+    def acceleration(self, link: int) -> Motion:
+        """The angular acceleration of the link and the classical acceleration of its origin, in its
+        own axes; gravity has no part in it."""
+        if not self.driver.listed:
+            still = self._accelerations
+            return still[link] if link == WORLD else _row(self._acceleration_columns, link)
+        for i in self._missing(link, self._accelerations):
+            parent = self.driver.topology.links[i].parent
+            joint, constants = self._links[i]
+            _, step = velocity_step((constants, joint), self.twist(parent).ang)
+            found = step.X(self._accelerations[parent]) + step.c
+            if self._a is not None:
+                found = found + joint.S * self._a[i]
+            known = (self._accelerations[parent], joint, constants)
+            self._accelerations[i] = fusion_barrier(found, known=known)
+        return self._accelerations[link]
 
     def to_parent(self, link: int) -> tuple[Transform, Motion]:
         """The pose of a link in its parent, and the axis of its joint."""
@@ -111,6 +141,19 @@ class LinkMotion:
         d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
         poses, twists = d.unzip(link_motions(d, self.joints), 2)
         return d.columns(poses, like), d.columns(twists, like)
+
+    @cached_property
+    def _acceleration_columns(self) -> Any:
+        d, like = self.driver, jnp.zeros(self.driver.topology.nv, self._q.dtype)
+
+        def step(x, parent):
+            link, joint, qdd = x
+            w, moved = velocity_step((link, joint), parent[0])
+            a = moved.X(parent[1]) + moved.c + joint.S * qdd
+            return (w, a), a
+
+        given = d.zip(d.constants, self.joints, d.lanes(self._a))
+        return d.columns(d.outward(step, (Vec3.zero(), Motion.zero()), given), like)
 
     @cached_property
     def _axes(self) -> Any:

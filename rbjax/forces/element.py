@@ -56,7 +56,7 @@ class Loads:
         return self * -1.0
 
     def __mul__(self, scale: Lane) -> Loads:
-        tau = {i: x * scale for i, x in self.tau.items()}
+        tau = {i: mul(x, scale) for i, x in self.tau.items()}
         if isinstance(self.wrenches, Force):
             return Loads(tau, self.wrenches * scale)
         return Loads(tau, {i: x * scale for i, x in self.wrenches.items()})

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.link_forces import LinkForces, generalized
 from rbjax.dynamics.link_motion import LinkMotion
 from rbjax.errors import InputError
@@ -30,7 +30,8 @@ from rbjax.spatial import Force, Motion, Transform
 class Instant:
     """Time t, configuration q (nq,), velocity v (nv,), controls u (nu,) or None, the element's own
     state x (size,), the length dt of the step in which it stands, or None where that is not fixed;
-    bodies, sites and joints by name or index."""
+    the accelerations a (nv,) for those of frames, zero where None; bodies, sites and joints by name
+    or index."""
 
     model: Model
     t: Any
@@ -40,13 +41,27 @@ class Instant:
     x: Any
     links: LinkMotion
     dt: Any = None
+    a: Any = None
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, model: Model, t: Any, state: State, u: Any, dt: Any = None) -> Instant:
-        """The instant of a state; its x is that of all elements."""
-        links = LinkMotion(driver(model, state.q.dtype), state.q, state.v)
+    def of(
+        cls,
+        model: Model,
+        t: Any,
+        state: State,
+        u: Any,
+        dt: Any = None,
+        d: Driver | None = None,
+    ) -> Instant:
+        """The instant of a state; its x is that of all elements. d: the driver, the model's if
+        None."""
+        links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
         return cls(model, t, state.q, state.v, u, state.x, links, dt)
+
+    def accelerating(self, a: jax.Array) -> Instant:
+        """The same with the accelerations a (nv,)."""
+        return replace(self, a=a, links=self.links.accelerating(a))
 
     def with_own(self, x: Any) -> Instant:
         """The same, as an element with the state x sees it."""
@@ -58,6 +73,10 @@ class Instant:
         if id(key) not in self.found:
             self.found[id(key)] = key, make()
         return self.found[id(key)][1]
+
+    def link(self, link: int) -> Frame:
+        """The frame of a link."""
+        return Frame(self.links, link)
 
     def body(self, body: str | int) -> Frame:
         """The frame of a body."""
@@ -137,6 +156,26 @@ class Frame:
     def angular_velocity(self) -> Vec3:
         """In world axes, rad/s."""
         return self.rotation @ self.twist.ang
+
+    @cached_property
+    def _accelerated(self) -> Motion:
+        """Angular and classical linear acceleration in its own axes, at its origin."""
+        V, a = self._links.twist(self.link), self._links.acceleration(self.link)
+        for X in self._placed:
+            centripetal = X.E @ V.ang.cross(V.ang.cross(X.p))
+            V, a = X(V), X(a) + Motion(Vec3.zero(), centripetal)
+        return a
+
+    @cached_property
+    def acceleration(self) -> Vec3:
+        """The acceleration of its origin in world axes, m/s^2, gravity not counted. A force element
+        sees what velocities alone make (v' = 0)."""
+        return self.rotation @ self._accelerated.lin
+
+    @cached_property
+    def angular_acceleration(self) -> Vec3:
+        """In world axes, rad/s^2; of a force element as `acceleration`."""
+        return self.rotation @ self._accelerated.ang
 
     def push(self, force: Any, torque: Any = None, *, at: Any = None) -> Loads:
         """A force (3,) N and a torque (3,) N m in world axes, at a point of the world; at the

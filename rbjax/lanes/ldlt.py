@@ -20,6 +20,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from rbjax.lanes.algebra import Lane, is_literal, is_zero, mul, sub
+from rbjax.lanes.fusion_barrier import fusion_barrier
 
 Rows = Sequence[Sequence[Lane]]
 
@@ -73,8 +74,10 @@ def ldlt(A: Rows, *, least: float = 0.0, order: Sequence[int] | None = None) -> 
             l = mul(u, inverse_D[j])
             pivot = sub(pivot, mul(u, l))
             row[j] = l
+        inverse = _inverse(pivot, rows[i][i], least)
+        row, inverse = fusion_barrier((row, inverse), known=rows[i])
         L.append(row)
-        inverse_D.append(_inverse(pivot, rows[i][i], least))
+        inverse_D.append(inverse)
     return LDLT(taken, L, inverse_D)
 
 

@@ -145,6 +145,8 @@ class Model(Record):
     execution: Execution = Execution()
     #: force elements (`rbjax.forces.Element`) beside the joints' springs and the actuators
     forces: tuple = ()
+    #: constraints (`rbjax.constraints.Constraint`) on its motion
+    constraints: tuple = ()
 
     def __check_init__(self) -> None:
         real = isinstance(self.timestep, numbers.Real)
@@ -328,6 +330,16 @@ class Model(Record):
                     "or of a subclass of rbjax.forces.Element"
                 )
         return self.replace(forces=(*self.forces, *elements))
+
+    def with_constraints(self, *constraints: Any) -> Model:
+        """The model with constraints (`rbjax.constraints`) beside those that it has."""
+        for one in constraints:
+            if isinstance(one, type) or not callable(getattr(one, "rows", None)):
+                raise InputError(
+                    f"with_constraints: got {_described(one)}, expected constraints of "
+                    "rbjax.constraints or of a subclass of rbjax.constraints.Constraint"
+                )
+        return self.replace(constraints=(*self.constraints, *constraints))
 
     def with_joint(self, name: str, kind: str, **given: Any) -> Model:
         """The model with another kind of joint in the place of one: `rbjax.joints.kinds()`.

@@ -1,0 +1,214 @@
+"""Joints between two bodies that close a loop: the lower pairs and what is made of the same rows.
+
+a and b are frames on the two bodies, their z the axis of the joint.
+
+    spherical     p_b = p_a                                 3 rows
+    revolute      p_b = p_a,  z_b parallel to z_a           5
+    cylindrical   p_b on z_a, z_b parallel to z_a           4
+    prismatic     p_b on z_a, axes parallel                 5
+    screw         cylindrical, s = pitch (turn / 2 pi)      5
+    planar        p_b in the plane across z_a, z_b parallel 3
+    universal     p_b = p_a,  z_b across x_a                4
+    weld          p_b = p_a,  axes parallel                 6
+(Masarati, *Multibody System Dynamics*, ch. 6; Haug, 1989, 9.4; Reuleaux's lower pairs)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.constraint import Constraint
+from rbjax.constraints.geometry import X, Y, Z, along, cosine, displacement, distance, turn
+from rbjax.constraints.place import Place, places
+from rbjax.constraints.row import Row, angle
+from rbjax.forces.instant import Frame, Instant
+from rbjax.model import Model
+from rbjax.model.leaves import scalar
+
+
+class Pair(Constraint):
+    """Rows between two frames.
+
+    Fields: a, b, `Place`s.
+    """
+
+    a: Place
+    b: Place
+
+    @classmethod
+    def between(
+        cls,
+        model: Model,
+        a: str | int | None,
+        b: str | int | None,
+        *,
+        point: Any = (0.0, 0.0, 0.0),
+        axis: Any = (0.0, 0.0, 1.0),
+        q: jax.Array | None = None,
+        **numbers: Any,
+    ) -> Any:
+        """The joint of two bodies (None: the world) that a point and an axis of the world, in a
+        configuration, define; there it is closed.
+
+        Args:
+            model: the robot.
+            a, b: names or indices of bodies.
+            point: (3,) m in the world.
+            axis: (3,), of any length, in the world.
+            q: (nq,); the model's default state if None.
+            numbers: the kind's own.
+        """
+        ends = places(model, a, b, point=point, axis=axis, q=q)
+        own: dict[str, Any] = {name: jnp.asarray(x, float) for name, x in numbers.items()}
+        return cls(*ends, **own)
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        return self.between_frames(self.a.frame(now), self.b.frame(now), now)
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        """The rows, of the two frames."""
+        raise NotImplementedError(f"{type(self).__name__} has no method between_frames")
+
+
+def parallel(A: Frame, B: Frame) -> list[Row]:
+    """z_b parallel to z_a."""
+    return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
+
+
+class Spherical(Pair):
+    """p_b = p_a: three rows, in world axes. MuJoCo's `connect`."""
+
+    size = 3
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return displacement(A, B)
+
+
+class Revolute(Pair):
+    """p_b = p_a, z_b parallel to z_a: five rows."""
+
+    size = 5
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [*displacement(A, B), *parallel(A, B)]
+
+
+class Cylindrical(Pair):
+    """p_b on the axis z_a, z_b parallel to it: four rows."""
+
+    size = 4
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, X, B), along(A, Y, B), *parallel(A, B)]
+
+
+class Prismatic(Pair):
+    """p_b on the axis z_a, all axes parallel: five rows."""
+
+    size = 5
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, X, B), along(A, Y, B), *turn(A, B)]
+
+
+class Screw(Pair):
+    """A cylindrical joint whose slide is tied to its turn: s = pitch turn / (2 pi), five rows.
+
+    Fields: pitch, m a turn. Any number of turns: the turn is what the slide says, within half one.
+    """
+
+    pitch: jax.Array
+    size = 5
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
+        turned = along(A, Z, B) * (1.0 / lead)
+        sine, cosine_ = cosine(A, Y, B, X), cosine(A, X, B, X)
+        s, c = turned.applied(jnp.sin), turned.applied(jnp.cos)
+        off = angle(sine * c - cosine_ * s, cosine_ * c + sine * s)
+        return [along(A, X, B), along(A, Y, B), *parallel(A, B), off * lead]
+
+
+class Planar(Pair):
+    """p_b in the plane across z_a, z_b parallel to z_a: three rows."""
+
+    size = 3
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, Z, B), *parallel(A, B)]
+
+
+class Universal(Pair):
+    """A Cardan joint: p_b = p_a, z_b across x_a: four rows.
+
+    The cross turns about x_a on one body and about z_b on the other.
+    """
+
+    size = 4
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [*displacement(A, B), cosine(A, X, B, Z)]
+
+
+class Weld(Pair):
+    """p_b = p_a, all axes parallel: six rows. The last three are the sine of the angle between the
+    frames times its axis."""
+
+    size = 6
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [*displacement(A, B), *turn(A, B)]
+
+
+class Inline(Pair):
+    """p_b on the axis z_a: two rows."""
+
+    size = 2
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, X, B), along(A, Y, B)]
+
+
+class Inplane(Pair):
+    """p_b in the plane across z_a: one row."""
+
+    size = 1
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [along(A, Z, B)]
+
+
+class Parallel(Pair):
+    """z_b parallel to z_a: two rows."""
+
+    size = 2
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return parallel(A, B)
+
+
+class Orthogonal(Pair):
+    """z_b across x_a: one row."""
+
+    size = 1
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [cosine(A, X, B, Z)]
+
+
+class Distance(Pair):
+    """|p_b - p_a| = length: one row, a massless rod with two balls.
+
+    Fields: length, m, above zero.
+    """
+
+    length: jax.Array
+    size = 1
+
+    def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
+        return [distance(A, B) - scalar(self.length, now.q.dtype)]

@@ -1,0 +1,115 @@
+"""One row of a constraint: a scalar of the motion with its first two derivatives in time.
+
+    holonomic        g(t, q) = 0,     g' = G v + g_t,     g'' = G a + (G' v + 2 g_t' ...)
+    non-holonomic    y = G v + b = 0 (no g behind it),    y' = G a + ...
+
+`gradient` is G as what a multiplier of one does to the robot: generalized forces and wrenches on
+links. Rows add, scale and multiply; `applied` takes a smooth function of one. So a new constraint
+is written as its residual, and what follows of it by the chain rule is never written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.forces.element import Loads
+from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
+
+
+@dataclass(frozen=True)
+class Row:
+    """A scalar of the motion.
+
+    Fields: value g, None where there is only a rate (non-holonomic); rate, its first derivative in
+    time; gradient G, as `Loads`; acceleration, the derivative of the rate at the accelerations that
+    the instant has.
+    """
+
+    value: Lane | None
+    rate: Lane
+    gradient: Loads
+    acceleration: Lane
+
+    @classmethod
+    def constant(cls, x: Lane) -> Row:
+        """What does not move."""
+        return cls(x, 0.0, Loads(), 0.0)
+
+    @property
+    def holonomic(self) -> bool:
+        return self.value is not None
+
+    def __add__(self, other: Row | Lane) -> Row:
+        if not isinstance(other, Row):
+            value = None if self.value is None else add(self.value, other)
+            return Row(value, self.rate, self.gradient, self.acceleration)
+        return Row(
+            None if self.value is None or other.value is None else add(self.value, other.value),
+            add(self.rate, other.rate),
+            self.gradient + other.gradient,
+            add(self.acceleration, other.acceleration),
+        )
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Row:
+        value = None if self.value is None else neg(self.value)
+        return Row(value, neg(self.rate), -self.gradient, neg(self.acceleration))
+
+    def __sub__(self, other: Row | Lane) -> Row:
+        return self + (-other)
+
+    def __rsub__(self, other: Lane) -> Row:
+        return -self + other
+
+    def __mul__(self, other: Row | Lane) -> Row:
+        if not isinstance(other, Row):
+            value = None if self.value is None else mul(self.value, other)
+            rate, acceleration = mul(self.rate, other), mul(self.acceleration, other)
+            return Row(value, rate, self.gradient * other, acceleration)
+        if other.value is None:
+            return other * self
+        if self.value is None:  # y x:  (y x)' = y' x + y x'
+            acceleration = add(mul(self.acceleration, other.value), mul(self.rate, other.rate))
+            rate = mul(self.rate, other.value)
+            return Row(None, rate, self.gradient * other.value, acceleration)
+        twice = mul(2.0, mul(self.rate, other.rate))
+        return Row(
+            mul(self.value, other.value),
+            add(mul(self.rate, other.value), mul(self.value, other.rate)),
+            self.gradient * other.value + other.gradient * self.value,
+            add(
+                add(mul(self.acceleration, other.value), mul(self.value, other.acceleration)), twice
+            ),
+        )
+
+    __rmul__ = __mul__
+
+    def applied(self, f: Callable[[Any], Any]) -> Row:
+        """f of a holonomic row, f smooth and of one scalar."""
+        x: Any = self.value if not is_literal(self.value) else jnp.asarray(self.value, float)
+
+        def slope(x: Any) -> tuple:
+            return jax.jvp(f, (x,), (jnp.ones_like(x),))
+
+        (value, first), (_, second) = jax.jvp(slope, (x,), (jnp.ones_like(x),))
+        bent = mul(second, mul(self.rate, self.rate))
+        acceleration = add(mul(first, self.acceleration), bent)
+        return Row(value, mul(first, self.rate), self.gradient * first, acceleration)
+
+
+def angle(sine: Row, cosine: Row) -> Row:
+    """atan2(sine, cosine) of rows whose squares sum to one, in (-pi, pi]."""
+    s: Any = sine.value
+    c: Any = cosine.value
+    return Row(
+        jnp.arctan2(s, c),
+        sub(mul(c, sine.rate), mul(s, cosine.rate)),
+        sine.gradient * c + cosine.gradient * neg(s),
+        sub(mul(c, sine.acceleration), mul(s, cosine.acceleration)),
+    )

@@ -1,0 +1,222 @@
+"""The rows of a model at an instant, and how multipliers act on it.
+
+    A = G M^-1 G^T,     a = M^-1 (tau - b + G^T l),     G a = c
+(A is the Delassus matrix: what a unit multiplier does to the rows' accelerations.) With ABA's
+factors an inward sweep along the ancestors of a row's links leaves a force u_i at each joint, and
+A_rs = sum of u_r,i u_s,i / D_i over the joints that both rows reach:
+no column of M^-1 is made. (Featherstone, *Rigid Body Dynamics Algorithms*, 8; Featherstone &
+Orin 2000; Carpentier, Budhiraja & Mansard, *Proximal and sparse resolution of constrained
+dynamics*, 2021.)
+
+Redundant rows. A is singular where rows say the same twice, or where a mechanism passes a singular
+configuration. It is factored with eps diag(A) added, and what this falsifies is taken back by
+iteration (proximal): l converges to the solution of least norm, in the norm of diag(A), with no
+decision about rank.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.constraints.row import Row
+from rbjax.dynamics.aba import Factor, solve
+from rbjax.dynamics.drivers import Driver
+from rbjax.errors import InputError
+from rbjax.forces.element import Loads
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, sub, total
+from rbjax.lanes.ldlt import ldlt
+from rbjax.lanes.products import matmat, matvec
+from rbjax.model import WORLD, Model
+from rbjax.spatial import Force, Motion
+
+#: what is added to the diagonal of A, relatively, and how often its effect is taken back, by bytes
+#: of a number: components of A above 1e-3 of the diagonal come out to rounding
+PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
+#: up to so many rows A is factored on lanes, where blocks that do not meet cost nothing
+ROWS_ON_LANES = 24
+
+
+def rows_of(model: Model, now: Instant) -> list[Row]:
+    """All rows of the model's constraints, one constraint after the other."""
+    out: list[Row] = []
+    for constraint in model.constraints:
+        rows = list(constraint.rows(now))
+        if len(rows) != constraint.size:
+            raise InputError(
+                f"{type(constraint).__name__}.rows returned {len(rows)} rows, expected its size, "
+                f"{constraint.size}"
+            )
+        out += [_computed(row, now) for row in rows]
+    return out
+
+
+def _computed(row: Row, now: Instant) -> Row:
+    """The row, its lanes computed once."""
+    known = (now.q, now.v, now.a, now.t)
+    parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
+    value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)
+    return Row(value, rate, Loads(tau, wrenches), acceleration)
+
+
+def _by_link(loads: Loads) -> Mapping[int, Force]:
+    if isinstance(loads.wrenches, Force):
+        raise InputError("a row's gradient has wrenches on all links, expected those on a few")
+    return loads.wrenches
+
+
+def arms(now: Instant, row: Row) -> dict[int, Lane]:
+    """The gradient of a row by velocity coordinate."""
+    out = dict(row.gradient.tau)
+    for link, force in _by_link(row.gradient).items():
+        for i, x in now.link(link).arms(force).items():
+            out[i] = add(out.get(i, 0.0), x)
+    return out
+
+
+def gradient_matrix(now: Instant, rows: Sequence[Row]) -> jax.Array:
+    """G (m, nv)."""
+    out = jnp.zeros((len(rows), now.model.nv), now.q.dtype)
+    for r, row in enumerate(rows):
+        found = {i: x for i, x in arms(now, row).items() if not is_zero(x)}
+        if found:
+            lanes = jnp.stack([jnp.asarray(x, now.q.dtype) for x in found.values()])
+            out = out.at[r, np.array(list(found))].set(lanes)
+    return out
+
+
+class Response(Protocol):
+    """What multipliers do, from the factors of the mass matrix."""
+
+    def multipliers(self, c: Sequence[Lane]) -> list[Lane]:
+        """l of A l = c, of least norm."""
+
+    def projected(self, tau: jax.Array) -> list[Lane]:
+        """G M^-1 tau."""
+
+    def accelerated(self, tau: jax.Array | None, l: Sequence[Lane]) -> jax.Array:
+        """M^-1 (tau + G^T l) (nv,)."""
+
+
+def response(d: Driver, factors: Any, now: Instant, rows: Sequence[Row]) -> Response:
+    """By lanes where the driver walks the tree link by link; by matrices otherwise."""
+    few = d.listed and len(rows) <= ROWS_ON_LANES
+    return (OnLanes if few else OnMatrices)(d, factors, now, rows)
+
+
+class OnLanes:
+    """A from the forces that are left at the joints which two rows share."""
+
+    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row]):
+        self._d, self._factors, self._like = d, factors, now.v
+        self._links: list[Factor] = d.whole(factors)
+        self._left = [self._eliminated(row.gradient) for row in rows]
+
+    def _eliminated(self, loads: Loads) -> dict[int, Lane]:
+        """The force left at each joint that the loads reach."""
+        links, pending, left = self._d.topology.links, dict(_by_link(loads)), {}
+        for i in reversed(range(len(links))):
+            tau = loads.tau.get(i, 0.0)
+            if i not in pending and is_zero(tau):
+                continue
+            f, x = pending.pop(i, Force.zero()), self._links[i]
+            u, parent = add(tau, x.S.dot(f)), links[i].parent
+            message = None
+            if parent != WORLD:
+                message = x.X.T(f - x.U * mul(u, x.inverse_D))
+                if parent in pending:
+                    message = pending[parent] + message
+            left[i], message = fusion_barrier((u, message), known=(tau, f, x))
+            if parent != WORLD:
+                pending[parent] = message
+        return left
+
+    def _shared(self, a: dict[int, Lane], b: dict[int, Lane]) -> Lane:
+        both = sorted(a.keys() & b.keys())
+        return fusion_barrier(total(mul(mul(a[i], b[i]), self._links[i].inverse_D) for i in both))
+
+    @cached_property
+    def _A(self) -> list[list[Lane]]:
+        """Its lower triangle."""
+        return [[self._shared(a, b) for b in self._left[: r + 1]] for r, a in enumerate(self._left)]
+
+    def multipliers(self, c: Sequence[Lane]) -> list[Lane]:
+        eps, again = PROXIMAL[self._like.dtype.itemsize]
+        A = self._A
+        factors = ldlt([[*row[:-1], mul(1.0 + eps, row[-1])] for row in A])
+        full = [[A[max(r, s)][min(r, s)] for s in range(len(A))] for r in range(len(A))]
+        l = fusion_barrier(factors.solve(c))
+        for _ in range(again):
+            off = [sub(x, inner(row, l)) for x, row in zip(c, full, strict=True)]
+            l = fusion_barrier([add(x, dx) for x, dx in zip(l, factors.solve(off), strict=True)])
+        return l
+
+    def projected(self, tau: jax.Array) -> list[Lane]:
+        every = self._eliminated(Loads({i: tau[i] for i in range(tau.shape[0])}))
+        return [self._shared(left, every) for left in self._left]
+
+    def accelerated(self, tau: jax.Array | None, l: Sequence[Lane]) -> jax.Array:
+        given = {} if tau is None else {i: tau[i] for i in range(tau.shape[0])}
+        left = self._eliminated(Loads(given)) if given else {}
+        for u, x in zip(self._left, l, strict=True):
+            for i, y in u.items():
+                left[i] = add(left.get(i, 0.0), mul(x, y))
+
+        def outward(x, a_parent):
+            factor, u = x
+            a = factor.X(a_parent)
+            qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
+            return a + factor.S * qdd, qdd
+
+        d = self._d
+        xs = d.zip(self._factors, d.scattered(left, 0.0))
+        return d.pack(d.outward(outward, Motion.zero(), xs), self._like)
+
+
+class OnMatrices:
+    """A = G Y, Y = M^-1 G^T."""
+
+    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row]):
+        self._d, self._factors, self._like = d, factors, now.v
+        self.G = gradient_matrix(now, rows)
+        self._Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
+
+    @cached_property
+    def A(self) -> jax.Array:
+        return matmat(self.G, self._Y)
+
+    def multipliers(self, c: Sequence[Lane]) -> list[Lane]:
+        return list(least_norm(self.A, self._array(c)))
+
+    def _array(self, lanes: Sequence[Lane]) -> jax.Array:
+        return jnp.stack([jnp.asarray(x, self._like.dtype) for x in lanes])
+
+    def projected(self, tau: jax.Array) -> list[Lane]:
+        return list(matvec(self._Y.T, tau))
+
+    def accelerated(self, tau: jax.Array | None, l: Sequence[Lane]) -> jax.Array:
+        out = matvec(self._Y, self._array(l))
+        if tau is None:
+            return out
+        d = self._d
+        return out + d.pack(solve(d, self._factors, d.lanes(tau)), tau)
+
+
+def least_norm(A: jax.Array, c: jax.Array) -> jax.Array:
+    """l of A l = c, of least norm in the norm of diag(A)."""
+    eps, again = PROXIMAL[A.dtype.itemsize]
+    scale = jnp.diagonal(A)
+    s = jnp.where(scale > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(scale > 0, scale, 1.0))
+    B = s[:, None] * A * s[None]
+    factors = jax.scipy.linalg.cho_factor(B + eps * jnp.eye(len(B), dtype=A.dtype))
+    b = s * c
+    l = jax.scipy.linalg.cho_solve(factors, b)
+    for _ in range(again):
+        l = l + jax.scipy.linalg.cho_solve(factors, b - matvec(B, l))
+    return s * l
