@@ -44,7 +44,8 @@ def inputs(sample: Robot, dtype: type) -> dict[str, np.ndarray]:
     """States, controls, extra generalized forces and wrenches [moment; force] at body origins."""
     m, rng = sample.reference, np.random.default_rng(0)
     q, v = sample.states(STATES)
-    out = {"q": q, "v": v, "ctrl": rng.normal(size=(STATES, m.nu))}
+    out = {"q": q, "v": v, "x": sample.element_states(STATES)}
+    out |= {"ctrl": rng.normal(size=(STATES, m.nu))}
     out |= {"tau": rng.normal(size=(STATES, m.nv)), "w": rng.normal(size=(STATES, m.nbody - 1, 6))}
     return {name: x.astype(dtype) for name, x in out.items()}
 
@@ -55,7 +56,8 @@ def expected(m: mujoco.MjModel, given: dict[str, np.ndarray]) -> dict[str, np.nd
     data = mujoco.MjData(m)
     for k in range(STATES):
         x = {name: value[k].astype(float) for name, value in given.items()}
-        data.qpos, data.qvel, data.ctrl, data.qfrc_applied = x["q"], x["v"], x["ctrl"], x["tau"]
+        data.qpos, data.qvel, data.act = x["q"], x["v"], x["x"]
+        data.ctrl, data.qfrc_applied = x["ctrl"], x["tau"]
         mujoco.mj_kinematics(m, data)
         moment, force = x["w"][:, :3], x["w"][:, 3:]
         about_com = moment - np.cross(data.xipos[1:] - data.xpos[1:], force)
@@ -74,9 +76,9 @@ def expected(m: mujoco.MjModel, given: dict[str, np.ndarray]) -> dict[str, np.nd
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
-def answer(model, q, v, ctrl, tau, w):
+def answer(model, q, v, x, ctrl, tau, w):
     R, p = rb.forward_kinematics(model, q)
-    applied = rb.applied_forces(model, rb.State(q, v), ctrl)
+    applied = rb.applied_forces(model, rb.State(q, v, x if model.nx else None), ctrl)
     return {
         "R": R,
         "p": p,
@@ -91,9 +93,9 @@ def errors(name: str, driver: str, *, argument: bool = False, dtype: type = np.f
     sample = robot(name, driver)
     given = inputs(sample, dtype)
     want = expected(sample.reference, given)
-    batch = [given[n] for n in ("q", "v", "ctrl", "tau", "w")]
+    batch = [given[n] for n in ("q", "v", "x", "ctrl", "tau", "w")]
     if argument:
-        mapped = jax.vmap(answer, (None, 0, 0, 0, 0, 0))
+        mapped = jax.vmap(answer, (None, 0, 0, 0, 0, 0, 0))
         got = jax.jit(mapped, compiler_options=AS_USERS)(sample.model, *batch)
     else:
         mapped = jax.vmap(lambda *x: answer(sample.model, *x))
