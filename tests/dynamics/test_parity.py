@@ -1,6 +1,7 @@
 """What MuJoCo C computes, rbjax computes: positions, M, bias, forces and accelerations.
 
-One compiled program a robot, over random states, against a loop over `mj_forward`.
+One compiled program a robot, over random states, against a loop over `mj_forward`. Forces are all
+that MuJoCo has and calls no constraint: springs, dampers, actuators, fluids, gravity compensation.
 """
 
 import jax
@@ -29,8 +30,9 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     pytest.param("tree:2", "rolled", False, marks=pytest.mark.slow),
     ("tree:3", "rolled", False),
     pytest.param("tree:4", "rolled", True, marks=pytest.mark.slow),
-    ("tree:5", "rolled", False),
+    pytest.param("tree:5", "rolled", False, marks=pytest.mark.slow),
     ("gymnasium/half_cheetah.xml", "unrolled", False),
+    ("gymnasium/swimmer.xml", "rolled", False),  # in a fluid
     ("frax/franka_panda/panda.urdf", "rolled", False),
     ("frax/unitree_g1/g1_29dof_rev_1_0.urdf+free", "rolled", False),
 ]
@@ -38,6 +40,7 @@ FAST_F32 = ["arm7", "quadrotor", "tree:5"]
 FAST_F32 += ["frax/franka_panda/panda.urdf", "frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
 SLOW_F32 = ["tree:0", "gymnasium/half_cheetah.xml"]
 SLOW = [*MODELS, *(f"tree:{seed}" for seed in range(50))]
+IMMERSED = [f"{name} in water" for name in (*rb.scenes(), *MODELS) if "/humanoid/0" not in name]
 
 
 def inputs(sample: Robot, dtype: type) -> dict[str, np.ndarray]:
@@ -122,7 +125,7 @@ def test_f32(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SLOW)
+@pytest.mark.parametrize("name", [*SLOW, *IMMERSED])
 def test_f64_everywhere(name: str) -> None:
     for quantity, error in errors(name, "rolled").items():
         assert error.max() <= F64_PARITY, quantity
