@@ -65,13 +65,13 @@ class Joints(Record):
     """Numbers of the joints.
 
     Fields: placement (nj, 3) m, the joint's anchor in its body's frame; axis (nj, 3) in its body's
-    frame (not used by ball and free); reference (nq,), the configuration at which the file drew the robot;
-    armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at the joint add; stiffness
-    (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits of the actuators' sum on a
-    joint; range (nj, 2) rad or m, the least and the largest coordinate (for a ball, 0 and the
-    largest angle of rotation). Limits are infinite where the file sets none. A range stops nothing:
-    `rbjax.forces.JointLimits` does. numbers (n,), which a joint's kind has of its own, such as the
-    pitch of a screw, one joint after the other.
+    frame (of a ball and a free joint not used); reference (nq,), the configuration in which the
+    file draws the robot; armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at
+    the joint add; stiffness (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits
+    of the actuators' sum on a joint; range (nj, 2) rad or m, the least and the largest coordinate (of a
+    ball 0 and the largest angle of rotation). Limits are infinite where the file sets none. A range
+    stops nothing: `rbjax.forces.JointLimits` does. numbers (n,), what kinds of joints have of their
+    own, such as the pitch of a screw, one joint after the other.
     """
 
     placement: jax.Array
@@ -334,7 +334,8 @@ class Model(Record):
 
         The new joint keeps the anchor and the axis, in its body's frame. If it has as many
         coordinates as the old one, it keeps what belongs to them (armature, damping, reference); if
-        both have one, it keeps the spring and the ranges too. Actuators drive its coordinates one for one.
+        both have one, it keeps the spring and the ranges too. Actuators drive its coordinates one
+        for one.
 
         Args:
             name: the joint.
