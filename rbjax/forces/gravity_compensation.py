@@ -4,8 +4,8 @@
 
 c = 1 makes a body weightless, c = 2 lets it rise as fast as it would fall. On all joints this is a
 field of constant forces, of energy V = sum of c_b m_b g . p_b, p_b the centre of mass. A robot may
-leave some joints' share to their actuators, within whose force ranges it then has to stay; that of
-the other joints stays passive (MuJoCo: `actuatorgravcomp` of a joint). Two elements make up such a
+leave the share of some joints to their actuators, and it then stays within their force ranges; the
+share of the other joints is passive (MuJoCo: `actuatorgravcomp` of a joint). Two elements make up such a
 robot, one for the passive joints and one for the actuated ones.
 """
 
