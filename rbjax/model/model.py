@@ -68,10 +68,10 @@ class Joints(Record):
     frame (of a ball and a free joint not used); reference (nq,), the configuration in which the
     file draws the robot; armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at
     the joint add; stiffness (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits
-    of the actuators' sum on a joint; range (nj, 2) rad or m, the least and the largest coordinate (of a
-    ball 0 and the largest angle of rotation). Limits are infinite where the file sets none. A range
-    stops nothing: `rbjax.forces.JointLimits` does. numbers (n,), what kinds of joints have of their
-    own, such as the pitch of a screw, one joint after the other.
+    of the actuators' sum on a joint; range (nj, 2) rad or m, the least and the largest coordinate
+    (of a ball 0 and the largest angle of rotation); numbers (n,), which kinds of joints have of
+    their own, such as the pitch of a screw, one joint after the other. Limits are infinite where
+    the file sets none. A range stops nothing: `rbjax.forces.JointLimits` does.
     """
 
     placement: jax.Array
