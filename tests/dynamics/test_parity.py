@@ -4,6 +4,8 @@ One compiled program a robot, over random states, against a loop over `mj_forwar
 that MuJoCo has and calls no constraint: springs, dampers, actuators, fluids, gravity compensation.
 """
 
+import functools
+
 import jax
 import mujoco
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 
 import rbjax as rb
 from tests.oracles.models import MODELS, SINGULAR
-from tests.robots import AS_USERS, Robot, at, mass_matrix, robot
+from tests.robots import AS_USERS, QUICK, Robot, at, mass_matrix, robot
 from tests.tolerances import F32_MAX, F32_MEDIAN, F64_PARITY, relative_error
 
 STATES = 100
@@ -40,7 +42,7 @@ FAST_F32 = ["arm7", "quadrotor", "tree:5"]
 FAST_F32 += ["frax/franka_panda/panda.urdf", "frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
 SLOW_F32 = ["tree:0", "gymnasium/half_cheetah.xml"]
 SLOW = [*MODELS, *(f"tree:{seed}" for seed in range(50))]
-IMMERSED = [f"{name} in water" for name in (*rb.scenes(), *MODELS) if "/humanoid/0" not in name]
+IMMERSED = [f"{name} in water" for name in (*rb.scenes(), *MODELS)]
 
 
 def inputs(sample: Robot, dtype: type) -> dict[str, np.ndarray]:
@@ -125,10 +127,39 @@ def test_f32(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*SLOW, *IMMERSED])
+@pytest.mark.parametrize("name", SLOW)
 def test_f64_everywhere(name: str) -> None:
     for quantity, error in errors(name, "rolled").items():
         assert error.max() <= F64_PARITY, quantity
+
+
+@pytest.mark.parametrize(
+    "name", ["small in water", *(pytest.param(n, marks=pytest.mark.slow) for n in IMMERSED)]
+)
+def test_forces_in_water(name: str) -> None:
+    """What few files have: a fluid that flows, and springs and dampers by powers."""
+    assert forces_error(name) <= F64_PARITY
+
+
+def forces_error(name: str) -> float:
+    """Of the applied forces, over random states."""
+    sample = robot(name, "rolled")
+    m, given = sample.reference, inputs(sample, np.float64)
+    if not m.nv:
+        return 0.0
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def found(q, v, x, ctrl):
+        states = rb.State(q, v, x if sample.model.nx else None)
+        return jax.vmap(functools.partial(rb.applied_forces, sample.model))(states, ctrl)
+
+    got = found(*(given[n] for n in ("q", "v", "x", "ctrl")))
+    data, want = mujoco.MjData(m), []
+    for q, v, x, ctrl in zip(*(given[n] for n in ("q", "v", "x", "ctrl")), strict=True):
+        data.qpos, data.qvel, data.act, data.ctrl = q, v, x, ctrl
+        mujoco.mj_forward(m, data)
+        want.append(data.qfrc_passive + data.qfrc_actuator)
+    return float(relative_error(got, np.stack(want), batch_dims=1).max())
 
 
 @pytest.mark.slow
