@@ -1,7 +1,8 @@
 """Robots that the tests walk: a model beside the MjModel it was read from, and states for both.
 
 A name is a bundled scene, `tree:SEED` (a random tree), a name of `tests.oracles.models.MODELS`, or
-`small`: every kind of thing that a model can hold on five velocity coordinates.
+`small`: every kind of thing that a model can hold on five velocity coordinates. `NAME in water` is
+the same robot in water that flows, with springs and dampers by powers of what moves them.
 """
 
 from __future__ import annotations
@@ -17,10 +18,9 @@ import numpy as np
 import rbjax as rb
 from rbjax.compiling import xla_accepts
 from rbjax.loading import compile_model
-from rbjax.loading.actuator_kinds import is_affine
 from rbjax.validation.mjx import fast
-from rbjax.validation.reference import loosen
-from tests.oracles.models import MODELS, switch_off_constraints
+from rbjax.validation.reference import smooth
+from tests.oracles.models import MODELS
 from tests.oracles.random_trees import random_state, random_tree
 
 Array = np.ndarray
@@ -72,7 +72,7 @@ SMALL = """
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A model and its reference, an MjModel of the smooth dynamics alone."""
+    """A model, and its reference: an MjModel with only what the model has."""
 
     model: rb.Model
     reference: mujoco.MjModel
@@ -81,6 +81,10 @@ class Robot:
         """q (count, nq) and v (count, nv), the same on every run."""
         drawn = [random_state(self.reference, seed) for seed in range(count)]
         return np.stack([q for q, _ in drawn]), np.stack([v for _, v in drawn])
+
+    def element_states(self, count: int) -> Array:
+        """x (count, nx), activations of actuators: the same on every run."""
+        return np.random.default_rng(3).uniform(0.0, 1.0, (count, self.reference.na))
 
 
 def load_quietly(source: Any, **options: Any) -> rb.Model:
@@ -92,23 +96,27 @@ def load_quietly(source: Any, **options: Any) -> rb.Model:
 
 @cache
 def _load(name: str) -> Robot:
-    if name.startswith("tree:"):
-        compiled = mujoco.MjModel.from_xml_string(random_tree(int(name.removeprefix("tree:"))))
-    elif name == "small":
+    dry = name.removesuffix(" in water")
+    if dry.startswith("tree:"):
+        compiled = mujoco.MjModel.from_xml_string(random_tree(int(dry.removeprefix("tree:"))))
+    elif dry == "small":
         compiled = compile_model(SMALL)
-    elif name in MODELS:
+    elif dry in MODELS:
         with warnings.catch_warnings():  # MuJoCo's about old files
             warnings.simplefilter("ignore")
-            compiled = MODELS[name].load()
+            compiled = MODELS[dry].load()
     else:
-        compiled = compile_model(name)
-    compiled.opt.density = compiled.opt.viscosity = 0.0
-    model = load_quietly(compiled).replace(forces=())  # which have tests of their own
-    switch_off_constraints(compiled)
-    for i in range(compiled.nactuator):  # what its elements are, the reference goes without
-        if not is_affine(compiled, i):
-            loosen(compiled, i)
-    return Robot(model, compiled)
+        compiled = compile_model(dry)
+    if name != dry:
+        _immerse(compiled)
+    return Robot(load_quietly(compiled), smooth(compiled)[0])
+
+
+def _immerse(m: mujoco.MjModel) -> None:
+    rng = np.random.default_rng(7)
+    m.opt.density, m.opt.viscosity, m.opt.wind = 1000.0, 0.5, rng.normal(size=3)
+    for powers in (m.jnt_stiffnesspoly, m.dof_dampingpoly):
+        powers[:] = rng.uniform(0.0, 0.1, powers.shape)
 
 
 def robot(name: str, driver: str = "auto") -> Robot:

@@ -164,14 +164,14 @@ distance of two states and the references (closed forms or runs whose own error 
 ![CPU](work-precision-cpu.png)
 ![Force evaluations](work-precision-evaluations.png)
 
-- Every engine runs the same MjModel, smooth dynamics alone; contacts, limits, friction are off.
+- Every engine runs the same MjModel with only smooth dynamics; contacts, limits, friction are off.
 - MJX: steps for the error times its fastest step. Its errors are those of a small batch on a CPU;
   on attitudes its RK4 is of second order, where MuJoCo C's and ours are of fourth. On the chain of
   hinges, where both are one method, the errors are MuJoCo C's. In f32 MJX ends above 1e-6 but on
   the pendulum (1.1e-6 on the humanoid; on the chain it was not run that far).
 - On the CPU MJX and rbjax run with whichever of the compiler's options make each fastest on a
-  scene. MJX: without XLA's fusion emitters. rbjax: `rb.compiler_options()`, or the wide vectors of
-  it alone; without options it takes {options} ("options" in the data).
+  scene. MJX: without XLA's fusion emitters. rbjax: `rb.compiler_options()`, or only their wide
+  vectors; without options it takes {options} ("options" in the data).
 - CPU: AMD EPYC, jax 0.10, one machine for all engines. Errors of MJX are from several machines.
 - "prolonged": the last points did not reach the error, and the line goes on with their slope.
 

@@ -180,7 +180,7 @@ def applied_forces(
 @algorithm("q")
 def elastic_energy(model: Model, q: jax.Array) -> jax.Array:
     """Energy that the force elements store at rest, in joules: sum of k |q - q_rest|^2 / 2 of the
-    joint springs, and what others say.
+    joint springs, and the energies of the other elements.
 
     Args:
         model: the robot.

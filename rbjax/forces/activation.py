@@ -31,7 +31,7 @@ class Activation(Record):
 
     @property
     def follows(self) -> bool:
-        """Whether the control is where the state goes, and not how fast."""
+        """Whether the control is the value that the state approaches, and not its rate."""
         return True
 
     @abc.abstractmethod

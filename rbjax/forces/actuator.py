@@ -160,8 +160,8 @@ class Passive(Record):
 class GainBias(Law):
     """f = gain a + bias, with a the activation, or the control where there is none.
 
-    `early`: the force is that of the activation after the step. `circular`: a is an angle, and of
-    all that differ by full turns the one nearest to l counts.
+    `early`: the force is that of the activation after the step. `circular`: a is an angle; of all
+    that differ from it by full turns the one nearest to l counts.
     """
 
     gain: Affine | Active

@@ -7,8 +7,8 @@ the attitude of b, and w and d' the velocities of b that an observer on a sees,
     torque on b:                n = -J_l(phi)^-T K_a phi - D_a w
 
 and the opposite on a, at the same point. J_l is the left Jacobian of SO(3), phi' = J_l^-1 w, which
-makes the spring that of an energy, V = (d . K_l d + phi . K_a phi) / 2, however far it turns; with
-equal angular stiffnesses it is 1, for J_l^-T phi = phi. At |phi| = pi the axis is not defined.
+gives the spring an energy, V = (d . K_l d + phi . K_a phi) / 2, however far it turns; with equal
+angular stiffnesses J_l drops out, because J_l^-T phi = phi. At |phi| = pi the axis is not defined.
 """
 
 from __future__ import annotations

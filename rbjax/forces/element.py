@@ -128,7 +128,7 @@ class Element(Record):
         raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")
 
     def start(self) -> jax.Array:
-        """The state (size,) from which a motion begins, unless its State says."""
+        """The state (size,) from which a motion begins, unless its `State` gives one."""
         return jnp.zeros(self.size)
 
     def rate(self, now: Instant) -> Sequence[Lane]:
@@ -140,7 +140,7 @@ class Element(Record):
 
     def advance(self, now: Instant, dt: Any) -> Sequence[Lane]:
         """Its own state after a step dt of `semi_implicit_euler`: x + dt x', unless the element
-        knows better, as of limits or an exact solution."""
+        overrides it, for limits or an exact solution."""
         return [add(x, mul(dt, rate)) for x, rate in zip(now.x, self.rate(now), strict=True)]
 
     def chord(self, now: Instant, h: Any) -> Mapping[int, Lane]:
@@ -160,7 +160,7 @@ class Element(Record):
 
 
 def check_shapes(element: Element, model: Model) -> None:
-    """Refuse numbers of an element of other shapes than it has on the model."""
+    """Refuse numbers whose shapes are not those of the element on the model."""
     for name, due in element.shapes(model).items():
         shape = np.shape(getattr(element, name))
         alike = [n in (m, None) for m, n in zip(shape, due, strict=False)]

@@ -8,9 +8,9 @@ velocity of its centre relative to the fluid and its angular velocity, along the
 (MuJoCo documentation, *Fluid forces*, inertia model.)
 
 The box follows the model's own masses, centres and inertias; only its axes are numbers of the
-element. For I_i are the diagonal of the inertia in these axes, whose derivative is that of the
-principal moments, and no eigenvectors are computed, which have no derivative where moments agree.
-What is left out is how the axes turn with an inertia.
+element. The I_i are the diagonal of the inertia in these axes. Its derivative is that of the
+principal moments, and no eigenvectors are computed: these have no derivative where moments agree.
+How the axes turn with an inertia is left out.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ LEAST = 1e-15
 
 
 class InertiaBoxFluid(Element):
-    """A fluid that drags at bodies as at boxes with their masses and inertias.
+    """A fluid that drags on bodies as on boxes with their masses and inertias.
 
     f_i = -(3 pi mu d + rho s_j s_k |v_i| / 2) v_i, and likewise a torque, of a box with edges s.
 

@@ -69,7 +69,7 @@ class Instant:
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
         """What `make` returns, made once for this key (an object) and this instant: for what
-        follows of t, q, v and u alone, which `loads` and `rate` both ask for."""
+        depends only on t, q, v and u, and is needed by both `loads` and `rate`."""
         if id(key) not in self.found:
             self.found[id(key)] = key, make()
         return self.found[id(key)][1]

@@ -1,8 +1,8 @@
 """One force on many bodies.
 
 Where the driver writes links out, the force is written out as well, body by body. Elsewhere it is a
-loop over the bodies whose program holds it once, so that a program grows no longer with the bodies:
-of 30 bodies in a GPU thread, a tenth of the statements.
+loop over the bodies whose program holds it once, so that a program does not grow with the bodies:
+for 30 bodies in a GPU thread it has a tenth of the statements.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class Controller(Record):
     input's rate, infinite where there are none. Static: `inputs`, some of INPUTS, and which states
     there are: slewed input, integral, in that order. `circular`: positions are angles, and of all
     that differ by full turns the nearest counts. `clipped`: no step ends beyond the windup limit;
-    otherwise it is only no longer added to there."""
+    otherwise the integral only stops growing there."""
 
     gains: jax.Array
     windup: jax.Array

@@ -10,10 +10,10 @@ the spring is slack; with l_low = 0 it is a rope's. The damper always works. The
 
     V = x^2 (k_0 / 2 + k_1 x / 3 + k_2 x^2 / 4 + ...).
 
-The direction of two points that meet is not defined, and F must then be 0 for a smooth motion: it
-is for l_high = 0, where F u = (k_0 + k_1 l + ...) (p_b - p_a) has no singularity, and is computed
-so. Elsewhere a stretched spring at l = 0 gives no force rather than one of any direction; its
-derivatives stay finite.
+The direction of two points that meet is not defined, and F must then be 0 for a smooth motion. It
+is 0 for l_high = 0: there F u = (k_0 + k_1 l + ...) (p_b - p_a) has no singularity, and is computed
+in this form. Elsewhere a stretched spring at l = 0 gives no force rather than one of any direction;
+its derivatives stay finite.
 """
 
 from __future__ import annotations

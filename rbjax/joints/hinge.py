@@ -13,7 +13,7 @@ S = Motion(Vec3(0.0, 0.0, 1.0), Vec3.zero())
 
 
 def turning(c: Lane, s: Lane, qd: Lane) -> JointMotion:
-    """The motion of a hinge, of cosine, sine and speed."""
+    """The motion of a hinge, from its cosine, sine and speed."""
     return JointMotion(rotation_z(c, s), Vec3.zero(), S, Vec3(0.0, 0.0, qd), qd)
 
 

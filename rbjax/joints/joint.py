@@ -25,8 +25,8 @@ class LinkKind:
     """How one link moves.
 
     `turns` and `slides` are its axis where that is constant in the link's frame (`straight`) and
-    the same for all joints of the kind (`alike`); else `axis` says it. `still`: against the link
-    before it, which carries its motion.
+    the same for all joints of the kind (`alike`); otherwise `axis` gives it. `still`: the link does
+    not move against the link before it, which carries the motion.
     """
 
     turns: ClassVar[float] = 0.0
@@ -40,7 +40,7 @@ class LinkKind:
         return Motion(Vec3(0.0, 0.0, self.turns), Vec3(0.0, 0.0, self.slides))
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], link: Placed) -> JointMotion:
-        """The motion of the link, of the coordinates that its `LinkForm` names."""
+        """The motion of the link, from the coordinates that its `LinkForm` names."""
         raise NotImplementedError
 
 
@@ -67,10 +67,10 @@ class LinkForm:
 class Joint:
     """A kind of joint. Register an instance with `rbjax.joints.register`.
 
-    Class attributes: name; links; nq; `numbers`, what it has of its own beside an axis and an
-    anchor, name -> value where none is given (a number, or several); `aligned`, whether its frame
-    is turned so that the model's axis is its z; `on_world`, whether its coordinates count from the
-    world's frame.
+    Class attributes: name; links; nq; `numbers`, its own numbers beside an axis and an anchor, by
+    name with their default values (a number, or several); `aligned`, whether its frame is turned so
+    that the model's axis is its z; `on_world`, whether its coordinates count from the world's
+    frame.
     """
 
     name: ClassVar[str]
@@ -89,7 +89,7 @@ class Joint:
 
     @property
     def defaults(self) -> tuple[float, ...]:
-        """Its own numbers, one after the other, where none are given."""
+        """The default values of its own numbers, one after the other."""
         values = (x if isinstance(x, tuple) else (x,) for x in self.numbers.values())
         return tuple(float(a) for x in values for a in x)
 

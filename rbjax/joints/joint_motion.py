@@ -66,8 +66,8 @@ class JointMotion:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class NodeMotion(JointMotion):
-    """The motion of a link whose axis S depends on q: with `lin`, `drift` and `turn` the linear
-    velocity that the joint adds, the bias and the rate of S."""
+    """The motion of a link whose axis S depends on q. `lin` is the linear velocity that the joint
+    adds, `drift` the bias, `turn` the rate of S."""
 
     lin: Vec3
     drift: Motion

@@ -8,8 +8,8 @@ from rbjax.joints.slide import SLIDE
 class Planar(Chain):
     """q = [x, y, m; turn about the normal, rad]. The axis is the normal.
 
-    x and y are the directions that the shortest turn from z to the normal makes of x and y: those
-    of the body, where the normal is its z.
+    The shortest turn that takes z to the normal takes the body's x and y to the directions of x and
+    y. Where the normal is the body's z, these are the body's own.
     """
 
     name = "planar"

@@ -32,7 +32,7 @@ def kind(name: str) -> Joint:
     """A kind of joint.
 
     Raises:
-        UnknownName: with the names there are.
+        UnknownName: no such kind; the message lists the names.
 
     Example:
         >>> import rbjax as rb
@@ -51,7 +51,7 @@ def register(joint: Joint) -> None:
         joint: an instance of a subclass of `Node`, or of `Joint` with links of its own.
 
     Raises:
-        InputError: no joint; a name that another kind has.
+        InputError: not a joint; a name that another kind has.
 
     Example: see `rbjax.joints.Node`.
     """

@@ -9,8 +9,8 @@ from rbjax.joints.joint import Joint, LinkForm
 class Universal(Joint):
     """q = [turn about the axis, turn about the second axis], rad.
 
-    `second_axis` (3,) is in the body's frame, like the axis, and turns with the first. At right
-    angles the two are a cross; other angles are allowed.
+    `second_axis` (3,) is in the body's frame, like the axis, and turns with the first. The
+    two usually stand at right angles; other angles are allowed.
     """
 
     name = "universal"

@@ -69,7 +69,7 @@ def _tendons_that_act(m: mujoco.MjModel) -> np.ndarray:
 
 
 def tendon_is_supported(m: mujoco.MjModel, i: int) -> bool:
-    """Whether of tendon i there is nothing but what actuators do with it, or a spring and a damper
+    """Whether tendon i only carries the forces of actuators, or is only a spring and a damper
     between two sites."""
     start, count = m.tendon_adr[i], m.tendon_num[i]
     off, bit = m.opt.disableflags, mujoco.mjtDisableBit

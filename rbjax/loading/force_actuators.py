@@ -1,4 +1,4 @@
-"""Actuators of a compiled model that are no rows of `model.actuators`, as force elements."""
+"""Actuators of a compiled model that are not rows of `model.actuators`, as force elements."""
 
 from __future__ import annotations
 

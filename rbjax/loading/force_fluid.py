@@ -1,7 +1,7 @@
 """Fluid forces of a compiled model.
 
-A body one of whose geoms has fluidshape="ellipsoid" is as its geoms of this kind are; any other
-body is its inertia box.
+A body with geoms of fluidshape="ellipsoid" meets the fluid with these geoms; any other body meets
+it with its inertia box.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class Inertial:
     inertia: np.ndarray
 
     def oddity(self, *, jointed: bool) -> str:
-        """What no rigid body has, in words; empty where all is well.
+        """What no rigid body can have, in words; empty where all is well.
 
         A point mass is odd on a joint of its own, but not where it is welded to other mass.
         """
@@ -90,7 +90,7 @@ def _principal(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refuse_massless_motion(m: mujoco.MjModel, name: str) -> None:
-    """A joint that moves no mass, at a pose like any other, has no acceleration to speak of."""
+    """Refuse a joint that moves no mass at a generic pose: it has no finite acceleration."""
     M = mass_matrix(m)
     moved = np.abs(np.diag(M))
     still = np.flatnonzero(moved <= 1e-15 * moved.max(initial=0.0))

@@ -65,15 +65,15 @@ def load(
     Args:
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
         floating_base: give a URDF's root link a free joint, so that its mass counts.
-        strict: raise instead of warn about what the file has and the model leaves out.
+        strict: raise instead of warning about what the model leaves out of the file.
         limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
         motors: put a motor of gear 1, named as the joint, on each hinge and slide that has none.
         friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
 
     Returns:
-        The model; `model.dropped` says what was left out. A URDF's inertials are the file's own;
-        links with one that no rigid body has are named in a warning, and so are joints whose
-        motions cancel. A URDF's link 'world' that is not the ground becomes 'world_link'.
+        The model; `model.dropped` says what was left out. A URDF's inertials are the file's own; a
+        warning names links whose inertial no rigid body can have, and joints whose motions cancel.
+        A URDF's link 'world' that is not the ground becomes 'world_link'.
 
     Raises:
         ModelError: the source cannot be read; the message names the file, the cause and the fix.

@@ -1,4 +1,4 @@
-"""Meshes whose file is absent: left out where only seen, refused where they give a mass."""
+"""Meshes whose file is absent: left out where only seen, refused where they give mass."""
 
 from __future__ import annotations
 

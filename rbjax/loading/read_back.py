@@ -1,4 +1,4 @@
-"""What a written file says otherwise than its model, found by reading it."""
+"""Where a written file differs from its model, found by reading the file."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _comparable(element: Element) -> Any:
 
 
 def _unmeasured(law: Any) -> Any:
-    """The law without what only scaled muscles use, which MuJoCo measures anew."""
+    """The law without what only scaled muscles use, which MuJoCo measures again."""
     curves: list[Any] = [getattr(law, name, None) for name in ("gain", "bias")]
     muscles = [x.muscle for x in curves if hasattr(x, "muscle")]
     if not muscles:

@@ -1,4 +1,4 @@
-"""Joints whose motions cancel: with them no mass moves, and M a = tau has no one solution."""
+"""Joints whose motions cancel: together they move no mass, and M a = tau has no unique solution."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SMALL = 300  # velocities up to which eigenvalues take no time
 
 
 def mass_matrix(m: mujoco.MjModel) -> np.ndarray:
-    """M (nv, nv) at a pose like any other."""
+    """M (nv, nv) at a generic pose."""
     data = mujoco.MjData(m)
     mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
     m.body_subtreemass[:] = m.body_mass
@@ -28,8 +28,8 @@ def mass_matrix(m: mujoco.MjModel) -> np.ndarray:
 
 
 def joints_that_cancel(m: mujoco.MjModel, M: np.ndarray | None = None) -> list[str]:
-    """The names of joints that can move with no mass moved, where M is singular at a pose like any
-    other; of large models nothing."""
+    """The names of joints that together can move without a mass, where M is singular at a generic
+    pose; none of a large model, which is not examined."""
     if not 0 < m.nv <= _SMALL:
         return []
     M = mass_matrix(m) if M is None else M

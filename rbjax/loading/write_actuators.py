@@ -184,7 +184,7 @@ def _activation(activation: Activation | None, early: bool) -> dict[str, str]:
 
 
 def _plain(law: GainBias) -> GainBias:
-    """The law with the peak force of muscles as a number: what MuJoCo would compute it of is not
+    """The law with the peak force of muscles as a number: what MuJoCo computes it from is not
     in the file."""
 
     def plain(muscle: Muscle) -> Muscle:

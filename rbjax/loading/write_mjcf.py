@@ -45,11 +45,11 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
         strict: raise instead of warn about what the file cannot say.
 
     Returns:
-        The text. It has no shapes: nothing to see, and nothing to touch. What the file says
-        otherwise than the model or not at all stands in a comment at its head.
+        The text. It has no shapes: nothing to see, and nothing to touch. A comment at its head
+        names what the file says differently from the model, or does not say.
 
     Raises:
-        ModelError: numbers that MuJoCo takes from no file, such as those of no rigid body.
+        ModelError: numbers that MuJoCo refuses in a file, such as those of no rigid body.
         InputError: a batch of models, or a traced model.
         UnsupportedFeature: with `strict=True`, the list of what the file cannot say.
 

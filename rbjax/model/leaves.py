@@ -23,7 +23,7 @@ def table(x: Any, dtype: Any) -> Any:
 
 def tables(dtype: Any, *numbers: Any) -> tuple[Any, list]:
     """numpy and the numbers as `table` has them, where all are known while tracing; otherwise
-    jax.numpy and arrays of the dtype. For what is computed of numbers that belong together."""
+    jax.numpy and arrays of the dtype. For what is computed from numbers that belong together."""
     found = [table(x, dtype) for x in numbers]
     if any(isinstance(x, jax.core.Tracer) for x in found):
         return jnp, [jnp.asarray(x, dtype) for x in found]

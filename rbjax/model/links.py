@@ -153,7 +153,7 @@ def known_zeros(model: Model) -> Model:
 
 
 def _again(made: Any) -> Prepared:
-    """Of `made_ahead`, what `prepare` returns."""
+    """What `prepare` returns for a model of `made_ahead`."""
     columns, body_R, body_p, gravity = jax.tree.map(
         lambda x: x.column() if isinstance(x, Sparse) else x, made,
         is_leaf=lambda x: isinstance(x, Sparse),
@@ -273,7 +273,7 @@ def _welds(top: Topology, bodies, xp):
 
 
 def _own_numbers(top: Topology, given, xp):
-    """Of each link its joint's own numbers (nv, most), zeros behind them."""
+    """The own numbers of each link's joint (nv, most), with zeros behind them."""
     counts = [len(joint.defaults) for joint in top.joints]
     most, starts = max(counts, default=0), np.cumsum([0, *counts])
     out = xp.concatenate([given, np.zeros(1)])  # the last for those that have fewer

@@ -40,7 +40,7 @@ _AXES = list(AXES.values())
 
 class State(Record):
     """Configuration q (nq,) and velocity v (nv,), in MuJoCo's layout, and the states x (nx,) of the
-    force elements that have one (`Model.nx`); None where none has, or for where they begin."""
+    force elements that have one (`Model.nx`); None where none has, or to begin at their start."""
 
     q: jax.Array
     v: jax.Array
@@ -48,7 +48,7 @@ class State(Record):
 
 
 class Bodies(Record):
-    """Numbers of the moving bodies, in the file's order; each in its own frame unless said.
+    """Numbers of the moving bodies, in the file's order; each in its own frame unless stated.
 
     Fields: mass (nb,) kg; com (nb, 3) m; inertia (nb, 3, 3) kg m^2 about the com; position (nb, 3)
     m and orientation (nb, 4) quaternion of the body's frame in its parent's at zero joint motion.
@@ -65,13 +65,13 @@ class Joints(Record):
     """Numbers of the joints.
 
     Fields: placement (nj, 3) m, the joint's anchor in its body's frame; axis (nj, 3) in its body's
-    frame (hinge and slide); reference (nq,), the configuration at which the file drew the robot;
-    armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at the joint add; stiffness
-    (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits of the actuators' sum on a
-    joint; range (nj, 2) rad or m, the least and the largest coordinate (of a ball 0 and the largest
-    angle of turning). Limits are infinite where the file sets none. A range stops nothing:
-    `rbjax.forces.JointLimits` does. numbers (n,), what kinds of joints have of their own, such as
-    the pitch of a screw, one joint after the other.
+    frame (of a ball and a free joint not used); reference (nq,), the configuration in which the
+    file draws the robot; armature (nv,) kg m^2 or kg, damping (nv,), both with what actuators at
+    the joint add; stiffness (nj,); springref (nq,), the springs' rest; forcerange (nj, 2), limits
+    of the actuators' sum on a joint; range (nj, 2) rad or m, the least and the largest coordinate
+    (of a ball 0 and the largest angle of rotation); numbers (n,), which kinds of joints have of
+    their own, such as the pitch of a screw, one joint after the other. Limits are infinite where
+    the file sets none. A range stops nothing: `rbjax.forces.JointLimits` does.
     """
 
     placement: jax.Array
@@ -227,7 +227,7 @@ class Model(Record):
         return self.topology.keyframe_names
 
     def body(self, name: str | int) -> int:
-        """The index of a body, for arrays over bodies; an index is checked, and itself."""
+        """The index of a body, for arrays over bodies; an index is checked and returned."""
         return _index("body", name, self.body_names)
 
     def joint(self, name: str | int) -> int:
@@ -235,7 +235,7 @@ class Model(Record):
         return _index("joint", name, self.joint_names)
 
     def q_slice(self, joint: str) -> slice:
-        """Where a joint's coordinates are in q: of a free joint 7, of a ball 4, else 1.
+        """Where a joint's coordinates are in q: 7 of a free joint, 4 of a ball, 1 of a hinge.
 
         Example:
             >>> import rbjax as rb
@@ -247,7 +247,7 @@ class Model(Record):
         return slice(top.joint_q[i], top.joint_q[i] + top.joints[i].nq)
 
     def v_slice(self, joint: str) -> slice:
-        """Where a joint's coordinates are in v: of a free joint 6, of a ball 3, else 1."""
+        """Where a joint's coordinates are in v: 6 of a free joint, 3 of a ball, 1 of a hinge."""
         i, top = self.joint(joint), self.topology
         return slice(top.joint_v[i], top.joint_v[i] + top.joints[i].nv)
 
@@ -264,9 +264,9 @@ class Model(Record):
 
         Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
         zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
-        inputs: for a batch of robots that differ in masses and lengths. An entry so fixed is no
-        parameter any more: what a leaf holds there is ignored, be the model an argument or closed
-        over, and its derivative is zero.
+        inputs: for a batch of robots that differ in masses and lengths. A fixed entry is no
+        longer a parameter: the value that a leaf holds there is ignored, whether the model is an
+        argument or closed over, and its derivative is zero.
         """
         j = self.joints
         leaves = {**_numbers(self.bodies), "gravity": self.gravity}
@@ -289,7 +289,7 @@ class Model(Record):
         Algorithms compute in the dtype of q and v; states and keyframes come in the model's.
 
         Raises:
-            InputError: the dtype is none of floating numbers.
+            InputError: the dtype is not a floating one.
 
         Example:
             >>> import rbjax as rb, jax.numpy as jnp
@@ -344,9 +344,10 @@ class Model(Record):
     def with_joint(self, name: str, kind: str, **given: Any) -> Model:
         """The model with another kind of joint in the place of one: `rbjax.joints.kinds()`.
 
-        The new joint keeps the anchor and the axis, in its body's frame; with as many coordinates
-        as the old one also what belongs to them (armature, damping, reference), and with one
-        coordinate each the spring and the ranges. Actuators drive its coordinates one for one.
+        The new joint keeps the anchor and the axis, in its body's frame. If it has as many
+        coordinates as the old one, it keeps what belongs to them (armature, damping, reference); if
+        both have one, it keeps the spring and the ranges too. Actuators drive its coordinates one
+        for one.
 
         Args:
             name: the joint.

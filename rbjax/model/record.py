@@ -55,7 +55,7 @@ class Record(eqx.Module):
 
 
 def check_numbers(where: str, x: Any, *, endless: bool) -> None:
-    """Refuse what is no real number, where that is known: NaN, and infinity unless it may be."""
+    """Refuse known values that are no real numbers: NaN, and infinity unless it is allowed."""
     if not hasattr(x, "dtype"):
         x = np.asarray(x)
     real = (jnp.floating, jnp.integer, jnp.bool_)

@@ -1,4 +1,4 @@
-"""What of a robot is part of the program: its tree, joint kinds, names. Hashable, never a number.
+"""The part of a robot that belongs to the program: tree, joint kinds, names. Hashable, no numbers.
 
 The arithmetic runs over *links*, one for each velocity coordinate: a hinge is one, a ball three
 (`rbjax.joints`). Each link's frame is turned so that its axis is z. Bodies without joints are
@@ -71,7 +71,7 @@ class Topology:
     site_names: tuple[str, ...] = ()
     site_bodies: tuple[int, ...] = ()
     keyframe_names: tuple[str, ...] = ()
-    #: what the kinds are, by identity: a name that is registered anew is another program
+    #: what the kinds are, by identity: a name that is registered again is another program
     joints: tuple[Joint, ...] = ()
 
     def __post_init__(self) -> None:

@@ -136,8 +136,8 @@ def check_law(where: str, law: Any) -> None:
 
 
 def batch_last(f: Callable, t: Any, *args: Any) -> Any:
-    """f(t, *args) of each sample, the batch the last axis of the arguments and of what returns;
-    literals among that stay literals."""
+    """f(t, *args) of each sample, where the batch is the last axis of arguments and results;
+    literals among the results stay literals."""
     kept: dict[str, Any] = {}
 
     def arrays(*args: Any) -> list:

@@ -101,7 +101,7 @@ def integrator_of(where: str, integrator: str | Integrator) -> Integrator:
 def advanced(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
-    """The state after a step; what is none is refused."""
+    """The state after a step; anything else is refused."""
     after: Any = integrator(field, t, state, u, dt)
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
     found = jax.tree.leaves(after)

@@ -2,8 +2,8 @@
 
 The forward program keeps the state before every k-th step. The reverse one walks back over these:
 it takes the k steps again, holds their states in the thread's own memory, and transposes them from
-the last to the first. So a sample keeps steps / k states, and k of them at a time beside it. Where
-memory allows, each step is kept with what it leaves for its transposed derivative (`Pullback`).
+the last to the first. So a sample keeps steps / k states, and holds k more at a time. Where memory
+allows, each step is kept with what it leaves for its transposed derivative (`Pullback`).
 """
 
 from __future__ import annotations

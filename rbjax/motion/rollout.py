@@ -4,9 +4,9 @@ On a GPU all steps of a sample are one thread (`march`). Elsewhere the batch is 
 everything inside, so that a lane is contiguous, and on the CPU time runs inside a chunk of the
 batch (`dynamics.batching`).
 
-Memory of the reverse gradient of the latter: the scan over saved states keeps one state each;
-between two saved states only the first is kept and the steps are run again. So (T / save_every +
-save_every) states and one step's intermediate values, per sample.
+Memory of the reverse gradient elsewhere than on a GPU: the scan over saved states keeps one state
+each; between two saved states only the first is kept and the steps are run again. So a sample keeps
+(T / save_every + save_every) states and one step's intermediate values.
 """
 
 from __future__ import annotations
@@ -85,11 +85,11 @@ def rollout(
             (`rbjax.motion.integrators.Integrator`).
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         save_every: keep every so many states; it must divide the number of steps.
-        steps: how many steps, where ctrls does not tell.
+        steps: the number of steps, where ctrls does not give it.
         kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.
-        memory: bytes that a reverse gradient of threads may keep states in, for the whole batch;
-            the fewer, the more steps run twice. None: an eighth of the memory of the devices that
-            a batch can be spread over.
+        memory: bytes in which a reverse gradient of threads may keep states, for the whole batch;
+            the fewer, the more steps run twice. None: an eighth of the memory of the devices over
+            which a batch can be spread. Without threads it is not used.
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
@@ -99,9 +99,17 @@ def rollout(
         InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is
             not positive, no steps, a policy that returns anything but nu numbers.
 
-    Differentiable in state, ctrls, model and what a policy closes over, forward and in reverse. The
-    reverse gradient keeps steps / save_every + save_every states a sample; on a GPU every k-th
-    state, with the smallest divisor k of save_every for which they fit into `memory`.
+    Differentiable in state, ctrls, model and what a policy closes over, in forward and in reverse
+    mode. The reverse gradient keeps steps / save_every + save_every states a sample.
+
+    On a GPU (docs/threads.md):
+
+    - f32 and f64, forward mode, reverse mode and derivatives of these, as on a CPU;
+    - a derivative keeps every k-th state, in forward mode too: k = 1 where that fits into `memory`,
+      else the smallest divisor of save_every that does, or save_every;
+    - a policy of more than 4,000 operations runs under XLA between the steps;
+    - a step with more than 60,000 statements or 64 KiB of arrays, or with a primitive that threads
+      do not know (svd, eigh, a callback), makes the rollout run under XLA; a warning names it.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Marsden & West,
     *Discrete mechanics and variational integrators*, Acta Numerica 2001; Tsitouras (2011);
@@ -228,7 +236,7 @@ def _checked(
 
 
 def _check_where(kernel: Any, memory: Any) -> None:
-    """Refuse what is no choice, and no number of bytes."""
+    """Refuse a kernel that is no choice, and a memory that is no number of bytes."""
     if not (kernel is None or isinstance(kernel, bool)):
         raise InputError(f"rollout: kernel is {kernel!r}, expected True, False or None to choose")
     if not (memory is None or (isinstance(memory, (int, float)) and memory > 0)):

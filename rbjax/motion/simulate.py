@@ -54,15 +54,19 @@ def simulate(
     throw: bool = True,
     max_steps: int = 100_000,
 ) -> Trajectory:
-    """Motion from ts[0] to ts[-1], kept at ts.
+    """Motion from ts[0] to ts[-1], saved at ts.
 
-    q' = N(q) v, v' = M^-1 (applied forces - b). Solved in the time since ts[0], so that a late
-    start costs no digits.
+    q' = N(q) v, v' = M^-1 (applied forces - b). The equations are solved in the time since ts[0],
+    so that a late start costs no digits.
 
-    A number of the model that changes compiles nothing anew, unless a zero of the links' numbers
+    A number of the model can change with no recompilation, unless a zero of the links' numbers
     (placements, axes, masses, centres, inertias, armatures, references) or of gravity comes or
-    goes: these zeros are part of the program. Without them a step of an arm takes 1.4 times as
-    long, of 256 arms at once 1.14 times; of a quadruped and a humanoid about as long (CPU, f64).
+    goes: these zeros are part of the program. Without them a step of one arm takes 1.4 times as
+    long, and of 256 arms at once 1.14 times; a quadruped and a humanoid take about as long (CPU,
+    f64).
+
+    On a GPU, inside `jit`, a sample is a thread. Its reverse gradient is one too where `max_steps`
+    or the adjoint's checkpoints are few; otherwise it runs under XLA (docs/threads.md).
 
     Args:
         model: the robot.
@@ -76,21 +80,21 @@ def simulate(
             form, splittings and Lie groups move along the manifold of configurations.
         dt0: first step, or the fixed step where no controller is given.
         stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
-        adjoint: diffrax's; if None checkpointed reverse mode, for `grad` and `jacrev`. For `jvp`
-            and `jacfwd` give diffrax.ForwardMode(), for both diffrax.DirectAdjoint().
+        adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
+            diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         progress: show diffrax's meter.
         throw: raise if the solve fails; otherwise `result` and `ok` say so.
-        max_steps: at most so many steps.
+        max_steps: the largest number of steps.
 
     Returns:
         `Trajectory`: q (T, nq) with unit quaternions, v (T, nv), `result`, `stats`, `ok`.
 
     Raises:
-        InputError: shapes, dtypes, times that do not increase, a step that is not positive or below
-            the rounding of time; a control that is no function or returns anything but nu numbers;
-            no solver, or one without an estimate of its error and no dt0; a forward derivative
-            through the default adjoint.
+        InputError: shapes, dtypes, times that do not increase, a step that is not positive or is
+            below the rounding of time; a control that is not a function or returns anything but nu
+            numbers; something else than a solver, or a solver without an estimate of its error and
+            no dt0; a forward derivative through the default adjoint.
 
     Source: Kidger, *On Neural Differential Equations*, 2021 (diffrax).
 
@@ -119,7 +123,7 @@ def simulate(
     if dt0 is not None:
         _advances(check_step("simulate", "dt0", dt0, state.q.dtype), elapsed)
     # Inside a caller's jit diffrax would trace what the caller holds constant.
-    # Outside, the model is an argument: a number that changes does not compile anew.
+    # Outside, the model is an argument: a number that changes compiles nothing again.
     if wanted():
         model = on_threads(model, state.q.dtype)
     if not inside_jit() or split_tracers(model)[0]:
@@ -201,7 +205,7 @@ def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> 
 
 
 def _check_kind(name: str, value: Any, kind: type) -> None:
-    """Refuse what diffrax would not take, a class in place of what it makes among it."""
+    """Refuse what diffrax would not take, such as a class in place of an instance."""
     if value is None or isinstance(value, kind):
         return
     got = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__

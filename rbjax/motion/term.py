@@ -4,7 +4,7 @@
     v' = law(q, v, forces),   x' = the rates of force elements
 The attitude enters only as the direction of its quaternion, and its rate is linear in it, so the
 length that a solver loses or gains to its error has no effect until it is no number any more
-(Euler, 0.4 rad a step, 40,000 steps), which `ok` tells; what is returned has unit length.
+(Euler, 0.4 rad a step, 40,000 steps), which `ok` shows; what is returned has unit length.
 """
 
 from __future__ import annotations

@@ -47,12 +47,12 @@ class VariationalMidpoint:
     """An integrator of `rollout`: symplectic in (q, p = M v), symmetric, of order 2, on the
     manifold.
 
-    Each evaluation costs a pass over the tree and a solve with factors at hand, half as much as
-    forward dynamics; a step has two eliminations beside. The derivative is that of the evaluations,
-    with the factors held: as far from that of the equations as the step is from their solution. A
-    step whose equations do not converge is
-    nan, which `Trajectory.ok` tells. One that has converged in part is as accurate as any, but
-    symplectic only as far: more evaluations, or shorter steps, help.
+    Each evaluation costs a pass over the tree and a solve with factors computed already, half as
+    much as forward dynamics; a step has two eliminations beside. The derivative is that of the
+    evaluations, with the factors held: it is as far from that of the equations as the step is from
+    their solution. A step whose equations do not converge is nan, and `Trajectory.ok` is False. One
+    that has converged in part is as accurate as any, but symplectic only to that part: more
+    evaluations, or shorter steps, help.
 
     Fields: evaluations of the equations in a step, at least 2.
     """

@@ -1,7 +1,7 @@
-"""Pictures of robots with matplotlib alone, no GL and no window: postures, motions, charts.
+"""Pictures of robots with only matplotlib, no OpenGL and no window: postures, motions, charts.
 
 `draw` shows one posture, `strobe` a motion in one picture; `animate` writes a GIF, an MP4 or a
-page. Each takes a model alone (rods and ellipsoids of inertia) or with its file (the geoms).
+page. Each draws a model from its numbers (rods and ellipsoids of inertia) or from its file (geoms).
 """
 
 from rbjax.plotting.animation import animate

@@ -46,9 +46,9 @@ def animate(
 ) -> Path:
     """Write an animation of a trajectory.
 
-    Without `source` the robot is rods from joint to joint and ellipsoids of inertia, by the model's
-    numbers alone. The format follows the file's name: .gif; .mp4, for which ffmpeg must be
-    installed; .html, one file that needs nothing else, where the mouse turns the view.
+    Without `source` the robot is drawn only from the model's numbers, as rods from joint to joint
+    and ellipsoids of inertia. The file's name decides the format: .gif; .mp4, for which ffmpeg must
+    be installed; .html, one file that needs nothing else, where the mouse turns the view.
 
     Args:
         model: one robot, the one that moved.
@@ -56,18 +56,18 @@ def animate(
             between its states are interpolated.
         path: the file to write, .gif, .mp4 or .html.
         source: what `rbjax.load` took, to draw the file's geoms.
-        floating_base: of a source that is a URDF, as for `rbjax.load`.
+        floating_base: as in `rbjax.load`, for a source that is a URDF.
         fps: frames a second of the animation.
         speed: seconds of motion in a second of the animation; 0.1 is slow motion.
         samples: how many of a batch are drawn, the first strongly, the others faded.
-        camera: line of sight; None looks across a flat motion, else from a corner.
-        follow: whether the picture moves with the robot; None: if it goes far.
-        trace: a body, or several, whose origins leave a line.
-        title: written above.
+        camera: line of sight; None looks across a flat motion, at any other from a corner.
+        follow: whether the picture moves with the robot; None: only if it goes far.
+        trace: one body or several, whose origins leave a line.
+        title: text at the top.
         size: width and height in pixels (of .gif and .mp4).
         renderer: "drawing", or "mujoco" for MuJoCo's own pictures of `source`, which need OpenGL
             (EGL or OSMesa where there is no display); they show the first sample.
-        progress: called with frames done and frames in all; None shows a bar in a terminal.
+        progress: called with the frames done and their total; None shows a bar in a terminal.
 
     Returns:
         The path.

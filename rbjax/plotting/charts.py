@@ -17,7 +17,7 @@ def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str
         ts: (T,) s.
         q: (T, nq) m, rad, or quaternions' numbers.
         v: (T, nv) m/s, rad/s.
-        names: of the first coordinates, for a legend.
+        names: names of the first coordinates, for a legend.
 
     Example:
         >>> import matplotlib.figure, numpy as np

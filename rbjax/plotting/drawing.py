@@ -101,9 +101,9 @@ def draw_solids(
         p: (nb, 3) m, the bodies' origins in the world's frame.
         camera: line of sight.
         alpha: opacity.
-        shadow: whether they throw one on z = 0.
+        shadow: whether they cast a shadow on z = 0.
         world: whether what is fixed to the world is drawn too.
-        zorder: matplotlib's, of the farthest.
+        zorder: matplotlib's, of the farthest solid.
 
     Example:
         >>> import matplotlib.figure, numpy as np
@@ -211,7 +211,7 @@ def draw(
     Args:
         model: one robot.
         q: (nq,) configuration.
-        ax: where; None makes a figure.
+        ax: the axis to draw on; None makes a figure.
         source: what `rbjax.load` took, to draw the file's geoms; None draws rods from joint to
             joint and ellipsoids of inertia.
         camera: line of sight; None chooses one.
@@ -220,7 +220,7 @@ def draw(
         The axis; `ax.figure.savefig(path)` writes it.
 
     Raises:
-        InputError: q is of another shape or not finite.
+        InputError: q has another shape or is not finite.
 
     Example:
         >>> import matplotlib.figure
@@ -243,7 +243,7 @@ def draw(
 
 
 def bare(ax: Axes, margin: float = 0.05) -> None:
-    """Fit an axis to its polygons and lines, in equal scales, without frame or ticks.
+    """Fit an axis to its polygons and lines, with equal scales, without frame or ticks.
 
     Args:
         ax: the axis.

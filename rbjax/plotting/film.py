@@ -56,7 +56,7 @@ def poses(model: Model, q: Array) -> tuple[Array, Array]:
 def frames(
     model: Model, trajectory: Trajectory, fps: float, speed: float, samples: int
 ) -> tuple[Array, Array]:
-    """Times (F,) s, 1/fps of playing apart, and configurations (S, F, nq) at them.
+    """Times (F,) s, one each 1/fps s of playing, and configurations (S, F, nq) at them.
 
     Between saved states a body moves along the shortest way, attitudes included. What comes after
     a state that is not finite is left out, with a warning.
@@ -112,7 +112,7 @@ def film(
         q: (S, F, nq), all finite.
         shapes: what is drawn.
         camera: line of sight; None chooses one by how flat the motion is.
-        follow: whether the picture moves with the robot; None: if it goes far.
+        follow: whether the picture moves with the robot; None: only if it goes far.
         trace: bodies whose origins leave a line.
     """
     samples, count = q.shape[:2]

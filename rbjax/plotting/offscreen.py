@@ -1,8 +1,8 @@
 """MuJoCo's renderer without a window, in a process of its own.
 
 MuJoCo reads which OpenGL to use from the environment when it is first imported, and a driver that
-is missing may end the process. So another process renders, with EGL and then OSMesa tried unless
-`MUJOCO_GL` says which; this one keeps its environment.
+is missing may end the process. So another process renders. It tries EGL, then OSMesa, unless
+`MUJOCO_GL` names one. This process keeps its environment.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Solids of a model that brings no geoms: rods between joints, and ellipsoids of inertia.
+"""Solids of a model without geoms: rods between joints, and ellipsoids of inertia.
 
 The ellipsoid touches the box of even density with the mass and inertia of its body, of half lengths
 a_i: m a_i^2 / 3 = (I_1 + I_2 + I_3) / 2 - I_i. So a rod shows as a rod of its length, a plate as a
-plate. It is held to the robot's size where an inertia asks for more.
+plate. Where an inertia asks for more than the robot's size, the ellipsoid has that size.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Array = np.ndarray
 
 
 def skeleton(model: Model) -> list[Solid]:
-    """What a model looks like by its numbers alone: no file, no geoms.
+    """What a model looks like, from only its numbers: no file, no geoms.
 
     Args:
         model: one robot; lengths in m.

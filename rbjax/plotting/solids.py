@@ -1,4 +1,4 @@
-"""Convex solids fixed to bodies, of which every picture is made: the geoms of a MuJoCo file."""
+"""Convex solids fixed to bodies, from which every picture is made: the geoms of a MuJoCo file."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
 
     Args:
         source: what `rbjax.load` takes.
-        floating_base: of a URDF, as for `rbjax.load`.
+        floating_base: as in `rbjax.load`, for a URDF.
 
     Returns:
         One `Solid` a geom; a mesh is its convex hull.
 
     Raises:
-        ModelError: the source is no robot file.
+        ModelError: the source is not a robot file.
 
     Example:
         >>> from rbjax.plotting import solids
@@ -104,7 +104,7 @@ def _surface(m: mujoco.MjModel, i: int) -> Array | None:
 
 
 def _outermost(points: Array) -> Array:
-    """Of many points those that lie farthest in one of many directions: all that a hull shows."""
+    """The points that lie farthest in one of many directions: all that a hull shows."""
     if len(points) <= _MOST_POINTS:
         return points
     return points[np.unique((points @ _SPHERE.T).argmax(0))]

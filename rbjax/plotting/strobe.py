@@ -26,7 +26,7 @@ def strobe(
     shadow: bool = True,
     floating_base: bool = False,
 ) -> None:
-    """Poses along a motion over one another, later ones stronger; `trace` draws a body's path.
+    """Draw poses along a motion over one another, later ones stronger.
 
     Args:
         ax: the axis.
@@ -35,9 +35,9 @@ def strobe(
         q: (T, nq) configurations, one drawn pose each.
         camera: line of sight.
         trace: a body whose origin leaves a line.
-        color: of the line.
-        shadow: whether the last pose throws one on the floor.
-        floating_base: of a source that is a URDF, as for `rbjax.load`.
+        color: the colour of that line.
+        shadow: whether the last pose casts a shadow on the floor.
+        floating_base: as in `rbjax.load`, for a source that is a URDF.
 
     Example:
         >>> import matplotlib.figure, numpy as np

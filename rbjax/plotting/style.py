@@ -1,4 +1,4 @@
-"""The house's colours, and its style for matplotlib: `with plt.rc_context(STYLE): ...`."""
+"""rbjax's colours, and its style for matplotlib: `with plt.rc_context(STYLE): ...`."""
 
 from __future__ import annotations
 

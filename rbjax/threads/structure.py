@@ -141,9 +141,11 @@ def _pad(low: Lowering, eqn: Any, ins: list) -> list:
     return [wide]
 
 
-@rule("iota", "full")
+@rule("iota", "full", "empty2")
 def _constant(low: Lowering, eqn: Any, ins: list) -> list:
     aval, P = eqn.outvars[0].aval, eqn.params
+    if eqn.primitive.name == "empty2":  # of a derivative's loop, which writes before it reads
+        return [np.zeros(aval.shape, aval.dtype)]
     if eqn.primitive.name == "full":
         return [np.full(aval.shape, P["fill_value"], aval.dtype)]
     axis = P["dimension"]

@@ -1,7 +1,10 @@
 """What MuJoCo C computes, rbjax computes: positions, M, bias, forces and accelerations.
 
-One compiled program a robot, over random states, against a loop over `mj_forward`.
+One compiled program a robot, over random states, against a loop over `mj_forward`. Forces are all
+that MuJoCo has and calls no constraint: springs, dampers, actuators, fluids, gravity compensation.
 """
+
+import functools
 
 import jax
 import mujoco
@@ -10,7 +13,7 @@ import pytest
 
 import rbjax as rb
 from tests.oracles.models import MODELS, SINGULAR
-from tests.robots import AS_USERS, Robot, at, mass_matrix, robot
+from tests.robots import AS_USERS, QUICK, Robot, at, mass_matrix, robot
 from tests.tolerances import F32_MAX, F32_MEDIAN, F64_PARITY, relative_error
 
 STATES = 100
@@ -29,8 +32,9 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     pytest.param("tree:2", "rolled", False, marks=pytest.mark.slow),
     ("tree:3", "rolled", False),
     pytest.param("tree:4", "rolled", True, marks=pytest.mark.slow),
-    ("tree:5", "rolled", False),
+    pytest.param("tree:5", "rolled", False, marks=pytest.mark.slow),
     ("gymnasium/half_cheetah.xml", "unrolled", False),
+    ("gymnasium/swimmer.xml", "rolled", False),  # in a fluid
     ("frax/franka_panda/panda.urdf", "rolled", False),
     ("frax/unitree_g1/g1_29dof_rev_1_0.urdf+free", "rolled", False),
 ]
@@ -38,13 +42,15 @@ FAST_F32 = ["arm7", "quadrotor", "tree:5"]
 FAST_F32 += ["frax/franka_panda/panda.urdf", "frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
 SLOW_F32 = ["tree:0", "gymnasium/half_cheetah.xml"]
 SLOW = [*MODELS, *(f"tree:{seed}" for seed in range(50))]
+IMMERSED = [f"{name} in water" for name in (*rb.scenes(), *MODELS)]
 
 
 def inputs(sample: Robot, dtype: type) -> dict[str, np.ndarray]:
     """States, controls, extra generalized forces and wrenches [moment; force] at body origins."""
     m, rng = sample.reference, np.random.default_rng(0)
     q, v = sample.states(STATES)
-    out = {"q": q, "v": v, "ctrl": rng.normal(size=(STATES, m.nu))}
+    out = {"q": q, "v": v, "x": sample.element_states(STATES)}
+    out |= {"ctrl": rng.normal(size=(STATES, m.nu))}
     out |= {"tau": rng.normal(size=(STATES, m.nv)), "w": rng.normal(size=(STATES, m.nbody - 1, 6))}
     return {name: x.astype(dtype) for name, x in out.items()}
 
@@ -55,7 +61,8 @@ def expected(m: mujoco.MjModel, given: dict[str, np.ndarray]) -> dict[str, np.nd
     data = mujoco.MjData(m)
     for k in range(STATES):
         x = {name: value[k].astype(float) for name, value in given.items()}
-        data.qpos, data.qvel, data.ctrl, data.qfrc_applied = x["q"], x["v"], x["ctrl"], x["tau"]
+        data.qpos, data.qvel, data.act = x["q"], x["v"], x["x"]
+        data.ctrl, data.qfrc_applied = x["ctrl"], x["tau"]
         mujoco.mj_kinematics(m, data)
         moment, force = x["w"][:, :3], x["w"][:, 3:]
         about_com = moment - np.cross(data.xipos[1:] - data.xpos[1:], force)
@@ -74,9 +81,9 @@ def expected(m: mujoco.MjModel, given: dict[str, np.ndarray]) -> dict[str, np.nd
     return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
 
 
-def answer(model, q, v, ctrl, tau, w):
+def answer(model, q, v, x, ctrl, tau, w):
     R, p = rb.forward_kinematics(model, q)
-    applied = rb.applied_forces(model, rb.State(q, v), ctrl)
+    applied = rb.applied_forces(model, rb.State(q, v, x if model.nx else None), ctrl)
     return {
         "R": R,
         "p": p,
@@ -91,9 +98,9 @@ def errors(name: str, driver: str, *, argument: bool = False, dtype: type = np.f
     sample = robot(name, driver)
     given = inputs(sample, dtype)
     want = expected(sample.reference, given)
-    batch = [given[n] for n in ("q", "v", "ctrl", "tau", "w")]
+    batch = [given[n] for n in ("q", "v", "x", "ctrl", "tau", "w")]
     if argument:
-        mapped = jax.vmap(answer, (None, 0, 0, 0, 0, 0))
+        mapped = jax.vmap(answer, (None, 0, 0, 0, 0, 0, 0))
         got = jax.jit(mapped, compiler_options=AS_USERS)(sample.model, *batch)
     else:
         mapped = jax.vmap(lambda *x: answer(sample.model, *x))
@@ -124,6 +131,35 @@ def test_f32(name: str) -> None:
 def test_f64_everywhere(name: str) -> None:
     for quantity, error in errors(name, "rolled").items():
         assert error.max() <= F64_PARITY, quantity
+
+
+@pytest.mark.parametrize(
+    "name", ["small in water", *(pytest.param(n, marks=pytest.mark.slow) for n in IMMERSED)]
+)
+def test_forces_in_water(name: str) -> None:
+    """What few files have: a fluid that flows, and springs and dampers by powers."""
+    assert forces_error(name) <= F64_PARITY
+
+
+def forces_error(name: str) -> float:
+    """Of the applied forces, over random states."""
+    sample = robot(name, "rolled")
+    m, given = sample.reference, inputs(sample, np.float64)
+    if not m.nv:
+        return 0.0
+
+    @functools.partial(jax.jit, compiler_options=QUICK)
+    def found(q, v, x, ctrl):
+        states = rb.State(q, v, x if sample.model.nx else None)
+        return jax.vmap(functools.partial(rb.applied_forces, sample.model))(states, ctrl)
+
+    got = found(*(given[n] for n in ("q", "v", "x", "ctrl")))
+    data, want = mujoco.MjData(m), []
+    for q, v, x, ctrl in zip(*(given[n] for n in ("q", "v", "x", "ctrl")), strict=True):
+        data.qpos, data.qvel, data.act, data.ctrl = q, v, x, ctrl
+        mujoco.mj_forward(m, data)
+        want.append(data.qfrc_passive + data.qfrc_actuator)
+    return float(relative_error(got, np.stack(want), batch_dims=1).max())
 
 
 @pytest.mark.slow
