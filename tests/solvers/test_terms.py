@@ -26,7 +26,7 @@ def test_a_control_other_than_time_is_refused(name: str, beside) -> None:
     """The field is of a unit of time: it would be wrong, and say nothing."""
     control = diffrax.ControlTerm(decay, PATH)
     term = diffrax.MultiTerm(*beside, control) if beside else control
-    with pytest.raises(rb.InputError, match=r"ControlTerm.* expected a term in time alone.*to_ode"):
+    with pytest.raises(rb.InputError, match=r"ControlTerm.* expected a term in time only.*to_ode"):
         end(term, SOLVERS[name].make())
 
 
