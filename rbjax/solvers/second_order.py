@@ -166,7 +166,7 @@ def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
 
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
-    """Chung and Hulbert's method: order 2, spectral radius rho_inf at infinite frequency, 0 to 1."""
+    """Chung and Hulbert's: order 2, spectral radius rho_inf (0 to 1) at infinite frequency."""
     check_between("generalized_alpha", "rho_inf", rho_inf, 0, 1)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)

@@ -36,7 +36,7 @@ def test_what_is_wrong_is_said(arguments, words: str) -> None:
     [
         (0.0, "a zero quaternion"),
         (1e-200, "a zero quaternion .* in float64"),
-        (1e200, "an endless quaternion"),
+        (1e200, "an infinite quaternion"),
     ],
 )
 def test_a_quaternion_needs_a_length(length: float, words: str) -> None:
