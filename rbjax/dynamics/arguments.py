@@ -212,7 +212,7 @@ def check_array(
         ) from error
     if x.shape not in shapes:
         one_more = shapes[0] in (x.shape[1:], x.shape[:-1]) and not fix
-        hint = "; for a batch, use jax.vmap" if one_more else ""
+        hint = "; for a batch use jax.vmap" if one_more else ""
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}{hint}")
     if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
         x = x.astype(jnp.result_type(float))

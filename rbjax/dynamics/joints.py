@@ -32,7 +32,7 @@ def joint_columns(
 ) -> tuple[Callable[..., JointMotion], list[Lane]]:
     """The motions of the links from `start` on, for the rolled driver: a function and its columns.
 
-    The function returns a `JointMotion` from the columns (nv - start, ...) or from one link's lanes.
+    The function makes a `JointMotion` from the columns (nv - start, ...) or from one link's lanes.
     """
     links = top.links[start:]
     batch = (1,) * (q.ndim - 1)
