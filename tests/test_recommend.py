@@ -124,7 +124,7 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
     state = model.default_state()
     for accuracy, horizon, words in (
         (1e-13, 1.0, "accuracy is 1e-13, expected at least 1e-10"),
-        (1e-3, -1.0, r"horizon is -1.0, expected seconds"),
+        (1e-3, -1.0, r"horizon is -1.0, expected a positive time"),
     ):
         with pytest.raises(rb.InputError, match=words):
             rb.solvers.recommend(model, state, accuracy, horizon=horizon)

@@ -137,7 +137,7 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
     if r is not None and r.shape != x.shape:
         raise InputError(f"verdict: got a reference {r.shape}, expected that of xs, {x.shape}")
     if r is not None and not np.isfinite(r).all():
-        raise InputError("verdict: got a reference with values that are not finite, expected all")
+        raise InputError("verdict: got a reference that is not finite, expected finite values")
     rows = (len(t), -1)
     return t, x.reshape(rows), None if r is None else r.reshape(rows)
 

@@ -298,7 +298,7 @@ def test_a_run_that_blows_up_keeps_its_last_sound_state() -> None:
     assert (np.asarray(run.kept)[-1] == np.asarray(run.y)).all()
     # it came to the second sample, and no trend is read from what is frozen after it
     np.testing.assert_array_equal(run.ts, [0.0, 1.0, *[np.nan] * 19])
-    with pytest.raises(rb.InputError, match=r"19 of 21 samples.* ended early"):
+    with pytest.raises(rb.InputError, match=r"19 of 21 samples.* early end"):
         trend(run.ts, run.kept[:, 0])
 
 

@@ -104,7 +104,7 @@ def test_never_nan() -> None:
         ((T[:0], TRUE[:0]), "expected"),
         ((T * np.nan, TRUE), "times that are not finite"),
         ((T, TRUE, TRUE[:, :1]), r"reference \(201, 1\)"),
-        ((T, TRUE, TRUE * np.nan), "no truth"),
+        ((T, TRUE, TRUE * np.nan), "reference that is not finite"),
     ],
 )
 def test_runs_that_cannot_be_judged(arguments, words: str) -> None:
