@@ -288,7 +288,7 @@ def test_reactions_do_no_work_and_repeat_constraints_are_flagged() -> None:
         (lambda s: lagrange.acceleration(s, np.zeros(2), np.zeros(3)), ["v has shape (3,)"]),
         (
             lambda s: lagrange.gravity_forces(System(s.kinetic, lambda q: q), np.zeros(2)),
-            ["one number"],
+            ["expected a scalar"],
         ),
         (lambda s: virtual_work.of_forces(lambda q: q, np.zeros(3), np.zeros(2)), ["(3,)", "(2,)"]),
         (lambda s: virtual_work.of_wrench(lambda q: q, np.zeros(6), np.zeros(2)), ["(4, 4)"]),
