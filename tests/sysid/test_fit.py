@@ -95,7 +95,7 @@ BEND = {"damping": UNKNOWNS["damping"]}
         ({"measured": np.full((51, 2), np.nan)}, r"measured\[0, 0\] is nan, expected finite"),
         ({"measured": np.zeros((51, 2), complex)}, "measured has dtype complex128"),
         ({"ctrls": None}, "ctrls is NoneType, expected an array"),
-        ({"ctrls": np.ones((150, 3))}, r"ctrls has shape \(150, 3\), expected \(150, 0\): a row"),
+        ({"ctrls": np.ones((150, 3))}, r"ctrls has shape \(150, 3\), expected \(150, 0\): one row"),
         ({"unknowns": {}}, "no unknowns, expected e"),
         ({"unknowns": {"m": Unknown("bodies.mass", 7)}}, r"bodies.mass has shape \(2,\) and no"),
         ({"unknowns": {"m": Unknown("bodies.com", 0)}}, ".* at index 0, expected"),
