@@ -1,4 +1,4 @@
-"""The solver that is recommended delivers what was asked, and the sentence has the number."""
+"""The recommended solver has the requested accuracy, and the sentence has the number."""
 
 import re
 
@@ -17,7 +17,7 @@ TS = np.linspace(0.0, 1.0, 24)  # not the times that it was chosen at
 
 
 def delivered(model, state, r, truth) -> float:
-    """The largest deviation of a configuration coordinate of what the user gets."""
+    """The largest error of a configuration coordinate in the user's simulation."""
     path = rb.simulate(model, state, TS, solver=r.solver, dt0=r.dt)
     gap = jax.jit(jax.vmap(lambda a, b: rb.difference(model, a, b)))(truth, path.q)
     return float(np.abs(np.asarray(gap)).max())
@@ -31,7 +31,7 @@ def fine(model, state):
 
 
 def test_a_smooth_motion_is_decided_by_accuracy(capfd: pytest.CaptureFixture) -> None:
-    """A pendulum, against SciPy on its own equation; silent where nobody looks on."""
+    """A pendulum, against SciPy on its own equation; no output if there is no terminal."""
     model = rb.load("pendulum")
     state = rb.State(np.array([0.5]), np.zeros(1))
     still = rb.State(*np.zeros((2, 9, 1)))
@@ -77,7 +77,7 @@ def test_a_stiff_motion_is_decided_by_stability() -> None:
 
 @slow
 def test_an_arm_falls(capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tried in the form that compiles soonest, delivered in the usual one; told on a terminal."""
+    """Tried with the driver that compiles fastest, run with the usual one; shown on a terminal."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     model = rb.load("arm7")
     state = model.default_state()

@@ -1,4 +1,4 @@
-"""The door of the algorithms: what is wrong with an argument is said in a sentence."""
+"""Checks of the algorithms' arguments: an error is one sentence."""
 
 import equinox as eqx
 import jax

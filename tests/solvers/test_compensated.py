@@ -1,4 +1,4 @@
-"""Compensated summation: what plain additions lose is kept, and all else is as without it."""
+"""Compensated summation keeps what plain additions lose, and changes nothing else."""
 
 import functools
 

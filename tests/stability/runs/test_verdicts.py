@@ -1,4 +1,4 @@
-"""Verdicts on runs made by hand, one of each kind, and what no verdict may do: be nan."""
+"""Verdicts on runs made by hand, one of each kind; no verdict is nan."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_without_a_reference_there_is_no_error() -> None:
 
 
 def test_never_nan() -> None:
-    """Whatever a run holds, the numbers of its verdict are numbers."""
+    """The numbers of a verdict are finite for any run."""
     rng = np.random.default_rng(1)
     for _ in range(200):
         xs = TRUE * 10.0 ** rng.uniform(-3, 3) + rng.normal(size=TRUE.shape)

@@ -1,4 +1,4 @@
-"""Methods that a user brings: tableaus, polynomials, classes and names, at every door."""
+"""A user's own methods: tableaus, polynomials, classes and names, in every function."""
 
 from fractions import Fraction
 

@@ -1,4 +1,4 @@
-"""Orders: rooted trees, the registry's claims, and what runs show, each by itself."""
+"""Orders: rooted trees, those in the registry, and measured ones."""
 
 import diffrax
 import pytest
