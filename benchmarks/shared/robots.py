@@ -92,7 +92,7 @@ def ours(name: str) -> rb.Model:
 
 
 def as_model(m: mujoco.MjModel) -> rb.Model:
-    """An MjModel as a Model, without the warning of what was dropped."""
+    """An MjModel as a Model, without the warning about dropped features."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return rb.load(m)

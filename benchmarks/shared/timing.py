@@ -83,7 +83,7 @@ def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = 
     source = source or provenance()
     RESULTS.mkdir(exist_ok=True)
     path = _path(name, source)
-    each = ",\n".join(json.dumps(row) for row in rows)  # a line each: small, and told apart by git
+    each = ",\n".join(json.dumps(row) for row in rows)  # one line each: small, and separate in git
     path.write_text(f'{{"provenance": {json.dumps(source)},\n"rows": [\n{each}\n]}}\n')
     if copies := os.environ.get("RBJAX_RESULTS"):
         (Path(copies) / path.name).write_bytes(path.read_bytes())

@@ -271,7 +271,7 @@ def main() -> None:
     parser.add_argument("--task-limit", type=float, default=240.0, help="seconds a task")
     parser.add_argument("--resume", nargs="*", type=Path, help="folders or files, of any CPU")
     opts = parser.parse_args()
-    os.environ["JAX_PLATFORMS"] = "cpu"  # this process leaves the GPUs alone
+    os.environ["JAX_PLATFORMS"] = "cpu"  # this process does not use the GPUs
     deadline = time.monotonic() + opts.deadline - 5.0
 
     boards = [] if opts.no_cpu else [

@@ -2,8 +2,8 @@
 
 optimistix stops where the residual is below a tolerance, or where the corrections shrink at a
 steady rate. Neither test works in a step: the residual of a stiff step is mostly rounding, and the
-corrections at an equilibrium are too. So a wrapper stops where the correction is rounding beside
-the state, or where the rate of the corrections predicts this of the next one. The corrections of a
+corrections at an equilibrium are too. So a wrapper stops when the correction is rounding relative
+to the state, or when its rate predicts this for the next correction. The corrections of a
 chord shrink at a constant rate. If they shrank fast and then grow, they are rounding too, however
 large an ill-conditioned mass matrix makes it. A failed root is a value: `ok` is false, and the
 step's result reports the failure.

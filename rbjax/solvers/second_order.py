@@ -118,7 +118,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
         carried, begins = solver_state
         carried = select(begins | made_jump, now, carried)
         m, f = self.alpha_m, self.alpha_f
-        bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
+        bent = forwards(terms, h) * h  # q'' is v', except for the sign of time
 
         def after(k):
             """A1, and the state that it leads to, of k = h a1."""

@@ -107,7 +107,7 @@ __all__ = [
     "ROLLOUT",
     "Recommendation",
     "recommend",
-    # motions: what stays, what grows, what fails
+    # motions: drift, growth, failure
     "drift",
     "trend",
     "Trend",

@@ -57,7 +57,7 @@ def compare(
     controls (reverse mode against central differences of MuJoCo C).
 
     Args:
-        source: what `rbjax.load` takes.
+        source: as for `rbjax.load`.
         states: how many random states.
         seed: of the states.
         mjx: whether MJX runs too, or its precisions, e.g. ("f64",).

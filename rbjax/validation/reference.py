@@ -39,7 +39,7 @@ def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel,
     """An `MjModel` with only the smooth dynamics, and the names of the disabled features.
 
     Args:
-        source: what `rbjax.load` takes; an MjModel is copied, not changed.
+        source: as for `rbjax.load`; an MjModel is copied, not changed.
         floating_base: as in `rbjax.load`.
 
     Example:
