@@ -13,10 +13,9 @@
 # %% [markdown]
 # # Choosing a solver
 #
-# `rb.solvers.all()` lists 55 of them. Which one, and with which step, is a question about the
-# robot: how stiff it is, how long it runs, and how right it must be. This notebook asks linear
-# theory, then one robot, then runs that are built to fail, and at the end the function that does it
-# all.
+# `rb.solvers.all()` lists 55 of them. The best solver and step depend on the robot: how stiff it
+# is, how long it runs, and how accurate the result must be. This notebook uses linear theory, then
+# one robot, then runs that are built to fail, and at the end the function that does all of this.
 
 # %%
 import jax
@@ -31,9 +30,9 @@ plt.rcParams.update({"figure.dpi": 110, "axes.grid": True, "grid.alpha": 0.3})
 lab = rb.stability
 
 # %% [markdown]
-# ## What theory says
-# On $y' = \lambda y$ a step multiplies $y$ by $R(h\lambda)$, a fraction of polynomials that
-# `linear_analysis` finds exactly, from the coefficients of any method.
+# ## Linear theory
+# On $y' = \lambda y$ a step multiplies $y$ by $R(h\lambda)$, a rational function.
+# `linear_analysis` finds it exactly, from the coefficients of any method.
 
 # %%
 names = ("rk4", "adams_bashforth3", "implicit_midpoint", "radau_iia3", "bdf2", "bdf5")
@@ -58,10 +57,10 @@ axes[2].set_title("generalized-alpha")
 figure.tight_layout()
 
 # %% [markdown]
-# ## What one robot says
-# A double pendulum whose elbow has a spring of $10^6$ N m/rad. Its motion linearised has one slow
-# mode, of gravity, and one fast, of the spring; the fast one holds explicit methods to short steps,
-# wherever the motion goes. The prediction comes from the eigenvalues alone, the measurement from
+# ## One robot
+# A double pendulum whose elbow has a spring of $10^6$ N m/rad. Its linearised motion has a slow
+# mode, from gravity, and a fast one, from the spring. The fast mode limits explicit methods to
+# short steps on the whole motion. The prediction uses only the eigenvalues. The measurement uses
 # runs that grow or do not.
 
 # %%
@@ -79,10 +78,10 @@ for method in ("rollout rk4", "stoermer_verlet"):
     print()
 
 # %% [markdown]
-# ## What stays, and what drifts
-# Energy of a pendulum without friction over twenty thousand steps of 0.1 s. A method can be more
-# accurate and still drift; a symplectic one stays within a band. `trend` decides by the slope and
-# its error.
+# ## Conservation and drift
+# The energy of a pendulum without friction over twenty thousand steps of 0.1 s. A method can be
+# more accurate and still drift; a symplectic one stays within a band. `trend` decides by the slope
+# and its error.
 
 # %%
 pendulum = rb.load("pendulum")
@@ -101,9 +100,9 @@ figure.tight_layout()
 
 # %% [markdown]
 # ## How long a gradient lasts
-# A double pendulum is chaotic: neighbours part at the Lyapunov exponent, and so does the derivative
-# of the end by the beginning. Where its norm has reached one over the machine's precision, a
-# gradient through the motion is noise.
+# A double pendulum is chaotic. Neighbouring motions separate at the rate of the Lyapunov exponent,
+# and the derivative of the end by the start grows at the same rate. When its norm reaches one over
+# the machine's precision, a gradient through the motion is noise.
 
 # %%
 wild = rb.State(jnp.array([2.0, 2.4]), jnp.zeros(2))
@@ -114,8 +113,8 @@ print(f"Lyapunov exponent {exponent.value:.2f} +- {exponent.error:.2f} 1/s; grad
 
 # %% [markdown]
 # ## How solvers fail
-# Fifteen scenes are built to break solvers; `attempt` runs one and tells what became of it, with
-# the number: an error, the time of a blow-up, the distance from the manifold, a drift. `make
+# Fifteen scenes are built to break solvers. `attempt` runs one and returns the outcome with a
+# number: an error, the time of a blow-up, the distance from the manifold, a drift. `make
 # failure-map` does this for every solver (`docs/failure_map.png`).
 
 # %%
@@ -127,8 +126,8 @@ for scene in ("spring_1e2", "spring_1e9"):
 
 # %% [markdown]
 # ## The short way
-# `recommend` linearises, runs the candidates and fits their errors, on the robot and from the state
-# that it is given; it says what decided.
+# `recommend` linearises the motion, runs the candidates and fits their errors, for your robot and
+# state. It returns the deciding reason.
 
 # %%
 choice = rb.solvers.recommend(stiff, rb.State(jnp.array([0.5, 0.0]), jnp.zeros(2)), 1e-4)

@@ -13,10 +13,10 @@
 # %% [markdown]
 # # The first hour with rbjax
 #
-# A robot file goes in; motion comes out, in a batch of one or of a million, and every number of the
-# robot has a gradient. This notebook loads a double pendulum, lets three hundred of them fall at
-# once, looks at their energy, and then asks the gradient two questions: which control brings a
-# cart-pole's cart to a mark, and which mass explains a measured swing.
+# A robot file goes in and motion comes out, for one sample or a batch of a million. Every number
+# of the robot has a gradient. This notebook loads a double pendulum, lets three hundred of them
+# fall at once, and looks at their energy. Then the gradient answers two questions: which control
+# brings a cart-pole's cart to a mark, and which mass explains a measured swing.
 
 # %%
 import jax
@@ -40,9 +40,9 @@ print(rb.scenes())
 print(model.joint_names, model.bodies.mass, model.gravity)
 
 # %% [markdown]
-# ## Three hundred pendula, a hair apart
-# `rollout` takes a batch as a leading axis. The pendula start within a tenth of a degree of one
-# another; a double pendulum is chaotic, and a few seconds are enough to see it.
+# ## Three hundred pendula, almost in the same place
+# `rollout` takes a batch as a leading axis. The pendula start within a tenth of a degree of each
+# other. A double pendulum is chaotic, and a few seconds are enough to see it.
 
 # %%
 count, steps, dt = 300, 4000, 0.002
@@ -59,10 +59,10 @@ axis.set(xlabel="time [s]", ylabel="elbow [deg]", title="300 double pendula")
 figure.tight_layout()
 
 # %% [markdown]
-# ## Energy tells how good the steps are
-# Nothing takes energy away here, so what changes is the integrator's error. At a step of 2 ms, in
-# this violent motion, RK4 errs by less than a millionth; semi-implicit Euler, of first order, by a
-# tenth.
+# ## The energy shows the quality of the steps
+# Nothing dissipates energy here, so its change is the integrator's error. With steps of 2 ms, in
+# this violent motion, the error of RK4 is below a millionth. That of semi-implicit Euler, of first
+# order, is a tenth.
 
 # %%
 energy = jax.jit(
@@ -123,8 +123,8 @@ print(f"cart at {float(run.q[-1, 0] - hanging.q[0]):.4f} m, asked 0.3 m")
 
 # %% [markdown]
 # ## Which mass explains the measurement?
-# Masses are leaves, so the same gradient identifies them. Here the swing of a pendulum pair whose
-# lower mass is 30 % larger, with noise on the angles, is explained by Gauss-Newton steps.
+# Masses are leaves, so the same gradient identifies them. The data are the noisy angles of a double
+# pendulum with a 30 % larger lower mass. Gauss-Newton steps find this mass.
 
 # %%
 true_mass = model.bodies.mass * jnp.array([1.0, 1.3])

@@ -11,11 +11,10 @@
 # ---
 
 # %% [markdown]
-# # Forces of your own
+# # Your own forces
 #
-# A model carries a tuple of force elements. Whatever moves the robot sums over them: `rollout`,
-# `simulate`, `linearise`, their derivatives, one robot or a batch. The guide is
-# `docs/extending.md`.
+# A model has a tuple of force elements. `rollout`, `simulate`, `linearise` and their derivatives
+# sum over them, for one robot or a batch. The guide is `docs/extending.md`.
 
 # %%
 import jax
@@ -32,7 +31,7 @@ start = robot.keyframe("horizontal")
 # %% [markdown]
 # ## An element in a few lines
 #
-# Its fields are numbers of the model. `loads(now)` says what it does at an instant. Here a fan
+# Its fields are numbers of the model. `loads(now)` returns its forces at an instant. Here a fan
 # blows at the pendulum's bob, with a drag that grows with the square of the relative speed.
 
 
@@ -55,7 +54,7 @@ blown = rb.simulate(robot.with_forces(fan), start, ts)
 # %% [markdown]
 # ## Friction, stops, and the library
 #
-# Dry friction is smooth at rest; stops push and never pull. Both are elements of the library, with
+# Dry friction is smooth at rest. Stops push and never pull. Both are elements of the library, with
 # numbers that can be differentiated.
 
 # %%
@@ -81,8 +80,8 @@ fig.tight_layout()
 # %% [markdown]
 # ## An element with a state
 #
-# A motor that reaches its command late has one number of its own, the torque. `State.x` holds it,
-# and every solver moves it along with q and v.
+# A motor that follows its command with a delay has one state, the torque. `State.x` holds it, and
+# every solver integrates it with q and v.
 
 
 # %%
@@ -104,7 +103,7 @@ path.x.shape
 # %% [markdown]
 # ## Gradients
 #
-# How far does the last angle move with the wind, and with the friction?
+# How much does the last angle change with the wind, and with the friction?
 
 
 # %%
@@ -118,9 +117,9 @@ print("by the wind, rad s/m:", slope[0].air.round(4))
 print("by Coulomb's friction, rad/(N m):", slope[1].coulomb.round(4))
 
 # %% [markdown]
-# ## Linearised, with all that acts
+# ## Linearisation with all forces
 #
-# The wind damps the pendulum: the real part of the eigenvalues tells how much.
+# The wind damps the pendulum: the real part of the eigenvalues shows how much.
 
 # %%
 rest = rb.stability.equilibrium(robot.with_forces(fan), robot.default_state())

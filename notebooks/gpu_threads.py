@@ -13,8 +13,8 @@
 # %% [markdown]
 # # A function of one robot as one GPU thread
 #
-# `rb.threads(f)` makes the batch of f one kernel on a GPU. Elsewhere it is f itself, so this
-# notebook runs on any machine. `docs/threads.md` has the figures.
+# `rb.threads(f)` runs a batch of f as one kernel on a GPU. On other machines it is f itself, so
+# this notebook runs anywhere. `docs/threads.md` has measurements.
 
 # %%
 import jax
@@ -27,9 +27,9 @@ model = rb.load("arm7")
 
 
 # %% [markdown]
-# ## A cost of our own
+# ## Your own cost
 #
-# The function sees one sample. It may call any algorithm of rbjax, and close over arrays.
+# The function takes one sample. It may call any algorithm of rbjax, and close over arrays.
 
 
 # %%
@@ -53,18 +53,18 @@ slope = jax.jit(jax.vmap(jax.grad(cost, 2)))(states.q, states.v, tau)
 slope.shape
 
 # %% [markdown]
-# ## What it becomes
+# ## The thread
 #
 # `explain` counts the statements of the thread and the bytes that it reads and writes. On a GPU
-# it also prints registers, local memory, the rate and how near to the device's limits that is.
+# it also prints registers, local memory, the rate, and the shares of the device's limits.
 
 # %%
 print(rb.threads.explain(effort, states.q[0], states.v[0], tau[0]))
 
 # %% [markdown]
-# Long programs are bound by fetching instructions: beyond some 8,000 statements a GPU runs each of
-# them several times slower. So the driver matters: written out, rolled into a loop over the links,
-# or by limbs (equal subtrees as a loop over one of them).
+# Instruction fetches limit long programs: beyond about 8,000 statements a GPU runs each of them
+# several times slower. So the driver matters: unrolled, rolled into a loop over the links, or by
+# limbs (equal subtrees as a loop over one of them).
 
 # %%
 QUADRUPED = """
@@ -101,8 +101,8 @@ plt.show()
 # %% [markdown]
 # ## Rollouts
 #
-# `rollout` runs all steps of a sample in its thread, and the reverse gradient keeps as many states
-# as `memory` allows. A small policy is part of the thread; a network runs between the steps.
+# `rollout` runs all steps of a sample in its thread. The reverse gradient stores as many states as
+# `memory` allows. A small policy is part of the thread; a network runs between the steps.
 
 
 # %%

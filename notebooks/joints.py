@@ -11,11 +11,11 @@
 # ---
 
 # %% [markdown]
-# # Joints of your own
+# # Your own joints
 #
-# A robot file knows hinges, slides, balls and free joints. `model.with_joint(name, kind)` puts
-# another kind in the place of one: a screw, a cylindrical, planar or universal joint, or a joint
-# that you write.
+# A robot file has hinges, slides, balls and free joints. `model.with_joint(name, kind)` replaces
+# one of them by another kind: a screw, a cylindrical, planar or universal joint, or a joint that
+# you write.
 
 # %%
 import jax
@@ -32,9 +32,9 @@ list(rb.joints.kinds())
 # %% [markdown]
 # ## A bead on a parabola
 #
-# A joint of k coordinates is the pose of its body against the joint's frame. Its axes S(q), and how
-# they turn, are derivatives of the pose. The bead's frame stays upright; its height is a number of
-# the model, so it can be differentiated.
+# A joint of k coordinates is the pose of its body relative to the joint's frame. Its axes S(q) and
+# their rates are derivatives of the pose. The bead's frame stays upright. The height of the rail
+# is a number of the model, so it can be differentiated.
 
 
 # %%
@@ -75,7 +75,7 @@ right.legend(frameon=False)
 # %% [markdown]
 # ## Gradients
 #
-# Where the bead is after two seconds, by the opening of its rail.
+# The derivative of the bead's position after two seconds by the opening of its rail.
 
 
 # %%
@@ -89,8 +89,8 @@ print("m per 1/m:", jax.grad(after_two_seconds)(jnp.array(0.5)).round(4))
 # %% [markdown]
 # ## A nut on a screw
 #
-# A nut on an upright screw turns as it falls: of its weight only m p^2 / (I + m p^2) accelerates
-# it, with the pitch p in metres a radian.
+# A nut on an upright screw turns as it falls. Only the part m p^2 / (I + m p^2) of its weight
+# accelerates it, with the pitch p in metres a radian.
 
 # %%
 p = 0.05

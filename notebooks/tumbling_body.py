@@ -13,10 +13,10 @@
 # %% [markdown]
 # # From rotations to a tumbling body
 #
-# Attitude takes three numbers, and no three numbers describe all of it: somewhere each choice is
-# singular. This notebook looks at where that is, writes one rigid body down in many ways that ought
-# to be one and the same, and lets it tumble, to see which of them hold, which fail, and when. On
-# the way it meets the polhode, and a handle that turns over in free flight for no visible reason.
+# An attitude has three degrees of freedom, but no three numbers describe all attitudes: every
+# choice is singular somewhere. This notebook shows where. Then it writes the equations of one
+# rigid body in many equivalent ways, and integrates them to see which ones fail, and when. It also
+# shows the polhode, and a handle that turns over in free flight for no visible reason.
 
 # %%
 import functools
@@ -41,9 +41,9 @@ BLUE, ORANGE, GREEN, PURPLE, RED, TEAL = PALETTE
 
 # %% [markdown]
 # ## One attitude, many numbers
-# `representations()` holds them all, 24 Euler sequences among them, behind one interface: to and
-# from a matrix or a quaternion, the maps between their rates and the angular velocity, and how far
-# they are from breaking down.
+# `representations()` has them all, including 24 Euler sequences, behind one interface: conversion
+# to and from a matrix or a quaternion, the maps between their rates and the angular velocity, and
+# the distance to the nearest singularity.
 
 # %%
 reps = representations()
@@ -58,9 +58,9 @@ for name in some.split():
     print(f"{name:16} {np.round(x, 4)!s:36} {away:6.1f} deg   {where}")
 
 # %% [markdown]
-# The rate map is `omega = E(x) x'`, and attitude inverse kinematics is its inverse,
-# `x' = E^-1(x) omega`. Differentiating the matrix along that x' gives omega back, in body axes from
-# R^T R', in space axes from R' R^T:
+# The rate map is `omega = E(x) x'`, and attitude inverse kinematics is its inverse, `x' = E^-1(x)
+# omega`. The derivative of the matrix along this x' gives omega back, in body axes from R^T R', in
+# space axes from R' R^T:
 
 # %%
 rpy = reps["roll_pitch_yaw"]
@@ -71,15 +71,15 @@ print("     space axes", (R @ omega).round(6), " found", so3.vee(Rd @ R.T).round
 
 # %% [markdown]
 # ## The singularity map
-# All attitudes are a ball of rotation vectors of radius pi. A slice through its middle is a disc:
-# the identity in the centre, half turns about horizontal axes on the rim (opposite points of the
-# rim are one attitude). Above, how badly conditioned E is: how much larger parameter rates can be
-# than the angular velocity behind them. Below, what it costs: the error of one classical
-# Runge-Kutta step that turns by 0.2 rad, taken from each attitude. Quaternions know no difference
-# between one attitude and another. The Gibbs vector is lost at half a turn; roll-pitch-yaw at two
-# points of this disc, where the pitch is a right angle; zyz at the identity, of all places, and
-# along the whole rim. The Euler vector and the modified Rodrigues parameters are singular at a
-# whole turn, outside of the disc.
+# All attitudes are a ball of rotation vectors of radius pi. A slice through its middle is a disc,
+# with the identity in the centre and half turns about horizontal axes on the rim. Opposite points
+# of the rim are the same attitude. The upper row shows the condition of E: how much larger the
+# parameter rates can be than the angular velocity. The lower row shows the effect: the error of
+# one classical Runge-Kutta step of 0.2 rad from each attitude. Quaternions treat all attitudes
+# alike. The Gibbs vector is singular at half a turn. Roll-pitch-yaw is singular at two points of
+# this disc, where the pitch is a right angle. zyz is singular at the identity and along the whole
+# rim. The Euler vector and the modified Rodrigues parameters are singular at a full turn, outside
+# of the disc.
 
 # %%
 across, turned = 141, 0.2 * jnp.array([0.36, 0.48, 0.8])
@@ -139,9 +139,9 @@ plt.show()
 
 # %% [markdown]
 # ## One body, one signature
-# A handle in the form of a T, two aluminium rods, thrown with a spin. Its mass, centre and inertia
-# follow from its shape; we put the frame at the centre of mass. The stem, along x, is the axis of
-# the intermediate moment of inertia.
+# A handle in the form of a T, made of two aluminium rods, is thrown with a spin. Its mass, centre
+# and inertia follow from its shape. We put the frame at the centre of mass. The stem, along x, is
+# the axis of the intermediate moment of inertia.
 
 # %%
 grip = spatial.shapes.cylinder(0.012, 0.16, density=2700.0)  # along z
@@ -156,10 +156,11 @@ inertia = np.diag(np.asarray(handle.inertia))
 print(f"mass {float(handle.mass):.3f} kg, moments {(1e4 * inertia).round(3)} kg cm^2")
 
 # %% [markdown]
-# Newton and Euler at the centre of mass or any point, Kirchhoff from the kinetic energy, spatial
-# vectors, momenta, Lagrange directly in each attitude, quasi-velocities: every formulation has its
-# own state, and all have one signature, `initial`, `rate`, `pose`, `twist`. So one function
-# integrates all of them; `f.term()` is what diffrax takes.
+# There are Newton-Euler equations at the centre of mass or any point, Kirchhoff's equations from
+# the kinetic energy, spatial vectors, momenta, Lagrange's equations in each attitude, and
+# quasi-velocities. Every formulation has its own state, and all have one signature, `initial`,
+# `rate`, `pose`, `twist`. So one function integrates all of them; `f.term()` is the term for
+# diffrax.
 
 
 # %%
@@ -212,11 +213,11 @@ for name, (title, _) in LINES.items():
 
 # %% [markdown]
 # ## Which fails where, and when
-# The same steps for all. Each Lagrangian formulation is as good as any until its motion comes near
-# its own singularity (below); what it loses there it never wins back. Nothing turns the handle
-# about its centre of mass, so its angular momentum stays as it is: that drift (middle) tells of a
-# failure without knowing the truth. Momentum about a fixed point of the world is never singular,
-# but here it is a thousand times the spin that it holds, and digits go.
+# All formulations take the same steps. Each Lagrangian one is as accurate as any until its motion
+# comes near its own singularity (below), and it never recovers what it loses there. No torque acts
+# on the handle about its centre of mass, so its angular momentum is constant. Its drift (middle)
+# reveals a failure without a reference. Momentum about a fixed point of the world is never
+# singular, but here it is a thousand times larger than the spin, so digits are lost.
 
 
 # %%
@@ -243,11 +244,11 @@ plt.show()
 # %% [markdown]
 # ## The torque-free top: the polhode
 # In the body's own axes the angular velocity stays on two surfaces: the ellipsoid of its energy,
-# and that of its angular momentum (a sphere, if momentum is what one draws). Where they meet is the
-# polhode. About the axes of the least and the greatest moment the polhodes are closed loops;
-# through the intermediate axis goes the separatrix (black), and whatever starts near it must travel
-# to the other side. Each loop is integrated over its closed-form period 4 K(k^2) / lambda (Landau
-# and Lifshitz, 37), in 300 steps; that it closes is a test of both.
+# and that of its angular momentum (a sphere in momentum coordinates). Their intersection is the
+# polhode. About the axes of the smallest and the largest moment the polhodes are closed loops. The
+# separatrix (black) goes through the intermediate axis, and any motion that starts near it must
+# travel to the other side. Each loop is integrated over its closed-form period 4 K(k^2) / lambda
+# (Landau and Lifshitz, 37), in 300 steps. The closed loops confirm both.
 
 # %%
 least, middle, most = np.argsort(inertia)
@@ -340,10 +341,10 @@ plt.show()
 
 # %% [markdown]
 # ## Dzhanibekov's handle
-# Spun about its stem, the intermediate axis, with a hundredth of the spin across it, the handle
-# follows a loop next to the separatrix: long it stays where it is, then it turns over within a
-# blink, and again, and again. The dotted lines are where the closed form has the flips, every half
-# period; they come from Jacobi's functions, not from this integration.
+# The handle spins about its stem, the intermediate axis, with a hundredth of the spin across it. It
+# follows a loop next to the separatrix: it keeps its direction for a long time, then turns over
+# within a moment, again and again. The dotted lines mark the flips of the closed form, every half
+# period. They come from Jacobi's functions, not from this integration.
 
 # %%
 spin = np.zeros(3)
@@ -396,13 +397,12 @@ plt.show()
 
 # %% [markdown]
 # ## Error and drift of the representations
-# Free of torque, the angular momentum L in space is constant, so the attitude alone is the state:
-# `x' = E^-1(x) I^-1 R(x)^T L` in any representation, of three numbers or of nine. Here eight
-# follow the throw of above in the same Runge-Kutta steps of 5 ms. Three numbers fail at their
-# singularities, and so do axis and angle at a whole turn; more than three drift off their
-# constraint (bottom left). On the right some of the same as *increments*: a local parameter is
-# integrated, and folded into a reference attitude half-way to its singularity (bottom right). None
-# fails any more.
+# Without torque, the angular momentum L in space is constant, so the attitude is the only state:
+# `x' = E^-1(x) I^-1 R(x)^T L` in any representation, with three numbers or nine. Here eight of them
+# follow the throw above with the same Runge-Kutta steps of 5 ms. Three numbers fail at their
+# singularities, and axis and angle at a full turn. More than three drift off their constraint
+# (bottom left). The right side shows some of them as *increments*: a local parameter is integrated,
+# and folded into a reference attitude half-way to its singularity (bottom right). Now none fails.
 
 # %%
 moments, ts = jnp.asarray(inertia), np.linspace(0, 2, 401)
@@ -488,13 +488,13 @@ near.set(xlabel="time [s]", ylabel="increment to its singularity [deg]", ylim=(0
 plt.show()
 
 # %% [markdown]
-# ## What other libraries do at the singular points
+# ## Other libraries at the singular points
 # At removable singularities (no turn, half a turn, a matrix in gimbal lock) there is a right
-# answer. Here is what others make of it, in f64, the worst of 500 attitudes or directions
-# (`python -m benchmarks.accuracy.rotation_libraries`; manifpy was not to be had); *lock* is gimbal
-# lock of intrinsic z-y-x angles, d the distance to it in rad:
+# answer. The table shows the results of other libraries in f64, the worst of 500 attitudes or
+# directions (`python -m benchmarks.accuracy.rotation_libraries`; manifpy was not available). *lock*
+# is gimbal lock of intrinsic z-y-x angles, d the distance to it in rad:
 #
-# | library | where | what it does |
+# | library | where | result |
 # | --- | --- | --- |
 # | jaxlie 1.5.0 | `SE3.exp` at zero | d translation / d rotation is twice too large |
 # | jaxlie 1.5.0 | `SE3.exp`, turns of 0, 1e-3, 1e-2 | second derivatives off by 0.7, 2e-8, 3e-11 |
@@ -505,7 +505,7 @@ plt.show()
 # | scipy 1.17 | `as_euler`, d = 1e-7 and less, but not 0 | warns, attitude off by 2 d |
 # | scipy 1.17, jaxlie 1.5.0 | logarithm, turns up to pi | right to rounding |
 #
-# Ours, and scipy's as it is installed here, from intrinsic z-y-x angles to a matrix and back:
+# The results of rbjax and of the installed scipy, from intrinsic z-y-x angles to a matrix and back:
 
 # %%
 rng = np.random.default_rng(0)

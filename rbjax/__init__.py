@@ -1,7 +1,7 @@
 """rbjax: differentiable rigid-body dynamics in JAX.
 
-A robot file goes in; fast, accurate, differentiable motion comes out, in a batch of one or of a
-million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
+A robot file goes in. Fast, accurate and differentiable motion comes out, for one sample or for a
+batch of a million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
 import functools
@@ -52,19 +52,19 @@ __version__ = "0.1.0"
 
 
 def _of(module: str, name: str) -> Any:
-    """A name of a module that is imported when it is asked for."""
+    """A name of a module. The module is imported on the first use."""
     return getattr(importlib.import_module(module), name)
 
 
-# Rooms that are looked for below where they stand: solvers and stability answer to these names.
+# `rb.solvers` offers these two names too, although their module imports `rb.solvers`.
 for _name in ("recommend", "Recommendation"):
     solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend", _name)
 
 
 def __getattr__(name: str) -> Any:
-    """Rooms that come when they are asked for, for what they import: `validation` MJX, which takes
-    seconds, `plotting` matplotlib, `stability` SciPy's integrators and mpmath, which take as long
-    as a third of the rest.
+    """Subpackages that are imported on the first use, because their own imports are slow.
+
+    `validation` imports MJX, `plotting` matplotlib, `stability` SciPy's integrators and mpmath.
     """
     if name in ("plotting", "stability", "validation"):
         return importlib.import_module(f"rbjax.{name}")

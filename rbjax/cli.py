@@ -1,7 +1,7 @@
 """The command line: `rbjax info | simulate | validate | bench | demo`, `rbjax --version`.
 
-Computes in f64, inside `jax.enable_x64`. What goes wrong on purpose (`RbjaxError`) is one sentence
-and exit code 2; `validate` exits with 1 when a quantity is out of tolerance.
+Commands compute in f64, inside `jax.enable_x64`. A `RbjaxError` prints one sentence and gives exit
+code 2. `validate` exits with 1 when a quantity is out of tolerance.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Floating = Annotated[bool, typer.Option("--floating-base", help="Free a URDF's r
 
 @contextlib.contextmanager
 def _session() -> Iterator[None]:
-    """f64, quiet about what a model leaves out (it is printed), errors as one sentence."""
+    """f64, no warnings about features left out (they are printed), errors as one sentence."""
     with warnings.catch_warnings(), jax.enable_x64(True):
         warnings.filterwarnings("ignore", message=".*left out of the model")
         try:
@@ -65,8 +65,8 @@ def _options(
 
 @contextlib.contextmanager
 def _progress(*, log: bool = False) -> Iterator[Any]:
-    """A line with a spinner and the time on stderr; yields (say, advance). `log`: where stderr is
-    no terminal each step is a line of its own, instead of nothing."""
+    """A line with a spinner and the time on stderr; yields (say, advance). `log`: if stderr is no
+    terminal, each step prints its own line instead of nothing."""
     if log and not err.is_terminal:
         begin = time.perf_counter()
 
@@ -90,7 +90,7 @@ def _progress(*, log: bool = False) -> Iterator[Any]:
 
 
 def operations(model: Model) -> dict[str, OperationCount]:
-    """Arithmetic of each algorithm on a model whose numbers are constants, as traced.
+    """Operations of each algorithm, as traced, on a model whose numbers are constants.
 
     Example:
         >>> import rbjax as rb
@@ -113,7 +113,7 @@ def operations(model: Model) -> dict[str, OperationCount]:
 
 @app.command()
 def info(file: File, as_json: AsJson = False, floating_base: Floating = False) -> None:
-    """What a robot file holds: its tree, what is left out, the arithmetic of each algorithm."""
+    """Show a robot file: its tree, the features left out, the operations of each algorithm."""
     with _session():
         model = rb.load(file, floating_base=floating_base)
         counts = operations(model)
@@ -141,7 +141,7 @@ def info(file: File, as_json: AsJson = False, floating_base: Floating = False) -
 
 
 def _tree(model: Model, file: str) -> Tree:
-    """Bodies with their joints, as they hang on one another."""
+    """The tree of bodies with their joints."""
     top, mass = model.topology, np.asarray(model.bodies.mass)
     head = f"[bold]{Path(file).name}[/]: {model.nb} bodies, nq {model.nq}, nv {model.nv}, "
     tree = Tree(head + f"nu {model.nu}, {mass.sum():.4g} kg, step {model.timestep:g} s")
@@ -175,7 +175,7 @@ def simulate(
     as_json: AsJson = False,
     floating_base: Floating = False,
 ) -> None:
-    """Let a robot move, without controls but a keyframe's own."""
+    """Simulate a robot, without controls except those of the keyframe."""
     with _session(), _progress() as (say, advance):
         model = rb.load(file, floating_base=floating_base)
         if video is not None:
@@ -267,7 +267,7 @@ def validate(
     gradient: Annotated[bool, typer.Option(help="Compare gradients too.")] = True,
     floating_base: Floating = False,
 ) -> None:
-    """A robot beside MuJoCo C and MJX; exit code 1 when rbjax is out of tolerance."""
+    """Compare a robot with MuJoCo C and MJX; exit code 1 when rbjax is out of tolerance."""
     from rbjax.validation import compare
 
     with _session(), _progress() as (say, _):
@@ -295,7 +295,7 @@ def bench(
     batch: Annotated[int, typer.Option(help="States at once.")] = 1024,
     as_json: AsJson = False,
 ) -> None:
-    """Forward dynamics on this machine beside MuJoCo C (all measurements: `make bench`)."""
+    """Time forward dynamics against MuJoCo C on this machine (all measurements: `make bench`)."""
     from rbjax.validation.reference import forward_seconds, random_samples, smooth
 
     with _session(), _progress() as (say, _):
@@ -316,7 +316,7 @@ def bench(
     for name, value in micro.items():
         table.add_row(name, f"{value:.3g}")
     out.print(table)
-    out.print("MuJoCo's is a whole mj_forward. Every figure: [bold]make bench[/] in a checkout.")
+    out.print("MuJoCo runs a full mj_forward. All figures: [bold]make bench[/] in a checkout.")
 
 
 def _forward_seconds(model: Model, samples: Any, dtype: Any) -> float:
@@ -337,7 +337,7 @@ def _forward_seconds(model: Model, samples: Any, dtype: Any) -> float:
 def demo(
     folder: Annotated[Path, typer.Option("--out", help="Where to.")] = Path("rbjax-demo"),
 ) -> None:
-    """The main job on bundled scenes: pictures and a report in ./rbjax-demo/, in a few minutes."""
+    """Run rbjax on bundled scenes: pictures and a report in ./rbjax-demo/, in a few minutes."""
     from rbjax.demo import demo as run
     from rbjax.demo.run import PARTS
 

@@ -1,8 +1,8 @@
-"""Options of XLA's compiler under which programs on lanes run fastest on the CPU.
+"""Options of XLA's compiler with which programs on lanes run fastest on the CPU.
 
-LLVM uses vectors of 256 bits unless told otherwise, also where a core has 512. And jaxlib 0.10's
-fusion emitters, on by default, compile a loop with many results (`fusion_barrier`) slower and to
-slower code than what they replace; jaxlib 0.11 has nothing else.
+By default LLVM uses vectors of 256 bits, even if a core has 512. The fusion emitters of jaxlib
+0.10, on by default, compile a loop with many results (`fusion_barrier`) slower and to slower code
+than the older compiler. jaxlib 0.11 has only the emitters.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WITHOUT_EMITTERS = ("xla_cpu_use_fusion_emitters", False)
 
 @functools.cache
 def xla_accepts(option: str, value: Any) -> bool:
-    """Whether this jaxlib's compiler knows an option: jaxlibs come and go with them."""
+    """Whether this jaxlib's compiler knows an option. The options change with jaxlib's version."""
     try:
         jax.jit(lambda x: x + 1, compiler_options={option: value}).lower(1.0).compile()
     except jax.errors.JaxRuntimeError as error:
@@ -33,17 +33,17 @@ def xla_accepts(option: str, value: Any) -> bool:
 
 
 def compiler_options() -> dict[str, Any]:
-    """Options for `jax.jit` under which rbjax runs fastest on the CPU; none on other platforms.
+    """Options for `jax.jit` with which rbjax runs fastest on the CPU; none on other platforms.
 
-    Vectors of 512 bits (a core that has fewer uses what it has), and no fusion emitters where
-    jaxlib can do without: rollouts of an arm in f64 take 0.7 of the time, of a humanoid 0.9
-    (benchmarks/results/work-precision-*.json, "options"), implicit methods on an arm 0.5 to 0.9 of
-    the time to compile (benchmarks/results/cpu-implicit-*.json). JAX takes them at the outermost
-    `jit` alone, so they are the caller's to give; an algorithm, a `rollout` or a `simulate` that is
-    called with nothing around it has them.
+    Vectors of 512 bits (a core with fewer uses those), and no fusion emitters if jaxlib can switch
+    them off. Rollouts in f64 take 0.7 of the time for an arm, 0.9 for a humanoid
+    (benchmarks/results/work-precision-*.json, "options"). Implicit methods on an arm compile in 0.5
+    to 0.9 of the time (benchmarks/results/cpu-implicit-*.json). JAX accepts options only at the
+    outermost `jit`, so you pass them to your own `jit`. An algorithm, a `rollout` or a `simulate`
+    outside of any `jit` already uses them.
 
     Returns:
-        what this jaxlib knows of them, name -> value.
+        name -> value, of those that this jaxlib knows.
 
     Example:
         >>> import rbjax as rb, jax
@@ -56,7 +56,7 @@ def compiler_options() -> dict[str, Any]:
 
 
 def wide_vectors() -> dict[str, Any]:
-    """The option for arctangents and logarithms, which without the emitters are computed twice."""
+    """The option for arctangents and logarithms, which are computed twice without the emitters."""
     return _known(WIDE)
 
 
@@ -67,19 +67,19 @@ def _known(*options: tuple[str, Any]) -> dict[str, Any]:
 
 
 def alone() -> bool:
-    """Whether nothing is around a call: no program that is recorded, nothing transformed."""
+    """Whether a call is outside of any trace and any transformation."""
     return get_opaque_trace_state() == _AT_IMPORT and _imported_alone()
 
 
 @functools.cache
 def _imported_alone() -> bool:
-    """Whether no program was recorded around the import; asked where all is as it was then."""
+    """Whether the import was outside of any trace; called where the state is still that one."""
     return not isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
 def inside_jit() -> bool:
-    """Whether a program is being recorded (by jit, scan ...), rather than numbers transformed (by
-    a vmap or grad outside of any jit)."""
+    """Whether a program is being traced (by jit, scan ...). A vmap or grad outside of any jit is
+    not such a trace."""
     return not alone() and isinstance(jnp.zeros(()), jax.core.Tracer)
 
 
@@ -89,8 +89,8 @@ def compiled(
     options: Callable[[], dict[str, Any]] = compiler_options,
     **how: Any,
 ) -> Callable:
-    """`jit(f, **how)`, with `options` for calls that stand alone: JAX takes options at the
-    outermost `jit` and nowhere else."""
+    """`jit(f, **how)`, with `options` for calls outside of any trace: JAX accepts options only at
+    the outermost `jit`."""
 
     @functools.cache
     def program(with_options: bool) -> Callable:

@@ -1,4 +1,4 @@
-"""What rbjax raises. Each message says what was got, what was expected, and the fix."""
+"""The errors of rbjax. Each message says what was got, what was expected, and the fix."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 
 
 def listed(names: Sequence[str], shown: int) -> str:
-    """Names in a message: the first of them, and how many more there are."""
+    """Names for a message: the first few, and the number of the others."""
     more = f" and {len(names) - shown} more" if len(names) > shown else ""
     return ", ".join(names[:shown]) + more
 
 
 class RbjaxError(Exception):
-    """Base of every error that rbjax raises on purpose."""
+    """The base class of all errors of rbjax."""
 
 
 class ModelError(RbjaxError, ValueError):
@@ -20,7 +20,7 @@ class ModelError(RbjaxError, ValueError):
 
 
 class UnsupportedFeature(RbjaxError, ValueError):
-    """A feature of the file that rbjax leaves out, refused with ``strict=True``."""
+    """The file has a feature that rbjax leaves out. Raised with ``strict=True``."""
 
 
 class InputError(RbjaxError, ValueError):
@@ -28,7 +28,7 @@ class InputError(RbjaxError, ValueError):
 
 
 class UnknownName(RbjaxError, KeyError):
-    """A name that the model does not have; the message lists those it has."""
+    """A name that does not exist. The message lists the names that do."""
 
     def __init__(self, kind: str, name: object, valid: Iterable[str]):
         names = ", ".join(repr(n) for n in valid) or "(there are none)"

@@ -1,7 +1,7 @@
-"""Batches on a mesh of explicit axes, as `jax.make_mesh` makes it: types say how arrays are spread.
+"""Batches on a mesh of explicit axes, as `jax.make_mesh` makes it: types contain the sharding.
 
-rbjax leaves to XLA how a batch goes through, as on automatic axes. So arguments are taken over to
-such axes as they come in, and results are given types again.
+rbjax lets XLA shard a batch, as on automatic axes. So arguments are moved to automatic axes on
+entry, and results get explicit types again.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NOWHERE = NamedSharding(AbstractMesh((), ()), PartitionSpec())
 
 
 def automatic(f: F) -> F:
-    """f, whose arguments may lie on explicit axes; where they do, its results lie there too."""
+    """f, whose arguments may be on explicit axes. If they are, the results are too."""
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -33,10 +33,10 @@ def automatic(f: F) -> F:
 
 
 def on_auto_axes(f: Callable, *args: Any, along: Sequence[jax.Array] = ()) -> Any:
-    """f(*args), on automatic axes where arrays among the arguments lie on explicit ones.
+    """f(*args), run on automatic axes if arrays among the arguments are on explicit ones.
 
-    along: every result has the first axis of these, and is spread as the first that is spread. What
-    lies whole on every device, and is known, stays known.
+    along: every result has the first axis of these, and is sharded like the first that is sharded.
+    Known arrays that are replicated on every device stay known.
     """
 
     def moves(x: Any) -> bool:
@@ -65,12 +65,12 @@ def on_auto_axes(f: Callable, *args: Any, along: Sequence[jax.Array] = ()) -> An
             raise
         raise InputError(
             "a function closes over arrays on a mesh of explicit axes, which JAX refuses; expected "
-            "them as leaves of the function: jax.tree_util.Partial(function, *arrays), or an "
+            "them as leaves of the function: use jax.tree_util.Partial(function, *arrays), or an "
             "equinox.Module"
         ) from error
     return eqx.combine(given, rest[0])
 
 
 def _on(x: Any) -> NamedSharding:
-    """How the type of a leaf says that it is spread."""
+    """The sharding in the type of a leaf."""
     return jax.typeof(x).sharding if isinstance(x, jax.Array) else NOWHERE

@@ -1,15 +1,16 @@
-"""Which solver, and which step, for this robot from this state: measured, and said in a sentence.
+"""The solver and the step for this robot from this state, measured and explained in a sentence.
 
-    1. the motion itself, by an adaptive method far more accurate than what is asked
-    2. its linearisation along the way: the fastest eigenvalue, and the largest step at which the
+    1. the motion itself, by an adaptive method far more accurate than requested
+    2. its linearisation along the path: the fastest eigenvalue, and the largest step at which the
        explicit candidate is stable
-    3. each candidate at several steps against 1: error(h) ~ C h^p leads to the step at which the
-       error is what was asked, and the run at that step says whether it is
+    3. each candidate at several steps, compared with 1: error(h) ~ C h^p predicts the step with the
+       requested error, and a run at this step confirms it
     4. the candidate with the fewest evaluations of forward dynamics a second of motion
-Implicit candidates are tried where stability, not accuracy, holds the explicit one back; a
-symplectic one where nothing dissipates and the horizon is longer than what is run. There errors
+Implicit candidates are tried if stability, not accuracy, limits the explicit one. A symplectic
+candidate is tried if nothing dissipates and the horizon is longer than the trial run. Then errors
 grow with t for symplectic methods and with t^2 for others (Hairer, Lubich & Wanner, *Geometric
-Numerical Integration*, X.3), otherwise with t: nothing is promised beyond for chaotic motion.
+Numerical Integration*, X.3). Otherwise they are taken to grow with t. Beyond the trial run nothing
+is guaranteed for chaotic motion.
 """
 
 from __future__ import annotations
@@ -36,27 +37,27 @@ from rbjax.motion.simulate import simulate
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 
-TRIAL = 10.0  # seconds of motion that are run at most
-RADIANS = 5e4  # of the fastest mode in that time: a hundred thousand steps or so
+TRIAL = 10.0  # the most seconds of motion in a trial run
+RADIANS = 5e4  # of the fastest mode in that time: about a hundred thousand steps
 POINTS = 17  # times at which motions are compared
-LOOKS = 9  # of them linearised at
-FINEST = 1e-10  # accuracy beside which the reference's own error counts
+LOOKS = 9  # the number of these at which the motion is linearised
+FINEST = 1e-10  # accuracy at which the reference's own error matters
 MOST_STEPS = 2_000_000
-LOOSE = 1e-3  # accuracy for which order three is enough where the motion is stiff
+LOOSE = 1e-3  # accuracy for which order three is enough for stiff motion
 TRIES = 14  # runs of a candidate
-ROLLED_ABOVE = 6  # velocity coordinates, from which a program of loops compiles in half the time
-BRIEF = 1e4  # radians of the fastest mode, up to which that saves more than it costs
+ROLLED_ABOVE = 6  # velocity coordinates above which a rolled program compiles in half the time
+BRIEF = 1e4  # radians of the fastest mode up to which this saves more than it costs
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """What to give to `rb.simulate(model, state, ts, solver=r.solver, dt0=r.dt)`.
+    """A solver and a step for `rb.simulate(model, state, ts, solver=r.solver, dt0=r.dt)`.
 
     Fields: solver; name, in `rb.solvers.all()`; dt in seconds; predicted_error, the largest
     deviation of a configuration coordinate over the horizon (m, rad); evaluations of forward
-    dynamics a second of motion; reason, a sentence with the number that decided.
+    dynamics a second of motion; reason, a sentence with the deciding number.
     """
 
     solver: diffrax.AbstractSolver
@@ -113,7 +114,7 @@ def _controls(control: Source | None, ts: np.ndarray, states: State) -> jax.Arra
 def _largest_step(
     error: Callable[[float], float], start: float, most: float, order: int, target: float
 ) -> tuple[float, float] | None:
-    """The largest step found whose error is at most the target, and the error; None for none."""
+    """The largest step found with an error of at most the target, and this error; or None."""
     good: tuple[float, float] | None = None
     bad, h = math.inf, min(start, most)
     for _ in range(TRIES):
@@ -145,7 +146,7 @@ def _explicit(model: Model) -> Candidate:
 
 
 def _implicit(nv: int, accuracy: float) -> Candidate:
-    """Evaluations: stages, and 2 nv for a Jacobian; Radau's iterations, about five."""
+    """Evaluations: the stages, 2 nv for a Jacobian, and about five iterations for Radau."""
     if accuracy >= LOOSE:
         return Candidate("ros34pw2", solvers.ros34pw2(), 3, 6.0 + 2 * nv, 2.0)
     return Candidate("radau_iia3", solvers.radau_iia(3), 5, 17.0 + 2 * nv, 2.0)
@@ -168,16 +169,17 @@ def recommend(
 ) -> Recommendation:
     """A solver and a constant step for this robot from this state, and why.
 
-    error(h) ~ C h^p, fitted and then run; steps within stability; the fewest evaluations win.
+    error(h) ~ C h^p is fitted and confirmed by a run. Of the stable steps that are accurate enough,
+    the one with the fewest evaluations a second is chosen.
 
     Args:
         model: the robot.
         state: initial q (nq,), v (nv,).
         accuracy: the largest deviation of a configuration coordinate over the horizon, in m and
-            rad, from 1e-10 on.
-        horizon: seconds of motion; beyond 10 the first 10 are run and the error extrapolated.
+            rad, at least 1e-10.
+        horizon: seconds of motion; only the first 10 are run, and the error is extrapolated.
         control: (t, state) -> (nu,), as `rb.simulate` takes it; None for no actuation.
-        progress: show on the terminal what is compiled and run.
+        progress: show the progress on the terminal.
 
     Returns:
         `Recommendation`: solver, name, dt, predicted_error, evaluations, reason.
@@ -185,10 +187,10 @@ def recommend(
     Raises:
         InputError: a state of the wrong type or shape, or not finite; an accuracy or a horizon that
             is not a number, not positive, or too fine; a motion that is not finite, or that no
-            candidate follows as asked.
+            candidate follows with this accuracy.
 
     It compiles one program for the reference, one for the linearisation and one for each candidate
-    (one to three), in f64 whatever the caller works in.
+    (one to three). It always computes in f64.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.2 (stiffness as a limit of stability).
 
@@ -204,11 +206,11 @@ def recommend(
             raise InputError(f"recommend: {name} is {x!r}, expected a number")
     if not accuracy >= FINEST:
         raise InputError(
-            f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}: the reference "
-            "knows no more"
+            f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}: the reference is "
+            "not more accurate"
         )
     if not 0 < horizon < math.inf:
-        raise InputError(f"recommend: horizon is {horizon}, expected seconds, positive")
+        raise InputError(f"recommend: horizon is {horizon}, expected a positive time in seconds")
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]
         if not model.nv:
@@ -221,7 +223,7 @@ def recommend(
 
 @contextlib.contextmanager
 def _told(progress: bool) -> Iterator[Say]:
-    """A line on stderr, where that is a terminal, which goes away."""
+    """A transient progress line on stderr, if that is a terminal."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -234,7 +236,7 @@ def _told(progress: bool) -> Iterator[Say]:
 
 
 def _light(model: Model) -> Model:
-    """The robot in the form that compiles soonest."""
+    """The robot in the form that compiles fastest."""
     rolls = model.driver == "auto" and model.nv > ROLLED_ABOVE
     return model.replace(driver="rolled") if rolls else model
 
@@ -253,7 +255,7 @@ def _recommended(
     A = motion_matrices(light, start, _controls(control, np.zeros(LOOKS), start))
     fastest = _fastest(A)
     trial = min(horizon, TRIAL)
-    # vibrations have to be followed; what only decays need not be, and an implicit reference does
+    # vibrations must be followed; for mere decay an implicit reference is enough
     following = abs(fastest.imag) * trial <= RADIANS
     trial = trial if following else RADIANS / abs(fastest)
     stiff = abs(fastest) * trial > RADIANS
@@ -308,8 +310,8 @@ def _recommended(
     if not good:
         raise InputError(
             f"recommend: none of {list(found)} keeps within {accuracy:.1e} over {horizon:g} s "
-            f"in {TRIES} tries each (fastest eigenvalue {abs(fastest):.2g} 1/s); ask for less, or "
-            "for a shorter horizon"
+            f"in {TRIES} tries each (fastest eigenvalue {abs(fastest):.2g} 1/s); give a larger "
+            "accuracy or a shorter horizon"
         )
     h, e, best = min(good, key=lambda x: x[2].evaluations / x[0])
     cost = best.evaluations / h
@@ -326,10 +328,10 @@ def _reason(
     best: Candidate, h: float, e: float, accuracy: float, horizon: float, explicit: Candidate,
     held: tuple[float, float, Candidate] | None, limit: float, fastest: float, by_stability: bool,
 ) -> str:  # fmt: skip
-    """What decided, with its number."""
+    """The deciding criterion, with its number."""
     met = (
-        f"{best.name} with steps of {h:.2g} s errs by {e:.1e} of the {accuracy:.1e} asked over "
-        f"{horizon:g} s, for {best.evaluations / h:.2g} evaluations a second"
+        f"{best.name} with steps of {h:.2g} s has an error of {e:.1e} (requested: {accuracy:.1e}) "
+        f"over {horizon:g} s, with {best.evaluations / h:.2g} evaluations a second"
     )
     if best.growth == 1.0:
         return (
@@ -339,7 +341,7 @@ def _reason(
     if by_stability:
         there = "no step was found" if held is None else f"its error is only {held[1]:.1e}"
         return (
-            f"stability decides: the fastest eigenvalue, {fastest:.2g} 1/s, holds {explicit.name} "
+            f"stability decides: the fastest eigenvalue, {fastest:.2g} 1/s, limits {explicit.name} "
             f"to steps of {limit:.2g} s, where {there}; {met}"
         )
     allowed = "any step" if limit == math.inf else f"steps of {limit:.2g} s"

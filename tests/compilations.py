@@ -1,4 +1,4 @@
-"""How many programs XLA compiles while something runs."""
+"""The number of programs that XLA compiles inside a block."""
 
 import contextlib
 from collections.abc import Iterator

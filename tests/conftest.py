@@ -1,4 +1,4 @@
-"""What every test shares.
+"""Setup shared by all tests.
 
 The tests are a caller of rbjax, so they choose x64 here; rbjax itself never touches `jax.config`.
 JAX reads `JAX_COMPILATION_CACHE_DIR` by itself: the Makefile sets it, a bare `pytest` does without.
@@ -26,7 +26,7 @@ if jaxlib_version < (0, 11):  # which has no emitters to leave out, and dies of 
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """XLA reads its flags when the first program is compiled, later than this."""
+    """Sets XLA's flags, which it reads later, when the first program is compiled."""
     on_gpu = "cuda" in os.environ.get("JAX_PLATFORMS", "")
     if "not slow" in config.option.markexpr and not on_gpu:
         given = os.environ.get("XLA_FLAGS", "")
@@ -48,7 +48,7 @@ MAPS, MANY_MAPS = Path("/proc/self/maps"), 25_000
 
 @pytest.fixture
 def key(request: pytest.FixtureRequest) -> jax.Array:
-    """A random key of the test's own: the same on every run, another for every test."""
+    """A random key for each test, the same on every run."""
     return jax.random.key(zlib.crc32(request.node.nodeid.encode()))
 
 

@@ -1,4 +1,4 @@
-"""A test on eight simulated devices: a function that a child process runs, and what it checks."""
+"""Tests on eight simulated devices: functions that a child process runs, and their checks."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def check(
     what: str, f: Callable, args: tuple, want: Callable | None = None, sharding: Any = None,
     sums: int | None = None, spread: int | None = None, mesh: Mesh | None = None,
 ) -> None:  # fmt: skip
-    """f(args) = want(args on one device), and nothing is gathered.
+    """f(args) = want(args on one device), without all-gather.
 
     want: f itself if None. sharding: of the first `spread` arrays of the result, or of all. sums:
     how often something is summed over devices, outside of any loop. mesh: set while f runs.

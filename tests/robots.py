@@ -1,4 +1,4 @@
-"""Robots that the tests walk: a model beside the MjModel it was read from, and states for both.
+"""Robots of the tests: a model, the MjModel that it was read from, and states for both.
 
 A name is a bundled scene, `tree:SEED` (a random tree), a name of `tests.oracles.models.MODELS`, or
 `small`: every kind of thing that a model can hold on five velocity coordinates. `NAME in water` is
@@ -88,7 +88,7 @@ class Robot:
 
 
 def load_quietly(source: Any, **options: Any) -> rb.Model:
-    """`rb.load`, for tests that are not about what it leaves out."""
+    """`rb.load` without warnings about features left out."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*(left out of the model|move no mass)")
         return rb.load(source, **options)

@@ -1,4 +1,4 @@
-"""Bad arguments at every public door: a sentence of ours, or a right result; never a bare error.
+"""Bad arguments of every public function: a clear error of rbjax or a right result.
 
 A case is a call that works, one of its arguments made bad, drawn with a fixed seed. It must end in
 an error that rbjax raises, of more than 30 characters, or in a finite result of the shapes that the
@@ -33,7 +33,7 @@ Case = tuple[str, Callable[[], Any], Callable[[], Any]]  # what it is, the good 
 
 
 def arrays(shape: tuple[int, ...]) -> dict[str, Any]:
-    """What may come in place of an array of this shape."""
+    """Bad values for an array of this shape."""
     good = np.full(shape, 0.3)
     more = (shape[0] + 1, *shape[1:]) if shape else (2,)
     first = (0,) * len(shape)
@@ -169,7 +169,7 @@ LEAVES = ("mass", "com", "inertia", "position", "orientation")
 
 
 def bad_values(name: str, value: Any) -> dict[str, Any]:
-    """What may come in place of an argument."""
+    """Bad values for an argument."""
     known = {
         "model": MODELS, "state": STATES, "dt": STEPS, "dt0": STEPS, "steps": COUNTS,
         "save_every": COUNTS, "max_steps": COUNTS, "body": NAMES, "site": NAMES, "law": LAWS,
@@ -183,7 +183,7 @@ def bad_values(name: str, value: Any) -> dict[str, Any]:
 
 
 def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
-    """Each public door: its name, the function, and good arguments by name."""
+    """Each public function: its name, the function, and good arguments by name."""
     for name in (*rb.__all__, "dynamics.generalized_forces", "forces.elastic_energy"):
         function = functools.reduce(getattr, name.split("."), rb)
         taken = inspect.signature(function).parameters if inspect.isroutine(function) else {}
@@ -259,7 +259,7 @@ def anchored(**given: Any) -> jax.Array:
 
 
 def cases() -> list[Case]:
-    """A sample of all that may be wrong, with the same seed on every run."""
+    """A random sample of all bad calls, with the same seed on every run."""
     every: list[Case] = []
     for door, function, given in doors():
         for name, value in given.items():
@@ -318,7 +318,7 @@ ELEMENTS = {
 
 
 def wrong_with(what: str, call: Callable, good: Callable) -> str | None:
-    """What is wrong with how a bad call ends, or None."""
+    """The problem with the result of a bad call, or None."""
     try:
         got = call()
     except rb.RbjaxError as error:

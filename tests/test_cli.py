@@ -1,4 +1,4 @@
-"""The command line as a user meets it: output, files, exit codes, one-sentence errors."""
+"""The command line: output, files, exit codes, one-sentence errors."""
 
 import json
 import re

@@ -50,7 +50,7 @@ def test_motion_is_the_same_alone_within_jit_and_differentiated(march) -> None:
 
 
 def test_rbjax_may_be_imported_within_a_program() -> None:
-    """What stands around a call is told by what stood around the import."""
+    """An outer trace of a call is found even if the import was inside a trace."""
     code = """
 import jax
 def f(x):

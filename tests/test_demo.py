@@ -1,4 +1,4 @@
-"""Every part of the demo, small: it runs, finds what it should, leaves pictures and a report."""
+"""Every part of the demo, small: it runs, finds the right numbers, writes pictures and a report."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The guides: examples run as they stand, page by page, and what commands name is there."""
+"""The guides: their examples run, page by page, and the files that commands name exist."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Imports point down only: the plan of the house, held by walking every import of every file."""
+"""Imports run only down the layers: a check of every import of every file."""
 
 import ast
 from collections.abc import Iterator
@@ -62,7 +62,7 @@ def imports(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def room_of(dotted: str) -> str:
-    """The room that `rbjax.room.anything` names; else it is a name of rbjax/__init__.py."""
+    """The package that `rbjax.room.anything` names; else it is a name of rbjax/__init__.py."""
     room = dotted.split(".")[1] if "." in dotted else ""
     return room if room in FLOORS.keys() | TOP else ""
 

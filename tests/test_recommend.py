@@ -1,4 +1,4 @@
-"""The solver that is recommended delivers what was asked, and the sentence has the number."""
+"""The recommended solver has the requested accuracy, and the sentence has the number."""
 
 import re
 
@@ -17,7 +17,7 @@ TS = np.linspace(0.0, 1.0, 24)  # not the times that it was chosen at
 
 
 def delivered(model, state, r, truth) -> float:
-    """The largest deviation of a configuration coordinate of what the user gets."""
+    """The largest error of a configuration coordinate in the user's simulation."""
     path = rb.simulate(model, state, TS, solver=r.solver, dt0=r.dt)
     gap = jax.jit(jax.vmap(lambda a, b: rb.difference(model, a, b)))(truth, path.q)
     return float(np.abs(np.asarray(gap)).max())
@@ -31,7 +31,7 @@ def fine(model, state):
 
 
 def test_a_smooth_motion_is_decided_by_accuracy(capfd: pytest.CaptureFixture) -> None:
-    """A pendulum, against SciPy on its own equation; silent where nobody looks on."""
+    """A pendulum, against SciPy on its own equation; no output if there is no terminal."""
     model = rb.load("pendulum")
     state = rb.State(np.array([0.5]), np.zeros(1))
     still = rb.State(*np.zeros((2, 9, 1)))
@@ -48,7 +48,7 @@ def test_a_smooth_motion_is_decided_by_accuracy(capfd: pytest.CaptureFixture) ->
         assert accuracy / 100 < error < 2 * accuracy, (error, r.reason)
         assert r.predicted_error < accuracy
         assert r.reason.startswith("accuracy decides: stability would allow rk4 steps of 0.74 s")
-        assert f"steps of {r.dt:.2g} s errs by {r.predicted_error:.1e}" in r.reason
+        assert f"steps of {r.dt:.2g} s has an error of {r.predicted_error:.1e}" in r.reason
     assert capfd.readouterr() == ("", "")
 
 
@@ -66,7 +66,7 @@ def test_a_stiff_motion_is_decided_by_stability() -> None:
         assert r.name == ("ros34pw2" if accuracy > 1e-3 else "radau_iia3"), r.reason
         assert delivered(model, state, r, truth) < 10 * accuracy
         said = re.match(
-            r"stability decides: the fastest eigenvalue, (\S+) 1/s, holds rk4 to steps of (\S+) s",
+            r"stability decides: the fastest eigenvalue, (\S+) 1/s, limits rk4 to steps of (\S+) s",
             r.reason,
         )
         assert said is not None, r.reason
@@ -77,7 +77,7 @@ def test_a_stiff_motion_is_decided_by_stability() -> None:
 
 @slow
 def test_an_arm_falls(capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tried in the form that compiles soonest, delivered in the usual one; told on a terminal."""
+    """Tried with the driver that compiles fastest, run with the usual one; shown on a terminal."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     model = rb.load("arm7")
     state = model.default_state()
@@ -124,7 +124,7 @@ def test_what_cannot_be_had_is_refused_in_a_sentence() -> None:
     state = model.default_state()
     for accuracy, horizon, words in (
         (1e-13, 1.0, "accuracy is 1e-13, expected at least 1e-10"),
-        (1e-3, -1.0, r"horizon is -1.0, expected seconds"),
+        (1e-3, -1.0, r"horizon is -1.0, expected a positive time"),
     ):
         with pytest.raises(rb.InputError, match=words):
             rb.solvers.recommend(model, state, accuracy, horizon=horizon)

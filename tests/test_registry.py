@@ -186,7 +186,7 @@ def test_a_compiled_function_mapped_and_differentiated(name: str) -> None:
 
 
 def test_a_batch_as_large_as_the_robot() -> None:
-    """The same in numbers, where axes mixed up would go unseen."""
+    """The same values, where equal sizes would hide mixed-up axes."""
     model = robot("double_pendulum", "unrolled").model
     q, v = np.random.default_rng(3).normal(size=(2, 2, 2))
 

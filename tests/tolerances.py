@@ -1,4 +1,4 @@
-"""How close is close enough, and why. All are relative errors as `relative_error` measures them."""
+"""Tolerances and their reasons. All are relative errors, as `relative_error` measures them."""
 
 import numpy as np
 from numpy.typing import ArrayLike

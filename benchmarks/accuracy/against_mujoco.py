@@ -1,9 +1,9 @@
-"""Relative error against MuJoCo C (f64) over the whole test list, f64 and f32, ours and MJX's.
+"""Relative errors of rbjax and MJX against MuJoCo C (f64) over the whole test list, f64 and f32.
 
 `python -m benchmarks.accuracy.against_mujoco`: 100 random states of every loadable model and of 50
 random trees; FK, mass matrix, bias and forward dynamics. An error is max |ours - theirs| / max
 |theirs| of one state; the tables give the largest over quantities and states (f64), and the median
-and largest (f32). MJX's f32 forward dynamics stands beside on the robots of the figures.
+and largest (f32). For the robots of the figures they also show MJX's f32 forward dynamics.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ QUANTITIES = ("position", "attitude", "mass matrix", "bias", "forward dynamics")
 
 
 def reference(m: mujoco.MjModel, q, v, tau) -> list[np.ndarray]:
-    """MuJoCo C's figures, one row a state."""
+    """The results of MuJoCo C, one row a state."""
     d = mujoco.MjData(m)
     rows = []
     for i in range(len(q)):

@@ -1,8 +1,9 @@
 """f32 forward dynamics of rbjax and of MJX against MuJoCo C in f64, model by model.
 
 `python -m benchmarks.accuracy.against_mujoco_gpu --processes 8 --limit 400`: 100 random states of
-every loadable model of the test list, springs, dampers and actuators off. MJX on models of up to 40
-velocities. Writes results/gpu-accuracy-<device>.json with what is done after `--limit` seconds.
+every loadable model of the test list, with springs, dampers and actuators off. MJX runs on models
+of up to 40 velocities. Writes the rows finished after `--limit` seconds to
+results/gpu-accuracy-<device>.json.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What other libraries do at and near the singular points of rotations, and what ours does, in f64.
+"""Errors of rotation libraries at and near the singular points of rotations, in f64.
 
 `python -m benchmarks.accuracy.rotation_libraries`, after `pip install jaxlie pytransform3d`; a
-library that is not there is left out. Errors are the worst of 500 samples with fixed seeds.
-Attitudes are compared with what they came from, derivatives with ours, which the tests hold to a
-hundred digits. Written to results/; the notebook tumbling_body quotes it.
+missing library is skipped. Errors are the worst of 500 samples with fixed seeds. Attitudes are
+compared with their originals, derivatives with those of rbjax, which the tests compare with a
+hundred digits. Results go to results/; the notebook tumbling_body quotes them.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def locked(d: float) -> Array:
     return np.asarray(representations()["intrinsic_zyx"].to_matrix(angles))
 
 
-Trips = dict[str, Callable[[Array], Array]]  # library -> there and back, (n, 3, 3)
+Trips = dict[str, Callable[[Array], Array]]  # library -> round trip, (n, 3, 3)
 
 
 def euler() -> Trips:

@@ -1,7 +1,7 @@
-"""Forward dynamics, RNEA and CRBA on one CPU core, f64, beside Pinocchio and MuJoCo C.
+"""Forward dynamics, RNEA and CRBA on one CPU core, f64, against Pinocchio and MuJoCo C.
 
-`python -m benchmarks.cpu.algorithms` pins itself to one core. Ours runs as a user would run it:
-`jax.vmap` under plain jit, the model closed over; G1 rolls by itself, and unrolled where asked.
+`python -m benchmarks.cpu.algorithms` pins itself to one core. rbjax runs as a user would run it:
+`jax.vmap` under plain jit, with the model closed over. G1 is rolled by default, and also unrolled.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def pinocchio_ns(name: str) -> dict[str, float]:
     return {
         "forward dynamics": best(lambda: pin.abaInParallel(1, pool, q, v, tau, out), BATCH),
         "RNEA": best(lambda: pin.rneaInParallel(1, pool, q, v, tau, out), BATCH),
-        # no batch form: a Python loop, less the same loop on a model with no joints
+        # no batch form: a Python loop, minus the same loop on a model without joints
         "CRBA": best(lambda: crba(model, data, columns), 512) - overhead,
     }
 

@@ -1,8 +1,8 @@
 """Compile time of forward dynamics on the CPU, ours over MJX's: trace, lower and compile.
 
 `python -m benchmarks.cpu.compile [ROBOT ...] [--limit SECONDS]`. f32, batch 1,024, default flags,
-model an argument in both; one result file a robot. MJX takes minutes a robot, so each engine is a
-process of its own that ends after `--limit` seconds.
+the model is an argument in both; one result file a robot. MJX takes minutes a robot, so each engine
+runs in its own process, which ends after `--limit` seconds.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _send(pipe: Any, engine: str, name: str) -> None:
 
 
 def limited(engine: str, name: str, limit: float) -> float | None:
-    """`compile_seconds` in a process of its own; None where it takes longer than the limit."""
+    """`compile_seconds` in its own process; None if it takes longer than the limit."""
     here, there = multiprocessing.get_context("spawn").Pipe()
     process = multiprocessing.get_context("spawn").Process(target=_send, args=(there, engine, name))
     process.start()

@@ -1,8 +1,8 @@
-"""Every public function under plain jit, batch 1,024, beside its fastest compiled form.
+"""Every public function under plain jit, batch 1,024, against its fastest compiled form.
 
 `python -m benchmarks.cpu.forms`: one core, f64, Panda, default flags. Forms: plain
 `jit(vmap(f))` with the driver "auto" (what a user writes); the other driver; chunks of 240
-(`lax.map`); XLA's fusion pass off; its fusion emitters off. The figure is plain over the fastest.
+(`lax.map`); XLA's fusion pass off; its fusion emitters off. The result is plain over the fastest.
 """
 
 from __future__ import annotations

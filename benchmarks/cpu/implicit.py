@@ -1,10 +1,10 @@
-"""Implicit methods on robots: what compiling costs, a step, and how much of the field it takes.
+"""Implicit methods on robots: compile time, time of a step, and evaluations of the vector field.
 
 `python -m benchmarks.cpu.implicit [ROBOT ...] [--solvers NAME ...]`. f64, one sample, constant
-steps of 10 ms through `rb.simulate`, the model an argument. Compiling is in seconds of CPU, which a
-busy machine leaves as they are; both that and a step also under `rb.compiler_options()`.
-Evaluations are counted by the control, which every evaluation of the vector field asks; a Jacobian
-is one, whatever its columns.
+steps of 10 ms through `rb.simulate`, with the model an argument. Compile times are in CPU seconds,
+which do not depend on the load of the machine. Both times are also measured with
+`rb.compiler_options()`. The control counts evaluations, because every evaluation of the vector
+field calls it. A Jacobian counts as one, with any number of columns.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FINDERS = {"newton": rb.solvers.newton}
 
 
 class Counter:
-    """A control of zeros that counts who asks: the field, or its derivative."""
+    """A zero control that counts the calls from the field and from its derivative."""
 
     def __init__(self, nu: int):
         self.nu, self.fields, self.jacobians = nu, 0, 0

@@ -1,15 +1,16 @@
-"""Rotations beside scipy's `Rotation`, a batch of a million: on one core and on all, f64 and f32.
+"""Rotations against scipy's `Rotation`, a batch of a million: on one core and on all, f64 and f32.
 
-`python -m benchmarks.cpu.rotations`: what both have, `jit` of ours on batch-first arrays, with the
-option that a call which stands alone has, against scipy's method; run time only, the least of many,
-ours and scipy's by turns. First a process pinned to one core, then one with all cores and XLA's own
-threads (scipy uses one core whatever there is, and f64 alone); then both again with ours in f32,
-which is what JAX computes in unless told.
-The allocator is told to keep what is freed, for both sides alike: by default results above 32 MB
-come from fresh pages on every call, and faulting these in takes longer than any of the arithmetic.
+`python -m benchmarks.cpu.rotations` measures the operations that both have: `jit` of rbjax on
+batch-first arrays, with the compiler options of a call outside of any trace, against scipy's
+method. It takes run time only, the minimum of many alternating runs. A first process is pinned to
+one core, a second has all cores and XLA's own threads (scipy uses only one core and only f64). Then
+both run again with rbjax in f32, the default of JAX.
+The allocator keeps freed memory, for both sides. By default results above 32 MB come from fresh
+pages on every call, and these page faults take longer than the arithmetic.
 
-What moves much and computes little is bound by memory, so the bytes that an operation must read and
-write stand beside it, and what a bare copy of 72 MB and a fill of 72 MB (as_matrix's result) take.
+Operations that move much and compute little are limited by memory. So the tables also give the
+bytes that an operation must read and write, and the times of a copy and a fill of 72 MB (the size
+of as_matrix's result).
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ from benchmarks.shared.timing import markdown_table, save
 from rbjax.compiling import wide_vectors
 from rbjax.rotations import quaternion, representations
 
-CORES, DTYPE = sys.argv[1:] or ("", "")  # of a process that measures
+CORES, DTYPE = sys.argv[1:] or ("", "")  # of a measuring process
 BATCH = 1_000_000
-SECONDS, TURN = 1.5, 5  # of each operation; calls at a stretch
+SECONDS, TURN = 1.5, 5  # for each operation; calls in a row
 
 
 def cases() -> list[tuple[str, object, tuple, object]]:
@@ -83,12 +84,12 @@ def cases() -> list[tuple[str, object, tuple, object]]:
 
 
 def least(seconds: float, *calls: Callable[[], Any]) -> list[float]:
-    """The least time of each, by turns."""
+    """The minimum time of each, in alternating runs."""
     best = [float("inf")] * len(calls)
     deadline = time.perf_counter() + seconds
     while time.perf_counter() < deadline:
         for i, call in enumerate(calls):
-            for _ in range(TURN):  # the first of a turn finds the other's memory
+            for _ in range(TURN):  # the first call of a turn has the other's data in the cache
                 start = time.perf_counter()
                 jax.block_until_ready(call())
                 best[i] = min(best[i], time.perf_counter() - start)
@@ -96,7 +97,7 @@ def least(seconds: float, *calls: Callable[[], Any]) -> list[float]:
 
 
 def rows() -> list[dict[str, Any]]:
-    """An operation each; times per rotation."""
+    """One row an operation; times per rotation."""
     source, target = np.ones((2, BATCH, 9))
     copy, fill = least(SECONDS, lambda: np.copyto(target, source), lambda: target.fill(1.0))
     out: list[dict[str, Any]] = [

@@ -1,7 +1,7 @@
-"""`sincos` beside XLA's own sine and cosine on one CPU core: `python -m benchmarks.cpu.sincos`.
+"""`sincos` against XLA's own sine and cosine on one CPU core: `python -m benchmarks.cpu.sincos`.
 
-Nanoseconds for a pair, of random angles of a few turns in an array that fits the cache and passes a
-barrier, as in the algorithms; the largest distance of both from NumPy's (in f32, from f64).
+Nanoseconds for a pair, with random angles of a few turns in an array that fits the cache and passes
+a barrier, as in the algorithms; and the largest error against NumPy (in f32, against f64).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The two numbers that the CPU's rules rest on: where to roll, and how wide a chunk is.
+"""Measurements behind two thresholds on the CPU: when to roll, and the width of a chunk.
 
 `python -m benchmarks.cpu.thresholds`, about three minutes: one core, f64. For serial chains of
-hinges, forward dynamics in both drivers: seconds to compile it and its gradient, and nanoseconds a
-sample in chunks of 240 (`drivers.UNROLLED_UP_TO`). For the Panda and G1, nanoseconds by the width
+hinges, forward dynamics with both drivers: seconds to compile it and its gradient, and nanoseconds
+a sample in chunks of 240 (`drivers.UNROLLED_UP_TO`). For the Panda and G1, nanoseconds by the width
 of a chunk.
 """
 

@@ -1,9 +1,10 @@
-"""What force elements cost in a rollout: steps of a second, forward and by gradient.
+"""The cost of force elements in a rollout: steps a second, forward and with gradients.
 
 `python -m benchmarks.gpu.elements --robots quadruped humanoid` writes
-results/elements-<robot>-<device>.json: the robot alone; in a wind that a user wrote; with friction
-in all joints, stops at their ranges, and water around all bodies; with forces given as functions.
-Batch first, f32, 100 steps of semi-implicit Euler, calls in a row, blocked on the last.
+results/elements-<robot>-<device>.json: the robot without elements; in a wind that a user wrote;
+with friction in all joints, stops at their ranges, and water around all bodies; with forces given
+as functions. Batch first, f32, 100 steps of semi-implicit Euler; calls in a row, waiting for the
+last one only.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ class Wind(rb.forces.Element):
 
 
 def scene(name: str) -> rb.Model:
-    """The robot alone, in f32."""
+    """The robot without force elements, in f32."""
     source = name if name in rb.scenes() else compiled(name)
     return rb.load(source).replace(forces=()).astype(jnp.float32)
 
 
 def scenes(name: str) -> Iterator[tuple[str, rb.Model, dict[str, Any]]]:
-    """What acts on the robot, its model, and further arguments of `rollout`."""
+    """The forces by name, the model, and further arguments of `rollout`."""
     model = scene(name)
     hinges = [
         j

@@ -14,7 +14,7 @@ from benchmarks.shared.gpu_timing import finish, options, timed
 from benchmarks.shared.robots import actuated, batch, exact, relative
 
 STEPS = 100
-#: batches around each figure's best
+#: batch sizes around the fastest one of each figure
 FORWARD, ROLLOUT, GRADIENT = (4096, 16384, 65536, 262144), (16384, 65536), (4096, 16384, 65536)
 
 
@@ -78,7 +78,7 @@ def frax_rows(name: str, batches) -> list[dict]:
         import frax
 
         robot = frax.load_panda() if name == "panda" else frax.load_g1()
-    except Exception as error:  # a peer that does not load is no reason to stop
+    except Exception as error:  # go on without an engine that does not load
         return [{"what": "forward", "robot": name, "engine": "frax", "note": repr(error)[:150]}]
     rows = []
     for size in batches:

@@ -1,4 +1,4 @@
-"""A batch spread over all GPUs against the same share of it on one: rollouts, gradients.
+"""A batch sharded over all GPUs against one share of it on one GPU: rollouts, gradients.
 
 `python -m benchmarks.gpu.sharded --robots humanoid` writes
 results/gpu-sharded-<robot>-<device>.json. Twice the samples on two GPUs: the ideal is 2x.

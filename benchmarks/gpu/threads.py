@@ -1,9 +1,9 @@
-"""What a user calls on a GPU, one sample a thread: batch first, `jax.vmap` of the public name.
+"""Public functions on a GPU, one sample a thread: batch first, `jax.vmap` of the public name.
 
 `python -m benchmarks.gpu.threads --robots panda --parts forward rollout` writes
-results/gpu-threads-<robot>-<device>.json, and keeps the parts that it does not renew.
-Rates are of calls in a row, blocked on the last. A gradient's error is against central differences
-of the rollout in f64 on the same device, of 20 steps, along random directions.
+results/gpu-threads-<robot>-<device>.json, and keeps the other parts of an older file.
+Rates are of calls in a row, waiting for the last one only. The error of a gradient is against
+central differences of the rollout in f64 on the same device, over 20 steps, in random directions.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def forward(c: Case) -> Iterator[dict]:
 
 
 def rollout(c: Case) -> Iterator[dict]:
-    """100 steps, the last state kept, under controls that all samples share."""
+    """100 steps, with the last state returned, and controls that all samples share."""
     for size in (MANY, MILLION):
         q, v, _, u = c.batch(size)
         ctrls = jnp.tile(u[:1], (STEPS, 1))
@@ -117,7 +117,7 @@ def network(c: Case) -> tuple[list[jax.Array], Callable]:
 
 
 def policy(c: Case) -> Iterator[dict]:
-    """The same under a network, and the gradient by its weights."""
+    """The same with a network as policy, and the gradient by its weights."""
     q, v, _, _ = c.batch(MANY)
     weights, act = network(c)
     run = lambda q, v, w: c.final(c.model, q, v, act(w))  # noqa: E731
@@ -155,7 +155,7 @@ def gradient(c: Case) -> Iterator[dict]:
 
 
 def memory(c: Case) -> Iterator[dict]:
-    """A gradient of 1,000 steps, whose states are kept in 2 GiB, or all of them."""
+    """A gradient of 1,000 steps, with 2 GiB for the states, or memory for all of them."""
     steps = 1000
     q, v, _, u = c.batch(MANY)
     shared = jnp.tile(u[:1], (steps, 1))
@@ -204,7 +204,7 @@ def errors(c: Case, count: int = 256, steps: int = 20) -> dict:
 
 
 def algorithms(c: Case) -> Iterator[dict]:
-    """The others, with the bytes that they read and write as a share of the copy bandwidth."""
+    """The other algorithms, with their reads and writes as a share of the copy bandwidth."""
     body = c.model.body_names[-1]
     m = c.model
     runs = {

@@ -1,11 +1,11 @@
-"""Which solver fails where, and how: every solver of the registry on scenes built to break it.
+"""The failure map: every solver of the registry on scenes built to break it.
 
-`python -m benchmarks.maps.failure_map [--jobs N] [--only rk4,bdf2]`, or `make failure-map`: each
-cell is the verdict of `rb.stability.attempt`, the largest error or the way of failing. A solver's
-scenes share its compiled programs, which take nearly all of the time; with several jobs each
-process takes a solver at a time. With `--only` the rest of the map stays as the last run left it.
-Written to results/ and docs/failure_map.png. Nothing is timed here; the whole map took 20 minutes
-of a core that others shared.
+`python -m benchmarks.maps.failure_map [--jobs N] [--only rk4,bdf2]`, or `make failure-map`. Each
+cell is the verdict of `rb.stability.attempt`: the largest error or the kind of failure. A solver's
+scenes share its compiled programs, which take nearly all of the time. With several jobs each
+process takes one solver at a time. With `--only` the rest of the map is that of the last run.
+Results go to results/ and docs/failure_map.png. Nothing is timed here; the whole map took 20
+minutes on a shared core.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rbjax.stability import Outcome, Truth, Verdict, attempt, scenes, truth
 
 PICTURE = Path(__file__).parents[2] / "docs" / "failure_map.png"
 NAME = "failure-map"
-MARGIN = 100  # an error within so many errors of the truth is shown as that
+MARGIN = 100  # an error below this many errors of the truth is shown as that
 #: outcome -> letter, colour
 SHOWN = {
     Outcome.BLOWS_UP: ("X", "#22303c"),
@@ -47,7 +47,7 @@ BEST, WORST = -12, -1  # log10 of the errors that the colours tell apart
 
 
 def truths() -> dict[str, Truth]:
-    """Scene -> the truth, once for scenes that differ in the controller alone."""
+    """Scene -> the truth, computed once for scenes that differ only in the controller."""
     found: dict[Any, Truth] = {}
     out = {}
     for name, scene in scenes().items():
@@ -78,7 +78,7 @@ def cell(found: Verdict) -> dict[str, Any]:
 
 
 def last_rows() -> dict[str, dict[str, Any]]:
-    """Solver -> its row, of the results that are there."""
+    """Solver -> its row in the existing results."""
     rows: dict[str, dict[str, Any]] = {}
     for path in sorted(RESULTS.glob(f"{NAME}-*.json")):
         rows |= {r["solver"]: r for r in json.loads(path.read_text())["rows"] if "solver" in r}

@@ -1,4 +1,4 @@
-"""Where methods are stable: regions over h lambda, and spectral radii over h omega.
+"""Stability of methods: regions over h lambda, and spectral radii over h omega.
 
 `python -m benchmarks.maps.stability_regions` draws docs/stability_regions.png. Regions are of exact
 polynomials; the spectral radii are those of one step of each solver's code on an oscillator.

@@ -1,12 +1,12 @@
-"""Which representation of attitude fails where: the error after a tumble, over the first attitude.
+"""Failures of representations of attitude: the error after a tumble, over the first attitude.
 
-`python -m benchmarks.maps.tumbling_map`, some minutes on one core: a free body turns at half a
-rad/s for 10 s, from attitudes on a disc of rotation vectors phi = (phi_x, phi_y, 0), |phi| <= pi:
-the identity is its centre, half turns are its rim. Its attitude follows in each representation, x'
-= E^-1(x) omega beside Euler's equations of omega, and some whole formulations of the body with it,
-all in the same 100 steps of Dormand-Prince 8. Free motion is the same from every attitude, R(t) =
-R(0) S(t), so that one S, by quaternions at a tenth of the step, is the truth for all. Beside the
-error stands how near the motion came to the singularity. Written to results/ and
+`python -m benchmarks.maps.tumbling_map`, some minutes on one core. A free body turns at half a
+rad/s for 10 s, from attitudes on a disc of rotation vectors phi = (phi_x, phi_y, 0), |phi| <= pi,
+with the identity in its centre and half turns on its rim. Each representation integrates
+x' = E^-1(x) omega with Euler's equations for omega. Some formulations of the whole body are
+included. All take the same 100 steps of Dormand-Prince 8. Free motion is the same from every
+attitude, R(t) = R(0) S(t), so one S, by quaternions at a tenth of the step, is the truth for all.
+The results also have the smallest distance to the singularity. They go to results/ and
 docs/tumbling_map.png.
 """
 
@@ -34,8 +34,8 @@ from rbjax.rotations.representation import Representation
 
 PICTURE = Path(__file__).parents[2] / "docs" / "tumbling_map.png"
 SECONDS, STEP, ACROSS = 10.0, 0.1, 33
-OFF = 1e-3  # of the grid, so that no motion starts right at a singularity
-GOOD = 1e-10  # what the representations agree to where they hold
+OFF = 1e-3  # offset of the grid, so that no motion starts at a singularity
+GOOD = 1e-10  # difference between representations that do not fail
 #: a box with three different principal moments, and its body rates
 BODY = body.rigid_body(spatial.shapes.box([0.5, 0.9, 1.2], mass=2.0))
 OMEGA = np.array([0.26, 0.41, 0.15])
@@ -51,7 +51,7 @@ TITLES = {
     "lagrange_zyz": "L., zyz",
 }  # fmt: skip
 FORMULATIONS = tuple(TITLES)[-7:]
-#: with a panel of their own, and its colour
+#: families with their own panel, and its colour
 FAMILIES = {
     "more than three numbers": PURPLE, "vectorial": GREEN,
     "Tait-Bryan angles": BLUE, "proper Euler angles": RED,
@@ -122,7 +122,7 @@ def _steps(term: Any, y0: Any, step: float) -> Any:
 
 
 def measure(phi: np.ndarray) -> Found:
-    """Name -> error (n,) in rad, least distance (n,) in rad; a motion lost errs by pi."""
+    """Name -> error (n,) in rad, smallest distance (n,) in rad; a lost motion has the error pi."""
     reps = representations()
     S, _ = kinematics(reps["unit_quaternion"], STEP / 10)(quaternion.identity()[None])
     q0 = quaternion.exp(phi)
@@ -142,7 +142,7 @@ def measure(phi: np.ndarray) -> Found:
 
 
 def draw(phi: np.ndarray, found: Found, path: Path) -> None:
-    """A disc for each, and for each family error against the least distance."""
+    """A disc for each; and for each family the error against the smallest distance."""
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(17, 10.4), layout="constrained")
         upper, lower = figure.subfigures(2, 1, height_ratios=[7.2, 3.2])
@@ -211,7 +211,7 @@ def _disc(axis: Any, phi: np.ndarray, error: np.ndarray) -> Any:
 
 
 def report(found: Found) -> list[dict[str, Any]]:
-    """Which fails where: a row for each representation and formulation."""
+    """The failures: a row for each representation and formulation."""
     rows = []
     for name, (error, least) in found.items():
         rep = formulation(name).attitude if name in FORMULATIONS else representations()[name]
@@ -222,7 +222,7 @@ def report(found: Found) -> list[dict[str, Any]]:
             "share_above_1e-10": float(failed.mean()),
             "worst_rad": float(error.max()),
             "median_rad": float(np.median(error)),
-            # the farthest from its singularity that a motion stayed and yet failed
+            # the largest distance from its singularity of a motion that failed
             "failed_within_rad": float(least[failed].max()) if failed.any() else None,
             "worst_beyond_0.1_rad": float(error[far].max()) if far.any() else None,
             "singular": rep.singular_set,

@@ -1,4 +1,4 @@
-"""Timing where processes share one accelerator: they compile side by side, run one at a time.
+"""Timing for processes that share an accelerator: they compile in parallel and run in turn.
 
 Each benchmark is one call: `python -m benchmarks.gpu.threads [--robots ...]`.
 A row holds lower, compile and run seconds (`timing.measure`) and millions a second.
@@ -27,7 +27,7 @@ COLUMNS = ("what", "robot", "engine", "batch", "lower_s", "compile_s", "run_s", 
 COLUMNS += ("error median", "error max", "note")
 
 
-#: calls in a row, of which the last is waited for: what a call costs its caller is then hidden
+#: calls in a row; only the last one is waited for, which hides the overhead of a call
 CALLS = 5
 
 
@@ -42,14 +42,14 @@ def _in_a_row(program: Callable) -> Callable:
 
 @contextlib.contextmanager
 def alone() -> Iterator[None]:
-    """The device to ourselves, among the benchmarks on this machine."""
+    """Exclusive use of the device, among the benchmarks on this machine."""
     with LOCK.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 def timed(row: dict[str, Any], fn: Callable, *args: Any, work: int, budget_s: float = 0.5) -> dict:
-    """The row with `fn`'s times; `work` is how many evaluations or steps one call does."""
+    """The row with the times of `fn`; `work` is the number of evaluations or steps of a call."""
     try:
         start = time.perf_counter()
         lowered = jax.jit(fn).lower(*args)
@@ -72,7 +72,7 @@ def timed(row: dict[str, Any], fn: Callable, *args: Any, work: int, budget_s: fl
 
 
 def options(description: str) -> argparse.Namespace:
-    """What every benchmark takes."""
+    """The command line options of every benchmark."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--robots", nargs="*", default=list(ALL))
     parser.add_argument("--batches", nargs="*", type=int, default=None)

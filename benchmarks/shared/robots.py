@@ -49,8 +49,8 @@ def compiled(name: str) -> mujoco.MjModel:
 
 
 def actuated(name: str) -> mujoco.MjModel:
-    """The same without its geoms, and with a motor on every joint of one coordinate where a robot
-    has no actuators, as MJX takes it."""
+    """The same without geoms, for MJX. A robot without actuators gets a motor on every joint with
+    one coordinate."""
     m = compiled(name)
     if not m.nu:
         spec = mujoco.MjSpec()
@@ -92,7 +92,7 @@ def ours(name: str) -> rb.Model:
 
 
 def as_model(m: mujoco.MjModel) -> rb.Model:
-    """An MjModel as a Model, without the warning of what was dropped."""
+    """An MjModel as a Model, without the warning about dropped features."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return rb.load(m)
@@ -122,8 +122,8 @@ def batch(m: mujoco.MjModel, size: int, *, last: bool) -> tuple[jax.Array, ...]:
 
 
 def exact(m: mujoco.MjModel, count: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """q, v, tau in f32 and MuJoCo's accelerations in f64, where tau is all that acts beside
-    gravity; and what to hand to an engine whose springs, dampers and actuators act too."""
+    """q, v, tau in f32 and MuJoCo's accelerations in f64 under only tau and gravity; and the tau
+    for an engine with springs, dampers and actuators."""
     q, v, tau = (x.astype(np.float32) for x in states(m, count, seed=1))
     data, out, applied = mujoco.MjData(m), [], []
     for i in range(count):
@@ -137,5 +137,5 @@ def exact(m: mujoco.MjModel, count: int) -> tuple[tuple[np.ndarray, ...], np.nda
 
 
 def relative(got: np.ndarray, want: np.ndarray) -> np.ndarray:
-    """Per state the largest deviation over the largest entry."""
+    """For each state, the largest deviation over the largest entry."""
     return np.abs(np.asarray(got, np.float64) - want).max(-1) / np.abs(want).max(-1)

@@ -1,4 +1,4 @@
-"""One way to time, for every benchmark: what ran, where, how long, and how to write it down."""
+"""Timing and results of every benchmark, with the device and the versions."""
 
 import importlib.metadata
 import json
@@ -28,11 +28,11 @@ def measure(
     jit: bool = True,
     compiler_options: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Time `fn(*args)`: tracing, compiling and running apart, each in seconds.
+    """Time `fn(*args)`: tracing, compiling and running separately, each in seconds.
 
-    Runs for about `budget_s`, at least 5 times, after one run to warm up. The clock stops when the
-    *result* is ready: JAX returns before the work is done. `jit=False` times a plain function
-    (another engine's) by the same clock, with nothing to lower or compile.
+    Runs for about `budget_s`, at least 5 times, after one warm-up run. The clock stops when the
+    *result* is ready, because JAX returns before the work is done. `jit=False` times a plain
+    function (of another engine) with the same clock, without lowering or compiling.
     """
     row: dict[str, Any] = {"lower_s": None, "compile_s": None}
     if jit:
@@ -58,7 +58,7 @@ def measure(
 
 
 def provenance() -> dict[str, Any]:
-    """Device, versions, date and commit: without them a time means nothing."""
+    """Device, versions, date and commit of a measurement."""
     device = jax.devices()[0]
     return {
         "device": device.device_kind,
@@ -78,12 +78,12 @@ def provenance() -> dict[str, Any]:
 
 
 def save(name: str, rows: list[dict[str, Any]], source: dict[str, Any] | None = None) -> Path:
-    """Write rows with their provenance (this process', or another's) to
-    results/<name>-<device>.json, over an older run there; a copy goes where RBJAX_RESULTS says."""
+    """Write rows with their provenance (of this process or another one) to
+    results/<name>-<device>.json, replacing an older run; and a copy to RBJAX_RESULTS, if set."""
     source = source or provenance()
     RESULTS.mkdir(exist_ok=True)
     path = _path(name, source)
-    each = ",\n".join(json.dumps(row) for row in rows)  # a line each: small, and told apart by git
+    each = ",\n".join(json.dumps(row) for row in rows)  # one line each: small, and separate in git
     path.write_text(f'{{"provenance": {json.dumps(source)},\n"rows": [\n{each}\n]}}\n')
     if copies := os.environ.get("RBJAX_RESULTS"):
         (Path(copies) / path.name).write_bytes(path.read_bytes())
@@ -96,8 +96,8 @@ def _path(name: str, source: dict[str, Any]) -> Path:
 
 
 def others(name: str, rows: list[dict[str, Any]], keys: Iterable[str]) -> list[dict[str, Any]]:
-    """The rows of an older run there that differ from all of these in the keys, each with its
-    commit: what a run that renews a part must keep."""
+    """The rows of an older run that differ from all of these in the keys, each with its commit. A
+    run of only some parts must keep them."""
     path = _path(name, provenance())
     if not path.exists():
         return []
@@ -111,7 +111,7 @@ def others(name: str, rows: list[dict[str, Any]], keys: Iterable[str]) -> list[d
 
 
 def markdown_table(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str:
-    """The rows as a Markdown table of these columns; three digits a number, a dash for nothing.
+    """The rows as a Markdown table with these columns; three digits a number, a dash if missing.
 
     >>> print(markdown_table([{"model": "panda", "run_s": 1.23456e-4}], ["model", "run_s", "note"]))
     | model | run_s | note |
@@ -149,7 +149,7 @@ def cpu_model() -> str:
 def _commit() -> dict[str, Any]:
     """Commit and dirty flag, each None where there is no git or no repository.
 
-    A machine that gets the files without their history is told: RBJAX_COMMIT=<hash> wins.
+    RBJAX_COMMIT=<hash> overrides it, for a machine with the files but without their history.
     """
 
     def git(*args: str) -> str | None:
@@ -165,7 +165,7 @@ def _commit() -> dict[str, Any]:
     if told:
         return {"commit": told, "dirty": None}
     commit = git("rev-parse", "HEAD")
-    # Earlier results of the same run do not make the code that is timed dirty.
+    # Earlier results of the same run do not make the timed code dirty.
     status = git("status", "--porcelain", "--", ":/", ":(top,exclude)benchmarks/results")
     return {
         "commit": commit,

@@ -1,7 +1,7 @@
 """A ladder of step sizes: errors and times of one method on one scene, as rows.
 
 Rows: "point", one method at one number of steps, with error and microseconds per robot and
-simulated second; "error", steps and error alone; "failed" and "left out" with a note that says why.
+simulated second; "error", only steps and error; "failed" and "left out" with a note on the reason.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ ON_GPU = jax.default_backend() == "gpu"
 
 
 class Bench:
-    """One scene: its sample, where it ends, and the rows found."""
+    """One scene: its sample, its end, and the measured rows."""
 
     def __init__(
         self, name: str, deadline: float, precisions: tuple[str, ...] = PRECISIONS, end: Any = None
-    ):  # end: where the sample ends, and the bound of that, if they are known
+    ):  # end: the end of the sample, and its error bound, if they are known
         self.name, self.scene, self.deadline = name, SCENES[name], deadline
         self.precisions = precisions
         with jax.enable_x64(True):
@@ -50,7 +50,7 @@ class Bench:
         return distance(self.model, last, self.end)
 
     def tiled(self, batch: int) -> tuple[jax.Array, jax.Array]:
-        """The starts, again and again, in the current precision."""
+        """The starts, repeated, in the current precision."""
         times = -(-batch // SAMPLE)
         return tuple(jnp.tile(jnp.asarray(x, float), (times, 1))[:batch] for x in (self.q, self.v))
 
@@ -66,7 +66,7 @@ class Bench:
         print(*short.values(), flush=True)
 
     def guarded(self, engine: str, method: str, precision: str, work: Callable) -> None:
-        """A benchmark goes on where one method fails, and says so."""
+        """Runs the work of a method. A failure becomes a row, and the benchmark continues."""
         if time.monotonic() > self.deadline:
             self.add("left out", engine, method, precision, note="out of time")
             return
@@ -83,8 +83,8 @@ class Bench:
         stages: float | None, batch: int, first: int, most_s: float, what: str = "point",
         rungs: Iterator[int] | None = None,
     ) -> None:  # fmt: skip
-        """Points at growing numbers of steps (`rungs`, of a program that has run), until the error
-        is at its floor or time is up; with force evaluations, where the stages a step are known."""
+        """Points at growing numbers of steps (`rungs`, of a compiled program), until the error is
+        at its floor or time is up; with force evaluations, if the stages a step are known."""
         errors: list[float] = []
         begin = time.perf_counter()
         if rungs is None:
@@ -119,7 +119,7 @@ def _growing(first: int) -> Iterator[int]:
 
 
 def clocked(run: Callable[[int], Any], steps: int, often: bool) -> tuple[float, Any]:
-    """The fastest of a few runs, and what the last one gave."""
+    """The time of the fastest of a few runs, and the result of the last one."""
     best, spent, count = float("inf"), 0.0, 0
     enough = 0.05 if ON_GPU else 0.3
     with alone():

@@ -14,7 +14,7 @@ from benchmarks.work.scenes import SCENES
 
 DOCS = RESULTS.parents[1] / "docs"
 WANTED = 1e-6
-FARTHEST = 300  # times the error wanted, from where a line is prolonged to it
+FARTHEST = 300  # times the wanted error, up to which a line is extrapolated to it
 CPU, GPU = "CPU, one core", "H200"
 Rows = list[dict[str, Any]]
 
@@ -47,7 +47,7 @@ def lines(rows: Rows, scene: str, platform: str) -> dict[tuple[str, str, str], A
         mine = row["what"] == "point" and row["platform"] == platform
         if mine or row["what"] == "error":
             found[key].append([row["steps"], row["error"], row.get("us"), row.get("evaluations")])
-    if scene == "chain":  # hinges alone: MJX's RK4 is MuJoCo's, whose errors were affordable
+    if scene == "chain":  # only hinges: MJX's RK4 equals MuJoCo's, whose errors were affordable
         found["mjx", "RK4", "f64"] = [
             [row["steps"], row["error"], None, row["evaluations"]]
             for row in rows
@@ -65,8 +65,8 @@ def lines(rows: Rows, scene: str, platform: str) -> dict[tuple[str, str, str], A
 
 
 def at(error: np.ndarray, cost: np.ndarray, wanted: float = WANTED) -> tuple[float, bool]:
-    """The cost of an error, between points of the line, and whether it had to be prolonged with
-    the slope of its last two points; infinite where the line ends in a floor above it, or far."""
+    """The cost of an error, by interpolation, and whether the line was extrapolated with the slope
+    of its last two points. Infinite if the line ends in a floor above the error, or far away."""
     good = np.flatnonzero(error <= wanted)
     if len(good) and good[0]:
         i = good[0]
@@ -85,5 +85,5 @@ def at(error: np.ndarray, cost: np.ndarray, wanted: float = WANTED) -> tuple[flo
 
 
 def visible(error: np.ndarray) -> np.ndarray:
-    """Errors without those of no meaning: MuJoCo starts anew where a motion blows up."""
+    """Errors without meaningless ones: MuJoCo restarts where a motion blows up."""
     return np.where((error < 0.9) & (error > 0), error, np.nan)

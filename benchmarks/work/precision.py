@@ -1,15 +1,15 @@
 """Speed against accuracy: error of a motion by computing time and by force evaluations.
 
 `python -m benchmarks.work.precision --scenes arm7 --parts ours mjx mujoco` writes
-results/work-precision-<scene>-<device>.json, where it keeps what other parts found before;
-`benchmarks.work.precision_chart` draws all of them, and what `benchmarks.work.queue` wrote of the
-solvers of `simulate`.
+results/work-precision-<scene>-<device>.json, and keeps the other parts of an older file.
+`benchmarks.work.precision_chart` draws all of them, and the solvers of `simulate` from
+`benchmarks.work.queue`.
 
 Rows: those of `benchmarks.work.ladder`, and "step", microseconds per robot and step at a batch.
-MJX's time for an error is its steps for that error times its fastest step, whatever the
-batch; errors are taken on the CPU, where a small sample costs less (they are the algorithm's, the
-same on a GPU). Compilation is not counted. "options": on the CPU, the seconds that both engines
-take under several options of the compiler; the fastest are taken.
+MJX's time for an error is its number of steps for that error times its fastest step over all
+batches. Errors are measured on the CPU, where a small sample costs less; they are the same on a
+GPU. Compilation is not counted. "options": on the CPU, the seconds of both engines with several
+compiler options; the fastest are used.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def fastest(
     bench: Bench, engine: str, precision: str, march: Callable, args: tuple,
     candidates: Iterable[dict[str, Any] | None],
 ) -> dict[str, Any] | None:  # fmt: skip
-    """The options of the CPU's compiler, of those that this jaxlib knows, under which a program
-    runs fastest; a row tells the times of all."""
+    """The CPU compiler options with which a program runs fastest, of those that this jaxlib knows;
+    a row has the times of all."""
     if ON_GPU:
         return None
     found: dict[float, dict[str, Any] | None] = {}
@@ -80,7 +80,7 @@ def ours(bench: Bench, small: bool) -> None:
             )
             return path.state(-1)
 
-        def march(state, dt, times):  # one call, as MJX gets, whatever the number of steps
+        def march(state, dt, times):  # one call for any number of steps, as for MJX
             return jax.lax.fori_loop(0, times, lambda _, now: some(now, dt), state)
 
         state = rb.State(*bench.tiled(batch))
@@ -106,7 +106,7 @@ MJX = ("RK4", "implicitfast", "Euler")
 
 
 def mjx_options() -> tuple[dict[str, Any] | None, ...]:
-    """XLA's CPU fusion slows MJX down, up to a thousand times; jaxlibs differ in what stops it."""
+    """XLA's CPU fusion slows MJX down, up to a thousand times; options against it, by jaxlib."""
     if xla_accepts(*WITHOUT_EMITTERS):
         return dict([WITHOUT_EMITTERS]), dict([WITHOUT_EMITTERS, WIDE])
     return dict([UNFUSED[-1]]), None

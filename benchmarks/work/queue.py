@@ -1,16 +1,16 @@
 """Every solver on every scene, on all cores and GPUs of a machine, within a deadline.
 
 `python -m benchmarks.work.queue --jobs 28 --gpus 2 --deadline 560` writes work-solvers-*.json into
-results/ (one of the CPU, one of the GPUs), renewed every few seconds. A second call takes what the
-files there say was done on such a CPU (or those of `--resume`, wherever) and goes on with the rest.
+results/ (one for the CPU, one for the GPUs) every few seconds. A second call keeps the tasks that
+the files list as done on such a CPU (or those of `--resume`, on any) and continues with the rest.
 
-A task is (scene, solver, precision): see `benchmarks.work.solvers`. Each CPU worker has a core to
-itself (on a machine with hyperthreads, half of one), so that times are those of one core of a busy
-machine; GPU workers compile side by side on the cores left and run one at a time on each GPU. Tasks
-go by importance: f64 before f32, the most telling solvers first; counts of evaluations last. One
-that would not end in time, by what others of its kind took, is not begun. What was left out, or
-failed, or does not apply, is a row that says so, and a second call tries again what failed.
-Linux alone, since processes are pinned to cores.
+A task is (scene, solver, precision): see `benchmarks.work.solvers`. Each CPU worker has its own
+core (with hyperthreads, half of one), so times are those of one core of a busy machine. GPU workers
+compile in parallel on the remaining cores and run one at a time on each GPU. Tasks are sorted by
+importance: f64 before f32, the most important solvers first, counts of evaluations last. A task
+does not start if, judged by others of its kind, it would not end in time. A task that was left out,
+failed, or does not apply is a row that says so, and a second call retries failed ones.
+It runs only on Linux, because processes are pinned to cores.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from benchmarks.work.scenes import SCENES
 from benchmarks.work.solvers import FIRST, IMPLICIT, MAKERS, applicable
 
 NAME = "work-solvers"
-EARLIER = ("cpu", "cores", "date", "commit", "dirty")  # what is told of runs resumed
+EARLIER = ("cpu", "cores", "date", "commit", "dirty")  # stored for resumed runs
 Rows = list[dict[str, Any]]
 
 
 class Task(NamedTuple):
-    """What one worker does at a time; the precision "count" is the count of evaluations."""
+    """One unit of work of a worker; the precision "count" means counting evaluations."""
 
     scene: str
     method: str
@@ -55,7 +55,7 @@ class Task(NamedTuple):
 
 
 def tasks(scenes: Iterable[str], methods: Iterable[str], precisions: Iterable[str]) -> list[Task]:
-    """All that apply; evaluations of explicit solvers are counted on one scene."""
+    """All tasks that apply; evaluations of explicit solvers are counted on one scene."""
     scenes, out = list(scenes), []
     for method in methods:
         for precision in precisions:
@@ -63,11 +63,11 @@ def tasks(scenes: Iterable[str], methods: Iterable[str], precisions: Iterable[st
             if precision == "count" and method not in IMPLICIT:
                 here = here[:1]
             out += [Task(scene, method, precision) for scene in here]
-    return sorted(out, key=Task.importance)  # which keeps the order within one importance
+    return sorted(out, key=Task.importance)  # stable: keeps the order of equal importance
 
 
 class Board:
-    """The tasks of one platform and what they found; the threads of its workers share it."""
+    """The tasks of one platform and their rows, shared by the threads of its workers."""
 
     def __init__(self, platform: str, wanted: list[Task], deadline: float, name: str = NAME):
         self.platform, self.deadline, self.name = platform, deadline, name
@@ -77,7 +77,7 @@ class Board:
         self.waiting, self.lock = wanted, threading.Lock()
 
     def resume(self, paths: Iterable[Path], cpu: str | None) -> None:
-        """Take what files say is done, on this CPU (None: on any)."""
+        """Mark tasks as done that the files list for this CPU (None: for any)."""
         for path in paths:
             data = json.loads(path.read_text())
             source = data["provenance"]
@@ -97,7 +97,7 @@ class Board:
         self.waiting = [task for task in self.waiting if task not in self.found]
 
     def next(self) -> Task | None:
-        """The most important task that others of its kind say will end in time."""
+        """The most important task that will end in time, judged by others of its kind."""
         with self.lock:
             took: dict[Any, float] = {}
             for task, rows in self.found.items():
@@ -121,7 +121,7 @@ class Board:
               flush=True)  # fmt: skip
 
     def rows(self, counts: dict[tuple[str, str], Any]) -> Rows:
-        """Everything, with force evaluations a second where they were counted."""
+        """All rows, with force evaluations a second if they were counted."""
         with self.lock:
             out = [row for rows in self.found.values() for row in rows]
             out += [task.row("left out", "out of time") for task in self.waiting]
@@ -150,7 +150,7 @@ def _kind(task: Task) -> tuple[str, bool, bool]:
 
 
 class Worker(threading.Thread):
-    """A process that does tasks of a board one after another; a new one where it dies."""
+    """A process that runs tasks of a board one after another; it is restarted if it dies."""
 
     def __init__(self, board: Board, env: dict[str, str], cores: set[int], folder: Path):
         super().__init__(daemon=True)
@@ -201,7 +201,7 @@ class Worker(threading.Thread):
 
 
 def started(boards: list[Board], opts: argparse.Namespace, folder: Path) -> list[Worker]:
-    """CPU workers on a core each, GPU workers and this process' other children on those left."""
+    """CPU workers on one core each; GPU workers and other child processes on the rest."""
     cores = sorted(os.sched_getaffinity(0))
     on_gpu = opts.per_gpu * opts.gpus
     on_cpu = 0 if opts.no_cpu else max(1, opts.jobs - on_gpu)
@@ -228,7 +228,7 @@ def started(boards: list[Board], opts: argparse.Namespace, folder: Path) -> list
 
 
 def references(scenes: list[str], folder: Path) -> list[subprocess.Popen]:
-    """Processes that look for where the scenes end."""
+    """Processes that compute the ends of the scenes."""
     env = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
     command = [sys.executable, "-m", "benchmarks.work.scenes"]
     with (folder / "log").open("a") as log:
@@ -239,7 +239,7 @@ def references(scenes: list[str], folder: Path) -> list[subprocess.Popen]:
 
 
 def write(boards: list[Board], folder: Path, kept: Rows) -> None:
-    """Files of results, and beside their copies the workers' log."""
+    """Write the results, and the workers' log next to their copies."""
     ends: Rows = []
     for path in sorted(folder.glob("*.npz")):
         if path.stem in SCENES:
@@ -271,7 +271,7 @@ def main() -> None:
     parser.add_argument("--task-limit", type=float, default=240.0, help="seconds a task")
     parser.add_argument("--resume", nargs="*", type=Path, help="folders or files, of any CPU")
     opts = parser.parse_args()
-    os.environ["JAX_PLATFORMS"] = "cpu"  # this process leaves the GPUs alone
+    os.environ["JAX_PLATFORMS"] = "cpu"  # this process does not use the GPUs
     deadline = time.monotonic() + opts.deadline - 5.0
 
     boards = [] if opts.no_cpu else [

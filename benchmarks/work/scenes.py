@@ -1,7 +1,7 @@
-"""The scenes of the speed-accuracy charts: robots, a sample of starts, and where they end.
+"""The scenes of the speed-accuracy charts: robots, a sample of starts, and their ends.
 
-Every engine gets one MjModel: smooth dynamics alone (no contacts, limits, friction), and no geoms,
-which would cost MJX and MuJoCo time that ours does not spend. Controls are constant.
+Every engine gets the same MjModel: only smooth dynamics (no contacts, limits, friction), and no
+geoms, which would cost time in MJX and MuJoCo but not in rbjax. Controls are constant.
 
 The distance of two states, in radians and metres, relative where the state is large:
 
@@ -39,7 +39,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Scene:
-    """A robot, seconds to simulate, a keyframe to start around, and how far around."""
+    """A robot, seconds to simulate, a keyframe near which to start, and the spread around it."""
 
     title: str
     source: str
@@ -105,8 +105,7 @@ def bare(source: str) -> mujoco.MjModel:
 def prepared(
     name: str, precision: str = "f64"
 ) -> tuple[mujoco.MjModel, rb.Model, Array, Array, Array]:
-    """MjModel, Model (in the current precision, which is that one), starts q (SAMPLE, nq) and v,
-    controls (nu,)."""
+    """MjModel, Model (in the current precision), starts q (SAMPLE, nq) and v, controls (nu,)."""
     scene = SCENES[name]
     m = bare(scene.source)
     model = as_model(m)
@@ -125,7 +124,7 @@ def prepared(
 
 
 def reference(name: str) -> tuple[Array, Array, float]:
-    """Where the sample ends, q and v; and a bound of its own error."""
+    """The end of the sample, q and v, and a bound of its error."""
     m, model, q, v, ctrl = prepared(name)
     seconds, size = SCENES[name].seconds, 64
     ctrls = jnp.broadcast_to(jnp.asarray(ctrl), (size, m.nu))
@@ -159,7 +158,7 @@ def reference(name: str) -> tuple[Array, Array, float]:
 
 
 def reference_by_cpu(name: str) -> tuple[Array, Array, float]:
-    """The same from a process of its own, for one whose arrays live on an accelerator."""
+    """The same from its own process, for a caller whose arrays are on an accelerator."""
     with tempfile.TemporaryDirectory() as folder:
         path = f"{folder}/end.npz"
         here = {"JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
@@ -170,7 +169,7 @@ def reference_by_cpu(name: str) -> tuple[Array, Array, float]:
 
 
 def distance(model: rb.Model, state: Any, exact: Any) -> float:
-    """The largest over the sample, in f64; infinite where a state is not finite."""
+    """The largest distance over the sample, in f64; infinite if a state is not finite."""
     (q, v), (q1, v1) = ([np.asarray(x, np.float64) for x in pair] for pair in (state, exact))
     if not (np.isfinite(q).all() and np.isfinite(v).all()):
         return float("inf")
@@ -207,9 +206,9 @@ def pendulum(m: mujoco.MjModel, q: Array, v: Array, t: float) -> tuple[Array, Ar
 
 
 def free_body_error(m: mujoco.MjModel, start: Any, end: Any, t: float) -> float:
-    """Of torque-free motion: Euler's closed form of the angular velocity (Landau & Lifshitz,
-    *Mechanics*, 37) and the conserved angular momentum, which leave no freedom but a turn about
-    it."""
+    """The error of torque-free motion, from Euler's closed form of the angular velocity (Landau &
+    Lifshitz, *Mechanics*, 37) and the conserved angular momentum. These leave only a rotation about
+    the momentum free."""
     I = np.asarray(m.body_inertia[1])
     w0, w1 = start[1][:, 3:], end[1][:, 3:]
     H0, H1 = (_rotated(q[:, 3:7], I * w) for q, w in ((start[0], w0), (end[0], w1)))
@@ -246,4 +245,4 @@ def _euler(I: Array, w: Array, t: float) -> Array:
 if __name__ == "__main__":
     q, v, bound = reference(sys.argv[1])
     np.savez(f"{sys.argv[2]}.part.npz", q=q, v=v, bound=bound)
-    os.replace(f"{sys.argv[2]}.part.npz", sys.argv[2])  # whole, or not there
+    os.replace(f"{sys.argv[2]}.part.npz", sys.argv[2])  # atomic

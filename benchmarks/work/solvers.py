@@ -1,22 +1,22 @@
 """Speed against accuracy of every solver of `rb.solvers` through `simulate`, with constant steps.
 
-A task is one solver on one scene in one precision: one program is compiled (vmapped over the batch,
-the step traced), and run at 4, 8, 16, ... steps. Rows are those of `benchmarks.work.ladder`, then
-one "done" with the seconds that tracing and compiling took ("first_s") and the whole task.
-A motion that a solver gives up (a step's equations not solved), or that ends in no number, has an
-infinite error. On the CPU explicit solvers run on the unrolled driver; implicit ones, whose
-programs hold the field's Jacobian too, and all on a GPU, on the driver that "auto" takes: the
-humanoid's is rolled, since unrolled it would compile for minutes.
+A task is one solver on one scene in one precision. One program is compiled (vmapped over the batch,
+with a traced step) and run at 4, 8, 16, ... steps. Rows are those of `benchmarks.work.ladder`, then
+one "done" with the seconds of tracing and compiling ("first_s") and of the whole task.
+A motion that a solver gives up (unsolved equations of a step), or that is not finite, has an
+infinite error. On the CPU explicit solvers use the unrolled driver. Implicit ones, whose programs
+also contain the field's Jacobian, and all on a GPU use the driver of "auto". For the humanoid this
+is the rolled one, because unrolled code would compile for minutes.
 
-Force evaluations a step are counted by a second program with a callback, of one robot, in f64, on
-the CPU: once for an explicit solver, whose count is constant, and for an implicit one on every
-scene, at several step sizes, where it comes to the end. A Jacobian counts as one. They serve for
-f32 and the GPU too.
+A second program with a callback counts force evaluations a step, for one robot, in f64, on the CPU.
+An explicit solver, whose count is constant, is counted once. An implicit one is counted on every
+scene, at several step sizes at which it reaches the end. A Jacobian counts as one. The counts also
+serve for f32 and the GPU.
 
-`rigid_body_splitting` solves `RigidBody` alone: it takes part where the robot is one, the free body
-and the top, without `simulate`.
+`rigid_body_splitting` solves only `RigidBody`: it runs on the free body and the top, without
+`simulate`.
 
-This file is what `benchmarks.work.queue` runs in many processes.
+`benchmarks.work.queue` runs this file in many processes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from benchmarks.work.scenes import prepared
 from rbjax.rotations import quaternion
 from rbjax.solvers import RigidBody
 
-#: of `rb.solvers.all()`, the most telling ones first; then all the others
+#: the most important ones of `rb.solvers.all()` first; then all the others
 FIRST = (
     "rkmk5", "gauss_legendre3", "radau_iia3", "ros34pw2", "pece4", "commutator_free4", "yoshida4",
     "stoermer_verlet", "adams_bashforth4", "bdf4", "kvaerno5", "sdirk2", "variational_midpoint",
@@ -71,7 +71,7 @@ def batch_of(bench: Bench) -> int:
 
 
 def solved(bench: Bench, model: rb.Model, method: str, control: Callable) -> Callable:
-    """(state, dt) -> q, v at the end, not numbers where the solver failed."""
+    """(state, dt) -> q, v at the end; nan if the solver failed."""
     if method == "rigid_body_splitting":
         return rigid_body(bench, method)
 
@@ -86,7 +86,7 @@ def solved(bench: Bench, model: rb.Model, method: str, control: Callable) -> Cal
 
 
 def rigid_body(bench: Bench, method: str) -> Callable:
-    """The one body of a scene about its centre, which keeps its velocity, or about its pivot."""
+    """The body of a scene about its centre, which has constant velocity, or about its pivot."""
     m, T = bench.m, bench.scene.seconds
     arm, mass, weight = m.body_ipos[1], m.body_mass[1], m.body_mass[1] * m.opt.gravity
     inertia = m.body_inertia[1] + mass * (arm @ arm - arm**2)
@@ -118,7 +118,7 @@ def doubling(first: int) -> Iterator[int]:
 
 
 def points(bench: Bench, method: str, precision: str, reference: Callable) -> None:
-    """Errors and times of one solver; it compiles while the reference may still be looked for."""
+    """Errors and times of one solver. It compiles while the reference may still be computed."""
     begin = time.perf_counter()
     implicit, large = method in IMPLICIT, bench.model.nv > 9 or bench.scene.stiff
     model = prepared(bench.name, precision)[1]
@@ -127,7 +127,7 @@ def points(bench: Bench, method: str, precision: str, reference: Callable) -> No
     ctrl, batch, first = jnp.asarray(bench.ctrl, float), batch_of(bench), 4
     state = rb.State(*bench.tiled(batch))
 
-    def dt(steps):  # a hair more, so that rounding leaves no step over
+    def dt(steps):  # slightly longer, so that rounding adds no extra step
         return jnp.asarray(bench.scene.seconds / steps * (1 + 1e-12), float)
 
     many = jax.jit(jax.vmap(solved(bench, model, method, lambda t, state: ctrl), (0, None)))
@@ -149,7 +149,7 @@ def points(bench: Bench, method: str, precision: str, reference: Callable) -> No
 
 
 def counts(bench: Bench, method: str) -> None:
-    """Force evaluations a step, of the runs that come to the end."""
+    """Force evaluations a step, of the runs that reach the end."""
     if method == "rigid_body_splitting":  # torques, at both ends
         bench.add("count", "simulate", method, "f64", of_steps=COUNTED, a_step=[2] * len(COUNTED))
         return
@@ -175,7 +175,7 @@ def counts(bench: Bench, method: str) -> None:
 
 
 def rows_of(scene: str, method: str, precision: str, reference: Callable) -> list[dict[str, Any]]:
-    """What one task found; the precision "count" asks for the evaluations."""
+    """The rows of one task; the precision "count" counts the evaluations."""
     begin, waited = time.perf_counter(), [0.0]
 
     def awaited():
@@ -199,7 +199,7 @@ def rounded(x: Any) -> Any:
 
 
 def reference_in(folder: Path, scene: str, most_s: float = 200.0) -> Any:
-    """Where a scene ends, once the process that looks for it has written it."""
+    """The end of a scene, when the process that computes it has written it."""
     path = folder / f"{scene}.npz"
     begin = time.monotonic()
     while not path.exists():
@@ -211,9 +211,9 @@ def reference_in(folder: Path, scene: str, most_s: float = 200.0) -> Any:
 
 
 def serve(references: Path) -> None:
-    """Do the tasks that come on stdin, a line each; answer each with a line of rows."""
+    """Run the tasks from stdin, a line each; answer each with a line of rows."""
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # whatever else is printed goes to the log
+    os.dup2(2, 1)  # everything else that is printed goes to the log
     jax.config.update("jax_enable_x64", True)
     print(json.dumps(provenance()), file=answers, flush=True)
     ends = functools.cache(functools.partial(reference_in, references))
@@ -222,7 +222,7 @@ def serve(references: Path) -> None:
         rows = rows_of(scene, method, precision, functools.partial(ends, scene))
         print(json.dumps(rows), file=answers, flush=True)
         if n % 10 == 0:
-            jax.clear_caches()  # programs of tasks that are over
+            jax.clear_caches()  # programs of finished tasks
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Pictures and tables of all solvers through `simulate`, by family; `precision_chart` asks."""
+"""Pictures and tables of all solvers through `simulate`, by family, for `precision_chart`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FAMILIES: dict[str, tuple[str, tuple[str, ...]]] = {
     "Lie group": (PURPLE, ("rkmk", "crouch", "commutator", "lie_", "rigid_body")),
 }  # fmt: skip
 TIME, EVALUATIONS = 2, 3  # columns of a line
-COARSE = 1e-4  # what f32 reaches
+COARSE = 1e-4  # the error that f32 reaches
 
 
 def family(method: str) -> str:
@@ -46,7 +46,7 @@ def by_family(
 
 
 def cost_of(line: Any, column: int, wanted: float, precision: str) -> tuple[float, bool]:
-    """The cost of an error, and whether the line was prolonged for it, which happens in f64 alone
+    """The cost of an error, and whether the line was extrapolated to it, which happens only in f64
     and over less than a decade."""
     cost, further = at(line[1], line[column], wanted)
     if further and (precision == "f32" or np.nanmin(line[1]) > 10 * wanted):
@@ -55,14 +55,14 @@ def cost_of(line: Any, column: int, wanted: float, precision: str) -> tuple[floa
 
 
 def best(methods: list[tuple[str, Any]], column: int, wanted: float, precision: str) -> Any:
-    """(cost, prolonged, method, line) of the cheapest, if any reaches the error."""
+    """(cost, extrapolated, method, line) of the cheapest, if any reaches the error."""
     costs = [(*cost_of(line, column, wanted, precision), name, line) for name, line in methods]
     costs = [c for c in costs if np.isfinite(c[0])]
     return min(costs, key=lambda c: c[0]) if costs else None
 
 
 def picture(rows: Rows, platform: str, precision: str, column: int, name: str) -> None:
-    """A panel a scene; the best of each family bold and named, the cheapest first."""
+    """A panel for each scene; the best of each family is bold and named, the cheapest first."""
     wanted = WANTED if precision == "f64" else COARSE
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(2, 4, figsize=(16, 9.2), layout="constrained", sharey=True)
@@ -111,7 +111,7 @@ def solver_pictures(rows: Rows) -> None:
 
 
 def solver_tables(rows: Rows) -> str:
-    """The fastest of each family to an error of 1e-6 (in brackets: to 1e-4), a table for each
+    """The fastest of each family for an error of 1e-6 (in brackets: 1e-4), a table for each
     platform and precision."""
     out = []
     for platform in (CPU, GPU):
@@ -136,7 +136,7 @@ def solver_tables(rows: Rows) -> str:
 
 
 def gaps(rows: Rows) -> str:
-    """What was left out or failed, a line for each platform, scene and precision."""
+    """The tasks left out or failed, a line for each platform, scene and precision."""
     done: dict[tuple, list[str]] = defaultdict(list)
     missed: dict[tuple, list[str]] = defaultdict(list)
     for row in rows:

@@ -1,8 +1,8 @@
-"""Where implicit methods begin to win: a hanging rod of six links, its springs ever stiffer.
+"""The stiffness above which implicit methods are faster: a hanging rod of six links with springs.
 
-The springs' dampers grow with them (1 ms), so the fast modes die out and the motion that is left
-is a pendulum's; explicit methods pay for what is gone. For each stiffness: the fewest steps of a
-ladder with an error below 1e-4 after 1 s, and their time. One core, f64.
+The dampers grow with the springs (1 ms), so the fast modes die out and a pendulum motion remains.
+The vanished modes still limit explicit methods. For each stiffness: the fewest steps of a ladder
+with an error below 1e-4 after 1 s, and their time. One core, f64.
 `python -m benchmarks.work.stiffness` writes results/work-stiffness-<device>.json.
 """
 
@@ -112,7 +112,7 @@ def sweep(
             row = {"what": "stiff", "method": method, "implicit": make is implicit, "stiffness": k,
                    "steps": steps, "error": error}  # fmt: skip
             if error < WANTED:
-                some = 4 * CHUNK if make is explicit else steps  # a step costs what it costs
+                some = 4 * CHUNK if make is explicit else steps  # the cost of a step is constant
                 timed(k, some)
                 run_s = clocked(lambda n, k=k, f=timed: f(k, n), some, True)[0]
                 size = SAMPLE if small else batch

@@ -1,7 +1,7 @@
-"""One rigid body in its equivalent formulations, and the laws they come from.
+"""One rigid body in its equivalent formulations, and the laws behind them.
 
-`formulations()` holds them all behind one signature; `lagrange` is for a user's own energies,
-`particles` for ideal constraints, `relative_motion` for moving frames.
+`formulations()` has them all with one signature. `lagrange` takes your own energies, `particles`
+takes ideal constraints, `relative_motion` takes moving frames.
 """
 
 from rbjax.body import lagrange, particles, relative_motion, virtual_work

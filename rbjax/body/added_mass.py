@@ -1,7 +1,7 @@
-"""Added mass: the fluid that a body pushes aside, as an inertia of its own (Lamb, ch. 6).
+"""Added mass: the inertia of the fluid that a body pushes aside (Lamb, ch. 6).
 
-The kinetic energy of an unbounded ideal fluid about a body in motion is V . A V / 2 of the body's
-twist, with A (6, 6) symmetric; it is a matrix for `Body.added_mass`, and every formulation has it.
+The kinetic energy of an unbounded ideal fluid around a moving body with twist V is V . A V / 2,
+with A (6, 6) symmetric. A is the matrix for `Body.added_mass`. Every formulation includes it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(48)
 @positive("semi_axes", "density")
 @takes(semi_axes="vector", density="scalar")
 def ellipsoid_added_mass(semi_axes: jax.Array, density: jax.Array) -> jax.Array:
-    """(..., 6, 6) of an ellipsoid with these semi-axes about its centre (Lamb, 114-115, 121a).
+    """A (..., 6, 6) of an ellipsoid with these semi-axes about its centre (Lamb, 114-115, 121a).
 
         alpha_i = abc int_0^inf dl / ((a_i^2 + l) D),    D^2 = prod (a_j^2 + l)
 
-    gives m alpha / (2 - alpha) along the axes, m the mass of the fluid in the body's place: half of
-    it for a ball. Digits go where the axes differ by more than a factor of some tens.
+    gives m alpha / (2 - alpha) along the axes, with m the mass of the displaced fluid. A ball has
+    m / 2. Digits are lost if the axes differ by a factor of tens.
 
     >>> ellipsoid_added_mass([1.0, 1.0, 1.0], 3 / (2 * jnp.pi)).diagonal().round(5).tolist()
     [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
@@ -42,7 +42,7 @@ def ellipsoid_added_mass(semi_axes: jax.Array, density: jax.Array) -> jax.Array:
     j, k = np.array([1, 2, 0]), np.array([2, 0, 1])
     less, more = a2[..., j] - a2[..., k], a2[..., j] + a2[..., k]
     turn = alpha[..., k] - alpha[..., j]
-    round_ = jnp.abs(less) <= 1e-6 * more  # turned about such an axis, the fluid stays at rest
+    round_ = jnp.abs(less) <= 1e-6 * more  # rotation about such an axis leaves the fluid at rest
     below = jnp.where(round_, 1.0, 2 * less - more * turn)
     angular = jnp.where(round_, 0.0, m / 5 * less**2 * turn / below)
     both = jnp.concatenate([angular, m * alpha / (2 - alpha)], -1)

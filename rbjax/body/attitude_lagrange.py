@@ -11,8 +11,8 @@ Boltzmann's and Hamel's equations (Olguin Diaz, ch. 7; Hamel, 1904)
 
     d/dt dT/dnu + B^T (A'^T - (d(A q')/dq)^T) dT/dnu - B^T dT/dq = B^T Q
 
-hold for redundant attitudes too, whose constraint forces B^T takes away: with a quaternion they are
-singular nowhere.
+hold for redundant attitudes too, because B^T removes their constraint forces. With a quaternion
+they are never singular.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.rotations import se3
 
-#: nearer than this (rad) to a singularity the equations have no digits left
+#: closer than this (rad) to a singularity the equations have no correct digits
 SINGULAR = 1e-8
 
 
 class _InCoordinates(Formulation):
-    """q = (p, x), x of any representation."""
+    """q = (p, x), with x in any representation."""
 
     def pose(self, body: Body, y: State) -> jax.Array:
         return self._pose(y.q)
@@ -76,8 +76,8 @@ class Lagrange(_InCoordinates):
             )
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
-        """Refused right at a singularity, where values are known; `singularity_distance` is 0 there
-        in traced code, and the rates are very large."""
+        """Raises `InputError` at a singularity, where values are known. Traced code gives very
+        large rates there, and `singularity_distance` 0."""
         q = self._coordinates(T)
         distance = self.attitude.singularity_distance(q[3:])
         if not isinstance(distance, jax.core.Tracer) and distance < SINGULAR:
@@ -107,7 +107,7 @@ class Lagrange(_InCoordinates):
 
 
 class QuasiLagrange(_InCoordinates):
-    """In any representation; v is the body twist."""
+    """Quasi-Lagrangian, in any representation; v is the body twist."""
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
         return State(self._coordinates(T), V)
@@ -140,7 +140,7 @@ def hamel_acceleration(
 ) -> jax.Array:
     """nu' (m,) of quasi-velocities nu = A(q) q' (`velocities`), q' = B(q) nu (`rates`).
 
-    `kinetic` is T(q, nu), and N = B^T Q (m,) the forces that do the work N . nu.
+    `kinetic` is T(q, nu). N = B^T Q (m,) are the forces with the power N . nu.
 
     >>> polar = hamel_acceleration(  # a unit mass; nu = (r', r phi')
     ...     lambda q, nu: nu @ nu / 2,
@@ -155,7 +155,7 @@ def hamel_acceleration(
     _, carried = jax.vjp(lambda q: velocities(q, qd), q)
 
     def momentum(q: jax.Array) -> jax.Array:
-        """A^T p, the momentum of q', with p as it is."""
+        """A^T p, the momentum of q', with p held constant."""
         return jax.vjp(lambda qd: velocities(q, qd), qd)[1](p)[0]
 
     _, swept = jax.jvp(momentum, (q,), (qd,))

@@ -1,7 +1,7 @@
-"""What acts on a body: gravity, buoyancy, drag, springs.
+"""Forces on a body: gravity, buoyancy, drag, springs.
 
 Each is a pytree of its numbers, and a function (t, body, T, V) -> wrench (6,) at the origin of the
-body's frame, in body axes (`rigid_body`). Those with a `potential` are minus its gradient.
+body's frame, in body axes (`rigid_body`). A force with a `potential` is minus its gradient.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rbjax.rotations.coefficients import length
 
 
 def _at(T: jax.Array, point: jax.Array) -> jax.Array:
-    """A point of the body, in the world."""
+    """The world position of a point of the body."""
     return T[:3, 3] + matvec(T[:3, :3], point)
 
 
@@ -43,10 +43,10 @@ class UniformGravity(eqx.Module):
 
 
 class CentralGravity(eqx.Module):
-    """Attraction by a point, mu = G M in m^3/s^2, at `centre` (3,), to the second order in size.
+    """Attraction by a point mass at `centre` (3,), mu = G M in m^3/s^2, to second order in size.
 
-    MacCullagh: V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3), n from the centre to com; the
-    torque is 3 mu n x I_c n / r^3.
+    MacCullagh: V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3), with n from the centre to com.
+    The torque is 3 mu n x I_c n / r^3.
     """
 
     mu: jax.Array = eqx.field(converter=jnp.asarray)
@@ -71,8 +71,8 @@ class CentralGravity(eqx.Module):
 
 
 class Buoyancy(eqx.Module):
-    """Archimedes: minus the weight of the fluid of `density` in a wholly immersed `volume`, at its
-    centre (3,) in the body.
+    """Archimedes: minus the weight of the fluid of `density` in a fully immersed `volume`, at the
+    centre (3,) of the volume in the body.
     """
 
     density: jax.Array = eqx.field(converter=jnp.asarray)
@@ -111,7 +111,7 @@ class QuadraticDrag(eqx.Module):
 
 
 class Spring(eqx.Module):
-    """From a point of the world (`anchor`) to one of the body, k (l - l_0) along the line."""
+    """A spring from a world point (`anchor`) to a body point: k (l - l_0) along the line."""
 
     stiffness: jax.Array = eqx.field(converter=jnp.asarray)
     anchor: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
@@ -121,7 +121,7 @@ class Spring(eqx.Module):
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor
         l = length((d * d).sum())
-        # a line of no length has no direction, and its spring no force rather than a nan
+        # a line of length zero has no direction: its spring gives no force, not a nan
         pull = 1 - self.rest_length / jnp.where(l > 0, l, jnp.inf)
         return _world_force(T, -self.stiffness * pull * d, self.point)
 
@@ -131,7 +131,7 @@ class Spring(eqx.Module):
 
 
 class Damper(eqx.Module):
-    """Between the same two points: -c times the rate of their distance, along the line."""
+    """A damper between two such points: -c times the rate of their distance, along the line."""
 
     damping: jax.Array = eqx.field(converter=jnp.asarray)
     anchor: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
@@ -146,5 +146,5 @@ class Damper(eqx.Module):
 
 
 def _through(T: jax.Array, V: jax.Array, stream: jax.Array) -> jax.Array:
-    """The twist relative to a fluid that streams without turning."""
+    """The twist relative to a fluid that streams without rotation."""
     return V - jnp.concatenate([jnp.zeros_like(stream), matvec(T[:3, :3].T, stream)])

@@ -1,6 +1,6 @@
-"""What the formulations of one body's motion share: one signature, one can stand for another.
+"""The common signature of the formulations of one body's motion. They are interchangeable.
 
-    y0 = f.initial(body, T, V)         from pose and body twist to its own state
+    y0 = f.initial(body, T, V)         from pose and body twist to the state of the formulation
     f.rate(t, y, (body, forces))       the vector field: `diffrax.ODETerm(f.rate)` is `f.term()`
     f.pose(body, y), f.twist(body, y)  and back
 
@@ -31,7 +31,7 @@ class State(NamedTuple):
 
 
 class Formulation(abc.ABC):
-    """The motion of one rigid body in coordinates and velocities of its own."""
+    """The motion of one rigid body, in its own coordinates and velocities."""
 
     def __init__(self, attitude: str):
         self.attitude: Representation = find(attitude)
@@ -57,7 +57,7 @@ class Formulation(abc.ABC):
         return diffrax.ODETerm(self.rate)
 
     def singularity_distance(self, y: State) -> jax.Array:
-        """The angle to where the equations break down; inf where they never do."""
+        """The angle to the nearest singularity of the equations; inf if there is none."""
         return self.attitude.singularity_distance(y.q[3:])
 
     def __repr__(self) -> str:
@@ -65,7 +65,7 @@ class Formulation(abc.ABC):
 
 
 class Spinning(Formulation):
-    """Attitude as a unit quaternion, whose rate is linear in it: its length has no effect."""
+    """Attitude as a quaternion. Its rate is linear in it, so its length has no effect."""
 
     def __init__(self) -> None:
         super().__init__("unit_quaternion")
@@ -90,10 +90,10 @@ def coordinates(T: jax.Array) -> jax.Array:
 
 
 def quaternion_rate(q: jax.Array, omega: jax.Array) -> jax.Array:
-    """q (0, omega) / 2, of omega in body axes."""
+    """q (0, omega) / 2, with omega in body axes."""
     return quaternion.multiply(q, jnp.concatenate([jnp.zeros(1, q.dtype), omega])) / 2
 
 
 def accelerate(M: jax.Array, V: jax.Array, F: jax.Array) -> jax.Array:
-    """V' of M V' + V x* M V = F."""
+    """V' from M V' + V x* M V = F."""
     return jnp.linalg.solve(M, F - spatial.force_cross(V, matvec(M, V)))

@@ -1,7 +1,7 @@
-"""All formulations of one rigid body's motion, by name; they describe one and the same motion.
+"""All formulations of one rigid body's motion, by name. They describe the same motion.
 
-Those without an attitude in their name hold for every attitude. `lagrange_*` are the direct
-Lagrangian equations in each representation with three numbers, each singular somewhere.
+A formulation without an attitude in its name has no singularities. `lagrange_*` are the direct
+Lagrangian equations in a representation with three numbers, and each is singular somewhere.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rbjax.rotations import representations
 
 @functools.cache
 def formulations() -> MappingProxyType[str, Formulation]:
-    """Name -> formulation, in a stable order; the attitude-free ones first.
+    """Name -> formulation, in a fixed order, with those without an attitude in the name first.
 
     >>> list(formulations())[:3], len(formulations()) >= 36
     (['newton_euler', 'newton_euler_origin', 'kirchhoff'], True)

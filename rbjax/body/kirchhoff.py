@@ -3,8 +3,9 @@
     d/dt dT/d omega + omega x dT/d omega + v x dT/d v = n
     d/dt dT/d v     + omega x dT/d v                  = f
 
-Any T will do, that of a body in a fluid as well; the momenta are its gradient and the inertia its
-second derivative, both by differentiation (Olguin Diaz, ch. 7; Lamb, *Hydrodynamics*, 124).
+T may be any kinetic energy, also that of a body in a fluid. The momenta are its gradient and the
+inertia its second derivative, both by differentiation (Olguin Diaz, ch. 7; Lamb, *Hydrodynamics*,
+124).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from rbjax.lanes import matvec
 
 
 class Kirchhoff(Spinning):
-    """From T by differentiation; v is the body twist."""
+    """Kirchhoff's equations, from T by differentiation; v is the body twist."""
 
     def initial(self, body: Body, T: jax.Array, V: jax.Array) -> State:
         return State(coordinates(T), V)

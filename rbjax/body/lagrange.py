@@ -1,14 +1,14 @@
-"""Lagrange's equations of a user's own energies in any coordinates (Olguin Diaz, 7; Cai, 4).
+"""Lagrange's equations from your own energies in any coordinates (Olguin Diaz, 7; Cai, 4).
 
     d/dt dT/dq' - dT/dq + dV/dq + dD/dq' = Q
 
-of kinetic energy T(q, q'), potential V(q), dissipation function D(q, q') and generalized forces Q
-(n,), all by differentiation. Where T = q' . M(q) q' / 2 this is
+with kinetic energy T(q, q'), potential V(q), dissipation function D(q, q') and generalized forces Q
+(n,), all by differentiation. If T = q' . M(q) q' / 2 this is
 
     M(q) q'' + C(q, q') q' + g(q) + dD/dq' = Q
 
-with C of Christoffel's symbols, so that M' - 2C is skew-symmetric. `acceleration` wants no such T:
-it may have terms linear in q' (gyroscopic) or of order zero.
+with C from Christoffel's symbols, so that M' - 2C is skew-symmetric. `acceleration` takes any T,
+also with terms linear in q' (gyroscopic) or of order zero.
 
     >>> cart = System(lambda q, v: v @ v, lambda q: 8 * q @ q)
     >>> acceleration(cart, jnp.array([1.0]), jnp.array([0.0])).tolist()
@@ -42,7 +42,7 @@ class System(NamedTuple):
 
 
 def mass_matrix(system: System, q: jax.Array, v: jax.Array | None = None) -> jax.Array:
-    """M (n, n) = d^2 T / dq'^2, at q' = 0 unless said.
+    """M (n, n) = d^2 T / dq'^2, by default at q' = 0.
 
     >>> mass_matrix(System(lambda q, v: (1 + q[0] ** 2) * v @ v), jnp.array([2.0])).tolist()
     [[10.0]]
@@ -82,7 +82,7 @@ def damping_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """All but M q'' of the left-hand side: (d p/dq) q' - dT/dq + dV/dq + dD/dq', p = dT/dq'."""
+    """The left-hand side without M q'': (d p/dq) q' - dT/dq + dV/dq + dD/dq', p = dT/dq'."""
     q, v = _state("bias_forces", q, v)
     T = _scalar(system.kinetic)
     _, swept = jax.jvp(lambda q: jax.grad(T, 1)(q, v), (q,), (v,))
@@ -99,20 +99,20 @@ def acceleration(
 
 
 def generalized_forces(system: System, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Q (n,) that the acceleration a (n,) takes: inverse dynamics."""
+    """Q (n,) that gives the acceleration a (n,): inverse dynamics."""
     q, v = _state("generalized_forces", q, v)
     return (mass_matrix(system, q, v) * a).sum(-1) + bias_forces(system, q, v)
 
 
 def energy(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
-    """dT/dq' . q' - T + V, conserved where nothing depends on time: T + V of a quadratic T."""
+    """dT/dq' . q' - T + V, which is T + V if T is quadratic. It is constant if Q and D are zero."""
     q, v = _state("energy", q, v)
     T = _scalar(system.kinetic)
     return jax.grad(T, 1)(q, v) @ v - T(q, v) + _scalar(system.potential)(q)
 
 
 def term(system: System) -> diffrax.ODETerm:
-    """For diffrax: y = (q, v), and args the generalized forces, (n,), (t, q, v) -> (n,) or None."""
+    """For diffrax: y = (q, v); args are generalized forces (n,), (t, q, v) -> (n,), or None."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         q, v = y
@@ -128,7 +128,7 @@ def _scalar(energy: Energy) -> Energy:
     def value(q: jax.Array, *v: jax.Array) -> jax.Array:
         x = jnp.asarray(energy(q, *v), q.dtype)
         if x.shape != ():
-            raise InputError(f"an energy has shape {x.shape}, expected one number")
+            raise InputError(f"an energy has shape {x.shape}, expected a scalar ()")
         return x
 
     return value
@@ -138,7 +138,7 @@ def _coordinates(where: str, q: Any) -> jax.Array:
     q = jnp.asarray(q)
     q = q.astype(jnp.result_type(q, float)) if not jnp.issubdtype(q.dtype, jnp.floating) else q
     if q.ndim != 1:
-        raise InputError(f"{where}: q has shape {q.shape}, expected (n,); jax.vmap for a batch")
+        raise InputError(f"{where}: q has shape {q.shape}, expected (n,); for a batch use jax.vmap")
     return q
 
 

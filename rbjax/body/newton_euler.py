@@ -1,12 +1,12 @@
-"""Newton and Euler, about the centre of mass or about any point P of the body (Olguin Diaz, ch. 6).
+"""Newton-Euler equations about the centre of mass or any body point P (Olguin Diaz, ch. 6).
 
-With c from P to the centre of mass, a the acceleration of P, all in body axes:
+With c from P to the centre of mass and a the acceleration of P, all in body axes:
 
     m (a + omega' x c + omega x (omega x c)) = f
     I_P omega' + omega x I_P omega + m c x a = n_P
 
-About the centre of mass (c = 0) they separate. The velocities are omega in body axes and that of P
-in world axes, so that a free body's centre of mass moves at a constant v.
+About the centre of mass (c = 0) they separate. The velocities are omega in body axes and v of P in
+world axes, so that a free body's centre of mass moves at a constant v.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rbjax.rotations import se3, so3
 
 
 class NewtonEuler(Spinning):
-    """About `point` (3,) of the body's frame; None for the centre of mass."""
+    """The equations about `point` (3,) in the body's frame; None for the centre of mass."""
 
     def __init__(self, point: Any = None):
         super().__init__()
@@ -87,7 +87,7 @@ class NewtonEuler(Spinning):
     def _fluid(self, body: Body, V: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Added mass A at P, and the wrench A (V' - (alpha, a)) + V x* A V that goes with it.
 
-        a is the acceleration of a point, v' + omega x v; the fluid's momentum changes with v'.
+        a is the acceleration of a point, v' + omega x v, but the fluid's momentum changes with v'.
         """
         shift = se3.pose(jnp.eye(3, dtype=V.dtype), -self._point(body))
         A = spatial.transform_inertia(shift, body.added_mass)

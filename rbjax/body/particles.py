@@ -5,8 +5,8 @@ combinations of the constraints' gradients:
 
     m_i x_i'' = f_i + Phi_i^T lambda,    Phi = d phi / dx,    Phi x'' = -gamma
 
-with gamma what is left of d^2 phi / dt^2 where x'' = 0. Or, with x(t, q) that satisfies them all,
-the reactions vanish from the sum of virtual works:
+with gamma = d^2 phi / dt^2 at x'' = 0. Alternatively, if x(t, q) satisfies all constraints, the
+reactions vanish from the sum of virtual works:
 
     sum (m_i x_i'' - f_i) . dx_i / dq = 0
 """
@@ -28,8 +28,8 @@ Constraint = Callable[[Any, jax.Array], jax.Array]
 class ConstrainedMotion(NamedTuple):
     """x'' (n, d), multipliers (m,), reactions (n, d).
 
-    `margin` is the smallest over the largest eigenvalue of Phi M^-1 Phi^T: near 0 the constraints
-    repeat or contradict each other there, and the multipliers mean nothing.
+    `margin` is the smallest over the largest eigenvalue of Phi M^-1 Phi^T. Near 0 the constraints
+    repeat or contradict each other, and the multipliers have no meaning.
     """
 
     acceleration: jax.Array
@@ -46,9 +46,9 @@ def constrained_acceleration(
     constraint: Constraint,
     t: Any = 0.0,
 ) -> ConstrainedMotion:
-    """Of particles with masses (n,) at x (n, d) with velocities v under forces (n, d).
+    """The motion of particles with masses (n,) at x (n, d), velocities v (n, d), forces (n, d).
 
-    `constraint(t, x)` gives (m,), zero where it holds.
+    `constraint(t, x)` gives (m,), which is zero where the constraints hold.
 
     >>> bob = constrained_acceleration(  # a pendulum, passing below at 3 m/s
     ...     jnp.array([2.0]), jnp.array([[0.0, -1.0]]), jnp.array([[3.0, 0.0]]),
@@ -68,7 +68,7 @@ def constrained_acceleration(
     if not isinstance(margin, jax.core.Tracer) and not margin > 16 * jnp.finfo(x.dtype).eps:
         raise InputError(
             f"constrained_acceleration: the {len(phi)} constraints depend on each other here "
-            f"(margin {float(margin):.2g}), expected independent gradients; leave out what repeats"
+            f"(margin {float(margin):.2g}), expected independent gradients; drop redundant ones"
         )
     multipliers = jnp.linalg.solve(A, -gamma - free)
     reactions = (Phi * multipliers[:, None]).sum(0).reshape(x.shape)
@@ -78,7 +78,7 @@ def constrained_acceleration(
 def constraint_error(
     constraint: Constraint, t: Any, x: jax.Array, v: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """phi and its rate (m,): how far a state is from satisfying the constraints."""
+    """phi and its rate (m,): the errors of a state in the constraints."""
     t = jnp.asarray(t, x.dtype)
     return jax.jvp(constraint, (t, x), (jnp.ones_like(t), v))
 
@@ -113,7 +113,7 @@ def term(
     forces: Callable[[Any, jax.Array, jax.Array], jax.Array],
     constraint: Constraint,
 ) -> diffrax.ODETerm:
-    """For diffrax, y = (x, v): index 1, so that errors of the solver are kept and not corrected."""
+    """For diffrax, y = (x, v). The index is 1: errors in the constraints are not corrected."""
 
     def rate(t: Any, y: tuple[jax.Array, jax.Array], args: Any) -> tuple[jax.Array, jax.Array]:
         x, v = y

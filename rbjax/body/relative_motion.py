@@ -1,14 +1,15 @@
 """Points and frames seen from a moving frame (Olguin Diaz, ch. 4; Lynch & Park, ch. 8).
 
 A frame B moves in A: R = R_AB, origin p, angular velocity omega and acceleration alpha, velocity v
-and acceleration a of its origin, all in A's axes. A point at r in B, moving there with r', r'', has
+and acceleration a of its origin, all in A's axes. A point at r in B that moves there with r', r''
+has
 
     velocity       v + omega x R r + R r'
     acceleration   a + alpha x R r + omega x (omega x R r) + 2 omega x R r' + R r''
                        Euler          centripetal             Coriolis        relative
 
-Who sits in B and writes R r'' = f/m - the rest meets the same terms with the opposite sign: the
-apparent forces, among them the centrifugal one, -m omega x (omega x R r).
+Newton's law in B is m R r'' = f + apparent forces. These are the other terms times -m, among them
+the centrifugal force -m omega x (omega x R r).
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class AccelerationTerms(NamedTuple):
 
 
 class ApparentForces(NamedTuple):
-    """What a unit of mass seems to feel in B (3,), in B's axes, besides the true forces."""
+    """The apparent forces (3,) on a unit mass in B, in B's axes, besides the true forces."""
 
     translation: jax.Array
     euler: jax.Array
@@ -83,7 +84,7 @@ def position(frame: MovingFrame, r: jax.Array) -> jax.Array:
 
 
 def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
-    """In A's axes (3,), of a point at r in B that moves there with rd."""
+    """The velocity in A's axes (3,) of a point at r in B that moves there with rd."""
     r, rd = _vector("velocity", r), _vector("velocity", rd)
     return frame.v + jnp.cross(frame.omega, matvec(frame.R, r)) + matvec(frame.R, rd)
 
@@ -91,7 +92,7 @@ def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
 def acceleration_terms(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 ) -> AccelerationTerms:
-    """The terms of the acceleration, of a point at r in B that moves there with rd and rdd."""
+    """The terms of the acceleration of a point at r in B that moves there with rd and rdd."""
     r, rd, rdd = (matvec(frame.R, _vector("acceleration_terms", x)) for x in (r, rd, rdd))
     w = frame.omega
     return AccelerationTerms(
@@ -104,7 +105,7 @@ def acceleration_terms(
 
 
 def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array) -> jax.Array:
-    """In A's axes (3,): the sum of `acceleration_terms`.
+    """The acceleration in A's axes (3,): the sum of `acceleration_terms`.
 
     >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
     >>> acceleration(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0], jnp.zeros(3)).tolist()
@@ -114,7 +115,7 @@ def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 
 
 def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> ApparentForces:
-    """A unit of mass at r in B, moving there with rd, in B's axes: r'' = f/m + the sum of these.
+    """Forces on a unit mass at r in B that moves with rd, in B's axes: r'' = f/m + their sum.
 
     >>> wheel = MovingFrame(jnp.eye(3), *jnp.zeros((5, 3)))._replace(omega=jnp.array([0.0, 0, 2]))
     >>> forces = apparent_forces(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0])
@@ -128,13 +129,13 @@ def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> Apparent
 def relative_acceleration(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, a: jax.Array
 ) -> jax.Array:
-    """r'' (3,) in B's axes, of a point whose acceleration in A is a (3,), f/m if A is inertial."""
+    """r'' (3,) in B's axes of a point whose acceleration in A is a (3,): f/m if A is inertial."""
     a = matvec(frame.R.T, _vector("relative_acceleration", a))
     return sum(apparent_forces(frame, r, rd), start=a)
 
 
 def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
-    """C seen from A, of B seen from A and C seen from B.
+    """C seen from A, from B seen from A and C seen from B.
 
     alpha_AC = alpha_AB + R alpha_BC + omega_AB x R omega_BC
     """
@@ -150,7 +151,7 @@ def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
 
 
 def inverse(frame: MovingFrame) -> MovingFrame:
-    """A seen from B: its origin rests in A."""
+    """A seen from B."""
     Rt = frame.R.T
     r = -matvec(Rt, frame.p)
     rd = -matvec(Rt, frame.v + jnp.cross(frame.omega, -frame.p))
@@ -161,5 +162,5 @@ def inverse(frame: MovingFrame) -> MovingFrame:
 def _vector(where: str, x: jax.Array) -> jax.Array:
     x = jnp.asarray(x)
     if x.shape != (3,):
-        raise InputError(f"{where}: got shape {x.shape}, expected (3,); jax.vmap for a batch")
+        raise InputError(f"{where}: got shape {x.shape}, expected (3,); for a batch use jax.vmap")
     return x

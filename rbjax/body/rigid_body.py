@@ -1,12 +1,11 @@
-"""What one rigid body is, and what acts on it.
+"""One rigid body, and the forces on it.
 
-A body has a frame, with pose T (4, 4) in the world, and a twist V (6,) = (omega, v), the velocity
-of that frame's origin and the turning of its axes, in body axes. Anything that acts on it is a
-function
+A body has a frame with pose T (4, 4) in the world. Its twist V (6,) = (omega, v) is the angular
+velocity of that frame and the velocity of its origin, in body axes. A force is a function
 
     force(t, body, T, V) -> (6,) wrench (n, f) at the frame's origin, in body axes
 
-and may have a `potential(body, T)` besides. Forces add up.
+and may also have a `potential(body, T)`. Forces add up.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ Force = Callable[[Any, "Body", jax.Array, jax.Array], jax.Array]
 
 
 class Body(NamedTuple):
-    """mass, com (3,) in the body's frame, inertia (3, 3) about com; a shape's mass properties do:
-    `Body(*shapes.box([1, 2, 3], mass=5.0))`.
+    """mass, com (3,) in the body's frame, inertia (3, 3) about com. The mass properties of a shape
+    fit: `Body(*shapes.box([1, 2, 3], mass=5.0))`.
 
-    `added_mass` (6, 6), at its frame's origin, is that of a fluid at rest which it pushes aside.
+    `added_mass` (6, 6), at the frame's origin, is that of the fluid at rest around the body.
     """
 
     mass: jax.Array
@@ -37,7 +36,7 @@ class Body(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What every formulation takes as diffrax's `args`: a body and the forces on it."""
+    """A body and the forces on it: diffrax's `args` of every formulation."""
 
     body: Body
     forces: tuple[Force, ...] = ()
@@ -48,10 +47,10 @@ def rigid_body(
     forces: Sequence[Force] = (),
     added_mass: jax.Array | None = None,
 ) -> Situation:
-    """A body with these mass properties, checked, under these forces.
+    """A body with these mass properties, after a check, under these forces.
 
     Raises:
-        InputError: no body has such an inertia.
+        InputError: no body can have this inertia.
 
     >>> rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body.inertia.diagonal().tolist()
     [2.0, 2.0, 2.0]
@@ -64,7 +63,7 @@ def rigid_body(
 
 
 def inertia_matrix(body: Body) -> jax.Array:
-    """(6, 6) at the origin of the body's frame, added mass included: T = V . M V / 2."""
+    """M (6, 6) at the origin of the body's frame, added mass included: T = V . M V / 2."""
     matrix = spatial.spatial_inertia(body.mass, body.com, body.inertia)
     return matrix if body.added_mass is None else matrix + body.added_mass
 
@@ -76,7 +75,7 @@ def total_wrench(situation: Situation, t: Any, T: jax.Array, V: jax.Array) -> ja
 
 
 def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
-    """The forces that have a potential, and the situation with the others alone."""
+    """The forces that have a potential, and the situation with only the others."""
     body, forces = situation
     conservative = tuple(f for f in forces if hasattr(f, "potential"))
     rest = tuple(f for f in forces if not hasattr(f, "potential"))
@@ -84,7 +83,7 @@ def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
 
 
 def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
-    """Of all forces that have a potential."""
+    """The potential energy of all forces that have a potential."""
     conservative, _ = split(situation)
     body = situation[0]
     return sum((f.potential(body, T) for f in conservative), start=jnp.zeros((), T.dtype))

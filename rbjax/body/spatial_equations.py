@@ -1,7 +1,7 @@
 """The equation of motion in spatial vectors, F = I A + V x* I V (Featherstone, 2.14-15).
 
-It is the same in the body's own frame and about any point fixed in space; in space the momentum's
-rate is the wrench and nothing else, so that a free body's is constant.
+It is the same in the body's own frame and about any point fixed in space. In space the rate of the
+momentum is the wrench, so the momentum of a free body is constant.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rbjax.rotations import se3
 
 
 class _Spatial(Spinning):
-    """In the body's frame, or (`about`) in world axes about a fixed point (3,)."""
+    """The equation in the body's frame, or in world axes about a fixed point `about` (3,)."""
 
     def __init__(self, about: Any = None):
         super().__init__()

@@ -1,7 +1,7 @@
 """Generalized forces by virtual work: Q . dq = sum f_i . dx_i for every virtual displacement.
 
-(Olguin Diaz, ch. 7.) Of forces at points Q = J^T f, J = dx/dq; of a wrench on a body Q_k = F . V_k,
-V_k the twist of the body as q_k alone changes.
+(Olguin Diaz, ch. 7.) Forces at points give Q = J^T f with J = dx/dq. A wrench on a body gives
+Q_k = F . V_k, with V_k the twist of the body when only q_k changes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rbjax.rotations import se3
 def of_forces(
     points: Callable[[jax.Array], jax.Array], forces: jax.Array, q: jax.Array
 ) -> jax.Array:
-    """Q (n,) of forces, of the shape that `points(q)` has.
+    """Q (n,) of forces, which have the shape of `points(q)`.
 
     >>> tip = lambda q: jnp.stack([jnp.cos(q[0]), jnp.sin(q[0])])
     >>> of_forces(tip, jnp.array([0.0, 3.0]), jnp.array([0.0])).tolist()

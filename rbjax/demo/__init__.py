@@ -1,4 +1,4 @@
-"""`rbjax demo`: the main job on bundled scenes, as pictures and a report."""
+"""`rbjax demo`: rbjax on bundled scenes, with pictures and a report."""
 
 from rbjax.demo.run import demo
 

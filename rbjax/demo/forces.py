@@ -1,4 +1,4 @@
-"""Force elements: a fan that a user writes, friction and a stop of the library, on a pendulum."""
+"""Force elements on a pendulum: a user's own fan, and friction and a stop of the library."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Fan(Element):
 
 
 def _scenes() -> dict[str, tuple[Model, str]]:
-    """What acts -> the model, and its colour."""
+    """Name of the forces -> the model, and its colour."""
     alone = load("pendulum")
     fan = Fan(jnp.array([6.0, 0.0, 0.0]), jnp.array(0.05))
     friction = JointFriction.of(alone, alone.joint_names, coulomb=0.4)
@@ -80,9 +80,9 @@ def forces(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> S
         figure.savefig(folder / "forces.png")
         plt.close(figure)
     return Section(
-        title="Forces of your own",
+        title="Your own forces",
         text=(
-            "A model carries a tuple of force elements: springs, friction, stops, fluids, muscles "
+            "A model has a tuple of force elements: springs, friction, stops, fluids, muscles "
             "and motors of the library, or your own. Rollouts, solvers, linearisation and "
             "gradients sum over the same list, on CPU and GPU.",
         ),

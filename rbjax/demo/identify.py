@@ -1,6 +1,7 @@
-"""Identification: what an arm carries, and how a joint rubs, from noisy joint angles alone.
+"""Identification of an arm's payload and a joint's damping from only noisy joint angles.
 
-The "measurement" is MuJoCo's, of an arm with other numbers than the file's; rbjax never sees them.
+MuJoCo simulates the "measurement" of an arm whose numbers differ from the file; rbjax does not know
+them.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from rbjax.validation.reference import Array, smooth, trajectory
 NOISE = 1e-3  # rad
 EVERY = 10  # steps of 2 ms between two measurements
 
-#: name -> (where in the model, unit, what to add to the file's number to get the truth)
+#: name -> (place in the model, unit, true number minus that of the file)
 TRUTH = {
     "payload mass": (Unknown("bodies.mass", 7, positive=True), "kg", 0.8),
     "payload centre of mass x": (Unknown("bodies.com", (7, 0)), "m", -0.06),
@@ -90,19 +91,19 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
     ts, path = np.asarray(before.ts), folder / "identify.png"
     _picture(path, ts, measured, before.q, after.q, found, truth)
     text = (
-        f"A seven-joint arm picked up something. From {len(measured)} readings of its joint "
-        f"angles over {steps * model.timestep:.0f} s, with noise of {NOISE * 1e3:.0f} mrad, five "
-        "numbers are found at once: the mass and the centre of mass of what it now carries, and "
-        "the damping of a joint that rubs more than the file says. Model numbers are leaves of a "
-        "pytree, so the rollout is differentiated with respect to any of them.",
-        f"Levenberg-Marquardt took {found.steps} steps; the residual that is left, "
+        f"A seven-joint arm has an unknown payload. From {len(measured)} readings of its joint "
+        f"angles over {steps * model.timestep:.0f} s, with noise of {NOISE * 1e3:.0f} mrad, one "
+        "fit finds five numbers: the mass and the centre of mass of the payload, and the damping "
+        "of a joint, which is larger than in the file. Model numbers are leaves of a pytree, so "
+        "the rollout can be differentiated with respect to any of them.",
+        f"Levenberg-Marquardt took {found.steps} steps. The remaining residual, "
         f"{found.rms * 1e3:.2f} mrad, is the noise.",
     )
     return Section(
         "Identify a robot: mass, centre of mass and damping at once",
         text,
-        (("identify.png", "Left: what the file's model misses, and what is left after the fit. "
-          "Right: estimates less truth, in their standard errors."),),
+        (("identify.png", "Left: residuals of the file's model and after the fit. "
+          "Right: estimates minus truth, in standard errors."),),
         ("number", "file", "estimate", "truth", "unit"),
         tuple(rows),
         note="± is one standard error of the linearised problem. The measurement was simulated by "
@@ -121,7 +122,7 @@ def _picture(
         for ax, joint in ((axes[0, 0], 3), (axes[1, 0], 5)):
             ax.plot(ts, 1e3 * (measured - before)[:, joint], ".", ms=4, color=ORANGE, label="file")
             ax.plot(ts, 1e3 * (measured - after)[:, joint], ".", ms=4, color=BLUE, label="fitted")
-            ax.set(ylabel="residual [mrad]", title=f"Joint {joint + 1}: measured less modelled")
+            ax.set(ylabel="residual [mrad]", title=f"Joint {joint + 1}: measured minus modelled")
         axes[0, 0].legend(loc="upper right", ncols=2)
         axes[1, 0].set(xlabel="time [s]")
         ax = figure.add_subplot(axes[0, 1].get_gridspec()[:, 1])

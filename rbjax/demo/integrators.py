@@ -1,7 +1,7 @@
-"""Time against error: our integrators beside MJX's, on one batch of robots.
+"""Time against error: the integrators of rbjax and MJX, on one batch of robots.
 
-The reference is Dormand-Prince 8 with a step far below where its error shows. Every engine runs the
-same batch in f64 with no contacts; compilation is not counted. A point is one step size.
+The reference is Dormand-Prince 8 with so small a step that its error does not matter. Every engine
+runs the same batch in f64 without contacts. Compilation is not counted. A point is one step size.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def start(model: Model, scene: str, batch: int) -> State:
 
 
 def held(model: Model, scene: str) -> np.ndarray:
-    """The keyframe's controls (nu,), applied all along by every engine."""
+    """The keyframe's controls (nu,), constant in every engine."""
     return np.asarray(model.keyframes.ctrl[model.keyframe_names.index(SCENES[scene][0])])
 
 
@@ -167,12 +167,12 @@ def integrators(
             rows.append((scene, name, f"{steps}", f"{cost:,.0f}", f"{error:.1e}"))
     text = (
         f"Each line is one method at several step sizes, on {batch} robots at once in f64: further "
-        "left is faster, lower is more accurate. The fixed-step integrators of `rollout` are the "
-        "throughput path; any diffrax solver runs through `simulate`, and its higher order pays as "
-        "soon as more than a few digits are wanted.",
+        "left is faster, lower is more accurate. The fixed-step integrators of `rollout` give the "
+        "highest throughput. `simulate` runs any diffrax solver, whose higher order is faster if "
+        "more than a few digits are needed.",
     )
     return Section(
-        "Time against error: our integrators and MJX's",
+        "Time against error: integrators of rbjax and MJX",
         text,
         (("integrators.png", "Computing time for a second of one robot's motion, against the "
           "relative error of its final state (median of the batch)."),),

@@ -1,4 +1,4 @@
-"""Kinds of joints: a cart on rails that a user bends, by the pose of its joint."""
+"""Kinds of joints: a cart on a user's own bent rail, defined by the pose of its joint."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ bent = rb.load("cart_pole").with_joint("slider", "rail", opening=0.5, axis=[0, 0
 
 
 class Rail(kinds.Node):
-    """A rail that is bent to a parabola: one coordinate."""
+    """A rail in the form of a parabola: one coordinate."""
 
     name, coordinates = "rail", 1
     numbers = MappingProxyType({"opening": 0.0})
@@ -83,9 +83,9 @@ def joints(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> S
         figure.savefig(folder / "joints.png")
         plt.close(figure)
     return Section(
-        title="Joints of your own",
+        title="Your own joints",
         text=(
-            "A joint is the pose of its body; its axes, and how they turn, follow. Screws, "
+            "A joint is defined by the pose of its body. Its axes and their rates follow. Screws, "
             "cylindrical, planar and universal joints are in the library. The numbers of a joint, "
             "here the opening of the rail, can be differentiated.",
         ),

@@ -23,7 +23,7 @@ from rbjax.plotting import BLUE, ORANGE, STYLE, Camera, bare, poses, strobe
 
 @dataclass(frozen=True)
 class Show:
-    """How a scene is set in motion and looked at."""
+    """The start and the view of a scene."""
 
     keyframe: str
     seconds: float
@@ -102,7 +102,7 @@ def timed(model: Model, state: State, ctrls: Any, dt: float) -> tuple[Trajectory
 
 
 def chaos(folder: Path, say: Callable[[str], None], *, batch: int, seconds: float = 10.0) -> str:
-    """Double pendulums a hair apart, and precessing tops; returns how far the former part."""
+    """Nearly equal double pendulums, and precessing tops; returns a sentence on the former."""
     say(f"motion: {batch} double pendulums, a millionth of a radian apart")
     model = load("double_pendulum")
     spread = 1e-6 * jnp.linspace(-0.5, 0.5, batch)
@@ -191,9 +191,9 @@ def motion(
     with jax.enable_x64(False):
         rows = gallery(folder, say, batch=batch, scenes=scenes)
     text = (
-        f"A robot file goes in, a batch of motions comes out. {fan} double pendulums start a "
-        f"millionth of a radian apart in all: {growth}. Three tops, released at rest but for "
-        "their spin, nod and precess, the faster the finer. Below, one of each batch.",
+        f"A robot file goes in, a batch of motions comes out. {fan} double pendulums start within "
+        f"a millionth of a radian: {growth}. Three tops, released at rest except for their spin, "
+        "nod and precess; the faster the spin, the finer the path. Below is one of each batch.",
     )
     return Section(
         "Simulate a batch",
@@ -205,7 +205,7 @@ def motion(
         ),
         ("scene", "dof", "robots", "steps each", "steps a second (f32, this machine)"),
         rows,
-        note="Robots fly: contact is not part of rbjax yet.",
+        note="Robots are in free flight: rbjax has no contact yet.",
         code="states = rb.State(q, v)          # (500, nq), (500, nv): a leading axis is a batch\n"
         'path = rb.rollout(model, states, None, 0.002, integrator="rk4", steps=5000)',
     )  # fmt: skip

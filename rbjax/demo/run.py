@@ -1,4 +1,4 @@
-"""The demo from start to end: eight sections, in f64, and the report they make."""
+"""The whole demo: eight sections, in f64, and their report."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ PARTS: dict[str, tuple[Callable[..., Section], float]] = {
 }
 
 _LEAD = (
-    "Differentiable rigid-body dynamics in JAX. A robot file goes in; fast, accurate, "
-    "differentiable motion comes out, in a batch of one or of a million. Everything on this page "
-    "was just computed on your machine."
+    "Differentiable rigid-body dynamics in JAX. A robot file goes in. Fast, accurate and "
+    "differentiable motion comes out, for one sample or a batch of a million. Everything on this "
+    "page was just computed on your machine."
 )
 
 
@@ -54,11 +54,11 @@ def demo(
     """Run the demo and write pictures, report.md and report.html.
 
     Args:
-        folder: where to; made if absent.
-        say: called with a few words before each stage.
-        done: called with a part's name and share after it.
+        folder: for the output; created if absent.
+        say: called with the name of each stage before it starts.
+        done: called with a part's name and share after it ends.
         options: keyword arguments by part (motion, validate, identify, swing_up, integrators,
-            forces, joints, threads), to run smaller; a part given as None is left out.
+            forces, joints, threads), for smaller runs; a part given as None is skipped.
 
     Returns:
         The path of report.html.

@@ -99,8 +99,8 @@ def swing_up(folder: Path, say: Callable[[str], None], *, iterations: int = 2000
     text = (
         f"A cart can only be pushed left and right; its pole hangs down. {iterations:,} steps of "
         f"Adam on {STEPS} forces, with gradients through the whole rollout, find a push that "
-        "swings the pole up and stops it there within 3 seconds. Run open loop in MuJoCo C, the "
-        "same forces do the same.",
+        "swings the pole up and stops it there within 3 seconds. Open loop in MuJoCo C, the same "
+        "forces give the same motion.",
     )
     return Section(
         "Design a control: swinging up a cart-pole",

@@ -1,4 +1,4 @@
-"""What forward dynamics of the bundled scenes becomes as one GPU thread."""
+"""Forward dynamics of the bundled scenes as one GPU thread."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def threads(
         rows.append((scene, *(f"{cell:,}" for cell in cells)))
     columns: tuple[str, ...] = ("scene", "statements", "of the gradient", "bytes of arrays",
                                 "bytes read and written")  # fmt: skip
-    note = "no GPU here: these are the programs that one would run"
+    note = "no GPU here: these are the programs that a GPU would run"
     if len(rows[0]) > len(columns):
         columns, note = (*columns, "M/s", "gradients, M/s"), ""
     return Section(

@@ -1,4 +1,4 @@
-"""Every bundled scene beside MuJoCo C, in one table."""
+"""Every bundled scene against MuJoCo C, in one table."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ def validate(
         rows.append((report.model, *cells, "yes" if report.ok else "NO"))
     passed = sum(report.ok for report in reports)
     text = (
-        "Same file, same states, two engines. The worst relative error over 20 random states of "
-        "poses, velocities, mass matrix, bias forces, forward dynamics and one step, the final "
-        f"state of a one-second trajectory, and that state's gradient: {passed} of {len(reports)} "
-        "scenes are within tolerance (1e-10 in f64 and 1e-4 in f32 for functions of one state; "
-        "trajectories may grow rounding as MuJoCo's own do).",
+        "Two engines get the same file and the same states. The table has the worst relative error "
+        "over 20 random states of poses, velocities, mass matrix, bias forces, forward dynamics, "
+        "one step, the final state of a one-second trajectory, and the gradient of this state. "
+        f"{passed} of {len(reports)} scenes are within tolerance (1e-10 in f64 and 1e-4 in f32 for "
+        "functions of one state; trajectories may amplify rounding as those of MuJoCo do).",
     )
     return Section(
-        "Validate: beside MuJoCo C",
+        "Validate: against MuJoCo C",
         text,
         columns=("scene", *(f"{n} ({c[6:]})" for n, c in columns), "ok"),
         rows=tuple(rows),

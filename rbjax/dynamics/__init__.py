@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of trees: one algorithm a file, drivers beside them."""
+"""Kinematics and dynamics of trees: one file for each algorithm, and the drivers."""
 
 from rbjax.dynamics.bodywise import coriolis_matrix, inertial_parameters, inertial_regressor
 from rbjax.dynamics.crba import mass_matrix

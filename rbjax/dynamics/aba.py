@@ -1,7 +1,7 @@
 """Articulated-body algorithm: forward dynamics in O(n) (Featherstone, ch. 7).
 
-In Newton-Euler form, with the classical acceleration of each link's origin: then no linear velocity
-is ever needed (Luh, Walker & Paul 1980), and forces still add as spatial forces about the origin.
+In Newton-Euler form, with the classical acceleration of each link's origin. Linear velocities are
+then not needed (Luh, Walker & Paul 1980), and forces still add as spatial forces about the origin.
 
     outward   w = E w_p + rate;   c = bias acceleration;   p = [w x J w; w x (w x h)]
     inward    U = I_A S;  D = S.U + armature;  u = tau - S.p_A
@@ -34,7 +34,7 @@ class VelocityStep(NamedTuple):
 
 
 class Factor(NamedTuple):
-    """What elimination of a joint leaves: qdd = (u - U.a) / D."""
+    """The result of eliminating a joint: qdd = (u - U.a) / D."""
 
     X: Transform
     S: Motion
@@ -57,14 +57,14 @@ def velocity_step(
 
 
 def bias_force(inertia: RigidInertia, w: Vec3) -> Force:
-    """p = [w x J w; w x (w x h)], the force that turning alone asks for."""
+    """p = [w x J w; w x (w x h)], the force that rotation at constant w needs."""
     return Force(w.cross(inertia.J @ w), w.cross(w.cross(inertia.h)))
 
 
 def eliminate(
     link: LinkConstants, S: Motion, X: Transform, I_A: ArticulatedInertia
 ) -> tuple[ArticulatedInertia, Factor]:
-    """Give the joint its own freedom: the factor, and the inertia left across it."""
+    """Eliminate the joint: its factor, and the remaining inertia across it."""
     U = I_A(S)
     D = add(S.dot(U), link.armature)
     if is_zero(D):
@@ -79,8 +79,8 @@ def eliminate(
 def to_parent(
     X: Transform, I_a: ArticulatedInertia, factor: Factor, mass: Lane | None
 ) -> ArticulatedInertia:
-    """X^T I_a X. Of a rigid link on a hinge M = m 1 - U U^T / D (linear parts): m, known as `mass`,
-    needs no turning, and the rank-one term is turned as a vector."""
+    """X^T I_a X. For a rigid link on a hinge, M = m 1 - U U^T / D (linear parts): m, given as
+    `mass`, needs no rotation, and the rank-one term is rotated as a vector."""
     if mass is None:
         return X.articulated_to_parent(I_a)
     U = X.R @ factor.U.lin
@@ -90,7 +90,7 @@ def to_parent(
 
 
 def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -> Lane | None:
-    """The mass of a link that has no children and hangs on a hinge; else None."""
+    """The mass of a link that has no children and a hinge; else None."""
     tip = all(is_zero(x) for x in jax.tree.leaves((I_children, S.lin)))
     return link.inertia.m if tip else None
 
@@ -98,8 +98,8 @@ def rigid_mass(link: LinkConstants, S: Motion, I_children: ArticulatedInertia) -
 def aba(
     d: Driver, joints: Any, tau: Any, gravity: Vec3, pushes: LinkForces | None = None
 ) -> tuple[Any, Any]:
-    """Accelerations per link, and the factors of the mass matrix. `pushes`: what acts on links from
-    outside."""
+    """Accelerations per link, and the factors of the mass matrix. `pushes`: external forces on
+    links."""
 
     def outward(x, w_parent):
         return velocity_step(x[:2], w_parent)
@@ -128,8 +128,8 @@ def aba(
 
 
 def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
-    """The factors of the mass matrix at rest: articulated inertias alone. `extra`: what is added to
-    its diagonal, per link."""
+    """The factors of the mass matrix, from articulated inertias only. `extra`: added to its
+    diagonal, per link."""
 
     def inward(x, I_children):
         link, joint, *more = x
@@ -144,8 +144,8 @@ def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
-    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: the
-    factors that the way out reads, where it shall not be handed those of the way in."""
+    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: other
+    copies of the factors for the outward sweep, if it shall not reuse those of the inward one."""
 
     def inward(x, p_A):
         factor, tau = x

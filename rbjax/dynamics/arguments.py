@@ -1,10 +1,10 @@
-"""The door of every public algorithm: checks of what comes in, one dtype, one compiled call.
+"""The entry of every public algorithm: checks of the arguments, one dtype, one compiled call.
 
-Outside traced code an algorithm checks its arguments' values and runs compiled, with the model's
-numbers as arguments (changing one never recompiles); so it does under a `vmap` or `grad` that is
-outside of any `jit`. Inside traced code it is inlined: then a model that is closed over is
-constant, and its zeros vanish from the program. On a CPU `batching` says how a batch runs; on a GPU
-it runs one sample a thread (`rbjax.threads`).
+Outside traced code an algorithm checks the values of its arguments and runs compiled. The model's
+numbers are arguments of the program, so changing one never recompiles. The same holds under a
+`vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
+is constant, and its zeros vanish from the program. On a CPU `batching` runs a batch. On a GPU a
+batch runs one sample a thread (`rbjax.threads`).
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def algorithm(
 ) -> Callable[[Callable], Callable]:
     """Decorate f(model, *arrays, *rest) whose arrays have the named shapes.
 
-    A `state` among the names is a `State`; names of bodies and sites are static. `pairs`: most of
-    the work is on pairs of links. `long`: it has twice the statements of the others, link by link.
+    The name `state` is a `State`. Names of bodies and sites are static. `pairs`: most of the work
+    is on pairs of links. `long`: it has twice the statements of the others for each link.
     `apart`: the same function as several kernels, for a batch of a large model on a GPU.
     """
 
@@ -110,7 +110,7 @@ def algorithm(
 
 
 def for_threads(args: tuple, **work: bool) -> tuple:
-    """The arguments, with the model, the first of them, on the driver that suits a GPU thread."""
+    """The arguments, with the first of them, the model, on the driver that suits a GPU thread."""
     model, *rest = args
     arrays = [x for x in jax.tree.leaves(rest) if isinstance(x, jax.Array)]
     floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
@@ -124,8 +124,8 @@ def check_arrays(
     batch: tuple[int, ...] = (),
     required: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The named arrays in one floating dtype, with shapes and (where known) values checked. Each
-    has the axes of a batch before its own. `required` may not be None."""
+    """The named arrays in one floating dtype, after checks of shapes and (where known) values. Each
+    may have batch axes before its own. `required` may not be None."""
     check_model(where, model)
     given, stated = dict(given), "state" in given
     step = given.pop("dt", None)
@@ -160,7 +160,7 @@ def check_arrays(
 
 
 def check_model(where: str, model: Any) -> None:
-    """Refuse what is no model, or is several in one."""
+    """`InputError` unless this is one model."""
     if not isinstance(model, Model):
         raise InputError(
             f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
@@ -170,13 +170,13 @@ def check_model(where: str, model: Any) -> None:
         name, shape, axes = several
         raise InputError(
             f"{where}: the model's {name} has shape {shape}, expected {axes} "
-            f"{'axis' if axes == 1 else 'axes'}; for a batch of models use jax.vmap over them"
+            f"{'axis' if axes == 1 else 'axes'}; for a batch of models, use jax.vmap"
         )
 
 
 def check_static(where: str, kind: str, value: Any) -> None:
-    """Refuse what can be no name of a body or site, no integrator and no law; None, and names that
-    there are not, are for the algorithm to judge."""
+    """`InputError` unless value has the type of its kind: a name of a body or site, an integrator
+    or a law. The algorithm itself judges None and unknown names."""
     if value is None or isinstance(value, str):
         return
     if kind in ("body", "site"):
@@ -191,7 +191,7 @@ def check_static(where: str, kind: str, value: Any) -> None:
 
 
 def check_moves(where: str, model: Model) -> None:
-    """Refuse a model that has nothing to move."""
+    """`InputError` if the model has no joints."""
     if not model.nv:
         raise InputError(
             f"{where}: the model has no joints, so nothing moves; give a body of the file a "
@@ -202,7 +202,7 @@ def check_moves(where: str, model: Model) -> None:
 def check_array(
     where: str, name: str, value: Any, *shapes: tuple[int, ...], fix: str = ""
 ) -> jax.Array:
-    """A value as a floating array of one of the shapes, finite where it is known."""
+    """A value as a floating array of one of the shapes. Known values must be finite."""
     expected = " or ".join(map(str, shapes)) + fix
     try:
         x = jnp.asarray(value)
@@ -229,13 +229,13 @@ def check_array(
 
 
 def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
-    """The shape of what should be an array."""
+    """The shape of a value, which must be an array."""
     try:
         return tuple(map(int, np.shape(value)))
     except (TypeError, ValueError) as error:
         raise InputError(
             f"{where}: {name} is {type(value).__name__}, expected an array of numbers with rows "
-            "of one length"
+            "of equal length"
         ) from error
 
 
@@ -248,14 +248,14 @@ def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
 
 
 def check_takes(where: str, name: str, f: Any, *arguments: str) -> None:
-    """Refuse what is no function of these arguments; what tells no signature is taken as it is."""
+    """`InputError` unless f is a function of these arguments. An unknown signature is accepted."""
     due = f"a function ({', '.join(arguments)})"
     if not callable(f) or isinstance(f, type):
         got = f"the class {f.__name__}" if isinstance(f, type) else type(f).__name__
         raise InputError(f"{where}: {name} is {got}, expected {due}")
     try:
         taken = inspect.signature(f)
-    except (TypeError, ValueError):  # of what is built in nothing is known
+    except (TypeError, ValueError):  # builtins have no signature
         return
     try:
         taken.bind(*arguments)
@@ -264,7 +264,7 @@ def check_takes(where: str, name: str, f: Any, *arguments: str) -> None:
 
 
 def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None:
-    """Refuse quaternions that give no direction, where values are known."""
+    """`InputError` if a quaternion has no direction. Traced values are not checked."""
     if isinstance(q, jax.core.Tracer):
         return
     values = np.asarray(q)
@@ -273,7 +273,7 @@ def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None
         with np.errstate(over="ignore", under="ignore"):
             squared = np.square(values[..., start : start + 4]).sum(-1)
         if not ((least <= squared) & (squared < np.inf)).all():
-            kind = "a zero quaternion" if np.isfinite(squared).all() else "an endless quaternion"
+            kind = "a zero quaternion" if np.isfinite(squared).all() else "an infinite quaternion"
             raise InputError(
                 f"{where}: {name}[{start}:{start + 4}] is {kind} (its squared length is 0 or "
                 f"infinite in {values.dtype}), expected a unit one (w, x, y, z); "

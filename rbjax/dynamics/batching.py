@@ -1,6 +1,6 @@
-"""How a batch runs on the CPU, where lanes as long as the whole batch would be slow.
+"""Batches on the CPU, where lanes as long as the whole batch would be slow.
 
-A lane of the whole batch outgrows the cache, so a large batch goes chunk by chunk
+A lane of the whole batch outgrows the cache, so a large batch runs in chunks
 (benchmarks/results/cpu-thresholds-*.json has the widths). Derivatives are those of the plain
 function. (On a GPU a batch runs one sample a thread: `rbjax.threads`.)
 """
@@ -18,15 +18,15 @@ import numpy as np
 from rbjax.dynamics.devices import on_each_device, parted
 from rbjax.dynamics.tracing import jvp_of, with_jvp
 
-#: samples that go together on the CPU, at most: more outgrow the cache
+#: the most samples in a chunk on the CPU: more outgrow the cache
 CPU_CHUNK = 240
-#: lanes a multiple of this apart fall on the same places of the first cache: up to twice as slow
+#: lanes a multiple of this apart share places of the first cache: up to twice as slow
 ALIASED = 128
 
 
 def with_rule(f: Callable, rule: Callable) -> Callable:
-    """f, whose `vmap` is `rule(size, axes, *args)` with results batch first: each argument has its
-    batch first (0 in axes) or none (None). No reverse mode, which custom_vmap lacks."""
+    """f, whose `vmap` is `rule(size, axes, *args)`. Each argument has its batch first (0 in axes)
+    or none (None); results have the batch first. No reverse mode, which custom_vmap lacks."""
     once = jax.custom_batching.custom_vmap(f)
 
     @once.def_vmap
@@ -39,7 +39,7 @@ def with_rule(f: Callable, rule: Callable) -> Callable:
 
 
 def in_chunks(f: Callable[[list], Any]) -> Callable[[list], Any]:
-    """f, whose `vmap` on the CPU runs chunk by chunk; derivatives are those of f."""
+    """f, whose `vmap` on the CPU runs in chunks; derivatives are those of f."""
     if jax.default_backend() != "cpu":
         return f
 
@@ -54,7 +54,7 @@ def in_chunks(f: Callable[[list], Any]) -> Callable[[list], Any]:
 
 
 def divided(size: int) -> tuple[int, int]:
-    """How many chunks a batch runs in, and of how many samples, a few more than its share.
+    """The number of chunks of a batch, and the samples of each, rounded up from an equal share.
 
     >>> divided(1024), divided(256), divided(128)
     ((5, 208), (2, 144), (1, 128))
@@ -68,14 +68,14 @@ def divided(size: int) -> tuple[int, int]:
 
 
 def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_axis: int = 0) -> Any:
-    """many(args) on slices of a batch, one after another, on every device those of its own samples.
+    """many(args) on slices of a batch, one after another; every device runs its own samples.
 
     Args:
-        many: takes the arguments in the layout given, works on any number of samples.
-        args: arrays; the batch of each is at its place in `axes`, or it has none (None).
-        axes: 0, -1 or None each.
+        many: takes the arguments in the given layout, with any number of samples.
+        args: arrays, with the batch at the axis given in `axes`.
+        axes: 0, -1, or None (no batch), one for each argument.
         size: of the batch.
-        out_axis: where every result has its batch.
+        out_axis: the batch axis of every result.
     """
 
     def one_after_another(args: list) -> Any:
@@ -86,8 +86,8 @@ def chunks(many: Callable, args: list, axes: list[int | None], size: int, out_ax
 
 
 def _chunks(many: Callable, args: list, axes: list[int | None], size: int, out_axis: int) -> Any:
-    """`chunks` on one device. Each slice's result is written to its place; the last slice takes
-    samples of its neighbour to be as long. (To pad it would copy the result.)"""
+    """`chunks` on one device. Each slice's result is written to its place. The last slice repeats
+    samples of its neighbour to have full length. (Padding would copy the result.)"""
     count, chunk = divided(size)
     if count == 1:
         return many(args)
@@ -101,7 +101,7 @@ def _chunks(many: Callable, args: list, axes: list[int | None], size: int, out_a
 
     slices = [split(x, a) for x, a in zip(args, axes, strict=True) if a is not None]
 
-    @functools.partial(jax.jit, inline=True)  # traced once, for the shapes and in the loop
+    @functools.partial(jax.jit, inline=True)  # traced once for both the shapes and the loop
     def run(some: list) -> Any:
         rest = iter(some)
         return many([x if a is None else next(rest) for x, a in zip(args, axes, strict=True)])

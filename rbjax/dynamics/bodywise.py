@@ -1,11 +1,11 @@
-"""Algorithms that sum over bodies with whole arrays: Coriolis matrix and inertial regressor.
+"""Algorithms that sum over bodies on whole arrays: Coriolis matrix and inertial regressor.
 
 Coriolis (Echeandia & Wensing 2021): with S_i a link's unit twist, V_i its twist and
 B(I, V) = (V x* I - I V x + (I V) x-bar*) / 2,
 
     C = sum over bodies of J^T (I J' + B J),   J'_i = V_i x S_i,
 
-so that C v + g = b and M' = C + C^T. Of B's four blocks two are zero (`coriolis_block`).
+so that C v + g = b and M' = C + C^T. Two of B's four blocks are zero (`coriolis_block`).
 
 Regressor: the Newton-Euler equations are linear in each body's ten inertial parameters (Khalil &
 Dombre, *Modeling, Identification and Control of Robots*, ch. 12).
@@ -89,8 +89,8 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 def regressor_factors(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """The axes (nv, 6) of the links and the wrench (6, 10 nb) of each parameter, in world axes: an
-    entry of the regressor is the product of two, where the link moves the body."""
+    """The axes (nv, 6) of the links and the wrench (6, 10 nb) of each parameter, in world axes. An
+    entry of the regressor is the product of an axis and a wrench, if the link moves the body."""
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     poses = tree_poses(d, joints)
@@ -117,13 +117,13 @@ def regressor_factors(
 
 
 def _moved_by(model: Model) -> np.ndarray:
-    """Whether a link moves the body of a parameter (nv, 10 nb)."""
+    """(nv, 10 nb) whether each link moves the body of each parameter."""
     moved = np.stack([ancestor_mask(model.topology, i) for i in model.topology.body_links])
     return np.repeat(moved.T, 10, 1)
 
 
 def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """`inertial_regressor` as two kernels: the factors, then a thread a parameter."""
+    """`inertial_regressor` as two kernels: the factors, then one thread a parameter."""
     model = on_threads(model, q.dtype, long=False)
     S, wrenches = batch_first(threaded(lambda *x: regressor_factors(model, *x))(q, v, a))
 
@@ -138,8 +138,8 @@ def regressor_by_columns(model: Model, q: jax.Array, v: jax.Array, a: jax.Array)
 def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """Y(q, v, a) (nv, 10 nb), with ID(q, v, a) = Y pi + armature * a.
 
-    pi stacks for each body (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz), in its own
-    frame, inertia about the frame's origin: `inertial_parameters(model)`.
+    pi stacks (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) of each body, in its own
+    frame, with the inertia about the frame's origin: `inertial_parameters(model)`.
 
     Args:
         model: the robot.
@@ -164,7 +164,7 @@ def inertial_regressor(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -
 
 
 def parameter_wrenches(link: Transform, body: Transform, motion: tuple) -> tuple[Force, ...]:
-    """What each of a body's ten parameters adds to the wrench on it, in world axes.
+    """The wrench on a body from each of its ten parameters, in world axes.
 
     `motion` is the angular velocity and the acceleration of its link, in the link's axes.
     """

@@ -1,7 +1,6 @@
-"""Derivatives of dynamics by differentiating it, for joints whose axes depend on q.
+"""Derivatives of dynamics by automatic differentiation, for joints whose axes depend on q.
 
-`operands` knows how axes that are fixed in their links move with q. Those of a `Node` move in ways
-of their own, which differentiation finds.
+`operands` has the formulas for axes that are fixed in their links. The axes of a `Node` are not.
 """
 
 from __future__ import annotations

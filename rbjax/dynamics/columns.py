@@ -1,10 +1,10 @@
-"""Derivatives of dynamics column by column, a GPU thread a column.
+"""Derivatives of dynamics column by column, with one GPU thread a column.
 
-For one thread the n x n entries of a humanoid are too long a program, and too much to hold. So a
-first kernel, one thread a sample, leaves a row of numbers for each link; in a second each thread
-makes one column of all matrices, from the rows of all links, which the threads of a sample read
-together, and its own link's. M^-1 x is a sweep inward and one outward over ABA's factors, all of
-them in world axes. Beside ABA, `operands` and `pair_column` there is nothing new in it.
+The n x n entries of a humanoid are too long a program for one thread, and need too many registers.
+So a first kernel, with one thread a sample, writes a row of numbers for each link. In a second
+kernel each thread computes one column of all matrices, from its own link's row and the rows of all
+links, which the threads of a sample read together. M^-1 x is an inward and an outward sweep over
+ABA's factors, all in world axes. The formulas are those of ABA, `operands` and `pair_column`.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from rbjax.model.cells import stacked
 from rbjax.spatial import Force, Motion, Transform
 from rbjax.threads import side_by_side, threaded
 
-#: a row: axis S, then where columns are solved U and 1 / D, all in world axes
+#: a row: axis S, then U and 1 / D if columns are solved, all in world axes
 AXIS, FACTORS = slice(0, 6), slice(6, 13)
-#: and then what `pair_matrix` multiplies: the row of `Operands`, and the second factors
+#: and then the factors of `pair_matrix`: the row of `Operands`, and the second factors
 INVERSE, FORWARD, BELOW = 6, 13, 9
 UNMOVED = Transform(Mat3.identity(), Vec3.zero())
 
 
 def inverse_rows(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-    """Each link's row for the derivatives of inverse dynamics."""
+    """The row of each link for the derivatives of inverse dynamics."""
     d = driver(model, q.dtype)
     joints = d.joints(q, None)
     poses = tree_poses(d, joints)
@@ -59,7 +59,7 @@ def accelerations(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> j
 
 
 def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> jax.Array:
-    """Each link's row for the derivatives of forward dynamics, from `accelerations`."""
+    """The row of each link for the derivatives of forward dynamics, from `accelerations`."""
     d = driver(model, q.dtype)
     a, inverse_D, *U = map(d.lanes, found)
     joints = d.joints(q, None)
@@ -75,8 +75,8 @@ def forward_rows(model: Model, q: jax.Array, v: jax.Array, found: jax.Array) -> 
 
 
 def inverse_mass_rows(model: Model, q: jax.Array) -> jax.Array:
-    """X, U and 1 / D of each link, in its own axes (there f32 keeps more digits), as (19, nv); and
-    S below, where the axes depend on q."""
+    """X, U and 1 / D of each link, in its own axes, where f32 keeps more digits, as (19, nv). If
+    the axes depend on q, S follows below."""
     d = driver(model, q.dtype)
     X, S, U, inverse_D = d.unzip(factorize(d, d.joints(q, None)), 4)
     moving = () if model.topology.straight else (S,)
@@ -172,7 +172,7 @@ def inverse_mass_by_columns(model: Model, q: jax.Array) -> jax.Array:
 
 
 def _kernel(f: Callable, *args: jax.Array) -> jax.Array:
-    """f(*args) of a sample, as a kernel whose results have the batch first."""
+    """f(*args) of one sample, as a kernel whose results have the batch first."""
     return batch_first(threaded(f)(*args))
 
 
@@ -183,7 +183,7 @@ def _by_column(model: Model, rows: jax.Array, column: Callable) -> list[jax.Arra
     def of_link(own: jax.Array, places: jax.Array, j: jax.Array) -> list[jax.Array]:
         return column(own, places, _unit(model, j, own))
 
-    # what the threads of a sample read at a time lies side by side
+    # numbers that the threads of a sample read at the same time lie side by side
     places = jnp.asarray(which_moves(model.topology).T)
     return side_by_side(of_link, [rows, places, _numbers(model)], [0, 1, 0])
 
@@ -199,8 +199,8 @@ def _unit(model: Model, j: jax.Array, like: jax.Array) -> jax.Array:
 def _entries(
     rows: jax.Array, own: jax.Array, places: jax.Array, start: int, count: int
 ) -> list[list[Lane]]:
-    """Of so many matrices the entries in a column, link by link. What a link reads it has used
-    before the next one."""
+    """The entries of one column of that many matrices, link by link. A link uses what it reads
+    before the next one reads."""
     out: list[list[Lane]] = []
     for row in rows:
         S, below = _lanes(row, AXIS), _lanes(row, slice(start, start + BELOW))
@@ -227,7 +227,7 @@ def _factors(rows: jax.Array) -> list[Factor]:
 
 
 def _solved(model: Model, inward: list, outward: list, x: jax.Array) -> jax.Array:
-    """M^-1 x of columns (nv, ...). The factors come twice: what the way in has read is read again
-    on the way out, rather than kept in registers."""
+    """M^-1 x of columns (nv, ...). The factors are passed twice, so that the outward sweep reads
+    them again instead of keeping them in registers."""
     d = Unrolled(model, None)
     return d.pack(solve(d, inward, d.lanes(x), outward), x)

@@ -1,6 +1,6 @@
-"""Links in world axes, and sums over what each of them carries.
+"""Links in world axes, and sums over the links that each of them carries.
 
-Each tree is seen from the origin of its own first link, so that f32 keeps its digits.
+The origin of each tree is that of its first link, so that f32 keeps its digits.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def link_twists(d: Driver, S: Any, v: jax.Array) -> Any:
 
 
 def turning(d: Driver, V: Any) -> Any:
-    """The twist T with which each link's axis turns, S' = T x S: the link's own, but of a ball that
-    of its last link for all three, whose axes are fixed in the body."""
+    """The twist T with S' = T x S of each link's axis. It is the twist of the link itself. For the
+    three links of a ball it is that of the last, because their axes are fixed in the body."""
     return d.take(V, [link.node[-1] for link in d.topology.links])
 
 
@@ -72,7 +72,7 @@ def coriolis_block(inertia: RigidInertia, V: Motion) -> tuple[Sym3, Force]:
 
 
 def twice_coriolis(block: tuple[Sym3, Force], w: Vec3) -> Force:
-    """2 B [w; u], whatever u is."""
+    """2 B [w; u], which does not depend on u."""
     D, h = block
     return Force(D @ w - h.ang.cross(w), w.cross(h.lin) * 2.0)
 
@@ -84,7 +84,7 @@ def twice_coriolis_transposed(block: tuple[Sym3, Force], S: Motion) -> Vec3:
 
 
 def carried(d: Driver, values: Any, zero: Any) -> Any:
-    """For each link the sum of the values of all links that it carries, itself included."""
+    """For each link, the sum of the values of all links that it carries, itself included."""
 
     def step(own, children):
         total = jax.tree.map(add, own, children)

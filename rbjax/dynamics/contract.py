@@ -1,9 +1,9 @@
-"""What an algorithm may ask of a driver: the contract that all drivers keep, and mypy checks.
+"""The protocol of drivers, which mypy checks.
 
-A *per-link value* holds one value for each link in the form in which its driver walks the tree: a
-list (`Unrolled`), a list and columns (`Rolled`), lists of the trunk and of limbs (`Limbs`). Values
-are pytrees of lanes. The *whole* form is for work on all links at once, outside the recursions: a
-list over the links where `listed`, columns otherwise.
+A *per-link value* holds one value for each link, in the form of its driver: a list (`Unrolled`), a
+list and columns (`Rolled`), lists for the trunk and the limbs (`Limbs`). Values are pytrees of
+lanes. The *whole* form is for work on all links at once, outside the recursions: a list over the
+links if `listed`, else columns.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Driver(Protocol):
     constants: PerLink
     #: whether `whole` is a list
     listed: bool
-    #: links a turn of the loop, where there is one
+    #: links in one iteration of the loop, if there is one
     unroll: int
 
     def joints(self, q: jax.Array, v: jax.Array | None) -> PerLink:
@@ -52,10 +52,10 @@ class Driver(Protocol):
         """Tuples of the values of each link."""
 
     def part(self, values: PerLink, k: int) -> PerLink:
-        """Of tuples the entries k."""
+        """Entry k of each tuple."""
 
     def unzip(self, tuples: PerLink, count: int) -> tuple[PerLink, ...]:
-        """The inverse of `zip`, of so many values."""
+        """The inverse of `zip`, for `count` values."""
 
     def outward(self, step: Step, root: Any, xs: PerLink) -> PerLink:
         """carry_i, y_i = step(x_i, carry of the parent), from the root out; the y_i."""
@@ -66,8 +66,8 @@ class Driver(Protocol):
     def out_and_in(
         self, outward: Step, root: Any, inward: Step, zero: Any, xs: PerLink
     ) -> PerLink:
-        """An outward sweep with the steps outward(x_i, carry), then an inward one with the steps
-        inward((x_i, y_i), messages), y_i from the first; what the second returns."""
+        """An outward sweep with the steps outward(x_i, carry) gives y_i. Then an inward one with
+        the steps inward((x_i, y_i), messages) gives the result."""
 
     def whole(self, values: PerLink) -> Whole:
         """Values in the form for work on all links at once."""
@@ -85,11 +85,11 @@ class Driver(Protocol):
         """The lanes of each value side by side, as an array (values, lanes)."""
 
     def known(self, numbers: list[float]) -> Whole:
-        """Numbers that are part of the program, one a link: a lane or a list of lanes."""
+        """Constants of the program, one a link, as a lane or a list of lanes."""
 
 
 class Sweeps:
-    """What follows from the sweeps of a driver."""
+    """Methods that follow from the sweeps of a driver."""
 
     def out_and_in(
         self: Driver, outward: Step, root: Any, inward: Step, zero: Any, xs: PerLink

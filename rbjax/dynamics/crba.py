@@ -1,7 +1,7 @@
 """Composite-rigid-body algorithm: the joint-space inertia matrix (Featherstone, ch. 6).
 
 inward   I_c = I + sum of X^T I_c X of the children;   F = I_c S;   M_ii = S.F + armature
-         F travels on to the root, and M_ji = S_j . F at each ancestor j on its way.
+         F moves on to the root, and M_ji = S_j . F at each ancestor j on its path.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def composite(x: Any, children: RigidInertia) -> tuple[Any, RigidInertia, Force]
 
 
 def _listed(d: Driver, joints: Any) -> list[list[Lane]]:
-    """Rows of lanes; each F walks to the root by itself."""
+    """Rows of lanes; each F moves to the root separately."""
 
     def step(x, children):
         X, I_c, F = composite(x, children)

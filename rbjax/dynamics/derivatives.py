@@ -2,9 +2,9 @@
 
     d tau = dID/dq dq + dID/dv dv + M da,      d a = M^-1 (d tau - dID/dq dq - dID/dv dv)
 
-with dq on the tangent space of the configuration (`integrate`). Entries are products of what
-`operands` has of two links; for forward dynamics the columns are solved with ABA's factors
-(inverse.py). A batch of a large robot on a GPU goes column by column (columns.py).
+with dq on the tangent space of the configuration (`integrate`). An entry is a product of the
+`operands` of two links. For forward dynamics the columns are solved with ABA's factors
+(inverse.py). On a GPU, a batch of a large robot is computed column by column (columns.py).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rbjax.model import Model
 
 
 class InverseDynamicsDerivatives(NamedTuple):
-    """d tau with respect to q (tangent), v and a, each (nv, nv); the last is the mass matrix."""
+    """Derivatives of tau by q (tangent), v and a, each (nv, nv). The last is the mass matrix."""
 
     q: jax.Array
     v: jax.Array
@@ -35,7 +35,7 @@ class InverseDynamicsDerivatives(NamedTuple):
 
 
 class ForwardDynamicsDerivatives(NamedTuple):
-    """d a with respect to q (tangent), v and tau, each (nv, nv); the last is M^-1."""
+    """Derivatives of a by q (tangent), v and tau, each (nv, nv). The last is M^-1."""
 
     q: jax.Array
     v: jax.Array

@@ -1,9 +1,9 @@
-"""A batch that is spread over devices stays spread where XLA works through it in a loop.
+"""A batch that is sharded over devices stays sharded when XLA runs it in a loop.
 
-Slices across the whole batch would make XLA gather it, and what a loop's turns add up for all
-samples would be summed over the devices in every turn. So the batch is parted first, into as many
-parts as there are devices, which are worked through side by side: where the batch is spread
-evenly, a part lies on one device. (Threads on a GPU: `rbjax.threads.sharding`.)
+Slices across the whole batch would make XLA gather it, and sums over samples would be reduced over
+the devices in every iteration. So the batch is first split into one part for each device, and the
+parts run side by side. If the batch is sharded evenly, each part lies on one device.
+(Threads on a GPU: `rbjax.threads.sharding`.)
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 
 def devices() -> int:
-    """How many devices a batch may be spread over; inside `shard_map` each has its own batch."""
+    """The number of devices of a batch; inside `shard_map` each has its own batch."""
     mesh = jax.sharding.get_abstract_mesh()
     if mesh.empty:
         return jax.device_count()
@@ -25,7 +25,7 @@ def devices() -> int:
 
 
 def memory_share() -> int:
-    """Bytes, an eighth of the memory of all devices; 2 GiB of each that does not state it."""
+    """Bytes: an eighth of the memory of all devices, 2 GiB for a device that does not report it."""
     limit = (jax.devices()[0].memory_stats() or {}).get("bytes_limit", 2**34)
     return limit // 8 * devices()
 
@@ -33,14 +33,14 @@ def memory_share() -> int:
 def on_each_device(
     f: Callable[[list], Any], args: list, axes: list[int | None], size: int, out_axis: int = 0
 ) -> Callable[[list], Any]:
-    """f of a batch, in parts of which each lies on one device.
+    """f of a batch, in parts that each lie on one device.
 
-    Every part has its own copy, made here, of what all samples share and f closes over. So where f
-    runs in a loop, a cotangent of that is summed over the devices once, at the end.
+    Every part gets its own copy of the values that all samples share and f closes over. So if f
+    runs in a loop, their cotangents are summed over the devices once, at the end.
 
     Args:
-        f: of arguments in the layout given, of any number of samples.
-        args: such as it will be called with.
+        f: takes arguments in the given layout, with any number of samples.
+        args: examples of its arguments.
         axes, size, out_axis: as for `batching.chunks`.
     """
     parts = math.gcd(size, devices())
@@ -67,7 +67,7 @@ def on_each_device(
 
 
 def parted(x: jax.Array, axis: int, count: int) -> jax.Array:
-    """A batch, which comes first, in `count` parts, which then come first; a part has its samples
-    at `axis` (0 or -1)."""
+    """A batch, on the first axis, split into `count` parts on a new first axis. A part has its
+    samples at `axis` (0 or -1)."""
     x = x.reshape(count, x.shape[0] // count, *x.shape[1:])
     return jnp.moveaxis(x, 1, axis) if axis else x

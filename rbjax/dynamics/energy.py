@@ -48,7 +48,7 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 @algorithm("q")
 def potential_energy(model: Model, q: jax.Array) -> jax.Array:
-    """U = -sum of m g.c in joules: gravity alone (springs: `rbjax.forces.elastic_energy`).
+    """U = -sum of m g.c in joules, of gravity only (springs: `rbjax.forces.elastic_energy`).
 
     Args:
         model: the robot.
@@ -113,7 +113,7 @@ def centroidal_momentum(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def _centres(model: Model, q: jax.Array):
-    """Poses, world positions of the centres of mass (nb, 3), masses (nb,)."""
+    """Poses, positions of the centres of mass in the world (nb, 3), masses (nb,)."""
     poses = forward_kinematics(model, q)
     bodies = as_declared(model).bodies
     com = poses.p + matvec(poses.R, bodies.com.astype(q.dtype))

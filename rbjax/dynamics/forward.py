@@ -1,11 +1,11 @@
 """Forward dynamics and the inverse of the mass matrix, by the articulated-body algorithm.
 
-The derivative needs no differentiated ABA. With a = FD(q, v, tau), the identity
+The derivative does not differentiate ABA. With a = FD(q, v, tau), the identity
 ID(q, v, FD(q, v, tau)) = tau gives
 
     da = M^-1 (dtau - dID(q, v, a)),
 
-one tangent of RNEA and one solve with the factors that ABA has left (Carpentier & Mansard 2018).
+one tangent of RNEA and one solve with the factors of ABA (Carpentier & Mansard 2018).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
 from rbjax.model import Model, made_ahead
 from rbjax.threads import wanted
 
-#: the names of what a derivative can read in place of computing it again
+#: the names of values that a derivative may read instead of recomputing them
 LEFT = ("acceleration", "factors")
 
 
 def _left(a: jax.Array, factors: Any) -> tuple[jax.Array, Any]:
-    """The acceleration and the factors, named; transforms and axes are cheap to have again."""
+    """The acceleration and the factors, named. Transforms and axes are cheap to recompute."""
 
     def named(f: Factor) -> Factor:
         U, inverse_D = jax.tree.map(
@@ -54,8 +54,8 @@ def acceleration(
     """a = M^-1 (tau - b + sum of J_i^T f_i) on checked arrays (nv, ...), with the derivative above.
 
     `pushes`: forces f_i on links, in their axes at their origins. Leaves of the model and lanes of
-    forces that are known while tracing stay out of the custom derivative's arguments, so that they
-    stay known.
+    forces that are known while tracing are no arguments of the custom derivative, so they stay
+    known.
     """
     given, rebuilt = split_tracers((model, pushes))
     known_model = not split_tracers(model)[0]
@@ -93,16 +93,16 @@ def forward_dynamics(
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        tau: (nv,) all applied generalized forces; see `applied_forces` for what the model applies.
+        tau: (nv,) all applied generalized forces; `applied_forces` gives those of the model.
         wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
 
     Returns:
-        (nv,) the rate of v; not finite where the mass matrix is singular, as of a joint that moves
-        no mass.
+        (nv,) the rate of v; not finite where the mass matrix is singular, as with a joint that
+        moves no mass.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
-        ModelError: a joint that moves no mass, where that is known while tracing.
+        ModelError: a joint moves no mass, and this is known while tracing.
 
     Source: Featherstone, *Rigid Body Dynamics Algorithms*, ch. 7 (ABA).
 
@@ -115,7 +115,7 @@ def forward_dynamics(
     """
     if not model.nv:
         return jnp.zeros(0, q.dtype)
-    if wanted():  # what all samples share, outside of the rule that a thread's derivative follows
+    if wanted():  # values that all samples share, outside of the derivative rule of a thread
         model = made_ahead(model, q.dtype)
     pushes = None
     if wrenches is not None:

@@ -1,9 +1,10 @@
-"""Where a site is, and how a frame moves: the twist and the bias acceleration of a point of it.
+"""The pose of a site, and the twist and bias acceleration of a point of a frame.
 
     V = J v = [w; u + w x r],        dV/dt = J a + J' v,
-    J' v = [w'; u' + w' x r + w x (w x r)]  with w', u' of the link where v does not change
+    J' v = [w'; u' + w' x r + w x (w x r)]  with w', u' of the link at constant v
 The link that carries the frame has the twist [w; u] and the classical acceleration [w'; u'] at its
-own origin; r leads from there to the point. (Featherstone, *Rigid Body Dynamics Algorithms*, 2.11.)
+own origin; r is the vector from there to the point. (Featherstone, *Rigid Body Dynamics
+Algorithms*, 2.11.)
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ from rbjax.model import WORLD, Model, prepare
 from rbjax.model.leaves import site_transform
 from rbjax.spatial import Motion
 
-#: a longer path to a site runs on the model's driver. A link that is written out takes 0.06 s to
-#: compile, its gradient 0.3 s in a chain of 60; a robot's path has 16 at most
+#: a longer path to a site runs on the model's driver. An unrolled link takes 0.06 s to compile, its
+#: gradient 0.3 s in a chain of 60; a robot's path has 16 links at most
 PATH_UNROLLED_UP_TO = 24
 
 
@@ -40,7 +41,7 @@ def carried_point(
     """
     if (body is None) == (site is None):
         got = "neither" if body is None else "both"
-        raise InputError(f"{where}: got {got} of body and site, expected exactly one of them")
+        raise InputError(f"{where}: got {got} of body and site, expected exactly one")
     at = Vec3.zero() if point is None else Vec3(*(point[i] for i in range(3)))
     if site is not None:
         i = model.site(site)
@@ -56,7 +57,7 @@ def carried_point(
 
 
 def _row(d: Driver, values: Any, link: int, f: Any, like: jax.Array) -> jax.Array:
-    """f of the values of one link, a Motion, as an array (6,)."""
+    """The Motion f(values of one link) as an array (6,)."""
     chosen = d.each(f, d.take(d.whole(values), [link]))
     return d.stack(chosen, lambda m: m, like)[0]
 
@@ -65,8 +66,8 @@ def _row(d: Driver, values: Any, link: int, f: Any, like: jax.Array) -> jax.Arra
 def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Array]:
     """Pose of a named site in the world: R (3, 3), p (3,).
 
-    The cost is that of the links from the base to the site. Up to `PATH_UNROLLED_UP_TO` of them are
-    written out, whatever the driver.
+    Only the links from the base to the site are computed. Up to `PATH_UNROLLED_UP_TO` of them are
+    unrolled with any driver.
 
     Args:
         model: the robot.
@@ -74,7 +75,7 @@ def site_pose(model: Model, q: jax.Array, site: str) -> tuple[jax.Array, jax.Arr
         site: its name in the file.
 
     Raises:
-        UnknownName: with the names there are.
+        UnknownName: no such site; the message lists the names.
 
     Source: Featherstone, 4.4.
 
@@ -109,7 +110,7 @@ def frame_velocity(
 ) -> jax.Array:
     """Twist (6,) of a point of a body or site: [angular; linear] in world axes, V = J v.
 
-    The cost is one sweep from the root; no Jacobian is made.
+    The cost is one sweep from the root, without a Jacobian.
 
     Args:
         model: the robot.
@@ -117,10 +118,10 @@ def frame_velocity(
         v: (nv,) velocity.
         body: the name of a body.
         point: (3,) m in the frame of the body or site; its origin if None.
-        site: the name of a site, in place of a body.
+        site: the name of a site, instead of a body.
 
     Returns:
-        (6,), rad/s and m/s; zero for what the world carries.
+        (6,), rad/s and m/s; zero if the frame is fixed to the world.
 
     Raises:
         UnknownName: no such body or site. InputError: both or neither given; a wrong shape.
@@ -156,10 +157,11 @@ def frame_bias_acceleration(
     *,
     site: str | None = None,
 ) -> jax.Array:
-    """J'(q, v) v (6,): the acceleration of a point of a body or site where that of v is zero.
+    """J'(q, v) v (6,): the acceleration of a point of a body or site at constant v.
 
-    It is the classical acceleration, the rate of `frame_velocity`: with an acceleration a of the
-    robot the point has J a + J' v. Gravity has no part in it. The cost is one sweep from the root.
+    This is the classical acceleration, the rate of `frame_velocity`. If the robot accelerates at a,
+    the point accelerates at J a + J' v. Gravity is not included. The cost is one sweep from the
+    root.
 
     Args:
         model: the robot.
@@ -167,10 +169,11 @@ def frame_bias_acceleration(
         v: (nv,) velocity.
         body: the name of a body.
         point: (3,) m in the frame of the body or site; its origin if None.
-        site: the name of a site, in place of a body.
+        site: the name of a site, instead of a body.
 
     Returns:
-        (6,) [angular; linear] in world axes, rad/s^2 and m/s^2; zero for what the world carries.
+        (6,) [angular; linear] in world axes, rad/s^2 and m/s^2; zero if the frame is fixed to the
+        world.
 
     Raises:
         UnknownName: no such body or site. InputError: both or neither given; a wrong shape.

@@ -1,4 +1,4 @@
-"""The inverse of the mass matrix in factors, from what the articulated-body algorithm leaves.
+"""The inverse of the mass matrix in factors, from the articulated-body algorithm.
 
 With U_i, D_i of each joint (aba.py), M = L^T D L where L_ij = U_i . S_j / D_i for each j that
 carries i: triangular, with entries only where one link carries the other (Featherstone, 6.5). Its
@@ -6,9 +6,9 @@ inverse P has the same pattern:
 
     M^-1 = P D^-1 P^T,   P_ij = -sum over k from j to the parent of i of L_ik P_kj,   P_jj = 1
 
-or, as motions of the links, the accelerations that follow a unit acceleration of joint j when
-nothing drives the others (Carpentier 2018): P_ij = -U_i . a_parent / D_i with
-a_i = a_parent + S_i P_ij. World axes, so that nothing is transformed on the way.
+As motions of the links, column j holds the accelerations that follow a unit acceleration of joint j
+when nothing drives the others (Carpentier 2018): P_ij = -U_i . a_parent / D_i with
+a_i = a_parent + S_i P_ij. All vectors are in world axes, so the sweep transforms nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rbjax.spatial import Motion
 
 
 class InverseMass:
-    """M^-1 = P D^-1 P^T. `P[i][j]` has entries for each link j that carries i, or is it."""
+    """M^-1 = P D^-1 P^T. `P[i][j]` has entries for j = i and for each link j that carries i."""
 
     def __init__(self, d: Driver, poses: Any, S: Any, U: Any, inverse_D: Any, like: jax.Array):
         """poses and S in world axes, in the form of `Driver.whole`; U and 1 / D per link."""
@@ -56,7 +56,7 @@ class InverseMass:
         return P
 
     def solve(self, columns: Sequence[Sequence[Lane]], row: Sequence[Lane]) -> list[list[Lane]]:
-        """-M^-1 x of each column x, and P D^-1 y of y a row of P: the column of M^-1 there."""
+        """-M^-1 x of each column x, and P D^-1 y of a row y of P, which is a column of M^-1."""
         P = self.P
 
         def driven(x):
@@ -71,7 +71,7 @@ class InverseMass:
         return [moved(y) for y in fusion_barrier([scaled(y) for y in (*map(driven, columns), row)])]
 
     def __call__(self, *pairs: Any) -> list[jax.Array]:
-        """-M^-1 X of each X = `pair_matrix(d, *pair)`, then M^-1 itself."""
+        """-M^-1 X for each X = `pair_matrix(d, *pair)`, then M^-1 itself."""
         d, n, like = self.d, self.d.topology.nv, self.like
         count = len(pairs) + 1
         flat = jnp.zeros(count * n, like.dtype)

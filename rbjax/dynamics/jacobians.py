@@ -24,7 +24,7 @@ from rbjax.spatial import Motion
 
 
 def ancestor_mask(top: Topology, link: int) -> np.ndarray:
-    """(nv,) which links move the given one."""
+    """(nv,) whether each link moves the given one."""
     mask = np.zeros(top.nv, bool)
     if link != WORLD:
         mask[list(top.ancestors[link])] = True
@@ -47,7 +47,7 @@ def jacobian(
         q: (nq,) configuration.
         body: the name of a body.
         point: (3,) m in the frame of the body or site; its origin if None.
-        site: the name of a site, in place of a body.
+        site: the name of a site, instead of a body.
 
     Returns:
         (6, nv); zero where a coordinate does not move the point.
@@ -93,7 +93,7 @@ def jacobian_rate(
 ) -> jax.Array:
     """J'(q, v) (6, nv), the rate of `jacobian` while the robot moves at v.
 
-    With u the velocity of a link's origin and w that with which its axis z turns,
+    With u the velocity of a link's origin and w the angular velocity of its axis z,
     z' = w x z and (z x r)' = z' x r + z x (u_point - u). `frame_bias_acceleration` is J' v.
 
     Args:
@@ -102,7 +102,7 @@ def jacobian_rate(
         v: (nv,) velocity.
         body: the name of a body.
         point: (3,) m in the frame of the body or site; its origin if None.
-        site: the name of a site, in place of a body.
+        site: the name of a site, instead of a body.
 
     Returns:
         (6, nv) [angular; linear] in world axes.
@@ -158,7 +158,7 @@ def jacobian_rate(
 
 
 def _moves(d: Driver, link: int) -> Any:
-    """Of each link 1 where it moves the given one, else 0."""
+    """1 for each link that moves the given one, else 0."""
     return d.known([1.0 if x else 0.0 for x in ancestor_mask(d.topology, link)])
 
 

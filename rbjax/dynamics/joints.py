@@ -1,6 +1,6 @@
-"""The joint motions of a robot's links, in the forms that the drivers need.
+"""The joint motions of many links at once, in the forms that the drivers need.
 
-What a link does is said by its kind (`rbjax.joints`); this is for many links at once.
+`rbjax.joints` has the motion of each kind of joint.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from rbjax.spatial import Motion
 def joint_lanes(
     link: Link, constants: LinkConstants, q: Sequence[Lane], v: Sequence[Lane]
 ) -> JointMotion:
-    """The motion of one link, of the coordinates of all."""
+    """The motion of one link, from the coordinates of all links."""
     return link.kind.motion([q[k] for k in link.q], [v[k] for k in link.v], constants)
 
 
 def joint_columns(
     top: Topology, prepared: Prepared, q: jax.Array, v: jax.Array | None, start: int = 0
 ) -> tuple[Callable[..., JointMotion], list[Lane]]:
-    """The motions of the links from `start` on, for the rolled driver: a function, and its columns.
+    """The motions of the links from `start` on, for the rolled driver: a function and its columns.
 
-    The function makes a `JointMotion` of the columns (nv - start, ...), or of one link's lanes.
+    The function makes a `JointMotion` from the columns (nv - start, ...) or from one link's lanes.
     """
     links = top.links[start:]
     batch = (1,) * (q.ndim - 1)
@@ -60,7 +60,7 @@ def joint_columns(
     motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
     if not all(link.kind.straight for link in links):
         motion = NodeMotion.of(motion)
-    # what else there is, kind by kind; what stands still is as above
+    # the other kinds, one by one; locked links are as above
     others: dict[Any, list[int]] = {}
     for i, link in enumerate(links):
         if not (hinge[i].any() or slide[i].any() or link.kind.still):

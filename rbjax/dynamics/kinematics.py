@@ -1,4 +1,4 @@
-"""Forward kinematics: where links and bodies are, and how bodies move.
+"""Forward kinematics: poses of links and bodies, and twists of bodies.
 
     R_WC = R_WP R_PC,   p_WC = p_WP + R_WP p_PC,   w_C = w_P + z qd,   v_C = v_P + w_P x r + z qd
 (Featherstone, 4.4; Lynch & Park, *Modern Robotics*, ch. 4-5.)
@@ -39,7 +39,7 @@ def world_poses(d: Driver, joints: Any) -> Any:
 
 
 def body_transforms(d: Driver, poses: Any) -> Any:
-    """The pose of each body, from those of the links in the form of `Driver.whole`."""
+    """The pose of each body, from the poses of the links in the form of `Driver.whole`."""
     top = d.topology
     if d.listed:
         welds = [d.prepared.weld(b) for b in range(top.nb)]
@@ -69,7 +69,7 @@ def forward_kinematics(model: Model, q: jax.Array) -> Poses:
         q: (nq,) configuration.
 
     Returns:
-        `Poses(R (nb, 3, 3), p (nb, 3))` in metres, in the file's order without the world.
+        `Poses(R (nb, 3, 3), p (nb, 3))` in metres, in the order of the file, without the world.
 
     Raises:
         InputError: wrong shape or dtype, values that are not finite, zero quaternions.

@@ -1,13 +1,13 @@
-"""The driver by limbs: isomorphic limbs as a loop over one that is written out.
+"""The driver by limbs: isomorphic limbs run as a loop over one unrolled limb.
 
-A humanoid's two legs are one leg in a `lax.scan` over two; base and waist (the trunk) are written
-out, as `Unrolled` would. Thus a program is short where a robot repeats itself, and within a limb
-nothing is carried from turn to turn: all lanes of a limb are in registers.
+A humanoid's two legs are one leg in a `lax.scan` over two. Base and waist (the trunk) are unrolled,
+as in `Unrolled`. So the program is short if a robot repeats itself. Within a limb the loop carries
+nothing: all lanes of a limb are in registers.
 
-What a number of the limbs of a group has in common stays part of the program: literal where all
-agree, so zeros that all share vanish; where they differ it is a column over the limbs, read by the
-loop's counter. What outlives a loop is written to memory; what a step hands on unchanged is not,
-nor is a link's pose, which is computed again from cosine and sine.
+A number on which all limbs of a group agree is a literal of the program, so shared zeros vanish. A
+number on which they differ is a column over the limbs, read at the loop's counter. Results of a
+loop are written to memory. Values that a step passes on unchanged are not, nor is a link's pose,
+which is recomputed from cosine and sine.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rbjax.model.links import lane
 
 class Parts:
     """A per-link value of `Limbs`: a list for the trunk, and for each group a list over the
-    positions in a limb, each of columns over the limbs."""
+    positions in a limb. Its items are columns over the limbs."""
 
     def __init__(self, trunk: list, limbs: list[list]):
         self.trunk, self.limbs = trunk, limbs
@@ -50,7 +50,7 @@ class LimbJoint:
         self.link, self.columns = link, (constants, q, v, trig)
 
     def of(self, lane_of: Callable[[Any], Lane]) -> PosedJoint:
-        """The motion of one limb, whose lanes those are."""
+        """The motion in one limb, with the lanes that `lane_of` gives."""
         constants, q, v, trig = jax.tree.map(lane_of, self.columns)
         if trig is None:
             return PosedJoint(self.link.kind.motion(q, v, constants), constants)
@@ -59,14 +59,14 @@ class LimbJoint:
 
 
 class PoseLane:
-    """Among the columns: a lane of the links' poses, cheaper to compute than to keep."""
+    """Among the columns: a lane of the links' poses, cheaper to recompute than to store."""
 
     def __init__(self, joint: LimbJoint, k: int):
         self.joint, self.k = joint, k
 
 
 class Limb:
-    """One limb's lanes in place of the columns."""
+    """Replaces columns by one limb's lanes."""
 
     def __init__(self, column_lane: Callable[[Any], Lane]):
         self.lane = lambda x: x if is_literal(x) else column_lane(x)
@@ -86,7 +86,7 @@ class Limb:
 
     @property
     def poses(self) -> dict[int, PoseLane]:
-        """For each lane of a pose what it is among the columns."""
+        """For each lane of a pose, its `PoseLane` among the columns."""
         return {
             id(x): PoseLane(joint, k)
             for joint, posed in self.joints.values()
@@ -95,7 +95,7 @@ class Limb:
 
 
 class Limbs(Sweeps, unrolled.Listed):
-    """The trunk written out; a loop over the limbs of each group."""
+    """The trunk unrolled, and a loop over the limbs of each group."""
 
     def __init__(self, model: Model, prepared: Prepared):
         top = self.topology = model.topology
@@ -113,7 +113,7 @@ class Limbs(Sweeps, unrolled.Listed):
         )
 
     def _parts(self, of_link: Callable, of_links: Callable, *given: Parts) -> Parts:
-        """A per-link value: of each link of the trunk, and of the links of each position."""
+        """A per-link value, from each link of the trunk and from the links of each position."""
         trunk = list(map(of_link, self._trunk, *(x.trunk for x in given)))
         positions = [list(zip(*group.links, strict=True)) for group in self._groups]
         limbs = [
@@ -123,7 +123,7 @@ class Limbs(Sweeps, unrolled.Listed):
         return Parts(trunk, limbs)
 
     def _column(self, column: Any, links: Sequence[int]) -> Any:
-        """Of a column over all links that over some: a literal where they agree."""
+        """The rows of a column for some links; a literal if they agree."""
         if isinstance(column, np.ndarray):
             return _merged(*(lane(column, i) for i in links))
         return _rows(column, links)
@@ -214,7 +214,7 @@ class Limbs(Sweeps, unrolled.Listed):
         )
 
     def _column_of(self, *lanes: Lane) -> Any:
-        """The lanes of the limbs as a column: the one that they were read from, if they were."""
+        """The lanes of the limbs as a column: the one that they were read from, if there is one."""
         _, column, _ = self._read.get(id(lanes[0]), (None, None, 0))
         for j, x in enumerate(lanes):
             _, own, limb = self._read.get(id(x), (None, None, 0))
@@ -253,8 +253,8 @@ class Limbs(Sweeps, unrolled.Listed):
         return Parts(unrolled.inward(self._parents, step, sums, xs.trunk)[1], limbs)
 
     def out_and_in(self, outward: Step, root: Any, inward: Step, zero: Any, xs: Parts) -> Parts:
-        """As `Sweeps.out_and_in`: the trunk out; out and in through each limb, which keeps nothing
-        of the way out; the trunk in."""
+        """As `Sweeps.out_and_in`: the trunk out; out and in through each limb, which stores nothing
+        of its outward sweep; the trunk in."""
         carries, first = unrolled.outward(self._parents, outward, root, xs.trunk)
 
         def limb(group, x, before, known):
@@ -283,8 +283,8 @@ class Limbs(Sweeps, unrolled.Listed):
     def _one_group(
         self, group: Group, limb: Callable, zero: Any, xs: list, carries: list | None, root: Any
     ) -> tuple[list[tuple[int, Any]], Any]:
-        """The same of one group; messages as pairs of place in the trunk and message. Those to one
-        link are summed as the loop goes."""
+        """The same for one group. Messages are pairs (place in the trunk, message). The loop sums
+        those to the same link."""
         ports = [self._place[i] for i in group.carriers]
         together = len(set(ports)) == 1
         summed = together and ports[0] != WORLD
@@ -317,8 +317,8 @@ class Limbs(Sweeps, unrolled.Listed):
         return jax.tree.map(Limb(lane), columns)
 
     def _loop(self, group: Group, body: Callable, carry: Any, given: Any) -> tuple[Any, Any]:
-        """carry, out = body(carry, given, known) over the limbs: `given` in lanes in place of the
-        columns. What a body returns of what was given to it stays the column that it was."""
+        """carry, out = body(carry, given, known) over the limbs, with lanes instead of the columns
+        of `given`. A lane that the body returns unchanged stays the column that it was."""
         leaves, treedef = jax.tree.flatten(given)
         found = [c for x in leaves for c in _columns(x)]
         columns = {id(c): c for c in found}
@@ -340,7 +340,7 @@ class Limbs(Sweeps, unrolled.Listed):
             return carry, list(fresh.values())
 
         lanes = [self._cast(c) for c in columns.values()]
-        # a transposed limb computes its values again: to keep them would fill the thread's memory
+        # a transposed limb recomputes its values: storing them would fill the thread's memory
         turn = jax.checkpoint(turn, prevent_cse=False)
         carry, ys = jax.lax.scan(turn, carry, lanes, length=len(group.links))
         made = dict(zip(emitted["fresh"], ys, strict=True))
@@ -355,7 +355,7 @@ class Limbs(Sweeps, unrolled.Listed):
 
 @jax.custom_jvp
 def in_turn(angles: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Cosines and sines, one after another: their program is not short, and the same for all."""
+    """Cosines and sines, one after another: their long program is compiled once for all."""
     return jax.lax.scan(lambda _, x: ((), sincos(x)), (), angles)[1]
 
 
@@ -375,14 +375,14 @@ def _columns(x: Any) -> list:
 
 
 def _wide(column: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """A column, or what is the same for all limbs, as (limbs, 1, ...)."""
+    """A column, or a value that all limbs share, as (limbs, 1, ...)."""
     if column.ndim:
         column = jnp.expand_dims(column, (1, *range(column.ndim + 1, len(shape))))
     return jnp.broadcast_to(column, shape)
 
 
 def _rows(x: Any, index: Sequence[int]) -> Any:
-    """Those rows of an array; a slice of it where they are evenly spaced."""
+    """These rows of an array; a slice of it if they are evenly spaced."""
     steps = {b - a for a, b in itertools.pairwise(index)}
     if len(steps) == 1 and min(steps) > 0:
         return x[index[0] : index[-1] + 1 : steps.pop()]
@@ -390,7 +390,7 @@ def _rows(x: Any, index: Sequence[int]) -> Any:
 
 
 def _merged(*lanes: Lane) -> Any:
-    """The lanes of the limbs as a column; a literal where they agree."""
+    """The lanes of the limbs as a column; a literal if they agree."""
     if not all(map(is_literal, lanes)):
         return jnp.stack([jnp.asarray(x) for x in lanes])
     return lanes[0] if all(x == lanes[0] for x in lanes) else np.array(lanes, float)

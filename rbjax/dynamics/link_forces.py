@@ -1,8 +1,8 @@
-"""Forces on links from outside, each in its link's axes at its link's origin.
+"""External forces on links, each in its link's axes at its link's origin.
 
     tau = sum over links of J_i^T f_i:   f_i + sum of the children's X^T f,   tau_i = S_i . f_i
-(virtual work; Featherstone, 5.3). ABA and RNEA take such forces as they are, beside the bias
-forces; `generalized` sums them up where only their effect on the coordinates is asked for.
+(virtual work; Featherstone, 5.3). ABA and RNEA add such forces to the bias forces. `generalized`
+converts them to generalized forces.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rbjax.lanes import Mat3, Vec3
 from rbjax.model import WORLD
 from rbjax.spatial import Force
 
-#: of some links by their index; or columns over all links
+#: forces on some links by their index, or columns over all links
 LinkForces = Mapping[int, Force] | Force
 
 
@@ -31,7 +31,7 @@ def per_link(d: Driver, pushes: LinkForces | None) -> Any:
 
 
 def added(a: LinkForces, b: LinkForces) -> LinkForces:
-    """Their sum."""
+    """The sum of both."""
     if isinstance(a, Force) and isinstance(b, Force):
         return a + b
     if isinstance(a, Force):
@@ -47,7 +47,7 @@ def added(a: LinkForces, b: LinkForces) -> LinkForces:
 
 
 def over_links(d: Driver, links: np.ndarray, forces: Force, dtype: Any) -> Force:
-    """The sums of forces on these links, one of which may come twice, as columns over all links."""
+    """The sums of forces on these links, which may repeat, as columns over all links."""
     nothing = jnp.zeros(d.topology.nv, dtype)
     return jax.tree.map(lambda x: nothing.at[links].add(x), forces)
 

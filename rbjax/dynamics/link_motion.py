@@ -1,8 +1,8 @@
-"""Where single links are and how they move, each computed when it is first asked for.
+"""Poses and twists of single links, each computed on first use.
 
-For what looks at a few links of a robot: a spring between two points, an actuator at a site. The
-recursions are those of `kinematics`, along the links from the base to the one that is asked for.
-`columns` and `scattered` are for what looks at many bodies at once.
+For force elements that need a few links: a spring between two points, an actuator at a site. The
+recursions are those of `kinematics`, along the links from the base to the requested one.
+`columns` and `scattered` are for elements that need many bodies at once.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class LinkMotion:
         return self.driver.prepared.weld(body)
 
     def columns(self, bodies: np.ndarray) -> tuple[Transform, Motion, Transform]:
-        """Of bodies that can move, as columns over them: the pose and the twist of the links that
+        """For bodies that can move, as columns over them: the pose and the twist of the links that
         carry them, and their poses in these links."""
         links = np.array(self.driver.topology.body_links)[bodies]
         pose, twist = (_row(x, links) for x in self._columns)
@@ -110,7 +110,7 @@ class LinkMotion:
         return pose, twist, jax.tree.map(lambda column: self.column(column, bodies), welds)
 
     def column(self, column: Any, rows: np.ndarray) -> Lane:
-        """Those rows of a column; a literal where they are known and agree."""
+        """These rows of a column; a literal if they are known and agree."""
         if not isinstance(column, np.ndarray):
             return column[rows]
         found = np.asarray(column[rows], np.float64)

@@ -1,7 +1,7 @@
 """Plus and minus on the configuration manifold.
 
     position + dq;  hinge, slide: q + dq;  attitude: q exp(dq / 2), dq in body axes
-The tangent is that of v: integrate(q, v dt) is motion at constant v for a time dt.
+Tangent vectors have the coordinates of v: integrate(q, v dt) is motion at constant v for a time dt.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rbjax.rotations import quaternion
 
 
 def integrate_lanes(top: Any, q: list[Lane], dq: list[Lane]) -> list[Lane]:
-    """q + dq on lanes; quaternions come out of unit length."""
+    """q + dq on lanes; the resulting quaternions have unit length."""
     out: list[Lane] = []
     for span in spans(top):
         out += [a + b for a, b in zip(q[span.q], dq[span.v], strict=True)]
@@ -29,12 +29,13 @@ def integrate_lanes(top: Any, q: list[Lane], dq: list[Lane]) -> list[Lane]:
 
 
 def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
-    """u' where the configuration q + u moves at v: v itself, but for attitudes q exp(u)
+    """u' where the configuration q + u moves at v: v itself, except for attitudes q exp(u)
 
         u' = J_r(u)^-1 w = w + u x w / 2 + e u x (u x w),   e = 1/12 + x/720 + ..., x = |u|^2
 
-    with e cut after x^5: exact to order 13 in u, with 1e-5 of w left at |u| = 2. (All of it is
-    `rotations`' `inverse_jacobian_coefficient`, whose sines a kernel would pay for at each stage.)
+    with e cut after x^5: exact to order 13 in u, with an error of 1e-5 w at |u| = 2. (The full
+    function is `inverse_jacobian_coefficient` of `rotations`. Its sines would cost a kernel time at
+    each stage.)
     """
     out: list[Lane] = []
     for span in spans(top):
@@ -47,7 +48,7 @@ def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
     return out
 
 
-#: |B_2k| / (2 k)!, of which (1 - (t/2) cot(t/2)) / t^2 is the series in t^2
+#: |B_2k| / (2 k)!, the coefficients of (1 - (t/2) cot(t/2)) / t^2 as a series in t^2
 _TURN = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
 
 

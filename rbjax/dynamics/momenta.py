@@ -1,14 +1,14 @@
 """Momenta: p = M(q) v, their rate, and the velocity of a momentum, each in O(n).
 
-With V_i the twist of a link, h_i the momentum of it and of all that it carries, and f_i the weight
-of these and what pushes them,
+V_i is the twist of a link. h_i is the momentum of the subtree that it carries, itself included, and
+f_i the weight of this subtree plus the external forces on it.
 
     p_i  = S_i.h_i + armature v_i
     p'_i = S_i.(f_i - V_i x* h_i) + S'_i.h_i + tau_i    (dL/dq_i + tau_i; of attitudes less w x p)
 
-which needs no accelerations and no derivative of M. (Featherstone, *Rigid Body Dynamics
-Algorithms*, 2.9 and 2.12, of the subtree that a joint carries: its axis moves at V x S + S', with
-S' its rate in the link, zero but for joints whose axes depend on q.)
+This needs no accelerations and no derivative of M. (Featherstone, *Rigid Body Dynamics
+Algorithms*, 2.9 and 2.12, for the subtree that a joint carries: its axis moves at V x S + S', with
+S' its rate in the link, which is zero except for joints whose axes depend on q.)
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def momentum_and_rate(
     tau: jax.Array,
     pushes: LinkForces | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """p = M(q) v and p' under generalized forces and forces on links, (nv, ...) each, on checked
+    """p = M(q) v and p' (nv, ...) under generalized forces and forces on links, on checked
     arrays."""
 
     def outward(x, parent):
@@ -77,8 +77,8 @@ def momentum_and_rate(
 
 
 def _ruled(run: Callable, given: Any, *args: jax.Array) -> Any:
-    """run(given, *args, values=), by the driver for values; its derivative by the one for these.
-    The first of `given` is the model."""
+    """run(given, *args, values=) with the driver for values; its derivative uses the driver for
+    derivatives. The first of `given` is the model."""
     moving, rebuilt = split_tracers(given)
     known = not split_tracers(given[0])[0]
 
@@ -98,7 +98,7 @@ def _ruled(run: Callable, given: Any, *args: jax.Array) -> Any:
 def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
     """v = M(q)^-1 p (nv, ...), on checked arrays, with the derivative
 
-    dv = M^-1 (dp - d(M(q) v)),   v held.
+    dv = M^-1 (dp - d(M(q) v)),   v held constant.
     """
     given, rebuilt = split_tracers(model)
     known_model = not given
@@ -128,9 +128,10 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
 def nearby_velocity(
     model: Model, q: jax.Array, extra: Mapping[int, Lane] | None = None
 ) -> Callable[[jax.Array], jax.Array]:
-    """The function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...), with one elimination for all
-    of them. `extra`: lanes by velocity coordinate. Its derivative by q and the model is zero."""
-    moving, closed = split_tracers(model)  # what is known of it stays known
+    """The function p -> (M(q) + diag(extra))^-1 p of arrays (nv, ...); all calls share one
+    elimination. `extra`: one lane a velocity coordinate. Its derivatives by q and the model are
+    zero."""
+    moving, closed = split_tracers(model)  # known leaves stay known
     still, q = closed(jax.lax.stop_gradient(moving)), jax.lax.stop_gradient(q)
     d = driver(still, q.dtype, values=not moving)
     found = factorize(d, d.joints(q, None), d.scattered(extra or {}, 0.0))

@@ -1,15 +1,15 @@
-"""What the derivatives of inverse dynamics are products of, link by link.
+"""The factors of the derivatives of inverse dynamics, link by link.
 
-In world axes, with V and A the twist and spatial acceleration of what carries joint j, a tangent
-dq_j turns all that j moves as a rigid body, so that for each body k of it (Singh, Russell & Wensing
-2022)
+In world axes, with V and A the twist and spatial acceleration of the link that carries joint j. A
+tangent dq_j moves the subtree of j as one rigid body, so for each body k of the subtree (Singh,
+Russell & Wensing 2022)
 
     df_k / dq_j = S_j x* f_k + I_k (A x S_j + V x V x S_j) + 2 B_k (V x S_j)
     df_k / dv_j = I_k (V x S_j + S_j') + 2 B_k S_j
 
-with B of `coriolis_block`. Summed over what a link carries these are composites, and an entry
-(i, j) is a product with S_i: O(n), and then O(depth) a column. Where j moves i, the turning of f
-and that of S_i cancel.
+with B of `coriolis_block`. Sums of these over a subtree are composites, and an entry (i, j) is a
+product with S_i: O(n) for the composites, and O(depth) a column. If j moves i, the rotations of f
+and of S_i cancel.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from rbjax.spatial import Force, Motion, RigidInertia
 
 
 class Operands(NamedTuple):
-    """Of each link what `pair_matrix` multiplies: for entry (i, j) the row of link i by a column of
-    link j where j moves i, elsewhere the axis of i by a force of j."""
+    """The factors of `pair_matrix` for each link. Entry (i, j) is the row of link i times a column
+    of link j if j moves i, else the axis of i times a force of j."""
 
     force_q: Force
     force_v: Force
@@ -47,8 +47,8 @@ class Operands(NamedTuple):
 def operands(
     d: Driver, poses: Any, S: Any, v: jax.Array, a: Any, kept: Callable | None = None, *given: Any
 ) -> Any:
-    """`Operands` at accelerations `a` per link, or what kept(pose, S, operands, *given) makes of
-    those of each link; per link."""
+    """`Operands` at accelerations `a` per link, or kept(pose, S, operands, *given) of each link;
+    per link."""
     V = link_twists(d, S, v)
     base = Motion(Vec3.zero(), -d.prepared.gravity)
     before = [_before(d.topology, i) for i in range(d.topology.nv)]
@@ -90,19 +90,19 @@ def operands(
 
 
 def whole_operands(d: Driver, *args: Any) -> Operands:
-    """`operands`, each of them in the form of `Driver.whole`."""
+    """`operands`, each in the form of `Driver.whole`."""
     return Operands(*map(d.whole, d.unzip(operands(d, *args), len(Operands._fields))))
 
 
 def _before(top: Topology, i: int) -> int:
-    """The link whose motion says how the axis of link i moves while its own joint stands still: of
-    a ball the parent of the first link, elsewhere the link itself, as S x S = 0."""
+    """The link whose motion moves the axis of link i while the joint of i is at rest: the parent of
+    the first link for a ball, else the link itself, because S x S = 0."""
     node = top.links[i].node
     return i if len(node) == 1 else top.parents[node[0]]
 
 
 def inverse_pairs(S: Any, x: Operands) -> tuple:
-    """What `pair_matrix` multiplies for dID/dq, dID/dv and M."""
+    """The factors of `pair_matrix` for dID/dq, dID/dv and M."""
     return (
         ((S, x.force_q), (x.row, x.column_q)),
         ((S, x.force_v), (x.row, x.column_v)),

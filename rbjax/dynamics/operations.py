@@ -1,10 +1,10 @@
-"""How much arithmetic a function asks for: its operations, counted as traced.
+"""The arithmetic operations of a function, counted in its traced program.
 
-The function is traced to a jaxpr and walked from its results backwards, so what no result needs is
-not counted. An operation on an array counts once per element, a loop's body once per turn. Data
-movement (reshape, slice, gather, select, compare, convert) and signs cost nothing, nor does work on
-whole numbers: the same rule by which textbooks count, e.g. Featherstone, *Rigid Body Dynamics
-Algorithms*, table 10.1. A primitive that is in no table here is refused.
+The function is traced to a jaxpr, which is read from its results backwards, so operations that no
+result needs are not counted. An operation on an array counts once per element, a loop's body once
+per iteration. Data movement (reshape, slice, gather, select, compare, convert), signs and integer
+arithmetic cost nothing. Textbooks count by the same rule, e.g. Featherstone, *Rigid Body Dynamics
+Algorithms*, table 10.1. A primitive that is in no table here raises an error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rbjax.threads.control import over_time
 
 @dataclass(frozen=True)
 class OperationCount:
-    """Floating-point operations by kind; trigonometry counts all transcendental functions."""
+    """Floating-point operations by kind. `trigonometry` counts all transcendental functions."""
 
     additions: int = 0
     multiplications: int = 0
@@ -35,7 +35,7 @@ class OperationCount:
 
     @property
     def total(self) -> int:
-        """All kinds together."""
+        """The sum of all kinds."""
         return sum(getattr(self, f.name) for f in fields(self))
 
     def __add__(self, other: OperationCount) -> OperationCount:
@@ -47,10 +47,10 @@ class OperationCount:
 
 
 def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> OperationCount:
-    """Arithmetic operations of `fn(*args)` as traced, after removal of what no result needs.
+    """Arithmetic operations of `fn(*args)` as traced, without those that no result needs.
 
-    A `Model` among the arguments is closed over: its numbers are constants of the program and its
-    structural zeros cost nothing, unless a leaf is named in `traced`.
+    A `Model` among the arguments is closed over. Its numbers are constants of the program and its
+    structural zeros cost nothing, except those of leaves named in `traced`.
 
     Args:
         fn: any traceable function.
@@ -59,12 +59,12 @@ def operation_count(fn: Callable, *args: Any, traced: Sequence[str] = ()) -> Ope
 
     Returns:
         `OperationCount` (additions, multiplications, divisions, roots, trigonometry, total).
-        A `while` counts one turn, a `cond` its most expensive branch.
+        A `while` counts one iteration, a `cond` its most expensive branch.
 
     Raises:
-        UnknownName: a name in `traced` that is no leaf of the model.
-        InputError: the function computes floating-point numbers by a primitive whose operations are
-            not known, as an FFT or an eigenvalue.
+        UnknownName: a name in `traced` is no leaf of the model.
+        InputError: the function computes floating-point numbers with a primitive whose operations
+            are not known, such as an FFT or an eigenvalue.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -128,7 +128,7 @@ _TRIGONOMETRY = {
     "erfc", "erf_inv", "lgamma", "digamma", "bessel_i0e", "bessel_i1e", "logaddexp",
 }  # fmt: skip
 _REDUCTIONS = {"reduce_sum": "additions", "reduce_prod": "multiplications"}
-#: what costs nothing: data movement, comparisons, conversions, signs
+#: primitives that cost nothing: data movement, comparisons, conversions, signs
 _FREE = {
     "abs", "argsort", "bitcast_convert_type", "broadcast_in_dim", "ceil", "clamp", "complex",
     "concatenate", "conj", "convert_element_type", "copy", "copy_p", "copysign", "cummax", "cummin",
@@ -189,7 +189,7 @@ def _open(jaxpr: Any) -> Any:
 
 
 def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
-    """A loop: what its last turn needs of the carry, every turn needs."""
+    """A loop. Every iteration needs the part of the carry that the last one needs."""
     body = _open(eqn.params["jaxpr"])
     n = len(out) - over_time(eqn.outvars, body.outvars)  # jax 0.11's equation states no counts
     consts = len(body.invars) - n - over_time(eqn.invars, body.invars)
@@ -202,7 +202,7 @@ def _scan(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
 
 
 def _primitive(eqn: Any) -> OperationCount:
-    """Operations of an equation that has no program inside."""
+    """Operations of an equation that contains no jaxpr."""
     name = eqn.primitive.name
     results = [v.aval for v in eqn.outvars]
     inexact = [jnp.issubdtype(getattr(x, "dtype", jnp.int32), jnp.inexact) for x in results]
@@ -234,7 +234,7 @@ def _primitive(eqn: Any) -> OperationCount:
     if name in _ELIMINATIONS:
         return _elimination(eqn)
     raise InputError(
-        f"operation_count: the function has the primitive {name!r}, which makes {results[0]} and "
+        f"operation_count: the function has the primitive {name!r}, which returns {results[0]} and "
         "whose operations are not known; expected arithmetic, elementary functions, data movement, "
         "loops and branches, lu, cholesky and triangular_solve; count the function without it"
     )
@@ -244,7 +244,7 @@ _ELIMINATIONS = {"lu", "cholesky", "triangular_solve"}
 
 
 def _elimination(eqn: Any) -> OperationCount:
-    """Of matrices (..., n, n), by the textbook: Golub & Van Loan, *Matrix Computations*, 3-4."""
+    """For matrices (..., n, n): Golub & Van Loan, *Matrix Computations*, 3-4."""
     name, shape = eqn.primitive.name, eqn.invars[0].aval.shape
     n, many = min(shape[-2:]), math.prod(shape[:-2])
     half = n * (n - 1) // 2

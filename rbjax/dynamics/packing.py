@@ -1,4 +1,4 @@
-"""The doors between arrays and lanes.
+"""Conversions between arrays and lanes.
 
 An array (n, ...) becomes n lanes of shape (...), and n lanes an array.
 """

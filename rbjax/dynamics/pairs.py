@@ -1,7 +1,7 @@
 """Matrices over pairs of links.
 
-A matrix such as M or C has an entry (i, j) only where one link moves the other, and there the
-deeper one decides: a product of six to nine lanes of each.
+A matrix such as M or C has an entry (i, j) only where one link moves the other. The entry is a
+product of six to nine lanes of each link; which lanes depends on which link is deeper.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from rbjax.model.cells import stacked
 
 
 def movers(top: Topology, i: int) -> list[int]:
-    """The links whose coordinates move link i: those that carry it, all that share its frame."""
+    """The links whose coordinates move link i: those that carry it and those that share its frame.
+    """
     return list(top.ancestors[top.links[i].node[-1]])
 
 
@@ -36,7 +37,7 @@ def pair_matrix(d: Driver, above: Any, below: Any, like: jax.Array) -> jax.Array
     moves, [[above, below]] = _columns(d.topology, [(above, below)], like)
 
     def products(a, b):
-        # a transposed operand would keep the sum from being vectorized: hence no mirror
+        # no mirroring: a transposed operand would prevent vectorization of the sum
         return functools.reduce(
             jnp.add, (x[:, None] * y[None, :] for x, y in zip(a, b, strict=True))
         )
@@ -63,8 +64,8 @@ def packed(rows: list[list[Lane]], like: jax.Array) -> jax.Array:
 
 
 def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[Callable, Any]:
-    """Several matrices (above, below) for the rolled driver, column by column: f and xs, with f(x)
-    the columns of that number where x is its slice of xs."""
+    """Several matrices (above, below) for the rolled driver, column by column: f and xs. f(x) gives
+    column j of each, where x is slice j of xs."""
     _, arrays = _columns(top, pairs, like)
     columns = [x for (_, b), (_, e) in arrays for x in (*b, *e)]
 
@@ -83,7 +84,7 @@ def pair_columns(top: Topology, pairs: Sequence[Any], like: jax.Array) -> tuple[
 
 def pair_column(above: Any, below: Any, places: jax.Array) -> jax.Array:
     """A column of `pair_matrix` as an array (n,). above, below: the lanes of all links as arrays
-    (n,), and those of the column's link; places: its row of `which_moves`."""
+    (n,), and those of the column's link. places: the row of this link in `which_moves`."""
     upper, lower = (
         functools.reduce(jnp.add, [x * y for x, y in zip(*half, strict=True)])
         for half in (above, below)
@@ -92,13 +93,13 @@ def pair_column(above: Any, below: Any, places: jax.Array) -> jax.Array:
 
 
 def which_moves(top: Topology) -> np.ndarray:
-    """At (j, i) 2 where link j moves link i, else 1 where i moves j, else 0."""
+    """Entry (j, i) is 2 if link j moves link i, else 1 if i moves j, else 0."""
     moves = _moves(top)
     return np.where(moves.T, 2, moves).astype(np.int32)
 
 
 def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, Any]:
-    """Whether j moves i, at (i, j); and all lanes as arrays (nv,)."""
+    """At (i, j) whether j moves i, and all lanes as arrays (nv,)."""
 
     def spread(v):
         return [jnp.broadcast_to(jnp.asarray(x, like.dtype), (top.nv,)) for x in v]
@@ -107,7 +108,7 @@ def _columns(top: Topology, pairs: Any, like: jax.Array) -> tuple[np.ndarray, An
 
 
 def _moves(top: Topology) -> np.ndarray:
-    """Whether link j moves link i, at (i, j)."""
+    """At (i, j) whether link j moves link i."""
     moves = np.zeros((top.nv, top.nv), bool)
     for i in range(top.nv):
         moves[i, movers(top, i)] = True

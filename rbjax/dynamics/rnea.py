@@ -25,8 +25,8 @@ from rbjax.spatial import Force, Motion
 def rnea(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, pushes: LinkForces | None = None
 ) -> Any:
-    """Generalized forces per link; `accelerations` per link. `pushes`: what acts on links from
-    outside."""
+    """Generalized forces per link, from `accelerations` per link. `pushes`: external forces on
+    links."""
 
     def outward(x, parent):
         w_parent, a_parent = parent
@@ -59,15 +59,15 @@ def _run(
 
 
 def momentum(model: Model, q: jax.Array, v: jax.Array, *, values: bool = False) -> jax.Array:
-    """p = M(q) v (nv,): the forces that accelerate at v from rest, without gravity. `values`: as of
-    `driver`."""
+    """p = M(q) v (nv,): the forces that give the acceleration v from rest, without gravity.
+    `values`: as for `driver`."""
     return _run(model, q, None, v, gravity=Vec3.zero(), values=values)
 
 
 def forces_of(
     model: Model, q: jax.Array, v: jax.Array, a: jax.Array, pushes: LinkForces
 ) -> jax.Array:
-    """The generalized forces (nv,) beside forces on links under which it accelerates at a."""
+    """The generalized forces (nv,) that, with forces on links, give the acceleration a."""
     return _run(model, q, v, a, pushes=pushes)
 
 
@@ -85,8 +85,8 @@ def inverse_dynamics(
         wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
 
     Returns:
-        (nv,) N m for turning coordinates, N for sliding ones; springs, dampers and actuators are
-        part of it, not subtracted.
+        (nv,) N m for rotational coordinates, N for sliding ones. This is the total force: forces of
+        springs, dampers and actuators are not subtracted.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.

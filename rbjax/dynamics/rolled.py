@@ -1,12 +1,12 @@
 """The rolled driver: a `lax.scan` over the links in depth-first order.
 
-One step is compiled however many links there are. A link's parent is nearly always the link before;
-branch points wait in a few slots, reused as soon as their last child has passed, so no array over
-links is carried. A free joint's six links come first and are written out (the *head*), so that all
-others of a usual robot turn about z.
+One step is compiled however many links there are. A link's parent is nearly always the previous
+link. Branch points are kept in a few slots, each free again after its last child, so the loop
+carries no array over links. A free joint's six links come first and are unrolled (the *head*), so
+that all other links of a usual robot turn about z.
 
-A step costs what it reads and writes: constants come as one row, of a hinge only its cosine and
-sine, and what a step hands on unchanged is not written, nor is a link's pose.
+The cost of a step is its reads and writes. So constants are one row, a hinge stores only its cosine
+and sine, and neither a link's pose nor a value that a step passes on unchanged is written.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class Constants:
 
 
 class Joints:
-    """Among the columns of `Rolled`: joint motions, `make` of these columns."""
+    """Among the columns of `Rolled`: joint motions, made by `make` from these columns."""
 
     def __init__(self, make: Callable[..., JointMotion], columns: list[Lane]):
         self.make, self.columns = make, columns
 
 
 class PoseLane:
-    """Among the columns of `Rolled`: a lane of the link's pose, cheaper to compute than to keep."""
+    """Among the columns of `Rolled`: a lane of a pose, cheaper to recompute than to store."""
 
     def __init__(self, joints: Joints, k: int):
         self.joints, self.k = joints, k
@@ -69,7 +69,7 @@ class Rolled(Sweeps):
         self.head = 6 if top.joint_kinds[:1] == ("free",) and n > 6 else 0
         self._columns = jax.tree.map(lambda x: _uniform(x[self.head :]), prepared.columns)
         self.constants = Values([prepared.link(i) for i in range(self.head)], Constants())
-        #: links a turn of the loop: two spare copies of the carry, and double the program
+        #: links in one iteration: two save copies of the carry, and double the program
         self.unroll = 1
         self._like: Any = None  # the shape and dtype of one lane, known with q
         parents = np.array(top.parents)
@@ -106,7 +106,7 @@ class Rolled(Sweeps):
         return Values(head, jax.tree.map(self._column, *rest))
 
     def _column(self, *lanes: Lane) -> Lane:
-        """Lanes as a column; a literal where all are the same one."""
+        """Lanes as a column; a literal if all are the same."""
         if is_literal(lanes[0]) and all(is_literal(x) and x == lanes[0] for x in lanes):
             return lanes[0]
         return jnp.stack(as_arrays(list(lanes), self._like))
@@ -207,7 +207,7 @@ class Rolled(Sweeps):
     def inward(self, step: Step, zero: Any, xs: Values) -> Values:
         """As `Unrolled.inward`."""
         nothing = as_arrays(zero, self._like)
-        # the first link's message goes nowhere, or to the head
+        # the first link's message goes to the head, if there is one
         chain = (self._index[0 if self.head else 1 :, 2] == -1).all()
 
         def body(carry, index, x):
@@ -236,7 +236,8 @@ class Rolled(Sweeps):
         return Values(ys, rest)
 
     def _scan(self, body, carry, xs, *, reverse: bool) -> tuple[Any, Any]:
-        """`lax.scan` over the columns of xs; literals stay so, what is known is not written."""
+        """`lax.scan` over the columns of xs. Literals stay literals; known values are not written.
+        """
         leaves, treedef = jax.tree.flatten(xs)
         dtype = self._like.dtype
         numbers, of_constants = jax.tree.flatten(self._columns)
@@ -300,7 +301,7 @@ def _select(condition, a, b):
 
 
 def _uniform(column):
-    """A literal where a concrete column is zero (or one) all along."""
+    """A literal if all entries of a concrete column are zero (or one)."""
     if isinstance(column, np.ndarray) and column.dtype == object:
         lanes = [lane_of(x) for x in column]
         if lanes and all(is_literal(x) and x == lanes[0] and x in (0.0, 1.0) for x in lanes):
@@ -314,7 +315,7 @@ def _uniform(column):
 
 
 def allocate_slots(parents: tuple[int, ...]) -> tuple[int, dict[int, int]]:
-    """The number of slots, and the slot of each link that has a child not right after it."""
+    """The number of slots, and the slot of each link with a child that does not follow directly."""
     last: dict[int, int] = {}
     for i, parent in enumerate(parents):
         if parent != i - 1:

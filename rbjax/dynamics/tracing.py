@@ -1,8 +1,8 @@
-"""What is known while a program is traced, and what is not.
+"""Known and traced values.
 
 A leaf of a model that is closed over is known: its zeros vanish from the program. Custom rules (of
-derivatives, of batches) turn all their arguments into tracers, so only what is traced anyway may be
-among them; `split_tracers` parts the two.
+derivatives, of batches) turn all their arguments into tracers, so only traced values may be among
+these. `split_tracers` separates the two.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ def split_tracers(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
 
 
 def with_jvp(f: Callable, rule: Callable) -> Callable:
-    """f, whose derivative is rule(primals, tangents) -> (value, rate); tangents may be symbolic
-    zeros. Under `vmap` both return the batch first, as JAX takes for granted."""
+    """f, whose derivative is rule(primals, tangents) -> (value, rate). Tangents may be symbolic
+    zeros. Under `vmap` both return the batch first, as JAX assumes."""
     ruled = jax.custom_jvp(lambda *args: batch_first(f(*args)))
     ruled.defjvp(lambda *given: batch_first(rule(*given)), symbolic_zeros=True)
     return lambda *args: ruled(*jax.tree.map(of_jax, args))
 
 
 def with_implicit_jvp(plain: Callable, solved: Callable, residual: Callable) -> Callable:
-    """x = plain(*at), the solution of residual(*at, x) = 0, whose derivative is that of the
-    equation:
+    """x = plain(*at), the solution of residual(*at, x) = 0, with the derivative of the implicit
+    function:
 
-        dx = solve(d residual(*at, x)),   x held
+        dx = solve(d residual(*at, x)),   x held constant
 
     Args:
-        plain: the value, where nothing is differentiated.
-        solved: x, and the function solve, of *at.
-        residual: linear in x, with its sign such that `solve` takes its change to that of x.
+        plain: *at -> x, used where nothing is differentiated.
+        solved: *at -> x and the function solve.
+        residual: linear in x, with the sign for which `solve` maps its change to that of x.
 
-    Derivatives of higher order ask `solved` again for `solve`, and not for x.
+    Derivatives of higher order take only `solve` from `solved`, not x.
     """
 
     def tangent(primals: tuple, tangents: tuple) -> tuple:
@@ -63,14 +63,14 @@ def with_implicit_jvp(plain: Callable, solved: Callable, residual: Callable) -> 
     def again(at: tuple, moving: tuple) -> tuple:
         return at[-1], tangent(at[:-1], moving[:-1])[1]
 
-    # x = plain(*at), which is computed already: what it says to a next derivative
+    # x = plain(*at), already computed, with a rule for the next derivative
     found = with_jvp(lambda *at: at[-1], again)
     return with_jvp(plain, tangent)
 
 
 def of_jax(x: Any) -> Any:
-    """x, but where it maps or differentiates at numpy's numbers a copy, at JAX's: a custom rule
-    inside a `jit` takes no others (jax 0.10.2 asserts it)."""
+    """x, or a copy where NumPy arrays inside a batch or tangent tracer become JAX arrays: a custom
+    rule inside a `jit` takes no others (jax 0.10.2 asserts this)."""
     inner = x
     while isinstance(inner, jax.core.Tracer):
         inner = getattr(inner, "val", getattr(inner, "primal", None))
@@ -78,8 +78,8 @@ def of_jax(x: Any) -> Any:
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """f and its tangent, as `jax.jvp`, where tangents may be symbolic zeros: what does not move is
-    not differentiated. The tangent is None where nothing moves."""
+    """f and its tangent, as `jax.jvp`. Tangents may be symbolic zeros; their arguments are not
+    differentiated. The tangent is None if all are zero."""
     leaves, treedef = jax.tree.flatten(primals)
     rates = jax.tree.leaves(tangents, is_leaf=lambda t: isinstance(t, SymbolicZero))
     moving = [i for i, t in enumerate(rates) if not isinstance(t, SymbolicZero)]

@@ -1,6 +1,6 @@
-"""The unrolled driver: every link's step written out, and what drivers of lists share.
+"""The unrolled driver, which writes out every link's step, and code shared by drivers of lists.
 
-`outward` hands each step its parent's carry, `inward` the sum of its children's messages.
+`outward` passes each step its parent's carry, `inward` the sum of its children's messages.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rbjax.model import WORLD, Model, Prepared
 
 
 class Listed:
-    """Work on all links at once where `whole` is a list of one value for each link."""
+    """Work on all links at once, if `whole` is a list of one value for each link."""
 
     listed, unroll = True, 1
 
@@ -41,17 +41,17 @@ class Listed:
         return pack(flat, jnp.zeros(len(flat), like.dtype)).reshape(len(rows), -1)
 
     def known(self, numbers: list[float]) -> list[Lane]:
-        """Numbers that are part of the program, one a link, in the form of `whole`."""
+        """Constants of the program, one a link, in the form of `whole`."""
         return list(numbers)
 
 
 class Unrolled(Sweeps, Listed):
-    """Steps written out one after another. Per-link values are lists."""
+    """Steps written one after another. Per-link values are lists."""
 
     prepared: Prepared
 
     def __init__(self, model: Model, prepared: Prepared | None):
-        """`prepared`: None where steps need no constants of the links."""
+        """`prepared` is None if the steps need no constants of the links."""
         self.topology, self.constants = model.topology, []
         if prepared is not None:
             self.prepared = prepared
@@ -95,7 +95,7 @@ class Unrolled(Sweeps, Listed):
         return list(zip(*values, strict=True))
 
     def part(self, values: list[tuple], k: int) -> list:
-        """Of per-link tuples the entries k."""
+        """Entry k of each per-link tuple."""
         return [x[k] for x in values]
 
     def outward(self, step: Step, root: Any, xs: list) -> list:
@@ -110,8 +110,8 @@ class Unrolled(Sweeps, Listed):
 def outward(
     parents: Sequence[int], step: Step, root: Any, xs: list, known: Any = ()
 ) -> tuple[list, list]:
-    """The carries and the y_i of an outward sweep that is written out; `known` needs no
-    materializing, beside the inputs of the steps."""
+    """The carries and the y_i of an unrolled outward sweep. `known` and the inputs of the steps are
+    not materialized."""
     carries: list = []
     ys: list = []
     for parent, x in zip(parents, xs, strict=True):
@@ -125,7 +125,7 @@ def outward(
 def inward(
     parents: Sequence[int], step: Step, sums: list, xs: list, known: Any = ()
 ) -> tuple[list, list]:
-    """The messages and the y_i of an inward sweep; `sums` are the messages from elsewhere."""
+    """The messages and the y_i of an inward sweep. `sums` are messages from other sweeps."""
     sums, messages, ys = list(sums), list(xs), list(xs)
     for i in reversed(range(len(xs))):
         messages[i], ys[i] = fusion_barrier(step(xs[i], sums[i]), known=(xs[i], sums[i], known))

@@ -1,13 +1,13 @@
-"""Lanes: the scalars, small vectors and matrices that the algorithms are written on.
+"""Lanes: the scalars, small vectors and matrices of the algorithms.
 
     algebra           lanes, Vec3, Mat3, Sym3; literal zeros and ones vanish
     products          stacks of matrices, without `dot`
-    fusion_barrier    where XLA's CPU compiler computes values and keeps them
+    fusion_barrier    a point where XLA's CPU compiler computes values once and stores them
     ldlt              L D L^T of small symmetric matrices
     sincos            cosine and sine by polynomials
-    batch_axis        where `vmap` leaves a result's batch
+    batch_axis        the position of a result's batch under `vmap`
 
-Knows no frames and no physics.
+This package knows no frames and no physics.
 """
 
 from rbjax.lanes.algebra import (

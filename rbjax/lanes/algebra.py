@@ -1,11 +1,11 @@
-"""Lanes: vectors and matrices of three as handfuls of scalars.
+"""Lanes: 3-vectors and 3 by 3 matrices as tuples of scalars.
 
-A *lane* is one scalar of an algorithm: a Python float where its value is part of the program (a
-structural zero, a one, a constant of a model that is closed over), otherwise an array of shape
-() or (batch,). Products with a literal 0 or 1 vanish while tracing, so an axis along z or a planar
-chain costs only the arithmetic it needs; no `dot` is ever emitted, so f32 is true f32.
+A *lane* is one scalar of an algorithm. It is a Python float if its value is a constant of the
+program (a structural zero, a one, a constant of a model that is closed over), otherwise an array of
+shape () or (batch,). Products with a literal 0 or 1 vanish while tracing, so an axis along z or a
+planar chain costs only the arithmetic it needs. No `dot` is ever emitted, so f32 is true f32.
 
-Knows no frames and no physics.
+This module knows no frames and no physics.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Lane = Any  # a Python float, or an array of shape () or (batch,)
 
 
 def is_literal(x: Lane) -> bool:
-    """Whether the lane's value is part of the program."""
+    """Whether the lane's value is a constant of the program."""
     return isinstance(x, (int, float))
 
 
@@ -76,7 +76,7 @@ def total(terms: Any) -> Lane:
 
 
 def inner(a: Any, b: Any) -> Lane:
-    """Sum of products of two equally long runs of lanes."""
+    """Sum of products of two equally long sequences of lanes."""
     return total(mul(x, y) for x, y in zip(a, b, strict=True))
 
 
@@ -205,12 +205,12 @@ class Sym3(Lanes):
 
     @classmethod
     def outer(cls, a: Vec3, b: Vec3) -> Sym3:
-        """a b^T, where that is known to be symmetric."""
+        """a b^T, which must be symmetric."""
         return cls(*(mul(a[i], b[j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))))
 
     @property
     def isotropic(self) -> bool:
-        """Whether the program says that this is a multiple of the identity."""
+        """Whether this is known to be a multiple of the identity while tracing."""
         xx, yy, zz, *rest = self
         one = xx is yy and yy is zz
         one = one or (is_literal(xx) and is_literal(yy) and is_literal(zz) and xx == yy == zz)
@@ -256,7 +256,7 @@ def quaternion_matrix(w: Lane, x: Lane, y: Lane, z: Lane) -> Mat3:
 
 
 def as_arrays(tree: Any, like: jax.Array) -> Any:
-    """The pytree with every lane an array of at least the shape of `like`, as a loop carries it."""
+    """The pytree with every lane as an array of at least the shape of `like`, to be carried."""
 
     def array(x: Lane) -> jax.Array:
         x = jnp.asarray(x, like.dtype)

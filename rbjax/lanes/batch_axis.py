@@ -1,4 +1,4 @@
-"""Where `vmap` leaves the batch of a result: first, or last."""
+"""The position of a result's batch under `vmap`: first or last."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _batch_first, _batch_last = Primitive("batch_first"), Primitive("batch_last")
 def batch_first(tree: Any) -> Any:
     """The same pytree; under `vmap` its arrays have the batch first.
 
-    What a function with a custom rule returns, and what the rule returns, must have it in one
-    place: JAX mixes the two up where `vmap` meets the function inside a `jit`.
+    A function with a custom rule and the rule itself must return the batch at the same place. JAX
+    confuses the two if `vmap` transforms the function inside a `jit`.
     """
     return jax.tree.map(_batch_first.bind, tree)
 
 
 def batch_last(tree: Any) -> Any:
-    """The same pytree; under `vmap` its arrays have the batch last, as GPU threads then leave their
-    results: a warp writes whole lines."""
+    """The same pytree; under `vmap` its arrays have the batch last. This is the layout in which a
+    warp of GPU threads writes whole lines."""
     return jax.tree.map(_batch_last.bind, tree)
 
 

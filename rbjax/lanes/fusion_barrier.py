@@ -1,15 +1,15 @@
-"""`fusion_barrier`: a point in the program where XLA's CPU compiler computes values and keeps them.
+"""`fusion_barrier`: a point where XLA's CPU compiler computes values once and stores them.
 
-XLA's CPU fusion copies a producer into every consumer; in a long recursion on lanes each link's
+XLA's CPU fusion copies a producer into every consumer. In a long recursion on lanes each link's
 arithmetic is then evaluated again for every use, exponentially often. A variadic `reduce` over an
-axis of two equal rows survives the simplifier, fuses with what feeds it into one vectorised loop
+axis of two equal rows survives the simplifier, fuses with its producers into one vectorised loop
 with many results, and is not itself copied. Measured on a prototype: a 7-link ABA at
-batch 1,024 takes 0.4 us with it and 5 us to minutes without. On other platforms: the identity.
+batch 1,024 takes 0.4 us with it and 5 us to minutes without. On other platforms it is the identity.
 
-What passes is written and read again, and each array costs a call of the compiled program 0.1 us
-more, whatever the batch: the runtime makes anew a buffer for every parameter of every reducer
-(humanoid: 1,000 arrays, 150 us a call; a loop inside the program pays it once). So pass what is
-dear to compute again, and no more.
+Each value is written and read again. Each array also costs 0.1 us a call of the compiled program,
+for any batch, because the runtime allocates a buffer for every parameter of every reducer
+(humanoid: 1,000 arrays, 150 us a call; a loop inside the program pays it once). So pass only values
+that are expensive to recompute.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _fusion_barrier.multiple_results = True
 def fusion_barrier(tree: Any, known: Any = ()) -> Any:
     """The same pytree; its arrays are computed once, here. Literals stay literals.
 
-    Arrays that are also in `known` are passed by. (They must be: what goes through together is
-    transposed together, so constants of a linear solve must not go with its unknowns.)
+    Arrays that are also in `known` bypass the barrier. This is necessary because arrays in one
+    barrier are transposed together, so constants of a linear solve must not join its unknowns.
     """
     leaves, treedef = jax.tree.flatten(tree)
     passed = {id(x) for x in jax.tree.leaves(known)}

@@ -3,13 +3,13 @@
     A = L D L^T,  L unit lower triangular, D diagonal                   (n^3 / 6 products)
     A x = b:      L y = b,  z = D^-1 y,  L^T x = z                      (n^2)
 
-Entries are lanes: those that are structural zeros cost nothing and fill in only where elimination
-couples them, so matrices of blocks that do not meet (separate loops of a robot, separate robots of
-a scene) cost what their blocks cost. In which order rows are eliminated decides how much fills in:
-`elimination_order` takes the row with the fewest neighbours first (minimum degree).
+Entries are lanes. Structural zeros cost nothing and fill in only where elimination couples them.
+So a matrix of separate blocks (separate loops of a robot, separate robots of a scene) costs only
+its blocks. The order of elimination decides the fill-in: `elimination_order` takes the row with the
+fewest neighbours first (minimum degree).
 
-A pivot that is not above `least` times the diagonal entry that it came from belongs to a redundant
-row: its solution is zero, and so is its derivative (the row is dropped, the others are solved).
+A pivot that is not above `least` times its original diagonal entry belongs to a redundant row. Its
+solution and its derivative are zero (the row is dropped, the others are solved).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def ldlt(A: Rows, *, least: float = 0.0, order: Sequence[int] | None = None) -> 
     Args:
         A: (n, n) lanes.
         least: the relative size below which a pivot counts as zero.
-        order: in which rows are eliminated; by `elimination_order` where None.
+        order: the order of elimination of the rows; that of `elimination_order` if None.
     """
     n = len(A)
     taken = tuple(elimination_order(A) if order is None else order)
@@ -89,7 +89,7 @@ def _inverse(pivot: Lane, entry: Lane, least: float) -> Lane:
 
 
 def elimination_order(A: Rows) -> list[int]:
-    """The order of rows that fills in little: the one with the fewest neighbours first.
+    """An order of rows with little fill-in: the row with the fewest neighbours first.
 
     Source: Tinney & Walker 1967; George & Liu 1989 (minimum degree).
     """

@@ -1,9 +1,9 @@
 """Cosine and sine by polynomials.
 
-XLA's own sine and cosine are scalar calls on the CPU and cost there three times as much in f32, ten
-in f64 (benchmarks/cpu/sincos.py). Where XLA's fusion emitters leave a loop of many results scalar,
-f32 algorithms of an arm take 1.2 times as long with the polynomials, those of G1 0.6 to 0.8
-(cpu_algorithms); without the emitters all are faster.
+On the CPU, XLA's own sine and cosine are scalar calls and cost three times as much in f32, ten
+times in f64 (benchmarks/cpu/sincos.py). If XLA's fusion emitters leave a loop of many results
+scalar, f32 algorithms take 1.2 times as long with the polynomials for an arm, 0.6 to 0.8 for G1
+(cpu_algorithms). Without the emitters all are faster.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ _sincos.multiple_results = True
 
 
 def sincos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """cos x and sin x. On the CPU and in GPU threads to 1.2e-16 for |x| <= 1e6 (f64) and to 8e-8
-    for |x| <= 1e4 (f32), beyond to the spacing of x; elsewhere XLA's own."""
+    """cos x and sin x. On the CPU and in GPU threads the error is 1.2e-16 for |x| <= 1e6 (f64) and
+    8e-8 for |x| <= 1e4 (f32), and for larger x the spacing of x. Elsewhere XLA's own."""
     c, s = _sincos.bind(x)
     return c, s
 
@@ -59,7 +59,7 @@ def polynomial_sincos(x: jax.Array) -> list:
     (first, second, third), sines, cosines = _SERIES[x.dtype]
     turns = jnp.floor(x * (2 / jnp.pi) + 0.5)
     r = ((x - turns * first) - turns * second) - turns * third
-    r = jnp.clip(r, -0.8, 0.8)  # of an x so large that its neighbours are turns away
+    r = jnp.clip(r, -0.8, 0.8)  # for an x so large that its neighbours are turns away
     z = r * r
     sine = r + r * z * horner(sines, z)
     cosine = 1.0 - z * (0.5 - z * horner(cosines, z))

@@ -1,8 +1,9 @@
 """Attitude and pose: SO(3), unit quaternions, SE(3), and every representation of attitude.
 
-Arrays are (..., n): leading axes are a batch, broadcast against each other; `vmap` does the same.
-What has a removable singularity is smooth across it, in all derivatives; right at a genuine one the
-answer is one of the possible ones, or very large but finite, and `singularity_distance` is 0.
+Arrays are (..., n). Leading axes are a batch and broadcast against each other; `vmap` does the
+same. Functions and all their derivatives are smooth at removable singularities. At a genuine
+singularity the result is one of the possible ones, or very large but finite, and
+`singularity_distance` is 0.
 """
 
 from rbjax.rotations import incremental, quaternion, screws, se3, so3

@@ -1,7 +1,7 @@
-"""The door of the public rotation functions, and how lanes become arrays again.
+"""The entry of the public rotation functions, and the conversion of lanes to arrays.
 
-Arrays are (..., n): leading axes are a batch, broadcast against each other. Outside traced code the
-values are checked and the call is compiled; inside it the function is inlined.
+Arrays are (..., n). Leading axes are a batch and broadcast against each other. Outside traced code
+the values are checked and the call is compiled. Inside traced code the function is inlined.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "matrix6": (6, 6),
     "pair": (2,),
 }
-# How far from orthonormal a matrix may be: what was measured or kept in half precision passes.
+# How far from orthonormal a matrix may be. Measured or half-precision matrices pass.
 ORTHONORMAL = 1e-2
 
 
@@ -92,7 +92,7 @@ def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:
         raise InputError(f"{where}: {name}{list(bad)} is {x[bad]}, expected finite values")
     if kind == "quaternion" and not x.any(-1).all():
         raise InputError(
-            f"{where}: {name} holds a zero quaternion, expected a unit one (w, x, y, z); "
+            f"{where}: {name} has a zero quaternion, expected a unit one (w, x, y, z); "
             f"no rotation is (1, 0, 0, 0)"
         )
     if kind in ("rotation", "pose"):
@@ -116,9 +116,8 @@ def entries(x: jax.Array, axes: int = 1) -> list[jax.Array]:
 def stacked(values: Iterable[Any], *shape: int) -> jax.Array:
     """Lanes, row by row, as one array (..., *shape); by default a vector. An array stays as it is.
 
-    Few lanes are chosen among by index, axis by axis: XLA's CPU compiler unrolls that into one loop
-    over the batch, while a concatenate of computed values makes it evaluate or copy them several
-    times.
+    A few lanes are selected by index, axis by axis. XLA's CPU compiler unrolls the selection into
+    one loop over the batch. It would evaluate or copy the operands of a concatenate several times.
     """
     if isinstance(values, jax.Array):
         return values
@@ -154,11 +153,11 @@ def _choose(index: jax.Array, values: list[jax.Array], first: int) -> jax.Array:
 
 
 def apart(x: jax.Array, *shape: int) -> jax.Array:
-    """x (...) as (..., *shape), as though it were another number for each entry.
+    """x (...) as (..., *shape), written as if each entry had its own value.
 
-    What is dear (a quotient, a root) and used by several entries XLA keeps in an array of its own,
-    which takes one more pass over memory. What seems to differ from entry to entry it leaves in
-    the loop over the entries, where LLVM finds that it is one and the same.
+    If several entries share an expensive value (a quotient, a root), XLA stores it in a separate
+    array, which costs one more pass over memory. A value that seems to differ from entry to entry
+    stays in the loop over the entries, where LLVM finds that it is the same.
     """
     entry = sum(jnp.arange(n, dtype=x.dtype).reshape(-1, *[1] * k)
                 for k, n in enumerate(reversed(shape)))  # fmt: skip

@@ -5,11 +5,11 @@ Stumpff's functions c_k(x) = sum_j (-x)^j / (2 j + k)! are entire in x = t^2:
     c_0 = cos t,  c_1 = sin t / t,  c_2 = (1 - cos t) / t^2,  c_3 = (t - sin t) / t^3,  ...
     c_{k+2} = (1/k! - c_k) / x,    dc_k/dx = (k c_{k+2} - c_{k+1}) / 2
 
-Every formula of SO(3) and SE(3) is written in them (and half-angle forms of them), so that it has
-no removable singularity left. A series serves where the closed form cancels: the switch lies so far
-out that values are good to the last digits on both sides, and so are their first and second
+Every formula of SO(3) and SE(3) is written in them (and half-angle forms of them), so no removable
+singularity is left. A series is used where the closed form cancels. The switch is far enough out
+that values are accurate to the last digits on both sides. The same holds for their first and second
 derivatives, which lose a factor 1/x each in a closed form. Both branches are evaluated and one is
-selected; the other sees a harmless argument, so that no derivative of any order meets a nan.
+selected. The other gets a harmless argument, so that no derivative of any order is nan.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rbjax.lanes import horner, sincos
 
 
 def where(condition: jax.Array, a: Any, b: Any) -> jax.Array:
-    """`jnp.where` without its nested jit, which costs more to trace than what is inside."""
+    """`jnp.where` without its nested jit, which costs more to trace than its contents."""
     like = a if isinstance(a, jax.Array) else b
     shape = condition.shape
     a, b = (jnp.broadcast_to(jnp.asarray(x, like.dtype), shape) for x in (a, b))
@@ -50,8 +50,8 @@ def inverse_jacobian_coefficient(x: jax.Array) -> jax.Array:
 def arctan_over(w: jax.Array, square: jax.Array) -> jax.Array:
     """atan2(n, w) / n with n^2 = square and w >= 0, not both zero; smooth, without a branch.
 
-    Three times w <- w + |(n, w)| halves the angle, to pi/16 at most; the series of the arctangent
-    does the rest.
+    Three steps w <- w + |(n, w)| halve the angle, to pi/16 at most. Then the series of the
+    arctangent converges fast.
     """
     for _ in range(3):
         w = w + jnp.sqrt(w * w + square)
@@ -62,7 +62,7 @@ def angle(y: jax.Array, x: jax.Array) -> jax.Array:
     """atan2(y, x) of numbers whose squares do not underflow; 0 where both are zero, with finite
     derivatives.
 
-    As `arctan_over`, on the tangent itself; a fifth of the time of XLA's own on the CPU.
+    As `arctan_over`, on the tangent itself. On the CPU it takes a fifth of the time of XLA's own.
     """
     w = where((x == 0) & (y == 0), 1.0, jnp.abs(x))
     t = y / (w + jnp.sqrt(w * w + y * y))
@@ -89,7 +89,7 @@ def _switch(k: int) -> float:
 
 
 def _series(x: jax.Array, k: int) -> jax.Array:
-    """Enough terms that what is left out, and its second derivative, is below rounding."""
+    """The series, with enough terms that the error and its second derivative are below rounding."""
     double = x.dtype == jnp.float64
     terms = (13 if double else 8) if k < 2 else (16 if double else 10)
     return horner([(-1) ** j / math.factorial(2 * j + k) for j in range(terms)], x)

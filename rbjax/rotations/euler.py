@@ -1,13 +1,14 @@
 """Euler angles: all 24 sequences from one set of formulas (Olguin Diaz, 3.3; Diebel, 2006).
 
-Intrinsic i-j-k: R = R_i(a) R_j(b) R_k(c), each turn about an axis already turned. Extrinsic i-j-k,
-about fixed axes, is the intrinsic k-j-i with the angles in reverse. *Proper* sequences (k = i)
-are singular where sin b = 0, *Tait-Bryan* sequences (all three axes) where cos b = 0: there the
-first and the third turn are about one line, and only their sum or difference is determined.
+Intrinsic i-j-k: R = R_i(a) R_j(b) R_k(c), where each rotation is about an axis of the rotated
+frame. Extrinsic i-j-k, about fixed axes, is the intrinsic k-j-i with the angles in reverse order.
+*Proper* sequences (k = i) are singular where sin b = 0, *Tait-Bryan* sequences (all three axes)
+where cos b = 0. There the first and the third axis are the same line, and only the sum or the
+difference of their angles is determined.
 
 Angles come from the quaternion (after Bernardes & Viollet, PLoS ONE 17(11), 2022): two complex
-numbers, whose phases are half the sum and half the difference of a and c. What rounding does to
-either phase, it does to both angles, so the attitude is right even next to the singularity.
+numbers, whose phases are half the sum and half the difference of a and c. Rounding of a phase
+changes both angles alike, so the attitude is accurate even next to the singularity.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ UNIT = (Vec3(1.0, 0.0, 0.0), Vec3(0.0, 1.0, 0.0), Vec3(0.0, 0.0, 1.0))
 
 @dataclass(frozen=True)
 class EulerAngles:
-    """A sequence of axes such as "zyx", about turning (intrinsic) or fixed (extrinsic) axes."""
+    """A sequence of axes such as "zyx", about rotated (intrinsic) or fixed (extrinsic) axes."""
 
     sequence: str
     intrinsic: bool
@@ -58,7 +59,7 @@ class EulerAngles:
     def from_quaternion(self, q: list) -> jax.Array:
         """Second angle from 0 to pi (proper) or from -pi/2 to pi/2, the others from -pi to pi.
 
-        Packed already: three times the arctangent, on arrays (..., 3).
+        The result is packed: the arctangent runs on arrays (..., 3).
         """
         i, j, _ = self.axes
         l = 3 - i - j
@@ -69,7 +70,7 @@ class EulerAngles:
         else:  # R R_j(+-pi/2) is a proper sequence i-j-i, with third angle -c
             w, x, y, z = w - sign * u[j], u[i] - u[l], sign * u[j] + w, u[l] + u[i]
         # w + i x = cos(b/2) e^(i (a + c)/2) and y + i z = sin(b/2) e^(i (a - c)/2), either of which
-        # is nothing at a singularity; below `least` a phase is of no account, and its squares none
+        # is zero at a singularity; below `least` a phase does not matter, and its squares underflow
         sum_square, difference_square = w * w + x * x, y * y + z * z
         least = 1e-280 if w.dtype == jnp.float64 else 1e-30
         sums, differs = sum_square > least, difference_square > least
@@ -133,7 +134,7 @@ class EulerAngles:
 
 
 def _turn(axis: int, angle: jax.Array) -> list:
-    """The quaternion of a turn about one axis, with its structural zeros."""
+    """The quaternion of a rotation about one axis, with its structural zeros."""
     cosine, sine = sincos(angle / 2)
     return [cosine, *(sine if axis == k else 0.0 for k in range(3))]
 

@@ -1,9 +1,9 @@
 """Incremental orientation: a reference attitude, and a local parameter that stays near zero.
 
-R = R_ref R(x): three numbers are integrated, x' = E^-1(x) omega_body, and before x nears the
-singularity of its parametrization it is folded into the reference, R_ref <- R_ref R(x), x <- 0
-(the updated-updated scheme of Masarati, ch. 4; the reference is a unit quaternion, so that folding
-costs a product and no drift).
+R = R_ref R(x). Three numbers are integrated, x' = E^-1(x) omega_body. Before x comes near the
+singularity of its parametrization, it is folded into the reference, R_ref <- R_ref R(x), x <- 0
+(the updated-updated scheme of Masarati, ch. 4). The reference is a unit quaternion, so that folding
+costs one product and causes no drift.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ def start(q: jax.Array) -> Incremental:
 
 
 def attitude(state: Incremental, local: str = "mrp") -> jax.Array:
-    """The unit quaternion (..., 4) of the state, whose x is of the representation `local`."""
+    """The unit quaternion (..., 4) of the state, whose x is in the representation `local`."""
     return quaternion.multiply(state.reference, _local(local).to_quaternion(state.x))
 
 
 def rate(state: Incremental, omega: jax.Array, local: str = "mrp") -> jax.Array:
-    """x' (..., 3) of the angular velocity in body axes (..., 3); the reference rests."""
+    """x' (..., 3) from the angular velocity in body axes (..., 3); the reference is constant."""
     inverse = _local(local).inverse_body_rate_matrix(state.x)
     return matvec(inverse, omega)
 
@@ -58,7 +58,7 @@ def rate(state: Incremental, omega: jax.Array, local: str = "mrp") -> jax.Array:
 def fold(state: Incremental, local: str = "mrp", margin: float | None = None) -> Incremental:
     """The same attitude with x = 0, where x is nearer than `margin` (rad) to its singularity.
 
-    The margin is by default half of the way from zero to the singularity.
+    The default margin is half the distance from zero to the singularity.
 
     >>> state = Incremental(quaternion.identity(), jnp.array([0.0, 0.0, 1.1]))
     >>> state = fold(state)
@@ -84,10 +84,10 @@ def integrate(
     local: str = "mrp",
     margin: float | None = None,
 ) -> jax.Array:
-    """Unit quaternions (len(ts), ..., 4) at the times ts of q' = q omega_body(t, q) / 2, q first.
+    """Unit quaternions (len(ts), ..., 4) at the times ts, of q' = q omega_body(t, q) / 2 from q.
 
-    The classical Runge-Kutta method of order 4 on the local parameter, one step from each time to
-    the next, and `fold` after each.
+    The classical Runge-Kutta method of order 4 on the local parameter, with one step from each time
+    to the next and a `fold` after each.
 
     >>> ts = jnp.linspace(0.0, 10.0, 101)
     >>> turned = integrate(lambda t, q: jnp.array([0.0, 0.0, 1.0]), quaternion.identity(), ts)
@@ -119,7 +119,7 @@ def _local(name: str) -> Representation:
     rep = find(name)
     if name not in LOCAL:
         raise InputError(
-            f"{name!r} cannot be a local parameter, expected one that is smooth at zero, where it "
-            f"is no rotation: {', '.join(LOCAL)}"
+            f"{name!r} cannot be a local parameter, expected one that is smooth at zero and where "
+            f"zero is no rotation: {', '.join(LOCAL)}"
         )
     return rep

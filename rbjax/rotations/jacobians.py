@@ -1,11 +1,11 @@
-"""Jacobians of the exponential of SO(3), and of unit quaternions, which is the same group locally.
+"""Jacobians of the exponential of SO(3) and of unit quaternions, which are locally the same group.
 
 exp(phi + d) = exp(J_l d) exp(phi) = exp(phi) exp(J_r d) to first order, so that omega_space =
 J_l(phi) phi' and omega_body = J_r(phi) phi' (Sola, arXiv:1812.01537, eqs. 143-146):
 
     J_l = 1 + c_2 [phi] + c_3 [phi]^2,    J_l^-1 = 1 - [phi]/2 + e [phi]^2,    J_r(phi) = J_l(-phi)
 
-Smooth at phi = 0. The inverses have a genuine pole at |phi| = 2 pi (and at its multiples).
+They are smooth at phi = 0. The inverses have a genuine pole at |phi| = 2 pi and its multiples.
 """
 
 from __future__ import annotations

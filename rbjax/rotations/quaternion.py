@@ -2,8 +2,8 @@
 
 exp and log are series near the identity, so that values and all derivatives stay finite and exact
 there (Olguin Diaz, *3D Motion of Rigid Bodies*, 3.4; Sola, arXiv:1711.02508, eqs. 101-105). q and
--q are one rotation; where a choice is to be made, it is w >= 0. The functions on *lanes* take and
-give lists of scalars or (batch,) arrays, for use inside longer arithmetic.
+-q are the same rotation; where the sign is free, w >= 0. The functions on *lanes* take and return
+lists of scalars or (batch,) arrays, for use inside longer arithmetic.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def distance(a: jax.Array, b: jax.Array) -> jax.Array:
 
 @takes(a="quaternion", b="quaternion", s="scalar")
 def interpolate(a: jax.Array, b: jax.Array, s: jax.Array) -> jax.Array:
-    """a exp(s log(a^-1 b)): a at s = 0, b or -b at 1, at constant rate the shorter way (slerp).
+    """a exp(s log(a^-1 b)), slerp: a at s = 0, b or -b at 1, at constant rate on the shorter path.
 
     >>> interpolate([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], 0.5).round(3).tolist()
     [0.707, 0.0, 0.0, 0.707]
@@ -217,9 +217,9 @@ def angle_lanes(w: jax.Array, u: list) -> jax.Array:
 def turned(q: list, phi: list) -> list:
     """Lanes of q exp(phi / 2) / |q|: the unit quaternion q followed by phi in body axes.
 
-    As q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once, after the addition. A
-    product divided by its length rounds again: a length wrong by a unit in the last place takes
-    whole units off the components, more or less by their leading digits. That repeats each turn.
+    Computed as q + ((1 / |q| - 1) q + q (exp(phi / 2) - 1) / |q|), which rounds once, after the
+    addition. A product divided by its length rounds again: a length wrong by a unit in the last
+    place takes whole units off the components. Each turn repeats this error.
     """
     px, py, pz = phi
     square = (px * px + py * py + pz * pz) / 4

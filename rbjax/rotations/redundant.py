@@ -1,8 +1,9 @@
-"""Attitude in more than three numbers: quaternion, axis and angle, matrix, two columns of one.
+"""Attitude in more than three numbers: quaternion, axis and angle, matrix, two of its columns.
 
-No three numbers are free of singularities (Stuelpnagel, 1964); with constraints among more there
-are: x is any point near the constraint, E(x) x' ignores what changes the constraint alone, and the
-inverse map gives the x' that keeps it. E E^-1 = 1; E^-1 E projects onto the constraint.
+Any three parameters have singularities (Stuelpnagel, 1964). More than three, with constraints, can
+avoid them. x is any point near the constraint. E(x) x' ignores the part of x' that only changes the
+constraint, and the inverse map gives the x' that keeps it. E E^-1 = 1; E^-1 E projects onto the
+constraint.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from rbjax.rotations.jacobians import polynomial
 
 
 class _Global:
-    """No singularity anywhere."""
+    """A representation without singularities."""
 
     singular_set = "none"
 
@@ -79,11 +80,11 @@ class UnitQuaternion(_Global):
 class AxisAngle:
     """Unit axis n and angle phi: omega_space = phi' n + sin phi n' + (1 - cos phi) n x n'.
 
-    Here n' is the part across n, -[n]^2 n'.
+    Here n' is its part orthogonal to n, -[n]^2 n'.
     """
 
     size = 4
-    singular_set = "a multiple of a whole turn: the axis is undetermined"
+    singular_set = "a multiple of a full turn: the axis is undetermined"
 
     def to_quaternion(self, x: list) -> list:
         *n, phi = x
@@ -91,7 +92,7 @@ class AxisAngle:
         return [c * length(sum(a * a for a in n)), *(s * a for a in n)]
 
     def from_quaternion(self, q: list) -> list:
-        """Angle from 0 to pi; of no rotation, the axis x."""
+        """Angle from 0 to pi; the axis of no rotation is x."""
         w, *u = q
         sign = where(w < 0, -jnp.ones_like(w), jnp.ones_like(w))
         square = sum(a * a for a in u)
@@ -147,14 +148,14 @@ class RotationMatrix(_Global):
         return list(quaternion_matrix(*q))
 
     def body_rate(self, x: list) -> list:
-        """omega_i of columns c: omega_1 = (c_3.c_2' - c_2.c_3') / 2, and in a circle."""
+        """omega_i from columns c: omega_1 = (c_3.c_2' - c_2.c_3') / 2, and cyclically."""
         u, v, w = (0.5 * column for column in Mat3(*x).columns)
         o = Vec3.zero()
         rows = ((o, w, -v), (-w, o, u), (v, -u, o))
         return [a for row in rows for entry in zip(*row, strict=True) for a in entry]
 
     def space_rate(self, x: list) -> list:
-        """The same of rows r, with the opposite sign."""
+        """The same from rows, with the opposite sign."""
         u, v, w = (0.5 * row for row in Mat3(*x).rows)
         o = Vec3.zero()
         rows = ((o, -w, v), (w, o, -u), (-v, u, o))
@@ -207,11 +208,11 @@ class TwoColumns:
         return [row.dot(b) for row in rows for b in (b1, b2, b3)]
 
     def inverse_space_rate(self, x: list) -> list:
-        """Each column turns: a' = omega x a."""
+        """Each column rotates: a' = omega x a."""
         return [a for half in (x[:3], x[3:]) for a in Mat3.skew(-Vec3(*half))]
 
     def distance(self, x: list) -> jax.Array:
-        """The angle between the two, or its supplement."""
+        """The angle between the columns, or its supplement."""
         a, b = Vec3(*x[:3]), Vec3(*x[3:])
         c = a.cross(b)
         return angle(length(c.dot(c)), jnp.abs(a.dot(b)))

@@ -1,7 +1,7 @@
-"""Every representation of attitude behind one interface, and the way from any one to any other.
+"""Every representation of attitude behind one interface, and conversion between any two.
 
-`representations()` holds all that cover SO(3): each attitude has parameters, and they give it back
-to rounding. (Two more vectorial parametrizations, that cover less, are in `vectorial`.)
+`representations()` has all that cover SO(3): every attitude has parameters, which give the attitude
+back up to rounding. (`vectorial` has two more parametrizations that cover less.)
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ __all__ = ["Representation", "representations", "find", "convert"]
 
 
 class Formulas(Protocol):
-    """What a representation is on lanes; matrices row by row, quaternions of any length."""
+    """A representation on lanes. Matrices are row by row, quaternions of any length."""
 
     @property
     def size(self) -> int: ...
     @property
     def singular_set(self) -> str: ...
     def to_quaternion(self, x: list) -> list: ...
-    def from_quaternion(self, q: list) -> Any: ...  # lanes, or packed already
+    def from_quaternion(self, q: list) -> Any: ...  # lanes, or an array
     def body_rate(self, x: list) -> list: ...
     def space_rate(self, x: list) -> list: ...
     def inverse_body_rate(self, x: list) -> list: ...
@@ -42,8 +42,8 @@ class Formulas(Protocol):
 class Representation:
     """Attitude in `size` numbers x (..., size): R = R_AB of body axes B seen from space axes A.
 
-    Right at a singularity (`singularity_distance` 0) `from_matrix` gives one of the possible
-    answers, whose matrix is R all the same, and the inverse rate maps are very large but finite.
+    At a singularity (`singularity_distance` 0) `from_matrix` gives one of the possible answers,
+    whose matrix is still R, and the inverse rate maps are very large but finite.
     """
 
     def __init__(self, name: str, formulas: Formulas):
@@ -107,17 +107,17 @@ class Representation:
 
     @takes(["self"], x="parameters", omega="vector", alpha="vector")
     def second_rate_from_body(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
-        """x'' (..., size) of omega_body and its derivative alpha."""
+        """x'' (..., size) from omega_body and its derivative alpha."""
         return _second_rate(self.formulas.inverse_body_rate, x, omega, alpha)
 
     @takes(["self"], x="parameters", omega="vector", alpha="vector")
     def second_rate_from_space(self, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
-        """x'' (..., size) of omega_space and its derivative alpha."""
+        """x'' (..., size) from omega_space and its derivative alpha."""
         return _second_rate(self.formulas.inverse_space_rate, x, omega, alpha)
 
     @takes(["self"], x="parameters")
     def singularity_distance(self, x: jax.Array) -> jax.Array:
-        """The angle (...) of the smallest turn to where `singular_set` says; inf where none."""
+        """The angle (...) of the smallest rotation to the `singular_set`; inf if there is none."""
         return self.formulas.distance(entries(x))
 
 
@@ -134,7 +134,7 @@ def _rate_of(E, x: jax.Array, xd: jax.Array, xdd: jax.Array) -> jax.Array:
 
 
 def _second_rate(inverse, x: jax.Array, omega: jax.Array, alpha: jax.Array) -> jax.Array:
-    """d/dt (E^-1(x) omega), along the motion that omega is."""
+    """d/dt (E^-1(x) omega), along the motion with velocity omega."""
     p, w = entries(x), entries(omega)
     xd = _apply(inverse(p), w)
     return stacked(jax.jvp(lambda p, w: _apply(inverse(p), w), (p, w), (xd, entries(alpha)))[1])
@@ -169,7 +169,7 @@ def representations() -> MappingProxyType[str, Representation]:
 
 
 def convert(x: jax.Array, source: str, target: str) -> jax.Array:
-    """The parameters x (..., n) of one representation in another, by their names.
+    """The parameters x (..., n) of one representation converted to another, by their names.
 
     >>> convert([0.0, 0.0, jnp.pi / 2], "euler_vector", "mrp").tolist()
     [0.0, 0.0, 0.4142...]

@@ -1,8 +1,8 @@
-"""Screws: a twist as a turn about a line and a slide along it (Ball; Lynch & Park, 3.3.2).
+"""Screws: a twist as a rotation about a line and a slide along it (Ball; Lynch & Park, 3.3.2).
 
 A twist V = (omega, v) of magnitude theta and pitch h about the line through r along the unit
-vector s is omega = theta s, v = theta (r x s + h s). A pure translation has infinite pitch, the
-translation as magnitude and its direction as axis.
+vector s is omega = theta s, v = theta (r x s + h s). A pure translation has infinite pitch. Its
+magnitude is that of the translation, its axis the direction.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Screw(NamedTuple):
 def from_twist(twist: jax.Array) -> Screw:
     """The screw of a twist (..., 6); `point` is the point of the line nearest the origin.
 
-    Of the zero twist the axis is z, the magnitude 0.
+    The zero twist has the axis z and the magnitude 0.
 
     >>> s = from_twist([0.0, 0.0, 2.0, 0.0, -2.0, 6.0])
     >>> s.axis.tolist(), abs(s.point).tolist(), float(s.pitch), float(s.magnitude)

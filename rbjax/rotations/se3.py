@@ -5,7 +5,7 @@ angular first, xi = (phi, rho) or V = (omega, v). [xi] = [[phi] rho; 0 0].
 
 SE(3) is SO(3) over the dual numbers (Kotelnikov's principle of transference): as ad(xi) is
 [phi + eps rho], each 6 by 6 Jacobian is [[J, 0], [Q, J]] with the Jacobian J of SO(3) at phi and
-Q its derivative along rho. That is how it is computed here, and why it is exact where J is.
+Q its derivative along rho. It is computed in this way here, so it is exact where J is.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def exp(xi: jax.Array) -> jax.Array:
 
 @takes(T="pose")
 def log(T: jax.Array) -> jax.Array:
-    """The twist xi (..., 6), its angle at most pi, with exp(xi) = T.
+    """The twist xi (..., 6), with an angle of at most pi and exp(xi) = T.
 
     >>> jnp.allclose(log(exp([0.1, 0.2, 0.3, 4.0, 5.0, 6.0])), jnp.array([0.1, 0.2, 0.3, 4, 5, 6]))
     Array(True, dtype=bool)
@@ -118,7 +118,8 @@ def interpolate(A: jax.Array, B: jax.Array, s: jax.Array) -> jax.Array:
 
 @takes(A="pose", B="pose")
 def distance(A: jax.Array, B: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Angle and length of the motion from A to B; no one number fits both without a scale."""
+    """The angle and the length of the motion from A to B. One number for both would need a scale.
+    """
     (R, p), (S, r) = _parts(A), _parts(B)
     w, *u = quaternion.from_matrix_lanes(list(R.T @ S))
     d = r - p

@@ -1,8 +1,8 @@
 """SO(3), the group of rotation matrices, and so(3), its algebra of skew-symmetric matrices.
 
-R = exp([phi]) turns by |phi| about phi; R_AB maps B-coordinates into A. exp, log and the rest go
-through the unit quaternion, whose half angle has no trouble at pi: what a matrix's trace alone
-would lose there, Shepperd's method keeps (Olguin Diaz, ch. 3; Sola, arXiv:1812.01537, app. B).
+R = exp([phi]) rotates by |phi| about phi; R_AB maps B-coordinates into A. exp, log and the rest use
+the unit quaternion, whose half angle is harmless at pi. Shepperd's method keeps the digits that the
+trace of a matrix would lose there (Olguin Diaz, ch. 3; Sola, arXiv:1812.01537, app. B).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def hat(phi: jax.Array) -> jax.Array:
 
 @takes(W="matrix")
 def vee(W: jax.Array) -> jax.Array:
-    """phi (..., 3) of [phi]; of any other matrix, that of its skew-symmetric part.
+    """phi (..., 3) of [phi]. Another matrix gives that of its skew-symmetric part.
 
     >>> vee(hat([1.0, 2.0, 3.0])).tolist()
     [1.0, 2.0, 3.0]
@@ -128,8 +128,8 @@ def random(key: jax.Array, shape: tuple[int, ...] = (), dtype=None) -> jax.Array
 def project(M: jax.Array) -> jax.Array:
     """The rotation (..., 3, 3) nearest to M in the Frobenius norm (orthogonal Procrustes, polar).
 
-    Not unique where `projection_margin` is 0, and refused there where values are known; in traced
-    code one of the nearest is returned, with finite derivatives.
+    It is not unique where `projection_margin` is 0. This raises `InputError` where values are
+    known. Traced code returns one of the nearest, with finite derivatives.
 
     >>> project([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 1.0]]).round(6).tolist()
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]

@@ -7,10 +7,10 @@ to p ~ phi at zero, s = |p|^2 and w = cos(phi/2),
     omega_space = H p',   H = m 1 + a [p] + b [p]^2    m = 1 / p'(phi),  b = (m - sin phi / p) / s
     H^-1   = (1/m) 1 - [p]/2 + g [p]^2                 g = (1/m - (p/2) cot(phi/2)) / s
 
-and H^T for body axes. Written out for each member below, the quotients by s are gone.
+and H^T for body axes. The formulas of each member below have no quotients by s left.
 
     euler_vector              phi              singular (kinematics) at phi = 2 pi
-    linear                    sin phi          pi/2; covers turns below a quarter
+    linear                    sin phi          pi/2; covers less than a quarter turn
     reduced_euler_rodrigues   2 sin(phi/2)     pi
     cayley, gibbs             2 tan(phi/2), tan(phi/2)      pi
     wiener_milenkovic, mrp    4 tan(phi/4), tan(phi/4)      2 pi
@@ -39,7 +39,7 @@ from rbjax.rotations.jacobians import polynomial
 
 @dataclass(frozen=True)
 class Vectorial:
-    """One p(phi): a quaternion of the scaled p and back, m a b and 1/m g of s, the angle of p."""
+    """One p(phi): scaled p to quaternion and back; m, a, b and 1/m, g of s; the angle of p."""
 
     quaternion: Callable[[list, jax.Array], list]
     parameter: Callable[[jax.Array, list], jax.Array]  # p / u, of a quaternion with w >= 0
@@ -83,7 +83,7 @@ class Vectorial:
         return polynomial(m, -0.5 * self.scale, g, p)
 
     def distance(self, x: list) -> jax.Array:
-        """The turn about the same axis that is left up to the singularity."""
+        """The remaining rotation about the same axis up to the singularity."""
         return jnp.abs(self.singular_angle - self.angle(self._scaled(x)[1]))
 
     def _scaled(self, x: list) -> tuple[list, jax.Array]:
@@ -100,7 +100,7 @@ def _norm(w: jax.Array, u: list) -> jax.Array:
 
 
 def _cosine(s: jax.Array) -> jax.Array:
-    """sqrt(1 - s), never zero; beyond the largest s, as though at it."""
+    """sqrt(1 - s), never zero; beyond the largest s, its value there."""
     return away_from_zero(length(jnp.maximum(1 - s, 0.0)))
 
 
@@ -116,7 +116,7 @@ def _euler_vector() -> Vectorial:
         inverse_map=lambda s: (1.0, inverse_jacobian_coefficient(s)),
         angle=length,
         singular_angle=2 * jnp.pi,
-        singular_set="the vector has length 2 pi: rates across it turn nothing",
+        singular_set="the vector has length 2 pi: rates orthogonal to it rotate nothing",
         short=False,
     )
 
@@ -186,7 +186,7 @@ def _wiener_milenkovic(scale: float) -> Vectorial:
         inverse_map=lambda s: (1 + s / 16, 0.125),
         angle=lambda s: length(s) * arctan_over(jnp.ones_like(s), s / 16),
         singular_angle=2 * jnp.pi,
-        singular_set="a whole turn, where the parameter is infinite; its shadow is near zero there",
+        singular_set="a full turn, where the parameter is infinite; its shadow is near zero there",
         scale=scale,
     )
 
@@ -218,7 +218,7 @@ def mrp_shadow(p: jax.Array) -> jax.Array:
 
 @takes(p="vector")
 def mrp_short(p: jax.Array) -> jax.Array:
-    """p or its shadow, whichever is the shorter: at most 1 long, half a turn at most.
+    """p or its shadow, whichever is shorter: its length is at most 1, its angle at most pi.
 
     >>> mrp_short([0.0, 0.0, 2.0]).tolist(), mrp_short([0.0, 0.0, 0.5]).tolist()
     ([-0.0, -0.0, -0.5], [0.0, 0.0, 0.5])

@@ -1,7 +1,7 @@
-"""Solvers of differential equations that diffrax lacks, each a diffrax solver.
+"""Solvers of differential equations that diffrax lacks. Each is a diffrax solver.
 
-They take anyone's vector field, through `diffrax.diffeqsolve`, or a robot's, through
-`rbjax.motion.simulate`. `all()` lists every one, `recommend(model, state, accuracy)` chooses.
+`diffrax.diffeqsolve` runs them on any vector field, `rbjax.simulate` on a robot. `all()` lists
+them. `recommend(model, state, accuracy)` chooses one.
 
     any vector field      RK4, implicit_midpoint, trapezoid, gauss_legendre, radau_iia,
                           lobatto_iiia, lobatto_iiic, SDIRK2, ros2, ros34pw2,
@@ -11,8 +11,8 @@ They take anyone's vector field, through `diffrax.diffeqsolve`, or a robot's, th
     a free of v, best     symplectic_euler, stoermer_verlet, yoshida4, yoshida6
     on a Lie group        rkmk, CrouchGrossman3, CommutatorFree4, generalized_alpha,
                           RigidBodySplitting
-The last three rows take terms `OnGroup` (and the first of them any pair of arrays).
-`Compensated` around a solver of the first row keeps what its additions round off.
+The last three rows take terms `OnGroup`. The first of these three also takes any pair of arrays.
+`Compensated` wraps a solver of the first row and keeps what its additions round off.
 """
 
 from collections.abc import Callable
@@ -56,12 +56,12 @@ from rbjax.solvers.splitting import (
 from rbjax.solvers.steps import AbstractGroupSolver
 from rbjax.solvers.tableau import Tableau
 
-#: names that a room above answers to, here where they are looked for: `rbjax` hangs them up
+#: names offered here whose module imports this package; `rbjax` fills this table
 FROM_ABOVE: dict[str, Callable[[], Any]] = {}
 
 
 def __getattr__(name: str) -> Any:
-    """`recommend` runs motions to choose a solver: it lives above, and comes when asked for."""
+    """`recommend` simulates motions, so its module imports this package; it is loaded on use."""
     if name in FROM_ABOVE:
         return FROM_ABOVE[name]()
     raise AttributeError(f"module 'rbjax.solvers' has no attribute {name!r}")

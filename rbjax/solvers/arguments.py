@@ -1,4 +1,4 @@
-"""The numbers that a solver is made of, checked where it is made."""
+"""Checks of the arguments that a solver is constructed with."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def check_whole(
 
 
 def check_between(solver: str, what: str, value: Any, low: float, high: float) -> None:
-    """`InputError` unless value is from low to high. Traced, it is the caller's to know."""
+    """`InputError` unless value is from low to high. A traced value is not checked."""
     if isinstance(value, jax.core.Tracer):
         return
     numbers = np.asarray(value)
@@ -34,7 +34,7 @@ def check_between(solver: str, what: str, value: Any, low: float, high: float) -
 
 
 def check_solver(function: str, solver: Any) -> None:
-    """`InputError` unless solver is one of diffrax', and not what makes one."""
+    """`InputError` unless solver is an instance of a diffrax solver."""
     if isinstance(solver, diffrax.AbstractSolver):
         return
     got, fix = repr(solver), ""

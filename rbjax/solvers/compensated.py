@@ -1,11 +1,11 @@
-"""Compensated summation: the digits that a step's addition rounds off go with the next step.
+"""Compensated summation: the next step adds the digits that this step's addition rounds off.
 
     d = z(h),  of z' = f(t, y0 + z), z(0) = e0
     y1 = y0 + d rounded,  e1 = y0 + d - y1 exactly
 
-A step then loses rounding of the increment d and of h f alone, not that of y: less by a factor of
-h |df/dy|, the smaller the steps the less (Kahan, 1965; Knuth, *The Art of Computer Programming* 2,
-4.2.2; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.5).
+A step then has the rounding errors of the increment d and of h f, but not that of y. They are
+smaller by a factor of h |df/dy|, so small steps gain most (Kahan, 1965; Knuth, *The Art of Computer
+Programming* 2, 4.2.2; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VIII.5).
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from rbjax.solvers.implicit_rk import ImplicitRungeKutta
 from rbjax.solvers.multistep import Adams
 from rbjax.solvers.rosenbrock import RosenbrockW
 
-#: what asks the vector field for rates and uses the state in no other way
+#: solvers that use the state only to evaluate rates of the vector field
 BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)
 
 
 class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver):
-    """A solver whose additions to the state lose nothing: it carries the state's low part along.
+    """A solver that also carries the low part of the state, so that its additions lose nothing.
 
-    For where rounding decides: small steps, long motions that magnify errors, f32.
+    Use it where rounding limits the accuracy: small steps, long chaotic motions, single precision.
 
-    Fields: solver, one that works by rates alone: explicit or fully implicit Runge-Kutta
+    Fields: solver, one that uses only rates: explicit or fully implicit Runge-Kutta
     (`diffrax.Dopri8`, `gauss_legendre`), Rosenbrock, Adams.
 
     Raises:
-        InputError: the solver remembers states (BDF) or moves them in other ways, or the term is
+        InputError: the solver stores states (BDF) or moves them in other ways, or the term is
             on a group, where increments do not add.
 
     Source: Hairer, Lubich & Wanner, VIII.5.
@@ -58,7 +58,7 @@ class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver)
     def __check_init__(self):
         if not isinstance(self.solver, BY_RATES):
             raise InputError(
-                f"Compensated: {type(self.solver).__name__} does not work by rates alone, expected "
+                f"Compensated: {type(self.solver).__name__} does not use only rates, expected "
                 f"a Runge-Kutta, Rosenbrock or Adams method"
             )
 
@@ -71,7 +71,7 @@ class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver)
         return _Interpolation(self.solver.interpolation_cls)
 
     @property
-    def scan_kind(self):  # diffrax sets these two, of solvers that have them
+    def scan_kind(self):  # diffrax sets these two on solvers that have them
         return self.solver.scan_kind
 
     @property
@@ -107,7 +107,7 @@ class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver)
 
 
 def _lost(y: jax.Array, d: jax.Array, total: jax.Array) -> jax.Array:
-    """y + d - total, exactly, of the rounded total of any two (Knuth)."""
+    """y + d - total exactly, where total is the rounded sum of any y and d (Knuth)."""
     added = total - y
     return (y - (total - added)) + (d - added)
 
@@ -143,7 +143,7 @@ class _Shifted(diffrax.AbstractLocalInterpolation):
 
 @dataclass(frozen=True)
 class _Interpolation:
-    """Dense output from that of the increment."""
+    """Dense output of y, from the dense output of the increment."""
 
     inner: Callable[..., diffrax.AbstractLocalInterpolation]
 

@@ -1,7 +1,7 @@
 """Hairer's DOP853: an explicit method of order 8 in 12 stages, as data.
 
 Coefficients of E. Hairer's code, Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations
-I*, II.5 (the method) and II.10 (comparisons). Its error estimates and dense output are left out.
+I*, II.5 (the method) and II.10 (comparisons). Its error estimates and dense output are not here.
 """
 
 from rbjax.solvers.tableau import explicit

@@ -1,7 +1,7 @@
 """The classical Runge-Kutta method, which diffrax lacks, with a third-order companion.
 
-The companion takes the rate at y1 in the place of the fourth stage, which the next step needs
-anyway: an error estimate for nothing.
+The companion uses the rate at y1 instead of the fourth stage. The next step needs that rate anyway,
+so the error estimate costs nothing.
 """
 
 from __future__ import annotations

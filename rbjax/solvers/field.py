@@ -1,10 +1,10 @@
-"""The vector field of a step: traced once, and linearized once, wherever a solver asks for it.
+"""The vector field of a step. It is traced once and linearized once, however often it is used.
 
     y' = f(t, y),    J = df/dy
-A robot's field is thousands of operations, and a solver's step is traced several times over, so
-both functions here are programs of their own (`jit`), which JAX keeps by the term and by shapes.
-The stages of an implicit method are evaluated as a batch, and their derivative with respect to the
-state alone goes through J, n columns a stage, however many columns of the stage system are wanted.
+A robot's field has thousands of operations, and a solver's step is traced several times. So both
+functions here are jitted, and JAX caches them by the term and the shapes.
+The stages of an implicit method are evaluated as a batch. Their derivative with respect to the
+state goes through J: n columns a stage, however many columns of the stage system are needed.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ IN_OTHERS = (diffrax.ControlTerm, diffrax.UnderdampedLangevinDiffusionTerm)
 class Field(eqx.Module):
     """(t, y) -> rate, in the solver's time, which runs forwards.
 
-    `terms`: diffrax', or a function (t, y, *args) -> rate; `unravel` puts the state together where
-    y is given as one vector, as `flattened` has it.
+    `terms` are those of diffrax, or a function (t, y, *args) -> rate. `unravel` rebuilds the state
+    from one vector y, as `flattened` makes it.
     """
 
     terms: Any
@@ -41,7 +41,7 @@ class Field(eqx.Module):
             if isinstance(part, IN_OTHERS):
                 raise InputError(
                     f"{type(part).__name__}: the solver takes rates, "
-                    "expected a term in time alone; ControlTerm.to_ode() makes one of a control "
+                    "expected a term in time only; ControlTerm.to_ode() makes one from a control "
                     "that has a derivative"
                 )
 
@@ -55,26 +55,26 @@ def field(terms: Any, args: Any) -> Field:
 
 
 def forwards(terms: Any, t: Any) -> Any:
-    """1, in the kind of number that t is, or -1 where the caller's time runs backwards."""
+    """1, of the dtype of t, or -1 where the caller's time runs backwards."""
     return jax.tree.leaves(_unit(terms, t))[0]  # a sum of terms has as many
 
 
 def _unit(terms: Any, t: Any) -> Any:
-    """The control of a unit of the solver's time."""
+    """The control over one unit of the solver's time."""
     return terms.contr(jnp.zeros_like(t), jnp.ones_like(t))
 
 
 def _parts(terms: Any) -> list[Any]:
-    """The terms that a sum is made of, without what diffrax wraps around."""
+    """The terms of a sum, without diffrax's wrappers."""
     whole = (*IN_TIME, *IN_OTHERS)
     return jax.tree.leaves(terms, is_leaf=lambda x: isinstance(x, whole))
 
 
 def flattened(terms: Any, args: Any, t: Any, y: Any) -> tuple[Field, jax.Array]:
-    """The field on vectors (n,), and y as one.
+    """The field on vectors (n,), and y as a vector.
 
-    Derivatives by rules of our own see arguments alone, so what is differentiated and closed over
-    by the caller's function becomes one.
+    A custom derivative rule sees only arguments. So differentiated values that the caller's
+    function closes over become an argument.
     """
     for part in _parts(terms):
         if isinstance(part, OnGroup) and not isinstance(part.group, Vector):
@@ -106,14 +106,14 @@ def _rate(f: Field, t: Any, y: Any) -> Any:
 
 @eqx.filter_jit
 def linearized(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """f(t, y) (n,) and J (n, n), of a field on vectors."""
+    """f(t, y) (n,) and J (n, n) of a field on vectors."""
     rate, push = jax.linearize(lambda y: f(t, y), y)
     return rate, jax.vmap(push, out_axes=-1)(jnp.eye(y.size, dtype=y.dtype))
 
 
 @eqx.filter_custom_jvp
 def rates(f: Field, t: jax.Array, y: jax.Array) -> jax.Array:
-    """f of each of the stages t (s,), y (s, n)."""
+    """f at each of the stages t (s,), y (s, n)."""
     return batch_first(_batch(f, t, y))
 
 

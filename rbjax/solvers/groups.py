@@ -1,10 +1,9 @@
-"""Lie groups that a state may live on, and the term that moves it there.
+"""Lie groups that a state may live on, and the term that moves the state on its group.
 
     y' = y xi(t, y),    xi in the Lie algebra: the velocity in the axes of the moving frame
-A group is what a solver needs of it: retract(y, u) = y exp(u), difference(y, z) = log(y^-1 z), and
-the bracket [u, w]. A state in a vector space is the group `Vector`, where all of that is plus,
-minus and zero, so that one solver serves both (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group
-methods*, 2000).
+A group has what a solver needs: retract(y, u) = y exp(u), difference(y, z) = log(y^-1 z) and the
+bracket [u, w]. A vector space is the group `Vector`, where these are plus, minus and zero, so one
+solver serves both (Iserles, Munthe-Kaas, Norsett & Zanna, *Lie-group methods*, 2000).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from rbjax.rotations import quaternion
 
 
 class AbstractGroup(eqx.Module):
-    """exp, log and the bracket, on the right of the state."""
+    """exp, log and the bracket, with exp on the right of the state."""
 
     @abc.abstractmethod
     def retract(self, y: Any, u: Any) -> Any:
@@ -31,7 +30,7 @@ class AbstractGroup(eqx.Module):
 
     @abc.abstractmethod
     def difference(self, y: Any, z: Any) -> Any:
-        """log(y^-1 z): what takes y to z."""
+        """log(y^-1 z): the u with y exp(u) = z."""
 
     @abc.abstractmethod
     def bracket(self, u: Any, w: Any) -> Any:
@@ -90,7 +89,7 @@ class SE3(AbstractGroup):
 
 
 class Product(AbstractGroup):
-    """A tuple of states, each in a group of its own."""
+    """A tuple of states, each in its own group."""
 
     parts: tuple[AbstractGroup, ...]
 
@@ -109,7 +108,7 @@ def _rotated(turn: jax.Array, v: jax.Array) -> jax.Array:
 
 
 def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """(1 - cos a) / a^2, (a - sin a) / a^3, (1 - (a / 2) cot(a / 2)) / a^2, of a^2; smooth at 0."""
+    """(1 - cos a) / a^2, (a - sin a) / a^3, (1 - (a / 2) cot(a / 2)) / a^2 of a^2; smooth at 0."""
     small = square < 0.01
     x = jnp.where(small, square, 0.0)
     near = (
@@ -130,10 +129,10 @@ def _series(square: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 class OnGroup(diffrax.AbstractTerm):
-    """y' = y xi(t, y): `vector_field(t, y, args)` returns xi, and `group` says how y moves by it.
+    """y' = y xi(t, y): `vector_field(t, y, args)` returns xi, and `group` moves y by it.
 
     momentum: (t, y, args) -> p, linear in the velocities of y = (q, v), for the variational
-    midpoint rule; None where the mass is constant.
+    midpoint rule. None if the mass is constant.
     """
 
     vector_field: Callable[..., Any]
@@ -151,7 +150,7 @@ class OnGroup(diffrax.AbstractTerm):
 
 
 def unwrapped(terms: Any) -> Any:
-    """The caller's own term: diffrax hands it over inside one that may reverse time."""
+    """The caller's own term, without diffrax's wrapper that may reverse time."""
     return getattr(terms, "term", terms)
 
 

@@ -1,7 +1,7 @@
 """Fully implicit Runge-Kutta methods: all stages in one system.
 
     k_i = h f(t0 + c_i h, y0 + sum_j a_ij k_j),    y1 = y0 + sum_i b_i k_i
-Error: the difference to the quadrature that also uses f(t0, y0), damped by (I - h gamma df/dy)^-1
+Error: the difference from the quadrature that also uses f(t0, y0), damped by (I - h gamma df/dy)^-1
 so that it does not grow with the stiffness. Dense output: the collocation polynomial
 (Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.5 and IV.8).
 """
@@ -24,17 +24,17 @@ from rbjax.solvers.stages import Start, damped, solve, start
 from rbjax.solvers.steps import AbstractPolynomialSolver, hermite, mixed
 from rbjax.solvers.tableau import Tableau
 
-MOST_STAGES = 9  # with more, the coefficients computed from the nodes are rounding
+MOST_STAGES = 9  # with more, rounding spoils the coefficients computed from the nodes
 
 
 class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
-    """The method of a tableau; constant steps where that has no error weights.
+    """The method of a tableau. A tableau without error weights takes constant steps.
 
     Fields: tableau; root_finder, any of optimistix (`rb.solvers.newton()`, `chord()`, which take a
     linear solver of lineax); root_find_max_steps.
 
-    It is not diffrax' `AbstractImplicitSolver`, which stands for tolerances taken from the step
-    size controller and which `diffrax.HalfSolver` cannot wrap: roots here are exact to rounding.
+    It is not a `diffrax.AbstractImplicitSolver`: that class takes its tolerances from the step size
+    controller, and `diffrax.HalfSolver` cannot wrap it. Roots here are exact to rounding.
     """
 
     tableau: Tableau = eqx.field(static=True)
@@ -65,7 +65,7 @@ class ImplicitRungeKutta(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolve
         """y1 - y0 (n,), the stages (s, n), and whether they were found."""
         a, c, b = (jnp.asarray(x, here.y.dtype) for x in
                    (self.tableau.a, self.tableau.c, self.tableau.b))  # fmt: skip
-        # From rest: the first correction is then a linearly implicit step, however stiff.
+        # With the guess zero, the first correction is a linearly implicit step, however stiff.
         guess = jnp.zeros((self.tableau.stages, here.y.size), here.y.dtype)
         k, ok = solve(
             f, h, here.t + c.astype(jnp.result_type(h)) * h, here.y, a, here, guess,

@@ -1,8 +1,8 @@
-"""Interpolation through given times: the coefficients of multistep methods, at any steps.
+"""Interpolation through given times: the coefficients of multistep methods, for any step sizes.
 
     l_j(x) = prod_m (x - x_m) / (x_j - x_m)
-The weights of Adams methods are the integrals of these polynomials, those of BDF their derivatives
-at the new time. Equal steps give the textbook's numbers.
+The weights of Adams methods are the integrals of these polynomials. The weights of BDF are their
+derivatives at the new time. Equal steps give the textbook's numbers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 
 def basis(nodes: jax.Array) -> jax.Array:
-    """Row j: the coefficients of l_j (n, n), constant first, of distinct nodes (n,)."""
+    """Row j: the coefficients of l_j (n, n), constant first, for distinct nodes (n,)."""
     n = nodes.shape[0]
     own = jnp.eye(n, dtype=bool)
     out = jnp.zeros((n, n), nodes.dtype).at[:, 0].set(1.0)

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods on Lie groups: the state never leaves them.
+"""Explicit Runge-Kutta methods on Lie groups: the state never leaves its group.
 
     Munthe-Kaas:       y = y0 exp(u), u' = xi + [u, xi] / 2 + [u, [u, xi]] / 12, u by Runge-Kutta
     Crouch-Grossman:   Y_i = y0 exp(a_i1 k_1) exp(a_i2 k_2) ...
@@ -36,7 +36,7 @@ RESULTS = diffrax.RESULTS
 
 
 class MuntheKaas(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
-    """RKMK of an explicit tableau of order at most 5; the error estimate is the tableau's."""
+    """RKMK with an explicit tableau of order at most 5; the error estimate is the tableau's."""
 
     tableau: Tableau = eqx.field(static=True)
 

@@ -2,13 +2,13 @@
 
     Adams:  y1 = y0 + int_t0^t1 P(t) dt,     P through the rates at past times (and t1: Moulton)
     BDF:    Q'(t1) = f(t1, y1),              Q through y1 and the past values
-The interpolation is through the times as they were (`lagrange`), so the step may vary from one
-step to the next at every order; zero-stability wants a growth of at most 1 + sqrt(2) a step at
-order 2 and less above (`diffrax.PIDController(factormax=...)`).
+The interpolation uses the actual times (`lagrange`), so the step size may vary at every order.
+Zero-stability allows a growth of at most 1 + sqrt(2) a step at order 2, and less at higher orders
+(`diffrax.PIDController(factormax=...)`).
 
 Start, and after each jump: a one-step method of sufficient order, classical RK4 for Adams, Radau
-IIA of two or three stages for BDF. Error: the difference to the method of one order less (Adams),
-or to the extrapolation of the past, scaled (BDF). Dense output: the polynomial itself.
+IIA of two or three stages for BDF. Error: the difference from the method of one order less (Adams),
+or from the extrapolated past, scaled (BDF). Dense output: the polynomial itself.
 (Hairer, Norsett & Wanner, *Solving ODEs I*, III.1, III.5.)
 """
 
@@ -44,7 +44,7 @@ from rbjax.solvers.steps import (
 
 
 class History(NamedTuple):
-    """What was before the current state, latest first, and how much of it has been filled."""
+    """The entries before the current state, latest first, and how many have been filled."""
 
     ts: jax.Array  # (n,)
     values: jax.Array  # (n, size of the state): rates (Adams) or states (BDF)
@@ -64,16 +64,16 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
     @property
     @abc.abstractmethod
     def degree(self) -> int:
-        """Of the dense polynomial of any step."""
+        """The degree of the dense output."""
 
     @property
     @abc.abstractmethod
     def past(self) -> int:
-        """Entries of the history that the formula needs."""
+        """The number of history entries that the formula needs."""
 
     @abc.abstractmethod
     def start(self, f: Field, t0: Any, y0: jax.Array) -> Start:
-        """What begin and formula need of the current state."""
+        """What `begin` and `formula` need from the current state."""
 
     @abc.abstractmethod
     def begin(self, f: Field, h: Any, here: Start) -> Step:
@@ -81,11 +81,11 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
 
     @abc.abstractmethod
     def formula(self, f: Field, h: Any, here: Start, history: History) -> Step:
-        """A step with it."""
+        """A step with history."""
 
     @abc.abstractmethod
     def remembered(self, here: Start) -> jax.Array:
-        """What the history keeps of the current state."""
+        """What the history stores for the current state."""
 
     def init(self, terms, t0, t1, y0, args):
         # Distinct times, so that the formula stays finite where it is not used yet.
@@ -116,7 +116,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         return f.unravel(y + out.u), error, dense, state, verdict(out.ok)
 
     def _padded(self, step: Step) -> Step:
-        """The same, with as many coefficients as any step of the method has."""
+        """The step, with its coefficients padded to the degree of the method."""
         missing = self.degree - step.coefficients.shape[0]
         padded = jnp.pad(step.coefficients, ((0, missing), (0, 0)))
         return step._replace(coefficients=padded, ok=jnp.asarray(step.ok))
@@ -130,11 +130,11 @@ ADAMS = {"none": ("Adams-Bashforth", 1), "once": ("PECE", 2), "root": ("Adams-Mo
 
 
 class Adams(AbstractMultistep):
-    """Adams methods, to order 5: that of what RK4 starts, whose errors are of order 5 in each step.
+    """Adams methods up to order 5. RK4 starts them; its error in each step is of order 5.
 
     Fields: formula_order, from 1, with a corrector from 2; corrector, "none" (Adams-Bashforth),
-    "once" (PECE: predicted, evaluated, corrected, evaluated) or "root" (Adams-Moulton);
-    root_finder, root_find_max_steps for the last.
+    "once" (PECE: predict, evaluate, correct, evaluate) or "root" (Adams-Moulton);
+    root_finder, root_find_max_steps for "root".
     """
 
     formula_order: int = eqx.field(static=True)
@@ -213,7 +213,7 @@ class Adams(AbstractMultistep):
 
 
 class BDF(AbstractMultistep):
-    """Backward differentiation of order 1 to 6: A-stable to 2, A(alpha) above, for stiff equations.
+    """Backward differentiation of order 1 to 6 for stiff equations: A-stable to 2, then A(alpha).
 
     Fields: formula_order; root_finder, root_find_max_steps.
     """
@@ -227,7 +227,7 @@ class BDF(AbstractMultistep):
 
     @property
     def past(self) -> int:
-        return self.formula_order  # one more than the formula needs: for the extrapolation
+        return self.formula_order  # one more than the formula needs, for the extrapolation
 
     @property
     def degree(self) -> int:
@@ -280,21 +280,20 @@ class BDF(AbstractMultistep):
 
 
 def adams_bashforth(order: int) -> Adams:
-    """Explicit, of order 1 to 5: so many rates, the new one among them, one evaluation a step."""
+    """Explicit, of order 1 to 5: one rate for each order, one evaluation a step."""
     return Adams(order)
 
 
 def adams_moulton(order: int, **options) -> Adams:
-    """Implicit, of order 2, the trapezoidal rule, to 5."""
+    """Implicit, of order 2 (the trapezoidal rule) to 5."""
     return Adams(order, "root", **options)
 
 
 def pece(order: int) -> Adams:
-    """Adams-Bashforth of order - 1, evaluated, corrected by Adams-Moulton, evaluated: order 2 to
-    5."""
+    """Predicts with Adams-Bashforth of order - 1, corrects with Adams-Moulton: order 2 to 5."""
     return Adams(order, "once")
 
 
 def bdf(order: int, **options) -> BDF:
-    """BDF of order 1, backward Euler, to 6."""
+    """BDF of order 1 (backward Euler) to 6."""
     return BDF(order, **options)

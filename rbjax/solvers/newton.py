@@ -1,12 +1,12 @@
-"""Roots of implicit steps: optimistix' Newton and chord iterations, stopped by their corrections.
+"""Roots of implicit steps: Newton and chord iterations of optimistix, stopped by their corrections.
 
 optimistix stops where the residual is below a tolerance, or where the corrections shrink at a
-steady rate. In a step neither can be trusted: the residual of a stiff step is all rounding, and
-at an equilibrium the corrections are. So a wrapper stops where the correction, or what the rate of
-the corrections leaves of the next, is rounding beside the state. A chord's corrections shrink at
-a rate that stays: where they shrank fast and then grow, that is rounding too, however large an
-ill-conditioned mass matrix makes it. A root that is not reached is a value: `ok` is false, and with
-it the step's result.
+steady rate. Neither test works in a step: the residual of a stiff step is mostly rounding, and the
+corrections at an equilibrium are too. So a wrapper stops when the correction is rounding relative
+to the state, or when its rate predicts this for the next correction. The corrections of a
+chord shrink at a constant rate. If they shrank fast and then grow, they are rounding too, however
+large an ill-conditioned mass matrix makes it. A failed root is a value: `ok` is false, and the
+step's result reports the failure.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from jax.flatten_util import ravel_pytree
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 
-MAX_STEPS = 100  # a chord's are cheap, and slow where a stiff spring shakes a heavy arm
+MAX_STEPS = 100  # chord steps are cheap, and many where a stiff spring shakes a heavy arm
 ROUNDING = 4  # units in the last place of the state
-LOST = 0.2  # of the digits, to conditioning: so large, corrections that stay are rounding
+LOST = 0.2  # share of the digits lost to conditioning: constant corrections below it are rounding
 FAST = 0.1  # rate after which corrections that grow are rounding, below sqrt(eps) of the state
 
 
 class Settled(optx.AbstractRootFinder):
-    """optimistix' `Newton` or `Chord`, or diffrax' `VeryChord`, stopped by the size of corrections.
+    """`optx.Newton`, `optx.Chord` or diffrax's `VeryChord`, stopped by the size of its corrections.
 
-    The option `scale` is the size of the state; without it 1. Two options are functions
-    (y, args) -> (value, None) from which a matrix is taken instead of the residual's: `near` by a
-    chord, `slope` by Newton's iteration as well. The state: the inner one, the size of the last
-    correction but one, and what it would be had each shrunk by `FAST`.
-    Fields: inner; the others are what optimistix and diffrax expect of a root finder, and not used.
+    The option `scale` is the size of the state, 1 by default. Two options are functions
+    (y, args) -> (value, None) whose Jacobian replaces that of the residual: `near` for a chord,
+    `slope` for Newton's iteration too. The state: the inner one, the size of the last correction
+    but one, and the size it would have if each had shrunk by `FAST`.
+    Fields: inner. optimistix and diffrax expect the others of a root finder; they are not used.
     """
 
     rtol: float = 1.0
@@ -47,7 +47,7 @@ class Settled(optx.AbstractRootFinder):
     inner: Any = eqx.field(default_factory=lambda: _made(optx.Chord, Inverse()))
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        if "init_state" in options:  # diffrax begins the iteration of a whole step at once
+        if "init_state" in options:  # diffrax starts one iteration for all stages of a step
             return options["init_state"]
         fn = options.get("near", options.get("slope", fn))
         inner = self.inner.init(fn, y, args, {}, f_struct, aux_struct, tags)
@@ -88,7 +88,7 @@ class Settled(optx.AbstractRootFinder):
 
 
 def newton(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
-    """Full Newton: the Jacobian anew in each iteration. `lineax.GMRES` does without its matrix."""
+    """Full Newton: a new Jacobian in each iteration. `lineax.GMRES` needs no matrix."""
     return Settled(inner=_made(optx.Newton, linear_solver or lx.AutoLinearSolver(well_posed=None)))
 
 
@@ -96,25 +96,25 @@ def chord(linear_solver: lx.AbstractLinearSolver | None = None) -> Settled:
     """Simplified Newton: one Jacobian a step, at the first guess.
 
     Raises:
-        InputError: a linear solver that goes by products alone: there is nothing to hold.
+        InputError: a linear solver that uses only products, so there is no matrix to keep.
     """
     if linear_solver is not None and iterative(linear_solver):
         name = type(linear_solver).__name__
         raise InputError(
-            f"chord: got lineax.{name}, expected a linear solver of the matrix that a chord holds; "
-            f"newton({name}(...)) does without one"
+            f"chord: got lineax.{name}, expected a linear solver that uses the matrix of a chord; "
+            f"newton({name}(...)) needs none"
         )
     return Settled(inner=_made(optx.Chord, linear_solver or Inverse()))
 
 
 def very_chord() -> Settled:
-    """diffrax' own, for its diagonally implicit methods: one Jacobian for all stages."""
+    """diffrax's own, for its diagonally implicit methods: one Jacobian for all stages."""
     return Settled(inner=diffrax.VeryChord(1.0, 1.0))
 
 
 class Inverse(lx.AbstractLinearSolver):
-    """By the inverse matrix, for chords: they solve often, and a correction mends the last one's
-    rounding."""
+    """Solves with the inverse matrix. Chords solve often, and each correction repairs the rounding
+    of the last."""
 
     def init(self, operator, options):
         return jnp.linalg.inv(operator.as_matrix())
@@ -138,17 +138,17 @@ def _made(method: Any, linear_solver: lx.AbstractLinearSolver) -> Any:
 
 
 def linear_solver(finder: Any) -> lx.AbstractLinearSolver:
-    """The one that a root finder solves its corrections with."""
+    """The linear solver of a root finder."""
     return getattr(getattr(finder, "inner", finder), "linear_solver", lx.LU())
 
 
 def matrix_free(finder: Any) -> bool:
-    """Whether that asks for products alone, and for no matrix."""
+    """Whether the linear solver of a root finder uses only products, no matrix."""
     return iterative(linear_solver(finder))
 
 
 def iterative(solver: lx.AbstractLinearSolver) -> bool:
-    """Whether a linear solver goes by products alone."""
+    """Whether a linear solver uses only products, no matrix."""
     return isinstance(solver, (lx.GMRES, lx.BiCGStab, lx.CG, lx.Normal))
 
 
@@ -161,15 +161,15 @@ def root(
     near: Any = None,
     slope: Any = None,
 ) -> tuple[Any, jax.Array]:
-    """The root of `residual` beside `guess`, and whether it was found; y0 sets the scale.
+    """The root of `residual` near `guess`, and whether it was found; y0 sets the scale.
 
-    `near` has a cheaper derivative, for chords; `slope` the residual's value at the guess, its
-    roots, and a derivative that leads there sooner. The root's own derivatives are those of the
-    implicit function, in both directions.
+    `near` has a cheaper derivative, for chords. `slope` has the same value at the guess and the
+    same roots as the residual, and a derivative with which Newton converges faster. The root is
+    differentiated by the implicit function theorem, in forward and reverse mode.
     """
     options: dict[str, Any] = {"scale": _largest(y0)}
     for name, f in (("near", near), ("slope", slope)):
-        if f is not None:  # what it closes over becomes leaves, which `stopped` stops
+        if f is not None:  # closed-over values become leaves, so that `stopped` stops them
             options[name] = eqx.filter_closure_convert(f, guess, None)
     solution: Any = optx.root_find(
         lambda x, _: residual(x),
@@ -183,19 +183,19 @@ def root(
 
 
 def verdict(ok: jax.Array) -> Any:
-    """diffrax' result of a step with roots."""
+    """The diffrax result of a step with roots."""
     results = diffrax.RESULTS
     return results.where(ok, results.successful, results.nonlinear_divergence)
 
 
 def refused(ok: jax.Array, error: Any) -> Any:
-    """The error estimate, infinite where a root failed: an adaptive step is then tried shorter."""
+    """The error estimate. It is infinite where a root failed, so that the step is shortened."""
     return jax.tree.map(lambda x: jnp.where(ok, x, jnp.inf), error)
 
 
 def stopped(tree: Any) -> Any:
-    """The same without derivatives; what is no array, as the functions in the state of a linear
-    solver without a matrix, stays as it is."""
+    """The tree without derivatives. Leaves that are not arrays stay as they are, such as functions
+    in the state of a matrix-free linear solver."""
     numbers, rest = eqx.partition(tree, eqx.is_array)
     return eqx.combine(jax.lax.stop_gradient(numbers), rest)
 

@@ -1,4 +1,4 @@
-"""Every solver by name, with what a test, a chart or a user needs to choose one."""
+"""Every solver by name, with the facts that a test, a chart or a user needs to choose one."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ KINDS = ("ode", "second-order", "split", "lie")
 class Entry:
     """A solver.
 
-    Fields: make, () -> the diffrax solver; order; kind, what it needs: "ode" any vector field,
-    "second-order" a pair (q, v) with q' = v and v' = a(t, q, v), "split" the same, with full merit
-    where a is free of v, "lie" a term on a group; implicit; adaptive, whether it estimates its
-    error (others take constant steps, or `diffrax.HalfSolver` around them).
+    Fields: make, () -> the diffrax solver; order; kind, the equations that it takes: "ode" any
+    vector field, "second-order" a pair (q, v) with q' = v and v' = a(t, q, v), "split" the same,
+    best where a does not depend on v, "lie" a term on a group; implicit; adaptive, whether it
+    estimates its error (others take constant steps, or `diffrax.HalfSolver` around them).
     """
 
     make: Callable[[], diffrax.AbstractSolver]
@@ -42,7 +42,7 @@ class Entry:
 
 
 def all() -> dict[str, Entry]:
-    """name -> `Entry`, in an order that stays.
+    """name -> `Entry`, in a fixed order.
 
     Example:
         >>> import rbjax as rb

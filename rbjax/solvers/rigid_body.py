@@ -1,11 +1,11 @@
 """The free rigid body, and the splitting that turns it by exact rotations about its axes.
 
     q' = q (0, w) / 2,    J w' = J w x w + torque(t, q)
-The kinetic energy is a sum of three, m_i^2 / 2 J_i with m = J w; under each alone the body turns
-about its own axis i at the constant rate m_i / J_i while m turns the other way. Their symmetric
-product, X(h/2) Y(h/2) Z(h) Y(h/2) X(h/2), is of order 2, symplectic, and keeps the unit length and
-the momentum in space exactly (McLachlan 1993; Hairer, Lubich & Wanner, *Geometric Numerical
-Integration*, VII.5.3). A torque kicks m before and after.
+The kinetic energy is the sum of three terms m_i^2 / 2 J_i with m = J w. Under one term only, the
+body turns about its axis i at the constant rate m_i / J_i while m turns the other way. The
+symmetric product X(h/2) Y(h/2) Z(h) Y(h/2) X(h/2) is of order 2 and symplectic. It keeps the unit
+length and the momentum in space exactly (McLachlan 1993; Hairer, Lubich & Wanner, *Geometric
+Numerical Integration*, VII.5.3). A torque kicks m before and after.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from rbjax.solvers.steps import AbstractGroupSolver, dense_between
 
 
 class RigidBody(OnGroup):
-    """A body about its centre, or a fixed point: state (quaternion (4,), angular velocity (3,)).
+    """A body about its centre or a fixed point: state (quaternion (4,), angular velocity (3,)).
 
     inertia (3,): principal moments, kg m^2, along the body axes; torque: (t, quaternion, args) ->
     (3,) in body axes, N m, or None. Any solver of terms on groups takes it.
 
     Raises:
-        InputError: an inertia of another shape, or that is not positive.
+        InputError: the inertia has another shape, or is not positive.
     """
 
     inertia: jax.Array  # type: ignore[misc]
@@ -68,7 +68,7 @@ def _no_field(t, y, args):
 
 
 class RigidBodySplitting(AbstractGroupSolver):
-    """Exact turns about the three axes, and kicks: order 2. Its term is a `RigidBody`."""
+    """Exact rotations about the three axes, and kicks: order 2. Its term is a `RigidBody`."""
 
     term_structure: ClassVar[Any] = RigidBody
 
@@ -94,7 +94,8 @@ class RigidBodySplitting(AbstractGroupSolver):
 def _turned_back(m: jax.Array, axis: int, angle: jax.Array) -> jax.Array:
     """m in axes that have turned by an angle about one of them.
 
-    By its change: of a cosine beside 1 the rounding repeats each turn, and m grows or shrinks.
+    The change of m is added. A cosine near 1 would round the same way in each turn, and m would
+    grow or shrink.
     """
     i, j = (axis + 1) % 3, (axis + 2) % 3
     versine, s = 2 * jnp.sin(angle / 2) ** 2, jnp.sin(angle)

@@ -1,10 +1,10 @@
-"""Rosenbrock-W methods: implicit, without a nonlinear system, of full order for any Jacobian.
+"""Rosenbrock-W methods: implicit without a nonlinear system, of full order for any Jacobian.
 
     (I - h gamma J) k_i = h f(t0 + alpha_i h, y0 + sum_j alpha_ij k_j) + h J sum_j gamma_ij k_j
                           + gamma_i h^2 df/dt,    y1 = y0 + sum_i b_i k_i
-One Jacobian and one factorization a step (Hairer & Wanner, *Solving ODEs II*, IV.7; Rang &
+A step takes one Jacobian and one factorization (Hairer & Wanner, *Solving ODEs II*, IV.7; Rang &
 Angermann, BIT 45, 2005). The coefficients are checked against the order conditions of W-methods,
-which hold whatever J is.
+which hold for any J.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rbjax.solvers.tableau import TOLERANCE, Tree, density, trees
 
 
 def _weights(alpha: np.ndarray, gamma: np.ndarray, tree: Tree, kinds: list[bool]) -> np.ndarray:
-    """Phi_i of a tree; `kinds` is consumed: whether each node with one branch is taken by J."""
+    """Phi_i of a tree. `kinds` is consumed: it says which nodes with one branch go through J."""
     matrix = gamma if len(tree) == 1 and kinds.pop(0) else alpha
     out = np.ones(len(alpha))
     for branch in tree:
@@ -53,7 +53,7 @@ def holds(alpha: np.ndarray, gamma: np.ndarray, b: np.ndarray, order: int) -> bo
 
 @dataclass(frozen=True)
 class RosenbrockTableau:
-    """alpha strictly lower, gamma lower with one number on its diagonal, b, b of the companion."""
+    """alpha strictly lower; gamma lower with a constant diagonal; b; b of the companion."""
 
     alpha: tuple[tuple[float, ...], ...]
     gamma: tuple[tuple[float, ...], ...]
@@ -71,7 +71,7 @@ class RosenbrockTableau:
 
 
 class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
-    """The method of a tableau; `linear_solver` is of lineax, `lineax.GMRES` for no matrix."""
+    """The method of a tableau. `linear_solver` is of lineax; `lineax.GMRES` needs no matrix."""
 
     tableau: RosenbrockTableau = eqx.field(static=True)
     linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
@@ -107,7 +107,7 @@ class RosenbrockW(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver):
             sound = solved.result == lx.RESULTS.successful
             return ks.at[i].set(solved.value, mode="drop"), (rate, sound)
 
-        # One more than there are, at y1, for its rate alone: the loop's body is compiled anyway.
+        # One more stage at y1, only for its rate: the body of the loop is compiled anyway.
         alpha = np.vstack([alpha, self.tableau.b])
         below = np.vstack([np.tril(gamma, -1), np.zeros(len(gamma))])
         rows = (np.arange(len(alpha)), alpha.astype(y.dtype), below.astype(y.dtype))

@@ -1,8 +1,8 @@
-"""Alexander's diagonally implicit method, beside diffrax' Kvaerno methods of order 3, 4 and 5.
+"""Alexander's diagonally implicit method; diffrax has Kvaerno's methods of order 3, 4 and 5.
 
     gamma = 1 - 1 / sqrt 2,    c = (gamma, 1),    a_21 = b_1 = 1 - gamma,    b_2 = gamma
-Order 2, L-stable, stiffly accurate (Alexander, *SIAM J. Numer. Anal.* 14, 1977). Its companion is
-the first stage alone, of order 1. Dense output: the collocation polynomial of its two nodes.
+Order 2, L-stable, stiffly accurate (Alexander, *SIAM J. Numer. Anal.* 14, 1977). Its companion uses
+only the first stage and has order 1. Dense output: the collocation polynomial of its two nodes.
 """
 
 from __future__ import annotations

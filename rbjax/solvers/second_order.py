@@ -50,7 +50,7 @@ class Halves(eqx.Module):
         return pair(self.rate(t, y))[0][0]
 
     def kicked(self, y: Any, dv: Any) -> Any:
-        """y with v changed by dv, and q not even rounded."""
+        """y with v changed by dv, and q untouched."""
         (q, v), together = pair(y)
         return together([q, combine((1.0, 1.0), (v, dv))])
 
@@ -61,8 +61,8 @@ class Halves(eqx.Module):
 
 
 def momentum_of(terms: Any, args: Any) -> Callable[[Any, Any], Any] | None:
-    """The term's p(t, y), if it has one, t in the solver's time. Reversed time reverses v in
-    nothing but h: p is that of the state as it is."""
+    """The term's p(t, y), if it has one, with t in the solver's time. Reversed time changes only
+    the sign of h, so p is that of the state as it is."""
     of_term = getattr(unwrapped(terms), "momentum", None)
     return of_term and (lambda t, y: of_term(forwards(terms, t) * t, y, args))
 
@@ -73,9 +73,9 @@ def in_momenta(
     residual: Callable[[Any], Any],
     guess: Any,
 ) -> tuple[Callable[[Any], Any], Callable[[Any, Any], Any]]:
-    """M residual(k) of an equation of accelerations, with M at the guess; and the function
-    M(place(k)) residual(k), whose slope leads to the root from farther off: the force of a stiff
-    spring is linear in q, and M(q)^-1 times it is not."""
+    """M residual(k) of an equation of accelerations, with M at the guess, and the function
+    M(place(k)) residual(k). Newton on the latter converges from farther away: the force of a stiff
+    spring is linear in q, and M(q)^-1 times that force is not."""
     held = jax.lax.stop_gradient(place(guess))
     _, inertia = jax.linearize(lambda v: momentum(held, v), guess)
 
@@ -92,7 +92,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
     """The implicit members of the family. Order 2 where gamma = 1/2 - alpha_m + alpha_f, else 1.
 
     Fields: alpha_m, alpha_f, beta, gamma; root_finder, root_find_max_steps. The solver's state is
-    A, and whether it is still to begin, as the acceleration; a jump makes it begin again.
+    A and a flag that says whether A must first be set to the acceleration, as after a jump.
     """
 
     alpha_m: float
@@ -103,7 +103,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
     root_find_max_steps: int = MAX_STEPS
 
     def order(self, terms):
-        """A member whose numbers are traced is not known to be of order 2."""
+        """1 where the parameters are traced: their order is then not known."""
         off: Any = self.gamma - (1 / 2 - self.alpha_m + self.alpha_f)
         return 2 if not isinstance(off, jax.core.Tracer) and abs(off) < ROUNDING else 1
 
@@ -118,7 +118,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
         carried, begins = solver_state
         carried = select(begins | made_jump, now, carried)
         m, f = self.alpha_m, self.alpha_f
-        bent = forwards(terms, h) * h  # q'' is v', but for the sign of time
+        bent = forwards(terms, h) * h  # q'' is v', except for the sign of time
 
         def after(k):
             """A1, and the state that it leads to, of k = h a1."""
@@ -133,7 +133,7 @@ class GeneralizedAlpha(AbstractGroupSolver):
         def residual(k):
             return combine((1.0, -h), (k, halves.acceleration(t1, after(k)[1])))
 
-        # From where q goes on at v0: the acceleration of a stiff spring leads far off.
+        # The guess has q moving on at v0: the acceleration of a stiff spring leads far away.
         explicit = self.beta == 0
         free = jnp.where(explicit, 0.0, (self.beta - 0.5) / jnp.where(explicit, 1.0, self.beta))
         guess = combine(
@@ -160,28 +160,28 @@ class GeneralizedAlpha(AbstractGroupSolver):
 
 
 def _no_rate(terms: Any, args: Any, t: Any, y: Any) -> Any:
-    """Zeros in the place of the rate."""
+    """Zeros instead of the rate."""
     rate = jax.eval_shape(field(terms, args), t, y)
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), rate)
 
 
 def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
-    """Chung and Hulbert's: spectral radius rho_inf (0 to 1) at infinite frequency, order 2."""
+    """Chung and Hulbert's: order 2, spectral radius rho_inf (0 to 1) at infinite frequency."""
     check_between("generalized_alpha", "rho_inf", rho_inf, 0, 1)
     m, f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
     return GeneralizedAlpha(m, f, (1 - m + f) ** 2 / 4, 1 / 2 - m + f, **options)
 
 
 def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
-    """Newmark's method: order 2 if gamma is 1/2, more damps; beta 1/4 the average acceleration,
-    A-stable."""
+    """Newmark's method: order 2 if gamma is 1/2; a larger gamma damps. beta 1/4 is the average
+    acceleration, which is A-stable."""
     check_between("newmark", "beta", beta, 0, math.inf)
     check_between("newmark", "gamma", gamma, 0.5, math.inf)  # below, oscillations grow
     return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
 
 
 def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
-    """Hilber, Hughes and Taylor's, alpha from -1/3 (most damping) to 0: order 2, A-stable."""
+    """Hilber, Hughes and Taylor's: order 2, A-stable; alpha is -1/3 (most damping) to 0."""
     check_between("hht_alpha", "alpha", alpha, -1 / 3, 0)
     return GeneralizedAlpha(0.0, -alpha, (1 - alpha) ** 2 / 4, 1 / 2 - alpha, **options)
 
@@ -189,7 +189,7 @@ def hht_alpha(alpha: float = -0.1, **options) -> GeneralizedAlpha:
 class CentralDifferences(AbstractGroupSolver):
     """Newmark's explicit member (beta 0, gamma 1/2): order 2, stable to h omega = 2.
 
-    Forces that see the velocity take it as v0 + h a0, so they stay explicit, and of order 2.
+    Forces that depend on the velocity use v0 + h a0, so the method stays explicit and of order 2.
     """
 
     def order(self, terms):
@@ -209,9 +209,9 @@ class CentralDifferences(AbstractGroupSolver):
 class SemiImplicitEuler(AbstractGroupSolver):
     """Semi-implicit Euler with damping treated implicitly, the default of robot engines.
 
-    (1 - h da/dv) (v1 - v0) = h a(t0, q0, v0),    q1 = q0 + h v1.  Order 1, no limit from damping.
-    All of da/dv is taken, Coriolis forces and gains of servos included; `linear_solver` is of
-    lineax (`lineax.GMRES` for no matrix).
+    (1 - h da/dv) (v1 - v0) = h a(t0, q0, v0),    q1 = q0 + h v1.  Order 1; damping sets no limit
+    on the step. da/dv includes Coriolis forces and servo gains. `linear_solver` is of lineax;
+    `lineax.GMRES` needs no matrix.
     """
 
     linear_solver: lx.AbstractLinearSolver = eqx.field(default_factory=lx.LU)
@@ -237,9 +237,9 @@ class SemiImplicitEuler(AbstractGroupSolver):
 class VariationalMidpoint(AbstractGroupSolver):
     """The discrete Euler-Lagrange equations of L_d = h L(q0 + h w / 2, w), q1 = q0 + h w.
 
-    p1 - p0 = h p'(m),  (p0 + p1) / 2 = p(m),  m = (q0 + h w / 2, w)  with p = M(q) v: symplectic in
-    (q, p), exactly, and of order 2 with any forces. The momentum is that of the term
-    (`OnGroup(..., momentum=)`); without one the mass is constant, p is v, and this is the implicit
+    p1 - p0 = h p'(m),  (p0 + p1) / 2 = p(m),  m = (q0 + h w / 2, w)  with p = M(q) v. The method is
+    exactly symplectic in (q, p), and of order 2 with any forces. The term gives the momentum
+    (`OnGroup(..., momentum=)`). Without it the mass is constant, p is v, and this is the implicit
     midpoint rule. (Marsden & West, *Acta Numerica* 2001.)
 
     Fields: root_finder, root_find_max_steps.

@@ -3,10 +3,10 @@
     kick:  v' = a(t, q, v) at q held        drift:  q' = v at v held
     symplectic Euler  K(h) D(h);   Stoermer-Verlet  K(h/2) D(h) K(h/2);
     Yoshida  Verlet of steps w_1 h, ..., w_s h, with sum w = 1, sum w^3 = 0, sum w^5 = 0
-The state is a pair (q, v) whose rate is (q', a), q' free of q but for the group it moves on. Where
-a is free of v both flows are exact, and for a constant mass the method is symplectic: the energy
-error stays bounded. Forces that do see v are kicked by a Runge-Kutta method of the same order, so
-the order stays. Dense output: cubic. No error estimate: a varying step would spoil the energy.
+The state is a pair (q, v) whose rate is (q', a), where q' depends on q only through its group. If a
+does not depend on v, both flows are exact, and for a constant mass the method is symplectic: the
+energy error stays bounded. If a depends on v, a Runge-Kutta method of the same order integrates the
+kick. Dense output: cubic. No error estimate: a varying step would spoil the energy.
 (Yoshida, *Physics Letters A* 150, 1990; Hairer, Lubich & Wanner, *Geometric Numerical Integration*,
 II.5, V.3, coefficients of (3.11).)
 """
@@ -50,10 +50,10 @@ def _kicking(order: int) -> tables.Tableau:
 
 
 class Splitting(AbstractGroupSolver):
-    """A composition of kicks and drifts, in turn.
+    """A composition of alternating kicks and drifts.
 
-    Fields: kicks, one more than drifts or as many; drifts; formula_order; velocity_forces, whether
-    a may depend on v: without, each kick is one evaluation.
+    Fields: kicks, as many as drifts or one more; drifts; formula_order; velocity_forces, whether
+    a may depend on v. If it may not, each kick is one evaluation.
     """
 
     kicks: tuple[float, ...] = eqx.field(static=True)

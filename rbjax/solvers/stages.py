@@ -1,10 +1,10 @@
-"""The stage equations, which all implicit methods for any vector field share.
+"""The stage equations of all implicit methods for any vector field.
 
     k_i = h f(t_i, y_i + sum_j a_ij k_j),    i = 1 ... s
-Runge-Kutta methods have s stages, a BDF or an Adams method has one. Their Newton matrix is made of
-Jacobians J of the field: 1 - h (a_ij J_i) exactly, and 1 - h A (x) J with the one J at the start of
-the step for the chord iteration (Hairer & Wanner, *Solving Ordinary Differential Equations II*,
-IV.8): n columns of derivatives a step, where the system has s n.
+Runge-Kutta methods have s stages, a BDF or an Adams method has one. Their exact Newton matrix is
+1 - h (a_ij J_i), with Jacobians J_i of the field. The chord iteration takes 1 - h A (x) J, with one
+J at the start of the step (Hairer & Wanner, *Solving Ordinary Differential Equations II*, IV.8).
+That needs n columns of derivatives a step instead of s n.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rbjax.solvers.steps import mixed
 
 
 class Start(NamedTuple):
-    """What a step knows of where it begins; the Jacobian is None for a method without matrices."""
+    """The start of a step. The Jacobian is None for a matrix-free method."""
 
     t: Any
     y: jax.Array  # (n,)
@@ -43,7 +43,7 @@ def _held(f: Field, t: Any, y: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 @_held.def_jvp
 def _(primals: Any, tangents: Any) -> Any:
-    """The roots, and the size of an error, do not depend on the matrix that finds them."""
+    """Zero: roots and the size of an error do not depend on the matrix that finds them."""
     rate, jacobian = _held(*primals)
     _, moving = eqx.filter_jvp(lambda f, t, y: f(t, y), primals, tangents)
     return (rate, jacobian), batch_first((moving, jnp.zeros_like(jacobian)))
@@ -66,7 +66,7 @@ class Stages(eqx.Module):
 
 
 class Chord(eqx.Module):
-    """(1 - h A (x) J) k, in the place of `Stages` where its derivative is asked for."""
+    """(1 - h A (x) J) k: replaces `Stages` where its derivative is needed."""
 
     h: Any
     a: jax.Array
@@ -87,7 +87,7 @@ def solve(
 
 
 def damped(f: Field, gamma_h: Any, start: Start, raw: jax.Array, finder: Any) -> jax.Array:
-    """(1 - gamma h J)^-1 raw, of an error estimate, J at the start."""
+    """(1 - gamma h J)^-1 raw for an error estimate raw, with J at the start."""
     if start.jacobian is None:
         _, push = jax.linearize(lambda y: f(start.t, y), start.y)
         operator: Any = lx.FunctionLinearOperator(

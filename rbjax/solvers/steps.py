@@ -1,7 +1,7 @@
-"""What the steps of all solvers share: increments of pytrees, and dense output from a polynomial.
+"""Shared by the steps of all solvers: increments of pytrees, and polynomial dense output.
 
-A step goes by increments h f, in the solver's own time, which runs forwards; a term of diffrax
-changes the sign where the caller's runs backwards.
+A step adds increments h f in the solver's own time, which runs forwards. If the caller's time runs
+backwards, diffrax's term changes the sign.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def scaled(h: Any, k: Any) -> Any:
 
 
 def combine(weights: Sequence[Any], ks: Sequence[Any]) -> Any:
-    """sum_i weights_i k_i, without those that are zero."""
+    """sum_i weights_i k_i, without the zero weights."""
     used = [(w, k) for w, k in zip(weights, ks, strict=True) if not _zero(w)]
     if not used:
         return jax.tree.map(jnp.zeros_like, ks[0])
@@ -68,7 +68,7 @@ def explicit_stages(
 ) -> Callable[[Any], list[Any]]:
     """From a zero increment, the stages k_i = rate(t0 + c_i h, h sum_j a_ij k_j).
 
-    A loop, so that the field is traced once however many stages there are; or `written` out.
+    A loop, so that the field is traced once however many stages there are; `written` unrolls it.
     """
     s, c = tableau.stages, jnp.asarray(tableau.c, jnp.result_type(h))
 
@@ -90,7 +90,7 @@ def explicit_stages(
 
 
 def _mixed_row(tableau: Tableau, i: jax.Array, ks: Any) -> Any:
-    """sum_j a_ij k_j; on the CPU, whose branches cost nothing, without what is zero."""
+    """sum_j a_ij k_j. On the CPU, where branches cost nothing, zero weights are skipped."""
     if jax.default_backend() != "cpu":
         row = jnp.array(tableau.a)[i]
         return jax.tree.map(lambda k: (row.astype(k.dtype) * k.T).T.sum(0), ks)
@@ -99,7 +99,7 @@ def _mixed_row(tableau: Tableau, i: jax.Array, ks: Any) -> Any:
 
 
 def inverse_dexp(group: AbstractGroup, u: Any, w: Any) -> Any:
-    """u' of y exp(u) that moves at w: w + [u, w] / 2 + [u, [u, w]] / 12, exact to fourth order."""
+    """u' where y exp(u) moves at w: w + [u, w] / 2 + [u, [u, w]] / 12, exact to fourth order."""
     if isinstance(group, Vector):
         return w
     once = group.bracket(u, w)
@@ -107,17 +107,17 @@ def inverse_dexp(group: AbstractGroup, u: Any, w: Any) -> Any:
 
 
 def pair(y: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
-    """The two halves (q, v) of a state or of its rate, and how to put halves together again."""
+    """The two halves (q, v) of a state or of its rate, and the function that joins two halves."""
     if isinstance(y, dict):
         raise InputError(
-            f"a state that is a dict, whose order is that of its keys, {sorted(y)}: expected a "
+            f"the state is a dict with keys {sorted(y)}, which have no order (q, v): expected a "
             "tuple (q, v)"
         )
     halves, tree = jax.tree.flatten(y, is_leaf=lambda x: x is not y and x is not None)
     if len(halves) != 2:
         raise InputError(
-            f"a state of {len(halves)} parts, expected a tuple (q, v); for a robot whose force "
-            "elements have states take a solver of kind 'ode' (rb.solvers.all())"
+            f"the state has {len(halves)} parts, expected a tuple (q, v); for a robot whose force "
+            "elements have states, take a solver of kind 'ode' (rb.solvers.all())"
         )
     return halves, lambda new: jax.tree.unflatten(tree, new)
 
@@ -157,7 +157,7 @@ def dense_between(
     group: AbstractGroup, f: Field, t0: Any, t1: Any, y0: Any, y1: Any, rate0: Any = None,
     rate1: Any = None,
 ) -> dict:  # fmt: skip
-    """Dense output of order four from the rates at both ends, those that are known given."""
+    """Dense output of order four from the rates at both ends; known rates are given."""
     if rate0 is None:
         both = jax.vmap(f)(jnp.stack([t0, t1]), stacked([y0, y1]))
         rate0, rate1 = (jax.tree.map(lambda x, i=i: x[i], both) for i in (0, 1))
@@ -169,8 +169,7 @@ def dense_between(
 
 
 class AbstractPolynomialSolver(diffrax.AbstractSolver):
-    """A solver with polynomial dense output; it keeps nothing from step to step, unless its own
-    `init` says otherwise."""
+    """A solver with polynomial dense output. It has no state unless it overrides `init`."""
 
     term_structure: ClassVar[Any] = diffrax.AbstractTerm
     interpolation_cls: ClassVar[Callable[..., Polynomial]] = Polynomial
@@ -183,10 +182,10 @@ class AbstractPolynomialSolver(diffrax.AbstractSolver):
 
 
 class AbstractGroupSolver(AbstractPolynomialSolver):
-    """A solver of terms `OnGroup`, and of any other as on the group `Vector`."""
+    """A solver of terms `OnGroup`. Any other term is on the group `Vector`."""
 
     def func(self, terms, t0, y0, args):
-        """The rate of the state's own numbers, also where its algebra has others."""
+        """The rate of the state's own coordinates, also where the algebra has other ones."""
         group, rate = group_of(terms), terms.vf(t0, y0, args)
         if isinstance(group, Vector):
             return rate

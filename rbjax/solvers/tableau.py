@@ -1,9 +1,9 @@
-"""Butcher tableaus: data that checks itself, and collocation methods computed from their nodes.
+"""Butcher tableaus, with checks of their order, and collocation methods from their nodes.
 
     k_i = h f(t0 + c_i h, y0 + sum_j a_ij k_j),    y1 = y0 + sum_i b_i k_i
 A method has order p if sum_i b_i Phi_i(tree) = 1 / gamma(tree) for every rooted tree of at most p
-nodes (Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.2). A tableau that
-misses the order it claims cannot be made.
+nodes (Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.2). A tableau with
+a false order raises an error.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from numpy.polynomial import Polynomial, legendre
 from rbjax.errors import InputError
 
 Tree = tuple  # of its branches; () is a leaf
-TOLERANCE = 1e-11  # of a condition, beside its terms: tableaus printed to 11 digits or so
+TOLERANCE = 1e-11  # of a condition, relative to its terms: tableaus printed to about 11 digits
 
 
 @functools.cache
 def trees(nodes: int) -> tuple[Tree, ...]:
-    """The rooted trees of so many nodes."""
+    """The rooted trees with that many nodes."""
     return tuple(sorted(set(_forests(nodes - 1))))
 
 
@@ -57,7 +57,7 @@ def weights(a: np.ndarray, tree: Tree) -> np.ndarray:
 
 
 def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
-    """The order of a method by its order conditions, looked for up to `at_most`."""
+    """The order of a method by its order conditions, checked up to `at_most`."""
     for p in range(1, at_most + 1):
         for tree in trees(p):
             sizes = np.abs(b) @ weights(np.abs(a), tree) + 1 / density(tree)
@@ -67,7 +67,7 @@ def attained_order(a: np.ndarray, b: np.ndarray, at_most: int = 6) -> int:
 
 
 def proven_order(a: np.ndarray, b: np.ndarray) -> int:
-    """An order from Butcher's simplifying assumptions, which high orders are made by; or too low.
+    """A lower bound of the order, from Butcher's simplifying assumptions.
 
     B(p), C(eta), D(zeta) give the order min(p, eta + zeta + 1, 2 eta + 2) (HNW, II, Theorem 7.4).
     """
@@ -95,15 +95,14 @@ class Tableau:
     """A Runge-Kutta method.
 
     Fields: a, b, c; order; `error`, weights of (h f(t0, y0), k_1, ..., k_s) in the error estimate,
-    empty where there is none; error_order, the power of h in which that falls; filter, the gamma of
-    (I - h gamma J)^-1 by which a stiff estimate is damped, 0 where it is not; dense, row i the
-    coefficients of theta, theta^2, ... in b_i(theta), empty where there is no polynomial. Any
-    sequences or arrays are taken. Without `error` steps are constant; without `dense` a cubic
-    between y0 and y1 is the output.
+    or empty; error_order, the power of h of the error estimate; filter, the gamma of
+    (I - h gamma J)^-1 that damps a stiff estimate, or 0; dense, row i the coefficients of theta,
+    theta^2, ... in b_i(theta), or empty. Any sequences or arrays are accepted. Without `error`
+    steps are constant. Without `dense` the output is a cubic between y0 and y1.
 
     Raises:
-        InputError: shapes; an order that the conditions deny (looked at to 6); weights of the error
-            that do not sum to zero, or of a dense output that does not end in y1.
+        InputError: wrong shapes; an order that the conditions deny (checked up to 6); error weights
+            that do not sum to zero; a dense output that does not end in y1.
     """
 
     a: tuple[tuple[float, ...], ...]
@@ -131,7 +130,7 @@ class Tableau:
             object.__setattr__(self, name, _tuples(x))
         found = attained_order(np.array(self.a), np.array(self.b), min(self.order, 6))
         if found < min(self.order, 6):
-            raise InputError(f"tableau: order {found} by its conditions, {self.order} claimed")
+            raise InputError(f"tableau: order {found} by its conditions, expected {self.order}")
         if self.error and abs(sum(self.error)) > TOLERANCE:
             raise InputError("tableau: the weights of the error estimate do not sum to zero")
         if self.dense and np.abs(np.sum(self.dense, 1) - self.b).max() > TOLERANCE:
@@ -143,7 +142,7 @@ class Tableau:
 
     @property
     def essential(self) -> Tableau:
-        """An explicit method without error estimate and the stages that only this one uses."""
+        """An explicit method without its error estimate and the stages that only this one uses."""
         s = max(i for i, b in enumerate(self.b) if b) + 1
         return Tableau(tuple(row[:s] for row in self.a[:s]), self.b[:s], self.order)
 
@@ -163,7 +162,7 @@ def _shifted_legendre(s: int) -> Polynomial:
 
 
 def _roots(p: Polynomial) -> np.ndarray:
-    """Real roots to the last digit: Newton's steps after the eigenvalues."""
+    """Real roots to the last digit: eigenvalues, then Newton steps."""
     x = np.sort(np.real(p.roots()))
     for _ in range(3):
         x = x - p(x) / p.deriv()(x)
@@ -171,7 +170,7 @@ def _roots(p: Polynomial) -> np.ndarray:
 
 
 def _integrals(c: np.ndarray) -> list[Polynomial]:
-    """int_0^x l_j, of the Lagrange polynomials l_j of nodes c."""
+    """int_0^x l_j of the Lagrange polynomials l_j of nodes c."""
     out = []
     for j in range(len(c)):
         l = Polynomial([1.0])
@@ -270,12 +269,12 @@ EULER = explicit((), (1.0,), 1)
 MIDPOINT = explicit(((1 / 2,),), (0.0, 1.0), 2)
 HEUN = explicit(((1.0,),), (1 / 2, 1 / 2), 2, (-1 / 2, 1 / 2))
 KUTTA3 = explicit(((1 / 2,), (-1.0, 2.0)), (1 / 6, 2 / 3, 1 / 6), 3)
-#: The classical method; a fifth stage at y1 in place of the fourth is a third-order companion.
+#: The classical method. Its third-order companion has a fifth stage, at y1, instead of the fourth.
 RK4 = explicit(
     ((1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
     (1 / 6, 1 / 3, 1 / 3, 1 / 6, 0.0),
     4,
     (0.0, 0.0, 0.0, 1 / 6, -1 / 6),
 )
-#: The classical method alone.
+#: The classical method without a companion.
 KUTTA4 = RK4.essential

@@ -1,7 +1,7 @@
 """Spatial vectors and inertia (Featherstone, ch. 2).
 
-Twists, wrenches and inertias as arrays, angular first, with leading axes as a batch; shapes; and,
-for the inside of the algorithms, the same on lanes: Motion, Force, Transform, RigidInertia.
+Twists, wrenches and inertias are arrays, angular part first, with leading axes as a batch. Shapes
+have mass properties. The algorithms use the same on lanes: Motion, Force, Transform, RigidInertia.
 """
 
 from rbjax.spatial import operators, shapes

@@ -1,4 +1,4 @@
-"""The door of the spatial functions: that of the rotations, with what else they take."""
+"""Argument checks of the spatial functions: those of the rotations, and positive numbers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["force", "motion", "stacked", "pose_parts", "positive", "takes", "ent
 
 
 def positive(*names: str) -> Callable[[Callable], Callable]:
-    """Decorate a function whose named arguments are to be greater than zero, where known."""
+    """Decorate a function whose named arguments must be greater than zero, where known."""
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)

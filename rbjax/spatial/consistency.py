@@ -1,13 +1,14 @@
-"""Which ten numbers are the inertia of a body (Wensing, Kim & Slotine, IEEE RA-L 3(1), 2018).
+"""Physical consistency of ten inertial parameters (Wensing, Kim & Slotine, IEEE RA-L 3(1), 2018).
 
-Mass above zero and inertia about the centre of mass positive definite are not enough: the
-principal moments satisfy the triangle inequality as well, A + B >= C. All of it is the definiteness
-of one 4 by 4 matrix, the pseudo-inertia, the second moment of density in homogeneous coordinates:
+A positive mass and a positive definite inertia about the centre of mass are not enough. The
+principal moments must also satisfy the triangle inequality, A + B >= C. Both conditions are the
+positive definiteness of one 4 by 4 matrix, the pseudo-inertia. It is the second moment of density
+in homogeneous coordinates:
 
     P = int rho [x; 1] [x; 1]^T dV = [S, h; h^T, m],   S = tr(I_O)/2 1 - I_O,  h = m c
 
-P positive definite: some density realizes it (`realizable`). Within an ellipsoid Q = {y: [y; 1] .
-Q [y; 1] >= 0} there is such a density if and only if tr(P Q) >= 0 besides.
+If P is positive definite, some density realizes it (`realizable`). Such a density exists within an
+ellipsoid Q = {y: [y; 1] . Q [y; 1] >= 0} if and only if also tr(P Q) >= 0.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from rbjax.spatial.mass import MassProperties, parallel_axes
 
 
 class Consistency(NamedTuple):
-    """What holds, as booleans, and by how much: margins are below zero where something fails."""
+    """The conditions as booleans, and their margins, which are negative where a condition fails."""
 
     positive_definite: jax.Array  # mass and principal moments above zero
     triangle: jax.Array  # no principal moment is larger than the sum of the other two
@@ -53,7 +54,7 @@ def pseudo_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.A
 
 @takes(P="matrix4")
 def from_pseudo_inertia(P: jax.Array) -> MassProperties:
-    """Mass, centre of mass and the inertia about it, of P (..., 4, 4)."""
+    """Mass, centre of mass and the inertia about it, from P (..., 4, 4)."""
     mass, h, S = P[..., 3, 3], P[..., :3, 3], P[..., :3, :3]
     about = jnp.trace(S, axis1=-2, axis2=-1)[..., None, None] * jnp.eye(3, dtype=P.dtype) - S
     com = h / mass[..., None]
@@ -62,7 +63,7 @@ def from_pseudo_inertia(P: jax.Array) -> MassProperties:
 
 @takes(mass="scalar", inertia="matrix")
 def consistency(mass: jax.Array, inertia: jax.Array) -> Consistency:
-    """What a mass (...) and an inertia about the centre of mass (..., 3, 3) satisfy.
+    """The conditions that a mass (...) and an inertia (..., 3, 3) about its centre satisfy.
 
     >>> c = consistency(1.0, jnp.diag(jnp.array([1.0, 1.0, 3.0])))
     >>> bool(c.positive_definite), bool(c.triangle), float(c.triangle_margin.round(6))
@@ -84,7 +85,7 @@ def consistency(mass: jax.Array, inertia: jax.Array) -> Consistency:
 def ellipsoid_margin(
     mass: jax.Array, com: jax.Array, inertia: jax.Array, semi_axes: jax.Array, centre: jax.Array
 ) -> jax.Array:
-    """tr(P Q) / m (...): at least 0 where the mass can lie inside an ellipsoid, 1 at its centre.
+    """tr(P Q) / m (...): at least 0 if the mass can lie inside an ellipsoid, 1 at its centre.
 
     The ellipsoid has these semi-axes (..., 3), along the axes of the frame, about `centre`.
 
@@ -98,9 +99,9 @@ def ellipsoid_margin(
 
 
 def check_mass_properties(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> MassProperties:
-    """The same numbers; `InputError` where they are known and no body has them.
+    """The same numbers. `InputError` if they are known and no body can have them.
 
-    Flat and thin bodies pass. In traced code nothing is refused: `consistency` says it there.
+    Flat and thin bodies pass. Traced values are not checked; use `consistency` there.
 
     >>> check_mass_properties(1.0, [0.0, 0.0, 0.0], jnp.diag(jnp.array([1.0, 1.0, 3.0])))
     Traceback (most recent call last):
@@ -123,13 +124,13 @@ def check_mass_properties(mass: jax.Array, com: jax.Array, inertia: jax.Array) -
     eps = 16 * np.finfo(np.asarray(found.moments).dtype).eps
     if (np.asarray(found.moments)[..., 0] < -eps * scale).any():
         raise InputError(
-            f"inertia: the principal moments are {three}, expected none below zero; it is to be "
-            f"about the centre of mass, kg m^2"
+            f"inertia: the principal moments are {three}, expected none below zero; give the "
+            f"inertia about the centre of mass, in kg m^2"
         )
     if not np.asarray(found.triangle).all():
         raise InputError(
             f"inertia: the principal moments {three} break the triangle inequality (the largest is "
-            f"at most the sum of the others); expected those about the centre of mass"
+            f"at most the sum of the others); give the inertia about the centre of mass"
         )
     return out
 

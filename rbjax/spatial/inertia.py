@@ -41,7 +41,7 @@ class RigidInertia:
         return Force(self.J @ v.ang + self.h.cross(v.lin), v.lin * self.m - self.h.cross(v.ang))
 
     def rotated(self, R: Mat3) -> RigidInertia:
-        """The same inertia in axes turned by R."""
+        """The same inertia in axes rotated by R."""
         return RigidInertia(self.m, R @ self.h, self.J.rotated(R))
 
     def shifted(self, p: Vec3) -> RigidInertia:
@@ -92,7 +92,7 @@ class ArticulatedInertia:
         return Force(self.J @ a.ang + self.H @ a.lin, self.H.T @ a.ang + self.M @ a.lin)
 
     def rotated(self, R: Mat3) -> ArticulatedInertia:
-        """The same inertia in axes turned by R."""
+        """The same inertia in axes rotated by R."""
         return ArticulatedInertia(self.J.rotated(R), R @ self.H @ R.T, self.M.rotated(R))
 
     def shifted(self, p: Vec3) -> ArticulatedInertia:
@@ -112,10 +112,11 @@ class ArticulatedInertia:
         )
 
     def without(self, U: Force, inverse_D: Lane, S: Motion, armature: Lane) -> ArticulatedInertia:
-        """I_A - U U^T / D: what is left of the inertia across a joint that moves freely along S.
+        """I_A - U U^T / D: the remaining inertia across a joint that moves freely along S.
 
-        Along S itself nothing is left but the armature's share, an exact zero where the armature is
-        a structural zero and S is an axis; saying so here spares the arithmetic and its rounding.
+        Along S only the armature's share remains. It is exactly zero if the armature is a
+        structural zero and S is an axis. A literal zero here avoids the arithmetic and its
+        rounding.
         """
         left, along = self.less(U, inverse_D), list(S)
         axis = all(map(is_literal, along)) and sorted(along) == [0.0] * 5 + [1.0]
@@ -125,7 +126,7 @@ class ArticulatedInertia:
         return ArticulatedInertia(self.J - other.J, self.H - other.H, self.M - other.M)
 
     def _with_zero_row(self, k: int) -> ArticulatedInertia:
-        """With row and column k of the 6 by 6 matrix structural zeros."""
+        """The same, with structural zeros in row and column k of the 6 by 6 matrix."""
         pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
         J, H, M = list(self.J), list(self.H), list(self.M)
         block, axis = (J, k) if k < 3 else (M, k - 3)

@@ -30,9 +30,9 @@ class MassProperties(NamedTuple):
 class PrincipalAxes(NamedTuple):
     """I = R diag(moments) R^T, moments ascending, R (..., 3, 3) a rotation.
 
-    `gap` is the smallest difference between two moments over the largest: 0 where two are equal
-    and the axes in their plane are anybody's choice (their derivatives there are those of a body
-    that keeps the choice: finite).
+    `gap` is the smallest difference between two moments, over the largest moment. It is 0 where two
+    are equal and the axes in their plane are arbitrary. Derivatives stay finite there: they keep
+    the chosen axes.
     """
 
     moments: jax.Array
@@ -42,7 +42,7 @@ class PrincipalAxes(NamedTuple):
 
 @takes(mass="scalar", com="vector", inertia="matrix")
 def spatial_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.Array:
-    """(..., 6, 6) of mass, centre of mass and the inertia about it.
+    """I (..., 6, 6) from mass, centre of mass and the inertia about it.
 
     >>> spatial_inertia(2.0, [0.0, 0.0, 1.0], jnp.eye(3))[0].tolist()
     [3.0, 0.0, 0.0, 0.0, -2.0, 0.0]
@@ -52,7 +52,7 @@ def spatial_inertia(mass: jax.Array, com: jax.Array, inertia: jax.Array) -> jax.
 
 @takes(matrix="matrix6")
 def mass_properties(matrix: jax.Array) -> MassProperties:
-    """Mass, centre of mass and inertia about it, of a spatial inertia (..., 6, 6).
+    """Mass, centre of mass and the inertia about it, from a spatial inertia (..., 6, 6).
 
     >>> m = mass_properties(spatial_inertia(2.0, [0.0, 0.0, 1.0], jnp.eye(3)))
     >>> float(m.mass), m.com.tolist(), m.inertia[0].tolist()
@@ -79,13 +79,13 @@ def parallel_axes(inertia: jax.Array, mass: jax.Array, offset: jax.Array) -> jax
 
 @takes(R="rotation", inertia="matrix")
 def rotate_inertia(R: jax.Array, inertia: jax.Array) -> jax.Array:
-    """R I R^T (..., 3, 3): I_A of I_B and R = R_AB."""
+    """R I R^T (..., 3, 3): I_A from I_B and R = R_AB."""
     return stacked(Sym3.upper(Mat3(*entries(inertia, 2))).rotated(Mat3(*entries(R, 2))).dense, 3, 3)
 
 
 @takes(T="pose", mass="scalar", com="vector", inertia="matrix")
 def moved(T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array) -> MassProperties:
-    """The mass properties in A of a body that is given in B, T the pose of B in A:
+    """The mass properties in A from those in B, with T the pose of B in A:
     `moved(T, *properties)`.
     """
     R, p = pose_parts(T)
@@ -95,9 +95,9 @@ def moved(T: jax.Array, mass: jax.Array, com: jax.Array, inertia: jax.Array) -> 
 
 @takes(T="pose", matrix="matrix6")
 def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
-    """X* I X^-1 (..., 6, 6): the spatial inertia in A of one in B, T the pose of B in A.
+    """X* I X^-1 (..., 6, 6): the spatial inertia in A from that in B, with T the pose of B in A.
 
-    Any symmetric (6, 6), so that added mass moves as well.
+    I may be any symmetric (6, 6), such as added mass.
     """
     J, H, M = (entries(matrix[..., i : i + 3, j : j + 3], 2) for i, j in ((0, 0), (0, 3), (3, 3)))
     inertia = ArticulatedInertia(Sym3.upper(Mat3(*J)), Mat3(*H), Sym3.upper(Mat3(*M)))
@@ -106,7 +106,7 @@ def transform_inertia(T: jax.Array, matrix: jax.Array) -> jax.Array:
 
 @takes(matrix="matrix6", V="twist")
 def momentum(matrix: jax.Array, V: jax.Array) -> jax.Array:
-    """I V (..., 6): angular momentum about the origin, linear momentum."""
+    """I V (..., 6): [angular momentum about the origin; linear momentum]."""
     return matvec(matrix, V)
 
 
@@ -122,7 +122,7 @@ def kinetic_energy(matrix: jax.Array, V: jax.Array) -> jax.Array:
 
 @takes(inertia="matrix")
 def principal_axes(inertia: jax.Array) -> PrincipalAxes:
-    """Principal moments (..., 3), their axes and how well they are determined.
+    """Principal moments (..., 3), their axes and the gap between the moments.
 
     >>> axes = principal_axes([[3.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
     >>> axes.moments.round(6).tolist(), float(axes.gap.round(6))

@@ -1,7 +1,7 @@
 """Mass, centre of mass and inertia of closed triangle meshes and of clouds of points.
 
-By the divergence theorem the integral of a polynomial over a solid is one over its surface: a sum,
-over its triangles, of the signed tetrahedra that they span with any one point (Mirtich, 1996).
+By the divergence theorem the integral of a polynomial over a solid is one over its surface. It is a
+sum over the signed tetrahedra that the triangles span with any one point (Mirtich, 1996).
 For a tetrahedron (0, a, b, c) of volume V = a . (b x c) / 6 and s = a + b + c
 
     int x dV = V s / 4,    int x x^T dV = V (a a^T + b b^T + c c^T + s s^T) / 20
@@ -28,11 +28,11 @@ def mesh(
     density: jax.Array | None = None,
     mass: jax.Array | None = None,
 ) -> MassProperties:
-    """The solid inside a closed surface: vertices (n, 3), triangles (m, 3) of their numbers,
+    """The solid inside a closed surface: vertices (n, 3), triangles (m, 3) of vertex indices,
     counter-clockwise seen from outside. Differentiable in the vertices.
 
     Raises:
-        InputError: the surface is open, or turned inside out.
+        InputError: the surface is open or inside out.
 
     >>> corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     >>> solid = mesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], density=6.0)
@@ -41,13 +41,13 @@ def mesh(
     """
     if (density is None) == (mass is None):
         both = "neither" if mass is None else "both"
-        raise InputError(f"mesh: got {both} of density and mass, expected one of them")
+        raise InputError(f"mesh: got {both} of density and mass, expected exactly one")
     corners = _as_vertices(vertices)
     volume, com, second = _integrals(corners, _closed(np.asarray(triangles), len(corners)))
     if not isinstance(volume, jax.core.Tracer) and not volume > 0:
         raise InputError(
-            f"mesh: the volume is {float(volume):g}, expected more than zero; where it is negative,"
-            f" triangles are listed clockwise seen from outside: reverse each"
+            f"mesh: the volume is {float(volume):g}, expected more than zero; a negative volume "
+            f"means that triangles are clockwise seen from outside: reverse each"
         )
     scale = jnp.asarray(density) if mass is None else jnp.asarray(mass) / volume
     total = jnp.asarray(mass) if density is None else scale * volume
@@ -55,7 +55,7 @@ def mesh(
 
 
 def points(positions: jax.Array, masses: jax.Array) -> MassProperties:
-    """Particles at positions (n, 3) with masses (n,), rigidly together.
+    """Rigidly connected particles at positions (n, 3) with masses (n,).
 
     >>> points([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], [1.0, 1.0]).inertia.diagonal().tolist()
     [0.0, 2.0, 2.0]
@@ -89,7 +89,7 @@ def _as_vertices(vertices: jax.Array) -> jax.Array:
 @jax.jit
 def _integrals(vertices: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Volume, centroid, second moment about it."""
-    middle = vertices.mean(0)  # a point near the solid: far from it the tetrahedra would cancel
+    middle = vertices.mean(0)  # a point near the solid; with a far one the tetrahedra would cancel
     a, b, c = (vertices[index[:, k]] - middle for k in range(3))
     V = (a * jnp.cross(b, c)).sum(-1) / 6
     s = a + b + c
@@ -102,7 +102,7 @@ def _integrals(vertices: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Ar
 
 
 def _closed(triangles: np.ndarray, count: int) -> np.ndarray:
-    """The triangles, if every edge is met once in each direction."""
+    """The triangles, if every edge occurs once in each direction."""
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise InputError(
             f"mesh: triangles has shape {triangles.shape} and dtype {triangles.dtype}, expected "
@@ -110,15 +110,15 @@ def _closed(triangles: np.ndarray, count: int) -> np.ndarray:
         )
     if triangles.min(initial=0) < 0 or triangles.max(initial=0) >= count:
         raise InputError(
-            f"mesh: triangles name vertices {triangles.min()} to {triangles.max()}, expected 0 to "
+            f"mesh: triangles have vertices {triangles.min()} to {triangles.max()}, expected 0 to "
             f"{count - 1}"
         )
     edges = Counter((int(t[i]), int(t[(i + 1) % 3])) for t in triangles for i in range(3))
     for (i, j), times in edges.items():
         if edges[j, i] != times:
             raise InputError(
-                f"mesh: the edge from vertex {i} to {j} is met {times} times that way and "
-                f"{edges[j, i]} times the other way, expected a closed surface, every triangle "
-                f"turning the same way seen from outside"
+                f"mesh: the edge from vertex {i} to {j} occurs {times} times in this direction and "
+                f"{edges[j, i]} times in the other, expected a closed surface with all triangles "
+                f"counter-clockwise seen from outside"
             )
     return triangles

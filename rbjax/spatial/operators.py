@@ -1,7 +1,7 @@
-"""The cross-product operator [a], [a] b = a x b, and what its products come to.
+"""The cross-product operator [a], [a] b = a x b, and identities of its products.
 
 (Olguin Diaz, *3D Motion of Rigid Bodies*, appendix A.) Each function is the right-hand side of an
-identity; the tests hold it against the left-hand side.
+identity. The tests compare it with the left-hand side.
 
     [a]^T = -[a],  [a] b = -[b] a,  [a] a = 0            (`so3.hat`)
     [a][b]           = b a^T - (a . b) 1                 `double_cross`
@@ -101,7 +101,7 @@ def along(n: jax.Array) -> jax.Array:
 
 @takes(n="vector")
 def across(n: jax.Array) -> jax.Array:
-    """-[n]^2 / |n|^2 (..., 3, 3): the part of a vector across n.
+    """-[n]^2 / |n|^2 (..., 3, 3): the part of a vector orthogonal to n.
 
     >>> across([0.0, 0.0, 2.0]).trace().item()
     2.0

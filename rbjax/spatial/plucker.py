@@ -1,7 +1,7 @@
 """Plücker transforms and spatial cross products of arrays (Featherstone, 2.8-2.9).
 
-Twists (omega, v) and wrenches (n, f) are (..., 6), angular first, at the origin of the frame whose
-coordinates they are in. T (..., 4, 4) is the pose of a frame B in A: R = R_AB and B's origin p.
+Twists (omega, v) and wrenches (n, f) are (..., 6), angular first, at the origin of the frame in
+which they are expressed. T (..., 4, 4) is the pose of a frame B in A: R = R_AB and B's origin p.
 
     motion  X_AB  = [R, 0; [p] R, R]       V_A = X_AB V_B
     force   X*_AB = [R, [p] R; 0, R]       F_A = X*_AB F_B        X* = X^-T
@@ -55,15 +55,15 @@ def transform_force(T: jax.Array, F: jax.Array) -> jax.Array:
 
 @takes(R="rotation")
 def extended_rotation(R: jax.Array) -> jax.Array:
-    """diag(R, R) (..., 6, 6): another frame's axes, for motions and for forces."""
+    """diag(R, R) (..., 6, 6): a change of axes, for motions and for forces."""
     r = Mat3(*entries(R, 2))
     return _blocks(r, Mat3.zero(), Mat3.zero(), r)
 
 
 @takes(p="vector")
 def extended_translation(p: jax.Array) -> jax.Array:
-    """[1, 0; [p], 1] (..., 6, 6): a motion given at p, at the origin. Its transpose takes a force
-    given at the origin to p.
+    """[1, 0; [p], 1] (..., 6, 6): maps a motion at p to the origin. Its transpose maps a force at
+    the origin to p.
     """
     one = Mat3.identity()
     return _blocks(one, Mat3.zero(), Mat3.skew(Vec3(*entries(p))), one)
@@ -71,8 +71,8 @@ def extended_translation(p: jax.Array) -> jax.Array:
 
 @takes(omega="vector")
 def extended_cross(omega: jax.Array) -> jax.Array:
-    """diag([omega], [omega]) (..., 6, 6): d/dt extended_rotation(R) = extended_rotation(R) of it,
-    with omega in body axes.
+    """diag([omega], [omega]) (..., 6, 6), with omega in body axes: d/dt extended_rotation(R) is
+    extended_rotation(R) times this.
     """
     w = Mat3.skew(Vec3(*entries(omega)))
     return _blocks(w, Mat3.zero(), Mat3.zero(), w)

@@ -1,9 +1,8 @@
 """Mass, centre of mass and inertia of solids, from their dimensions and density or mass.
 
-Lengths in m, angles none; a shape stands at the origin with its axis along z, and `moved` puts it
-elsewhere. Density in kg/m^3 (kg/m^2 for a plate, kg/m for a rod). Dimensions may be batches, and
-everything is differentiable in them. `combine` puts bodies together, and `hole` makes one of them
-empty space:
+Lengths are in m. A shape is at the origin with its axis along z, and `moved` puts it elsewhere.
+Density is in kg/m^3 (kg/m^2 for a plate, kg/m for a rod). Dimensions may be batches, and everything
+is differentiable in them. `combine` joins bodies, and `hole` makes one of them empty space:
 
     combine([box([1.0, 1.0, 1.0], density=700.0), hole(sphere(0.2, density=700.0))])
 """
@@ -90,7 +89,7 @@ def tube(
     density: Maybe = None,
     mass: Maybe = None,
 ) -> MassProperties:
-    """A tube along z about its centre, of outer and inner radius.
+    """A tube along z about its centre, with outer and inner radius.
 
     >>> tube(2.0, 1.0, 3.0, mass=2.0).inertia.diagonal().tolist()
     [4.0, 4.0, 5.0]
@@ -107,7 +106,7 @@ def tube(
 def capsule(
     radius: jax.Array, length: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
-    """A cylinder of `length` along z with a half ball on each end, about its centre.
+    """A cylinder of `length` along z with a hemisphere at each end, about its centre.
 
     >>> round(float(capsule(1.0, 3.0, density=3 / jnp.pi).mass), 6)
     13.0
@@ -116,7 +115,7 @@ def capsule(
     trunk, caps = jnp.pi * r * r * l, 4 / 3 * jnp.pi * r**3
     volume = trunk + caps
     along = (trunk * r * r / 2 + caps * 2 / 5 * r * r) / volume
-    # the two half balls about the centre: 2/5 r^2 + l^2/4 + 3/8 r l a unit of mass
+    # the two hemispheres about the centre: 2/5 r^2 + l^2/4 + 3/8 r l per unit of mass
     across = trunk * (r * r / 4 + l * l / 12) + caps * (2 / 5 * r * r + l * l / 4 + 3 / 8 * r * l)
     across = across / volume
     return _body(volume, [0.0, 0.0, 0.0], [across, across, along], density, mass)
@@ -127,7 +126,7 @@ def capsule(
 def cone(
     radius: jax.Array, height: jax.Array, *, density: Maybe = None, mass: Maybe = None
 ) -> MassProperties:
-    """A cone with its base in the plane z = 0 and its tip at z = height; com at a quarter.
+    """A cone with its base in the plane z = 0 and its tip at z = height; com at height / 4.
 
     >>> cone(2.0, 4.0, mass=10.0).com.tolist(), cone(2.0, 4.0, mass=10.0).inertia[2, 2].item()
     ([0.0, 0.0, 1.0], 12.0)
@@ -164,7 +163,7 @@ def plate(size: jax.Array, *, density: Maybe = None, mass: Maybe = None) -> Mass
 
 
 def combine(parts: Sequence[MassProperties]) -> MassProperties:
-    """One body of several, all in one frame (`moved` brings them there), holes among them.
+    """One body from several in the same frame (`moved` transforms them), which may be holes.
 
     >>> two = [MassProperties(jnp.array(1.0), jnp.array([x, 0.0, 0.0]), jnp.zeros((3, 3)))
     ...        for x in (-1.0, 3.0)]
@@ -183,7 +182,7 @@ def combine(parts: Sequence[MassProperties]) -> MassProperties:
 
 
 def hole(part: MassProperties) -> MassProperties:
-    """What to add for the part to be taken away: its mass and inertia, negative."""
+    """The part with negative mass and inertia: `combine` then removes it."""
     return MassProperties(-part.mass, part.com, -part.inertia)
 
 
@@ -200,14 +199,14 @@ def _tube(outer, inner, length, density: Maybe, mass: Maybe) -> MassProperties:
 
 
 def _body(volume, com: list, moments: list, density: Maybe, mass: Maybe) -> MassProperties:
-    """Of a volume (area, length), and the moments of inertia a unit of mass about com."""
+    """A body from its volume (area, length) and its moments of inertia per unit of mass."""
     if density is None and mass is not None:
         total = jnp.broadcast_to(mass, jnp.broadcast_shapes(mass.shape, volume.shape))
     elif density is not None and mass is None:
         total = density * volume
     else:
         both = "neither" if mass is None else "both"
-        raise InputError(f"got {both} of density and mass, expected one of them")
+        raise InputError(f"got {both} of density and mass, expected exactly one")
     a, b, c = (total * x for x in moments)
     where = [jnp.broadcast_to(jnp.asarray(x, total.dtype), total.shape) for x in com]
     return MassProperties(total, stacked(where), stacked([a, 0, 0, 0, b, 0, 0, 0, c], 3, 3))

@@ -1,9 +1,8 @@
 """Plücker transforms (Featherstone, 2.8).
 
-`Transform(R, p)` is the pose of a child frame C in its parent frame P: R = R_PC turns
-C-coordinates into P-coordinates, p is C's origin in P. As the operator X = X_CP it takes parent
-coordinates to child coordinates, which is the direction in which motion travels out along a tree;
-its transpose takes forces back in.
+`Transform(R, p)` is the pose of a child frame C in its parent frame P: R = R_PC maps C-coordinates
+to P-coordinates, p is C's origin in P. The operator X = X_CP maps motions from parent to child
+coordinates, outward along a tree. Its transpose maps forces inward.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ class Transform:
 
     @property
     def E(self) -> Mat3:
-        """R^T, which turns parent coordinates into child coordinates."""
+        """R^T, which maps parent coordinates to child coordinates."""
         return self.R.T
 
     def tree_flatten(self):

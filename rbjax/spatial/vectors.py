@@ -1,8 +1,8 @@
 """Motion and force vectors, angular part first.
 
 (Featherstone, *Rigid Body Dynamics Algorithms*, 2.2.)
-A motion [omega; v] and a force [n; f] are dual: their product is a power. Both are given at the
-origin of the frame they are expressed in.
+A motion [omega; v] and a force [n; f] are dual: their product is a power. Both are at the origin of
+the frame in which they are expressed.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Twists and wrenches at points: moving them, merging them, their power (Olguin Diaz, ch. 4-5).
+"""Twists and wrenches at other points, sums of wrenches, and power (Olguin Diaz, ch. 4-5).
 
-The axes stay, the point of reference changes: omega and f are the same everywhere, and
+The axes stay the same and the point of reference changes. omega and f are the same at all points,
+and
 
     v_P = v_O + omega x r,    n_P = n_O - r x f        r from O to P
 """
@@ -18,7 +19,7 @@ from rbjax.spatial.vectors import Force, Motion
 
 @takes(V="twist", point="vector")
 def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
-    """The twist (..., 6) at a point, of V at the origin: (omega, v + omega x r).
+    """The twist (..., 6) at a point from V at the origin: (omega, v + omega x r).
 
     >>> twist_at([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 1.0, 0.0, 2.0, 0.0]
@@ -29,7 +30,7 @@ def twist_at(V: jax.Array, point: jax.Array) -> jax.Array:
 
 @takes(F="twist", point="vector")
 def wrench_at(F: jax.Array, point: jax.Array) -> jax.Array:
-    """The wrench (..., 6) at a point, of F at the origin: (n - r x f, f).
+    """The wrench (..., 6) at a point from F at the origin: (n - r x f, f).
 
     >>> wrench_at([0.0, 0.0, 2.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.0]).tolist()
     [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
@@ -51,8 +52,8 @@ def force_at(f: jax.Array, point: jax.Array) -> jax.Array:
 
 @takes(wrenches="twist", points="vector", about="vector")
 def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> jax.Array:
-    """One wrench (..., 6) at the point `about` of many (..., n, 6), each given at its own point
-    (..., n, 3); all in the same axes.
+    """The sum (..., 6), at the point `about`, of wrenches (..., n, 6) that are each given at their
+    own point (..., n, 3), all in the same axes.
 
     >>> couple = [[0.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 0.0, -1.0, 0.0]]
     >>> merge_wrenches(couple, [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], [7.0, 7.0, 7.0]).tolist()
@@ -63,7 +64,7 @@ def merge_wrenches(wrenches: jax.Array, points: jax.Array, about: jax.Array) -> 
 
 @takes(F="twist", V="twist")
 def power(F: jax.Array, V: jax.Array) -> jax.Array:
-    """n . omega + f . v (...), of a wrench and a twist at one point in the same axes.
+    """n . omega + f . v (...) of a wrench and a twist at the same point in the same axes.
 
     >>> float(power([1.0, 0.0, 0.0, 0.0, 2.0, 0.0], [3.0, 0.0, 0.0, 0.0, 4.0, 0.0]))
     11.0
@@ -75,8 +76,8 @@ def power(F: jax.Array, V: jax.Array) -> jax.Array:
 def central_axis(F: jax.Array) -> Screw:
     """Poinsot: any wrench is a force along a line and a couple about it.
 
-    `axis` and `point` of the line, `pitch` = couple / force, `magnitude` of the force; infinite
-    pitch is a couple alone, with its magnitude.
+    `axis` and `point` are of the line, `pitch` = couple / force, `magnitude` is that of the force.
+    An infinite pitch means a pure couple with this magnitude.
 
     >>> s = central_axis([0.0, 0.0, 2.0, 0.0, 1.0, 0.0])
     >>> s.axis.tolist(), s.point.tolist(), float(s.magnitude)

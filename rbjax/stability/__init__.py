@@ -1,21 +1,21 @@
-"""The laboratory: what linear theory says of any solver, and what its code does.
+"""Stability analysis: the linear theory of any solver, and measurements of its code.
 
     stability_function, characteristic    R(z) and phi(zeta, z), exactly
-    multistep, rb.solvers.Tableau         methods of one's own, which all that follows takes
+    multistep, rb.solvers.Tableau         your own methods; all functions below take them
     linear_analysis                       order, error constant, limits, A-, A(alpha)-, L-stability
     growth_factors, spectral_radius, dissipation, period_elongation, oscillation_limit
-                                          of one step of the solver's own code (the limit: exact
-                                          where there is linear theory)
+                                          of one step of the solver's own code (the limit is exact
+                                          if there is linear theory)
     order_by_conditions, measured_order   by rooted trees, and by halving the step
     state_matrix, stable_step, measured_stable_step
-                                          a robot's motion linearised, and the largest step there
+                                          a robot's linearised motion, and its largest stable step
     recommend                             a solver and a step for a robot; also rb.solvers.recommend
-    drift, trend                          invariants over a million steps, and whether they stay
-    lyapunov, gradient_growth             chaos, and how long a gradient says anything
-    verdict, attempt, scenes              how a run failed; every solver on scenes built to break it
+    drift, trend                          invariants over a million steps, and a test for drift
+    lyapunov, gradient_growth             chaos, and the time after which a gradient is noise
+    verdict, attempt, scenes              how a run failed; any solver on scenes built to break it
     plot_regions, plot_spectral_radius    on axes of matplotlib
 
-`theory/` is what is known of a method by itself, `runs/` what motions show.
+`theory/` analyses a method by itself, `runs/` analyses motions.
 """
 
 from typing import Any
@@ -65,7 +65,7 @@ from rbjax.stability.theory.stability_function import StabilityFunction, stabili
 
 
 def __getattr__(name: str) -> Any:
-    """`recommend` lives above this room; it comes when asked for, as it does for `rb.solvers`."""
+    """`recommend` imports this package, so it is loaded on use, as for `rb.solvers`."""
     if name in solvers.FROM_ABOVE:
         return getattr(solvers, name)
     raise AttributeError(f"module 'rbjax.stability' has no attribute {name!r}")
@@ -107,7 +107,7 @@ __all__ = [
     "ROLLOUT",
     "Recommendation",
     "recommend",
-    # motions: what stays, what grows, what fails
+    # motions: drift, growth, failure
     "drift",
     "trend",
     "Trend",

@@ -1,4 +1,4 @@
-"""What the laboratory takes for a method that steps: a name, a solver, a tableau of one's own."""
+"""The solver from the arguments that this package accepts: a name, a solver or a tableau."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Solver = diffrax.AbstractSolver | str | Tableau
 
 
 def made(solver: Any) -> Any:
-    """The solver: itself, the one of a name in `rb.solvers.all()`, or that of a tableau.
+    """The solver: itself, that of a name in `rb.solvers.all()`, or that of a tableau.
 
     Raises:
-        UnknownName: a name that is not there.
-        InputError: a class in the place of its instance, and what is no method that steps.
+        UnknownName: an unknown name.
+        InputError: a class instead of its instance, or no method that steps.
 
     >>> made("rk4")
     RK4()
@@ -45,9 +45,9 @@ def made(solver: Any) -> Any:
 
 
 def stepping(solver: Any) -> Any:
-    """`made`, for equal steps: no root finder waits for the tolerances of a controller.
+    """`made`, for equal steps, with a root finder that needs no tolerances of a controller.
 
-    Diagonally implicit methods of diffrax come with one that does.
+    Diagonally implicit methods of diffrax have one that does.
     """
     solver = made(solver)
     if not isinstance(solver, diffrax.AbstractImplicitSolver):

@@ -1,6 +1,6 @@
-"""Pictures of linear theory, on axes of matplotlib that the caller brings.
+"""Pictures of linear theory, on the caller's axes of matplotlib.
 
-`rbjax.plotting.STYLE` is the house's style: `with plt.rc_context(STYLE): ...`.
+`rbjax.plotting.STYLE` is the style of rbjax: `with plt.rc_context(STYLE): ...`.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ def plot_regions(
 
     Args:
         ax: axes of matplotlib; its colour cycle is used.
-        methods: label -> what `characteristic` takes: a solver, its name, a tableau, a polynomial.
+        methods: label -> a solver, its name, a tableau or a polynomial, as for `characteristic`.
         window: (left, right, bottom, top) in the plane of z.
-        points: of the grid, each way.
+        points: of the grid, in each direction.
 
     Raises:
-        InputError: solvers without linear theory, and a window without width.
+        InputError: solvers without linear theory, or a window without width.
 
     Example:
         >>> import rbjax as rb, matplotlib.figure
@@ -67,7 +67,7 @@ def plot_spectral_radius(ax: Axes, methods: Mapping[str, Method], h_omega: np.nd
 
     Args:
         ax: axes of matplotlib.
-        methods: label -> what `spectral_radius` takes.
+        methods: label -> solver, as for `spectral_radius`.
         h_omega: (n,) positive, increasing.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What measured motion says about a robot's numbers."""
+"""System identification: parameters of a model from measured motion."""
 
 from rbjax.sysid.fit import Fit, Unknown, fit
 

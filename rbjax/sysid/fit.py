@@ -1,9 +1,9 @@
-"""`fit`: numbers of a model from measured configurations, by nonlinear least squares.
+"""`fit`: parameters of a model from measured configurations, by nonlinear least squares.
 
     min over theta of  sum_k |q_k (-) q(t_k; theta)|^2,   q(t; theta) a `rollout`
-Levenberg-Marquardt on Jacobians by forward mode through the rollout. Positive numbers are sought by
+Levenberg-Marquardt with forward-mode Jacobians of the rollout. Positive parameters are fitted by
 their logarithm. Standard errors are those of the linearised problem: s^2 (J^T J)^-1 with s^2 the
-mean square residual. They say how far noise moves the answer, not how wrong the model is.
+mean square residual. They measure the effect of noise, not errors of the model.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rbjax.solvers.arguments import check_whole
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number of a model: a leaf by its dotted name ("bodies.mass") and an index into it."""
+    """One number of a model: the dotted name of a leaf ("bodies.mass") and an index into it."""
 
     leaf: str
     index: int | tuple[int, ...]
@@ -39,10 +39,10 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Fit:
-    """What came out: the model with its new numbers, each with a standard error.
+    """The result of `fit`: the model with its fitted numbers, and their standard errors.
 
-    Fields: model; values and errors by name; rms of the residual in units of v's tangent (rad, m);
-    steps of Levenberg-Marquardt; ok, whether it converged.
+    Fields: model; values and errors by name; rms of the residual (rad, m); steps of
+    Levenberg-Marquardt; ok, whether it converged.
     """
 
     model: Model
@@ -65,12 +65,12 @@ def fit(
     save_every: int = 1,
     max_steps: int = 60,
 ) -> Fit:
-    """Numbers of a model from a measured motion, several at once.
+    """Fit one or more numbers of a model to a measured motion.
 
     Args:
         model: the robot, with first guesses.
         state: the known initial state.
-        ctrls: (steps, nu) controls that were applied.
+        ctrls: (steps, nu) applied controls.
         measured: (1 + steps / save_every, nq) measured configurations, the first at the start.
         unknowns: name -> `Unknown`.
         dt: step in seconds; the model's timestep if None.
@@ -79,12 +79,12 @@ def fit(
         max_steps: of Levenberg-Marquardt.
 
     Returns:
-        `Fit`; `ok` is false where it did not converge.
+        `Fit`; `ok` is false if it did not converge.
 
     Raises:
-        InputError: shapes, dtypes, values that are not finite; no unknowns, or one that is not a
-            single number; a positive unknown whose guess is not positive.
-        UnknownName: an unknown that is no leaf of the model.
+        InputError: wrong shapes or dtypes, values that are not finite; no unknowns, or one that is
+            not a single number; a positive unknown whose guess is not positive.
+        UnknownName: an unknown is no leaf of the model.
 
     Source: Marquardt 1963; Nocedal & Wright, *Numerical Optimization*, 10.3.
 
@@ -108,13 +108,13 @@ def fit(
         isinstance(u, Unknown) for u in unknowns.values()
     ):
         raise InputError(
-            f"fit: unknowns is {unknowns!r}, expected names of {Unknown.__name__}s, as "
+            f"fit: unknowns is {unknowns!r}, expected a dict name -> {Unknown.__name__}, such as "
             '{"mass": Unknown("bodies.mass", 0)}'
         )
     if not unknowns:
-        raise InputError('fit: no unknowns, expected some, as {"mass": Unknown("bodies.mass", 0)}')
+        raise InputError('fit: no unknowns, expected e.g. {"mass": Unknown("bodies.mass", 0)}')
     rows = max(1, np.shape(ctrls)[0]) if np.ndim(ctrls) else 1
-    ctrls = check_array("fit", "ctrls", ctrls, (rows, model.nu), fix=": a row a step")
+    ctrls = check_array("fit", "ctrls", ctrls, (rows, model.nu), fix=": one row a step")
     measured = check_array("fit", "measured", measured, (1 + rows // save_every, model.nq))
     guess = {name: _read(model, u) for name, u in unknowns.items()}
     for name, u in unknowns.items():
@@ -123,7 +123,7 @@ def fit(
     sought = tuple(unknowns.values())
     start = [np.log(guess[n]) if u.positive else guess[n] for n, u in unknowns.items()]
     step = check_step("fit", "dt", model.timestep if dt is None else dt, float)
-    # whatever the data are in, the numbers are sought in the widest dtype there is
+    # the fit runs in the widest available dtype, whatever the dtype of the data
     data = (model, *jax.tree.map(lambda x: x.astype(float), (state, ctrls, measured)), step)
     how = (sought, integrator, save_every, max_steps)
     numbers, errors, rms, steps, ok = _solve(jnp.asarray(start, float), data, *how)
@@ -137,7 +137,7 @@ def fit(
 
 @functools.partial(jax.jit, static_argnums=(2, 3, 4, 5))
 def _solve(theta, data, sought, integrator, save_every, max_steps):
-    """Numbers, their standard errors, rms of what is left, steps, whether it converged."""
+    """Numbers, their standard errors, rms of the residual, steps, whether it converged."""
 
     def numbers(theta: jax.Array) -> list[jax.Array]:
         return [jnp.exp(x) if u.positive else x for x, u in zip(theta, sought, strict=True)]
@@ -185,7 +185,7 @@ def _read(model: Model, u: Unknown) -> float:
         return float(np.asarray(value)[u.index])
     except (IndexError, TypeError) as error:
         raise InputError(
-            f"fit: {u.leaf} has shape {np.shape(value)} and no number at the index {u.index}, "
+            f"fit: {u.leaf} has shape {np.shape(value)} and no number at index {u.index}, "
             "expected a whole number for each axis"
         ) from error
 

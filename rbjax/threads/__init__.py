@@ -11,6 +11,6 @@ from rbjax.threads.function import wanted as wanted
 from rbjax.threads.lowering import Unsupported as Unsupported
 
 threads: Any = _threads
-threads.explain = explain  # the function hides this room's name at the top level
+threads.explain = explain  # in `rbjax` the function hides this package's name
 
 __all__ = ["Explanation", "Unsupported", "explain", "threads"]

@@ -1,7 +1,7 @@
-"""Small arrays as a thread holds them.
+"""Small arrays of a thread.
 
-Three forms: a numpy array whose entries are known; an object array of `Value`s, each in a register;
-a `View` of memory. Only a `View` may be indexed by what is not known.
+They have three forms: a numpy array whose entries are known; an object array of `Value`s, each in a
+register; a `View` of memory. Only a `View` may have indices that are not known.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ class View:
 
     @property
     def changeable(self) -> bool:
-        """Whether it may be updated in place: no two entries share a place, and none is read."""
+        """Whether it may be updated in place: no two entries share a place, and no one reads it."""
         apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
         return apart and self.array.space == "local" and not self.array.owners
 
     def same(self, other: Any) -> bool:
-        """Whether the other is the same place."""
+        """Whether the other is a view of the same place."""
         return isinstance(other, View) and all(
             a is b or a == b
             for a, b in (
@@ -64,7 +64,7 @@ class View:
         return [s for s, n in zip(self.strides, self.shape, strict=True) if n > 1]
 
     def places(self) -> np.ndarray:
-        """The known part of each entry's address."""
+        """The known part of the address of each entry."""
         out = np.full(self.shape, self.offset)
         for axis, (n, stride) in enumerate(zip(self.shape, self.strides, strict=True)):
             wide = [-1 if k == axis else 1 for k in range(self.ndim)]
@@ -81,7 +81,7 @@ class View:
         return replace(moved, strides=strides, shape=shape)
 
     def moved(self, b: Builder, *terms: tuple[Value, int]) -> View:
-        """The view from value * stride entries further on."""
+        """The view shifted by value * stride entries, for each term."""
         known = sum(int(v) * s for v, s in terms if isinstance(v, np.generic))
         unknown = [(v, s) for v, s in terms if not isinstance(v, np.generic)]
         base = b.index(self.array, *unknown)
@@ -101,10 +101,10 @@ class View:
         return replace(self, offset=offset, strides=strides, shape=shape)
 
     def reshaped(self, shape: Sequence[int]) -> View | None:
-        """The same entries under another shape, or None where they would have to move."""
+        """The same entries with another shape, or None if they would have to move."""
         shape = tuple(shape)
         kept = [(n, s) for n, s in zip(self.shape, self.strides, strict=True) if n != 1]
-        groups: list[tuple[int, int]] = []  # runs that one stride walks through: (entries, stride)
+        groups: list[tuple[int, int]] = []  # axes that one stride covers: (entries, stride)
         for n, s in kept:
             if groups and groups[-1][1] == n * s:
                 groups[-1] = (groups[-1][0] * n, s)
@@ -166,14 +166,14 @@ def objects(x: np.ndarray) -> np.ndarray:
 
 
 def filled(shape: Sequence[int], value: Value) -> np.ndarray:
-    """One value everywhere (which `np.full` would make a number of Python)."""
+    """One value everywhere (`np.full` would convert it to a Python number)."""
     out = np.empty(shape, object)
     out[...] = value
     return out
 
 
 def scalars(b: Builder, x: Small) -> np.ndarray:
-    """The entries as an array of Values, read from memory where they are there."""
+    """The entries as an array of Values; those in memory are read."""
     if not isinstance(x, View):
         return objects(x)
     out = np.empty(x.shape, object)
@@ -184,7 +184,7 @@ def scalars(b: Builder, x: Small) -> np.ndarray:
 
 
 def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
-    """An object array as known numbers, where every entry is."""
+    """An object array as known numbers, if every entry is known."""
     if x.dtype != object:
         return x
     if not x.shape:
@@ -196,7 +196,7 @@ def tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
 
 
 def in_memory(b: Builder, x: Small, dtype: Any) -> View:
-    """The entries where they can be indexed: a table of numbers, or a local copy of registers."""
+    """The entries in memory: a table of known numbers, or a local copy of registers."""
     if isinstance(x, View):
         return x
     x = tidy(x, dtype)

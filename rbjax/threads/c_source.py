@@ -1,6 +1,6 @@
-"""A program as C: the text that NVRTC and a host's C compiler both take.
+"""A program as C, for both NVRTC and a host's C compiler.
 
-Only the frame around it (`frame`) knows which of the two it is for.
+Only the code around it (`frame`) depends on the compiler.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ MATH = {
     "copysign": "copysign",
 }  # fmt: skip
 
-#: what C leaves undefined, as XLA defines it
+#: operations that C leaves undefined, as XLA defines them
 PREAMBLE = """
 template <class T> QUALIFIED T idiv(T a, T b) {
   if (b == 0) return (T)-1;
@@ -242,13 +242,13 @@ class Printer:
         return f"({c_type(kind)})({u[0]}{INFIX[name]}{u[1]})"
 
     def _narrow(self, kind: np.dtype, text: str) -> str:
-        """Integers narrower than int compute as int in C."""
+        """Casts back integers narrower than int, which C computes as int."""
         return f"({c_type(kind)})({text})" if kind.kind in "iu" and kind.itemsize < 4 else text
 
 
 def _by_bits(array: Array) -> bool:
-    """Whether a table has infinities or what is no number: CUDA takes their names for no constants,
-    but takes their bits."""
+    """Whether a table has infinities or nan. CUDA does not accept their names as constants, but it
+    accepts their bits."""
     return array.data is not None and array.dtype.kind == "f" and not np.isfinite(array.data).all()
 
 

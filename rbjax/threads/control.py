@@ -14,13 +14,13 @@ from rbjax.threads.gather import COMBINE
 from rbjax.threads.lowering import Lowering, called, dtype_of, rule, writer
 from rbjax.threads.program import BOOL, I32, Block, If, Value, Var, While
 
-#: a value that a loop carries has its entries in registers up to this many
+#: the most entries of a loop's carry that are kept in registers
 REGISTERS = 256
 INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
 def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
-    """The inputs of a jaxpr that are indexed by what is not known: they belong in memory."""
+    """The inputs of a jaxpr with indices that are not known. They must be in memory."""
     jaxpr = closed.jaxpr
     varying = {v for v, u in zip(jaxpr.invars, unknown, strict=True) if u}
     origin = {v: {k} for k, v in enumerate(jaxpr.invars)}  # inputs that a variable is a version of
@@ -72,7 +72,7 @@ def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
 
 
 class Carry:
-    """What a loop hands from turn to turn: variables, or local arrays."""
+    """The carry of a loop: variables or local arrays."""
 
     def __init__(self, low: Lowering, init: Sequence[Small], avals: Sequence[Any], memory: set):
         self.low = low
@@ -93,7 +93,7 @@ class Carry:
         return owned_copy(self.low.b, x, dtype_of(aval))
 
     def advance(self, new: Sequence[Small]) -> None:
-        """All at once: what is read of the old values is read before any changes."""
+        """Updates all at once: old values are read before any of them changes."""
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
         arrays = {x.array for x in self.values if isinstance(x, View)}
@@ -129,7 +129,7 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     avals = [v.aval for v in body.jaxpr.invars]
     ys: list[Small] = []
     rows_in = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))
-    # for each stacked output the input whose rows it hands on as they came
+    # for each stacked output, the input whose rows it returns unchanged
     same = [None if isinstance(v, Literal) else rows_in.get(v) for v in body.jaxpr.outvars[nk:]]
     for var, given, place in zip(eqn.outvars[nk:], same, places[nk:], strict=True):
         aval = var.aval
@@ -154,7 +154,7 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         for k, (x, a) in enumerate(zip(consts, avals[:nc], strict=True))
     ]
     xs = [in_memory(b, x, dtype_of(a)) for x, a in zip(xs, avals[nc + nk :], strict=True)]
-    with low.held([*consts, *xs, *ys]):  # of which one may be what the carry begins as
+    with low.held([*consts, *xs, *ys]):  # one of these may also be the initial carry
         memory = {k - nc for k in wanted if nc <= k < nc + nk}
         carry = Carry(low, init, avals[nc : nc + nk], memory)
     with (
@@ -172,7 +172,7 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
 
 
 def over_time(outside: list, inside: list) -> int:
-    """How many arguments or results of a scan have an axis of time (jax 0.11 states no counts)."""
+    """The number of arguments or results of a scan with a time axis (jax 0.11 gives no counts)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
@@ -237,7 +237,7 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
             if not isinstance(to, View):
                 for var, value in zip(to.flat, low.scalars(x).flat, strict=True):
                     b.assign(var, value)
-        for k in updated:  # what other results read of the old array has been read
+        for k in updated:  # the other results have read the old array by now
             write(b, outs[k], found[k])
 
     def choose(first: int) -> None:
@@ -263,7 +263,7 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
 def _updated_arguments(
     branches: Sequence[ClosedJaxpr], args: list, places: list
 ) -> dict[int, int]:
-    """For results that in every branch are one argument, perhaps updated: which one.
+    """The argument of each result that is, in every branch, this argument or an update of it.
 
     Such an argument is updated in place, if nothing reads it later.
     """
@@ -281,7 +281,7 @@ def _updated_arguments(
 
 
 def _versions(closed: ClosedJaxpr) -> list[int | None]:
-    """For each result the input that it is, or that it is an updated copy of."""
+    """For each result, the input that it equals or that it is an updated copy of; or None."""
     jaxpr = closed.jaxpr
     origin: dict[Any, int | None] = {v: k for k, v in enumerate(jaxpr.invars)}
 

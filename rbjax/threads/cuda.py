@@ -1,9 +1,9 @@
-"""The frame of a program on a GPU: one thread a sample, a warp a block.
+"""The CUDA source around a program: one thread a sample, one warp a block.
 
-Rows of a batch-first operand are fetched by the warp through shared memory, so that it reads whole
-lines; batch-first results leave likewise (`stores`). Other layouts are read and written in place.
-What all samples share of a result (the cotangent of an operand without a batch) is added up over
-the warp, one partial sum a block.
+The warp fetches rows of a batch-first operand through shared memory, so that it reads whole lines.
+Batch-first results are written in the same way (`stores`). Other layouts are read and written in
+place. A result that all samples share (the cotangent of an operand without a batch) is summed over
+the warp, with one partial sum a block.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from rbjax.threads.c_source import PREAMBLE, c_type, table
 from rbjax.threads.frame import Written, offset, parameters, sample_index
 from rbjax.threads.lowering import Unsupported
 
-#: threads of a block: a warp, which needs no others to wait for
+#: threads of a block: one warp, so that no warp waits for another
 BLOCK = 32
-#: bytes of shared memory that a block stages its rows in
+#: bytes of shared memory in which a block stages its rows
 SHARED_BYTES = 47 * 1024
-#: bytes of constant memory that tables may take; what is beyond is read through the cache
+#: bytes of constant memory for tables; the others are read through the cache
 CONSTANT_BYTES = 48 * 1024
-#: NVRTC takes a minute for more statements
+#: for more statements NVRTC takes a minute
 STATEMENTS_UP_TO = 60_000
 #: the driver reserves a thread's arrays for all threads that the device can hold at once: 17 GB
 ARRAY_BYTES_UP_TO = 64 * 1024
@@ -69,17 +69,17 @@ class Kernel:
     name: str
     block: int
     grid: int
-    #: for each result whether it comes as one partial sum a block
+    #: for each result, whether it is one partial sum a block
     summed: tuple[bool, ...]
 
 
 def kernel(program: Written, name: str = "threads") -> Kernel:
-    """The kernel of a program; `Unsupported` where it is too large for a thread."""
+    """The kernel of a program; raises `Unsupported` if it is too large for a thread."""
     if program.statements > STATEMENTS_UP_TO:
-        raise Unsupported(f"{program.statements} statements, of at most {STATEMENTS_UP_TO}")
+        raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
     if program.array_bytes > ARRAY_BYTES_UP_TO:
         raise Unsupported(
-            f"{program.array_bytes} bytes of arrays in a thread, of at most {ARRAY_BYTES_UP_TO}"
+            f"{program.array_bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}"
         )
     source = "\n".join(_lines(program, name, _room(program)))
     grid = max(-(-math.prod(program.batch) // BLOCK), 1)
@@ -88,10 +88,10 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
 
 @dataclass(frozen=True)
 class Room:
-    """What a block has in shared memory.
+    """The contents of a block's shared memory.
 
-    staged: operands that it fetches, id -> entries of a row; whole: results whose rows are staged;
-    tiled: results that leave through its tile, at these `spots`; tile: bytes of that, a thread.
+    staged: fetched operands, id -> entries of a row; whole: results whose rows are staged; tiled:
+    results that are written through the tile, at these `spots`; tile: bytes of the tile a thread.
     """
 
     staged: dict[int, int]
@@ -102,12 +102,12 @@ class Room:
 
 
 def _pitch(row: int) -> int:
-    """Entries from row to row: odd, so that the threads of a warp meet different banks."""
+    """Entries from row to row. It is odd, so that the threads of a warp use different banks."""
     return row | 1
 
 
 def _room(program: Written) -> Room:
-    """What fits: results that are staged whole, the smaller first, a tile, then operands."""
+    """Fills shared memory: results that are staged whole, small ones first, a tile, operands."""
     left, kinds = SHARED_BYTES // BLOCK, {a.id: a.dtype for a in program.results}
     rows = stores.rows_of(program)
     short = [key for key, row in rows.items() if stores.is_staged(row)]
@@ -192,7 +192,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
 
 
 def _sums(program: Written) -> Iterator[str]:
-    """Results of the whole batch: one partial sum a block."""
+    """Sums of results over the batch: one partial sum a block."""
     for k, array in enumerate(program.results):
         if not program.summed[k] or not array.size:
             continue

@@ -1,4 +1,4 @@
-"""What the CUDA driver says of a compiled kernel and of the device."""
+"""Properties of a compiled kernel and of the device, from the CUDA driver."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rbjax.threads.nvrtc import CompileError
 # of cuda.h
 REGISTERS, LOCAL_BYTES, SHARED_BYTES = 4, 3, 1  # CUfunction_attribute
 CLOCK_KHZ, MULTIPROCESSORS, MEMORY_KHZ, BUS_BITS = 13, 16, 36, 37  # CUdevice_attribute
-LANES = 128  # of arithmetic in f32 a multiprocessor, since Ampere's consumer chips and Hopper
+LANES = 128  # f32 lanes of a multiprocessor, since Ampere's consumer chips and Hopper
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What a thread takes: registers, bytes of local memory; bytes of shared memory a block."""
+    """Registers and bytes of local memory of a thread; bytes of shared memory of a block."""
 
     registers: int
     local_bytes: int
@@ -24,7 +24,7 @@ class Resources:
 
 @dataclass(frozen=True)
 class Limits:
-    """Instructions and bytes a second."""
+    """Limits of the device: instructions and bytes a second."""
 
     instructions: float
     bandwidth: float
@@ -43,7 +43,7 @@ def _check(status: int, what: str) -> None:
 
 
 def resources(code: str, name: str) -> Resources:
-    """Of a kernel's PTX, as the driver compiles it."""
+    """The resources of a kernel's PTX, as compiled by the driver."""
     cuda, module, function = _driver(), ctypes.c_void_p(), ctypes.c_void_p()
     _in_context(cuda)
     _check(cuda.cuModuleLoadData(ctypes.byref(module), code.encode()), "load a kernel")
@@ -60,7 +60,7 @@ def resources(code: str, name: str) -> Resources:
 
 
 def limits() -> Limits:
-    """Of the first GPU, from its clocks."""
+    """The limits of the first GPU, from its clocks."""
     cuda = _driver()
     device = _in_context(cuda)
 

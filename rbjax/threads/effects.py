@@ -1,7 +1,7 @@
-"""Rules of the primitives of Equinox and lineax, as of one sample, and of calls into Python.
+"""Rules for the primitives of Equinox and lineax, for one sample, and for calls into Python.
 
-Equinox asks whether a loop's predicate is of a batch. On a thread there is none, so that what it
-would select is known, and what it combines over the batch is the value itself.
+Equinox asks whether a loop's predicate has a batch. In a thread there is no batch. So its
+selections are known, and combinations over the batch are the value itself.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rbjax.threads.reductions import reduced
 
 @rule("select_if_vmap", unread=(0, 2))
 def _select_if_vmap(low: Lowering, eqn: Any, ins: list) -> list:
-    return [ins[1]]  # the predicate of a loop that is not of a batch holds while it runs
+    return [ins[1]]  # without a batch, a loop's predicate is true while the loop runs
 
 
 @rule("maybe_set", "linear_solve")
@@ -47,7 +47,7 @@ def _callback(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 def only_reports(branch: ClosedJaxpr) -> bool:
-    """Whether a branch raises an error of `equinox.error_if`, so that no run goes on from it."""
+    """Whether a branch raises an error of `equinox.error_if`, after which no run continues."""
     return any(
         eqn.primitive.name == "pure_callback"
         and getattr(eqn.params["callback"].callback_func, "__module__", "") == "equinox._errors"

@@ -1,4 +1,4 @@
-"""Rules of primitives that work entry by entry."""
+"""Rules for elementwise primitives."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rbjax.threads.folding import FOLD
 from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import BOOL, Value
 
-#: arrays of more entries are worked through by loops over memory
+#: larger arrays use loops over memory
 LOOP_ABOVE = 1024
-#: and arrays of more entries that lie in memory already
+#: the same for arrays that are in memory already
 LOOP_ABOVE_IN_MEMORY = 64
 
-#: primitives that are one operation, and how many arguments it has
+#: primitives with a single operation, and its number of arguments
 SAME = {
     "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "lt": "lt",
     "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
@@ -41,7 +41,7 @@ SAME = {
 def entrywise(
     low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
 ) -> Small:
-    """f of the entries of arrays of one shape, or of 1 entry along some axes, or of shape ()."""
+    """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
     size = math.prod(shape)
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
     if size > LOOP_ABOVE or in_memory_now:
@@ -153,7 +153,7 @@ def _sign(low: Lowering, eqn: Any, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     zero = dtype.type(0)
 
-    def f(x: Value) -> Value:  # x itself where it is zero or nan
+    def f(x: Value) -> Value:  # x itself if it is zero or nan
         below = x if dtype.kind == "u" else b.select(
             b.op("lt", BOOL, x, zero), dtype.type(-1), x
         )  # fmt: skip

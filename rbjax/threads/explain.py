@@ -1,4 +1,4 @@
-"""`rb.threads.explain`: what a function becomes as a thread, and what holds its speed."""
+"""`rb.threads.explain`: a function as a GPU thread, and the limits of its speed."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from rbjax.threads.program import Block, If, Loop, Op, While
 class Explanation:
     """A function of one sample as a thread.
 
-    statements: arithmetic operations in the code; operations: those that run, a loop's as often as
-    it turns (a `while` once); array_bytes: local arrays that the program asks for; moved_bytes:
-    what a sample reads and writes of its own. On a GPU: registers and local_bytes of a thread
-    (arrays and what did not fit into registers), seconds of a batch, and the shares of the device's
-    limits of instructions (at one an operation) and of bandwidth. None where there is no GPU.
+    statements: arithmetic operations in the code; operations: those executed, with those of a loop
+    once per iteration (of a `while` once); array_bytes: local arrays of the program; moved_bytes:
+    reads and writes of one sample. On a GPU: registers and local_bytes of a thread (arrays and
+    spilled registers), seconds of a batch, and the shares of the device's limits of instructions
+    (one per operation) and of bandwidth. Without a GPU these are None.
     """
 
     statements: int
@@ -63,18 +63,18 @@ class Explanation:
 
 
 def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
-    """What f becomes as a GPU thread: statements, registers, memory, and how near to the limits.
+    """f as a GPU thread: statements, registers, memory, and the shares of the device's limits.
 
     Args:
         f: a function of one sample, as for `threads`.
-        args: one sample: arrays, or pytrees of them.
-        batch: how many samples to time, on a GPU.
+        args: one sample: arrays, or pytrees of arrays.
+        batch: the number of samples to time, on a GPU.
 
     Returns:
         `Explanation`, which prints as a few lines.
 
     Raises:
-        Unsupported: f has a primitive that threads do not know; it names it.
+        Unsupported: f has a primitive that threads do not support; the message names it.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
@@ -112,7 +112,7 @@ def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
 
 
 def _operations(block: Block) -> int:
-    """Arithmetic that runs: the longer branch, a loop as often as it turns, a `while` once."""
+    """Executed operations: the longer branch, a loop once per iteration, a `while` once."""
     total = 0
     for statement in block.statements:
         match statement:
@@ -132,7 +132,7 @@ def _moved(program: Written) -> int:
 
 
 def _seconds(run: Callable, args: list[Any], calls: int = 10) -> float:
-    """Of one call among several in a row; the median of seven."""
+    """Seconds of one call, from several in a row; the median of seven."""
     jax.block_until_ready(run(*args))
     times = []
     for _ in range(7):

@@ -1,7 +1,7 @@
-"""Rules of dense factorisations and of triangular systems.
+"""Rules for dense factorisations and triangular systems.
 
-Each is a JAX function that works column by column, which is traced and lowered: a small matrix by
-known columns, entry by entry; a larger one by a loop over its columns.
+Each is a JAX function that works column by column, which is traced and lowered. Small matrices are
+unrolled, entry by entry. Larger ones use a loop over the columns.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from jax import lax
 
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 
-#: matrices of more columns are factorised by a loop
+#: matrices with more columns are factorised by a loop
 UNROLL_UP_TO = 8
 
 
 def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
-    """step(k, *state) for each column; k is known where there are few."""
+    """step(k, *state) for each column; k is known if there are few."""
     if n <= UNROLL_UP_TO:
         for k in reversed(range(n)) if reverse else range(n):
             state = step(k, *state)
@@ -32,7 +32,7 @@ def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
 
 
 def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
-    """a[k], where k is at least `first`; by selections where k is not known of few."""
+    """a[k], where k is at least `first`; by selections if k is not known and rows are few."""
     if isinstance(k, int) or len(a) > UNROLL_UP_TO:
         return a[k]
     out = a[-1]
@@ -42,7 +42,7 @@ def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
 
 
 def cholesky(a: jax.Array) -> jax.Array:
-    """L of A = L L^T, from the lower triangle; nan where A is not positive definite."""
+    """L of A = L L^T, from the lower triangle; nan if A is not positive definite."""
     n = len(a)
     rows = np.arange(n)
 
@@ -61,7 +61,7 @@ def cholesky(a: jax.Array) -> jax.Array:
 
 
 def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """L and U in one matrix, the row exchanged at each column, and the permutation."""
+    """L and U in one matrix, the row swapped at each column, and the permutation."""
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
@@ -91,7 +91,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
-    """The order of rows that exchanges one after the other lead to."""
+    """The order of rows after the swaps, one after another."""
     rows = np.arange(size)
 
     def step(k: Any, order: jax.Array) -> tuple:

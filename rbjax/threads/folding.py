@@ -1,4 +1,4 @@
-"""Operations whose result is known while the program is written, or is that of a simpler one."""
+"""Constant folding, and simplification of operations."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ FOLD = {
     "rint": np.rint, "abs": np.abs, "max": np.maximum, "min": np.minimum, "pow": np.power,
     "atan2": np.arctan2, "isfinite": np.isfinite,
 }  # fmt: skip
-"""How numpy computes an operation of known values; what is missing is left to the program."""
+"""The numpy function of an operation on known values; others are left to the program."""
 
 COMMUTATIVE = {"add", "mul", "index_add", "index_mul", "and", "or", "xor", "eq", "ne"}
 
 
 def folded(name: str, dtype: np.dtype, args: tuple) -> Value | None:
-    """The result of an operation on known values, or None where the program has to compute it."""
+    """The result of an operation on known values, or None if the program must compute it."""
     with np.errstate(all="ignore"):
         if name == "cast":
             return dtype.type(args[0]) if args[0].dtype.kind in "biu" or dtype.kind == "f" else None
@@ -52,7 +52,7 @@ def is_number(x: Value, number: int) -> bool:
 
 
 def simpler(builder: Builder, name: str, args: tuple) -> Value | None:
-    """What the operation is equal to, where a known argument or a double negation says so."""
+    """A value equal to the operation, from a known argument or a double negation; or None."""
     match name, args:
         case ("select", (c, a, b)) if isinstance(c, np.generic):
             return a if c else b
@@ -88,7 +88,7 @@ def simpler(builder: Builder, name: str, args: tuple) -> Value | None:
 
 
 def keys_of(name: str, args: Sequence[Value]) -> list:
-    """What two operations have in common that compute the same."""
+    """Keys that are shared by operations with the same result."""
     keys: list = [
         (a.dtype.char, a.tobytes()) if isinstance(a, np.generic) else a.id for a in args
     ]

@@ -1,8 +1,8 @@
-"""The frame of a program: where samples lie, and the function around the statements of one.
+"""The function around the statements of one sample, and the layout of samples in memory.
 
-A batch has one or several axes, anywhere among those of an operand; a thread's pointer is moved to
-its sample, and entries are read where they lie. On a GPU, rows of a batch-first array that are
-short are fetched together by the block through shared memory, so that a warp reads whole lines.
+A batch has one or several axes, anywhere among those of an operand. A thread's pointer is moved to
+its sample, and entries are read in place. On a GPU, the block fetches short rows of a batch-first
+array together through shared memory, so that a warp reads whole lines.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from rbjax.threads.prune import prune
 
 @dataclass(frozen=True)
 class Layout:
-    """Where an array of the batch has its samples.
+    """The layout of the samples in an array.
 
-    shape: of the array in memory. axes: for each axis of the batch its place in that shape, or
-    None where the array has none.
+    shape: of the array in memory. axes: for each axis of the batch, its place in that shape, or
+    None if the array lacks it.
     """
 
     shape: tuple[int, ...]
@@ -54,18 +54,18 @@ class Layout:
 
     @property
     def strides(self) -> tuple[int, ...]:
-        """From entry to entry of a sample."""
+        """The strides between entries of a sample."""
         every = row_major(self.shape)
         return tuple(s for k, s in enumerate(every) if k not in self.axes)
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """From sample to sample, along each axis of the batch; 0 where there is none."""
+        """The strides between samples along each axis of the batch; 0 without this axis."""
         every = row_major(self.shape)
         return tuple(0 if axis is None else every[axis] for axis in self.axes)
 
     def rows(self, batch: tuple[int, ...]) -> int | None:
-        """The entries of a sample, where samples lie one behind the other in rows; else None."""
+        """The entries of a sample, if samples are consecutive rows; else None."""
         if not self.axes or None in self.axes:
             return None
         n = math.prod(self.sample)
@@ -79,19 +79,19 @@ class Layout:
 
 
 def batch_first(sample: Sequence[int], batch: Sequence[int]) -> Layout:
-    """A result that has the axes of the batch before its own."""
+    """A result with the axes of the batch before its own."""
     return Layout((*batch, *sample), tuple(range(len(batch))))
 
 
 def batch_last(sample: Sequence[int], batch: Sequence[int]) -> Layout:
-    """A result that has the axes of the batch after its own."""
+    """A result with the axes of the batch after its own."""
     n = len(sample)
     return Layout((*sample, *batch), tuple(range(n, n + len(batch))))
 
 
 @dataclass(frozen=True)
 class Written:
-    """A program, with what the frame must know."""
+    """A program with its operands, results and batch."""
 
     builder: Builder
     operands: tuple[Array, ...]
@@ -102,7 +102,7 @@ class Written:
 
     @property
     def statements(self) -> int:
-        """Operations of one thread's code; a loop's once."""
+        """Operations in one thread's code; those of a loop count once."""
         return sum(isinstance(s, Op) for s in walk(self.builder.block))
 
     @property
@@ -119,7 +119,7 @@ def write_program(
     results: Sequence[Layout],
     summed: Sequence[bool] = (),
 ) -> Written:
-    """The program of one sample of a batch; summed results are of the whole batch."""
+    """The program of one sample of a batch. Summed results are sums over the batch."""
     b = Builder()
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
@@ -157,7 +157,7 @@ def parameters(program: Written, restrict: str) -> str:
 
 
 def sample_index(batch: tuple[int, ...]) -> list[str]:
-    """The place along each axis of the batch, from the running number b."""
+    """The index along each axis of the batch, from the linear index b."""
     out, rest = [], "b"
     for k in reversed(range(len(batch))):
         if k == 0:
@@ -169,7 +169,7 @@ def sample_index(batch: tuple[int, ...]) -> list[str]:
 
 
 def offset(layout: Layout, index: list[str]) -> str:
-    """Where a sample begins, as C."""
+    """The offset of a sample, as C."""
     terms = [f"{i}*{step}ll" for i, step in zip(index, layout.steps, strict=True) if step]
     return "+".join(terms) or "0"
 

@@ -1,4 +1,4 @@
-"""`rb.threads(f)`: f of one sample, whose `vmap` on a GPU is one kernel."""
+"""`rb.threads(f)`: a function of one sample, whose `vmap` on a GPU is one kernel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rbjax.threads.uniform import unnamed
 
 @functools.cache
 def wanted() -> bool:
-    """Whether there is a GPU that kernels could run on."""
+    """Whether there is a GPU that can run kernels."""
     try:
         return bool(jax.devices("cuda"))
     except RuntimeError:
@@ -32,18 +32,17 @@ def threads(f: Callable) -> Callable:
 
     g = threads(f); jax.vmap(g)(xs)[i] = f(xs[i])
 
-    Where there is no GPU this is f itself. Derivatives of it (`jax.jvp`, `vjp`, `grad`, `jacfwd`,
-    `hessian`) run as kernels too, each compiled from the derivative of f; the reverse ones compute
-    the forward values again. A primitive that the compiler does not know makes the function run
-    under XLA, and a warning names it.
+    Without a GPU this is f itself. Its derivatives (`jax.jvp`, `vjp`, `grad`, `jacfwd`, `hessian`)
+    also run as kernels, each compiled from the derivative of f. Reverse mode recomputes the forward
+    values. If f has a primitive that the compiler does not support, it runs under XLA, and a
+    warning names the primitive.
 
     Args:
-        f: a function of arrays, or of pytrees of them, that returns such; all of one sample, and
-            small. It may close over arrays: what all samples share (weights, a model) is read
-            through the cache.
+        f: a function from arrays, or pytrees of them, to the same, for one sample and small. It may
+            close over arrays that all samples share (weights, a model).
 
     Returns:
-        The same function of one sample: to be batched with `jax.vmap`.
+        The same function of one sample. Batch it with `jax.vmap`.
 
     Raises:
         TypeError: f is not a function.
@@ -68,8 +67,8 @@ def threads(f: Callable) -> Callable:
 
 
 def flattened(f: Callable, args: tuple, kwargs: dict) -> tuple[list, Callable, list]:
-    """The arrays of a call, f as a function of them to a list of arrays, and a list that gets the
-    structure of its results once it has been traced."""
+    """The arrays of a call, f as a function from them to a list of arrays, and a list that gets
+    the structure of the results when it is traced."""
     leaves, tree = jax.tree.flatten((args, kwargs))
     shape: list[Any] = []
 
@@ -83,8 +82,8 @@ def flattened(f: Callable, args: tuple, kwargs: dict) -> tuple[list, Callable, l
 
 
 def threaded(f: Callable, apart: Callable | None = None) -> Callable:
-    """`threads` whether or not there is a GPU. `apart`: the same function as several kernels; both
-    close over nothing that is traced."""
+    """`threads`, with or without a GPU. `apart`: the same function as several kernels. Neither may
+    close over traced values."""
 
     @automatic
     def bound(*args: Any, **kwargs: Any) -> Any:
@@ -98,15 +97,15 @@ def threaded(f: Callable, apart: Callable | None = None) -> Callable:
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
-        # outside of a program JAX keeps what it has compiled for f
+        # outside of a trace JAX caches the compiled f
         return (bound if inside_jit() else compiled)(*args, **kwargs)
 
     return call
 
 
 def side_by_side(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> Any:
-    """f of each slice of xs along `axes`, one thread each beside those of the batch; results, one
-    array or several, have that axis last. What f closes over all slices share."""
+    """f of each slice of xs along `axes`, one thread for each slice of each sample. Results, one
+    array or several, have that axis last. All slices share the values that f closes over."""
     size = xs[0].shape[axes[0]]
     one = [
         jax.ShapeDtypeStruct(x.shape[:k] + x.shape[k + 1 :], x.dtype)
@@ -119,8 +118,8 @@ def side_by_side(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> A
 
 
 def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:
-    """The program of a flat function, of what it closes over that is traced, and of its arguments;
-    and what it closes over."""
+    """The program of a flat function, whose inputs are the traced values that it closes over and
+    its arguments; and these values."""
     avals = [jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x)) for x in args]
     closed = jax.make_jaxpr(f)(*avals)
     jaxpr, consts = closed.jaxpr, closed.consts

@@ -1,4 +1,4 @@
-"""Rules of gather and scatter; few entries one by one, many by loops over memory."""
+"""Rules for gather and scatter: a few entries are unrolled, many use loops over memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FILL = GatherScatterMode.FILL_OR_DROP
 
 
 def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], rank: int) -> list:
-    """Where a window of a gather or scatter begins, one value per axis of the operand."""
+    """The start of a window of a gather or scatter, one value per axis of the operand."""
     out: list[Value] = [I32.type(0)] * rank
     for k, axis in enumerate(axes):
         out[axis] = indices[(*at, k)]
@@ -90,8 +90,8 @@ def _place(
     low: Lowering, indices: View, at: tuple, axes: Sequence[int], batching: tuple, offsets: dict,
     most: list[int], mode: Any,
 ) -> tuple[list[Value], Value]:  # fmt: skip
-    """The entry of the operand that one turn of a loop reads or writes, and whether its window is
-    inside; `offsets` within the window, by axis."""
+    """The entry of the operand that one iteration reads or writes, and whether its window is
+    inside. `offsets` are within the window, by axis."""
     starts: list[Value] = [I32.type(0)] * len(most)
     for k, axis in enumerate(axes):
         starts[axis] = get(low.b, indices, (*at, I32.type(k)))
@@ -191,7 +191,7 @@ def _scatter(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 def _combination(low: Lowering, eqn: Any) -> Callable[[Value, Value], Value]:
-    """What becomes of an entry and its update."""
+    """The function that combines an entry and its update."""
     name, update = COMBINE[eqn.primitive.name], eqn.params["update_jaxpr"]
     if name is not None:
         return functools.partial(low.b.op, name, dtype_of(eqn.outvars[0].aval))

@@ -1,7 +1,7 @@
-"""Rules of primitives that index: slices at an index that is not known, gather, scatter.
+"""Rules for primitives that index: slices at an index that is not known, gather, scatter.
 
-Where indices are known nothing is computed. Otherwise the operand lies in memory; an array of few
-entries stays in registers, and selections find the entry.
+Known indices cost nothing. Otherwise the operand is in memory, or a small array stays in registers
+and selections find the entry.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from rbjax.threads.arrays import Small, View, in_memory, is_known, objects, owne
 from rbjax.threads.lowering import Lowering, dtype_of, rule
 from rbjax.threads.program import BOOL, I32, Value, Var
 
-#: an array in registers of at most so many entries is indexed by selections
+#: arrays in registers with at most this many entries are indexed by selections
 SELECT_UP_TO = 8
 
 
 def clamped(low: Lowering, index: Value, most: int) -> Value:
-    """The index moved into 0 ... most."""
+    """The index clamped to 0 ... most."""
     if not isinstance(index, Var):
         return I32.type(min(max(int(index), 0), most))
     if most <= 0:
@@ -46,7 +46,7 @@ def in_bounds(low: Lowering, index: Value, most: int) -> Value:
 
 
 def changeable(low: Lowering, x: Small, dtype: Any) -> View:
-    """x where it may be updated: in place if nothing reads it later, else a copy."""
+    """x as memory that may be updated: itself if nothing reads it later, else a copy."""
     if isinstance(x, View) and x.changeable:
         return x
     return owned_copy(low.b, x, dtype)

@@ -1,9 +1,9 @@
 """A kernel inside a jitted program.
 
-XLA loads PTX and launches it in order with everything else, with no Python at run time. The name of
-its custom call is XLA's own, and this is the one file that uses it. Where a version of XLA takes
-it away, the way out is a typed FFI handler (`jax.ffi.register_ffi_target`): a compiled function
-that is handed the stream and calls `cuLaunchKernel` on a module that it has loaded once.
+XLA loads PTX and launches it in order with everything else, without Python at run time. The name of
+the custom call is internal to XLA, and only this file uses it. If a version of XLA removes it, a
+typed FFI handler can replace it (`jax.ffi.register_ffi_target`): a compiled function that gets the
+stream and calls `cuLaunchKernel` on a module that it has loaded once.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _kernel.def_abstract_eval(lambda *operands, results, **how: list(results))
 def launch(
     kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[Any]
 ) -> list[jax.Array]:
-    """The kernel's results, of these shapes and types; only in a program lowered for CUDA."""
+    """The kernel's results, with these shapes and types. Only for programs lowered for CUDA."""
     code = ptx(kernel.source, capability())
     how = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
     return _kernel.bind(*operands, results=tuple(results), **how)
@@ -64,7 +64,7 @@ extern "C" __global__ void self_test(const float* x, float* y) {
 
 @functools.cache
 def works() -> bool:
-    """Whether kernels run here: NVRTC compiles, XLA launches. Tried once; a failure is said."""
+    """Whether kernels run here: NVRTC compiles, XLA launches. Tested once; a failure warns."""
     x = np.arange(32, dtype=np.float32)
     try:
         test = Kernel(SELF_TEST, "self_test", 32, 1, (False,))

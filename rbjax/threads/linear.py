@@ -1,4 +1,4 @@
-"""Rules of matrix products and of small dense factorisations."""
+"""Rules for matrix products."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rbjax.threads.arrays import Small, View, each, get, in_memory, put
 from rbjax.threads.lowering import Lowering, dtype_of, rule
 from rbjax.threads.program import Value
 
-#: products of more terms are loops
+#: products with more terms are loops
 UNROLL_UP_TO = 512
 
 

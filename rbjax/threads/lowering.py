@@ -1,9 +1,9 @@
 """From the jaxpr of one sample to the program of one thread.
 
-`Lowering.run` walks the equations; a rule for each primitive (`RULES`) turns small arrays into
-small arrays. Moving entries about (slices, reshapes, transposes) costs nothing: it renames them.
-A result that is written entry by entry (the stacked outputs of a scan) is written where it is
-needed, so a trajectory goes straight to the kernel's result.
+`Lowering.run` goes through the equations. A rule for each primitive (`RULES`) maps small arrays to
+small arrays. Moving entries (slices, reshapes, transposes) costs nothing: it renames them. A result
+that is written entry by entry (the stacked outputs of a scan) is written to its final place, so a
+trajectory goes directly to the kernel's result.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rbjax.threads.program import Builder
 
 Rule = Callable[["Lowering", Any, list], list]
 RULES: dict[str, Rule] = {}
-#: rules that write a result at the place that they are given: f(lowering, equation, inputs, places)
+#: rules that write a result to a given place: f(lowering, equation, inputs, places)
 WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
 
 
@@ -34,19 +34,19 @@ KEY = np.dtype(np.uint64)
 
 
 class Unsupported(Exception):
-    """A primitive or a type that threads do not know."""
+    """A primitive or a type that threads do not support."""
 
 
-#: the types of numbers that a thread knows
+#: the dtypes that a thread supports
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
 
 
-#: arguments that the rule of a primitive does not read, and gets as None
+#: arguments that the rule of a primitive does not read; they are passed as None
 UNREAD: dict[str, tuple[int, ...]] = {}
 
 
 def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
-    """Register how primitives of these names become statements."""
+    """Register the rule that turns primitives of these names into statements."""
 
     def register(f: Rule) -> Rule:
         RULES.update(dict.fromkeys(names, f))
@@ -57,7 +57,7 @@ def rule(*names: str, unread: tuple[int, ...] = ()) -> Callable[[Rule], Rule]:
 
 
 def writer(*names: str) -> Callable:
-    """The same, for rules that take the places of their results."""
+    """The same, for rules that get the places of their results."""
 
     def register(f: Callable) -> Callable:
         WRITERS.update(dict.fromkeys(names, f))
@@ -68,10 +68,10 @@ def writer(*names: str) -> Callable:
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What of a jaxpr its results are made of.
+    """The part of a jaxpr that its results need.
 
-    last: for each variable that is read, the last equation that reads it. equations: their
-    numbers, themselves and what they read.
+    last: for each variable that is read, the last equation that reads it. equations: for each, its
+    number, itself and the inputs that it reads.
     """
 
     jaxpr: Jaxpr
@@ -98,7 +98,7 @@ class Lowering:
         args: Sequence[Small],
         places: Sequence[View | None] = (),
     ) -> list[Small]:
-        """The results of a jaxpr; those with a place are written there."""
+        """The results of a jaxpr. A result with a place is written there."""
         needs = self.needed(jaxpr)
         last = needs.last
         env: dict[Any, Small] = {}
@@ -139,7 +139,7 @@ class Lowering:
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
             fits = dtype is None or dtype in DTYPES
-            if not fits and (name in RULES or called(eqn) is None):  # inside a call it is named
+            if not fits and (name in RULES or called(eqn) is None):  # a call names it inside
                 raise Unsupported(f"{name} of type {dtype}")
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)
@@ -154,7 +154,7 @@ class Lowering:
         return self.closed(inner, ins, places)
 
     def needed(self, jaxpr: Jaxpr) -> Needs:
-        """What of a jaxpr its results are made of."""
+        """The part of a jaxpr that its results need."""
         known = self.needs.get(id(jaxpr))
         if known is None or known.jaxpr is not jaxpr:
             known = self.needs[id(jaxpr)] = self._needed(jaxpr)
@@ -185,7 +185,7 @@ class Lowering:
 
     @contextmanager
     def held(self, values: Sequence[Small]) -> Iterator[None]:
-        """Nothing that is read again later is updated in place meanwhile."""
+        """Prevents updates in place of values that are read again later."""
         for value in values:
             _own(value, 1)
         try:
@@ -203,19 +203,19 @@ class Lowering:
 
 
 def dtype_of(aval: Any) -> Any:
-    """The type of an array's entries; a random key is one number of 64 bits."""
+    """The dtype of an array's entries; a random key is one 64-bit number."""
     dtype: Any = getattr(aval, "dtype", None)
     return KEY if is_key(dtype) and dtype.itemsize == KEY.itemsize else dtype
 
 
 @functools.lru_cache(256)
 def is_key(dtype: Any) -> bool:
-    """Whether it is a type of random keys."""
+    """Whether this is a dtype of random keys."""
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
 def known(x: Any, aval: Any) -> np.ndarray:
-    """A constant as numpy, of the type that the jaxpr gives it."""
+    """A constant as a numpy array, with the dtype of the jaxpr."""
     if is_key(getattr(x, "dtype", None)):
         return np.asarray(jax.random.key_data(x)).view(KEY)[..., 0]
     return np.asarray(x, aval.dtype)
@@ -251,7 +251,7 @@ def _own(value: Small, change: int) -> None:
 
 
 def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
-    """Where results shall be, handed back through equations that only move entries."""
+    """The places of results, passed back through equations that only move entries."""
     wanted: dict[Any, View] = {}
     inputs = {*jaxpr.invars, *jaxpr.constvars}
 
@@ -282,7 +282,7 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
                 same_entries(eqn.invars[0], place)
             case "broadcast_in_dim" if _size(eqn.invars[0]) == _size(eqn.outvars[0]):
                 same_entries(eqn.invars[0], place)
-            case "stack" if uses[eqn.outvars[0]] > 1:  # what is read again stays in registers
+            case "stack" if uses[eqn.outvars[0]] > 1:  # stays in registers to be read again
                 del wanted[eqn.outvars[0]]
             case "stack":
                 axis = eqn.params.get("axis", eqn.params.get("dimension", 0))

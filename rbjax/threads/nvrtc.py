@@ -1,6 +1,6 @@
-"""CUDA C to PTX by NVRTC, which comes with `jax[cuda12]` and `jax[cuda13]`; kept on disk.
+"""CUDA C to PTX by NVRTC, which comes with `jax[cuda12]` and `jax[cuda13]`.
 
-PTX is kept beside JAX's own compilation cache, where the caller has switched that on.
+PTX is cached on disk next to JAX's own compilation cache, if the caller has enabled that.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ OPTIONS = ("--std=c++17", "--restrict", "-default-device")
 
 
 class CompileError(RuntimeError):
-    """NVRTC is missing, or refuses a program."""
+    """NVRTC is missing, or does not compile a program."""
 
 
 @functools.cache
@@ -53,12 +53,12 @@ def ptx(source: str, capability: str) -> str:
         kept.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", dir=kept, delete=False) as file:
             file.write(text)
-        os.replace(file.name, kept / f"{key}.ptx")  # whole or not at all
+        os.replace(file.name, kept / f"{key}.ptx")  # atomic
     return text
 
 
 def _folder() -> Path | None:
-    config: Any = jax.config  # names that its type does not list
+    config: Any = jax.config  # its type does not list all names
     folder = config.jax_compilation_cache_dir
     if not folder or "://" in folder or not config.jax_enable_compilation_cache:
         return None
@@ -84,7 +84,7 @@ def _compile(source: str, arch: str) -> str:
         )
         if failed:
             log = _text(nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, program)
-            raise CompileError(f"NVRTC refuses a kernel: {log[:2000]}")
+            raise CompileError(f"NVRTC does not compile a kernel: {log[:2000]}")
         return _text(nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, program)
     finally:
         nvrtc.nvrtcDestroyProgram(ctypes.byref(program))

@@ -1,10 +1,10 @@
 """`threads`: a function of one sample, whose batch runs as one kernel.
 
-Two primitives. `threads_p` evaluates a `Program` for a batch; `tangent_p` its derivative along
-tangents, in which it is linear. Under `vmap` an axis is added to the batch, and operands stay where
-they lie; what depends on no sample is computed once, outside of the kernel. In reverse mode the
-kernel of the transposed function computes the forward values again, in registers: nothing is kept
-in memory but the arguments, and what a `Program` says it keeps.
+There are two primitives. `threads_p` evaluates a `Program` for a batch. `tangent_p` evaluates its
+derivative along tangents, in which it is linear. `vmap` adds an axis to the batch, and operands
+keep their layout. Values that depend on no sample are computed once, outside of the kernel. In
+reverse mode the kernel of the transposed function recomputes the forward values in registers. Only
+the arguments are stored in memory, and the values that a `Program` keeps.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def run(
     program: Program, operands: Sequence[Any], batch: tuple[int, ...] = (),
     ins: Sequence[Axes] | None = None, outs: Sequence[Axes] | None = None,
 ) -> list[Any]:  # fmt: skip
-    """The program for a batch. `ins`, `outs`: the place of each axis of the batch in each operand
-    and result; a result with no place is the sum over the batch."""
+    """Runs the program for a batch. `ins`, `outs`: the place of each axis of the batch in each
+    operand and result. A result without a place is summed over the batch."""
     first = tuple(range(len(batch)))
     ins = tuple(ins) if ins is not None else ((None,) * len(batch),) * len(operands)
     outs = tuple(outs) if outs is not None else (first,) * len(program.outputs)
@@ -51,12 +51,12 @@ def run(
 
 
 def _varies(aval: Any) -> frozenset:
-    """The axes of a mesh that an array varies along, where `shard_map` keeps count of them."""
+    """The axes of a mesh along which an array varies, if `shard_map` tracks them."""
     return aval.manual_axis_type.varying
 
 
 def _alike(operands: Sequence[Any]) -> list[Any]:
-    """Operands that vary along the same axes of a mesh."""
+    """The operands, all varying along the same axes of a mesh."""
     own = [_varies(jax.typeof(x)) for x in operands]
     every = frozenset().union(*own)
     return [
@@ -66,7 +66,7 @@ def _alike(operands: Sequence[Any]) -> list[Any]:
 
 
 def _result(shape: tuple[int, ...], dtype: Any, operands: Sequence[Any]) -> ShapedArray:
-    """A result, which varies as the operands do."""
+    """A result, which varies along the axes of the operands."""
     if not any(_varies(x) for x in operands):
         return ShapedArray(shape, dtype)
     mesh = operands[0].sharding.mesh
@@ -93,7 +93,7 @@ threads_p.def_impl(functools.partial(jax.interpreters.xla.apply_primitive, threa
 
 
 def _inner(axes: Axes, level: int) -> int | None:
-    """The place of an axis of the batch where those before it are gone."""
+    """The place of an axis of the batch after those before it are removed."""
     axis = axes[level]
     return None if axis is None else axis - sum(a is not None and a < axis for a in axes[:level])
 
@@ -103,7 +103,7 @@ def under_xla(*operands, program, batch, ins, outs):
     f: Callable = program
     for level in reversed(range(len(batch))):
         axes = [_inner(a, level) for a in ins]
-        if all(a is None for a in axes):  # nothing has this axis: one for all
+        if all(a is None for a in axes):  # no operand has this axis: one result for all
             f = functools.partial(_repeated, f, batch[level])
         else:
             f = jax.vmap(f, in_axes=axes)
@@ -115,7 +115,7 @@ def _repeated(f: Callable, size: int, *args: Any) -> list[Any]:
 
 
 def placed(x: Any, axes: Axes) -> Any:
-    """A result that has the batch first, with the axes where they shall be, or summed."""
+    """A result with the batch first, with its axes moved to their places, or summed."""
     gone = tuple(k for k, axis in enumerate(axes) if axis is None)
     x = x.sum(gone) if gone else x
     there = [axis for axis in axes if axis is not None]
@@ -123,7 +123,7 @@ def placed(x: Any, axes: Axes) -> Any:
 
 
 def on_gpu(*operands, program, batch, ins, outs):
-    """The same by a kernel, or several; under XLA where the compiler does not know a primitive."""
+    """The same by one or more kernels; under XLA if the compiler does not support a primitive."""
     if 0 in batch:
         return [jnp.zeros(a.shape, a.dtype) for a in threads_p.abstract_eval(
             *operands, program=program, batch=batch, ins=ins, outs=outs)[0]]  # fmt: skip
@@ -161,7 +161,7 @@ def _say(reason: str) -> None:
 
 
 def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
-    """For several devices, each of which evaluates its part of the batch; or for one."""
+    """For one device, or for several that each evaluate their part of the batch."""
     how = {"program": program, "ins": ins, "outs": outs}
     devices = getattr(ctx.module_context.axis_context, "num_devices", 1)
 
@@ -172,13 +172,13 @@ def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
     if devices and devices > 1 and batch and not _is_manual(ctx):
         ranks = [len(a.shape) for a in ctx.avals_in], [len(a.shape) for a in ctx.avals_out]
         run = spread(part, batch, ins, outs, ranks)
-    # a device knows nothing of the others: constants inside need not vary as operands do
+    # each device is independent: constants inside need not vary like operands
     own = ctx.replace(avals_in=[ShapedArray(a.shape, a.dtype) for a in ctx.avals_in])
     return mlir.lower_fun(run, multiple_results=True)(own, *operands)
 
 
 def _is_manual(ctx):
-    """Whether a device runs this for itself already, as in `shard_map`."""
+    """Whether each device already runs its own program, as in `shard_map`."""
     return bool(getattr(ctx.module_context.axis_context, "manual_axes", ()))
 
 
@@ -193,7 +193,7 @@ mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
 @rule("threads")
 def _inside(low: Lowering, eqn: Any, ins: list) -> list:
-    """A program that a thread calls itself; a batch of it is worked through by that thread."""
+    """A program inside a thread, which runs a batch of it in a loop."""
     program, how = eqn.params["program"], eqn.params
     if not how["batch"]:
         return low.closed(program.closed, ins)
@@ -211,12 +211,12 @@ def _tangent_inside(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 def _with_axis(new: int | None, axes: Axes) -> Axes:
-    """The places of the axes of a batch once there is one more, the first, at `new`."""
+    """The places of the axes of a batch after a new first one is added at `new`."""
     return (new, *(a if a is None or new is None or a < new else a + 1 for a in axes))
 
 
 def _batched(operands, dims, program, batch, ins, outs):
-    """The same with one axis more, before the others."""
+    """The same with one more axis, before the others."""
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
     known = tuple(
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
@@ -233,7 +233,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     last = _lies_last(operands, dims, ins)
     new, where = [], []
     for a, axes in zip(program.outputs, outs, strict=True):
-        if all(x is None for x in axes) and batch:  # a sum is taken afterwards, sample by sample
+        if all(x is None for x in axes) and batch:  # the sum over samples is taken afterwards
             axes = tuple(range(len(batch)))
         at = len(a.shape) + sum(x is not None for x in axes) if last else 0
         new.append(_with_axis(at, axes))
@@ -250,7 +250,7 @@ def _batched(operands, dims, program, batch, ins, outs):
 
 
 def _lies_last(operands, dims, ins) -> bool:
-    """Whether all that has the new axis has it at its end, behind entries of the sample."""
+    """Whether all operands with the new axis have it last, after the entries of the sample."""
     found = [
         d == x.ndim - 1 and x.ndim > 1 + sum(a is not None for a in axes)
         for x, d, axes in zip(operands, dims, ins, strict=True)
@@ -265,7 +265,7 @@ batching.primitive_batchers[threads_p] = _batched
 
 tangent_p = Primitive("threads_tangent")
 tangent_p.multiple_results = True
-"""Operands: arguments, what the program keeps, and the tangents of those arguments that move."""
+"""Operands: arguments, values that the program keeps, and the tangents of moving arguments."""
 
 
 def _as_threads(program, moving, batch, ins):
@@ -298,14 +298,14 @@ batching.primitive_batchers[tangent_p] = _batched_tangent
 
 
 def _rates(primals, tangents):
-    """Which arguments move, and their tangents."""
+    """Which arguments have tangents, and these tangents."""
     moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in zip(
         primals, tangents, strict=True))  # fmt: skip
     return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
 
 
 def _zero(x: Any) -> ad.Zero:
-    """The tangent of what does not move."""
+    """The zero tangent of an argument that does not move."""
     return ad.Zero(jax.typeof(x).to_tangent_aval())
 
 
@@ -324,7 +324,7 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
     if program.keeping is None:
         found = run(program, primals, batch, ins, outs)
     else:
-        # what nobody else sees lies as threads read it best
+        # internal values have the layout that threads read fastest
         keeping = program.keeping(moving)
         last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in keeping.outputs[n:]]
         places = (*outs, *last)
@@ -360,7 +360,7 @@ def _transpose(bars, *operands, program, moving, batch, ins):
     given = [bar for bar, w in zip(bars, weighed, strict=True) if w]
     first = tuple(range(len(batch)))
     axes, outs = ins[n:], []
-    for a in axes:  # summed in the kernel where an operand has no batch at all
+    for a in axes:  # summed in the kernel if an operand has no batch at all
         whole = all(k is not None for k in a) or all(k is None for k in a)
         outs.append(a if whole else first)
     found = run(

@@ -1,8 +1,8 @@
 """The program of one thread: scalars in registers, arrays in memory, loops and branches.
 
 A traced function is rewritten into this form (`lowering`), and a back end prints it (`c_source`).
-A value is a `Var`, or a numpy scalar where it is known. The builder folds what is known, and
-computes equal expressions once.
+A value is a `Var`, or a numpy scalar if it is known. The builder folds known values and computes
+equal expressions once.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ class Array:
     size: int
     space: str
     data: np.ndarray | None = None
-    #: the type that counts its elements: int64 where int32 is too small
+    #: the type of its indices: int64 if int32 is too small
     index: np.dtype = I32
-    #: live names for it while the program is written; an array with none may be updated in place
+    #: live references while the program is written; an array without any may be updated in place
     owners: int = 0
-    #: where in `Builder` time it was last written
+    #: the `Builder` time of its last write
     version: int = 0
 
     @property
@@ -87,7 +87,7 @@ class Store:
 
 @dataclass(slots=True)
 class Declare:
-    """A variable that is assigned to later; its first value, or None."""
+    """A variable that is assigned later; its first value, or None."""
 
     var: Var
     value: Value | None
@@ -103,7 +103,7 @@ class Assign:
 
 @dataclass(slots=True)
 class Reserve:
-    """A local array begins to exist."""
+    """The declaration of a local array."""
 
     array: Array
 
@@ -120,7 +120,7 @@ class Loop:
 
 @dataclass(slots=True)
 class While:
-    """Repeat: run `test`; leave where `condition` is false; run `body`."""
+    """Repeat: run `test`; stop if `condition` is false; run `body`."""
 
     test: Block
     condition: Value
@@ -138,13 +138,13 @@ class If:
 
 @dataclass(slots=True)
 class Block:
-    """Statements in a row."""
+    """A sequence of statements."""
 
     statements: list = field(default_factory=list)
 
 
 def walk(block: Block) -> Iterator[Any]:
-    """All statements, those of inner blocks after the statement that holds them."""
+    """All statements; those of inner blocks follow the statement that contains them."""
     for statement in block.statements:
         yield statement
         match statement:
@@ -159,17 +159,17 @@ def walk(block: Block) -> Iterator[Any]:
 
 
 class Builder:
-    """Writes statements; equal expressions within reach of each other become one variable."""
+    """Writes statements. Equal expressions in scope of each other become one variable."""
 
     def __init__(self) -> None:
         self.block = Block()
         self.ids = itertools.count()
-        self.time = 0  # advances whenever what was read of memory may be out of date
+        self.time = 0  # advances whenever earlier loads may be out of date
         self._tables: dict[tuple, Array] = {}
         self._known: dict[tuple, Value] = {}
         self._scopes: list[list[tuple]] = [[]]
         self.negated: dict[int, Value] = {}
-        self._entered = 0  # blocks entered and left: a loop's second turn finds other memory
+        self._entered = 0  # blocks entered and left: memory differs in a loop's second iteration
 
     # ---------------------------------------------------------------- scalars
 
@@ -203,11 +203,11 @@ class Builder:
         return x if x.dtype == dtype else self.op("cast", dtype, x)
 
     def select(self, condition: Value, yes: Value, no: Value) -> Value:
-        """yes where the condition holds, else no."""
+        """yes if the condition holds, else no."""
         return self.op("select", yes.dtype, condition, yes, no)
 
     def declare(self, dtype: Any, value: Value | None = None) -> Var:
-        """A variable that is assigned to later."""
+        """A variable that is assigned later."""
         var = self.var(dtype)
         self.block.statements.append(Declare(var, value))
         return var
@@ -228,7 +228,7 @@ class Builder:
         return Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
 
     def table(self, data: np.ndarray) -> Array:
-        """Known numbers in memory; the same numbers once."""
+        """Known numbers in memory; equal tables are shared."""
         key = (data.dtype.char, data.tobytes())
         if key not in self._tables:
             flat = data.reshape(-1)
@@ -260,7 +260,7 @@ class Builder:
         self.written(array)
 
     def written(self, array: Array) -> None:
-        """What was read of an array earlier is read again from here on."""
+        """From here on, earlier loads of this array are repeated."""
         self.time += 1
         array.version = self.time
 
@@ -268,7 +268,7 @@ class Builder:
 
     @contextmanager
     def inside(self, block: Block) -> Iterator[None]:
-        """Write into an inner block; what is computed there is out of reach after it."""
+        """Write into an inner block; its values are out of scope afterwards."""
         outer, self.block = self.block, block
         self._scopes.append([])
         self._entered += 1

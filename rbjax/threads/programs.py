@@ -18,15 +18,15 @@ class Program:
     """A function of one sample, traced.
 
     vjp: the transposed derivative, vjp(moving, args, kept, bars) -> cotangents of the arguments
-        that move, of the cotangents of the results (None for zero); if None, that of the jaxpr,
+        that move, from the cotangents of the results (None for zero). If None, that of the jaxpr,
         which needs only the arguments.
-    keeping: of the arguments that move the program to run in place of this one where a derivative
-        is asked for: its results are these, and more that `vjp` reads.
-    reads: the first of its results that `vjp` reads, as `kept`.
-    sized: the program that takes this one's place where a batch of a given size is differentiated,
-        by the arguments that move.
-    apart: the same function as several kernels, for a batch of its own on a GPU; inside of another
-        program, and where a derivative is asked for, it is the one that was traced.
+    keeping: moving arguments -> the program that runs instead of this one for a derivative. Its
+        results are the same, and more that `vjp` reads.
+    reads: the index of the first result that `vjp` reads, as `kept`.
+    sized: the program that replaces this one for the derivative of a batch of a given size, by the
+        arguments that move.
+    apart: the same function as several kernels, for a batch on a GPU. Inside another program, and
+        for derivatives, the traced one is used.
     """
 
     closed: ClosedJaxpr
@@ -47,26 +47,26 @@ class Program:
         return [v.aval for v in self.closed.jaxpr.outvars]
 
     def kept(self, moving: Moving) -> list[Any]:
-        """What a derivative is handed beside the arguments."""
+        """The inputs of a derivative besides the arguments."""
         return self.keeping(moving).outputs[self.reads :] if self.keeping else []
 
     def __call__(self, *args: Any) -> list[Any]:
         return jaxpr_as_fun(self.closed)(*args)
 
     def derive(self, key: Any, f: Callable, *avals: Any) -> Program:
-        """Another program made of this one; made once."""
+        """Another program derived from this one, cached."""
         if key not in self.derived:
             self.derived[key] = traced(f, *avals)
         return self.derived[key]
 
     def parts(self, shared: tuple[bool, ...], split: Callable) -> tuple[ClosedJaxpr, Program]:
-        """What depends only on shared operands, and the rest (`uniform`); made once."""
+        """The part that depends only on shared operands, and the rest (`uniform`), cached."""
         if shared not in self.split:
             self.split[shared] = split(self, shared)
         return self.split[shared]
 
     def _along(self, moving: Moving, args: Any) -> tuple[Callable, list[Any]]:
-        """This as a function of the arguments that move, and these."""
+        """This as a function of the arguments that move, and these arguments."""
 
         def along(*changed: Any) -> list[Any]:
             rest = iter(changed)
@@ -81,7 +81,7 @@ class Program:
         def f(*xs: Any) -> list[Any]:
             rates = list(xs[len(moving) + len(kept) :])
             found = jax.jvp(*self._along(moving, xs[: len(moving)]), rates)[1]
-            return [  # what does not move has a tangent of no bytes, which no array can hold
+            return [  # a zero tangent has dtype float0, which no array here can have
                 t if jnp.issubdtype(a.dtype, jnp.floating) else jnp.zeros(a.shape, a.dtype)
                 for t, a in zip(found, self.outputs, strict=True)
             ]
@@ -112,5 +112,5 @@ class Program:
 
 
 def traced(f: Callable, *avals: Any) -> Program:
-    """The program of a function of flat arguments that closes over nothing that is traced."""
+    """The program of a function of flat arguments that closes over no traced values."""
     return Program(jax.make_jaxpr(f)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))

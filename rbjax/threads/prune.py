@@ -1,4 +1,4 @@
-"""Leaves out of a program what no result needs."""
+"""Dead code elimination."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def prune(block: Block) -> None:
 
 
 def _needed(block: Block) -> set[Var | Array]:
-    """The variables and arrays that results and conditions are made of, wherever they are set."""
+    """The variables and arrays that results and conditions depend on."""
     made_of: dict[Any, list] = {}
     reached: list = []
     for statement in walk(block):

@@ -1,4 +1,4 @@
-"""Rules of random numbers: keys of threefry, whose bits are those of `jax.random`.
+"""Rules for random numbers: threefry keys, with the same bits as `jax.random`.
 
 Source: Salmon et al., *Parallel random numbers: as easy as 1, 2, 3*, 2011.
 """
@@ -16,7 +16,7 @@ from rbjax.threads.lowering import KEY, Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import Value
 
 U32 = np.dtype(np.uint32)
-#: more blocks are computed by a loop
+#: more blocks than this are computed by a loop
 LOOP_ABOVE = 16
 ROTATIONS = (13, 15, 26, 6), (17, 29, 16, 24)
 
@@ -69,7 +69,7 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
 
 
 def unwrapped(low: Lowering, keys: Small) -> np.ndarray:
-    """Keys as pairs of numbers of 32 bits."""
+    """Keys as pairs of 32-bit numbers."""
     b, x = low.b, low.scalars(keys)
     out = np.empty((*x.shape, 2), object)
     for i in np.ndindex(x.shape):

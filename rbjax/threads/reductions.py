@@ -1,4 +1,4 @@
-"""Rules of reductions and of running sums."""
+"""Rules for reductions and cumulative sums."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rbjax.threads.program import BOOL, Value
 
 
 def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Small:
-    """Entries combined along axes by f of two values."""
+    """Entries reduced along axes by f of two values."""
     axes = tuple(axes)
     kept = [k for k in range(x.ndim) if k not in axes]
     shape = tuple(x.shape[k] for k in kept)
@@ -75,7 +75,7 @@ REDUCTIONS = {
 
 
 def _neutral(name: str, dtype: np.dtype) -> Any:
-    """What a reduction of nothing is."""
+    """The neutral element of a reduction."""
     if name in ("add", "or", "xor"):
         return 0
     if name == "and":

@@ -1,7 +1,7 @@
-"""A batch that is spread over devices stays spread: each device runs the samples that it holds.
+"""A batch that is sharded over devices stays sharded: each device runs its own samples.
 
-XLA would gather the operands of a custom call on every device. `spread` tells it how the axes of
-the batch go through, and what a device runs; a result that is summed over the batch is summed over
+XLA would gather the operands of a custom call on every device. `spread` gives it the sharding of
+the batch axes and the program of a device. A result that is summed over the batch is summed over
 the devices at the end. (Inside `shard_map` each device has its own samples anyway.)
 """
 
@@ -20,9 +20,9 @@ Axes = tuple[int | None, ...]
 
 
 def knows_devices(primitive: Primitive) -> None:
-    """Make JAX say, where it lowers the primitive, on which devices it will run, for `spread`.
+    """Make JAX pass the devices of the program to the lowering of the primitive, for `spread`.
 
-    (A private name of JAX: its own primitives have no other way.)"""
+    (This uses a private name of JAX, as its own primitives do.)"""
     from jax._src.dispatch import prim_requires_devices_during_lowering
 
     prim_requires_devices_during_lowering.add(primitive)
@@ -34,13 +34,13 @@ def spread(
 ) -> Callable:  # fmt: skip
     """f(batch), as a function of operands that may be sharded along the axes of the batch.
 
-    f: of the sizes of a device's part of the batch. ins, outs: the place of each axis of the batch
-    in each operand and result. ranks: their numbers of axes.
+    f: takes the sizes of a device's part of the batch. ins, outs: the place of each axis of the
+    batch in each operand and result. ranks: their numbers of axes.
     """
     levels = range(len(batch))
 
     def parts(shardings: Any) -> list[Any]:
-        """For each axis of the batch the mesh axes that it is spread over."""
+        """For each axis of the batch, the mesh axes over which it is sharded."""
         found: list[Any] = [None] * len(batch)
         for sharding, axes in zip(shardings, ins, strict=True):
             spec = getattr(sharding, "spec", None)
@@ -78,7 +78,7 @@ def spread(
         return mesh, run, shardings[1], shardings[0]
 
     @custom_partitioning
-    def whole(*operands: Any) -> Any:  # JAX takes only its shapes, and refuses constants
+    def whole(*operands: Any) -> Any:  # JAX uses only its shapes, and refuses constants
         return tuple(jax.lax.full_like(x, 0) for x in jax.eval_shape(f(batch), *operands))
 
     whole.def_partition(partition, sharding_rule=_rule(batch, ins, outs, ranks))
@@ -86,7 +86,7 @@ def spread(
 
 
 def _count(mesh: Any, names: Any) -> int:
-    """How many devices these mesh axes have."""
+    """The number of devices of these mesh axes."""
     total = 1
     for name in names if isinstance(names, tuple) else (names,):
         total *= mesh.shape[name]

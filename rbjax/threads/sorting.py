@@ -1,4 +1,4 @@
-"""Rules that put entries in order: few in registers by exchanging neighbours, many in memory."""
+"""Rules for sorting: few entries in registers by swaps of neighbours, many in memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rbjax.threads.elementwise import LOOP_ABOVE, entrywise
 from rbjax.threads.lowering import Lowering, dtype_of, rule
 from rbjax.threads.program import BOOL, I32, Block, Builder, Value, While
 
-#: so many entries are sorted in registers
+#: the most entries that are sorted in registers
 REGISTERS = 16
 
 
@@ -37,7 +37,7 @@ def _sort(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Small]:
-    """Arrays in the order of the first of them; equal entries stay as they are."""
+    """Arrays in the order of the first `keys` of them; the sort is stable."""
     if xs[0].shape[axis] > REGISTERS or xs[0].size > LOOP_ABOVE:
         return _sort_in_memory(low, xs, dtypes, axis, keys)
     b = low.b
@@ -54,7 +54,7 @@ def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Sm
 
 
 def _sort_in_memory(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Small]:
-    """Each entry is moved down until the one before it comes no later."""
+    """Insertion sort: each entry moves down until the one before it comes no later."""
     b = low.b
     outs = [owned_copy(b, x, dtype) for x, dtype in zip(xs, dtypes, strict=True)]
     shape = outs[0].shape
@@ -92,7 +92,7 @@ def _sort_in_memory(low: Lowering, xs: list, dtypes: list, axis: int, keys: int)
 
 @rule("top_k")
 def _top_k(low: Lowering, eqn: Any, ins: list) -> list:
-    """The greatest entries first; of equal ones the first first, and nan before all."""
+    """The largest entries, in descending order: stable, with nan first."""
     x = ins[0]
     axis = eqn.params.get("axis", -1) % x.ndim
     kind, places = eqn.invars[0].aval.dtype, dtype_of(eqn.outvars[1].aval)
@@ -109,7 +109,7 @@ def _top_k(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 def _descending(b: Builder, x: Value) -> Value:
-    """An integer that falls as x grows, in IEEE 754's total order."""
+    """An integer that decreases as x grows, in IEEE 754's total order."""
     if x.dtype.kind != "f":
         return b.op("not", x.dtype, x)
     kind = np.dtype(f"i{x.dtype.itemsize}")

@@ -1,4 +1,4 @@
-"""Rules of special functions that C lacks, as polynomials and series of what it has."""
+"""Rules for special functions that C lacks, by polynomials and series."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def digamma(x: jax.Array) -> jax.Array:
 
 
 def cumlogsumexp(x: jax.Array, *, axis: int, reverse: bool) -> jax.Array:
-    """log of the running sums of exp."""
+    """log of the cumulative sums of exp."""
     rows = jnp.moveaxis(x, axis, 0)
     out = list(rows[::-1] if reverse else rows)
     for k in range(1, len(out)):

@@ -1,10 +1,10 @@
-"""How batch-first results leave a kernel: rows gather in shared memory, and a warp writes its 32.
+"""Stores of batch-first results: rows are collected in shared memory, and a warp writes its 32.
 
-Rows that fit are staged whole: 32 of them lie one behind the other in memory, wherever a thread
-wrote their entries first. A longer row that is written once, in order, leaves piece by piece
-through the warp's tile. Pieces begin at a sector of memory in every row, though rows need not:
-the tile keeps the last entries of the piece before, and a row's piece lags by as many as it must.
-Of other long rows the runs of entries that are written together leave so, wherever they begin.
+Rows that fit are staged whole, in any order of their entries: 32 of them are consecutive in memory.
+A longer row that is written once, in order, is stored piece by piece through the warp's tile.
+Pieces start at a sector of memory in every row, even if the row does not: the tile keeps the last
+entries of the previous piece, and a row's piece lags by as many as necessary. In other long rows,
+runs of entries that are written together are stored in this way from any start.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from rbjax.threads.c_source import Printer, c_type
 from rbjax.threads.frame import Written
 from rbjax.threads.program import Block, Load, Loop, Op, Store, Var, walk
 
-#: rows of more entries than about a sector has, and of at most these, are staged whole
+#: rows with more entries than about a sector, and at most this many, are staged whole
 SHORT, WHOLE = 8, 128
-#: 4-byte entries of a piece of a longer row
+#: 4-byte entries in a piece of a longer row
 TILE = 256
-#: entries of a run that leaves through the tile
+#: entries of a run that is stored through the tile
 RUN = 32
-#: bytes of memory, a sector, at whose multiples pieces begin
+#: bytes of a memory sector; pieces start at its multiples
 ALIGN = 32
 
 HEAD = """
@@ -82,10 +82,10 @@ QUALIFIED void flush(T* to, T* tile, int rows) {
 
 @dataclass(frozen=True)
 class Rows:
-    """How the rows of a result lie in shared memory.
+    """The layout of a result's rows in shared memory.
 
-    size: entries of a row; width: of a piece of it, as many where it leaves whole. align: entries
-    at whose multiples pieces begin; margin: entries of the piece before that are kept.
+    size: entries of a row; width: entries of a piece, `size` if a row is stored whole. align:
+    pieces start at multiples of this many entries; margin: entries kept from the previous piece.
     """
 
     dtype: np.dtype
@@ -97,38 +97,38 @@ class Rows:
 
     @property
     def bytes(self) -> int:
-        """Of a thread."""
+        """Bytes of one thread."""
         return self.pitch * self.dtype.itemsize
 
 
 def is_staged(row: int) -> bool:
-    """Whether rows of so many entries, of an operand or of a result, go through shared memory."""
+    """Whether rows with this many entries, of operands or results, go through shared memory."""
     return SHORT < row <= WHOLE
 
 
 def whole(dtype: np.dtype, size: int) -> Rows:
-    """Rows that leave at once; without gaps where at most two threads of a warp meet a bank."""
+    """Rows that are stored whole; without gaps if at most two threads of a warp share a bank."""
     return Rows(dtype, size, size, 1, 0, size if size % 4 else size | 1)
 
 
 def pieces(dtype: np.dtype, size: int) -> Rows:
-    """Rows that leave piece by piece, or at once where that is one piece."""
+    """Rows that are stored piece by piece, or whole if there is one piece."""
     width = TILE * 4 // max(dtype.itemsize, 4)
     if size <= width:
         return whole(dtype, size)
-    align = ALIGN // max(dtype.itemsize, 4)  # 32 rows begin where memory is aligned
+    align = ALIGN // max(dtype.itemsize, 4)  # groups of 32 rows start at aligned memory
     margin = 0 if size % align == 0 else align - 1
     return Rows(dtype, size, width, margin + 1, margin, (width + margin) | 1)
 
 
 def run_of(dtype: np.dtype, size: int) -> Rows:
-    """Pieces of a row that begin anywhere."""
+    """Pieces of a row that start anywhere."""
     width = min(TILE * 4 // max(dtype.itemsize, 4), size)
     return Rows(dtype, size, width, 1, 0, width | 1)
 
 
 def rows_of(program: Written) -> dict[int, int]:
-    """The results that lie batch first: id -> entries of a row."""
+    """The batch-first results: id -> entries of a row."""
     found = {}
     for array, layout in zip(program.results, program.layouts[1], strict=True):
         row = layout.rows(program.batch)
@@ -139,8 +139,8 @@ def rows_of(program: Written) -> dict[int, int]:
 
 @dataclass(frozen=True)
 class Spot:
-    """Where a value waits in the tile: column `at`; with `last` the entries from `first` to `upto`
-    go to memory, counted from where the store's own base is."""
+    """The place of a value in the tile: column `at`. With `last` the entries from `first` to `upto`
+    are stored to memory, counted from the store's own base."""
 
     at: int
     first: int
@@ -149,8 +149,8 @@ class Spot:
 
 
 def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict[int, Spot]]:
-    """Of these results, id -> entries of a row, those that leave through the tile, and the spots of
-    their stores, by id. No thread reads them, and all pass where they are written."""
+    """Of these results (id -> entries of a row), those that are stored through the tile, and the
+    spots of their stores, by id. No thread reads them, and all threads reach their stores."""
     statements = [s for s in walk(program.builder.block) if isinstance(s, (Load, Store))]
     read = {s.array.id for s in statements if isinstance(s, Load)}
     rows = {key: n for key, n in rows.items() if n > 1 and key not in read}
@@ -172,7 +172,7 @@ def tiled(program: Written, rows: dict[int, int]) -> tuple[dict[int, Rows], dict
 
 
 def _alike(program: Written) -> set[Any]:
-    """The places in an array that are the same for all threads: those made of loops' counters."""
+    """The indices that are the same for all threads: those made from loop counters."""
     found: set[Any] = {None}
     for s in walk(program.builder.block):
         if isinstance(s, Loop):
@@ -183,7 +183,7 @@ def _alike(program: Written) -> set[Any]:
 
 
 def _runs(block: Block, rows: dict[int, int]) -> Iterator[list[Store]]:
-    """Stores of consecutive entries of one of these results, with none of another between."""
+    """Stores of consecutive entries of one of these results, without others in between."""
     run: list[Store] = []
     for s in block.statements:
         if isinstance(s, Store) and s.array.id in rows:
@@ -205,7 +205,7 @@ def _runs(block: Block, rows: dict[int, int]) -> Iterator[list[Store]]:
 
 
 def passing(program: Written) -> set[int]:
-    """Long arrays of floats that have the batch last: read or written once, a line by each warp."""
+    """Long batch-last arrays of floats, which are read or written once, a line by each warp."""
     found = set()
     for arrays, layouts in zip((program.operands, program.results), program.layouts, strict=True):
         for array, layout in zip(arrays, layouts, strict=True):
@@ -217,8 +217,8 @@ def passing(program: Written) -> set[int]:
 
 
 class StorePrinter(Printer):
-    """Prints statements; those that write a result in pieces fill the warp's tile and empty it.
-    Entries of passing arrays do not stay in the cache, which has better use for its lines."""
+    """Prints statements. Stores of a result in pieces fill the warp's tile and flush it. Entries of
+    passing arrays do not stay in the cache, which needs its lines for other data."""
 
     def __init__(
         self, names: dict[int, str], tiles: dict[int, tuple[int, Rows]], spots: dict[int, Spot],

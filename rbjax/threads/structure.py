@@ -1,4 +1,4 @@
-"""Rules of primitives that move entries about and compute nothing."""
+"""Rules for primitives that only move entries."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _reshape(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
-    """x under another shape."""
+    """x with another shape."""
     if isinstance(x, View):
         out = x.reshaped(shape)
         return owned_copy(low.b, x, x.dtype).reshaped(shape) if out is None else out
@@ -124,7 +124,7 @@ def _split(low: Lowering, x: Small, axis: int, sizes: Any, squeeze: bool = False
 def _pad(low: Lowering, eqn: Any, ins: list) -> list:
     x, fill = low.scalars(ins[0]), low.scalars(ins[1])[()]
     config = eqn.params["padding_config"]
-    # lay out with gaps between entries, then add to the sides; negative sides cut
+    # put gaps between entries, then pad the sides; a negative side is cut
     spread = [max(n + (n - 1) * gap, 0) for n, (_, _, gap) in zip(x.shape, config, strict=True)]
     wide = filled(spread, fill)
     wide[tuple(slice(None, None, gap + 1) for _, _, gap in config)] = x

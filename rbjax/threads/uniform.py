@@ -1,6 +1,6 @@
-"""What no sample has a part in, taken out of a program: computed once instead of by every thread.
+"""Moves work that depends on no sample out of a program: it is computed once, not by every thread.
 
-The constants of a robot's links, made of the leaves of a model that all samples share, are such.
+An example is the constants of a robot's links, which depend only on a model that samples share.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 from rbjax.threads.programs import Program
 
-#: equations that only move entries; a thread does them for nothing
+#: equations that only move entries, which cost a thread nothing
 FREE = {
     "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev",
     "concatenate", "copy", "iota", "convert_element_type", "split", "unstack", "stack",
@@ -23,8 +23,8 @@ FREE = {
 def split(
     program: Program, shared: Sequence[bool], operands: Sequence[Any]
 ) -> tuple[Program, list[Any]]:
-    """The rest of a program, as a function of the operands that samples do not share and of more
-    operands that they do; and these, computed here."""
+    """The rest of a program, as a function of the operands that samples do not share and of new
+    shared operands; and these, computed here."""
     first, rest = program.parts(tuple(shared), _parts)
     given = [x for x, s in zip(operands, shared, strict=True) if s]
     return rest, jaxpr_as_fun(first)(*given)
@@ -45,7 +45,7 @@ def _parts(program: Program, shared: Sequence[bool]) -> Any:
         else:
             after.append(eqn)
     made = {v: eqn for eqn in before for v in eqn.outvars}
-    # what only moves entries is left to the threads: small operands, wide arrays
+    # threads do the equations that only move entries: small operands, wide arrays
     needed: dict[Any, None] = {}
     moves: dict[int, Any] = {}
 
@@ -77,11 +77,11 @@ def _parts(program: Program, shared: Sequence[bool]) -> Any:
 
 
 def unnamed(jaxpr: Jaxpr) -> Any:
-    """The debugging notes of a jaxpr, for another one made of it: without names of arguments."""
+    """The debug info of a jaxpr without argument names, for a jaxpr derived from it."""
     return jaxpr.debug_info._replace(arg_names=None, result_paths=None)
 
 
 def _pruned(closed: ClosedJaxpr) -> ClosedJaxpr:
-    """Retraced, so that constants and debugging notes fit."""
+    """The jaxpr retraced, so that constants and debug info match."""
     avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in closed.jaxpr.invars]
     return jax.make_jaxpr(jaxpr_as_fun(closed))(*avals)

@@ -1,4 +1,4 @@
-"""`compare`: a robot's motion beside MuJoCo C (f64) and MJX (f32 and f64)."""
+"""`compare`: a robot's motion against MuJoCo C (f64) and MJX (f32 and f64)."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ ALGORITHM = {"rbjax f64": 1e-10, "rbjax f32": 1e-4}
 #: trajectory amplifies a change of its initial velocity
 UNITS = 1e4
 EPSILON = {"rbjax f64": 2.2e-16, "rbjax f32": 1.2e-7}
-#: central differences of MuJoCo are trusted to this, or to what two step sizes disagree by
+#: error of MuJoCo's central differences: this, or the difference between two step sizes
 DIFFERENCES = 1e-8
-GRADIENTS = 3  # states whose trajectory's gradient is compared
+GRADIENTS = 3  # states for which the gradient of the trajectory is compared
 
 
 def compare(
@@ -51,28 +51,28 @@ def compare(
 ) -> Report:
     """Run a robot in rbjax, MuJoCo C and MJX side by side.
 
-    Compared: body poses and velocities, mass matrix, bias forces, forward dynamics with the model's
-    own springs, dampers and actuators, one semi-implicit Euler step, a trajectory's final state,
-    and the gradient of a random functional of that with respect to initial velocity and controls
-    (reverse mode against central differences of MuJoCo C).
+    The comparison covers body poses and velocities, mass matrix, bias forces, forward dynamics with
+    the model's own springs, dampers and actuators, one semi-implicit Euler step, a trajectory's
+    final state, and the gradient of a random functional of this state by initial velocity and
+    controls (reverse mode against central differences of MuJoCo C).
 
     Args:
-        source: what `rbjax.load` takes.
+        source: as for `rbjax.load`.
         states: how many random states.
         seed: of the states.
-        mjx: whether MJX runs too; or which precisions, as ("f64",).
+        mjx: whether MJX runs too, or its precisions, e.g. ("f64",).
         seconds: length of the trajectory.
-        gradient: whether to compare gradients, most of the compile time of a large robot.
-        driver: how rbjax walks the tree; "rolled" compiles faster than "unrolled".
+        gradient: whether to compare gradients, which take most of a large robot's compile time.
+        driver: the driver of rbjax; "rolled" compiles faster than "unrolled".
         floating_base: as in `rbjax.load`.
-        progress: called with a few words before each stage.
+        progress: called with the name of each stage before it starts.
 
     Returns:
         `Report`: `.table()`, `.to_dict()`, `.ok`, `.switched_off`.
 
     Raises:
         ModelError: the source cannot be read.
-        InputError: no states, a robot that cannot move.
+        InputError: `states` is below 1, or the robot has no joints.
 
     The caller's precision is not changed: f64 runs inside `jax.enable_x64`.
 
@@ -112,9 +112,9 @@ def compare(
             found[column] = ours.quantities(model, samples, dtype)
             found[column] |= ours.motion(model, few, dt, steps, slope, dtype)
     notes = [
-        f"Trajectory: {steps} steps of {dt:g} s. MuJoCo's own answer grows a change of its initial "
-        f"velocity {growth:.0e} times"
-        + (f", and its finite differences are good to {doubt:.0e}." if gradient else ".")
+        f"Trajectory: {steps} steps of {dt:g} s. MuJoCo amplifies a change of the initial velocity "
+        f"{growth:.0e} times"
+        + (f", and its finite differences are accurate to {doubt:.0e}." if gradient else ".")
     ]
     for precision in ("f64", "f32") if mjx is True else mjx or ():
         say(f"MJX {precision}")
@@ -131,7 +131,7 @@ def compare(
 
 
 def describe(source: Any) -> str:
-    """A robot's name for titles: its file's, or "model" where it has none."""
+    """A robot's name for titles: that of its file, or "model"."""
     text = str(source) if isinstance(source, (str, Path)) else "<"
     return "model" if text.lstrip().startswith("<") else Path(text).name
 
@@ -151,7 +151,7 @@ def _final_states(m: mujoco.MjModel, samples: Samples, steps: int) -> tuple[Arra
 
 
 def _tolerances(growth: float, doubt: float) -> dict[str, dict[str, float]]:
-    """Worst allowed errors of rbjax: quantity -> column -> error; "" for all the others."""
+    """The largest allowed errors of rbjax: quantity -> column -> error; "" is for all others."""
     path = {column: UNITS * growth * unit for column, unit in EPSILON.items()}
     path = {column: tolerance for column, tolerance in path.items() if tolerance < 1}
     gradient = {"rbjax f64": max(DIFFERENCES, 10 * doubt, path.get("rbjax f64", 1.0))}

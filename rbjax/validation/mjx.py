@@ -1,8 +1,8 @@
-"""MJX's side of the comparison, by one compiled step and one compiled transposed step.
+"""MJX's side of the comparison: one compiled step and one compiled vjp of it.
 
-A step's data holds what was computed at its start (poses, M, bias, acceleration) and the state at
-its end, so one program gives every quantity; the gradient of a trajectory runs the transposed step
-backwards. Loops over time are in Python: MJX compiles slowly, and twice more inside a loop.
+The data of a step has the quantities at its start (poses, M, bias, acceleration) and the state at
+its end, so one program gives every quantity. The gradient of a trajectory runs the vjp of the step
+backwards in time. Loops over time are in Python: MJX compiles slowly, and more slowly in a loop.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from rbjax.validation.ours import quick
 from rbjax.validation.reference import Array, Samples
 
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-    from mujoco import mjx  # says at every import that it found no warp
+    from mujoco import mjx  # prints at every import that warp is missing
 
-#: XLA's CPU fusion makes MJX up to a thousand times slower; what switches it off, newest last
+#: XLA's CPU fusion makes MJX up to a thousand times slower; options that disable it, newest last
 UNFUSED = (WITHOUT_EMITTERS, ("xla_disable_hlo_passes", "fusion"))
 
 
@@ -35,7 +35,7 @@ def fast() -> dict[str, Any] | None:
 
 
 class Mjx:
-    """MJX on a model, in the precision that is current when it is made (`jax.enable_x64`)."""
+    """MJX on a model, in the precision that is set at its construction (`jax.enable_x64`)."""
 
     def __init__(self, m: mujoco.MjModel):
         if m.jnt_stiffnesspoly.any() or m.dof_dampingpoly.any() or m.tendon_stiffnesspoly.any():
@@ -85,7 +85,7 @@ class Mjx:
         return q, v, ctrl
 
     def quantities(self, samples: Samples) -> dict[str, Array]:
-        """What MJX computes at each state."""
+        """The quantities of MJX at each state."""
         out = self.step(self.model, *self.arrays(samples))
         out["one step"] = jnp.concatenate(out.pop("state"), -1)
         return {name: np.asarray(x, np.float64) for name, x in out.items()}
@@ -116,7 +116,7 @@ def integrator(m: mujoco.MjModel, name: str, q: Any, v: Any, ctrl: Any, seconds:
 
     Returns a function: steps -> final (q, v).
 
-    One compiled program for every number of steps.
+    One compiled program serves all numbers of steps.
     """
     m.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
     model = mjx.put_model(m)

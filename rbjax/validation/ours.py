@@ -24,7 +24,7 @@ from rbjax.validation.reference import Array, Samples
 def quantities(model: Model, samples: Samples, dtype: Any) -> dict[str, Array]:
     """Poses, velocities, M, bias forces and accelerations in the given dtype, one row a state.
 
-    The model is closed over: its zeros are structural, as where a user simulates one robot.
+    The model is closed over, so its zeros are structural, as in a simulation of one robot.
     """
 
     def one(q: jax.Array, v: jax.Array, ctrl: jax.Array) -> dict[str, jax.Array]:
@@ -47,7 +47,7 @@ def motion(
     model: Model, samples: Samples, dt: float, steps: int, weights: Array | None, dtype: Any
 ) -> dict[str, Array]:
     """One step and a trajectory's final state (N, nq + nv), and its gradient (N, nv + nu):
-    d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`; none if no weights.
+    d(weights . final state) / d(v0, ctrl), by reverse mode through `rollout`, if there are weights.
     """
 
     def ends(v: jax.Array, ctrl: jax.Array, q: jax.Array) -> Any:
@@ -74,7 +74,7 @@ def motion(
 
 
 def quick() -> dict[str, Any]:
-    """Compiler options for programs that run once: numbers are compared here, not times."""
+    """Compiler options for programs that run once: only results matter here, not times."""
     return {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else {}
 
 

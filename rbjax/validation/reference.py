@@ -1,10 +1,10 @@
 """MuJoCo C in f64, on the part of mechanics that both sides have.
 
-`smooth` switches off, in the reference, what rbjax leaves out of a model; then
+`smooth` disables, in the reference, the features that rbjax leaves out of a model. Then
 
     v+ = v + dt a(q, v, u);   q+ = q (+) dt v+
 
-is both MuJoCo's Euler step (its implicit joint damping switched off too) and `rollout`'s.
+is the Euler step of both MuJoCo (without its implicit joint damping) and `rollout`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rbjax.loading.dropped import dropped_features, tendon_is_supported
 
 Array = np.ndarray
 
-#: what MuJoCo's Euler step does beyond the equation above
+#: the part of MuJoCo's Euler step beyond the equation above
 _EULER = "implicit joint damping in MuJoCo's Euler step"
 _ZEROED = (
     "dof_frictionloss", "tendon_frictionloss", "flex_stiffness", "flex_damping",
@@ -36,10 +36,10 @@ _TENDONS = (
 
 
 def smooth(source: Any, *, floating_base: bool = False) -> tuple[mujoco.MjModel, tuple[str, ...]]:
-    """An `MjModel` of the smooth dynamics alone, and what was switched off in words.
+    """An `MjModel` with only the smooth dynamics, and the names of the disabled features.
 
     Args:
-        source: what `rbjax.load` takes; an MjModel is copied, not changed.
+        source: as for `rbjax.load`; an MjModel is copied, not changed.
         floating_base: as in `rbjax.load`.
 
     Example:
@@ -77,7 +77,7 @@ def loosen(m: mujoco.MjModel, i: int) -> None:
     """Take the forces of actuator i from the joints."""
     first = m.actuator_outadr[i]
     m.actuator_gear[first : first + m.actuator_outnum[i]] = 0.0
-    if m.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_SO3:  # no gear turns its torques
+    if m.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_SO3:  # no gear acts on its torques
         m.actuator_gainprm[i] = m.actuator_biasprm[i] = 0.0
 
 
@@ -94,7 +94,7 @@ class Samples:
 
 
 def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
-    """States around the file's, uniform attitudes, velocities of spread 1; controls well inside."""
+    """States near that of the file, uniform attitudes, velocities of spread 1, inner controls."""
     rng = np.random.default_rng(seed)
     q = m.qpos0 + rng.uniform(-1.0, 1.0, (count, m.nq))
     for kind, at in zip(m.jnt_type, m.jnt_qposadr, strict=True):
@@ -113,7 +113,8 @@ def random_samples(m: mujoco.MjModel, count: int, seed: int) -> Samples:
 
 
 def quantities(m: mujoco.MjModel, samples: Samples) -> dict[str, Array]:
-    """What MuJoCo computes at each state: poses, velocities, M, bias, acceleration, one step."""
+    """The quantities of MuJoCo at each state: poses, velocities, M, bias, acceleration, one step.
+    """
     data, rows = mujoco.MjData(m), []
     for q, v, ctrl in zip(samples.q, samples.v, samples.ctrl, strict=True):
         mujoco.mj_resetData(m, data)

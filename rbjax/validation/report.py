@@ -1,4 +1,4 @@
-"""What a comparison found: one row a quantity, one column an engine and precision."""
+"""The result of a comparison: a row for each quantity, a column for each engine and precision."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-#: columns, in order; all are measured against MuJoCo C in f64
+#: columns, in order; all are compared with MuJoCo C in f64
 COLUMNS = ("rbjax f64", "rbjax f32", "MJX f64", "MJX f32")
 
 
@@ -22,14 +22,14 @@ class Error:
 
 @dataclass(frozen=True)
 class Row:
-    """A quantity: its errors by column, and the worst that is allowed of rbjax by column."""
+    """A quantity: its errors by column, and the largest allowed errors of rbjax by column."""
 
     quantity: str
     errors: dict[str, Error]
     tolerances: dict[str, float]
 
     def passes(self, column: str) -> bool:
-        """Whether a column is within tolerance; true where none is stated (nan never passes)."""
+        """Whether a column is within tolerance; true if it has none (nan never passes)."""
         if column not in self.tolerances or column not in self.errors:
             return True
         return bool(self.errors[column].worst <= self.tolerances[column])
@@ -37,10 +37,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Report:
-    """Side by side with MuJoCo C.
+    """A comparison with MuJoCo C.
 
-    Fields: model, states, seconds (length of the trajectory), rows, switched_off (on both sides),
-    notes (what limits the comparison).
+    Fields: model, states, seconds (length of the trajectory), rows, switched_off (features disabled
+    on both sides), notes (limits of the comparison).
 
     Example:
         >>> report = Report("pendulum", 1, 1.0, (), ())
@@ -93,7 +93,7 @@ class Report:
         return f"[bold red]{text} > {row.tolerances[column]:.0e}[/]"
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, for JSON."""
+        """The whole report, for JSON."""
         return {
             "model": self.model,
             "ok": self.ok,
@@ -113,7 +113,8 @@ class Report:
 
 
 def relative(actual: np.ndarray, expected: np.ndarray) -> Error:
-    """Per sample (first axis) the largest deviation over the largest entry, at least 1e-3."""
+    """For each sample (first axis), the largest deviation over the largest entry (at least 1e-3).
+    """
     axes = tuple(range(1, expected.ndim))
     deviation = np.abs(actual - expected).max(axes, initial=0.0)
     size = np.maximum(np.abs(expected).max(axes, initial=0.0), 1e-3)

@@ -1,4 +1,4 @@
-"""Every public function of spatial and body under jit, vmap, jvp and vjp, a program for each room.
+"""Every public function of spatial and body under jit, vmap, jvp and vjp, a program per package.
 
 Compared with the same functions of one sample at a time, and with central differences.
 """
@@ -36,7 +36,7 @@ def ball(t, x):
 
 
 def turn(xi):
-    """Poses and rotations are made from six numbers, so that differences stay among them."""
+    """Poses and rotations are made from six numbers, so that differences stay valid."""
     return se3.exp(xi)
 
 

@@ -52,7 +52,7 @@ def test_uniform_gravity_at_the_centre_of_mass() -> None:
 
 
 def test_central_gravity_is_that_of_the_particles() -> None:
-    """A cloud of eight, each attracted by itself; the rest is of the third order in the size."""
+    """A cloud of eight particles, attracted one by one; the remainder is of third order in size."""
     x, m, mu, centre = (
         RNG.normal(size=(8, 3)),
         RNG.uniform(1, 2, 8),

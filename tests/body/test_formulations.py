@@ -1,4 +1,4 @@
-"""One motion, however it is written down: every formulation against the others and MuJoCo C."""
+"""One motion in every formulation, compared with each other and with MuJoCo C."""
 
 import functools
 
@@ -46,7 +46,7 @@ V = RNG.normal(size=6)
 
 @functools.partial(jax.jit, static_argnums=0, compiler_options=QUICK)
 def rates(f, situation, T, V):
-    """Pose and twist, as the formulation gives them back, and their rates."""
+    """Pose and twist of the formulation, and their rates."""
     y = f.initial(situation.body, T, V)
 
     def seen(y):
@@ -69,7 +69,7 @@ OTHERS = {
     [*ATTITUDE_FREE, *MINIMAL, *OTHERS, *(pytest.param(n, marks=pytest.mark.slow) for n in SLOW)],
 )
 def test_accelerations_are_the_same(name: str) -> None:
-    """Under every force there is, with added mass, at one state."""
+    """Under all forces, with added mass, at one state."""
     situation = body.rigid_body(PROPERTIES, EVERYTHING, ADDED)
     want = rates(formulations()["spatial_body"], situation, T, V)
     got = rates(OTHERS.get(name) or formulations()[name], situation, T, V)
@@ -164,7 +164,7 @@ def test_lagrange_terms_of_a_body() -> None:
 
 
 def test_at_a_singularity_nothing_is_nan() -> None:
-    """Right there the direct Lagrangian equations fail, and say so; the others go on."""
+    """There the direct Lagrangian equations raise an error; the others work."""
     level = np.eye(4)  # zyz: its second angle is zero
     situation = body.rigid_body(PROPERTIES, EVERYTHING[:1])
     f = formulations()["lagrange_zyz"]
@@ -179,7 +179,7 @@ def test_at_a_singularity_nothing_is_nan() -> None:
 
 
 def test_differentiable_and_batched() -> None:
-    """The gradient of where it ends with respect to its mass, and a batch of starts."""
+    """The gradient of the end by the mass, and a batch of starts."""
 
     def end(mass, V):
         properties = PROPERTIES._replace(mass=mass)

@@ -56,7 +56,7 @@ def arm(m1, m2, d1=1.0, d2=1.0) -> System:
 
 
 def test_two_link_arm_as_in_the_table() -> None:
-    """Cai, table 4.1, and the Coriolis and gravity terms beside it."""
+    """Cai, table 4.1, and the Coriolis and gravity terms next to it."""
     table = load("two_link_table41")
 
     @quick
@@ -226,7 +226,7 @@ def test_christoffel_symbols_of_the_sphere() -> None:
 
 
 def test_a_bead_on_a_turning_hoop() -> None:
-    """A constraint that moves: D'Alembert with multipliers and in one coordinate, and by hand."""
+    """A moving constraint: D'Alembert with multipliers, in one coordinate, and by hand."""
     w, t, q, qd = 1.3, 0.4, np.array([0.7]), np.array([-0.6])
     mass, weight = np.array([2.0]), np.array([[0.0, 0.0, -2 * G]])
 
@@ -288,7 +288,7 @@ def test_reactions_do_no_work_and_repeat_constraints_are_flagged() -> None:
         (lambda s: lagrange.acceleration(s, np.zeros(2), np.zeros(3)), ["v has shape (3,)"]),
         (
             lambda s: lagrange.gravity_forces(System(s.kinetic, lambda q: q), np.zeros(2)),
-            ["one number"],
+            ["expected a scalar"],
         ),
         (lambda s: virtual_work.of_forces(lambda q: q, np.zeros(3), np.zeros(2)), ["(3,)", "(2,)"]),
         (lambda s: virtual_work.of_wrench(lambda q: q, np.zeros(6), np.zeros(2)), ["(4, 4)"]),

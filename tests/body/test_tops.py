@@ -42,7 +42,7 @@ class Pivot(eqx.Module):
 
 
 def top_of(inertia, weight: float = 0.0) -> Situation:
-    """Turning about its origin; m g along -z, acting at the arm e_y."""
+    """A body that rotates about its origin; m g along -z acts at the arm e_y."""
     pull = Pivot(np.array([0.0, 0.0, -weight]), np.array([0.0, 1.0, 0.0]))
     return Situation(Body(np.array(1.0), np.zeros(3), np.asarray(inertia, float)), (pull,))
 

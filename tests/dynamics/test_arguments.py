@@ -1,4 +1,4 @@
-"""The door of the algorithms: what is wrong with an argument is said in a sentence."""
+"""Checks of the algorithms' arguments: an error is one sentence."""
 
 import equinox as eqx
 import jax
@@ -36,7 +36,7 @@ def test_what_is_wrong_is_said(arguments, words: str) -> None:
     [
         (0.0, "a zero quaternion"),
         (1e-200, "a zero quaternion .* in float64"),
-        (1e200, "an endless quaternion"),
+        (1e200, "an infinite quaternion"),
     ],
 )
 def test_a_quaternion_needs_a_length(length: float, words: str) -> None:

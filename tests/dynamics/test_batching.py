@@ -1,4 +1,4 @@
-"""A batch beyond one chunk against one sample after another, under every transformation."""
+"""A batch larger than one chunk against single samples, under every transformation."""
 
 import functools
 
@@ -89,7 +89,7 @@ def test_derivatives_inside_and_outside_of_the_batch(given):
 
 
 def test_outside_of_jit_nothing_compiles_twice(given):
-    """A vmap or a grad of the door runs one compiled program, the same one the next time."""
+    """A vmap or grad of a public algorithm runs one compiled program, which is cached."""
     run = functools.partial(fd, MODEL)
     first = jax.vmap(run)(*given)
 
@@ -106,7 +106,7 @@ def test_outside_of_jit_nothing_compiles_twice(given):
 
 
 def test_numbers_of_numpy_are_mapped_over_inside_jit():
-    """JAX's custom rules take none of them there."""
+    """JAX's custom rules do not accept NumPy arrays there."""
     q = np.random.default_rng(1).normal(size=(3, 2))
 
     @jax.jit

@@ -1,4 +1,4 @@
-"""Derivatives of inverse and forward dynamics beside the definition's, and beside Pinocchio's."""
+"""Derivatives of inverse and forward dynamics against their definition and Pinocchio."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""A batch that is spread over devices stays spread under XLA: every algorithm, and rollouts."""
+"""A batch that is sharded over devices stays sharded under XLA: all algorithms, and rollouts."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_rollouts():
 
 @pytest.mark.parametrize("size", [320, 12, 7, 1])
 def test_parts_are_the_batch(monkeypatch, size):
-    """The same on one device, as if there were eight."""
+    """The same on one device, emulating eight."""
     monkeypatch.setattr("rbjax.dynamics.devices.devices", lambda: 8)
     monkeypatch.setattr(batching, "CPU_CHUNK", 16)
     x, y = np.arange(2.0 * size).reshape(2, size), np.array([3.0, 4.0])

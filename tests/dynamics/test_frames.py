@@ -1,7 +1,7 @@
 """Jacobians, their rates, velocities and bias accelerations of bodies, sites and points.
 
-One compiled program a robot and driver answers beside MuJoCo C (`mj_jac`, `mj_jacSite`,
-`mj_jacDot`, `mj_objectVelocity`, `mj_objectAcceleration`) and beside derivatives of the pose.
+One compiled program for each robot and driver is compared with MuJoCo C (`mj_jac`, `mj_jacSite`,
+`mj_jacDot`, `mj_objectVelocity`, `mj_objectAcceleration`) and with derivatives of the pose.
 """
 
 import copy
@@ -48,7 +48,7 @@ EVERYTHING = """
 
 
 class Sample(NamedTuple):
-    """A model, its reference, and the frames that are asked for: (kind, name) each."""
+    """A model, its reference, and the requested frames, each as (kind, name)."""
 
     model: rb.Model
     reference: mujoco.MjModel
@@ -84,7 +84,7 @@ def drawn(reference: mujoco.MjModel, seed: int) -> tuple[np.ndarray, np.ndarray]
 
 
 def answers(model: rb.Model, frames: Any, point: Any, q: jax.Array, v: jax.Array) -> Any:
-    """All four functions, of each frame."""
+    """All four functions for each frame."""
 
     def of(kind, name):
         how = {kind: name, "point": point}
@@ -221,7 +221,7 @@ def test_f32() -> None:
 
 
 def test_structure_costs_nothing() -> None:
-    """Where the model is closed over, what does not move the frame is not computed."""
+    """If the model is closed over, links that do not move the frame are not computed."""
     model = rb.load("double_pendulum").replace(driver="unrolled")
     q, v = model.default_state().q, model.default_state().v
     upper = rb.operation_count(lambda q, v: rb.frame_velocity(model, q, v, "upper"), q, v)
@@ -295,7 +295,7 @@ CHAIN = "<mujoco><worldbody>{}<site name='end' pos='0 0 1'/>{}</worldbody></mujo
     ids=["humanoid", "quadruped", "arm7", "chain"],
 )
 def test_the_pose_of_a_site_asks_for_its_path_alone(name: str, driver: str) -> None:
-    """It is that of the body and of the site in it, for less arithmetic than all bodies take."""
+    """It is the body's pose times the site's, with less arithmetic than for all bodies."""
     model = load_quietly(name).replace(driver=driver)
     q = model.random_state(jax.random.key(1)).q
     site = len(model.site_names) - 1

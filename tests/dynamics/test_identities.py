@@ -1,6 +1,6 @@
-"""Two roads to one quantity: what the equations of motion promise, whatever the robot.
+"""Identities of the equations of motion that hold for every robot, with both sides computed.
 
-One compiled program a robot works out both sides; MuJoCo answers where momentum has one.
+One compiled program for each robot computes both sides. MuJoCo is the reference for momentum.
 """
 
 import functools

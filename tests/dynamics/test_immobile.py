@@ -1,4 +1,4 @@
-"""A file without joints: every algorithm answers, the model closed over or an argument."""
+"""A file without joints: every algorithm works, with the model closed over or an argument."""
 
 import jax
 import numpy as np

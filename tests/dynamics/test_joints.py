@@ -59,7 +59,7 @@ class OnCurve(rb.joints.Node):
 
 
 class Bent(rb.joints.Node):
-    """What two modes of a beam do to the frame at its end, in second order: two coordinates."""
+    """The motion of a beam's end from two modes, to second order: two coordinates."""
 
     name, coordinates = "bent", 2
 
@@ -110,7 +110,7 @@ def moving(kind: str, last: str = SLIDE):
 
 
 def everything(model, q, v, a):
-    """What the algorithms say of a motion."""
+    """The results of all algorithms for a motion."""
     last = model.body_names[-1]
     return {
         "tau": rb.inverse_dynamics(model, q, v, a),
@@ -388,7 +388,7 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
 
 
 def test_a_kind_registered_anew_is_another_program() -> None:
-    """As when the cell of a notebook is run again: new models move anew, old ones as before."""
+    """As when a notebook cell runs again: new models use the new kind, old ones the old kind."""
 
     def rail(height):
         class Rail(rb.joints.Node):

@@ -1,4 +1,4 @@
-"""The driver by limbs: what it takes for isomorphic, and that it computes what the others do."""
+"""The driver by limbs: which limbs are isomorphic, and the same results as the other drivers."""
 
 from functools import partial
 
@@ -144,7 +144,7 @@ def test_limbs_of_a_group_are_isomorphic_and_disjoint(seed: int):
 
 
 def everything(model, q, v, a, w, ctrl):
-    """All that walks the tree."""
+    """All algorithms that use a driver."""
     return {
         "poses": rb.forward_kinematics(model, q),
         "velocities": rb.body_velocities(model, q, v),
@@ -220,7 +220,7 @@ def dynamics(model, q, v, a):
 @pytest.mark.slow
 @pytest.mark.parametrize("fixed", [False, True])
 def test_a_batch_of_robots_and_derivatives_by_their_numbers(fixed: bool):
-    """The model's leaves are traced; with and without its zeros as part of the program."""
+    """The model's leaves are traced, with and without its zeros as constants of the program."""
     args = given(walker(text=CART), 2)[:3]
 
     def derivatives(model, q, v, a):

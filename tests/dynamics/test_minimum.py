@@ -1,4 +1,4 @@
-"""Model no more than a scene needs: traced arithmetic over the least derived by hand.
+"""Traced arithmetic of simple scenes, over the minimum derived by hand.
 
 The minima count the textbook closed forms with masses, centres, inertias and lengths as inputs and
 every common product used once (the pendulum's is a = (tau - m l g sin q) / (I + armature + m l^2)).
@@ -35,7 +35,7 @@ def test_operations_of_forward_dynamics(scene):
 
 @pytest.mark.parametrize("driver", ["unrolled", "rolled"])
 def test_fixed_zeros_change_no_value(driver, key):
-    """Nor the gradient of what is not fixed; for what is fixed it is zero."""
+    """Nor the gradient by free entries. The gradient by fixed entries is zero."""
     model = rb.load("spinning_top").replace(driver=driver)
     state = model.random_state(key)
 

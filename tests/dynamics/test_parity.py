@@ -1,4 +1,4 @@
-"""What MuJoCo C computes, rbjax computes: positions, M, bias, forces and accelerations.
+"""rbjax against MuJoCo C: positions, M, bias, forces and accelerations.
 
 One compiled program a robot, over random states, against a loop over `mj_forward`. Forces are all
 that MuJoCo has and calls no constraint: springs, dampers, actuators, fluids, gravity compensation.
@@ -56,7 +56,7 @@ def inputs(sample: Robot, dtype: type) -> dict[str, np.ndarray]:
 
 
 def expected(m: mujoco.MjModel, given: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """MuJoCo's answers. A wrench there is [force; torque] at the centre of mass."""
+    """MuJoCo's results. A wrench there is [force; torque] at the centre of mass."""
     rows: list[dict[str, np.ndarray]] = []
     data = mujoco.MjData(m)
     for k in range(STATES):

@@ -1,4 +1,4 @@
-"""The rolled driver on trees whose shape its loop treats in a way of its own."""
+"""The rolled driver on trees whose shape is a special case of its loop."""
 
 import functools
 
@@ -18,7 +18,7 @@ BESIDE = """
 
 
 def test_a_free_body_beside_a_chain() -> None:
-    """What the chain hands to the world does not reach the links written out before it."""
+    """The chain's message to the world does not reach the unrolled links before it."""
     model = rb.load(BESIDE)
     state, tau = model.random_state(jax.random.key(0)), np.ones(model.nv)
 

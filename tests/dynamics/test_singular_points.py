@@ -1,4 +1,4 @@
-"""Where a formula may divide by zero, values and derivatives are finite and right.
+"""Values and derivatives are finite and right where a formula could divide by zero.
 
 At rest, at the identity, at half a turn, straight, without forces: one at a time and all at once,
 against central differences on the tangent space of the configuration.

@@ -1,4 +1,4 @@
-"""A robot with actuators in rbjax beside MuJoCo C: forces, rates of the states, motions."""
+"""A robot with actuators in rbjax against MuJoCo C: forces, rates of the states, motions."""
 
 from __future__ import annotations
 

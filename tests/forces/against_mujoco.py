@@ -1,4 +1,4 @@
-"""Models with force elements beside MuJoCo C: random trees with a feature written into them."""
+"""Models with force elements against MuJoCo C: random trees with one added feature."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def applied(model: rb.Model) -> Callable[..., jax.Array]:
 
 
 def error_of(model: rb.Model, m: mujoco.MjModel, count: int = STATES) -> float:
-    """Of applied_forces over random states, relative to the largest force of a state."""
+    """The error of applied_forces over random states, relative to the largest force of a state."""
     given = states(m, count)
     found, want = applied(model)(*given), mujoco_forces(m, *given)
     return float(relative_error(found, want, batch_dims=1).max())
@@ -96,8 +96,8 @@ def energy_slope(model: rb.Model, q: Array) -> tuple[Array, Array]:
 
 
 def slopes(f: Callable[[Any], jax.Array], at: Any, step: float = 6e-6) -> float:
-    """How far jvp and vjp of f at a pytree are from central differences and from each other, along
-    a random direction; not finite where a derivative is not."""
+    """The differences of jvp and vjp of f at a pytree from central differences and from each other,
+    in a random direction; not finite if a derivative is not."""
     rng = np.random.default_rng(11)
     way = jax.tree.map(lambda x: rng.normal(size=np.shape(x)), at)
 

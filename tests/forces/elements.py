@@ -1,4 +1,4 @@
-"""Force elements of a stranger, for tests of whatever takes elements."""
+"""A user's own force elements, for tests of functions that take elements."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""What the tests of the fluid elements share: the fluid alone, its power, its derivatives."""
+"""Shared by the tests of the fluid elements: only the fluid, its power, its derivatives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def run(f: Any, *x: Any) -> Any:
 
 
 def calm(model: rb.Model) -> rb.Model:
-    """The model with the fluid alone: no springs, no dampers."""
+    """The model with only the fluid: no springs, no dampers."""
     j = model.joints
     none = j.replace(stiffness=0.0 * j.stiffness, damping=0.0 * j.damping)
     return model.replace(joints=none)

@@ -1,4 +1,4 @@
-"""Activations: the exact step of a filter, ranges, and what a controlled angle winds up."""
+"""Activations: the exact step of a filter, ranges, and windings of a controlled angle."""
 
 import jax
 import jax.numpy as jnp

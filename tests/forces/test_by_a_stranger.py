@@ -1,5 +1,4 @@
-"""A force element that somebody else writes: wind on a robot, run and differentiated as if it were
-the package's own."""
+"""A user's own force element: wind on a robot, run and differentiated like the package's own."""
 
 import equinox as eqx
 import jax
@@ -29,7 +28,7 @@ SCENE = {"trunk": "quadruped", "frame": "quadrotor"}  # by the body that the win
 
 
 def end(wind, kernel):
-    """Where the robot is after a while."""
+    """The robot's configuration after a while."""
     model = rb.load(SCENE[wind.on]).with_forces(wind)
     state = model.default_state()
     path = rb.rollout(model, state, steps=STEPS, save_every=STEPS, kernel=kernel)

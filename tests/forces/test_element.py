@@ -1,4 +1,4 @@
-"""The protocol of force elements: what is summed, in which order, and what is refused."""
+"""The protocol of force elements: the sum, its order, and errors."""
 
 import equinox as eqx
 import jax
@@ -40,7 +40,7 @@ class Pull(Element):
 
 
 def test_a_push_is_the_jacobian_transposed(key):
-    """tau = J^T w at the point, whatever the driver."""
+    """tau = J^T w at the point, with every driver."""
     model = rb.load("cart_pole")
     state = model.random_state(key)
     force, torque, point = (jnp.asarray(x) for x in np.random.default_rng(0).normal(size=(3, 3)))

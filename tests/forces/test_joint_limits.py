@@ -49,7 +49,7 @@ def at(m: mujoco.MjModel, x: np.ndarray) -> np.ndarray:
 
 
 def rest(push, load: float) -> float:
-    """The depth at which the force of a stop, push(depth), bears a load."""
+    """The depth at which the force of a stop, push(depth), equals a load."""
     low, high = 0.0, 0.4
     for _ in range(50):
         middle = (low + high) / 2

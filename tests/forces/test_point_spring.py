@@ -114,7 +114,7 @@ def ball_on_a_spring(at: list[float], **numbers) -> tuple[rb.Model, rb.State]:
     ],
 )
 def test_slopes_at_singular_points(at: list[float], length: object) -> None:
-    """Of the spring; a damper has no direction where its ends meet."""
+    """Derivatives of the spring; a damper has no direction where its ends meet."""
     damping = 0.0 if not any(at) else 2.0
     model, state = ball_on_a_spring(at, stiffness=[0.0, 5.0], damping=damping, length=length)
 

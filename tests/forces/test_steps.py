@@ -1,5 +1,5 @@
-"""What force elements see of a step, and how other integrators than Euler's end theirs: as MuJoCo's
-do, whatever the model's timestep."""
+"""The step that force elements see, and its end in integrators other than Euler: as in MuJoCo, for
+any timestep of the model."""
 
 import jax
 import jax.numpy as jnp
@@ -91,7 +91,7 @@ def test_elements_see_the_step():
 
 
 def test_lengths_are_found_once():
-    """Forces and the states after a step ask for the same length and speed of a rope."""
+    """Forces and the states after a step need the same length and speed of a rope."""
     rope = '<general tendon="rope" dyntype="filter" dynprm="0.07" {}/>'
     law = rope.format('gainprm="3" biastype="affine" biasprm="0 -3 -1"')
     pid = '<pid tendon="rope" kp="3" ki="0.7" imax="0.1" input="pos"/>'

@@ -1,4 +1,4 @@
-"""The lanes' algebra is numpy's, and what is structurally zero or one leaves no operation."""
+"""The lanes' algebra is that of NumPy; structural zeros and ones leave no operation."""
 
 import jax
 import jax.numpy as jnp

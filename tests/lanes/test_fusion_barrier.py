@@ -1,4 +1,4 @@
-"""`fusion_barrier` changes nothing but when things are computed."""
+"""`fusion_barrier` changes no values or derivatives."""
 
 import jax
 import jax.numpy as jnp

@@ -59,7 +59,7 @@ def test_sincos_in_f32_and_eager() -> None:
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_sincos_of_what_no_angle_is(dtype: type) -> None:
-    """Where the spacing of numbers exceeds a turn: some point of the circle; not a number: none."""
+    """If the spacing of numbers exceeds a turn, some point of the circle; nan gives nan."""
     c, s = jax.jit(sincos)(np.array([1e9, -1e20, 3e38], dtype))
     np.testing.assert_allclose(c * c + s * s, 1.0, atol=1e-6)
     assert np.isnan(jax.jit(sincos)(np.array([np.nan, np.inf], dtype))).all()

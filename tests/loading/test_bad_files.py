@@ -1,7 +1,7 @@
-"""A hundred and more bad files: each is refused in a sentence, or is a robot that moves.
+"""More than a hundred bad files: each raises a clear error, or is a robot that moves.
 
-The files are scenes that ship and small ones, broken by hand and by a random number generator with
-a fixed seed. Whatever comes out of `load` is a model whose dynamics is finite, or an error of ours.
+The files are bundled scenes and small ones, broken by hand and by a random number generator with a
+fixed seed. `load` gives either a model with finite dynamics or an error of rbjax.
 """
 
 import dataclasses
@@ -168,7 +168,7 @@ def cut(text: str, rng: random.Random) -> str:
 
 
 def number(text: str, rng: random.Random) -> str:
-    """A number replaced by another that is none of it."""
+    """A number replaced by something else."""
     found = [m for m in re.finditer(r'(?<=[" ])-?\d[\d.e-]*(?=[" ])', text)]
     at = rng.choice(found)
     new = rng.choice(["nan", "inf", "-inf", "-1", "0", "1e308", "1e-308", "", "x", "1,5", "0x10"])
@@ -182,14 +182,14 @@ def tag(text: str, rng: random.Random) -> str:
 
 
 def name(text: str, rng: random.Random) -> str:
-    """A word of the file where another one stood."""
+    """A word of the file replaced by another one."""
     words = _words(text)
     at, other = rng.choice(words), rng.choice(words)
     return text[: at.start(1)] + other[1] + text[at.end(1) :]
 
 
 def lines(text: str, rng: random.Random) -> str:
-    """An element gone, or twice."""
+    """An element removed, or repeated."""
     parts = re.split(r"(?=<)", text)
     at = rng.randrange(1, len(parts))
     parts[at : at + 1] = [parts[at]] * rng.choice([0, 2])

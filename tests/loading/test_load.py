@@ -1,4 +1,4 @@
-"""What files become: joints, names, welds, URDF's habits; what is left out; every bad input."""
+"""Loaded files: joints, names, welds, details of URDF; features left out; every bad input."""
 
 import itertools
 import warnings

@@ -17,7 +17,7 @@ FLY = (link("fly", 0.7), joint("float", "arm", "fly", "floating"))
 
 
 def test_below_a_moving_link_a_body_flies_on_its_own() -> None:
-    """It feels gravity and nothing else, and nothing feels it."""
+    """Only gravity acts on it, and it acts on nothing."""
     model, alone = rb.load(urdf(*ARM, *FLY)), rb.load(urdf(*ARM))
     assert model.topology.joint_kinds == ("hinge", "slide", "slide", "slide", "ball")
     assert model.joint_names[1:] == ("float_TX", "float_TY", "float_TZ", "float_R")

@@ -98,7 +98,7 @@ def test_the_same_dynamics(name: str) -> None:
 
 @pytest.mark.parametrize("name", [*ROBOTS, *MODELS])
 def test_the_same_in_mujoco(name: str) -> None:
-    """The file as it was, and the file as it is written, no word of rbjax between."""
+    """The original file and the written file, compared in MuJoCo only."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*names of joints")  # two of MuJoCo's own files
         text = rb.write_mjcf(robot(name).model)

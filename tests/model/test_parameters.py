@@ -110,7 +110,7 @@ def test_a_vmap_over_models_is_a_loop() -> None:
 
 
 def test_no_number_recompiles() -> None:
-    """A program is compiled for a topology and its shapes, not for one robot."""
+    """A program is compiled for a topology and shapes, not for the numbers of one robot."""
     traces = 0
 
     @jax.jit

@@ -1,4 +1,4 @@
-"""Forces given to a motion from outside, and laws and integrators of a user."""
+"""Forces as inputs of a motion, and a user's own laws and integrators."""
 
 import functools
 
@@ -59,7 +59,7 @@ def test_arrays_are_those_of_the_definition(kernel):
 @pytest.mark.parametrize("kernel", [False, True])
 @pytest.mark.parametrize("functions", [("ctrl",), ("tau", "wrenches")])
 def test_functions_are_arrays_of_their_values(functions, kernel):
-    """A function of time alone gives what its values in an array give, mixed with arrays."""
+    """A function of only time gives the same as its values in an array, mixed with arrays."""
     model, states, given = scene()
     given = jax.tree.map(lambda x: x[0], given)
 
@@ -96,7 +96,7 @@ def test_simulate_takes_them_too():
 
 @pytest.mark.parametrize("kernel", [False, True])
 def test_a_law_and_an_integrator_of_a_user(kernel):
-    """A law that holds the first coordinate still; explicit Euler beside the built-in steps."""
+    """A law that keeps the first coordinate constant; explicit Euler as a user's integrator."""
     model = rb.load("cart_pole")
     state = rb.State(jnp.array([[0.0, 0.5], [0.1, 1.0]]), jnp.zeros((2, 2)))
 

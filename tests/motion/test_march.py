@@ -213,7 +213,7 @@ def compare(f, *args) -> None:
 
 
 def mostly_slow(*quick: str) -> list:
-    """Robots and integrators, and what is asked of them: little of the first, else everything."""
+    """Robots and integrators with their checks: the slow ones are marked."""
     return [
         ("cart_pole", "semi_implicit_euler", quick),
         pytest.param("cart_pole", "variational_midpoint", quick, marks=SLOW),

@@ -82,7 +82,7 @@ def test_a_blow_up_with_fixed_steps_is_said(key):
 
 
 def test_a_robot_of_other_numbers_is_not_compiled_anew(key):
-    """Outside of jit the model is an argument whose zeros are known; a new zero pattern counts."""
+    """Outside of jit the model is an argument with known zeros; a new zero pattern recompiles."""
     model, traces = rb.load("cart_pole"), []
     state, ts = model.random_state(key), jnp.linspace(0, 0.3, 3)
 

@@ -1,4 +1,4 @@
-"""Numbers and models that no code of ours produced: what the tests compare with."""
+"""Reference numbers and models that no code of rbjax produced."""
 
 from __future__ import annotations
 

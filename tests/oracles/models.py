@@ -1,4 +1,4 @@
-"""Robots from the package registry that the tests walk, and how MuJoCo reads each of them.
+"""Robots of installed packages that the tests use, and their loading in MuJoCo.
 
 Found through the installed packages; one that is absent only shortens the list (see `MISSING`).
 """
@@ -70,14 +70,14 @@ MODELS, REFUSED, MISSING = _find()
 
 
 def mujoco_reference(source: str | Path, *, floating_base: bool = False) -> mujoco.MjModel:
-    """The file or XML text as an MjModel, less what keeps it from compiling."""
+    """The file or XML text as an MjModel, without the parts that prevent compilation."""
     return load_with_removals(source, floating_base=floating_base)[0]
 
 
 def load_with_removals(
     source: str | Path, *, floating_base: bool = False
 ) -> tuple[mujoco.MjModel, list[str]]:
-    """The compiled model, and what had to be deleted first.
+    """The compiled model, and the parts that had to be deleted first.
 
     floating_base puts a free joint on the root link, which MuJoCo otherwise welds into the world
     with its mass lost.

@@ -1,4 +1,4 @@
-"""The oracles are right: MuJoCo C reproduces the figures; every model and seed here loads."""
+"""The oracles are right: MuJoCo C reproduces the numbers; every model and seed here loads."""
 
 from __future__ import annotations
 

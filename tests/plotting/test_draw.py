@@ -1,4 +1,4 @@
-"""One posture: what is drawn lies where the robot is."""
+"""One posture: the drawing is at the position of the robot."""
 
 import matplotlib
 import matplotlib.figure

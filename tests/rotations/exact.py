@@ -1,4 +1,4 @@
-"""Rotations in a hundred digits, from definitions alone: matrix power series and elementary turns.
+"""Rotations in a hundred digits, only from definitions: matrix power series and elementary turns.
 
 Nothing here shares a formula with rbjax: exponentials and Jacobians are power series of matrices,
 rate maps are differences of the rotation matrix, derivatives are differences along a line.

@@ -1,4 +1,4 @@
-"""Every public function of the room under jit, vmap, jvp and vjp; a missing one fails."""
+"""Every public function of the package under jit, vmap, jvp and vjp; a missing one fails."""
 
 import inspect
 from typing import Any

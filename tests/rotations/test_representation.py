@@ -335,7 +335,7 @@ def test_singular_attitudes_have_a_right_answer_and_a_flag() -> None:
 
 
 def test_gimbal_lock_nearby() -> None:
-    """The attitude survives to rounding however near the singularity."""
+    """The attitude is accurate to rounding at any distance from the singularity."""
     off = 10.0 ** np.arange(-17, 0)
 
     @functools.partial(jax.jit, compiler_options=QUICK)

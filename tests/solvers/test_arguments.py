@@ -1,4 +1,4 @@
-"""What a solver is made of is checked where it is made; the orders that it claims are measured."""
+"""A solver's arguments are checked at construction; its claimed order is measured."""
 
 import diffrax
 import jax
@@ -108,7 +108,7 @@ def test_a_pair_has_two_parts() -> None:
 
 
 def test_a_pair_with_a_part_of_nothing() -> None:
-    """An empty array beside others is no obstacle."""
+    """An empty array among others is accepted."""
     none = jnp.zeros(0)
     term = diffrax.ODETerm(lambda t, y, _: (y[1], jax.tree.map(lambda q: -q, y[0])))
     got = diffrax.diffeqsolve(

@@ -1,4 +1,4 @@
-"""Compensated summation: what plain additions lose is kept, and all else is as without it."""
+"""Compensated summation keeps what plain additions lose, and changes nothing else."""
 
 import functools
 
@@ -93,7 +93,7 @@ def test_adapts_and_differentiates() -> None:
 
 @pytest.mark.parametrize("name", ["bdf2", "newmark", "stoermer_verlet", "rkmk4"])
 def test_refuses_what_does_more_than_add_rates(name: str) -> None:
-    with pytest.raises(InputError, match=r"does not work by rates alone, expected a Runge-Kutta"):
+    with pytest.raises(InputError, match=r"does not use only rates, expected a Runge-Kutta"):
         Compensated(SOLVERS[name].make())
 
 

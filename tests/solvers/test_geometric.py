@@ -1,4 +1,4 @@
-"""What structure is for: energies that do not drift, lengths and momenta that stay."""
+"""Geometric properties: energies that do not drift, constant lengths and momenta."""
 
 import functools
 

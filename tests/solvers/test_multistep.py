@@ -72,7 +72,7 @@ def test_order_at_unequal_steps(solver, order: int) -> None:
 
 
 def test_a_jump_starts_anew() -> None:
-    """A kink in the field costs nothing if its time is told."""
+    """A kink in the field costs nothing if its time is given."""
 
     def field(t, y, args):
         return jnp.where(t < 1.0, 1.0, -2.0) * y * jnp.cos(t)

@@ -24,7 +24,7 @@ def solved(solver, field, y0, dt=0.1, end=1.0, **options):
 
 
 def test_a_root_that_does_not_exist_is_a_result() -> None:
-    """y1 = y0 + h y1^2 has no root from 1 at h = 1; beside it in the batch one that has."""
+    """y1 = y0 + h y1^2 has no root from 1 at h = 1; another sample of the batch has one."""
 
     @jax.jit
     @jax.vmap

@@ -62,7 +62,7 @@ def test_symplectic_condition_of_gauss() -> None:
 
 
 def test_a_wrong_tableau_cannot_be_made() -> None:
-    with pytest.raises(ValueError, match="order 1 by its conditions, 2 claimed"):
+    with pytest.raises(ValueError, match="order 1 by its conditions, expected 2"):
         Tableau(((0.0, 0.0), (0.6, 0.0)), (0.0, 1.0), 2)
     with pytest.raises(ValueError, match="do not sum to zero"):
         Tableau(((0.0, 0.0), (0.5, 0.0)), (0.0, 1.0), 2, (0.0, 1.0, 0.0))

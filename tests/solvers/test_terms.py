@@ -1,4 +1,4 @@
-"""The terms that solvers take: in time alone, sums of them, on the groups that each moves on."""
+"""The terms that solvers take: only in time, sums of them, and on groups."""
 
 import diffrax
 import jax.numpy as jnp
@@ -23,10 +23,10 @@ def end(term, solver, y0=ONE, t1=0.5):
 @pytest.mark.parametrize("name", ["radau_iia3", "bdf2", "ros2", "adams_bashforth2", "rkmk4"])
 @pytest.mark.parametrize("beside", [(), (diffrax.ODETerm(decay),)])
 def test_a_control_other_than_time_is_refused(name: str, beside) -> None:
-    """The field is of a unit of time: it would be wrong, and say nothing."""
+    """The field is per unit of time, so the result would be wrong without an error."""
     control = diffrax.ControlTerm(decay, PATH)
     term = diffrax.MultiTerm(*beside, control) if beside else control
-    with pytest.raises(rb.InputError, match=r"ControlTerm.* expected a term in time alone.*to_ode"):
+    with pytest.raises(rb.InputError, match=r"ControlTerm.* expected a term in time only.*to_ode"):
         end(term, SOLVERS[name].make())
 
 

@@ -178,7 +178,7 @@ def test_consistency(mass, moments, expected) -> None:
 
 
 def test_what_fits_into_an_ellipsoid() -> None:
-    """A cloud inside a ball passes, the same cloud pushed out of it does not."""
+    """A cloud inside a ball passes; the same cloud moved out of it does not."""
     body = cloud()
     size = np.sqrt(3.0) * np.ones(3)
     assert spatial.ellipsoid_margin(*body, size, np.zeros(3)) > 0

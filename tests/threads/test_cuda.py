@@ -40,7 +40,7 @@ def f(x, w=W):
 
 @pytest.fixture
 def gpu(monkeypatch):
-    """A process that believes in kernels."""
+    """A process that assumes that kernels work."""
     monkeypatch.setattr(launch, "ptx", lambda source, capability: "PTX")
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
     monkeypatch.setattr(primitive, "works", lambda: True)
@@ -77,7 +77,7 @@ def test_a_kernel_a_derivative(gpu, g, args, count):
 
 
 def test_what_is_closed_over_may_lie_on_a_mesh(gpu):
-    """JAX then moves arrays to where they are."""
+    """JAX then moves arrays to the mesh."""
     where = NamedSharding(Mesh(np.array(jax.devices()[:1]), ("a",)), PartitionSpec())
     model, x = rb.load("cart_pole"), jnp.asarray(X[:, :2])
     s, mass = jax.device_put((jnp.float64(2.0), model.bodies.mass), where)

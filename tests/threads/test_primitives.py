@@ -1,4 +1,4 @@
-"""Every primitive that threads know, by the emitted C against XLA, edge values included."""
+"""Every primitive that threads support, by the emitted C against XLA, edge values included."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A batch that is spread over devices stays spread, on eight simulated ones."""
+"""A batch that is sharded over devices stays sharded, on eight simulated ones."""
 
 from __future__ import annotations
 

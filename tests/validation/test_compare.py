@@ -1,4 +1,4 @@
-"""`compare` finds agreement and disagreement where there is, and says what is switched off."""
+"""`compare` finds agreement and disagreement, and lists the disabled features."""
 
 import jax
 import numpy as np

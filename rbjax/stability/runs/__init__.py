@@ -1,4 +1,4 @@
-"""What motions show: linearised, over a million steps, in chaos, on scenes built to break methods.
+"""Analysis of motions: linearised, over a million steps, in chaos, on scenes that break methods.
 
-Stands on the theory beside it, which knows nothing of runs.
+It imports `theory`, which does not import it.
 """

@@ -1,9 +1,9 @@
 """Hamilton's equations of a robot, for solvers that are symplectic in (q, p).
 
     p = M(q) v,    q' = M^-1 p,    p' = dL/dq + Q,    L = v^T M v / 2 - U
-Gauss' methods keep the symplectic form dq ^ dp of these coordinates, whatever the mass matrix. In
-(q, v) they keep it only where M is constant; there, `rb.solvers.VariationalMidpoint` takes the
-momentum along. (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VI.4.)
+Gauss' methods keep the symplectic form dq ^ dp of these coordinates for any mass matrix. In (q, v)
+they keep it only if M is constant; in these coordinates use `rb.solvers.VariationalMidpoint`, which
+knows the momentum. (Hairer, Lubich & Wanner, *Geometric Numerical Integration*, VI.4.)
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rbjax.model import Model, State
 class Hamiltonian(eqx.Module):
     """The vector field (t, (q, p), model) -> (q', p') of a robot without attitudes.
 
-    Springs, dampers and no control act as in `simulate`.
+    Springs and dampers act as in `simulate`, without control.
 
     Raises:
         InputError: a model with quaternions, or with force elements that have states.
@@ -49,15 +49,15 @@ class Hamiltonian(eqx.Module):
 
 
 def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
-    """(q, p) with p = M(q) v, of a robot whose configurations add (no ball or free joints).
+    """(q, p) with p = M(q) v, of a robot without ball or free joints.
 
     Args:
         model: the robot.
         state: `State(q (nq,), v (nv,))`.
 
     Raises:
-        InputError: the model has quaternions, or force elements with states; shapes, dtypes, values
-            that are not finite.
+        InputError: the model has quaternions, or force elements with states; wrong shapes or
+            dtypes, values that are not finite.
 
     Example:
         >>> import rbjax as rb
@@ -68,7 +68,7 @@ def to_canonical(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
     x = getattr(state, "x", None)
     if x is not None:
         raise InputError(
-            f"to_canonical: state.x has shape {np.shape(x)}, expected None: (q, p) hold no "
+            f"to_canonical: state.x has shape {np.shape(x)}, expected None: (q, p) has no "
             "states of force elements, and the model has none"
         )
     state = check_arrays("to_canonical", model, {"state": state})["state"]
@@ -91,7 +91,7 @@ def from_canonical(model: Model, y: tuple[jax.Array, jax.Array]) -> State:
 
 
 def _velocity(where: str, model: Model, y: Any) -> tuple[jax.Array, jax.Array]:
-    """q, and v of the momentum p."""
+    """q, and v from the momentum p."""
     _check(where, model)
     if not (isinstance(y, tuple | list) and len(y) == 2):
         raise InputError(f"{where}: y is {type(y).__name__}, expected a pair (q (nq,), p (nv,))")
@@ -101,17 +101,17 @@ def _velocity(where: str, model: Model, y: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _check(where: str, model: Model) -> None:
-    """Refuse what (q, p) cannot hold."""
+    """`InputError` for a model whose state is not (q, p)."""
     check_model(where, model)
     if model.topology.quaternion_starts:
         raise InputError(
-            f"{where}: got a model with quaternions, expected hinges and slides alone; "
+            f"{where}: got a model with quaternions, expected only hinges and slides; "
             "simulate it with rb.solvers.VariationalMidpoint, which is symplectic on its manifold"
         )
     if model.nx:
         names = ", ".join(type(element).__name__ for element in model.forces if element.size)
         raise InputError(
-            f"{where}: got a model with force elements that have states of their own ({names}), "
-            "expected none: (q, p) cannot hold them; take these elements out with "
-            "model.replace(forces=...), or rb.simulate the model, which moves them with q and v"
+            f"{where}: got a model with force elements that have states ({names}), expected none: "
+            "(q, p) does not contain them; remove these elements with model.replace(forces=...), "
+            "or use rb.simulate, which integrates them with q and v"
         )

@@ -1,12 +1,12 @@
-"""Whether what should stay does stay: invariants over a million steps, and a test of their slope.
+"""Drift of invariants over a million steps, and a test of their slope.
 
     x_k = a + s t_k + oscillation;    s by least squares over the means of B blocks,
     its error from the residuals,    sigma^2 = (1 + r) / (1 - r) sum e^2 / (B - 2) / sum (t - t_)^2
-with r the correlation of neighbours. Where that is near 1, what is left may be a random walk, as of
-rounding, whose slope has no such error but 6/5 B var(dx) / T^2, dx the steps from block to block.
-A method that is symplectic keeps the energy within an oscillation that does not grow for
-exponentially long times (backward error analysis; Hairer, Lubich & Wanner, *Geometric Numerical
-Integration*, IX.8); others drift at a rate.
+with r the correlation of neighbours. If r is near 1, the residual may be a random walk, as from
+rounding. The variance of its slope is then 6/5 B var(dx) / T^2, dx the steps from block to block.
+A symplectic method keeps the energy within an oscillation that does not grow for exponentially long
+times (backward error analysis; Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8).
+Other methods drift at a constant rate.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rbjax.motion.term import motion, unit
 from rbjax.stability.methods import Solver, stepping
 from rbjax.stability.runs.long_run import March, long_run
 
-BLOCKS = 64  # means of a series that the slope is fitted to
+BLOCKS = 64  # block means of a series, to which the slope is fitted
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
 WALK = 0.7  # correlation of neighbours beyond which residuals may be a random walk
 
@@ -55,17 +55,17 @@ class Trend(NamedTuple):
 
 
 def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
-    """Least-squares slope of a series, with a standard error that oscillation does not deceive.
+    """Least-squares slope of a series, with a standard error that accounts for oscillation.
 
     s = sum (t - t_) x / sum (t - t_)^2 over the means of 64 blocks.
 
     Args:
-        ts: (T,) times, increasing. Those of a run of `drift` that ended early are nan from there.
+        ts: (T,) increasing times. After an early end of a run of `drift` they are nan.
         xs: (T,) the series.
 
     Raises:
-        InputError: shapes, values that are not finite, times that do not increase, fewer than 16
-            samples.
+        InputError: wrong shapes, values that are not finite, times that do not increase, fewer than
+            16 samples.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8.
 
@@ -86,8 +86,8 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
     bad = int(np.sum(~(np.isfinite(t) & np.isfinite(x))))
     if bad:
         raise InputError(
-            f"trend: {bad} of {len(t)} samples are not finite, expected all; a run of drift that "
-            "ended early (its ending is not DONE) has no times from there on, np.isfinite(ts) tells"
+            f"trend: {bad} of {len(t)} samples are not finite, expected all; after an early end of "
+            "a run of drift (its ending is not DONE) times are nan: select with np.isfinite(ts)"
         )
     if not (np.diff(t) > 0).all():
         raise InputError("trend: ts must increase from the first to the last")
@@ -110,11 +110,11 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
 
 
 class Invariants(eqx.Module):
-    """What a robot left alone should keep, as (t, state, model) -> dict.
+    """The invariants of a free robot, as (t, state, model) -> dict.
 
     energy (), J, springs included; momentum (6,), angular about the world's origin, then linear;
-    manifold (), the largest | |quaternion| - 1 |. Which of them stay is for the user to know: a
-    fixed base takes momentum away, gravity too, dampers take energy.
+    manifold (), the largest | |quaternion| - 1 |. Not all are constant for every robot: a fixed
+    base and gravity change the momentum, dampers take energy.
     """
 
     def __call__(self, t: Any, y: State, model: Model) -> dict[str, jax.Array]:
@@ -149,28 +149,28 @@ def drift(
 ) -> March:
     """Invariants along a run of equal steps, in memory that does not grow with their number.
 
-    y_{n+1} = step(t_n, h, y_n), keep(t, y, args) at `samples` times and the first.
+    y_{n+1} = step(t_n, h, y_n); keep(t, y, args) at the start and at `samples` later times.
 
     Args:
         system: a robot, or a diffrax term (`diffrax.ODETerm`, `rb.solvers.OnGroup`, ...).
-        y0: `State(q (nq,), v (nv,))` of the robot, or the term's state. Its type, f32 or f64, is
-            that of the whole run.
-        keep: (t, y, args) -> anything; for a robot energy, momentum and manifold if None
+        y0: `State(q (nq,), v (nv,))` of the robot, or the term's state. The whole run has its
+            dtype, f32 or f64.
+        keep: (t, y, args) -> any arrays. If None, energy, momentum and manifold of a robot
             (`rb.stability.Invariants`).
         solver: a name of `rb.solvers.all()`, any solver of rbjax or diffrax, or an
             `rb.solvers.Tableau`, with equal steps.
-        dt: step, s. In f32 over more than some thousand steps it must be a power of two.
-        steps: how many; a multiple of `samples`.
-        samples: how many times to keep.
-        args: the term's; a robot's is the model.
+        dt: step, s. In f32 over more than a few thousand steps it must be a power of two.
+        steps: the number of steps, a multiple of `samples`.
+        samples: the number of samples.
+        args: those of the term; for a robot, the model is used.
 
     Returns:
-        `March`: ts (samples + 1,), kept, y, steps, ending. Where a run ended early (ending is not
-        `DONE`) ts is nan from there on, and `trend` refuses it.
+        `March`: ts (samples + 1,), kept, y, steps, ending. After an early end (ending is not
+        `DONE`) ts is nan, which `trend` does not accept.
 
     Raises:
-        UnknownName: a solver's name that is not there.
-        InputError: steps that samples do not divide; times that the type cannot tell apart; a
+        UnknownName: an unknown name of a solver.
+        InputError: `steps` is no multiple of `samples`; times that the dtype cannot resolve; a
             system or a solver of the wrong kind.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, IX.8, X.
@@ -195,7 +195,7 @@ def drift(
         term, y0 = motion(system, y0, one)
         args, keep = system, Invariants() if keep is None else keep
     elif keep is None:
-        raise InputError("drift: keep is None, expected what a term keeps: (t, y, args) -> arrays")
+        raise InputError("drift: keep is None, expected (t, y, args) -> arrays for a term")
     else:
         term = system
     return long_run(term, one, y0, dt, keep, every=steps // samples, samples=samples, args=args)

@@ -1,9 +1,9 @@
-"""The largest step at which a method stands a robot's motion: predicted, and found by running.
+"""The largest step at which a method is stable on a robot's motion: predicted, and measured.
 
-A method is stable at a step h where no mode of the linearised motion grows that does not by nature:
-h lambda lies in its region, for every eigenvalue lambda of A (`linearisation`) with Re lambda <= 0.
-A method for q' = v, v' = K q + D v is asked itself: its step's matrix on that pair has no more
-roots outside the unit circle than the pair has modes that grow.
+A method is stable at a step h if only those modes of the linearised motion grow that also grow in
+the exact motion: h lambda lies in the stability region, for every eigenvalue lambda of A
+(`linearisation`) with Re lambda <= 0. For a method for q' = v, v' = K q + D v the matrix of its own
+step is used. It must not have more roots outside the unit circle than the pair has growing modes.
 """
 
 from __future__ import annotations
@@ -44,30 +44,30 @@ PAIRS = (
     solvers.GeneralizedAlpha, solvers.CentralDifferences, solvers.SemiImplicitEuler,
     solvers.VariationalMidpoint, solvers.Splitting,
 )  # fmt: skip
-AXIS = 1e-9  # |Re lambda| / |lambda| that is rounding, of a vibration without damping
-SLACK = 1e-12  # of a growth factor over one
-GREW = 1e-6  # the same of a step's matrix, which knows a double root to the root of rounding
-ROUNDING = 1e-14  # of the largest factor, in the others
-NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| looked at
-SMALL, GROWN = 1e-9, 1e5  # a deviation, and what it grows by where a step is too large
+AXIS = 1e-9  # |Re lambda| / |lambda| of an undamped vibration, from rounding
+SLACK = 1e-12  # allowed excess of a growth factor over one
+GREW = 1e-6  # the same for a step's matrix, whose double roots have an error of sqrt(rounding)
+ROUNDING = 1e-14  # error of the other factors, relative to the largest
+NEAR, FAR, POINTS = 1e-3, 1e4, 600  # |h lambda| that are examined
+SMALL, GROWN = 1e-9, 1e5  # a deviation, and the factor by which it grows if a step is too large
 
 
 def stable_step(method: Method, matrices: Any) -> float:
-    """The largest step up to which no mode grows that does not by nature, as theory predicts it.
+    """The largest step at which only modes grow that grow in the exact motion, by linear theory.
 
-    A mode that vibrates undamped counts: for it the limit of a first-order method is exact,
-    `imaginary_limit` / |lambda|, and 0 for those like Heun's that let every vibration grow, however
-    slowly (`spectral_radius` says how much). For damped modes |zeta| may exceed one by 1e-12. Steps
-    of the methods for q' = v, v' = a are measured, without the turning of a body's axes, [w]x in A,
-    and |zeta| may exceed one by 1e-6.
+    Undamped vibrations are included. For them the limit of a method for y' = f is exact,
+    `imaginary_limit` / |lambda|. It is 0 for methods like Heun's, with which every vibration grows,
+    however slowly (`spectral_radius` gives the rate). For damped modes |zeta| may exceed one by
+    1e-12. Steps of methods for q' = v, v' = a are measured, without the rotation of a body's axes,
+    [w]x in A, and |zeta| may exceed one by 1e-6.
 
     Args:
-        method: what `linear_analysis` takes (a name, a solver, a tableau or a polynomial), or a
-            solver of q' = v, v' = a. `ROLLOUT[integrator]` is that of `rb.rollout`.
+        method: a name, a solver, a tableau or a polynomial, as for `linear_analysis`, or a solver
+            of q' = v, v' = a. `ROLLOUT[integrator]` is that of `rb.rollout`.
         matrices: A (2 nv, 2 nv) or (T, 2 nv, 2 nv), of `state_matrix` or `motion_matrices`.
 
     Returns:
-        Seconds; inf where no step is too large, 0 where none is small enough.
+        Seconds; inf if no step is too large, 0 if none is small enough.
 
     Raises:
         InputError: solvers without linear theory; matrices of another shape, or not finite.
@@ -107,13 +107,13 @@ def _square(matrices: Any) -> np.ndarray:
         )
     if not np.isfinite(A).all():
         raise InputError(
-            "stable_step: matrices are not finite; look at the motion where they come from"
+            "stable_step: matrices are not finite; check the motion that they come from"
         )
     return A.reshape(-1, *A.shape[-2:])
 
 
 def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> float:
-    """The h up to which h lambda stays in the region."""
+    """The largest h such that h lambda stays in the region."""
 
     def unstable(h):
         return ~(radius(h * eigenvalue) <= 1 + SLACK)
@@ -122,9 +122,9 @@ def _along_ray(radius: Callable[[Any], np.ndarray], eigenvalue: complex) -> floa
 
 
 def _of_pair(solver: Any, A: np.ndarray) -> float:
-    """The h from which more factors grow than modes of q' = v, v' = K q + D v do by nature.
+    """The h above which more factors grow than modes of q' = v, v' = K q + D v.
 
-    They are counted: which factor is whose cannot be told where the step is long.
+    Factors are only counted, because at long steps they cannot be matched with modes.
     """
     n = len(A) // 2
     K, D = A[n:, :n], A[n:, n:]
@@ -136,7 +136,7 @@ def _of_pair(solver: Any, A: np.ndarray) -> float:
         broken = ~np.isfinite(step).all((-2, -1))
         step = np.where(broken[:, None, None], 0, step)
         factors = np.abs(np.linalg.eigvals(step))
-        rounding = ROUNDING * factors.max(-1, keepdims=True)  # of the others, where one is huge
+        rounding = ROUNDING * factors.max(-1, keepdims=True)  # of the others, if one is huge
         natural = h[:, 0] * rates.real > GREW / 2
         return broken | ((factors > 1 + GREW + rounding).sum(-1) > natural.sum(-1))
 
@@ -144,7 +144,7 @@ def _of_pair(solver: Any, A: np.ndarray) -> float:
 
 
 def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
-    """The first h at which a method is unstable, on nested grids of one size, in `scale`."""
+    """The first h at which a method is unstable, on nested grids of equal size, in `scale`."""
     grid = np.geomspace(NEAR, FAR, POINTS) * scale
     bad = unstable(grid)
     if not bad.any():
@@ -163,9 +163,9 @@ def _first(unstable: Callable[[np.ndarray], np.ndarray], scale: float) -> float:
 def _deviation(
     model: Model, state: State, beside: State, ctrl: Any, dt: Any, method: Any, steps: int
 ) -> jax.Array:
-    """How far from `state` the motion from beside it ends after so many steps, by where it began.
+    """The final deviation from `state` after the given steps, over the initial deviation.
 
-    The state is at rest; a second motion from there would be lost to rounding like the first.
+    The state is at rest. A second motion from the state itself would have the same rounding errors.
     """
     if isinstance(method, str):
         ctrls = None if ctrl is None else jnp.broadcast_to(ctrl, (steps, *ctrl.shape))
@@ -196,28 +196,29 @@ def measured_stable_step(
     near: float,
     steps: int = 2000,
 ) -> float:
-    """The largest step at which a small deviation from an equilibrium does not grow, by running.
+    """The largest step at which a small deviation from an equilibrium does not grow, measured.
 
-    A motion starts 1e-9 beside it and takes `steps` steps; the interval between a step that is
-    stable and one that is not is halved. Unstable is what grows by 1e5, |zeta| > 1 + 12 / steps:
-    sharp to about 10 / steps where |zeta| passes one at a slope, but blind to a weak instability.
-    Tsit5 on a pendulum without friction is measured at 1.61 / omega; theory has growth from 0.478.
+    A motion starts at a deviation of 1e-9 and takes `steps` steps. The interval between a stable
+    and an unstable step is bisected. A step is unstable if the deviation grows by 1e5, that is
+    |zeta| > 1 + 12 / steps. The result is accurate to about 10 / steps if |zeta| crosses one at a
+    slope, but a weak instability is not found: Tsit5 on a pendulum without friction is measured at
+    1.61 / omega, while by theory it grows from 0.478.
 
     Args:
-        method: "rollout rk4", likewise with the other integrators of `rb.rollout`; or a name of
+        method: "rollout rk4" or another integrator of `rb.rollout`; or a name of
             `rb.solvers.all()`, a solver or an `rb.solvers.Tableau`, run by `rb.simulate`.
         model: the robot.
         state: a stable equilibrium under ctrl (`equilibrium` finds one).
-        ctrl: (nu,) held control, or None.
-        near: a step to search around, from a quarter of it to four times it.
+        ctrl: (nu,) constant control, or None.
+        near: the search covers steps from near / 4 to 4 near.
         steps: of each run, at least 10.
 
     Returns:
-        Seconds; 0 where a quarter of `near` is unstable, inf where four times it is stable.
+        Seconds; 0 if near / 4 is unstable, inf if 4 near is stable.
 
     Raises:
-        InputError: an unknown integrator or method; a state that is no equilibrium, or one from
-            which the motion itself departs; `near` not positive, `steps` too few; shapes.
+        InputError: an unknown integrator or method; a state that is no equilibrium, or an unstable
+            one; `near` not positive, `steps` too few; wrong shapes.
 
     Example:
         >>> import rbjax as rb

@@ -1,4 +1,4 @@
-"""Motions linearised along their states (`rb.linearise`), and where they are at rest."""
+"""Motions linearised at given states (`rb.linearise`), and equilibria."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rbjax.motion.linearise import beside, linearised
 
 @algorithm("state", "ctrl")
 def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> jax.Array:
-    """A (n, n), n = 2 nv + nx, of the linearised motion d/dt dx = A dx, the control held.
+    """A (n, n), n = 2 nv + nx, of the linearised motion d/dt dx = A dx, at constant control.
 
     Args:
         model: the robot.
@@ -25,7 +25,7 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
 
     Returns:
         (n, n) in 1/s and 1/s^2, dx = [dq; dv; dx_e]: dq on the tangent space, in the coordinates
-        of v, and the states of force elements.
+        of v, and dx_e of the states of force elements.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite.
@@ -45,12 +45,12 @@ _both = jax.jit(lambda *at: linearised(*at)[:2])
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
-    """Whether an acceleration is rounding alone."""
+    """Whether an acceleration is only rounding."""
     return bool(np.abs(a).max() < 1e3 * np.finfo(A.dtype).eps * (1 + np.abs(A).max()))
 
 
 def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
-    """The state, in arrays, refused if it moves, accelerates, or departs from rest by itself."""
+    """The state, in arrays. `InputError` if it moves or accelerates, or is unstable."""
     found = check_arrays(where, model, {"state": state, "ctrl": ctrl})
     if not model.nv:
         raise InputError(f"{where}: the model has no joints, so nothing moves")
@@ -60,15 +60,15 @@ def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
         raise InputError(
             f"{where}: the state moves at {np.abs(state.v).max():.1e} and accelerates at "
             f"{np.abs(a).max():.1e}, expected one at rest; rb.stability.equilibrium(model, state, "
-            "ctrl) finds one beside it"
+            "ctrl) finds one near it"
         )
     eigenvalues = np.linalg.eigvals(A)
     grows = eigenvalues.real.max()
-    # a double root, as of a free coordinate, is known to the root of rounding
+    # a double root, as of a free coordinate, has an error of sqrt(rounding)
     if grows > 10 * np.sqrt(np.finfo(A.dtype).eps) * np.abs(eigenvalues).max():
         raise InputError(
-            f"{where}: this equilibrium is unstable, the motion itself departs from it as "
-            f"exp({grows:.2g} t), whatever the step; expected a stable one"
+            f"{where}: this equilibrium is unstable, the exact motion departs from it as "
+            f"exp({grows:.2g} t); expected a stable one"
         )
     return state
 
@@ -100,18 +100,18 @@ def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray
 
 
 def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50) -> State:
-    """The state at rest beside `state` where nothing accelerates under a held control.
+    """The equilibrium near `state`: a state at rest without acceleration, at constant control.
 
-    Newton's method on a(q, 0, x) = 0, x' = 0, least squares where the equilibrium is not isolated.
+    Newton's method on a(q, 0, x) = 0, x' = 0; least squares if the equilibrium is not isolated.
 
     Args:
         model: the robot.
-        state: where to begin; its velocity is not used.
+        state: the first guess; its velocity is not used.
         ctrl: (nu,), or None.
-        steps: at most so many.
+        steps: the largest number of iterations.
 
     Raises:
-        InputError: if no such state is found; shapes, values that are not finite.
+        InputError: no equilibrium is found; wrong shapes, values that are not finite.
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -128,11 +128,11 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
         if _vanishes(a, A):
             return state
         dx = np.zeros(len(A))
-        rest = np.delete(np.arange(len(A)), np.s_[n : 2 * n])  # all but the velocities
+        rest = np.delete(np.arange(len(A)), np.s_[n : 2 * n])  # all except the velocities
         dx[rest] = np.linalg.lstsq(A[n:, rest], -a, rcond=1e-10)[0]
         dx = dx * min(1.0, 0.5 / max(np.abs(dx).max(), 1e-300))
         state = beside(model, state, jnp.asarray(dx, state.q.dtype))
     raise InputError(
-        f"equilibrium: an acceleration of {np.abs(a).max():.1e} is left after {steps} steps; "
-        "begin nearer to a state of rest, if there is one"
+        f"equilibrium: an acceleration of {np.abs(a).max():.1e} is left after {steps} steps, "
+        "expected none; start closer to an equilibrium, if there is one"
     )

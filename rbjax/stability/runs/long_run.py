@@ -1,9 +1,9 @@
 """Equal steps of any solver, in one compiled program whose memory does not grow with their number.
 
-    y_{n+1} = step(t_n, h, y_n),    t_n = n h;    keep(t, y, args) every so many steps
-The steps are the solver's own, without interpolation, controller or checkpoints. A run stops where
-the next state would not be finite, or where the root of an implicit step is not found; it says so
-in `ending`. What it kept then stays as it last was, finite, at times that are nan.
+    y_{n+1} = step(t_n, h, y_n),    t_n = n h;    keep(t, y, args) after every `every` steps
+The steps are the solver's own, without interpolation, controller or checkpoints. A run stops before
+a state that is not finite, or if the root of an implicit step is not found; `ending` says which.
+The remaining samples repeat the last finite one, at times that are nan.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ import numpy as np
 
 from rbjax.errors import InputError
 
-#: how a run ends, by the number in `March.ending`
+#: the endings of a run, by the number in `March.ending`
 DONE, NOT_FINITE, NO_ROOT = ENDINGS = range(3)
 
-Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> what is kept
+Keep = Callable[[Any, Any, Any], Any]  # (t, y, args) -> arrays to keep
 
 
 class March(eqx.Module):
-    """What is left of a run.
+    """The result of a run.
 
-    Fields: ts (K + 1,) s, nan where the run did not come to; kept, what `keep` returned, each leaf
-    (K + 1, ...), of the last state y where ts is nan; y; steps (), how many were taken; ending (),
-    one of `DONE`, `NOT_FINITE`, `NO_ROOT` of `rb.stability`.
+    Fields: ts (K + 1,) s, nan after an early end; kept, the results of `keep`, each leaf
+    (K + 1, ...), of the last state y where ts is nan; y, the last state; steps (), their number;
+    ending (), one of `DONE`, `NOT_FINITE`, `NO_ROOT` of `rb.stability`.
     """
 
     ts: jax.Array
@@ -51,7 +51,7 @@ def long_run(
     samples: int,
     args: Any = None,
 ) -> March:
-    """samples * every steps of dt from t = 0. One program serves every dt, `every`, y0 and args."""
+    """samples * every steps of dt from t = 0. One program serves all dt, `every`, y0 and args."""
     y0 = as_floats(y0)
     dtype = jnp.result_type(*jax.tree.leaves(y0))
     check_times(dt, every * samples, dtype)
@@ -91,7 +91,7 @@ def _run(term, solver, y0, dt, keep, every, samples, args) -> March:
 
 
 def finite(y: Any) -> jax.Array:
-    """Whether all numbers of a state are."""
+    """Whether all numbers of a state are finite."""
     return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(y)]).all()
 
 
@@ -103,7 +103,7 @@ def as_floats(y: Any) -> Any:
 
 
 def check_times(dt: Any, steps: int, dtype: Any) -> None:
-    """Refuse times that the type cannot tell apart: t + h - t is then not h any more."""
+    """`InputError` for times that the dtype cannot resolve: t + h - t would differ from h."""
     h = np.asarray(dt, dtype)
     if not (np.isfinite(h) and h > 0 and steps > 0):
         raise InputError(f"got {steps} steps of dt = {dt} s, expected positive numbers")
@@ -111,6 +111,6 @@ def check_times(dt: Any, steps: int, dtype: Any) -> None:
     if not exact and steps * np.finfo(dtype).eps > 1e-3:
         power = float(2.0 ** np.round(np.log2(float(h))))
         raise InputError(
-            f"got {steps} steps of dt = {dt} s in {np.dtype(dtype).name}, whose times cannot tell "
-            f"so many steps apart; take a power of two, dt = {power!r}, or float64"
+            f"got {steps} steps of dt = {dt} s in {np.dtype(dtype).name}, which cannot resolve "
+            f"times of so many steps; take a power of two, dt = {power!r}, or float64"
         )

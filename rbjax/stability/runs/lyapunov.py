@@ -1,11 +1,11 @@
-"""How fast neighbours part: Lyapunov exponents, and how long a gradient through motion is of use.
+"""Lyapunov exponents, and the time for which a gradient through a motion is useful.
 
     lambda = lim 1/t log |Phi(t) u|,    Phi(t) = d y(t) / d y(0), the tangent map
-Benettin's method: a tangent goes along, through the derivative of each step, and is brought back to
-length 1 after every few; lambda is the mean of the logarithms. A gradient of a loss at time t is
-made of Phi(t): rounding of relative size eps is amplified as much, so that beyond |Phi| eps = 1 the
-gradient is noise, whatever computes it. (Benettin, Galgani, Giorgilli & Strelcyn, *Meccanica* 15,
-1980; Metz, Freeman, Schoenholz & Kachman, *Gradients are not all you need*, 2021.)
+Benettin's method propagates a tangent through the derivative of each step and rescales it to length
+1 every few steps. lambda is the mean of the logarithms. A gradient of a loss at time t contains
+Phi(t), which also amplifies rounding of relative size eps. So beyond |Phi| eps = 1 the gradient is
+noise in any implementation. (Benettin, Galgani, Giorgilli & Strelcyn, *Meccanica* 15, 1980; Metz,
+Freeman, Schoenholz & Kachman, *Gradients are not all you need*, 2021.)
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from rbjax.solvers import rkmk
 from rbjax.stability.methods import Solver, stepping
 from rbjax.stability.runs.long_run import as_floats, check_times, finite
 
-BLOCKS = 16  # of the run, whose means give the error of the whole
+BLOCKS = 16  # blocks of the run, whose means give the error of the result
 
 
 class Exponent(NamedTuple):
     """A largest Lyapunov exponent.
 
     Fields: value, a second; error, its standard error; ts (K,) s and running (K,), the estimate
-    from the end of the transient to each time; finite, whether the motion stayed so.
+    from the end of the transient to each time; finite, whether the motion stayed finite.
     """
 
     value: float
@@ -44,11 +44,11 @@ class Exponent(NamedTuple):
 
 
 class GradientGrowth(NamedTuple):
-    """The norm of the tangent map along time.
+    """The norm of the tangent map over time.
 
     Fields: ts (K + 1,) s; log10_norm (K + 1,), of the largest singular value of Phi(t); f32 and
-    f64, the times at which rounding, so amplified, reaches the size of the gradient itself
-    (infinite where it does not within the run); finite, whether the motion stayed so.
+    f64, the times at which amplified rounding reaches the size of the gradient itself (infinite if
+    it does not within the run); finite, whether the motion stayed finite.
     """
 
     ts: np.ndarray
@@ -77,18 +77,18 @@ def lyapunov(
         system: a robot, or a diffrax term.
         y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
         dt: step, s.
-        steps: how many.
-        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None, which is RK4 where
-            nothing turns and keeps attitudes, and so their tangents, on their manifold.
+        steps: the number of steps.
+        solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None. This is RK4 without
+            attitudes, and keeps attitudes and their tangents on the manifold.
         every: m, steps between two normalizations.
-        transient: share of the run that is left out at its beginning.
-        args: the term's; a robot's is the model.
+        transient: share of the run that is skipped at its start.
+        args: those of the term; for a robot, the model is used.
 
     Returns:
         `Exponent`. About 0 for regular motion (it falls as log t / t), negative at a sink.
 
     Raises:
-        UnknownName: a solver's name that is not there.
+        UnknownName: an unknown name of a solver.
         InputError: steps too few; times that the type cannot tell apart.
 
     Source: Benettin et al., *Meccanica* 15, 1980.
@@ -105,7 +105,7 @@ def lyapunov(
     if not 0 <= transient < 1 or samples - skip < 16:
         raise InputError(
             f"lyapunov: got {steps} steps, every {every}, transient {transient}; expected at least "
-            "16 normalizations after the transient, which is a share from 0 to below 1"
+            "16 normalizations after the transient, and a transient from 0 to below 1"
         )
     term, solver, y0, args = _opened(system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
@@ -130,7 +130,7 @@ def gradient_growth(
     samples: int = 100,
     args: Any = None,
 ) -> GradientGrowth:
-    """How a gradient through a motion grows, and the horizon beyond which it is noise.
+    """The growth of a gradient through a motion, and the horizon beyond which it is noise.
 
     |Phi(t)| = |d y(t) / d y(0)|, and T with |Phi(T)| eps = 1.
 
@@ -138,17 +138,17 @@ def gradient_growth(
         system: a robot, or a diffrax term.
         y0: `State(q (nq,), v (nv,))` of the robot, or the term's state.
         dt: step, s.
-        steps: how many; a multiple of `samples`.
+        steps: the number of steps, a multiple of `samples`.
         solver: as in `drift`, with equal steps; rb.solvers.rkmk(4) if None.
-        samples: how many times to keep; the tangents are made orthogonal as often.
-        args: the term's; a robot's is the model.
+        samples: the number of samples; at each the tangents are orthogonalized.
+        args: those of the term; for a robot, the model is used.
 
     Returns:
-        `GradientGrowth`. The state is of mixed units (rad, rad/s), and so is the norm.
+        `GradientGrowth`. The state has mixed units (rad, rad/s), and the norm too.
 
     Raises:
-        UnknownName: a solver's name that is not there.
-        InputError: steps that samples do not divide; times that the type cannot tell apart.
+        UnknownName: an unknown name of a solver.
+        InputError: `steps` is no multiple of `samples`; times that the dtype cannot resolve.
 
     Source: Metz et al., *Gradients are not all you need*, 2021.
 
@@ -161,13 +161,14 @@ def gradient_growth(
     """
     if samples < 1 or steps < samples or steps % samples:
         raise InputError(
-            f"gradient_growth: got {steps} steps and {samples} samples, expected a multiple"
+            f"gradient_growth: got {steps} steps and {samples} samples, expected steps to be a "
+            "multiple of samples"
         )
     term, solver, y0, args = _opened(system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
     every = steps // samples
     parts, fine = _stretching(term, solver, y0, dt, np.eye(size), every, samples, args)
-    # Phi = Q R_K ... R_1: the product is kept at norm 1, and the logarithm of what it lost
+    # Phi = Q R_K ... R_1: the product is normalized, and the logarithm of its norm is stored
     product, lost, norms = np.eye(size), 0.0, [0.0]
     for part in np.asarray(parts, np.float64):
         product = part @ product
@@ -180,7 +181,7 @@ def gradient_growth(
 
 
 def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
-    """The first time at which a series reaches a level, between samples by a line."""
+    """The first time at which a series reaches a level, by linear interpolation."""
     above = np.flatnonzero(xs >= level)
     if not len(above):
         return float("inf")
@@ -201,7 +202,7 @@ def _opened(system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int)
 
 
 def _forward(solver: Any) -> Any:
-    """The solver with loops that take tangents: diffrax' own Runge-Kutta methods ask for that."""
+    """The solver with loops that support tangents, which diffrax's Runge-Kutta methods need."""
     if getattr(solver, "scan_kind", "") is not None:
         return solver
     return eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
@@ -236,7 +237,7 @@ def _stretching(term, solver, y0, dt, directions, every, samples, args):
     def sample(carry, _):
         *state, (rows, past) = jax.lax.fori_loop(0, every, once, carry)
         Q, R = jnp.linalg.qr(rows.T)
-        # what the solver remembers has tangents too, which follow the change of basis
+        # the solver's state has tangents too, which follow the change of basis
         inverse = jnp.linalg.inv(R)
         past = jax.tree.map(lambda x: jnp.tensordot(inverse.T, x, axes=1), past)
         return (*state, (Q.T, past)), R

@@ -1,8 +1,9 @@
 """Scenes built to break solvers, each with the true motion.
 
-The truth of an arm comes from Lagrange's equations written out by hand, in absolute angles; near
-gimbal lock from the pendulum in Cartesian coordinates, which have none; of a body from a
-quaternion. Dormand-Prince 8 solves them at two small steps, and the difference bounds its error.
+The true motion of an arm comes from Lagrange's equations in absolute angles, written by hand. Near
+gimbal lock it comes from the pendulum in Cartesian coordinates, which have no gimbal lock. That of
+a body comes from a quaternion. Dormand-Prince 8 solves them at two small steps, and the difference
+bounds its error.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ SAMPLES = 200
 
 @dataclass(frozen=True)
 class Scene:
-    """A system, where it starts, and equal steps of dt, `every` to each of 200 samples.
+    """A system, its start, and equal steps of dt, `every` steps for each of 200 samples.
 
     Fields: title; system; start, (q, v) or (quaternion, w); dt, s; every; refine, steps of the
-    truth in one of these; scale, J, that the energy is measured by (0: it does not stay); adaptive,
-    whether a controller chooses the steps, at a tolerance of 1e-6 and a budget of 10,000; single,
-    whether f32 is compared with the same steps in f64; speed, rad/s, that of the motion.
+    reference for one dt; scale, J, the unit of energy (0: it is not conserved); adaptive, whether a
+    controller chooses the steps, with a tolerance of 1e-6 and at most 10,000 steps; single, whether
+    f32 is compared with the same steps in f64; speed, rad/s, that of the motion.
     """
 
     title: str
@@ -71,12 +72,12 @@ class Truth(NamedTuple):
 
 
 def truth(scene: Scene) -> Truth:
-    """The motion of a scene, and how far two steps of the reference disagree about it.
+    """The motion of a scene, and the difference between two step sizes of the reference.
 
     max_k |r_k(h) - r_k(h / 2)|, of Dormand-Prince 8 at h = dt / refine.
 
     Args:
-        scene: of `rb.stability.scenes()`, or one like them.
+        scene: one of `rb.stability.scenes()`, or similar.
 
     Returns:
         `Truth`: observed (201, 2) joint angles, rad, or (201, 3) the bob near gimbal lock, m, or
@@ -124,9 +125,9 @@ def kept(t: Any, y: Any, args: Any) -> Any:
 
 
 def deviation(scene: Scene, q: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """How far configurations (T, nq) are from the truth, (T, n): angles in rad, or the bob in m.
+    """The error of configurations (T, nq), (T, n): angles in rad, or the bob in m.
 
-    Of attitudes the angle between them.
+    The error of an attitude is the angle to the true one.
     """
     if isinstance(scene.system, Body):
         unit, real = unit_rows(q), unit_rows(observed)
@@ -141,7 +142,7 @@ _SPRING = ((0.0, 1.0), (0.0, 0.0))
 
 @cache
 def scenes() -> dict[str, Scene]:
-    """name -> `Scene`, in an order that stays.
+    """name -> `Scene`, in a fixed order.
 
     Example:
         >>> import rbjax as rb

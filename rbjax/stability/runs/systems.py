@@ -1,10 +1,9 @@
-"""Two systems that scenes are made of, as models and as equations written out by hand.
+"""The two systems of the scenes, as models and as equations written by hand.
 
     arm   two links on two hinges, with springs, dampers and position servos: a `Model`
     body  a rigid body about a fixed point in gravity: `rb.solvers.RigidBody`, or the same equations
-          of a quaternion and an angular velocity for solvers that know no groups
-All that makes one arm or one body differ from another is a number, so that one program of a solver
-runs them all.
+          for a quaternion and an angular velocity, for solvers without groups
+Arms and bodies differ only in their numbers, so one compiled program of a solver runs them all.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ class Arm:
     """Two links of 1 m, hanging along -z at q = 0.
 
     mass, kg; com, m from the hinge; inertia about the com, kg m^2 (a rod's if None); stiffness and
-    damping of the joints, kp and kv of servos that hold 0. gimbal: the first link is nothing but a
+    damping of the joints, kp and kv of servos with target 0. gimbal: the first link is only a
     vertical axis, and the second a point on a massless rod.
     """
 
@@ -70,7 +69,7 @@ class Arm:
         return rods if self.inertia is None else np.array(self.inertia)
 
     def model(self) -> Model:
-        """The robot; its numbers alone tell one arm from another."""
+        """The robot. Arms differ only in their numbers."""
         base = _base()
         about = np.zeros((2, 3, 3))
         about[:, 0, 0] = about[:, 1, 1] = self.about_com
@@ -101,7 +100,7 @@ class Arm:
         return np.array([a, b, c, (m1 * c1 + m2) * GRAVITY, c * GRAVITY, *spring, *damper])
 
     def energy(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """J, of series (T, 2)."""
+        """Energy in J, of series (T, 2)."""
         a, b, c, g1, g2, k1, k2, *_ = self.coefficients()
         (q1, q2), (v1, v2) = q.T, v.T
         elastic = (k1 * q1**2 + k2 * q2**2) / 2
@@ -131,7 +130,7 @@ def planar(t: Any, y: Any, numbers: jax.Array) -> Any:
 
 
 def spherical(t: Any, y: Any, numbers: Any) -> Any:
-    """A point on a rod of 1 m, y = (place (3,), velocity (3,))."""
+    """A point on a rod of 1 m, y = (position (3,), velocity (3,))."""
     r, v = y
     down = jnp.array([0.0, 0.0, -GRAVITY])
     return v, down - ((v * v).sum() + (down * r).sum()) * r
@@ -146,11 +145,11 @@ class Body:
     weight: float = 0.0
 
     def term(self, dtype: Any = float) -> RigidBody:
-        """For solvers on groups; args is the weight."""
+        """The term for solvers on groups; args is the weight."""
         return RigidBody(np.array(self.inertia, dtype), _tipping)
 
     def energy(self, turn: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """J, of series (T, 4) and (T, 3)."""
+        """Energy in J, of series (T, 4) and (T, 3)."""
         unit = unit_rows(turn)
         height = 1 - 2 * (unit[:, 1] ** 2 + unit[:, 2] ** 2)
         return (np.array(self.inertia) * w**2).sum(1) / 2 + self.weight * height
@@ -172,12 +171,12 @@ def tumbling(t: Any, y: Any, numbers: Any) -> Any:
 
 
 def bob(q: np.ndarray) -> np.ndarray:
-    """The place (T, 3) of the bob."""
+    """The position (T, 3) of the bob."""
     q1, q2 = q.T
     return np.stack([np.sin(q2) * np.cos(q1), np.sin(q2) * np.sin(q1), -np.cos(q2)], 1)
 
 
 def unit_rows(q: np.ndarray) -> np.ndarray:
-    """Rows of length 1, of rows of any length, however large."""
+    """The rows scaled to length 1, from any nonzero length, however large."""
     q = q / np.abs(q).max(1, keepdims=True)
     return q / np.linalg.norm(q, axis=1, keepdims=True)

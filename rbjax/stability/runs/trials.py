@@ -1,4 +1,4 @@
-"""A solver tried on a scene: run, observed, judged."""
+"""A trial of a solver on a scene: run, compare, judge."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ TOLERANCE, BUDGET = 1e-6, 10_000
 def attempt(
     solver: Solver, scene: Scene, true: Truth | None = None
 ) -> Verdict | None:
-    """What becomes of a scene under a solver; None where the solver does not take it.
+    """Run a solver on a scene and judge the result; None if the solver cannot run the scene.
 
-    max_k |x_k - r_k| at 201 samples, or the way of failing.
+    max_k |x_k - r_k| at 201 samples, or the kind of failure.
 
     Args:
         solver: a name of `rb.solvers.all()`, any solver of rbjax or diffrax, or an
             `rb.solvers.Tableau`.
-        scene: of `rb.stability.scenes()`.
-        true: the scene's `truth`, if at hand.
+        scene: one of `rb.stability.scenes()`.
+        true: the scene's `truth`, if known already.
 
     Returns:
-        `Verdict`: errors are angles in rad. None: a controller needs an error estimate, robots are
-        not for `RigidBodySplitting`.
+        `Verdict`: errors are angles in rad. None if a controller needs an error estimate that the
+        solver lacks, or for a robot with `RigidBodySplitting`.
 
     Raises:
-        UnknownName: a solver's name that is not there.
-        InputError: f64 off; what is no solver.
+        UnknownName: an unknown name of a solver.
+        InputError: f64 is off; no solver.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.2; Hairer, Lubich & Wanner, *Geometric Numerical
     Integration*, I.
@@ -73,7 +73,7 @@ def attempt(
 
 
 def estimates(solver: diffrax.AbstractSolver) -> bool:
-    """Whether a solver estimates the error of its steps, as a controller needs it."""
+    """Whether a solver estimates the error of its steps, which a controller needs."""
     term = diffrax.ODETerm(lambda t, y, args: (y[1], y[0]))
 
     def error(t, y):
@@ -85,7 +85,7 @@ def estimates(solver: diffrax.AbstractSolver) -> bool:
 
 
 class Run(NamedTuple):
-    """States (201, n), how the run ended, None if at its end, and the time in s it came to."""
+    """States (201, n), the ending of the run (None: complete), and the time in s it reached."""
 
     q: np.ndarray
     v: np.ndarray
@@ -137,7 +137,7 @@ def _adaptively(solver: Any, scene: Scene) -> Run:
 
 @eqx.filter_jit
 def _simulated(model: Model, state: State, ts: jax.Array, solver: Any) -> Trajectory:
-    # zero-stability of multistep methods wants steps that grow slowly
+    # zero-stability of multistep methods needs steps that grow slowly
     controller = diffrax.PIDController(rtol=TOLERANCE, atol=TOLERANCE, factormax=2.0)
     return simulate(
         model, state, ts, _hold, solver=solver, dt0=1e-4, stepsize_controller=controller,
@@ -146,7 +146,7 @@ def _simulated(model: Model, state: State, ts: jax.Array, solver: Any) -> Trajec
 
 
 def _hold(t: Any, state: State) -> jax.Array:
-    """Servos at 0."""
+    """Servo targets of 0."""
     return jnp.zeros_like(state.v)
 
 

@@ -1,12 +1,12 @@
-"""What became of a run, found from its numbers: it holds, or one of six ways to fail.
+"""The verdict on a run, from its numbers: it holds, or one of six failures.
 
-    blows up             a state is not finite, or has left any size that the motion has
+    blows up             a state is not finite, or far larger than the motion
     root not found       the equations of an implicit step were not solved
-    runs out of steps    the controller refused or shortened steps until the budget was spent
-    leaves the manifold  a quaternion's length, or a constraint, is no longer what it should be
-    drifts               what should stay has a slope (`trend`) that is not small
-    loses the motion     all of that is well, but the error is a tenth of the motion or more
-In this order: the first that is true. A run that is none of these holds, with its largest error.
+    runs out of steps    the controller rejected or shortened steps until the budget was spent
+    leaves the manifold  a quaternion's length, or a constraint, has a large error
+    drifts               an invariant has a slope (`trend`) that is not small
+    loses the motion     none of these, but the error is a tenth of the motion or more
+The first in this order counts. A run without a failure holds, with its largest error.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from rbjax.errors import InputError
 from rbjax.stability.runs.drift import trend
 
 MOTION = 1e3  # sizes of the motion beyond which a state has blown up
-LOSS = 0.1  # of its size, beyond which a motion is another one
+LOSS = 0.1  # error, in sizes of the motion, beyond which the motion is lost
 
 
 class Outcome(enum.Enum):
-    """What a run can come to."""
+    """The possible outcomes of a run."""
 
     HOLDS = "holds"
     BLOWS_UP = "blows up"
@@ -64,29 +64,29 @@ def verdict(
     size: float = 1.0,
     tolerance: float = 1e-3,
 ) -> Verdict:
-    """What became of a run.
+    """The outcome of a run.
 
-    max_k |x_k - r_k| while all is sound; |x| > 1000 size is not.
+    max_k |x_k - r_k| while the state is sound; it is not if |x| > 1000 size.
 
     Args:
         ts: (T,) s.
-        xs: (T,) or (T, n), the states, or whatever of them is to be compared.
-        reference: the same of the true motion; None if there is none.
-        invariants: name -> (T,), what should stay, each over its own scale (1 is all of it).
+        xs: (T,) or (T, n), the states, or the part of them to compare.
+        reference: the same for the true motion, or None.
+        invariants: name -> (T,), quantities that should be constant, each over its own scale.
         manifold: (T,) distances from the manifold, such as | |quaternion| - 1 |.
-        ending: what the solver itself says, `Outcome.NO_ROOT` or `Outcome.OUT_OF_STEPS`, or
-            `Outcome.BLOWS_UP`; None if it came to the end.
-        reached: time in s up to which the run came; all of it if None.
+        ending: the failure that the solver reports, `Outcome.NO_ROOT`, `Outcome.OUT_OF_STEPS` or
+            `Outcome.BLOWS_UP`; None if it reached the end.
+        reached: time in s that the run reached; all of it if None.
         size: of the motion, in the units of xs.
-        tolerance: beyond which the manifold is left, or a trend is a drift.
+        tolerance: above it the manifold is left, or a trend is a drift.
 
     Returns:
-        `Verdict`; its numbers are finite, whatever those of the run.
+        `Verdict`; its numbers are finite, even if those of the run are not.
 
     Raises:
-        InputError: shapes; a reference or times that are not finite; a run without samples.
+        InputError: wrong shapes; a reference or times that are not finite; a run without samples.
 
-    Source: the ways to fail of Hairer, Norsett & Wanner, *Solving ODEs*, I and II, and of Hairer,
+    Source: the failures in Hairer, Norsett & Wanner, *Solving ODEs*, I and II, and in Hairer,
     Lubich & Wanner, *Geometric Numerical Integration*.
 
     Example:
@@ -130,14 +130,14 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
         )
     if not np.isfinite(t).all():
         raise InputError(
-            "verdict: got times that are not finite; a run of drift that ended early has none from "
-            "there on: give those of the whole run, and its ending"
+            "verdict: got times that are not finite; after an early end of a run of drift times "
+            "are nan: give those of the whole run, and its ending"
         )
     r = None if reference is None else np.asarray(reference, np.float64)
     if r is not None and r.shape != x.shape:
         raise InputError(f"verdict: got a reference {r.shape}, expected that of xs, {x.shape}")
     if r is not None and not np.isfinite(r).all():
-        raise InputError("verdict: got a reference with values that are not finite: it is no truth")
+        raise InputError("verdict: got a reference that is not finite, expected finite values")
     rows = (len(t), -1)
     return t, x.reshape(rows), None if r is None else r.reshape(rows)
 

@@ -1,1 +1,1 @@
-"""What is known of a method by itself: its polynomials, roots, regions, orders, and one step."""
+"""Theory of a single method: its polynomials, roots, regions, orders, and one step."""

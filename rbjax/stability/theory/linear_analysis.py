@@ -1,4 +1,4 @@
-"""What linear theory says of a method, in one report."""
+"""The linear theory of a method, in one report."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from rbjax.stability.theory import regions
 from rbjax.stability.theory.multistep_roots import Characteristic, Method, Theory, characteristic
 from rbjax.stability.theory.stability_function import StabilityFunction, butcher, stability_function
 
-VANISHES = 1e-9  # R(infinity) of coefficients that are printed to some twelve digits
-HIGHEST = 8  # order that conditions are looked at for: 115 trees of eight nodes
+VANISHES = 1e-9  # R(infinity) from coefficients that are printed to about twelve digits
+HIGHEST = 8  # largest order of the conditions: 115 trees with eight nodes
 
 
 @dataclass(frozen=True)
 class LinearAnalysis:
     """A method on y' = lambda y, z = h lambda, and the order by its conditions.
 
-    Fields: method, `StabilityFunction` or `Characteristic`; order, below 1 where not consistent, of
-    Runge-Kutta methods above 8 what Butcher's simplifying assumptions prove; linear_order, on
-    y' = lambda y; error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there; real_limit <= 0
-    and imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90: A-stable, 0: no sector);
-    stiff_D, stable where Re z <= -D (inf: nowhere); R_inf = |R(infinity)|, for multistep methods
+    Fields: method, `StabilityFunction` or `Characteristic`; order, below 1 if not consistent, above
+    8 the order that Butcher's simplifying assumptions prove; linear_order, on y' = lambda y;
+    error_constant C, of y(t + h) - y1 = C h^(p + 1) y^(p + 1) there; real_limit <= 0 and
+    imaginary_limit >= 0 of stability; A_stable; alpha in degrees (90: A-stable, 0: no sector);
+    stiff_D, stable for Re z <= -D (inf: for no D); R_inf = |R(infinity)|, for multistep methods
     the largest root; L_stable; zero_stable.
     """
 
@@ -49,8 +49,9 @@ class LinearAnalysis:
 def order_by_conditions(solver: Method) -> int:
     """The order by the order conditions: rooted trees up to 8 nodes (one-step), phi (multistep).
 
-    Takes what `linear_analysis` does; a `StabilityFunction` knows linear problems alone.
-    Above 8: what Butcher's simplifying assumptions B(p), C(eta), D(zeta) prove, at least 8.
+    The argument is as for `linear_analysis`. A `StabilityFunction` gives the order on linear
+    problems only. Above 8 the result is the order that Butcher's simplifying assumptions B(p),
+    C(eta), D(zeta) prove, at least 8.
 
     Example:
         >>> import rbjax as rb
@@ -77,15 +78,15 @@ def linear_analysis(solver: Method) -> LinearAnalysis:
 
     Args:
         solver: a name of `rb.solvers.all()`, any Runge-Kutta, Rosenbrock or multistep solver of
-            rbjax or diffrax, or a method of one's own: an `rb.solvers.Tableau`, a
-            `StabilityFunction`, or a `Characteristic` (`multistep`, `adams`, ...).
+            rbjax or diffrax, or your own method: an `rb.solvers.Tableau`, a `StabilityFunction`,
+            or a `Characteristic` (`multistep`, `adams`, ...).
 
     Returns:
         `LinearAnalysis`.
 
     Raises:
-        InputError: for methods of q' = v, v' = a alone (`spectral_radius` measures these), and
-            what is no method.
+        InputError: methods only for q' = v, v' = a (`spectral_radius` measures these), or no
+            method.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.3, V.1.
 
@@ -119,7 +120,7 @@ def linear_analysis(solver: Method) -> LinearAnalysis:
 
 
 def _method(solver: Method) -> tuple[StabilityFunction | Characteristic, Characteristic]:
-    """The function or polynomial that knows most, and the polynomial."""
+    """The stability function if there is one, else the polynomial; and the polynomial."""
     phi = characteristic(solver)
     if isinstance(solver, Characteristic):
         return phi, phi

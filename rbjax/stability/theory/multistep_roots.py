@@ -1,12 +1,12 @@
-"""The characteristic polynomial of a method on y' = lambda y, and what its roots say.
+"""The characteristic polynomial of a method on y' = lambda y, and its roots.
 
     linear multistep:  rho(zeta) - z sigma(zeta) = 0,    y_n ~ zeta^n,    z = h lambda
     PECE:              rho(zeta) - z sigma(zeta) - z^2 b_0 sigma*(zeta) = 0
     one-step:          Q(z) zeta - P(z) = 0
-with sigma* that of the predictor. All are sum_m z^m c_m(zeta). Where zeta = exp(z) is put in, the
-first power of z left over is order + 1, and its coefficient by rho'(1) the error constant C:
+with sigma* that of the predictor. All are sum_m z^m c_m(zeta). With zeta = exp(z), the first power
+of z that remains is order + 1. Its coefficient over rho'(1) is the error constant C:
 y(t + h) - y1 = C h^(order + 1) y^(order + 1) + ...
-Zero-stable: the roots of rho lie in the unit disc, those on its rim are simple (Dahlquist).
+Zero-stable: the roots of rho lie in the unit disc, and those on the circle are simple (Dahlquist).
 (Hairer, Norsett & Wanner, *Solving ODEs I*, III.2-3.)
 """
 
@@ -44,18 +44,18 @@ from rbjax.stability.theory.polynomials import (
 )
 from rbjax.stability.theory.stability_function import StabilityFunction, stability_function
 
-RIM = 1e-14  # a root so far from the unit circle is on it
+RIM = 1e-14  # a root within this distance of the unit circle is on it
 
 
 @dataclass(frozen=True)
 class Characteristic:
     """phi(zeta, z) = sum_m z^m c_m(zeta), exactly.
 
-    Field: by_power, c_0 = rho, c_1 = -sigma, ... each constant first; `multistep(rho, sigma)` makes
-    one of two. Doubles are taken for the simple fractions beside them.
+    Field: by_power, c_0 = rho, c_1 = -sigma, ... each with the constant first;
+    `multistep(rho, sigma)` makes one from two. Doubles become the simple fractions near them.
 
     Raises:
-        InputError: coefficients that are not finite numbers; rho or all the others zero.
+        InputError: coefficients that are not finite numbers; rho is zero, or all the others are.
 
     Example:
         >>> import rbjax as rb
@@ -101,18 +101,18 @@ class Characteristic:
 
     @property
     def order(self) -> int:
-        """Consistent from 1 on; 0 where rho(1) = 0, but not rho'(1) = sigma(1); else -1."""
+        """At least 1 if consistent; 0 if rho(1) = 0, but not rho'(1) = sigma(1); else -1."""
         return self._defect[0] - 1
 
     @property
     def error_constant(self) -> Fraction | float:
-        """C, by rho'(1); inf where that is zero."""
+        """C, with the factor 1 / rho'(1); inf if rho'(1) is zero."""
         slope = value(derivative(self.rho), Fraction(1))
         return self._defect[1] / slope if slope else math.inf
 
     @functools.cached_property
     def spurious_roots(self) -> np.ndarray:
-        """The roots of rho but for zeta = 1, largest first, complex."""
+        """The roots of rho except zeta = 1, largest first, complex."""
         rest = plus(self.rho, ())
         while rest and value(rest, Fraction(1)) == 0:
             rest = divided(rest, poly([-1, 1]))[0]
@@ -137,7 +137,7 @@ class Characteristic:
         companion[..., np.arange(1, k), np.arange(k - 1)] = 1
         with np.errstate(divide="ignore", invalid="ignore"):
             companion[..., :, -1] = -rows[..., :-1] / rows[..., -1:]
-        broken = ~np.isfinite(companion).all((-2, -1))  # a root has gone to infinity
+        broken = ~np.isfinite(companion).all((-2, -1))  # a root is at infinity
         companion[broken] = 0
         out = np.linalg.eigvals(companion)
         out[broken] = np.inf
@@ -163,25 +163,25 @@ class Characteristic:
             return max(map(abs, found), default=mpmath.mpf(0))
 
 
-Theory = (StabilityFunction, Characteristic)  # what is all theory, and no code
+Theory = (StabilityFunction, Characteristic)  # methods without code
 Method = Solver | StabilityFunction | Characteristic
 
 
 def multistep(rho: Any, sigma: Any) -> Characteristic:
-    """The linear multistep method of two polynomials, made exact.
+    """The linear multistep method of two polynomials, with exact coefficients.
 
     sum_j rho_j y_(n+j) = h sum_j sigma_j f_(n+j), j = 0 ... k from the oldest to the newest.
 
     Args:
-        rho: (k + 1,) numbers, doubles or fractions; the last, that of the newest y, not zero.
-        sigma: at most k + 1; explicit methods end in 0, or are shorter.
+        rho: (k + 1,) numbers, doubles or fractions; the last, that of the newest y, is not zero.
+        sigma: at most k + 1; for an explicit method the last is 0, or it is shorter.
 
     Returns:
-        `Characteristic`. Its order says whether the method is consistent: from 1 on it is; 0 where
-        rho'(1) = sigma(1) fails, -1 where rho(1) = 0 does.
+        `Characteristic`. The method is consistent if its order is at least 1. The order is 0 if
+        rho'(1) = sigma(1) fails, -1 if rho(1) = 0 fails.
 
     Raises:
-        InputError: lengths, numbers that are not finite, a last rho or all of sigma zero.
+        InputError: wrong lengths, numbers that are not finite, a zero last rho, all of sigma zero.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, III.2 (2.1).
 
@@ -214,9 +214,10 @@ def _ordered(name: str, order: Any, least: int = 1) -> None:
 
 
 def adams(order: int, implicit: bool) -> Characteristic:
-    """Adams-Bashforth, or Adams-Moulton, whose rates are those of the last `order` times.
+    """Adams-Bashforth, or Adams-Moulton (`implicit`), with the rates at the last `order` times.
 
-    InputError below order 1. Implicit ones of order 1 and 2: backward Euler, the trapezoidal rule.
+    The implicit ones of order 1 and 2 are backward Euler and the trapezoidal rule. InputError below
+    order 1.
 
     Example:
         >>> from rbjax.stability import adams
@@ -240,9 +241,9 @@ def adams(order: int, implicit: bool) -> Characteristic:
 
 
 def backward_differentiation(order: int) -> Characteristic:
-    """BDF: sum_j (1/j) nabla^j y = h f; of any order from 1, those above 6 being unstable.
+    """BDF: sum_j (1/j) nabla^j y = h f, of any order from 1. Orders above 6 are unstable.
 
-    InputError below.
+    InputError below order 1.
 
     Example:
         >>> from rbjax.stability import backward_differentiation
@@ -259,7 +260,7 @@ def backward_differentiation(order: int) -> Characteristic:
 
 
 def pece(order: int) -> Characteristic:
-    """Predicted by Adams-Bashforth of order - 1, evaluated, corrected by Adams-Moulton, evaluated.
+    """PECE: predicts with Adams-Bashforth of order - 1, corrects with Adams-Moulton.
 
     InputError below order 2.
 
@@ -291,14 +292,14 @@ def characteristic(solver: Method) -> Characteristic:
 
     Args:
         solver: a name of `rb.solvers.all()`, any multistep, Runge-Kutta or Rosenbrock solver of
-            rbjax or diffrax, an `rb.solvers.Tableau`, a `StabilityFunction`, or a polynomial that
-            is known already. Steps are equal.
+            rbjax or diffrax, an `rb.solvers.Tableau`, a `StabilityFunction`, or a
+            `Characteristic`. Steps are equal.
 
     Returns:
         `Characteristic`: order, error_constant, zero_stable, spurious_roots, roots(z), radius(z).
 
     Raises:
-        InputError: for methods of q' = v, v' = a alone, and what is unknown.
+        InputError: methods only for q' = v, v' = a, or an unknown one.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, III.2.
 

@@ -1,8 +1,9 @@
-"""The order of a solver as its code shows it: errors on a smooth problem, halving the step.
+"""The measured order of a solver's code: errors on a smooth problem, with halved steps.
 
     error(h) ~ C h^p,    p = log2(error(h) / error(h / 2))
-Vector fields, and pairs q' = v, v' = a, are measured on a pushed and damped pendulum; Lie-group
-methods on a rigid body that turns under a torque. The truth is SciPy's Dormand-Prince 8 in NumPy.
+Methods for vector fields and for pairs q' = v, v' = a are measured on a driven damped pendulum,
+Lie-group methods on a rigid body under a torque. The reference is SciPy's Dormand-Prince 8 in
+NumPy.
 """
 
 from __future__ import annotations
@@ -32,13 +33,13 @@ from rbjax.stability.methods import Solver, stepping
 END = 2.0
 INERTIA = np.array([1.0, 2.0, 3.5])
 COARSEST, FINEST = 8, 8192
-SMALL, LARGE = 1e-11, 1e-2  # errors beside which rounding, or higher powers of h, count
+SMALL, LARGE = 1e-11, 1e-2  # errors at which rounding, or higher powers of h, matter
 ON_GROUPS = (MuntheKaas, CrouchGrossman3, CommutatorFree4, RigidBodySplitting)
 
 
 @dataclass(frozen=True)
 class MeasuredOrder:
-    """order, the mean over the two finest halvings; steps and errors, of all that was run."""
+    """order, the mean over the two finest halvings; steps and errors of all runs."""
 
     order: float
     steps: tuple[int, ...]
@@ -86,7 +87,7 @@ def _problem(on_group: bool) -> tuple[Any, Any, np.ndarray]:
 
 @eqx.filter_jit
 def _end(term: Any, solver: Any, start: Any, steps: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The state after so many equal steps, and whether each succeeded."""
+    """The state after `steps` equal steps, and whether all succeeded."""
     found = diffrax.diffeqsolve(
         term, solver, 0.0, END, END / steps * (1 + 1e-12), start, throw=False, max_steps=None,
         stepsize_controller=diffrax.ConstantStepSize(), adjoint=diffrax.ForwardMode(),
@@ -96,7 +97,7 @@ def _end(term: Any, solver: Any, start: Any, steps: jax.Array) -> tuple[jax.Arra
 
 
 def measured_order(solver: Solver) -> MeasuredOrder:
-    """The order that a solver shows on a smooth problem, over halvings of the step.
+    """The order of a solver on a smooth problem, measured over halvings of the step.
 
     Args:
         solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field, of
@@ -104,12 +105,12 @@ def measured_order(solver: Solver) -> MeasuredOrder:
             tolerances are a controller's is replaced by `rb.solvers.very_chord()`.
 
     Returns:
-        `MeasuredOrder`: the order, and the steps and errors it is taken from.
+        `MeasuredOrder`: the order, and the steps and errors behind it.
 
     Raises:
-        UnknownName: a name that is not there.
-        InputError: what has no code to step; if no two halvings have errors between rounding and
-            coarseness.
+        UnknownName: an unknown name.
+        InputError: a method without code; no two halvings have errors that are neither rounding nor
+            too large.
 
     Source: Hairer, Norsett & Wanner, *Solving ODEs I*, II.4.
 
@@ -118,7 +119,7 @@ def measured_order(solver: Solver) -> MeasuredOrder:
         >>> round(rb.stability.measured_order("rk4").order, 1)
         4.0
     """
-    own = isinstance(solver, Tableau)  # which claims its order for vector fields
+    own = isinstance(solver, Tableau)  # its order is for vector fields
     solver = stepping(solver)
     steps: list[int] = []
     errors: list[float] = []
@@ -133,7 +134,7 @@ def measured_order(solver: Solver) -> MeasuredOrder:
     good = [e for e in errors if SMALL / 100 < e < LARGE]
     if len(good) < 3:
         raise InputError(
-            f"measured_order: {type(solver).__name__} left errors {errors} after {steps} steps, "
+            f"measured_order: {type(solver).__name__} has errors {errors} after {steps} steps, "
             f"expected three between {SMALL / 100:.0e} and {LARGE:.0e}"
         )
     rates = np.log2(np.divide(good[:-1], good[1:]))

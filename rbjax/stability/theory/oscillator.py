@@ -1,11 +1,11 @@
-"""What a solver's own step does to linear motion: growth factors, dissipation, period elongation.
+"""A solver's own step on linear motion: growth factors, dissipation, period elongation.
 
     y' = lambda y:  as two real equations, z = h lambda
     q'' + 2 xi omega q' + omega^2 q = 0:  (q, v / omega), Omega = h omega
-A step is linear in the state and in what the solver remembers, so one step from each unit vector is
-its matrix, and the eigenvalues of that are its growth factors: what is measured is the code. The
-exact ones are exp(z) and exp(+-i Omega); a factor exp(Omega' (-xi' +- i)) stands for a vibration of
-the frequency Omega' / h and the damping ratio xi'.
+A step is linear in the state and in the solver's memory. So one step from each unit vector gives
+its matrix, and the eigenvalues of this matrix are the growth factors of the code. The exact ones
+are exp(z) and exp(+-i Omega). A factor exp(Omega' (-xi' +- i)) means a vibration with frequency
+Omega' / h and damping ratio xi'.
 (Hughes, *The Finite Element Method*, 9.3; Chung & Hulbert, *J. Applied Mechanics* 60, 1993.)
 """
 
@@ -28,12 +28,12 @@ from rbjax.stability.methods import Solver, stepping
 from rbjax.stability.theory.multistep_roots import Method, Theory, characteristic
 from rbjax.stability.theory.regions import imaginary_limit
 
-DOUBLE = 1e-7  # a double root of modulus one is known to the root of rounding
+DOUBLE = 1e-7  # a double root of modulus one has an error of sqrt(rounding)
 LOST = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
 
 
 def _scalar(t: Any, y: Any, z: jax.Array) -> jax.Array:
-    """y' = z y, of the real and imaginary part."""
+    """y' = z y, for the real and imaginary part."""
     a, b = z
     return jnp.stack([a * y[0] - b * y[1], b * y[0] + a * y[1]])
 
@@ -45,7 +45,7 @@ def _oscillator(t: Any, y: Any, stiffness_damping: jax.Array) -> tuple[jax.Array
 
 
 def _remembered(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
-    """What a solver's state adds to the motion's, and the solver's state of such numbers."""
+    """The numbers in a solver's state, and the function that makes such a state from numbers."""
     if isinstance(solver, AbstractMultistep):
         full = state.ts.shape[0]
         return state.values, lambda old: state._replace(values=old, filled=jnp.array(full))
@@ -56,7 +56,7 @@ def _remembered(solver: Any, state: Any) -> tuple[Any, Callable[[Any], Any]]:
 
 @eqx.filter_jit
 def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, scale: Any) -> jax.Array:
-    """The matrix of one step of length one (n, k, k), for rows of arguments (n, ...)."""
+    """The matrices (n, k, k) of one step of length one, for rows of arguments (n, ...)."""
     term = diffrax.ODETerm(field)
     t0, t1 = jnp.array(0.0), jnp.array(1.0)
 
@@ -78,18 +78,18 @@ def _matrices(field: Any, solver: Any, like: Any, args: jax.Array, scale: Any) -
 
 
 def _measured(*args: Any) -> np.ndarray:
-    """`_matrices` in f64, whatever the caller works in."""
+    """`_matrices` in f64, whatever the caller's precision."""
     with jax.enable_x64(True):
         return np.asarray(_matrices(*args))
 
 
 def _prepared(solver: Solver) -> Any:
-    """The solver, with numbers in the place of constants, so that all of a kind share a program."""
+    """The solver, with numbers instead of constants, so that all of a kind share a program."""
     one = stepping(solver)
     if isinstance(one, LOST) or one.term_structure is not diffrax.AbstractTerm:
         raise InputError(
-            f"stability: {type(one).__name__} does not step a linear equation from a state "
-            "alone, expected a solver of vector fields, or of q' = v, v' = a"
+            f"stability: {type(one).__name__} does not step a linear equation from only a "
+            "state, expected a solver of vector fields, or of q' = v, v' = a"
         )
     return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) else x, one)
 
@@ -114,7 +114,7 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
 
     Args:
         solver: a name of `rb.solvers.all()`, a diffrax solver of any vector field, or an
-            `rb.solvers.Tableau`; of a `StabilityFunction` or a `Characteristic`, the roots.
+            `rb.solvers.Tableau`. A `StabilityFunction` or a `Characteristic` gives its roots.
         z: complex, any shape (...).
 
     Returns:
@@ -146,12 +146,12 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
 
     Args:
         solver: a name of `rb.solvers.all()` or a diffrax solver, of any vector field or of
-            q' = v, v' = a; or what else `growth_factors` takes.
+            q' = v, v' = a; or anything that `growth_factors` takes.
         h_omega: Omega = h omega (...), step times natural angular frequency, positive.
         damping_ratio: xi of q'' + 2 xi omega q' + omega^2 q = 0.
 
     Returns:
-        (..., k) complex, k = 2 and what the method remembers.
+        (..., k) complex, k = 2 plus the size of the method's memory.
 
     Raises:
         InputError: solvers of other equations; an h_omega that is not positive.
@@ -185,7 +185,7 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
 
 
 def _powers(solver: Any, n: int) -> np.ndarray:
-    """The powers of omega that make q, v and what is remembered of them alike in size."""
+    """The powers of omega that scale q, v and the memory to similar size."""
     if isinstance(solver, GeneralizedAlpha):
         return np.array([0, 1, 2])
     past = (n - 2) // 2
@@ -206,7 +206,7 @@ def _sorted(factors: np.ndarray) -> np.ndarray:
 
 
 def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
-    """The largest growth factor's modulus on an oscillator of h omega (...), of the code's step.
+    """The modulus of the code's largest growth factor on an oscillator of h omega (...).
 
     Example:
         >>> import rbjax as rb
@@ -218,7 +218,7 @@ def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) ->
 
 
 def _principal(solver: Method, h_omega: Any) -> np.ndarray:
-    """The factor that stands for exp(i Omega); nan where none oscillates."""
+    """The factor that approximates exp(i Omega); nan if none oscillates."""
     factors = oscillator_factors(solver, h_omega)
     distance = np.abs(factors - np.exp(1j * np.asarray(h_omega, float))[..., None])
     factor = np.take_along_axis(factors, distance.argmin(-1)[..., None], -1)[..., 0]
@@ -226,16 +226,16 @@ def _principal(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
-    """The numerical damping ratio xi' of an undamped oscillation, of the code's step.
+    """The numerical damping ratio xi' of the code's step on an undamped oscillation.
 
-    xi' = -ln |zeta| / arg zeta, of the factor zeta that stands for exp(i Omega).
+    xi' = -ln |zeta| / arg zeta, with the factor zeta that approximates exp(i Omega).
 
     Args:
         solver: as in `oscillator_factors`.
-        h_omega: Omega = h omega (...), below pi: a slower sampling shows no oscillation.
+        h_omega: Omega = h omega (...), below pi: larger steps do not resolve the oscillation.
 
     Returns:
-        (...) damping ratio; negative where the method adds energy, nan where nothing oscillates.
+        (...) damping ratio; negative if the method adds energy, nan if nothing oscillates.
 
     Source: Hughes, *The Finite Element Method*, 9.3.
 
@@ -249,9 +249,9 @@ def dissipation(solver: Method, h_omega: Any) -> np.ndarray:
 
 
 def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
-    """(T' - T) / T of an undamped oscillation, of the code's step: Omega / arg zeta - 1.
+    """(T' - T) / T of the code's step on an undamped oscillation: Omega / arg zeta - 1.
 
-    Args, and where it is nan: as `dissipation`. Newmark's average acceleration: Omega^2 / 12.
+    Args and nan values are as for `dissipation`. Newmark's average acceleration gives Omega^2 / 12.
 
     Example:
         >>> import rbjax as rb
@@ -264,9 +264,9 @@ def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
 def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
     """The largest h omega up to which an undamped oscillation does not grow; inf above `highest`.
 
-    Exact (`imaginary_limit`) where there is linear theory. Otherwise, as for methods of q' = v,
-    v' = a, by halving, of the code's step: |zeta| may exceed one by 1e-7, and limits nearer to zero
-    than `highest` / 500 are zero.
+    It is exact (`imaginary_limit`) if there is linear theory. Otherwise, as for methods of q' = v,
+    v' = a, it is found by bisection on the code's step. There |zeta| may exceed one by 1e-7, and
+    limits below `highest` / 500 are zero.
 
     Example:
         >>> import rbjax as rb
@@ -275,7 +275,7 @@ def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
     """
     try:
         exact = imaginary_limit(characteristic(solver))
-    except InputError:  # no linear theory: by its code
+    except InputError:  # no linear theory: measure the code
         return _measured_limit(solver, highest)
     return exact if exact <= highest else np.inf
 
@@ -289,7 +289,7 @@ def _measured_limit(solver: Method, highest: float) -> float:
         return 0.0
     low, high = grid[grown.argmax() - 1], grid[grown.argmax()]
     while high - low > 4 * np.finfo(float).eps * high:
-        points = np.linspace(low, high, len(grid))  # as many as the program was made for
+        points = np.linspace(low, high, len(grid))  # the number that the program is compiled for
         grown = spectral_radius(solver, points) > 1 + DOUBLE
         first = int(grown.argmax())
         low, high = points[first - 1], points[first]

@@ -1,9 +1,9 @@
 """Polynomials with exact coefficients, and their roots to all the digits of a double.
 
     p(x) = p_0 + p_1 x + ... + p_n x^n,    coefficients `fractions.Fraction`, constant first
-Verdicts on stability are signs of polynomials that often vanish exactly; rounding would decide
-them by chance. A coefficient that comes from a tableau of doubles is taken for the simple fraction
-beside it (`rational`) where their distance is what rounding explains.
+Stability depends on signs of polynomials that often vanish exactly, where rounding would give a
+random sign. A coefficient from a tableau of doubles becomes the simple fraction near it
+(`rational`), if rounding explains the difference.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Poly = tuple[Fraction, ...]
 EPS = Fraction(np.finfo(np.float64).eps)
 PRINTED = Fraction(TOLERANCE)  # the same for R(z) as for the order conditions of its tableau
 SIMPLE = 50_000  # largest denominator: 8! is 40,320
-DIGITS = 60  # that roots are computed with
+DIGITS = 60  # digits with which roots are computed
 ZERO: Poly = ()
 ONE: Poly = (Fraction(1),)
 
@@ -42,7 +42,7 @@ def poly(coefficients: Iterable[Any]) -> Poly:
 
 
 def rational(x: Any, noise: Any = 0) -> Fraction:
-    """The simple fraction at x, if it is within `noise` (and two units in the last place) of x.
+    """The simple fraction within `noise` (and two units in the last place) of x, if there is one.
 
     >>> rational(1 / 3)
     Fraction(1, 3)
@@ -57,7 +57,7 @@ def rational(x: Any, noise: Any = 0) -> Fraction:
 
 
 def exact(coefficients: Iterable[Any], where: str) -> Poly:
-    """`poly` of numbers of any type, where doubles are the simple fractions beside them.
+    """`poly` of numbers of any type. Doubles become the simple fractions near them.
 
     >>> exact(np.array([1 / 3, 1.0]), "rho")
     (Fraction(1, 3), Fraction(1, 1))
@@ -93,12 +93,12 @@ def times(p: Poly, q: Poly) -> Poly:
 
 
 def magnitude(p: Poly) -> Poly:
-    """The same with positive coefficients: the size of what was added up in a coefficient."""
+    """The same with positive coefficients, which bound the terms of a sum."""
     return tuple(abs(c) for c in p)
 
 
 def cleaned(p: Poly, size: Poly) -> Poly:
-    """p without the coefficients that are rounding, or a print's last digit, beside `size`."""
+    """p without coefficients that are rounding, or a printed last digit, relative to `size`."""
     return poly(0 if abs(c) <= PRINTED * s else c for c, s in zip(p, size, strict=False))
 
 
@@ -166,7 +166,7 @@ def real_roots(p: Poly, low: Any = None, high: Any = None) -> list[Fraction]:
 def between(points: Sequence[Fraction], start: Fraction) -> list[tuple[Fraction, Fraction]]:
     """(end, a point inside) of each interval from `start` over increasing points to infinity.
 
-    The last end is `start`, standing for infinity.
+    The last end is `start`, which means infinity.
     """
     ends = [start, *points]
     inside = [((a + b) / 2, b) for a, b in itertools.pairwise(ends)]
@@ -184,7 +184,7 @@ def chebyshev(n: int) -> tuple[Poly, Poly]:
 
 
 def written(p: Poly, x: str = "z") -> str:
-    """As in a textbook.
+    """The polynomial as a textbook prints it.
 
     >>> written(poly([1, Fraction(-2, 3), Fraction(1, 6)]))
     '1 - 2z/3 + z^2/6'

@@ -1,16 +1,17 @@
-"""Regions of absolute stability: their limits on the axes, their angle, their strip.
+"""Regions of absolute stability: limits on the axes, angle, strip.
 
     S = {z : every root of phi(zeta, z) has |zeta| <= 1}
     real limit: the least x <= 0 with [x, 0] in S
     imaginary limit: the largest y with i [0, y] in S
-    A-stable: S holds the left half-plane;  A(alpha): the sector |arg(-z)| <= alpha
+    A-stable: S contains the left half-plane;  A(alpha): the sector |arg(-z)| <= alpha
     stiffly stable: the half-plane Re z <= -D;  L-stable: A-stable, and R(infinity) = 0
-The rim of S lies on the curve where a root has modulus one. For a one-step method it meets the axes
-at roots of P^2 - Q^2 and of |P(iy)|^2 - |Q(iy)|^2; for a multistep method it is
-z = rho / sigma at zeta = exp(i theta), whose parts are rational in c = cos theta: limits, angle and
-D are then values at exact roots. A predictor-corrector's z is quadratic; real and imaginary part of
-its equation vanish together where their resultant, a polynomial in c, does. Between such points one
-z decides, in `DIGITS` digits: |zeta| - 1 of a weakly unstable method may be 1e-15.
+The boundary of S lies on the curve where a root has modulus one. For a one-step method the curve
+meets the axes at roots of P^2 - Q^2 and of |P(iy)|^2 - |Q(iy)|^2. For a multistep method it is
+z = rho / sigma at zeta = exp(i theta), whose parts are rational in c = cos theta, so limits, angle
+and D are values at exact roots. A predictor-corrector's z is quadratic; the real and imaginary
+part of its equation have a common root where their resultant, a polynomial in c, vanishes. Between
+such points one z is tested, in `DIGITS` digits: |zeta| - 1 of a weakly unstable method may be
+1e-15.
 (Hairer & Wanner, *Solving ODEs II*, IV.3, V.1-2; Gear 1971.)
 """
 
@@ -41,9 +42,9 @@ from rbjax.stability.theory.polynomials import (
 from rbjax.stability.theory.stability_function import StabilityFunction, modulus_excess
 
 Method = StabilityFunction | Characteristic
-BELOW_90 = math.nextafter(90, 0)  # 90 itself says A-stable
-GROWN = 1e-20  # of a root's modulus over one, in `DIGITS` digits
-SHARP, FARTHEST = Fraction(1, 2**40), 2**40  # D, of its own size, and where it is sought
+BELOW_90 = math.nextafter(90, 0)  # 90 itself means A-stable
+GROWN = 1e-20  # excess of a root's modulus over one, in `DIGITS` digits
+SHARP, FARTHEST = Fraction(1, 2**40), 2**40  # relative error of D, and the largest D searched
 ONE_SQUARED = poly([1, 0, -1])  # 1 - c^2
 
 
@@ -76,11 +77,11 @@ def imaginary_limit(method: Method) -> float:
         return math.sqrt(_first_end(points, lambda w: value(excess, w) <= 0))
     if len(method.by_power) == 2:
         N, M, S = _curve(method)
-        # where the curve crosses the axis, or, all on it, turns: (1 - c^2) M^2 / S^2 is stationary
+        # where the curve crosses the axis, or turns on it: (1 - c^2) M^2 / S^2 is stationary
         turning = plus(times(_slope(M), S), times(ONE_SQUARED, times(M, derivative(S))), -1)
         found = [(c, value(M, c) / value(S, c)) for c in _inside(N or turning) if value(S, c)]
     else:
-        # z = i sin(theta) x: the real part, and the imaginary one by sin(theta)
+        # z = i sin(theta) x: the real part, and the imaginary one over sin(theta)
         (a, b, c), (d, e, f) = _on_circle(method)
         minus = plus((), ONE_SQUARED, -1)
         found = _common_roots((a, times(minus, e), times(minus, c)), (d, b, times(minus, f)))
@@ -90,14 +91,14 @@ def imaginary_limit(method: Method) -> float:
 
 
 def alpha_degrees(method: Method) -> float:
-    """The angle of A(alpha)-stability: 90 if A-stable, 0 where the real limit is finite."""
+    """The angle of A(alpha)-stability: 90 if A-stable, 0 if the real limit is finite."""
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return 0.0
     if isinstance(method, StabilityFunction):
         return 90.0 if _A_stable(method) else _widest_ray(method)
     N, M, _ = _curve(method)
-    # tan^2 alpha = (1 - c^2) M^2 / N^2 is least at an end or where this vanishes:
+    # tan^2 alpha = (1 - c^2) M^2 / N^2 has its minimum at an end or where this vanishes:
     stationary = plus(times(_slope(M), N), times(ONE_SQUARED, times(M, derivative(N))), -1)
     angles = [90.0]
     for c in [*real_roots(stationary, -1, 1), *real_roots(M, -1, 1)]:
@@ -109,7 +110,7 @@ def alpha_degrees(method: Method) -> float:
 
 
 def stiff_stability(method: Method) -> float:
-    """D of stiff stability: the method is stable where Re z <= -D; inf where for no D."""
+    """D of stiff stability: the method is stable for Re z <= -D; inf if there is no such D."""
     method = _simplest(method)
     if real_limit(method) > -math.inf or not _bounded(method):
         return math.inf
@@ -123,7 +124,7 @@ def stiff_stability(method: Method) -> float:
 
 
 def at_infinity(method: Method) -> float:
-    """|R(infinity)|, the largest root in the limit of stiffness; inf where it is not bounded."""
+    """|R(infinity)|, the largest root in the limit of stiffness; inf if it is not bounded."""
     if isinstance(method, StabilityFunction):
         return abs(method.at_infinity)
     last = method.by_power[-1]
@@ -133,7 +134,7 @@ def at_infinity(method: Method) -> float:
 
 
 def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
-    """The largest |zeta| (len(y), len(x)) over a grid x + i y of z: stable where at most one."""
+    """The largest |zeta| (len(y), len(x)) on a grid x + i y of z; at most one means stable."""
     return method.radius(np.asarray(x)[None, :] + 1j * np.asarray(y)[:, None])
 
 
@@ -146,24 +147,24 @@ def _simplest(method: Method) -> Method:
         return StabilityFunction(poly(-p[0] for p in padded), poly(p[1] for p in padded))
     if len(method.by_power) > 3:
         raise InputError(
-            f"regions: a multistep method with z^{len(method.by_power) - 1}, expected at most z^2 "
-            "(one corrector)"
+            f"regions: got a multistep method with z^{len(method.by_power) - 1}, expected at most "
+            "z^2 (one corrector)"
         )
     return method
 
 
 def _bounded(method: Method) -> bool:
-    """Whether no root passes one where z goes to infinity."""
+    """Whether no root exceeds one as z goes to infinity."""
     return at_infinity(method) <= 1
 
 
 def _A_stable(R: StabilityFunction) -> bool:
-    """|R| <= 1 on the axis, and left of it by the maximum principle, there being no pole."""
+    """|R| <= 1 on the axis, and left of it by the maximum principle, if there is no pole."""
     return imaginary_limit(R) == math.inf and all(p.real > 0 for p in roots(R.denominator))
 
 
 def _least_shift(R: StabilityFunction) -> float:
-    """The least D for which R(z - D) is A-stable, by halving: the half-planes are nested."""
+    """The least D for which R(z - D) is A-stable, by bisection: the half-planes are nested."""
     if _A_stable(R):
         return 0.0
     low, high = Fraction(0), Fraction(1)
@@ -194,7 +195,7 @@ def _mirrored(p: Poly) -> Poly:
 
 
 def _first_end(points: list[Fraction], stable: Callable[[Fraction], bool]) -> float:
-    """Where the intervals between points, from zero on, stop being stable; inf for nowhere."""
+    """The end of the stable intervals between points, starting at zero; inf if all are stable."""
     intervals = between(points, Fraction(0))
     reached = Fraction(0)
     for end, mid in intervals:
@@ -208,7 +209,7 @@ def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
     """N, M, S in c = cos theta: rho / sigma at exp(i theta) is (N + i sin(theta) M) / S."""
     if len(method.by_power) > 2:
         raise InputError(
-            "regions: a multistep method with z^2, expected rho - z sigma for its angle and strip"
+            "regions: got a multistep method with z^2, expected rho - z sigma for angle and strip"
         )
     rho, sigma = method.rho, method.sigma
     N, M, S = (poly([]) for _ in range(3))
@@ -226,12 +227,12 @@ def _curve(method: Characteristic) -> tuple[Poly, Poly, Poly]:
 
 
 def _slope(M: Poly) -> Poly:
-    """(1 - c^2) M' - c M: the derivative of sqrt(1 - c^2) M, times that root."""
+    """(1 - c^2) M' - c M: the derivative of sqrt(1 - c^2) M, times sqrt(1 - c^2)."""
     return plus(times(ONE_SQUARED, derivative(M)), times(poly([0, 1]), M), -1)
 
 
 def _on_circle(method: Characteristic) -> tuple[list[Poly], list[Poly]]:
-    """Of each power of z, the real part at zeta = exp(i theta), and the imaginary by sin(theta)."""
+    """For each power of z, the real part at zeta = exp(i theta), and the imaginary / sin(theta)."""
     even, odd = [], []
     for p in method.by_power:
         parts: tuple[Poly, Poly] = ((), ())
@@ -254,7 +255,7 @@ def _common_roots(f: Sequence[Poly], g: Sequence[Poly]) -> list[tuple[Fraction, 
 
 
 def _inside(p: Poly) -> list[Fraction]:
-    """The roots between -1 and 1, not these: there z is zero or infinite, in all multiplicity."""
+    """The roots strictly between -1 and 1: at the ends z is zero or infinite."""
     for end in (1, -1):
         while p and value(p, Fraction(end)) == 0:
             p = divided(p, poly([-end, 1]))[0]
@@ -262,7 +263,7 @@ def _inside(p: Poly) -> list[Fraction]:
 
 
 def _widest_ray(R: StabilityFunction) -> float:
-    """Of an A(0)-stable one-step method: the rays on which |R| <= 1, by halving the angle."""
+    """The largest angle of rays with |R| <= 1, by bisection, for an A(0)-stable one-step method."""
 
     def stable(angle: float) -> bool:
         z = -np.exp(1j * angle) * np.logspace(-6, 8, 20_001)

@@ -3,7 +3,7 @@
     y' = lambda y:  y1 = R(z) y0,    z = h lambda
     R(z) = det(I - z A + z e b') / det(I - z A) = 1 + z b' (I - z A)^-1 e
 The denominator comes from the traces of powers of A (Newton's identities), the numerator from the
-moments b' A^k e. For Rosenbrock methods A is alpha + gamma, the Jacobian being exact here.
+moments b' A^k e. For Rosenbrock methods A is alpha + gamma, because the Jacobian is exact here.
 (Hairer & Wanner, *Solving ODEs II*, IV.3, IV.7.)
 """
 
@@ -45,8 +45,8 @@ Coefficients = tuple[np.ndarray, np.ndarray]  # a, b
 class StabilityFunction:
     """R(z) = numerator / denominator; polynomials with exact coefficients, constant first.
 
-    Doubles are taken for the simple fractions beside them; InputError for what is not finite, and
-    for a denominator of zero.
+    Doubles become the simple fractions near them. InputError for coefficients that are not finite,
+    and for a zero denominator.
 
     Example:
         >>> import rbjax as rb
@@ -77,7 +77,7 @@ class StabilityFunction:
 
     @property
     def at_infinity(self) -> float:
-        """The limit of R as z grows; inf where there is none."""
+        """The limit of R as z grows; inf if there is none."""
         over = len(self.numerator) - len(self.denominator)
         if over > 0:
             return math.inf
@@ -97,11 +97,11 @@ class StabilityFunction:
 
 
 def of_tableau(a: np.ndarray, b: np.ndarray) -> StabilityFunction:
-    """R(z) of coefficients a (s, s) and b (s,); simple fractions where doubles stand for them."""
+    """R(z) from coefficients a (s, s) and b (s,); doubles become the simple fractions near them."""
     A = [[rational(x) for x in row] for row in np.asarray(a)]
     B = [rational(x) for x in np.asarray(b)]
     exact = _quotient(A, B, -1)
-    # the sums that rounding went into, all terms positive
+    # the same sums with positive terms, as a bound of the rounding
     sizes = _quotient([[abs(x) for x in row] for row in A], [abs(x) for x in B], 1)
     p, q = (
         poly(rational(c, 8 * EPS * s) for c, s in zip(x, size, strict=True))
@@ -132,7 +132,7 @@ def _quotient(A: list[list[Fraction]], b: list[Fraction], sign: int) -> tuple[li
 
 @functools.singledispatch
 def butcher(solver: Any) -> Coefficients | None:
-    """a (s, s) and b (s,) of a Runge-Kutta or Rosenbrock method; None for what is neither."""
+    """a (s, s) and b (s,) of a Runge-Kutta or Rosenbrock method; None for other methods."""
     del solver
     return None
 
@@ -174,7 +174,7 @@ def _(solver: diffrax.ImplicitEuler) -> Coefficients:
 
 @butcher.register
 def _(solver: solvers.CommutatorFree4) -> Coefficients:
-    """Where exponentials commute, the classical method."""
+    """If exponentials commute, this is the classical method."""
     return np.array(tables.RK4.a), np.array(tables.RK4.b)
 
 
@@ -195,7 +195,7 @@ def stability_function(solver: Solver | StabilityFunction) -> StabilityFunction:
         `StabilityFunction`, with numerator and denominator.
 
     Raises:
-        InputError: multistep methods, methods for q' = v, v' = a alone, and what is unknown.
+        InputError: multistep methods, methods only for q' = v, v' = a, or an unknown one.
 
     Source: Hairer & Wanner, *Solving ODEs II*, IV.3 (3.3).
 

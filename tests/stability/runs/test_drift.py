@@ -167,7 +167,7 @@ def test_hamiltons_equations_are_lagranges() -> None:
 
 def test_attitudes_have_no_canonical_coordinates() -> None:
     model = rb.load("spinning_top")
-    with pytest.raises(rb.InputError, match="hinges and slides alone"):
+    with pytest.raises(rb.InputError, match="only hinges and slides"):
         rb.stability.to_canonical(model, model.default_state())
 
 
@@ -176,7 +176,7 @@ def test_canonical_coordinates_hold_no_states_of_elements() -> None:
     model = rb.load("double_pendulum")
     bare, y = model.default_state(), (jnp.zeros(2), jnp.ones(2))
     lagging = model.with_forces(Lag(jnp.array(0.1)))
-    words = r"states of their own \(Lag\), expected none.*model.replace"
+    words = r"have states \(Lag\), expected none.*model.replace"
     for call in (
         lambda: rb.stability.to_canonical(lagging, lagging.default_state()),
         lambda: rb.stability.from_canonical(lagging, y),
@@ -298,7 +298,7 @@ def test_a_run_that_blows_up_keeps_its_last_sound_state() -> None:
     assert (np.asarray(run.kept)[-1] == np.asarray(run.y)).all()
     # it came to the second sample, and no trend is read from what is frozen after it
     np.testing.assert_array_equal(run.ts, [0.0, 1.0, *[np.nan] * 19])
-    with pytest.raises(rb.InputError, match=r"19 of 21 samples.* ended early"):
+    with pytest.raises(rb.InputError, match=r"19 of 21 samples.* early end"):
         trend(run.ts, run.kept[:, 0])
 
 

@@ -168,7 +168,7 @@ def test_what_has_no_equilibrium_says_so() -> None:
     for start, options, words in (
         (bent, {}, r"accelerates at .*expected one at rest.*equilibrium"),
         (moving, {}, "moves at 1.0"),
-        (upright, {}, r"unstable, the motion itself departs from it as exp\(3.8 t\)"),
+        (upright, {}, r"unstable, the exact motion departs from it as exp\(3.8 t\)"),
         (state, {"near": 0.0}, "near 0.0 s and 2000 steps"),
         (state, {"near": -1.0}, "expected a positive time"),
         (state, {"steps": 0}, "0 steps, expected .* at least 10"),

@@ -1,4 +1,4 @@
-"""The scenes' truths, and solvers whose fate on them is known."""
+"""The references of the scenes, and solvers whose outcome on them is known."""
 
 import dataclasses
 import functools
@@ -132,7 +132,7 @@ NOTHING = Truth(np.zeros((SAMPLES + 1, 2)), 0.0)  # where the way of failing alo
 
 @functools.cache
 def rigid_limit() -> Truth:
-    """A spring that does not give: the second link swings alone, a rod of 1 m."""
+    """A rigid spring: only the second link swings, a rod of 1 m."""
     ts = SCENES["spring_1e9"].ts
     swing = solve_ivp(lambda t, y: [y[1], -1.5 * 9.81 * np.sin(y[0])], (0.0, ts[-1]), [1.0, 0.0],
                       method="DOP853", rtol=1e-13, atol=1e-13, t_eval=ts)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Verdicts on runs made by hand, one of each kind, and what no verdict may do: be nan."""
+"""Verdicts on runs made by hand, one of each kind; no verdict is nan."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_without_a_reference_there_is_no_error() -> None:
 
 
 def test_never_nan() -> None:
-    """Whatever a run holds, the numbers of its verdict are numbers."""
+    """The numbers of a verdict are finite for any run."""
     rng = np.random.default_rng(1)
     for _ in range(200):
         xs = TRUE * 10.0 ** rng.uniform(-3, 3) + rng.normal(size=TRUE.shape)
@@ -104,7 +104,7 @@ def test_never_nan() -> None:
         ((T[:0], TRUE[:0]), "expected"),
         ((T * np.nan, TRUE), "times that are not finite"),
         ((T, TRUE, TRUE[:, :1]), r"reference \(201, 1\)"),
-        ((T, TRUE, TRUE * np.nan), "no truth"),
+        ((T, TRUE, TRUE * np.nan), "reference that is not finite"),
     ],
 )
 def test_runs_that_cannot_be_judged(arguments, words: str) -> None:

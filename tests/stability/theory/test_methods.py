@@ -1,4 +1,4 @@
-"""Methods that a user brings: tableaus, polynomials, classes and names, at every door."""
+"""A user's own methods: tableaus, polynomials, classes and names, in every function."""
 
 from fractions import Fraction
 
@@ -89,7 +89,7 @@ def test_a_tableau_without_error_weights_takes_constant_steps() -> None:
         (([[np.nan]], [1.0], 1), "all finite"),
         (([[0.0]], 1.0, 1), r"b has shape \(\), expected \(1,\)"),
         (([[0.0]], [1.0], 1, [0.0]), r"error has shape \(1,\), expected \(2,\)"),
-        (([[0.0]], [1.0], 2), "order 1 by its conditions, 2 claimed"),
+        (([[0.0]], [1.0], 2), "order 1 by its conditions, expected 2"),
     ],
 )
 def test_what_is_no_tableau(table: tuple, words: str) -> None:

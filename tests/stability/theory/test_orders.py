@@ -1,4 +1,4 @@
-"""Orders: rooted trees, the registry's claims, and what runs show, each by itself."""
+"""Orders: rooted trees, those in the registry, and measured ones."""
 
 import diffrax
 import pytest
@@ -29,5 +29,5 @@ def test_orders_of_diffrax_tableaus() -> None:
 
 def test_what_cannot_be_measured_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rbjax.stability.theory.orders.FINEST", 16)
-    with pytest.raises(rb.InputError, match="measured_order: RK4 left errors"):
+    with pytest.raises(rb.InputError, match="measured_order: RK4 has errors"):
         stability.measured_order("rk4")
