@@ -159,8 +159,10 @@ def check_arrays(
     return out
 
 
-def check_model(where: str, model: Any) -> None:
-    """Refuse what is no model, or is several in one."""
+def check_model(
+    where: str, model: Any, fix: str = "for a batch of models use jax.vmap over them"
+) -> None:
+    """Refuse what is no model, or is several in one; `fix` says what to do with those."""
     if not isinstance(model, Model):
         raise InputError(
             f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
@@ -170,7 +172,7 @@ def check_model(where: str, model: Any) -> None:
         name, shape, axes = several
         raise InputError(
             f"{where}: the model's {name} has shape {shape}, expected {axes} "
-            f"{'axis' if axes == 1 else 'axes'}; for a batch of models use jax.vmap over them"
+            f"{'axis' if axes == 1 else 'axes'}; {fix}"
         )
 
 

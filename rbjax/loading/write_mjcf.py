@@ -16,6 +16,7 @@ import jax
 import mujoco
 import numpy as np
 
+from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
 from rbjax.loading.draft import Draft, text, unique, unusual
 from rbjax.loading.load import from_compiled
@@ -86,19 +87,12 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
 
 def _known(model: Model) -> Model:
     """The model with NumPy leaves, if it is one and can be written."""
-    if not isinstance(model, Model):
-        raise InputError(f"write_mjcf: got {type(model).__name__}, expected a Model (rbjax.load)")
+    one = "write one model of the batch, jax.tree.map(lambda x: x[0], models)"
+    check_model("write_mjcf", model, fix=one)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model)):
         raise InputError(
             "write_mjcf: got a traced model, expected known numbers; call it outside of jit, vmap "
             "and grad"
-        )
-    many = model.several()
-    if many is not None:
-        name, shape, axes = many
-        raise InputError(
-            f"write_mjcf: got {name} of shape {shape}, expected {axes} axes, as one model has; "
-            f"write one model of the batch, jax.tree.map(lambda x: x[0], models)"
         )
     kinds = zip(model.joint_names, model.topology.joint_kinds, strict=True)
     others = [f"{name} ({kind})" for name, kind in kinds if kind not in _KINDS]
