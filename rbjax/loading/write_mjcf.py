@@ -18,7 +18,7 @@ import numpy as np
 
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
-from rbjax.loading.draft import Draft, text, unique, unusual
+from rbjax.loading.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.load import from_compiled
 from rbjax.loading.read_back import differences
 from rbjax.loading.write_actuators import write_actuators
@@ -118,8 +118,7 @@ def _write_bodies(draft: Draft) -> None:
     """The tree of bodies with their frames and inertials."""
     top, own = draft.model.topology, draft.model.bodies
     depth: list[int] = []
-    free = {b for b, kind in zip(top.joint_bodies, top.joint_kinds, strict=True) if kind == "free"}
-    inertials = _inertials(draft)
+    free, inertials = free_bodies(draft.model), _inertials(draft)
     for b, (name, parent) in enumerate(zip(unique(top.body_names), top.body_parents, strict=True)):
         depth.append(1 if parent == WORLD else depth[parent] + 1)
         if depth[b] > _DEEPEST:
@@ -129,7 +128,7 @@ def _write_bodies(draft: Draft) -> None:
             )
         position: Any = own.position[b]
         orientation: Any = own.orientation[b]
-        if b in free:  # a file gives the start of a free joint as its body's frame
+        if b in free:
             start = top.joint_q[top.joint_bodies.index(b)]
             position, orientation = np.split(draft.model.joints.reference[start : start + 7], [3])
         frame = unusual(name=name, pos=text(position), quat=text(orientation))
