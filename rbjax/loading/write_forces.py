@@ -22,6 +22,7 @@ from rbjax.forces import (
 )
 from rbjax.forces.actuator import Actuator
 from rbjax.forces.orientation_servo import OrientationServo
+from rbjax.lanes import Vec3, quaternion_matrix
 from rbjax.loading.draft import Draft, text, unique
 from rbjax.model import WORLD, Model
 
@@ -194,18 +195,14 @@ def _site_of(draft: Draft, anchor: Anchor) -> str:
         if not point.any():
             return draft.sites[site]
         body = model.topology.site_bodies[site]
-        point = model.sites.position[site] + _turned(model.sites.orientation[site], point)
+        turn = quaternion_matrix(*np.asarray(model.sites.orientation[site], np.float64))
+        point = model.sites.position[site] + np.array([*(turn @ Vec3(*point))])
     elif anchor.body not in (None, WORLD):
         body = model.body(anchor.body)
     name = unique(["anchor"], draft.sites)[0]
     draft.sites.append(name)
     draft.add(body, "site", name=name, pos=text(point))
     return name
-
-
-def _turned(quat: Any, x: Array) -> Array:
-    w, u = quat[0], quat[1:]
-    return x + 2 * np.cross(u, np.cross(u, x) + w * x) / (quat @ quat)
 
 
 def _write_fluids(draft: Draft, boxes: list, ellipsoids: list) -> list[Element]:
