@@ -228,7 +228,8 @@ def check_array(
         if not finite.all():
             at = tuple(np.argwhere(~np.asarray(finite))[0])
             place = f"[{', '.join(map(str, at))}]" if at else ""
-            raise InputError(f"{where}: {name}{place} is {values[at]}, expected finite values")
+            wrong = np.asarray(values)[at]
+            raise InputError(f"{where}: {name}{place} is {wrong}, expected finite values")
     return x
 
 

@@ -68,7 +68,7 @@ def check_numbers(where: str, x: Any, *, endless: bool) -> None:
     wrong = xp.isnan(x) if endless else ~xp.isfinite(x)
     if wrong.any():
         at = tuple(map(int, np.argwhere(np.asarray(wrong))[0]))
-        raise InputError(f"{where}: got {x[at]} at {list(at)}, expected finite numbers")
+        raise InputError(f"{where}: got {np.asarray(x)[at]} at {list(at)}, expected finite numbers")
 
 
 def _is_real(dtype: Any) -> bool:
