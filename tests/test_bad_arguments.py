@@ -175,6 +175,7 @@ def bad_values(name: str, value: Any) -> dict[str, Any]:
         "save_every": COUNTS, "max_steps": COUNTS, "body": NAMES, "site": NAMES, "law": LAWS,
         "integrator": INTEGRATORS, "ctrls": POLICIES, "control": POLICIES, "ts": TIMES,
         "solver": SOLVERS, "unknowns": UNKNOWNS, "source": SOURCES, "elements": ELEMENTS,
+        "name": NAMES, "kind": KINDS,
         "a": ELEMENTS, "joints": JOINTS, "bodies": JOINTS, "dtype": DTYPES, "number": COUNTS,
     } | OTHERS  # fmt: skip
     if name == "a" and eqx.is_array_like(value):  # accelerations; of a spring it is an end
@@ -216,6 +217,10 @@ def doors() -> Iterator[tuple[str, Callable, dict[str, Any]]]:
     yield "with_forces", MODEL.with_forces, {"elements": spring}
     for leaf in ("mass", "inertia", "orientation"):
         yield "bodies.replace", MODEL.bodies.replace, {leaf: getattr(MODEL.bodies, leaf)}
+    yield "with_joint", MODEL.with_joint, {
+        "name": "slider", "kind": "screw", "axis": [0.0, 1.0, 0.0], "reference": [0.2],
+        "pitch": 0.01,
+    }  # fmt: skip
     yield "Model.replace", MODEL.replace, {"gravity": MODEL.gravity}
     yield "astype", MODEL.astype, {"dtype": float}
     for kind, given in numbers_of_elements().items():
@@ -309,6 +314,7 @@ JOINTS = {
     "a word": "slider", "halves": (0.5, 1.5), "a list": [0, 1], "of bools": (True, False),
     "of None": (None, None), "one": (0,), "three": (0, 1, 0), "number": 3,
 }  # fmt: skip
+KINDS = {**NAMES, "without a pitch": "hinge", "of other size": "ball"}
 DTYPES = {"int": int, "complex": complex, "a word": "flot", "None": None, "a number": 3,
           "bool": bool, "object": object, "an array": np.ones(2), "half": jnp.float16}  # fmt: skip
 ELEMENTS = {

@@ -25,6 +25,7 @@ from rbjax.dynamics.tracing import split_tracers
 from rbjax.errors import InputError
 from rbjax.meshes import automatic
 from rbjax.model import Model, State
+from rbjax.model.record import FEW
 from rbjax.threads import threaded, wanted
 
 #: argument name -> its shape in terms of the model
@@ -159,8 +160,10 @@ def check_arrays(
     return out
 
 
-def check_model(where: str, model: Any) -> None:
-    """`InputError` unless this is one model."""
+def check_model(
+    where: str, model: Any, fix: str = "for a batch of models, use jax.vmap"
+) -> None:
+    """Refuse what is no model, or is several in one; `fix` says what to do with those."""
     if not isinstance(model, Model):
         raise InputError(
             f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
@@ -170,7 +173,7 @@ def check_model(where: str, model: Any) -> None:
         name, shape, axes = several
         raise InputError(
             f"{where}: the model's {name} has shape {shape}, expected {axes} "
-            f"{'axis' if axes == 1 else 'axes'}; for a batch of models, use jax.vmap"
+            f"{'axis' if axes == 1 else 'axes'}; {fix}"
         )
 
 
@@ -219,13 +222,23 @@ def check_array(
     if not jnp.issubdtype(x.dtype, jnp.floating):
         raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
     if not isinstance(x, jax.core.Tracer):
-        values = np.asarray(x)
-        finite = np.isfinite(values)
+        on_host = isinstance(value, np.ndarray) and value.dtype == x.dtype
+        xp, values = looked_at(value if on_host else x)
+        finite = xp.isfinite(values)
         if not finite.all():
-            at = tuple(np.argwhere(~finite)[0])
+            at = tuple(np.argwhere(~np.asarray(finite))[0])
             place = f"[{', '.join(map(str, at))}]" if at else ""
-            raise InputError(f"{where}: {name}{place} is {values[at]}, expected finite values")
+            wrong = np.asarray(values)[at]
+            raise InputError(f"{where}: {name}{place} is {wrong}, expected finite values")
     return x
+
+
+def looked_at(x: Any) -> tuple[Any, Any]:
+    """numpy, or jax.numpy, and the array for it: few numbers come to the host, many are looked at
+    where they are."""
+    if isinstance(x, jax.Array) and x.size > FEW:
+        return jnp, x
+    return np, np.asarray(x)
 
 
 def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
@@ -267,13 +280,13 @@ def check_quaternions(where: str, name: str, model: Model, q: jax.Array) -> None
     """`InputError` if a quaternion has no direction. Traced values are not checked."""
     if isinstance(q, jax.core.Tracer):
         return
-    values = np.asarray(q)
-    least = np.finfo(values.dtype).tiny
+    xp, values = looked_at(q)
+    least = np.finfo(q.dtype).tiny
     for start in model.topology.quaternion_starts:
         with np.errstate(over="ignore", under="ignore"):
-            squared = np.square(values[..., start : start + 4]).sum(-1)
+            squared = xp.square(values[..., start : start + 4]).sum(-1)
         if not ((least <= squared) & (squared < np.inf)).all():
-            kind = "a zero quaternion" if np.isfinite(squared).all() else "an infinite quaternion"
+            kind = "a zero quaternion" if xp.isfinite(squared).all() else "an infinite quaternion"
             raise InputError(
                 f"{where}: {name}[{start}:{start + 4}] is {kind} (its squared length is 0 or "
                 f"infinite in {values.dtype}), expected a unit one (w, x, y, z); "

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 
@@ -14,26 +16,25 @@ from rbjax.dynamics.manifold import integrate
 from rbjax.dynamics.rnea import inverse_dynamics
 from rbjax.model import Model
 
+Derivatives = tuple[jax.Array, jax.Array, jax.Array]
 
-def differentiated_inverse(
-    model: Model, q: jax.Array, v: jax.Array, a: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+
+def differentiated_inverse(model: Model, q: jax.Array, v: jax.Array, a: jax.Array) -> Derivatives:
     """d ID / dq (tangent), d ID / dv, M, each (nv, nv)."""
-
-    def tau(dq: jax.Array, v: jax.Array) -> jax.Array:
-        return inverse_dynamics(model, integrate(model, q, dq), v, a)
-
-    by_q, by_v = jax.jacfwd(tau, (0, 1))(jnp.zeros_like(v), v)
-    return by_q, by_v, mass_matrix(model, q)
+    return (*_by_state(inverse_dynamics, model, q, v, a), mass_matrix(model, q))
 
 
-def differentiated_forward(
-    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
-) -> tuple[jax.Array, jax.Array, jax.Array]:
+def differentiated_forward(model: Model, q: jax.Array, v: jax.Array, tau: jax.Array) -> Derivatives:
     """d FD / dq (tangent), d FD / dv, M^-1, each (nv, nv)."""
+    return (*_by_state(forward_dynamics, model, q, v, tau), inverse_mass_matrix(model, q))
 
-    def a(dq: jax.Array, v: jax.Array) -> jax.Array:
-        return forward_dynamics(model, integrate(model, q, dq), v, tau)
 
-    by_q, by_v = jax.jacfwd(a, (0, 1))(jnp.zeros_like(v), v)
-    return by_q, by_v, inverse_mass_matrix(model, q)
+def _by_state(
+    f: Callable, model: Model, q: jax.Array, v: jax.Array, given: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """df/dq (tangent) and df/dv of f(model, q, v, given)."""
+
+    def moved(dq: jax.Array, v: jax.Array) -> jax.Array:
+        return f(model, integrate(model, q, dq), v, given)
+
+    return jax.jacfwd(moved, (0, 1))(jnp.zeros_like(v), v)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.contract import Driver
-from rbjax.joints import HINGE, SLIDE, JointMotion, NodeMotion, turning
+from rbjax.joints import HINGE, SLIDE, JointMotion, LinkKind, NodeMotion, turning
 from rbjax.lanes import Lane, Vec3, is_literal, rotation_z, sincos
 from rbjax.model import Link, LinkConstants, Prepared, Topology
 from rbjax.model.cells import stacked
@@ -58,28 +58,31 @@ def joint_columns(
         S = Motion(Vec3(0.0, 0.0, turns), Vec3(0.0, 0.0, 1 - turns))
         moves = jnp.where(slide, at, 0.0)
     motion = JointMotion(J, Vec3(0.0, 0.0, moves), S, rate, qd)
-    if not all(link.kind.straight for link in links):
-        motion = NodeMotion.of(motion)
-    # the other kinds, one by one; locked links are as above
-    others: dict[Any, list[int]] = {}
-    for i, link in enumerate(links):
-        if not (hinge[i].any() or slide[i].any() or link.kind.still):
-            others.setdefault(link.kind, []).append(i)
-    for kind, rows in others.items():
-        qs = [q[np.array(of)] for of in zip(*(links[i].q for i in rows), strict=True)]
+    bent = not all(link.kind.straight for link in links)
+    motion = NodeMotion.of(motion) if bent else motion
+
+    def with_kind(motion: JointMotion, kind: LinkKind, rows: np.ndarray) -> JointMotion:
+        """The motion whose rows of a kind are its own."""
+        some = [links[i] for i in rows]
+        qs = [q[np.array(of)] for of in zip(*(link.q for link in some), strict=True)]
         vs = [
             0.0 if v is None else v[np.array(of) - start]
-            for of in zip(*(links[i].v for i in rows), strict=True)
+            for of in zip(*(link.v for link in some), strict=True)
         ]
-        whole = np.array(rows) + start
         constants = jax.tree.map(
-            lambda x, whole=whole: stacked(x[whole].reshape(-1, *batch), q.dtype), prepared.columns
+            lambda x: stacked(x[rows + start].reshape(-1, *batch), q.dtype), prepared.columns
         )
         own = kind.motion(qs, vs, constants)
-        own = NodeMotion.of(own) if type(own) is not type(motion) else own
-        motion = jax.tree.map(
-            lambda column, x, rows=rows: _insert(column, np.array(rows), x, at), motion, own
-        )
+        own = NodeMotion.of(own) if bent else own
+        return jax.tree.map(lambda column, x: _insert(column, rows, x, at), motion, own)
+
+    # what else there is, kind by kind; what stands still is as above
+    others: dict[LinkKind, list[int]] = {}
+    for i, link in enumerate(links):
+        if link.kind not in (HINGE, SLIDE) and not link.kind.still:
+            others.setdefault(link.kind, []).append(i)
+    for kind, rows in others.items():
+        motion = with_kind(motion, kind, np.array(rows))
     leaves, treedef = jax.tree.flatten(motion)
     return lambda *lanes: jax.tree.unflatten(treedef, lanes), leaves
 

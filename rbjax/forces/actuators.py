@@ -48,7 +48,8 @@ class Actuators(Element):
         return Loads(out)
 
     def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
-        """Of servos and dampers at hinges and slides; of one at the end of its force range none."""
+        """Of servos and dampers at joints whose coordinates add, as those of an attitude do not; of
+        one at the end of its force range none."""
         model, dtype = now.model, now.v.dtype
         actuators, top = model.actuators, model.topology
         gain, bias = table(actuators.gain, dtype), table(actuators.bias, dtype)
@@ -58,7 +59,7 @@ class Actuators(Element):
         for i, j in enumerate(actuators.joints):
             rows = [[lane(x[:, k], i) for k in range(3)] for x in (gain, bias)]
             sloped = not all(is_zero(x) for row in rows for x in row[1:])
-            if not sloped or j < 0 or top.joint_kinds[j] not in ("hinge", "slide"):
+            if not sloped or j < 0 or top.joints[j].quaternion:
                 continue
             u, reach = clip(now.u[i], ctrlrange, i), _reach(now, i)
             c, k, d = (add(mul(g, u), b) for g, b in zip(*rows, strict=True))

@@ -86,6 +86,10 @@ class JointLimits(Element):
                 out[i] = add(out.get(i, 0.0), neg(mul(a, f)))
         return Loads(out)
 
+    # No `chord`: with one, variational steps much longer than sqrt(m / k) do converge, but a body
+    # that strikes the stop leaves it faster than it came. Without it they fail, and
+    # `Trajectory.ok` says so.
+
     def energy(self, now: Instant) -> Lane:
         """sum of k S(p)."""
         return total(

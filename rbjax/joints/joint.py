@@ -11,6 +11,7 @@ stand still against it and bring their axes (a ball).
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -21,7 +22,7 @@ from rbjax.lanes import Lane, Vec3
 from rbjax.spatial import Motion
 
 
-class LinkKind:
+class LinkKind(abc.ABC):
     """How one link moves.
 
     `turns` and `slides` are its axis where that is constant in the link's frame (`straight`) and
@@ -39,9 +40,9 @@ class LinkKind:
         """S in the link's axes, where it is constant; `numbers` are the joint's own."""
         return Motion(Vec3(0.0, 0.0, self.turns), Vec3(0.0, 0.0, self.slides))
 
+    @abc.abstractmethod
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], link: Placed) -> JointMotion:
         """The motion of the link, from the coordinates that its `LinkForm` names."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

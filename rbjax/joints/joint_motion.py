@@ -76,6 +76,8 @@ class NodeMotion(JointMotion):
     @classmethod
     def of(cls, motion: JointMotion) -> NodeMotion:
         """The same motion, in this form."""
+        if isinstance(motion, cls):
+            return motion
         none = Motion.zero()
         lin = motion.twist.lin
         return cls(motion.J, motion.at, motion.S, motion.rate, motion.qd, lin, none, none)

@@ -2,9 +2,9 @@
 
     twist = S(q) qd,   bias = S'(q, qd) qd,   S_i = [vee(R^T dR/dq_i); R^T dr/dq_i]
 
-in the body's axes. Only `pose` is needed: the axes and their rates are its derivatives. Write them
-by hand where that pays. Nodes are for joints on curves and surfaces, rolling contacts, linkages in
-closed form, and the frames that a flexible body's modes move.
+in the body's axes. Only `pose` is needed: an axis and its rate are its derivatives. Write them
+by hand where that pays. Nodes are for joints on curves and surfaces, rolling contacts, linkages in closed form,
+and the frames that a flexible body's modes move.
 """
 
 from __future__ import annotations
@@ -51,38 +51,36 @@ class Node(Joint):
         """The pose of the body's frame against the joint's frame, both at the anchor."""
         raise NotImplementedError(f"{type(self).__name__} needs a pose(q, numbers)")
 
-    def axes(self, q: Sequence[Lane], numbers: Sequence[Lane]) -> list[Motion]:
-        """S_i (k of them) in the body's axes."""
+    def axis(self, q: Sequence[Lane], numbers: Sequence[Lane], k: int) -> Motion:
+        """S_k in the body's axes."""
         qs = _arrays(q)
 
         def lanes(*q: Lane) -> list[jax.Array]:
             T = self.pose(q, numbers)
             return as_arrays([*T.R, *T.p], qs[0])
 
-        out = []
-        for unit in _units(qs):
-            value, rate = jax.jvp(lanes, tuple(qs), unit)
-            E, dR = Mat3(*value[:9]).T, Mat3(*rate[:9])
-            W = E @ dR
-            out.append(Motion(Vec3(W[7], W[2], W[3]), E @ Vec3(*rate[9:])))
-        return out
+        unit = [jnp.ones_like(x) if i == k else jnp.zeros_like(x) for i, x in enumerate(qs)]
+        value, rate = jax.jvp(lanes, tuple(qs), tuple(unit))
+        E, dR = Mat3(*value[:9]).T, Mat3(*rate[:9])
+        W = E @ dR
+        return Motion(Vec3(W[7], W[2], W[3]), E @ Vec3(*rate[9:]))
 
-    def rates(
-        self, q: Sequence[Lane], v: Sequence[Lane], numbers: Sequence[Lane]
-    ) -> list[Motion]:
-        """S_i' (k of them) in the body's axes."""
+    def axis_rate(
+        self, q: Sequence[Lane], v: Sequence[Lane], numbers: Sequence[Lane], k: int
+    ) -> Motion:
+        """S_k' in the body's axes."""
         qs = _arrays(q)
 
         def lanes(*q: Lane) -> list[jax.Array]:
-            return as_arrays([x for S in self.axes(q, numbers) for x in S], qs[0])
+            return as_arrays([*self.axis(q, numbers, k)], qs[0])
 
-        vs = tuple(jnp.broadcast_to(jnp.asarray(x, qs[0].dtype), qs[0].shape) for x in v)
-        found = jax.jvp(lanes, tuple(qs), vs)[1]
-        return [Motion.from_lanes(found[6 * i : 6 * i + 6]) for i in range(len(qs))]
+        vs = [jnp.broadcast_to(jnp.asarray(x, qs[0].dtype), qs[0].shape) for x in v]
+        return Motion.from_lanes(jax.jvp(lanes, tuple(qs), tuple(vs))[1])
 
 
 class NodeLink(LinkKind):
-    """The k-th link of a node: the first carries the motion, each brings its axis."""
+    """The k-th link of a node: the first carries the motion and asks for all axes, each other for
+    its own."""
 
     straight = False
 
@@ -91,27 +89,26 @@ class NodeLink(LinkKind):
 
     def motion(self, q: Sequence[Lane], v: Sequence[Lane], link: Placed) -> JointMotion:
         joint, numbers, zero = self.joint, link.numbers, Motion.zero()
-        S, moves = joint.axes(q, numbers), not all(map(is_zero, v))
-        rates = joint.rates(q, v, numbers) if moves else [zero] * len(S)
-        at = Transform(Mat3.identity(), Vec3.zero())
-        twist = bias = zero
-        if self.k == 0:
-            at = joint.pose(q, numbers)
-            for axis, rate, speed in zip(S, rates, v, strict=True):
-                twist, bias = twist + axis * speed, bias + rate * speed
-            # of the origin seen from the parent, whose axes do not turn with the body
-            bias = Motion(bias.ang, bias.lin + twist.ang.cross(twist.lin))
-        axis, rate, speed = S[self.k], rates[self.k], v[self.k]
-        return NodeMotion(at.R, at.p, axis, twist.ang, speed, twist.lin, bias, rate)
+        moves = not all(map(is_zero, v))
+
+        def own(k: int) -> tuple[Motion, Motion]:
+            rate = joint.axis_rate(q, v, numbers, k) if moves else zero
+            return joint.axis(q, numbers, k), rate
+
+        if self.k > 0:
+            axis, rate = own(self.k)
+            one, none = Mat3.identity(), Vec3.zero()
+            return NodeMotion(one, none, axis, none, v[self.k], none, zero, rate)
+        at, twist, bias = joint.pose(q, numbers), zero, zero
+        every = [own(k) for k in range(joint.coordinates)]
+        for (axis, rate), speed in zip(every, v, strict=True):
+            twist, bias = twist + axis * speed, bias + rate * speed
+        # of the origin seen from the parent, whose axes do not turn with the body
+        bias = Motion(bias.ang, bias.lin + twist.ang.cross(twist.lin))
+        axis, rate = every[0]
+        return NodeMotion(at.R, at.p, axis, twist.ang, v[0], twist.lin, bias, rate)
 
 
 def _arrays(q: Sequence[Lane]) -> list[jax.Array]:
     like = next((x for x in q if hasattr(x, "dtype")), jnp.zeros(()))
     return [jnp.broadcast_to(jnp.asarray(x, like.dtype), jnp.shape(like)) for x in q]
-
-
-def _units(qs: list[jax.Array]) -> list[tuple[jax.Array, ...]]:
-    return [
-        tuple(jnp.ones_like(x) if i == j else jnp.zeros_like(x) for j, x in enumerate(qs))
-        for i in range(len(qs))
-    ]

@@ -39,7 +39,7 @@ def kind(name: str) -> Joint:
         >>> dict(rb.joints.kind("screw").numbers)
         {'pitch': 0.0}
     """
-    if name not in _KINDS:
+    if not isinstance(name, str) or name not in _KINDS:
         raise UnknownName("joint kind", name, _KINDS)
     return _KINDS[name]
 

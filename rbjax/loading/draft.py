@@ -69,6 +69,13 @@ class Draft:
             self.notes.append(text)
 
 
+def free_bodies(model: Model) -> set[int]:
+    """The bodies on free joints, whose frame a file gives as the start of the joint."""
+    top = model.topology
+    kinds = zip(top.joint_bodies, top.joint_kinds, strict=True)
+    return {body for body, kind in kinds if kind == "free"}
+
+
 def unusual(**attributes: str) -> dict[str, str]:
     """The attributes without those that have MJCF's own value."""
     return {key: x for key, x in attributes.items() if (key, x) not in _USUAL}

@@ -35,7 +35,6 @@ from rbjax.loading.actuator_kinds import (
     what_is_left_out,
 )
 
-_LEAST = 1e-15  # MuJoCo's mjMINVAL
 _VOLTAGE = 8  # mjINPUT_VOLTAGE, a bit of actuator_ctrlspec
 
 
@@ -148,7 +147,7 @@ def _activation(m: mujoco.MjModel, i: int) -> Activation | None:
     if kind == Dyn.INTEGRATOR:
         return Integrator(limits)
     if kind == Dyn.MUSCLE:
-        smooth = bool(given[2] >= _LEAST)
+        smooth = bool(given[2] >= mujoco.mjMINVAL)
         return Recruitment(limits, array(given[:2]), array(given[2]), smooth)
     return Filter(limits, array(given[0]), bool(kind == Dyn.FILTEREXACT))
 

@@ -32,7 +32,6 @@ from rbjax.loading.actuator_kinds import reflected
 from rbjax.loading.force_tendons import tendon_elements
 
 _BITS = mujoco.mjtDisableBit
-_LEAST = 1e-15  # MuJoCo's mjMINVAL
 _IMPEDANCES = (1e-4, 0.9999)  # within which MuJoCo holds d
 _SIZES = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 
@@ -86,8 +85,8 @@ def _limits(m: mujoco.MjModel) -> list[Element]:
 def _stop(m: mujoco.MjModel, joint: int) -> tuple[float, float, float]:
     """Stiffness, damping and onset of the stop of a joint: see above. The onset is a tenth of the
     impedance's width."""
-    mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], _LEAST)
-    width = max(m.jnt_solimp[joint, 2], _LEAST)
+    mobility = max(m.dof_invweight0[m.jnt_dofadr[joint]], mujoco.mjMINVAL)
+    width = max(m.jnt_solimp[joint, 2], mujoco.mjMINVAL)
     k, b = _reference(m, m.jnt_solref[joint], m.jnt_solimp[joint])
     d = _impedance(m.jnt_solimp[joint], width / 2)
     stiffness = d * d * k / ((1 - d) * mobility)
@@ -125,7 +124,7 @@ def _reference(m: mujoco.MjModel, solref: np.ndarray, solimp: np.ndarray) -> tup
     time, ratio = solref
     if _on(m, _BITS.mjDSBL_REFSAFE):
         time = max(time, 2 * m.opt.timestep)
-    return 1 / max(_LEAST, (top * time * ratio) ** 2), 2 / max(_LEAST, top * time)
+    return 1 / max(mujoco.mjMINVAL, (top * time * ratio) ** 2), 2 / max(mujoco.mjMINVAL, top * time)
 
 
 def _impedance(solimp: np.ndarray, depth: float) -> float:
@@ -134,7 +133,7 @@ def _impedance(solimp: np.ndarray, depth: float) -> float:
     low, high = np.clip(solimp[:2], *_IMPEDANCES)
     width, middle = max(solimp[2], 0.0), float(np.clip(solimp[3], *_IMPEDANCES))
     power = max(solimp[4], 1.0)
-    if low == high or width <= _LEAST:
+    if low == high or width <= mujoco.mjMINVAL:
         return float(low + high) / 2
     x = min(depth / width, 1.0)
     share = x

@@ -11,7 +11,7 @@ import numpy as np
 from rbjax.forces import Element, PointSpring
 from rbjax.forces.actuator import Actuator
 from rbjax.forces.orientation_servo import OrientationServo
-from rbjax.loading.draft import Draft
+from rbjax.loading.draft import Draft, free_bodies
 from rbjax.model import Model
 
 Array = np.ndarray
@@ -50,8 +50,7 @@ def differences(draft: Draft, again: Model, written: list[Element]) -> Iterator[
 
 
 def _of_bodies(model: Model, again: Model) -> Iterator[Difference]:
-    top = model.topology
-    free = {b for b, kind in zip(top.joint_bodies, top.joint_kinds, strict=True) if kind == "free"}
+    free = free_bodies(model)
     for name in ("mass", "com", "inertia", *_ALIKE):
         a, b = (_as_turns(name, getattr(x.bodies, name)) for x in (model, again))
         # a free joint's body starts where `joints.reference` says

@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ET
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from rbjax.forces import Element
@@ -191,8 +192,7 @@ def _plain(law: GainBias) -> GainBias:
         if not muscle.scaled:
             return muscle
         p: Any = np.array(muscle.parameters)
-        weakest = 1e-15  # MuJoCo's mjMINVAL
-        p[2] = p[3] / max(float(muscle.acceleration), weakest)
+        p[2] = p[3] / max(float(muscle.acceleration), mujoco.mjMINVAL)
         return dataclasses.replace(muscle, parameters=p, scaled=False)
 
     gain, bias = law.gain, law.bias

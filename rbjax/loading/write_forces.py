@@ -22,6 +22,7 @@ from rbjax.forces import (
 )
 from rbjax.forces.actuator import Actuator
 from rbjax.forces.orientation_servo import OrientationServo
+from rbjax.lanes import Vec3, quaternion_matrix
 from rbjax.loading.draft import Draft, text, unique
 from rbjax.model import WORLD, Model
 
@@ -59,10 +60,6 @@ def _leave_out(draft: Draft, element: Element) -> None:
     draft.note(f"no MJCF form, left out: force element {type(element).__name__}")
 
 
-def _indices(model: Model, names: tuple) -> list[int]:
-    return [model.joint(j) if isinstance(j, str) else j for j in names]
-
-
 def _dofs(model: Model, joint: int) -> range:
     start = model.topology.joint_v[joint]
     return range(start, start + model.topology.joints[joint].nv)
@@ -73,7 +70,7 @@ def _write_polynomials(draft: Draft, elements: list[JointPolynomials]) -> list[E
     model, top = draft.model, draft.model.topology
     stiffness, damping = np.zeros((len(top.joint_kinds), _TERMS)), np.zeros((model.nv, _TERMS))
     for element in elements:
-        joints = _indices(model, element.joints)
+        joints = list(map(model.joint, element.joints))
         dofs = [i for j in joints for i in _dofs(model, j)]
         starts = np.cumsum([0, *(len(_dofs(model, j)) for j in joints)])[:-1]
         even = element.damping[np.repeat(starts, np.diff([*starts, len(dofs)]))] == element.damping
@@ -103,7 +100,7 @@ def _names(draft: Draft, joints: list[int]) -> list[str]:
 
 
 def _write_limits(draft: Draft, elements: list[JointLimits]) -> None:
-    joints = [j for x in elements for j in _indices(draft.model, x.joints)]
+    joints = [j for x in elements for j in map(draft.model.joint, x.joints)]
     if joints:
         draft.note(
             "compliant stops as ranges alone, with MuJoCo's softness (load with limits=True)",
@@ -113,7 +110,7 @@ def _write_limits(draft: Draft, elements: list[JointLimits]) -> None:
 
 def _write_friction(draft: Draft, elements: list[JointFriction]) -> None:
     for element in elements:
-        joints, at = _indices(draft.model, element.joints), 0
+        joints, at = list(map(draft.model.joint, element.joints)), 0
         for j in joints:
             n = len(_dofs(draft.model, j))
             loss = element.coulomb[at : at + n]
@@ -140,7 +137,7 @@ def _write_lifted(draft: Draft, elements: list[GravityCompensation]) -> list[Ele
         draft.joints[j].set("actuatorgravcomp", "true")
     fraction = np.zeros(model.nb)
     for element in everywhere or others[:1]:
-        np.add.at(fraction, _bodies(model, element.bodies), element.fraction)
+        np.add.at(fraction, list(map(model.body, element.bodies)), element.fraction)
     some = np.flatnonzero(fraction)
     for b in some:
         draft.bodies[b].set("gravcomp", text(fraction[b]))
@@ -156,22 +153,14 @@ def _write_lifted(draft: Draft, elements: list[GravityCompensation]) -> list[Ele
     return [*found, dataclasses.replace(lifted, joints=tuple(driven or ()), actuated=True)]
 
 
-def _bodies(model: Model, names: tuple) -> list[int]:
-    return [model.body(b) if isinstance(b, str) else b for b in names]
-
-
 def _driven_joints(model: Model, elements: list[GravityCompensation]) -> list[int] | None:
     """The joints whose share actuators bear, if that and the passive share make up all of one
     compensation, as they do in MuJoCo."""
     everything = range(len(model.joint_names))
-    shares = {x.actuated: _indices(model, x.joints or tuple(everything)) for x in elements}
+    shares = {x.actuated: list(map(model.joint, x.joints or everything)) for x in elements}
     joints = [j for share in shares.values() for j in share]
-    first = elements[0]
-    same = all(
-        _bodies(model, x.bodies) == _bodies(model, first.bodies)
-        and np.array_equal(x.fraction, first.fraction)
-        for x in elements
-    )
+    lifted = [(list(map(model.body, x.bodies)), x.fraction.tolist()) for x in elements]
+    same = all(x == lifted[0] for x in lifted)
     whole = len(shares) == len(elements) and sorted(joints) == list(everything)
     return sorted(shares[True]) if same and whole and True in shares and model.nu else None
 
@@ -202,22 +191,18 @@ def _site_of(draft: Draft, anchor: Anchor) -> str:
     point: Any = np.asarray(anchor.point, np.float64)
     body = WORLD
     if anchor.site is not None:
-        site = model.site(anchor.site) if isinstance(anchor.site, str) else anchor.site
+        site = model.site(anchor.site)
         if not point.any():
             return draft.sites[site]
         body = model.topology.site_bodies[site]
-        point = model.sites.position[site] + _turned(model.sites.orientation[site], point)
-    elif anchor.body is not None:
-        (body,) = _bodies(model, (anchor.body,))
+        turn = quaternion_matrix(*np.asarray(model.sites.orientation[site], np.float64))
+        point = model.sites.position[site] + np.array([*(turn @ Vec3(*point))])
+    elif anchor.body not in (None, WORLD):
+        body = model.body(anchor.body)
     name = unique(["anchor"], draft.sites)[0]
     draft.sites.append(name)
     draft.add(body, "site", name=name, pos=text(point))
     return name
-
-
-def _turned(quat: Any, x: Array) -> Array:
-    w, u = quat[0], quat[1:]
-    return x + 2 * np.cross(u, np.cross(u, x) + w * x) / (quat @ quat)
 
 
 def _write_fluids(draft: Draft, boxes: list, ellipsoids: list) -> list[Element]:

@@ -16,8 +16,9 @@ import jax
 import mujoco
 import numpy as np
 
+from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError, UnsupportedFeature, listed
-from rbjax.loading.draft import Draft, text, unique, unusual
+from rbjax.loading.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.load import from_compiled
 from rbjax.loading.read_back import differences
 from rbjax.loading.write_actuators import write_actuators
@@ -86,19 +87,12 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
 
 def _known(model: Model) -> Model:
     """The model with NumPy leaves, if it is one and can be written."""
-    if not isinstance(model, Model):
-        raise InputError(f"write_mjcf: got {type(model).__name__}, expected a Model (rbjax.load)")
+    one = "write one model of the batch, jax.tree.map(lambda x: x[0], models)"
+    check_model("write_mjcf", model, fix=one)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model)):
         raise InputError(
             "write_mjcf: got a traced model, expected known numbers; call it outside of jit, vmap "
             "and grad"
-        )
-    many = model.several()
-    if many is not None:
-        name, shape, axes = many
-        raise InputError(
-            f"write_mjcf: got {name} of shape {shape}, expected {axes} axes, as one model has; "
-            f"write one model of the batch, jax.tree.map(lambda x: x[0], models)"
         )
     kinds = zip(model.joint_names, model.topology.joint_kinds, strict=True)
     others = [f"{name} ({kind})" for name, kind in kinds if kind not in _KINDS]
@@ -124,8 +118,7 @@ def _write_bodies(draft: Draft) -> None:
     """The tree of bodies with their frames and inertials."""
     top, own = draft.model.topology, draft.model.bodies
     depth: list[int] = []
-    free = {b for b, kind in zip(top.joint_bodies, top.joint_kinds, strict=True) if kind == "free"}
-    inertials = _inertials(draft)
+    free, inertials = free_bodies(draft.model), _inertials(draft)
     for b, (name, parent) in enumerate(zip(unique(top.body_names), top.body_parents, strict=True)):
         depth.append(1 if parent == WORLD else depth[parent] + 1)
         if depth[b] > _DEEPEST:
@@ -135,7 +128,7 @@ def _write_bodies(draft: Draft) -> None:
             )
         position: Any = own.position[b]
         orientation: Any = own.orientation[b]
-        if b in free:  # a file gives the start of a free joint as its body's frame
+        if b in free:
             start = top.joint_q[top.joint_bodies.index(b)]
             position, orientation = np.split(draft.model.joints.reference[start : start + 7], [3])
         frame = unusual(name=name, pos=text(position), quat=text(orientation))

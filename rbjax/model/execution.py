@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +12,6 @@ from rbjax.model.record import Record
 
 #: how the recursions can run; `rbjax.dynamics.drivers` chooses where it is "auto"
 DRIVER_NAMES = ("auto", "unrolled", "rolled", "limbs")
-EXECUTION = ("driver", "zeros", "prepared")
 
 
 class Execution(Record):
@@ -29,3 +29,7 @@ class Execution(Record):
     def __check_init__(self) -> None:
         if self.driver not in DRIVER_NAMES:
             raise UnknownName("driver", self.driver, DRIVER_NAMES)
+
+
+#: the names of its fields
+EXECUTION = tuple(f.name for f in dataclasses.fields(Execution))

@@ -355,8 +355,9 @@ class Model(Record):
             given: axis (3,), reference (nq of the joint,), and the kind's own numbers by name.
 
         Raises:
-            UnknownName: no such joint, kind or number. InputError: a wrong shape; forces that hold
-                a number for each coordinate of a joint that will have others.
+            UnknownName: no such joint, kind or number. InputError: a wrong shape; numbers that are
+                not real or not finite; an axis or quaternion without a length; forces that hold a
+                number for each coordinate of a joint that will have others.
 
         Example:
             >>> import rbjax as rb

@@ -14,6 +14,7 @@ from rbjax.errors import InputError, UnknownName
 
 #: up to so many numbers are looked at on the host; more stay where they are
 FEW = 10_000
+_RESIZE = "; build a new model to change its size, or jax.vmap over models to have many"
 
 
 class Record(eqx.Module):
@@ -26,40 +27,40 @@ class Record(eqx.Module):
             if name not in fields:
                 raise UnknownName(f"field of {type(self).__name__}", name, fields)
             old = fields[name]
-            fields[name] = self._array_like(name, value, old) if eqx.is_array(old) else value
+            if eqx.is_array(old):
+                where = f"{type(self).__name__}.replace({name}=...)"
+                endless = self.may_be_endless(name)
+                value = array_like(where, value, old.shape, old.dtype, endless=endless, fix=_RESIZE)
+            fields[name] = value
         return type(self)(**fields)
 
     def may_be_endless(self, name: str) -> bool:
         """Whether infinity stands for something in a field: no limit, in a range."""
         return name.endswith("range")
 
-    def _array_like(self, name: str, value: Any, old: Any) -> jax.Array:
-        """The value as an array of the old one's shape and dtype."""
-        where = f"{type(self).__name__}.replace({name}=...)"
-        try:
-            shape = np.shape(value)
-            if isinstance(value, np.ndarray) and value.dtype.kind not in "biufV":
-                raise TypeError(f"dtype {value.dtype}")
-            new = jnp.asarray(value, old.dtype) if shape == np.shape(old) else None
-        except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(
-                f"{where}: got {type(value).__name__}, expected numbers of shape {np.shape(old)}"
-            ) from error
-        if new is None:
-            raise InputError(
-                f"{where}: got shape {shape}, expected {np.shape(old)}; build a new model to "
-                "change its size, or jax.vmap over models to have many"
-            )
-        check_numbers(where, new, endless=self.may_be_endless(name))
-        return new
+
+def array_like(
+    where: str, value: Any, shape: tuple[int, ...], dtype: Any, *, endless: bool, fix: str = ""
+) -> jax.Array:
+    """A value as an array of the shape and dtype, of real numbers that `check_numbers` takes."""
+    try:
+        new = jnp.asarray(value)
+        new = new.astype(dtype) if _is_real(new.dtype) else new
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{where}: got {type(value).__name__}, expected numbers of shape {shape}"
+        ) from error
+    if new.shape != shape:
+        raise InputError(f"{where}: got shape {new.shape}, expected {shape}{fix}")
+    check_numbers(where, new, endless=endless)
+    return new
 
 
 def check_numbers(where: str, x: Any, *, endless: bool) -> None:
     """Refuse known values that are no real numbers: NaN, and infinity unless it is allowed."""
     if not hasattr(x, "dtype"):
         x = np.asarray(x)
-    real = (jnp.floating, jnp.integer, jnp.bool_)
-    if not any(jnp.issubdtype(x.dtype, kind) for kind in real):
+    if not _is_real(x.dtype):
         raise InputError(f"{where}: got numbers of dtype {x.dtype}, expected real ones")
     if isinstance(x, jax.core.Tracer) or not jnp.issubdtype(x.dtype, jnp.floating):
         return
@@ -67,4 +68,8 @@ def check_numbers(where: str, x: Any, *, endless: bool) -> None:
     wrong = xp.isnan(x) if endless else ~xp.isfinite(x)
     if wrong.any():
         at = tuple(map(int, np.argwhere(np.asarray(wrong))[0]))
-        raise InputError(f"{where}: got {x[at]} at {list(at)}, expected finite numbers")
+        raise InputError(f"{where}: got {np.asarray(x)[at]} at {list(at)}, expected finite numbers")
+
+
+def _is_real(dtype: Any) -> bool:
+    return any(jnp.issubdtype(dtype, kind) for kind in (jnp.floating, jnp.integer, jnp.bool_))

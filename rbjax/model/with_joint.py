@@ -3,86 +3,65 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import accumulate
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.joints import Joint
 from rbjax.joints import kind as kind_of
+from rbjax.model.record import array_like
 
 
 def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
     """As `Model.with_joint`."""
     j, new, top = model.joint(name), kind_of(kind), model.topology
-    old = top.joints[j]
-    known = {"axis", "reference", *new.numbers}
-    for key in given:
-        if key not in known:
-            raise UnknownName(f"number of a {kind} joint", key, sorted(known))
-    if (new.nq, new.nv) != (old.nq, old.nv):
-        _check_forces(model, j, name, kind)
-    q, v = model.q_slice(name), model.v_slice(name)
-    own = sum(len(joint.defaults) for joint in top.joints[:j])
-    numbers = slice(own, own + len(old.defaults))
-    joints, keys = model.joints, model.keyframes
-    start = jnp.asarray(start_of(new), joints.reference.dtype)
+    old, joints, keys = top.joints[j], model.joints, model.keyframes
+    given = _numbers(given, new, kind, joints.numbers.dtype)
     same, single = (new.nq, new.nv) == (old.nq, old.nv), new.nv == old.nv == 1
+    if not same:
+        _check_forces(model, j, name, kind)
+    q, v, start = model.q_slice(name), model.v_slice(name), start_of(new)
+    before = sum(len(joint.defaults) for joint in top.joints[:j])
+    own = jnp.concatenate([jnp.zeros(0), *(given[key].reshape(-1) for key in new.numbers)])
 
-    def coordinates(x: Any, at: slice, put: Any) -> Any:
-        """x (..., n) with others in the place of some, unless it may keep them."""
-        if same and put is not None:
-            return x
-        put = jnp.zeros(new.nv, x.dtype) if put is None else put
-        put = jnp.broadcast_to(put.astype(x.dtype), (*x.shape[:-1], *put.shape))
-        return jnp.concatenate([x[..., : at.start], put, x[..., at.stop :]], -1)
+    def along_q(x: Any) -> Any:
+        return x if same else _spliced(x, q, start)
 
-    def speeds(x: Any) -> Any:
-        return x if same else coordinates(x, v, None)
+    def along_v(x: Any) -> Any:
+        return x if same else _spliced(x, v, np.zeros(new.nv))
 
     def row(x: Any, other: Any) -> Any:
         return x if single else x.at[j].set(jnp.asarray(other, x.dtype))
 
-    axis = joints.axis
-    if "axis" in given:
-        axis = axis.at[j].set(_array(given["axis"], (3,), "axis", axis.dtype))
-    reference = coordinates(joints.reference, q, start)
+    reference = along_q(joints.reference)
     if "reference" in given:
-        put = _array(given["reference"], (new.nq,), "reference", reference.dtype)
-        reference = reference.at[q.start : q.start + new.nq].set(put)
-    values = [
-        np.ravel(_array(given.get(key, value), np.shape(value), key, joints.numbers.dtype))
-        for key, value in new.numbers.items()
-    ]
-    endless = [-np.inf, np.inf]
-    fields = {
-        "topology": dataclasses.replace(
+        reference = _spliced(joints.reference, q, given["reference"])
+    changed = dataclasses.replace(
+        model,
+        topology=dataclasses.replace(
             top,
             joint_kinds=(*top.joint_kinds[:j], kind, *top.joint_kinds[j + 1 :]),
             joints=(*top.joints[:j], new, *top.joints[j + 1 :]),
         ),
-        "joints": type(joints)(
-            placement=joints.placement,
-            axis=axis,
+        joints=dataclasses.replace(
+            joints,
+            axis=joints.axis.at[j].set(given.get("axis", joints.axis[j])),
             reference=reference,
-            armature=speeds(joints.armature),
-            damping=speeds(joints.damping),
+            armature=along_v(joints.armature),
+            damping=along_v(joints.damping),
             stiffness=row(joints.stiffness, 0.0),
-            springref=coordinates(joints.springref, q, start),
-            forcerange=row(joints.forcerange, endless),
-            range=row(joints.range, endless),
-            numbers=jnp.concatenate(
-                [joints.numbers[: numbers.start], *values, joints.numbers[numbers.stop :]]
-            ),
+            springref=along_q(joints.springref),
+            forcerange=row(joints.forcerange, [-np.inf, np.inf]),
+            range=row(joints.range, [-np.inf, np.inf]),
+            numbers=_spliced(joints.numbers, slice(before, before + len(old.defaults)), own),
         ),
-        "keyframes": type(keys)(
-            q=coordinates(keys.q, q, start), v=speeds(keys.v), ctrl=keys.ctrl, x=keys.x
-        ),
-        "execution": model.execution.replace(zeros=None, prepared=None),
-    }
-    every = {f.name: getattr(model, f.name) for f in dataclasses.fields(model)}
-    changed = type(model)(**every | fields)
+        keyframes=dataclasses.replace(keys, q=along_q(keys.q), v=along_v(keys.v)),
+        execution=model.execution.replace(zeros=None, prepared=None),
+    )
     return changed if model.execution.zeros is None else changed.fix_zeros()
 
 
@@ -94,11 +73,41 @@ def start_of(joint: Joint) -> np.ndarray:
     return out
 
 
-def _array(x: Any, shape: tuple[int, ...], name: str, dtype: Any) -> Any:
-    found = jnp.asarray(x, dtype)
-    if found.shape != shape:
-        raise InputError(f"with_joint: {name} has shape {found.shape}, expected {shape}")
-    return found
+def _spliced(x: Any, at: slice, put: Any) -> jax.Array:
+    """x (..., n) with others (m,) in the place of some, whatever the leading axes."""
+    put = jnp.broadcast_to(jnp.asarray(put, x.dtype), (*x.shape[:-1], *np.shape(put)))
+    return jnp.concatenate([x[..., : at.start], put, x[..., at.stop :]], -1)
+
+
+def _numbers(given: dict[str, Any], joint: Joint, kind: str, dtype: Any) -> dict[str, jax.Array]:
+    """What is given, checked, beside the kind's own numbers where they are not."""
+    shapes = {"axis": (3,), "reference": (joint.nq,)}
+    shapes |= {key: np.shape(x) for key, x in joint.numbers.items()}
+    for key in given:
+        if key not in shapes:
+            raise UnknownName(f"number of a {kind} joint", key, sorted(shapes))
+    starts = accumulate(map(np.size, joint.numbers.values()), initial=0)
+    named = dict(zip(starts, joint.numbers, strict=False))
+    axes = {"axis", *(named[at] for link in joint.links if (at := link.own_axis) is not None)}
+    out = {}
+    for key, x in (dict(joint.numbers) | given).items():
+        where = f"with_joint({key}=...)"
+        out[key] = array_like(where, x, shapes[key], dtype, endless=False)
+        if key in axes:
+            _check_length(where, out[key], "an axis")
+        elif key == "reference" and joint.quaternion:
+            _check_length(where, out[key][-4:], "a unit quaternion (w, x, y, z)")
+    return out
+
+
+def _check_length(where: str, x: jax.Array, what: str) -> None:
+    """Refuse what gives no direction, where it is known."""
+    if isinstance(x, jax.core.Tracer):
+        return
+    with np.errstate(over="ignore", under="ignore"):
+        square = np.square(np.asarray(x)).sum()
+    if not 0 < square < np.inf:
+        raise InputError(f"{where}: got {x.tolist()}, of squared length {square}, expected {what}")
 
 
 def _check_forces(model: Any, joint: int, name: str, kind: str) -> None:

@@ -71,20 +71,23 @@ class Field:
         return applied(self.model, t, state, u, self.dt)
 
     def _found(self, forces: Callable, t: Any, state: State, u: Inputs) -> tuple:
-        def law(t: Any, state: State, tau: jax.Array, pushes: LinkForces) -> jax.Array:
-            a = self.law(self.model, t, state, tau, pushes)
-            if self.law is free_motion:
-                return a
-            what = "what the law returned"
-            return check_array("a law", what, a, (self.model.nv,)).astype(state.q.dtype)
-
         if state.q.ndim == 1:
             tau, pushes, x = forces(t, state, u)
-            return law(t, state, tau, pushes), x
+            return self._accelerated(t, state, tau, pushes), x
         tau, pushes, x = batch_last(forces, t, state, u)
         if self.law is free_motion:  # takes lanes with a batch as they are
-            return law(t, state, tau, pushes), x
-        return batch_last(law, t, state, tau, pushes), x
+            return self._accelerated(t, state, tau, pushes), x
+        return batch_last(self._accelerated, t, state, tau, pushes), x
+
+    def _accelerated(
+        self, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+    ) -> jax.Array:
+        """v' by the law, of one sample where it is not free motion."""
+        a = self.law(self.model, t, state, tau, pushes)
+        if self.law is free_motion:
+            return a
+        what = "what the law returned"
+        return check_array("a law", what, a, (self.model.nv,)).astype(state.q.dtype)
 
     def forces(
         self, t: Any, state: State, u: Inputs
@@ -95,7 +98,7 @@ class Field:
         def acting(t: Any, state: State, u: Inputs) -> tuple:
             tau, pushes, x = self._applied(t, state, u)
             if self.law is not free_motion:
-                a = self.law(self.model, t, state, tau, pushes)
+                a = self._accelerated(t, state, tau, pushes)
                 tau = forces_of(self.model, state.q, state.v, a, pushes)
             return tau, pushes, x
 

@@ -47,7 +47,7 @@ def outlines(
     for s in shapes:
         if s.body < 0 and not world:
             continue
-        view = _placed(s, R, p) @ axes.T
+        view = s.placed(R, p) @ axes.T
         hull = _hull(view[:, :2])
         if hull is not None:
             (red, green, blue), opacity = s.color, alpha * s.alpha
@@ -65,12 +65,8 @@ def shadows(
     hulls = []
     for s in shapes:
         if s.body >= 0 or world:
-            hulls.append(_hull((_placed(s, R, p) * [1, 1, 0] + [0, 0, floor]) @ camera.axes[:2].T))
+            hulls.append(_hull((s.placed(R, p) * [1, 1, 0] + [0, 0, floor]) @ camera.axes[:2].T))
     return [hull for hull in hulls if hull is not None]
-
-
-def _placed(s: Solid, R: Array, p: Array) -> Array:
-    return s.points if s.body < 0 else s.points @ R[s.body].T + p[s.body]
 
 
 def _hull(points: Array) -> Array | None:

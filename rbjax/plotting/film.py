@@ -122,7 +122,7 @@ def film(
     if not shapes:
         raise InputError("nothing to draw: the model has no body with a size, the file no geom")
     # (S, probed, n, 3): every point of every solid, and which of them move
-    points = np.concatenate([_placed(s, R[:, probed], p[:, probed]) for s in shapes], axis=2)
+    points = np.concatenate([s.placed(R[:, probed], p[:, probed]) for s in shapes], axis=2)
     moving = np.concatenate([np.full(len(s.points), s.body >= 0) for s in shapes])
     camera = camera or facing(points.reshape(-1, 3))
     robot = points[:, :, moving] if moving.any() else points
@@ -153,13 +153,6 @@ def film(
         tuple(s == 0 for _ in trace for s in range(samples)),
     )
     return Film(ts, R, p, shapes, camera, floor, centre, size, paths, strong)
-
-
-def _placed(solid: Solid, R: Array, p: Array) -> Array:
-    """Its points in the world, (S, F, n, 3)."""
-    if solid.body < 0:
-        return np.broadcast_to(solid.points, (*R.shape[:2], *solid.points.shape))
-    return solid.points @ np.swapaxes(R[:, :, solid.body], -1, -2) + p[:, :, None, solid.body]
 
 
 def _with_floor(size: Array, centre: Array, camera: Camera, floor: float) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ import colorsys
 import numpy as np
 from matplotlib.colors import to_rgb
 
+from rbjax.lanes import quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.plotting.solids import Solid, capsule, cylinder, ellipsoid, sphere
 from rbjax.plotting.style import BLUE, GREEN, INK, PALETTE, RED
@@ -52,14 +53,15 @@ class _Skeleton:
             if parent != WORLD:
                 self.children[parent].append(body)
         bodies, joints = model.bodies, model.joints
-        self.mass, self.com, self.inertia, self.position, self.orientation = (
+        self.mass, self.com, self.inertia, self.position = (
             np.asarray(x, float)
-            for x in (bodies.mass, bodies.com, bodies.inertia, bodies.position, bodies.orientation)
+            for x in (bodies.mass, bodies.com, bodies.inertia, bodies.position)
         )
         self.anchor, self.axis, self.range = (
             np.asarray(x, float) for x in (joints.placement, joints.axis, joints.range)
         )
-        self.turn = [_matrix(q) for q in self.orientation]
+        turn = quaternion_matrix(*np.asarray(bodies.orientation, float).T)
+        self.turn = np.stack([*turn], -1).reshape(-1, 3, 3)
         self.size = self._size()
         self.radius = 0.016 * self.size
 
@@ -164,18 +166,6 @@ class _Skeleton:
             for x, c in pins
         ]
         return axes if kind == "free" else [Solid(sphere(1.4 * r) + at, body, ink, 1.0), *axes]
-
-
-def _matrix(q: Array) -> Array:
-    """The rotation of a quaternion w, x, y, z of any length."""
-    w, x, y, z = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _towards(axis: Array) -> Array:

@@ -25,6 +25,13 @@ class Solid:
     color: tuple[float, float, float]
     alpha: float
 
+    def placed(self, R: Array, p: Array) -> Array:
+        """Its points (..., n, 3) in the world, of the bodies' R (..., nb, 3, 3), p (..., nb, 3)."""
+        if self.body < 0:
+            return np.broadcast_to(self.points, (*R.shape[:-3], *self.points.shape))
+        turn, origin = R[..., self.body, :, :], p[..., None, self.body, :]
+        return self.points @ np.swapaxes(turn, -1, -2) + origin
+
 
 def solids(source: Any, *, floating_base: bool = False) -> list[Solid]:
     """The visible geoms of a robot file, floors left out.

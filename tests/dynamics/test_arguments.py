@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics.arguments import check_array, check_quaternions
 
 MODEL, TOP = rb.load("cart_pole"), rb.load("spinning_top")
 TWO = jax.tree.map(lambda x: jnp.stack([x, x]), MODEL)
@@ -46,3 +47,17 @@ def test_a_quaternion_needs_a_length(length: float, words: str) -> None:
 
 def test_an_empty_batch_is_an_empty_result() -> None:
     assert jax.vmap(lambda q: rb.mass_matrix(MODEL, q))(jnp.zeros((0, 2))).shape == (0, 2, 2)
+
+
+@pytest.mark.parametrize("many", [10, 20_000])
+def test_what_is_not_finite_is_found_among_few_and_many(many: int) -> None:
+    """Of numpy's and of jax's arrays, those of many numbers where they are."""
+    x = np.zeros((many, 2))
+    x[3, 1] = np.nan
+    for given in (x, jnp.asarray(x), x.astype(np.float32)):
+        with pytest.raises(rb.InputError, match=r"f: q\[3, 1\] is nan, expected finite values"):
+            check_array("f", "q", given, x.shape)
+    q = jnp.zeros((many, 4)).at[:, 0].set(1.0)
+    check_quaternions("f", "q", TOP, q)
+    with pytest.raises(rb.InputError, match=r"q\[0:4\] is a zero quaternion"):
+        check_quaternions("f", "q", TOP, q.at[-1].set(0.0))

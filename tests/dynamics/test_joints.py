@@ -383,8 +383,25 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
         model.with_joint(name, "scrw")
     with pytest.raises(rb.UnknownName, match="pitch"):
         model.with_joint(name, "screw", pich=0.1)
-    with pytest.raises(rb.InputError, match="second_axis"):
-        model.with_joint(name, "universal", second_axis=[1.0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "words"),
+    [
+        ("universal", {"second_axis": [1.0]}, r"\(second_axis=.*shape \(1,\), expected \(3,\)"),
+        ("universal", {"second_axis": np.zeros(3)}, r"\(second_axis=.*squared length 0.*an axis"),
+        ("screw", {"axis": np.zeros(3)}, r"\(axis=...\): got .*expected an axis"),
+        ("screw", {"axis": [1.0, np.inf, 0.0]}, r"\(axis=...\): got inf at \[1\], expected finite"),
+        ("screw", {"pitch": np.nan}, r"\(pitch=...\): got nan at \[\], expected finite"),
+        ("screw", {"pitch": "0.1"}, r"\(pitch=...\): got str, expected numbers of shape \(\)"),
+        ("screw", {"pitch": 1j}, r"\(pitch=...\): got numbers of dtype complex128"),
+        ("ball", {"reference": np.zeros(4)}, r"\(reference=...\).*expected a unit quaternion"),
+    ],
+)
+def test_numbers_of_a_joint_are_checked(kind: str, given: dict, words: str) -> None:
+    model = rb.load("cart_pole")
+    with pytest.raises(rb.InputError, match=rf"with_joint{words}"):
+        model.with_joint("slider", kind, **given)
 
 
 def test_a_kind_registered_anew_is_another_program() -> None:

@@ -127,3 +127,14 @@ def test_bad_inputs():
         rb.rollout(model, start, None, DT, steps=2, wrenches=lambda t, s: jnp.zeros(2))
     with pytest.raises(rb.InputError, match=r"simulate: tau has shape \(3,\), expected \(2,\)"):
         rb.simulate(model, start, jnp.linspace(0, 1, 3), tau=jnp.zeros(3))
+
+
+def test_what_a_law_returns_is_checked():
+    """Wherever a law is called: for accelerations, and for the forces that give them."""
+    model = rb.load("cart_pole")
+    for integrator in ("semi_implicit_euler", "variational_midpoint"):
+        with pytest.raises(rb.InputError, match=r"what the law returned has shape \(3,\), expec"):
+            rb.step(
+                model, model.default_state(), dt=DT, integrator=integrator,
+                law=lambda model, t, state, tau, pushes: jnp.zeros(3),
+            )  # fmt: skip

@@ -227,6 +227,17 @@ def test_springs_and_dampers_of_joints_may_be_stiff():
     assert path.ok and np.abs(path.v).max() < 30
 
 
+@pytest.mark.parametrize("kind", ["slide", "screw", "planar"])
+def test_servos_of_joints_may_be_stiff(kind):
+    """On whatever joint of coordinates that add: h = 19 sqrt(m / k) and more."""
+    model = rb.load("cart_pole").with_joint("slider", kind)
+    bias = jnp.array([[0.0, -1e6, -1e3]])
+    model = model.replace(actuators=model.actuators.replace(bias=bias))
+    state = model.default_state().replace(v=0.3 * jnp.ones(model.nv))
+    path = rb.rollout(model, state, jnp.zeros((50, 1)), 0.02, integrator=NAME)
+    assert path.ok and np.abs(path.q[:, 0]).max() < 0.01
+
+
 @pytest.mark.parametrize("wrong", [1, 0, 2.0, None])
 def test_the_number_of_evaluations_is_checked(wrong):
     with pytest.raises(rb.InputError, match="expected a whole number of at least 2"):
