@@ -52,7 +52,7 @@ class Recipe:
         self.level, self.site = reader.level, _site(f)
         # a program that is kept keeps its recipe, which does not keep the caller's arrays
         self.source = weakref.ref(f)
-        self.known = f if self.make is None else None
+        self.known: Any = f if self.make is None else None
 
     def __hash__(self) -> int:
         return self.hash
@@ -70,7 +70,7 @@ class Captured(eqx.Module):
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         recipe = self.recipe
         try:
-            f = recipe.make(self.operands, {}) if recipe.make else recipe.known
+            f = recipe.known if recipe.make is None else recipe.make(self.operands, {})
             found = f(*args, **kwargs)
         except Exception as error:
             raise UnfitError(recipe.site, recipe.level + 1) from error
@@ -94,7 +94,7 @@ def with_captured(call: Callable[..., T], *functions: Any) -> T:
             _levels[unfit.site] = unfit.level
         except Exception:  # the function's own: it says nothing of how to read its code
             for site in tried:
-                del _levels[site]
+                _levels.pop(site, None)
             raise
 
 

@@ -13,6 +13,7 @@ import builtins
 import dis
 import functools
 import itertools
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
 from types import (
@@ -179,6 +180,8 @@ class Reader:
 
     def _object(self, x: Any, held: bool, names: frozenset[str], n: int) -> tuple[Any, Maker]:
         kind = type(x)
+        if _named_by_library(x):
+            return Same(x), None
         if kind is FunctionType:
             return self._function(x, held, n)
         if kind is ModuleType:
@@ -202,7 +205,7 @@ class Reader:
             return self._parts((kind, keys), x.values(), held, make)
         if kind in (set, frozenset):
             return self._parts(kind, x, True)
-        leaves, tree = jax.tree.flatten(x, is_leaf=lambda y: y is not x)
+        leaves, tree = jax.tree.flatten(x, is_leaf=lambda y: y is not x and not _is_plain(y))
         if leaves and leaves[0] is x:  # no pytree
             return self._instance(x)
         # functions in static fields are equal by identity, and may read what changes
@@ -242,10 +245,11 @@ class Reader:
         names = names_of(code)
         if library:  # of its own it reads what does not change
             held |= names.curious or not names.readable
-        elif not names.readable or (names.curious and not held and self.level < TRACERS):
-            raise UnreadableError
-        elif home.get("__builtins__") not in (builtins, vars(builtins)):
-            raise UnreadableError
+        else:
+            usual = home.get("__builtins__") in (builtins, vars(builtins))
+            later = names.curious and not held and self.level < TRACERS
+            if later or not (usual and names.readable):
+                raise UnreadableError
         read = () if library else names.read
         about = {k: x for k, x in vars(f).items() if k != "__wrapped__"}
         known = f.__kwdefaults__ or {}
@@ -320,12 +324,24 @@ class Reader:
             if hasattr(object, way)
         ):
             raise UnreadableError
-        _, _, state, *items = object.__reduce_ex__(x, 2)
+        reduced: Any = object.__reduce_ex__(x, 2)
+        state, *items = reduced[2:]
         if any(item is not None for item in items):
             raise UnreadableError
         plain, slots = state if isinstance(state, tuple) else (state, None)
-        held = (plain or {}) | (slots or {})
+        both = (plain or {}) | (slots or {})
+        held = {k: v for k, v in both.items() if k[:2] != "__"}  # not what only documents
         return self._parts(("object", *held), [kind, *held.values()], True)
+
+
+def _named_by_library(x: Any) -> bool:
+    module, name = getattr(x, "__module__", None), getattr(x, "__name__", "")
+    return of_library(module) and vars(sys.modules.get(module, object)).get(name) is x
+
+
+def _is_plain(x: Any) -> bool:
+    """Whether a pytree is its leaves and what compares by value: of these a model has many."""
+    return type(x) in (list, tuple) or type(x).__module__.startswith("rbjax.")
 
 
 def _content(cell: CellType) -> Any:

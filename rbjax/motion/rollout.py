@@ -72,6 +72,11 @@ def rollout(
 
     Force elements see the step dt. States of elements end each step within their ranges.
 
+    A function (policy, tau, wrenches, law, integrator) is known by what it reads, and not by which
+    object it is: lambdas that differ in floats and arrays compile once. One that branches on a
+    float compiles for each value. One that cannot be read (it counts its calls, or draws numpy's
+    random numbers) compiles where it is another object. Programs of the last 64 functions are kept.
+
     Args:
         model: the robot.
         state: q (nq,) or (B, nq), v likewise; a leading axis is a batch. x (nx,) likewise, where

@@ -65,6 +65,9 @@ def simulate(
     goes: these zeros are part of the program. Without them a step of an arm takes 1.4 times as
     long, of 256 arms at once 1.14 times; of a quadruped and a humanoid about as long (CPU, f64).
 
+    A function (control, tau, wrenches, law) is known by what it reads, and not by which object it
+    is (`rollout`).
+
     Args:
         model: the robot.
         state: initial q (nq,), v (nv,).

@@ -385,6 +385,9 @@ FAMILIES = {
     "a tuple with names": lambda k: (lambda w: lambda t, s: w.p * s.v)(Gains(k, 1)),
     "a partial": lambda k: functools.partial(lambda k, t, s: k * s.v, k),
     "a module": lambda k: Linear(jnp.array(k)),
+    "a network": lambda k: (lambda net: lambda t, s: net(s.v))(
+        eqx.nn.MLP(2, 2, 4, 1, key=jax.random.key(int(8 * k)))
+    ),
     "a lambda in a lambda": lambda k: lambda t, s: jax.vmap(lambda x: k * x)(s.v),
     "a model": lambda k: (lambda m: lambda t, s: m.gravity[2] * s.v)(
         scene().replace(gravity=jnp.array([0, 0, k]))
@@ -540,7 +543,7 @@ def test_memory_is_bounded(monkeypatch):
     monkeypatch.setattr(rollout_file, "_compiled", few)
     model, live = rb.load("pendulum"), []
     for n in range(6):
-        rb.rollout(model, model.default_state(), lambda t, s: n * s.v, 0.01, steps=1)
+        rb.rollout(model, model.default_state(), lambda t, s, n=n: n * s.v, 0.01, steps=1)
         gc.collect()
         live.append(len(jax.devices()[0].client.live_executables()))
     assert live[-1] == live[2]
