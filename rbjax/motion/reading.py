@@ -335,7 +335,8 @@ class Reader:
 
 
 def _named_by_library(x: Any) -> bool:
-    module, name = getattr(x, "__module__", None), getattr(x, "__name__", "")
+    module: Any = getattr(x, "__module__", None)
+    name = getattr(x, "__name__", "")
     return of_library(module) and vars(sys.modules.get(module, object)).get(name) is x
 
 
