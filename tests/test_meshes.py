@@ -114,8 +114,10 @@ def child_rollouts(kernel):
     closed = jax.jit(lambda u: rolled(q, v, u))  # over a batch
     for out in rolled(q, v, us), closed(us), closed(shared):
         assert out[0].sharding.is_equivalent_to(where, 3)
+    policy = functools.partial(act, weights)  # what it reads is operands, but not within a program
+    assert relative_error(rolled(q, v, policy)[0], rolled(q, v, Partial(act, weights))[0]) == 0
     with pytest.raises(rb.InputError, match=r"closes over .* explicit axes.*tree_util.Partial"):
-        rolled(q, v, functools.partial(act, weights))
+        jax.jit(lambda q: rolled(q, v, policy))(q)
 
 
 def child_simulate():

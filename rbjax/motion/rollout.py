@@ -11,7 +11,9 @@ each; between two saved states only the first is kept and the steps are run agai
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -27,6 +29,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
+from rbjax.motion.captured import Captured, with_captured
 from rbjax.motion.field import Field, Law, batch_last, check_law, free_motion
 from rbjax.motion.integrators import Integrator, advanced, integrator_of
 from rbjax.motion.sources import Sources, check_sources
@@ -68,6 +71,11 @@ def rollout(
     error of 1e-6 (on an arm and a humanoid); in f32 it comes down to 1.1e-6, `dopri8` to 2.4e-7.
 
     Force elements see the step dt. States of elements end each step within their ranges.
+
+    A function (policy, tau, wrenches, law, integrator) is known by what it reads, and not by which
+    object it is: lambdas that differ in floats and arrays compile once. One that branches on a
+    float compiles for each value. One that cannot be read (it counts its calls, or draws numpy's
+    random numbers) compiles where it is another object. Programs of the last 64 functions are kept.
 
     Args:
         model: the robot.
@@ -132,32 +140,52 @@ def rollout(
             f"rollout: save_every is {save_every}, expected a divisor of the {steps} steps"
         )
     step = check_step("rollout", "dt", model.timestep if dt is None else dt, state.q.dtype)
-    # the arrays of a policy that is a pytree are arguments, as the values of controls are
-    given, functions = eqx.partition(sources, eqx.is_array)
-    traced = split_tracers((model, state, given, step))[0]
-    run = _run if traced and (sources.asks or inside_jit()) else _compiled
     threads = wanted() if kernel is None else kernel
     memory = memory_share() if memory is None else memory
-    how = Steps(law, advance, int(save_every), steps, batched)
-    return run(model, state, given, step, functions, how, threads, memory)
+    how = (int(save_every), steps, batched)
+
+    def march(*functions: Any) -> Trajectory:
+        *asked, law, advance = functions
+        given = dataclasses.replace(sources, functions=Inputs(*asked))
+        numbers, rest = eqx.partition((given, law, advance), eqx.is_array)
+        traced = split_tracers((model, state, numbers, step))[0]
+        hidden = any(callable(f) and not isinstance(f, Captured) for f in asked)
+        eager = traced and (hidden or inside_jit())
+        leaves, tree = jax.tree.flatten(rest)
+        key = (tree, *leaves)
+        run = _run if eager else _compiled(*key)
+        return run(model, state, numbers, step, key, how, threads, memory)
+
+    if isinstance(integrator, str):
+        return with_captured(lambda *f: march(*f, advance), *sources.functions, law)
+    return with_captured(march, *sources.functions, law, advance)
 
 
-def _run(model, state, given, dt, functions, how, threads, memory) -> Trajectory:
+def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
+    rest = jax.tree.unflatten(key[0], key[1:])
     march = functools.partial(on_threads, memory=memory) if threads else _on_lanes
 
-    def moved(model: Model, state: State, given: Sources, dt: jax.Array) -> State:
-        return march(model, state, eqx.combine(given, functions), dt, how)
+    def moved(model: Model, state: State, numbers: Any, dt: jax.Array) -> State:
+        given, law, advance = eqx.combine(numbers, rest)
+        return march(model, state, given, dt, Steps(law, advance, *how))
 
-    each = () if given.rows is None or given.rows.ndim < 3 else (given.rows,)
-    along = (*jax.tree.leaves(state), *each) if how.batched else ()
-    states = on_auto_axes(moved, model, state, given, dt, along=along)
-    ts = dt * jnp.arange(0, how.count + 1, how.save_every, dtype=state.q.dtype)
+    save_every, count, batched = how
+    rows = numbers[0].rows
+    each = () if rows is None or rows.ndim < 3 else (rows,)
+    along = (*jax.tree.leaves(state), *each) if batched else ()
+    states = on_auto_axes(moved, model, state, numbers, dt, along=along)
+    ts = dt * jnp.arange(0, count + 1, save_every, dtype=state.q.dtype)
     return Trajectory(
-        ts, states.q, states.v, all_finite(states), stats={"steps": how.count}, x=states.x
+        ts, states.q, states.v, all_finite(states), stats={"steps": count}, x=states.x
     )
 
 
-_compiled = compiled(_run, static_argnames=("functions", "how", "threads", "memory"))
+@functools.lru_cache(64, typed=True)  # a program keeps some MB
+def _compiled(*key: Any) -> Callable:
+    """What runs functions of one key."""
+    del key
+    run = functools.partial(_run)  # to `jit` another function, which goes with all it compiled
+    return compiled(run, static_argnames=("key", "how", "threads", "memory"))
 
 
 def _on_lanes(model: Model, state: State, sources: Sources, dt: jax.Array, how: Steps) -> State:

@@ -28,6 +28,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
+from rbjax.motion.captured import with_captured
 from rbjax.motion.field import Law, check_law, free_motion
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
@@ -67,6 +68,9 @@ def simulate(
 
     On a GPU, inside `jit`, a sample is a thread. Its reverse gradient is one too where `max_steps`
     or the adjoint's checkpoints are few; otherwise it runs under XLA (docs/threads.md).
+
+    A function (control, tau, wrenches, law) is known by what it reads, and not by which object it
+    is (`rollout`).
 
     Args:
         model: the robot.
@@ -152,14 +156,19 @@ def simulate(
     )
     saved = _Saved(model.topology)
 
-    def solved(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
-        term, state = motion(model, state, solver, inputs, of_args, law, start)
-        saveat = diffrax.SaveAt(ts=elapsed, fn=saved)
-        out = solve(term, t0=elapsed[0], t1=elapsed[-1], y0=state, args=args, saveat=saveat)
-        return out.ys, out.result, out.stats
+    def solved(*functions: Any) -> tuple:
+        *given, law = functions
+
+        def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
+            term, state = motion(model, state, solver, Inputs(*given), of_args, law, start)
+            saveat = diffrax.SaveAt(ts=elapsed, fn=saved)
+            out = solve(term, t0=elapsed[0], t1=elapsed[-1], y0=state, args=args, saveat=saveat)
+            return out.ys, out.result, out.stats
+
+        return (threaded if on_gpu else itself)(solved_from)(state, ts[0], elapsed, args)
 
     with _only_reverse():
-        path, result, stats = (threaded if on_gpu else itself)(solved)(state, ts[0], elapsed, args)
+        path, result, stats = with_captured(solved, *inputs, law)
     q = path.q
     ok = all_finite(path) & (result == diffrax.RESULTS.successful)
     if throw:
