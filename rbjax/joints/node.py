@@ -2,9 +2,9 @@
 
     twist = S(q) qd,   bias = S'(q, qd) qd,   S_i = [vee(R^T dR/dq_i); R^T dr/dq_i]
 
-in the body's axes. Only `pose` is needed: an axis and its rate are its derivatives. Write them
-by hand where that pays. Nodes are for joints on curves and surfaces, rolling contacts, linkages in closed form,
-and the frames that a flexible body's modes move.
+in the body's axes. Only `pose` is needed: an axis and its rate are its derivatives. Write them by
+hand where that pays. Nodes are for joints on curves and surfaces, rolling contacts, linkages in
+closed form, and the frames that a flexible body's modes move.
 """
 
 from __future__ import annotations

@@ -66,7 +66,8 @@ def everything(model: rb.Model) -> dict[str, jax.Array]:
 
 @pytest.mark.parametrize("kind", PAIRS, ids=lambda kind: kind.__name__)
 def test_pairs(kind: type) -> None:
-    found = jax.jit(lambda: everything(closed(kind)))()
+    model = closed(kind)
+    found = jax.jit(lambda: everything(model))()
     for name, want in found["want"].items():
         np.testing.assert_allclose(found["own"][name], want, atol=2e-14, err_msg=name)
     np.testing.assert_allclose(found["rest"], 0.0, atol=1e-15)
@@ -77,6 +78,7 @@ def test_pairs(kind: type) -> None:
     "kind, numbers", [(rc.Screw, {"pitch": 0.3}), (rc.Distance, {"length": 0.4})]
 )
 def test_pairs_with_numbers(kind: type, numbers: dict) -> None:
-    found = jax.jit(lambda: everything(closed(kind, **numbers)))()
+    model = closed(kind, **numbers)
+    found = jax.jit(lambda: everything(model))()
     for name, want in found["want"].items():
         np.testing.assert_allclose(found["own"][name], want, atol=2e-14, err_msg=name)
