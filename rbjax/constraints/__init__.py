@@ -1,6 +1,7 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
 from rbjax.constraints.constraint import Constraint
+from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.geometry import (
     along,
     coordinate,
@@ -27,9 +28,15 @@ from rbjax.constraints.pairs import (
     Weld,
 )
 from rbjax.constraints.place import Place, places
+from rbjax.constraints.registry import formulations
 from rbjax.constraints.row import Row
 
 __all__ = [
+    "Baumgarte",
+    "Formulation",
+    "Multipliers",
+    "Projected",
+    "formulations",
     "Constraint",
     "Cylindrical",
     "Distance",
