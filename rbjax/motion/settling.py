@@ -21,7 +21,7 @@ class Settling(diffrax.AbstractWrappedSolver):
     error of the step.
     """
 
-    solver: diffrax.AbstractSolver  # type: ignore[misc]
+    solver: Any  # type: ignore[misc]
     formulation: Formulation = eqx.field(static=True)
     model: Callable[[Any], Model]
     start: Any
@@ -37,6 +37,14 @@ class Settling(diffrax.AbstractWrappedSolver):
     @property
     def term_compatible_contr_kwargs(self):
         return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def scan_kind(self):  # diffrax sets these two on solvers that have them
+        return self.solver.scan_kind
+
+    @property
+    def root_finder(self):
+        return self.solver.root_finder
 
     def order(self, terms):
         return self.solver.order(terms)
