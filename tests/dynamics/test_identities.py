@@ -13,7 +13,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.rnea import momentum
-from tests.robots import QUICK, at, robot
+from tests.quickly import quick_jit
+from tests.robots import at, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 
 STATES = 8
@@ -77,7 +78,7 @@ def both_sides(model: rb.Model, q, v, a, w):
 
 
 def compiled(f):
-    return jax.jit(jax.vmap(f), compiler_options=QUICK)
+    return quick_jit(jax.vmap(f))
 
 
 @functools.cache

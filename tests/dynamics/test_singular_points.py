@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.robots import QUICK, robot
+from tests.quickly import quick_jit
+from tests.robots import robot
 from tests.tolerances import GRADIENT, relative_error
 
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
@@ -49,7 +50,7 @@ def programs(case: str):
         here, rate = jax.jvp(f, zeros, tangents)
         return here, rate, jax.vjp(f, *zeros)[1](jax.tree.map(jnp.ones_like, here))
 
-    return tuple(jax.jit(f, compiler_options=QUICK) for f in (values, derivatives))
+    return tuple(quick_jit(f) for f in (values, derivatives))
 
 
 @pytest.mark.parametrize("point", POINTS)
