@@ -151,9 +151,8 @@ def test_composes(name: str, of: str) -> None:
         return flat(entry.function(model, *arrays, **entry.rest))
 
     def everything(tangents, weight, *batch):
-        first = [x[0] for x in batch]
-        rate = jax.jvp(f, first, tangents)[1]
-        return jax.vmap(f)(*batch), rate, jax.vjp(f, *first)[1](weight)
+        mapped, rates = jax.vmap(lambda *x: jax.jvp(f, x, tuple(tangents)))(*batch)
+        return mapped, rates[0], jax.vjp(f, *(x[0] for x in batch))[1](weight)
 
     door = [np.asarray(f(*(x[k] for x in xs))) for k in range(3)]  # a loop, and not compiled by us
     weight = rng.normal(size=door[0].shape)
@@ -169,11 +168,11 @@ def test_composes(name: str, of: str) -> None:
     assert abs(by_reverse - weight @ rate) <= F64_IDENTITY * scale, "vjp"
 
 
-@pytest.mark.parametrize("name", REGISTRY)
-def test_a_compiled_function_mapped_and_differentiated(name: str) -> None:
+@pytest.mark.parametrize(("name", "of"), CASES)
+def test_a_compiled_function_mapped_and_differentiated(name: str, of: str) -> None:
     """jvp of vmap of jit: results of a custom rule keep their axes (JAX trusts the rule)."""
-    entry, model = REGISTRY[name], robot("small", "unrolled").model
-    xs = samples(entry.arrays)
+    entry, model = REGISTRY[name], robot(of, "unrolled").model
+    xs = samples(entry.arrays, of)
 
     @jax.jit
     def f(*arrays):

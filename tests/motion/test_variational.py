@@ -20,7 +20,7 @@ SLOW = pytest.mark.slow
 
 def energies(model: rb.Model, path: rb.Trajectory) -> np.ndarray:
     one = lambda q, v: rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q)  # noqa: E731
-    return np.asarray(jax.jit(jax.vmap(one))(path.q, path.v))
+    return np.asarray(quick_jit(jax.vmap(one))(path.q, path.v))
 
 
 def form(model: rb.Model, p: jax.Array) -> np.ndarray:
@@ -57,7 +57,7 @@ def test_a_step_keeps_the_symplectic_form(scene, evaluations):
         after = rb.step(model, rb.State(q, v), None, 0.01, integrator=method)
         return p, after.q, rb.mass_matrix(model, after.q) @ after.v
 
-    @jax.jit
+    @quick_jit
     def both(at):
         p0, q1, p1 = stepped(at, at)
 
@@ -144,7 +144,7 @@ def test_gradients_are_difference_quotients(scene):
     state = model.random_state(key)
     ctrls = jax.random.normal(key, (8, model.nu))
 
-    @jax.jit
+    @quick_jit
     def loss(ctrls, dq, v, mass):
         changed = model.replace(bodies=model.bodies.replace(mass=mass))
         start = rb.State(rb.integrate(model, state.q, dq), v)
