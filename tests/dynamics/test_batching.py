@@ -34,7 +34,7 @@ def loop(f, *xs):
 
 def test_chunks_are_the_samples(given):
     run = functools.partial(fd, MODEL)
-    mapped = quick_jit(jax.vmap(run))
+    mapped = jax.jit(jax.vmap(run))
     assert relative_error(mapped(*given)[SOME], loop(run, *given)) <= F64_TRANSFORM
     loops = jax.make_jaxpr(mapped)(*given).pretty_print().count("scan[")
     assert loops == 1, "a batch of three chunks should be a loop"

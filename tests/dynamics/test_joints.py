@@ -318,6 +318,7 @@ def test_the_variational_step_is_of_order_two_on_a_node() -> None:
     model = rb.load("cart_pole").with_joint("slider", "on_curve", axis=[0.0, 0.0, 1.0])
     state = rb.State(jnp.array([0.4, 0.3]), jnp.array([0.5, -0.2]))
 
+    @functools.partial(quick_jit, static_argnums=(0, 1))
     def end(integrator, n):
         return rb.rollout(model, state, None, 0.4 / n, steps=n, integrator=integrator).q[-1]
 

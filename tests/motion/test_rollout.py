@@ -64,7 +64,7 @@ def test_order_with_free_attitudes(integrator, order, steps):
     start = model.random_state(jax.random.key(0))
 
     def ends(integrator, *counts):
-        @quick_jit
+        @jax.jit
         def some(state, dt):
             path = rb.rollout(model, state, None, dt, integrator=integrator, steps=8, save_every=8)
             return path.state(-1)
