@@ -32,7 +32,8 @@ def shapes(x):
     parts = [*jnp.split(x, [1, 3], axis=1), x.T, x[::2, 1:], x[None, :, 0], jnp.stack([x, -x], 1)]
     row = jnp.concatenate([p.ravel() for p in parts])
     padded = lax.pad(x, 7.0, ((1, 2, 1), (0, 1, 0)))
-    return row, padded, jnp.tile(x, (2, 1)), x.astype(jnp.float32), lax.iota(int, 5), jnp.take(x, 2, 0)
+    more = jnp.tile(x, (2, 1)), x.astype(jnp.float32), lax.iota(int, 5), jnp.take(x, 2, 0)
+    return row, padded, more
 
 
 def arithmetic(x):
