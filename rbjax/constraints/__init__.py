@@ -1,6 +1,7 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
 from rbjax.constraints.constraint import Constraint
+from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.geometry import (
     along,
     coordinate,
@@ -33,14 +34,18 @@ __all__ = [
     "Constraint",
     "Cylindrical",
     "Distance",
+    "Gear",
     "Inline",
     "Inplane",
+    "JointPolynomial",
     "Orthogonal",
     "Pair",
     "Parallel",
     "Place",
     "Planar",
+    "Prescribed",
     "Prismatic",
+    "Rack",
     "Revolute",
     "Row",
     "Screw",
