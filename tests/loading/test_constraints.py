@@ -155,6 +155,38 @@ def test_numbers_that_are_none_are_refused() -> None:
         load_quietly(text)
 
 
+def test_written_and_read_back_they_have_the_same_rows() -> None:
+    """In the form of sites, which gives both ends as they are, closed or not."""
+    model = load_quietly(TREE.format("".join(EQUALITIES)))
+    end = rc.Place(*map(np.asarray, ([0.1, 0.2, 0.3], [0.6, 0.0, 0.8, 0.0])), site="b")
+    model = model.with_constraints(rc.Weld(end, rc.Place.on(body="c", point=[1.0, 2, 3])))
+    model = model.with_constraints(rc.Rack("slide", "hinge", 0.3))
+    again = rb.load(rb.write_mjcf(model, strict=True), strict=True)
+    q = np.array(model.random_state(jax.random.key(0)).q)
+    for a, b in zip(rows_and_gradients(model)(q), rows_and_gradients(again)(q), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
+
+
+def test_what_cannot_be_written_is_named() -> None:
+    model = rb.load("double_pendulum")
+    high = rc.JointPolynomial("elbow", "shoulder", np.ones(6))
+    gear = rc.Gear("elbow", "shoulder", -3.0)
+    driven = model.with_constraints(rc.Prescribed("elbow", np.sin), high, gear)
+    with pytest.warns(UserWarning, match="left out: constraint Prescribed; .*JointPolynomial"):
+        text = rb.write_mjcf(driven)
+    (read,) = rb.load(text).constraints
+    assert read.coefficients.tolist() == [0, -3, 0, 0, 0] and (read.joint, read.driver) == (1, 0)
+
+
+def test_what_mujoco_refuses_is_left_out_by_name() -> None:
+    """What couples a joint with itself, or a frame with itself."""
+    model = rb.load("double_pendulum")
+    end = rc.Place.on(body=0)
+    odd = model.with_constraints(rc.JointPolynomial(0, 0, [0.1, 2.0]), rc.Weld(end, end))
+    with pytest.warns(UserWarning, match="constraint JointPolynomial; .*constraint Weld"):
+        assert rb.load(rb.write_mjcf(odd), strict=True).constraints == ()
+
+
 # ---------------------------------------------------------------------------- URDF
 
 
