@@ -1,6 +1,7 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
 from rbjax.constraints.constraint import Constraint
+from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.geometry import (
     along,
@@ -33,21 +34,24 @@ from rbjax.constraints.row import Row
 
 __all__ = [
     "Baumgarte",
-    "Formulation",
-    "Multipliers",
-    "Projected",
-    "formulations",
     "Constraint",
     "Cylindrical",
     "Distance",
+    "Formulation",
+    "Gear",
     "Inline",
     "Inplane",
+    "JointPolynomial",
+    "Multipliers",
     "Orthogonal",
     "Pair",
     "Parallel",
     "Place",
     "Planar",
+    "Prescribed",
     "Prismatic",
+    "Projected",
+    "Rack",
     "Revolute",
     "Row",
     "Screw",
@@ -59,6 +63,7 @@ __all__ = [
     "cosine",
     "displacement",
     "distance",
+    "formulations",
     "places",
     "time",
     "turn",
