@@ -29,10 +29,15 @@ from rbjax.constraints.pairs import (
     Weld,
 )
 from rbjax.constraints.place import Place, places
+from rbjax.constraints.reactions import jacobian, joint_wrenches, multipliers, residual
 from rbjax.constraints.registry import formulations
 from rbjax.constraints.row import Row
 
 __all__ = [
+    "jacobian",
+    "joint_wrenches",
+    "multipliers",
+    "residual",
     "Baumgarte",
     "Constraint",
     "Cylindrical",

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.pairs import Pair
-from rbjax.constraints.system import gradient_matrix, rows_of
+from rbjax.constraints.system import by_link, gradient_matrix, rows_of
 from rbjax.dynamics.arguments import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
@@ -120,7 +120,7 @@ def joint_wrenches(
         B = constraint.b.frame(now)
         torque, force = Vec3.zero(), Vec3.zero()
         for row in constraint.rows(now):
-            push = row.gradient.wrenches.get(B.link)
+            push = by_link(row.gradient).get(B.link)
             if push is not None:
                 link = now.link(B.link)
                 lin = link.rotation @ push.lin

@@ -65,7 +65,8 @@ def _computed(row: Row, now: Instant) -> Row:
     return Row(value, rate, Loads(tau, wrenches), acceleration)
 
 
-def _by_link(loads: Loads) -> Mapping[int, Force]:
+def by_link(loads: Loads) -> Mapping[int, Force]:
+    """The wrenches of a row's gradient."""
     if isinstance(loads.wrenches, Force):
         raise InputError("a row's gradient has wrenches on all links, expected those on a few")
     return loads.wrenches
@@ -74,7 +75,7 @@ def _by_link(loads: Loads) -> Mapping[int, Force]:
 def arms(now: Instant, row: Row) -> dict[int, Lane]:
     """The gradient of a row by velocity coordinate."""
     out = dict(row.gradient.tau)
-    for link, force in _by_link(row.gradient).items():
+    for link, force in by_link(row.gradient).items():
         for i, x in now.link(link).arms(force).items():
             out[i] = add(out.get(i, 0.0), x)
     return out
@@ -120,7 +121,7 @@ class OnLanes:
 
     def _eliminated(self, loads: Loads) -> dict[int, Lane]:
         """The force left at each joint that the loads reach."""
-        links, pending, left = self._d.topology.links, dict(_by_link(loads)), {}
+        links, pending, left = self._d.topology.links, dict(by_link(loads)), {}
         for i in reversed(range(len(links))):
             tau = loads.tau.get(i, 0.0)
             if i not in pending and is_zero(tau):

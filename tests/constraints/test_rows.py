@@ -11,6 +11,7 @@ import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.system import gradient_matrix, rows_of
 from rbjax.forces import Instant
+from tests.quickly import quick_jit
 
 PAIRS = [
     rc.Spherical, rc.Revolute, rc.Cylindrical, rc.Prismatic, rc.Planar, rc.Universal, rc.Weld,
@@ -67,7 +68,7 @@ def everything(model: rb.Model) -> dict[str, jax.Array]:
 @pytest.mark.parametrize("kind", PAIRS, ids=lambda kind: kind.__name__)
 def test_pairs(kind: type) -> None:
     model = closed(kind)
-    found = jax.jit(lambda: everything(model))()
+    found = quick_jit(lambda: everything(model))()
     for name, want in found["want"].items():
         np.testing.assert_allclose(found["own"][name], want, atol=2e-14, err_msg=name)
     np.testing.assert_allclose(found["rest"], 0.0, atol=1e-15)
@@ -79,6 +80,6 @@ def test_pairs(kind: type) -> None:
 )
 def test_pairs_with_numbers(kind: type, numbers: dict) -> None:
     model = closed(kind, **numbers)
-    found = jax.jit(lambda: everything(model))()
+    found = quick_jit(lambda: everything(model))()
     for name, want in found["want"].items():
         np.testing.assert_allclose(found["own"][name], want, atol=2e-14, err_msg=name)

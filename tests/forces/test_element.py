@@ -122,7 +122,7 @@ class Unmoved(Element):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda m: m.with_forces(3.0), "with_forces: got float, expected elements of rbjax.forces"),
+        (lambda m: m.with_forces(3.0), "with_forces: got float, expected Elements of rbjax.forces"),
         (lambda m: m.with_forces(Silent()), "Silent.loads returned NoneType, expected Loads"),
         (lambda m: m.with_forces(Pull(jnp.zeros(2), jnp.zeros(3), jnp.zeros(3))),
          r"push: a vector has shape \(2,\), expected \(3,\)"),
