@@ -115,7 +115,8 @@ def test_a_model_without_constraints_carries_nothing() -> None:
 def test_reactions_of_a_hanging_rod() -> None:
     """A rod at rest on two balls carries half its weight on each."""
     model = rb.load("""<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod">
-      <freejoint/><inertial pos="0.5 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody></mujoco>""")
+      <freejoint/><inertial pos="0.5 0 0" mass="2" diaginertia="1 1 1"/>
+    </body></worldbody></mujoco>""")
     ends = [
         rc.Spherical.between(model, None, "rod", point=[x, 0.0, 0.0]) for x in (0.0, 1.0)
     ]
