@@ -11,6 +11,7 @@ from rbjax.constraints.geometry import (
     time,
     turn,
 )
+from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.pairs import (
     Cylindrical,
     Distance,
@@ -28,14 +29,29 @@ from rbjax.constraints.pairs import (
     Weld,
 )
 from rbjax.constraints.place import Place, places
+from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations
 from rbjax.constraints.row import Row
+from rbjax.constraints.unconstrained import (
+    AugmentedLagrangian,
+    ForceProjection,
+    Penalty,
+    UdwadiaKalaba,
+)
 
 __all__ = [
+    "AugmentedLagrangian",
     "Baumgarte",
+    "ForceProjection",
     "Formulation",
+    "KKT",
     "Multipliers",
+    "NullSpaceQR",
+    "NullSpaceSVD",
+    "Partitioning",
+    "Penalty",
     "Projected",
+    "UdwadiaKalaba",
     "formulations",
     "Constraint",
     "Cylindrical",
