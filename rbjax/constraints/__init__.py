@@ -12,6 +12,7 @@ from rbjax.constraints.geometry import (
     time,
     turn,
 )
+from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.pairs import (
     Cylindrical,
     Distance,
@@ -30,27 +31,37 @@ from rbjax.constraints.pairs import (
 )
 from rbjax.constraints.place import Place, places
 from rbjax.constraints.reactions import jacobian, joint_wrenches, multipliers, residual
+from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations
 from rbjax.constraints.row import Row
+from rbjax.constraints.unconstrained import (
+    AugmentedLagrangian,
+    ForceProjection,
+    Penalty,
+    UdwadiaKalaba,
+)
 
 __all__ = [
-    "jacobian",
-    "joint_wrenches",
-    "multipliers",
-    "residual",
+    "AugmentedLagrangian",
     "Baumgarte",
     "Constraint",
     "Cylindrical",
     "Distance",
+    "ForceProjection",
     "Formulation",
     "Gear",
     "Inline",
     "Inplane",
     "JointPolynomial",
+    "KKT",
     "Multipliers",
+    "NullSpaceQR",
+    "NullSpaceSVD",
     "Orthogonal",
     "Pair",
     "Parallel",
+    "Partitioning",
+    "Penalty",
     "Place",
     "Planar",
     "Prescribed",
@@ -61,6 +72,7 @@ __all__ = [
     "Row",
     "Screw",
     "Spherical",
+    "UdwadiaKalaba",
     "Universal",
     "Weld",
     "along",
@@ -69,7 +81,11 @@ __all__ = [
     "displacement",
     "distance",
     "formulations",
+    "jacobian",
+    "joint_wrenches",
+    "multipliers",
     "places",
+    "residual",
     "time",
     "turn",
 ]

@@ -75,15 +75,27 @@ class Baumgarte(Formulation):
 
 
 @dataclass(frozen=True)
-class Projected(Multipliers):
-    """Index 1, and after each step positions and velocities are put back on the constraints by the
-    least change in the norm of the mass matrix.
+class Projected(Formulation):
+    """Another formulation, and after each step positions and velocities are put back on the
+    constraints by the least change in the norm of the mass matrix.
 
-    Fields: iterations, of each of the two.
+    Fields: of, the formulation; iterations, of each of the two. Family and index are those of `of`.
     """
 
+    of: Formulation = Multipliers()
     iterations: int = 2
     name: ClassVar[str] = "projected"
 
+    @property
+    def family(self) -> str:  # type: ignore[override]
+        return self.of.family
+
+    @property
+    def index(self) -> int:  # type: ignore[override]
+        return self.of.index
+
+    def __call__(self, model, t, state, tau, pushes):
+        return self.of(model, t, state, tau, pushes)
+
     def settled(self, model: Model, t: Any, state: State) -> State:
-        return projected(model, t, state, self.iterations)
+        return projected(model, t, self.of.settled(model, t, state), self.iterations)
