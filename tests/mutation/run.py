@@ -7,7 +7,8 @@ each mutant meets the tests that execute its statement: those of the file's name
 cheap before dear, up to `--cost` seconds of CPU. One that survives meets the dearer ones when the
 new mutants are through, or after two thirds of the time. `results.jsonl` says what happened to
 each, and a later run with the same `--out` goes on from there; `report.md` has the table and the
-survivors. When tests have changed, FILE:LINE and another `--out` try a survivor again.
+survivors. When tests have changed, FILE:LINE:COLUMN and another `--out` try a survivor
+again, `--tests` its namesake only.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ from tests.mutation.mutants import Mutant, mutants, spread
 from tests.mutation.trees import ROOT, Tree, executed, in_parallel
 
 ROOMS = "dynamics forces motion joints spatial lanes".split()  # noqa: SIM905
-TESTS = [  # what takes longest comes first, so that all end together
+TESTS = [  # what is cheap comes first: a deadline then leaves out the fewest
+    "tests/spatial/test_*.py", "tests/lanes/test_*.py", "tests/forces/test_*.py",
+    "tests/test_bad_arguments.py", "tests/model/test_*.py", "tests/solvers/test_terms.py",
+    *(f"rbjax/{room}" for room in ROOMS),  # their doctests
     "tests/dynamics/test_*.py", "tests/motion/test_*.py", "tests/test_registry.py",
     "tests/body/test_*.py", "tests/solvers/test_simulate.py", "tests/threads/test_simulate.py",
-    "tests/forces/test_*.py", "tests/spatial/test_*.py", "tests/lanes/test_*.py",
-    "tests/model/test_*.py", "tests/solvers/test_terms.py", "tests/test_bad_arguments.py",
-    *(f"rbjax/{room}" for room in ROOMS),  # their doctests
 ]  # fmt: skip
 START = 15.0  # seconds that Python, JAX and the imports may take
 
@@ -143,7 +144,9 @@ class Campaign:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("files", nargs="*", help="FILE or FILE:LINE; without any, the kernel's")
+    parser.add_argument(
+        "files", nargs="*", help="FILE, FILE:LINE or FILE:LINE:COLUMN; none: the kernel's"
+    )
     parser.add_argument("--tests", nargs="+", default=TESTS, help="patterns of test files")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--budget-s", type=float, default=540.0)
@@ -158,10 +161,10 @@ def main() -> None:
 
     rng, chosen = random.Random(given.seed), []
     for name in given.files or found(*(f"rbjax/{room}/[!_]*.py" for room in ROOMS)):
-        file, _, line = name.partition(":")
+        file = name.partition(":")[0]
         of_file = mutants(file, (ROOT / file).read_text())
         rng.shuffle(of_file)
-        of_file = [m for m in of_file if not line or m.line == int(line)]
+        of_file = [m for m in of_file if m.key.startswith(f"{name}:")]
         chosen += spread(of_file, lambda m: m.kind, rng)[: given.most]
     chosen = spread(chosen, lambda m: m.file, rng)
 
