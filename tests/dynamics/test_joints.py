@@ -373,6 +373,7 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
     assert wide.nq == model.nq + 2 and wide.keyframes.q.shape == (len(wide.keyframe_names), wide.nq)
     assert wide.q_slice(name) == slice(2, 5)
     np.testing.assert_array_equal(wide.default_state().q[2:5], [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(model.with_joint(name, "universal").joints.numbers, [0, 1, 0])
     fixed = screw.fix_zeros()
     assert fixed.with_joint(name, "hinge").execution.zeros is not None
     with pytest.raises(rb.UnknownName, match="screw"):

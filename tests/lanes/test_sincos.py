@@ -32,6 +32,13 @@ def test_sincos_against_many_digits(x: float) -> None:
         assert abs(mpmath.mpf(float(s)) - mpmath.sin(x)) <= 1.2e-16
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_on_the_cpu_libm_is_not_called(dtype: type) -> None:
+    """In f64 it costs ten times as much."""
+    traced = jax.jit(sincos).trace(jax.ShapeDtypeStruct((3,), dtype))
+    assert "sine" not in traced.lower(lowering_platforms=("cpu",)).as_text()
+
+
 def test_sincos_derivatives() -> None:
     x = ANGLES[:5000]
 

@@ -167,6 +167,7 @@ def test_pseudo_inertia_is_the_second_moment() -> None:
         (1.0, [1.0, 1.0, 2.5], (True, False, False)),
         (1.0, [-1.0, 2.0, 2.0], (False, False, False)),
         (-1.0, [1.0, 1.0, 1.0], (False, True, False)),
+        (0.0, [1.0, 1.0, 1.0], (False, True, False)),
     ],
 )
 def test_consistency(mass, moments, expected) -> None:
