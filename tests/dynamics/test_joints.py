@@ -255,6 +255,13 @@ def test_the_rolled_driver_agrees(kind: str) -> None:
     agree(found(kind), found(kind, "rolled"))
 
 
+def test_a_node_among_hinges_on_the_rolled_driver() -> None:
+    """The cheapest of `everything`."""
+    model, q, v, a = moving("bent")
+    rolled, unrolled = (model.replace(driver=driver) for driver in ("rolled", "unrolled"))
+    agree(rb.inverse_dynamics(rolled, q, v, a), rb.inverse_dynamics(unrolled, q, v, a))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_rolled_driver_agrees_before_a_ball(kind: str) -> None:
