@@ -64,6 +64,11 @@ def test_sincos_in_f32_and_eager() -> None:
         np.testing.assert_allclose(s, np.sin(exact), rtol=0, atol=8e-8)
 
 
+def test_sincos_of_half_precision_is_xla_s() -> None:
+    x = np.linspace(-3, 3, 50).astype(np.float16)
+    np.testing.assert_allclose(jax.jit(sincos)(x), [np.cos(x), np.sin(x)], atol=1e-3)
+
+
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_sincos_of_what_no_angle_is(dtype: type) -> None:
     """Where the spacing of numbers exceeds a turn: some point of the circle; not a number: none."""

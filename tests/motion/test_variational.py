@@ -198,6 +198,14 @@ def test_emitted_c(scene, driver):
             assert relative_error(a, b) < F64_IDENTITY
 
 
+def test_a_law_gives_the_acceleration():
+    """Of a cart whose law lets nothing accelerate: only what a midpoint neglects is left."""
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.array([0.0, 1.0]), jnp.array([0.3, 0.2]))
+    after = rb.step(model, state, dt=1e-3, integrator=NAME, law=lambda *_: jnp.zeros(2))
+    np.testing.assert_allclose(after.v, state.v, atol=1e-7)
+
+
 class Stiff(rb.forces.Element):
     """A spring that keeps its stiffness from the iteration."""
 

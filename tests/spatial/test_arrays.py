@@ -208,6 +208,12 @@ def test_what_is_no_inertia_is_refused_in_a_sentence(arguments, words) -> None:
         jax.jit(spatial.check_mass_properties)(*arguments)
 
 
+def test_a_thin_rod_and_a_particle_are_bodies() -> None:
+    """Moments may vanish, and be negative by rounding."""
+    for moments in ([0.0, 1.0, 1.0], [-1e-16, 1.0, 1.0], [0.0, 0.0, 0.0]):
+        spatial.check_mass_properties(1.0, COM, np.diag(moments))
+
+
 def test_batches_and_single_precision() -> None:
     """Leading axes are vmap; f32 stays f32."""
     Ts = se3.exp(RNG.normal(size=(4, 6)))
