@@ -260,6 +260,13 @@ def test_the_rolled_driver_agrees(kind: str) -> None:
     agree(found(kind), found(kind, "rolled"))
 
 
+def test_a_node_among_hinges_on_the_rolled_driver() -> None:
+    """The cheapest of `everything`."""
+    model, q, v, a = moving("bent")
+    rolled, unrolled = (model.replace(driver=driver) for driver in ("rolled", "unrolled"))
+    agree(rb.inverse_dynamics(rolled, q, v, a), rb.inverse_dynamics(unrolled, q, v, a))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_rolled_driver_agrees_before_a_ball(kind: str) -> None:
@@ -379,6 +386,7 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
     assert wide.nq == model.nq + 2 and wide.keyframes.q.shape == (len(wide.keyframe_names), wide.nq)
     assert wide.q_slice(name) == slice(2, 5)
     np.testing.assert_array_equal(wide.default_state().q[2:5], [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(model.with_joint(name, "universal").joints.numbers, [0, 1, 0])
     fixed = screw.fix_zeros()
     assert fixed.with_joint(name, "hinge").execution.zeros is not None
     with pytest.raises(rb.UnknownName, match="screw"):

@@ -139,6 +139,11 @@ def test_only_where_asked_for_and_enabled() -> None:
     assert rb.load("double_pendulum", friction=True).forces == ()
 
 
+def test_the_numbers_are_those_of_a_model() -> None:
+    with pytest.raises(rb.InputError, match=r"JointFriction.of: the first argument is str, expect"):
+        rb.forces.JointFriction.of("cart_pole", ["slider"], 1.0)  # type: ignore[arg-type]
+
+
 def test_zeros_cost_nothing() -> None:
     model = rb.load("double_pendulum")
     none = rb.forces.JointFriction.of(model, model.joint_names, 0.0)

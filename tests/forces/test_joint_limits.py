@@ -119,6 +119,8 @@ def test_the_law() -> None:
     np.testing.assert_allclose(f[deep], (k * (p - w / 2) + d * rate)[deep])
     slope = jax.vmap(jax.grad(lambda p: stop_energy(p, k, w)))(p.ravel())
     np.testing.assert_allclose(slope, still.ravel(), rtol=F64_IDENTITY, atol=1e-12)
+    at = stop_energy(jnp.array([0.0, w, w * (1 + 1e-12)]), k, w)  # nothing, and one where they meet
+    np.testing.assert_allclose(at, [0.0, k * w**2 / 6, k * w**2 / 6], rtol=1e-10)
 
 
 def test_two_stops_that_are_apart_cost_as_one() -> None:

@@ -144,6 +144,9 @@ def test_zeros_cost_nothing_and_other_models_have_none() -> None:
     assert costs_nothing(rb.forces.PointSpring.of(*ends), model)
 
 
-def test_anchor_of_two_frames() -> None:
+def test_anchor_of_two_frames_or_of_what_is_no_name() -> None:
     with pytest.raises(rb.InputError, match="give one of them"):
         rb.forces.Anchor.on(body="a", site="b")
+    for wrong in (True, 1.5):
+        with pytest.raises(rb.InputError, match=r"site is .*, expected its name, its index, or"):
+            rb.forces.Anchor.on(site=wrong)  # type: ignore[arg-type]

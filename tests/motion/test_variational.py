@@ -198,6 +198,34 @@ def test_emitted_c(scene, driver):
             assert relative_error(a, b) < F64_IDENTITY
 
 
+def test_a_law_gives_the_acceleration():
+    """Of a cart whose law lets nothing accelerate: only what a midpoint neglects is left."""
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.array([0.0, 1.0]), jnp.array([0.3, 0.2]))
+    after = rb.step(model, state, dt=1e-3, integrator=NAME, law=lambda *_: jnp.zeros(2))
+    np.testing.assert_allclose(after.v, state.v, atol=1e-7)
+
+
+class Stiff(rb.forces.Element):
+    """A spring that keeps its stiffness from the iteration."""
+
+    k: jax.Array
+
+    def loads(self, now):
+        joint = now.joint(0)
+        return joint.push(-self.k * joint.q[0])
+
+
+def test_a_slow_step_that_does_not_converge_is_no_number_either():
+    """Without gravity; a correction is h^2 k / 4 I times the one before."""
+    model = rb.load("pendulum").replace(gravity=jnp.zeros(3))
+    inertia = rb.mass_matrix(model, jnp.zeros(1))[0, 0]
+    for ratio, converges in ((0.01, True), (1.5, False)):
+        acted = model.with_forces(Stiff(4 * ratio * inertia / 0.01))
+        after = rb.step(acted, rb.State(1e-5 * jnp.ones(1), jnp.zeros(1)), dt=0.1, integrator=NAME)
+        assert bool(jnp.isfinite(after.v).all()) == converges
+
+
 def test_a_step_that_does_not_converge_is_no_number():
     model = rb.load("double_pendulum")
     state = rb.State(jnp.array([2.0, 1.0]), jnp.array([20.0, -30.0]))

@@ -168,6 +168,7 @@ def test_pseudo_inertia_is_the_second_moment() -> None:
         (1.0, [1.0, 1.0, 2.5], (True, False, False)),
         (1.0, [-1.0, 2.0, 2.0], (False, False, False)),
         (-1.0, [1.0, 1.0, 1.0], (False, True, False)),
+        (0.0, [1.0, 1.0, 1.0], (False, True, False)),
     ],
 )
 def test_consistency(mass, moments, expected) -> None:
@@ -206,6 +207,12 @@ def test_what_is_no_inertia_is_refused_in_a_sentence(arguments, words) -> None:
         assert word in str(caught.value)
     if "com" not in words:  # in traced code the numbers pass through, and `consistency` flags them
         quick_jit(spatial.check_mass_properties)(*arguments)
+
+
+def test_a_thin_rod_and_a_particle_are_bodies() -> None:
+    """Moments may vanish, and be negative by rounding."""
+    for moments in ([0.0, 1.0, 1.0], [-1e-16, 1.0, 1.0], [0.0, 0.0, 0.0]):
+        spatial.check_mass_properties(1.0, COM, np.diag(moments))
 
 
 def test_batches_and_single_precision() -> None:
