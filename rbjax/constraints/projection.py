@@ -25,10 +25,14 @@ from rbjax.lanes import Lane, fusion_barrier, neg
 from rbjax.model import Model, State
 
 
-def projected(
-    model: Model, t: Any, state: State, iterations: int = 2, positions: bool = True
-) -> State:
-    """The state on its constraints; `positions`: not of its velocity only."""
+#: by bytes of a number
+ITERATIONS = {4: 1, 8: 2}
+
+
+def projected(model: Model, t: Any, state: State, iterations: int | None = None) -> State:
+    """The state on its constraints; iterations None: as many as bring the error of a step down to
+    rounding."""
+    iterations = ITERATIONS[state.q.dtype.itemsize] if iterations is None else iterations
     d = driver(model, state.q.dtype)
 
     def seen(q: jax.Array, v: jax.Array) -> Instant:
@@ -42,7 +46,7 @@ def projected(
     def least(off: list[Lane]) -> jax.Array:
         return answer.accelerated(None, answer.multipliers([neg(x) for x in off]))
 
-    if positions and any(row.holonomic for row in rows):
+    if any(row.holonomic for row in rows):
         for _ in range(iterations):
             dq = least([_value(row) for row in rows])
             q = jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(dq))))
