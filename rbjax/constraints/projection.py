@@ -24,7 +24,6 @@ from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, fusion_barrier, neg
 from rbjax.model import Model, State
 
-
 #: by bytes of a number
 ITERATIONS = {4: 1, 8: 2}
 
