@@ -8,7 +8,7 @@ PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 # Tests and the demo compile the same programs again and again: keep them between runs.
-# Tests that are not slow compile them without optimizations, too: tests/conftest.py.
+# Tests that are not slow compile without optimizations, or not at all: tests/conftest.py, quickly.py.
 # (Benchmarks measure compilation, so they do without.)
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5

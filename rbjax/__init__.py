@@ -8,7 +8,7 @@ import functools
 import importlib
 from typing import Any
 
-from rbjax import body, dynamics, forces, joints, rotations, solvers, spatial, sysid
+from rbjax import body, constraints, dynamics, forces, joints, rotations, solvers, spatial, sysid
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
@@ -88,6 +88,7 @@ __all__ = [
     "center_of_mass",
     "centroidal_momentum",
     "compiler_options",
+    "constraints",
     "coriolis_matrix",
     "difference",
     "dynamics",

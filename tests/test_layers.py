@@ -22,10 +22,10 @@ FLOORS = {
     "dynamics": "body model threads",
     # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
     "forces": "dynamics",
-    "loading": "forces",
     "constraints": "forces",
+    "loading": "constraints",
     "solvers": "rotations",
-    "motion": "constraints solvers loading",
+    "motion": "solvers loading",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "motion")  # noqa: SIM905

@@ -5,7 +5,6 @@ function inside one compiled program, with the model closed over, mapped over a 
 derivatives. A public function that is missing here fails the last test.
 """
 
-import functools
 import inspect
 import re
 from collections.abc import Callable
@@ -19,7 +18,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.robots import QUICK, robot
+from tests.quickly import quick_jit
+from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
@@ -151,13 +151,12 @@ def test_composes(name: str, of: str) -> None:
         return flat(entry.function(model, *arrays, **entry.rest))
 
     def everything(tangents, weight, *batch):
-        first = [x[0] for x in batch]
-        rate = jax.jvp(f, first, tangents)[1]
-        return jax.vmap(f)(*batch), rate, jax.vjp(f, *first)[1](weight)
+        mapped, rates = jax.vmap(lambda *x: jax.jvp(f, x, tuple(tangents)))(*batch)
+        return mapped, rates[0], jax.vjp(f, *(x[0] for x in batch))[1](weight)
 
     door = [np.asarray(f(*(x[k] for x in xs))) for k in range(3)]  # a loop, and not compiled by us
     weight = rng.normal(size=door[0].shape)
-    mapped, rate, gradient = jax.jit(everything, compiler_options=QUICK)(tangents, weight, *xs)
+    mapped, rate, gradient = quick_jit(everything)(tangents, weight, *xs)
     assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
     ends = [
         np.asarray(f(*(x[0] + side * STEP * t for x, t in zip(xs, tangents, strict=True))))
@@ -169,11 +168,11 @@ def test_composes(name: str, of: str) -> None:
     assert abs(by_reverse - weight @ rate) <= F64_IDENTITY * scale, "vjp"
 
 
-@pytest.mark.parametrize("name", REGISTRY)
-def test_a_compiled_function_mapped_and_differentiated(name: str) -> None:
+@pytest.mark.parametrize(("name", "of"), CASES)
+def test_a_compiled_function_mapped_and_differentiated(name: str, of: str) -> None:
     """jvp of vmap of jit: results of a custom rule keep their axes (JAX trusts the rule)."""
-    entry, model = REGISTRY[name], robot("small", "unrolled").model
-    xs = samples(entry.arrays)
+    entry, model = REGISTRY[name], robot(of, "unrolled").model
+    xs = samples(entry.arrays, of)
 
     @jax.jit
     def f(*arrays):
@@ -215,7 +214,7 @@ def test_derivatives_with_respect_to_the_model() -> None:
     def f(model):
         return rb.forward_dynamics(model, q, v, a, w)
 
-    @functools.partial(jax.jit, compiler_options=QUICK)
+    @quick_jit
     def both(model, direction):
         rate = jax.jvp(f, (model,), (direction,))[1]
         (gradient,) = jax.vjp(f, model)[1](weight)

@@ -1,7 +1,9 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
 from rbjax.constraints.constraint import Constraint
+from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.curve import PointOnCurve, PointOnSurface
+from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.functions import Holonomic, Pfaffian
 from rbjax.constraints.geometry import (
     along,
@@ -12,6 +14,7 @@ from rbjax.constraints.geometry import (
     time,
     turn,
 )
+from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.pairs import (
     Cylindrical,
     Distance,
@@ -29,32 +32,57 @@ from rbjax.constraints.pairs import (
     Weld,
 )
 from rbjax.constraints.place import Place, places
+from rbjax.constraints.reactions import jacobian, joint_wrenches, multipliers, residual
+from rbjax.constraints.redundant import KKT
+from rbjax.constraints.registry import formulations
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.row import Row
+from rbjax.constraints.unconstrained import (
+    AugmentedLagrangian,
+    ForceProjection,
+    Penalty,
+    UdwadiaKalaba,
+)
 
 __all__ = [
+    "KKT",
+    "AugmentedLagrangian",
+    "Baumgarte",
     "Constraint",
     "Cylindrical",
     "Distance",
+    "ForceProjection",
+    "Formulation",
+    "Gear",
     "Holonomic",
     "Inline",
     "Inplane",
+    "JointPolynomial",
     "KnifeEdge",
+    "Multipliers",
+    "NullSpaceQR",
+    "NullSpaceSVD",
     "Orthogonal",
     "Pair",
     "Parallel",
+    "Partitioning",
+    "Penalty",
     "Pfaffian",
     "Place",
     "Planar",
     "PointOnCurve",
     "PointOnSurface",
+    "Prescribed",
     "Prismatic",
+    "Projected",
+    "Rack",
     "Revolute",
     "RollingDisc",
     "RollingSphere",
     "Row",
     "Screw",
     "Spherical",
+    "UdwadiaKalaba",
     "Universal",
     "Weld",
     "along",
@@ -62,7 +90,12 @@ __all__ = [
     "cosine",
     "displacement",
     "distance",
+    "formulations",
+    "jacobian",
+    "joint_wrenches",
+    "multipliers",
     "places",
+    "residual",
     "time",
     "turn",
 ]

@@ -3,14 +3,20 @@
     M a + b = tau + sum of J_i^T f_i + G^T l
     G a + (G' v + ...) = -2 alpha (G v + g_t) - beta^2 g
 
-Its derivative is that of these equations (one tangent of RNEA and of the rows, one solve with the
-factors that the value has left), so no factorization and no iteration is differentiated. Where rows
-are redundant, a and its derivative are those of the rows that are left; the derivative of l is the
-one of least norm. (Masarati, *Multibody System Dynamics*, ch. 7, 8; Baumgarte 1972.)
+The equations are linear in a and l. A method says from which accelerations a_0 it starts and how
+it solves for the rest:
+
+    M da - G^T dl = tau + sum of J_i^T f_i - b - M a_0,     G da = c - (what the rows have at a_0)
+
+The derivative is that of these equations (one tangent of RNEA and of the rows, one more solution by
+the same method), so no factorization and no iteration is differentiated. Where rows are redundant,
+a and its derivative are those of the rows that are left; l is one of many.
+(Masarati, *Multibody System Dynamics*, ch. 7, 8; Baumgarte 1972.)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -19,7 +25,7 @@ import jax.numpy as jnp
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import response, rows_of
 from rbjax.dynamics.aba import aba
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.link_forces import LinkForces, added
 from rbjax.dynamics.rnea import rnea
 from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
@@ -27,6 +33,35 @@ from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, mul, sub
 from rbjax.model import Model, State
+
+#: (force (nv,) or None for zero, c of the rows) -> da (nv,), dl (rows,) as lanes or an array
+Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, Any]]
+#: (instant, rows) -> how their equations are solved
+System = Callable[[Instant, Sequence[Row]], Solve]
+#: (driver, instant, tau, pushes) -> a_0 or None for zero, the forces left there, the system
+Method = Callable[
+    [Driver, Instant, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
+]
+
+
+def range_space(
+    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+) -> tuple[jax.Array, None, System]:
+    """From free motion on, by its factors: A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
+
+    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+        answer = response(d, factors, now, rows)
+
+        def solve(force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, Any]:
+            if force is not None:
+                c = [sub(x, y) for x, y in zip(c, answer.projected(force), strict=True)]
+            l = answer.multipliers(c)
+            return answer.accelerated(force, l), l
+
+        return solve
+
+    return d.pack(qdd, tau), None, system
 
 
 def constrained_motion(
@@ -37,6 +72,7 @@ def constrained_motion(
     pushes: LinkForces,
     alpha: Any = 0.0,
     beta: Any = 0.0,
+    method: Method = range_space,
 ) -> tuple[jax.Array, jax.Array]:
     """a (nv,) and l (rows,) of a sample, on checked arrays."""
     given, rebuilt = split_tracers((model, pushes, t, alpha, beta))
@@ -47,28 +83,25 @@ def constrained_motion(
         model, pushes, t, alpha, beta = rebuilt(changed)
         d = driver(model, q.dtype, values=values)
         now = Instant.of(model, t, State(q, v), None, d=d)
-        qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
-        free = d.pack(qdd, tau)
-        now = now.accelerating(free)
+        start, left, system = method(d, now, tau, pushes)
+        now = now if start is None else now.accelerating(start)
         rows = rows_of(model, now)
-        answer = response(d, factors, now, rows)
-        l = answer.multipliers([asked(row, alpha, beta) for row in rows])
-        a = free + answer.accelerated(None, l)
-        return jnp.concatenate([a, _stacked(l, a)]), answer
+        solve = system(now, rows)
+        da, l = solve(left, [asked(row, alpha, beta) for row in rows])
+        a = da if start is None else start + da
+        return jnp.concatenate([a, _stacked(l, a)]), solve
 
     def plain(changed, q, v, tau):
         return run(changed, q, v, tau, values=known_model)[0]
 
     def solved(changed, q, v, tau):
-        x, answer = run(changed, q, v, tau)
+        x, solve = run(changed, q, v, tau)
 
-        def solve(change):
-            force, off = change[:nv], change[nv:]
-            reached = answer.projected(force)
-            l = answer.multipliers([sub(off[r], y) for r, y in enumerate(reached)])
-            return jnp.concatenate([answer.accelerated(force, l), _stacked(l, force)])
+        def solution(change):
+            da, dl = solve(change[:nv], list(change[nv:]))
+            return jnp.concatenate([da, _stacked(dl, da)])
 
-        return x, solve
+        return x, solution
 
     def residual(changed, q, v, tau, x):
         model, pushes, t, alpha, beta = rebuilt(changed)
@@ -95,5 +128,7 @@ def asked(row: Row, alpha: Any, beta: Any) -> Lane:
     return sub(0.0, out)
 
 
-def _stacked(lanes: list[Lane], like: jax.Array) -> jax.Array:
+def _stacked(lanes: Sequence[Lane] | jax.Array, like: jax.Array) -> jax.Array:
+    if isinstance(lanes, jax.Array):
+        return lanes
     return jnp.stack([jnp.asarray(x, like.dtype) for x in lanes])

@@ -104,14 +104,19 @@ class Row:
 
 
 def angle(sine: Row, cosine: Row) -> Row:
-    """atan2(sine, cosine) of rows whose squares sum to one, in (-pi, pi]."""
+    """atan2(sine, cosine) of two rows, in (-pi, pi]: the angle of a vector of any length."""
     s: Any = sine.value
     c: Any = cosine.value
+    inverse = 1.0 / add(mul(s, s), mul(c, c))  # of the length squared
+    x, y = mul(c, inverse), mul(s, inverse)
+    rate = sub(mul(x, sine.rate), mul(y, cosine.rate))
+    longer = add(mul(y, sine.rate), mul(x, cosine.rate))
+    acceleration = sub(mul(x, sine.acceleration), mul(y, cosine.acceleration))
     return Row(
         jnp.arctan2(s, c),
-        sub(mul(c, sine.rate), mul(s, cosine.rate)),
-        sine.gradient * c + cosine.gradient * neg(s),
-        sub(mul(c, sine.acceleration), mul(s, cosine.acceleration)),
+        rate,
+        sine.gradient * x + cosine.gradient * neg(y),
+        sub(acceleration, mul(2.0, mul(rate, longer))),
     )
 
 

@@ -9,9 +9,10 @@ Orin 2000; Carpentier, Budhiraja & Mansard, *Proximal and sparse resolution of c
 dynamics*, 2021.)
 
 Redundant rows. A is singular where rows say the same twice, or where a mechanism passes a singular
-configuration. It is factored with eps diag(A) added, and what this falsifies is taken back by
-iteration (proximal): l converges to the solution of least norm, in the norm of diag(A), with no
-decision about rank.
+configuration. It is factored with eps D added, D = diag(A) + tr(A) u / eps (u the rounding unit),
+and what this falsifies is taken back by iteration (proximal): l converges to the solution of least
+norm, in the norm of D, with no decision about rank. The trace keeps out rows that are zero but for
+rounding, as those of a plane loop across its plane are: their own entry of A is rounding too.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ from rbjax.lanes.products import matmat, matvec
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force, Motion
 
-#: what is added to the diagonal of A, relatively, and how often its effect is taken back, by bytes
-#: of a number: components of A above 1e-3 of the diagonal come out to rounding
+#: eps, what is added to the diagonal of A, relatively, and how often its effect is taken back, by
+#: bytes of a number: components of A above 1e-3 of the diagonal come out to rounding
 PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
 #: up to so many rows A is factored on lanes, where blocks that do not meet cost nothing
 ROWS_ON_LANES = 24
@@ -65,7 +66,8 @@ def _computed(row: Row, now: Instant) -> Row:
     return Row(value, rate, Loads(tau, wrenches), acceleration)
 
 
-def _by_link(loads: Loads) -> Mapping[int, Force]:
+def by_link(loads: Loads) -> Mapping[int, Force]:
+    """The wrenches of a row's gradient."""
     if isinstance(loads.wrenches, Force):
         raise InputError("a row's gradient has wrenches on all links, expected those on a few")
     return loads.wrenches
@@ -74,7 +76,7 @@ def _by_link(loads: Loads) -> Mapping[int, Force]:
 def arms(now: Instant, row: Row) -> dict[int, Lane]:
     """The gradient of a row by velocity coordinate."""
     out = dict(row.gradient.tau)
-    for link, force in _by_link(row.gradient).items():
+    for link, force in by_link(row.gradient).items():
         for i, x in now.link(link).arms(force).items():
             out[i] = add(out.get(i, 0.0), x)
     return out
@@ -120,7 +122,7 @@ class OnLanes:
 
     def _eliminated(self, loads: Loads) -> dict[int, Lane]:
         """The force left at each joint that the loads reach."""
-        links, pending, left = self._d.topology.links, dict(_by_link(loads)), {}
+        links, pending, left = self._d.topology.links, dict(by_link(loads)), {}
         for i in reversed(range(len(links))):
             tau = loads.tau.get(i, 0.0)
             if i not in pending and is_zero(tau):
@@ -149,7 +151,8 @@ class OnLanes:
     def multipliers(self, c: Sequence[Lane]) -> list[Lane]:
         eps, again = PROXIMAL[self._like.dtype.itemsize]
         A = self._A
-        factors = ldlt([[*row[:-1], mul(1.0 + eps, row[-1])] for row in A])
+        least = mul(float(jnp.finfo(self._like.dtype).eps), total(row[-1] for row in A))
+        factors = ldlt([[*row[:-1], add(mul(1.0 + eps, row[-1]), least)] for row in A])
         full = [[A[max(r, s)][min(r, s)] for s in range(len(A))] for r in range(len(A))]
         l = fusion_barrier(factors.solve(c))
         for _ in range(again):
@@ -209,10 +212,11 @@ class OnMatrices:
 
 
 def least_norm(A: jax.Array, c: jax.Array) -> jax.Array:
-    """l of A l = c, of least norm in the norm of diag(A)."""
+    """l of A l = c, of least norm in the norm of D."""
     eps, again = PROXIMAL[A.dtype.itemsize]
-    scale = jnp.diagonal(A)
-    s = jnp.where(scale > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(scale > 0, scale, 1.0))
+    diagonal = jnp.diagonal(A)
+    D = diagonal + jnp.finfo(A.dtype).eps / eps * diagonal.sum()
+    s = jnp.where(D > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(D > 0, D, 1.0))
     B = s[:, None] * A * s[None]
     factors = jax.scipy.linalg.cho_factor(B + eps * jnp.eye(len(B), dtype=A.dtype))
     b = s * c

@@ -45,7 +45,7 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 }
 
 #: arguments that are part of the program
-STATIC = ("body", "site", "integrator", "law")
+STATIC = ("body", "site", "integrator", "law", "constraints")
 
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")

@@ -46,11 +46,7 @@ def in_chunks(f: Callable[[list], Any]) -> Callable[[list], Any]:
     def rule(size, axes, args):
         return chunks(jax.vmap(f, in_axes=axes), args, axes[0], size)
 
-    def tangent(primals, tangents):
-        out, rate = jvp_of(f, primals, tangents)
-        return out, jax.tree.map(jnp.zeros_like, out) if rate is None else rate
-
-    return with_jvp(with_rule(f, rule), tangent)
+    return with_jvp(with_rule(f, rule), lambda *at: jvp_of(f, *at))
 
 
 def divided(size: int) -> tuple[int, int]:

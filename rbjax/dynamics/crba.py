@@ -67,6 +67,11 @@ def _by_columns(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
     return with_armature(d, pair_matrix(d, (S, F), (F, S), like))
 
 
+def crba(d: Driver, joints: Any, like: jax.Array) -> jax.Array:
+    """M as an array (nv, nv)."""
+    return packed(_listed(d, joints), like) if d.listed else _by_columns(d, joints, like)
+
+
 @algorithm("q", long=True)
 def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     """M(q) (nv, nv), symmetric positive definite: kinetic energy = v^T M v / 2, armature included.
@@ -93,7 +98,4 @@ def mass_matrix(model: Model, q: jax.Array) -> jax.Array:
     if not n:
         return jnp.zeros((0, 0), q.dtype)
     d = driver(model, q.dtype)
-    joints = d.joints(q, None)
-    if not d.listed:
-        return _by_columns(d, joints, jnp.zeros(n, q.dtype))
-    return packed(_listed(d, joints), q)
+    return crba(d, d.joints(q, None), jnp.zeros(n, q.dtype))

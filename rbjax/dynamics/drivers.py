@@ -60,7 +60,7 @@ def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
         few = values and jax.default_backend() == "cpu"
         most = VALUES_UNROLLED_UP_TO if few else UNROLLED_UP_TO
         name = "unrolled" if model.nv <= most else "rolled"
-    if name == "limbs" and not partition(model.topology).groups:
+    if not model.nv or (name == "limbs" and not partition(model.topology).groups):
         name = "unrolled"
     return DRIVERS[name](model, prepare(model, dtype))
 

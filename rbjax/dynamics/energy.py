@@ -31,8 +31,6 @@ def kinetic_energy(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         >>> float(rb.kinetic_energy(model, model.default_state().q, model.default_state().v))
         0.0
     """
-    if not model.nv:
-        return jnp.zeros((), q.dtype)
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     twists = link_twists(d, joints)

@@ -89,9 +89,7 @@ class LinkMotion:
         return joint.transform(constants), joint.S
 
     def axis(self, link: int) -> Motion:
-        """The axis S of a link in its own axes."""
-        if self.driver.listed:
-            return self._links[link][0].S
+        """The axis S of a link in its own axes, where links are columns."""
         if self.driver.topology.straight:
             kind = self.driver.topology.links[link].kind
             return kind.axis(self.driver.prepared.link(link).numbers)

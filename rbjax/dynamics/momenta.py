@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from rbjax.dynamics.aba import factorize, solve
 from rbjax.dynamics.drivers import driver
@@ -89,8 +88,7 @@ def _ruled(run: Callable, given: Any, *args: jax.Array) -> Any:
         def f(changed, *args):
             return run(rebuilt(changed), *args, values=False)
 
-        out, rate = jvp_of(f, primals, tangents)
-        return out, jax.tree.map(jnp.zeros_like, out) if rate is None else rate
+        return jvp_of(f, primals, tangents)
 
     return with_jvp(plain, tangent)(moving, *args)
 

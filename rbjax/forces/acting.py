@@ -113,7 +113,7 @@ def within(model: Model, x: jax.Array | None) -> jax.Array | None:
     found: list[Lane] = []
     at = 0
     for element in model.forces:
-        found += list(element.within(x[at : at + element.size])) if element.size else []
+        found += list(element.within(x[at : at + element.size]))
         at += element.size
     return pack(found, x)
 

@@ -56,5 +56,4 @@ def evaluated(where: str, model: Model, sources: Inputs, t: Any, state: State) -
 def joined(arrays: list[jax.Array]) -> jax.Array:
     """Inputs (..., n_k) side by side, as (..., sum of n_k)."""
     lead = jnp.broadcast_shapes(*(x.shape[:-1] for x in arrays))
-    wide = [jnp.broadcast_to(x, (*lead, x.shape[-1])) for x in arrays]
-    return wide[0] if len(wide) == 1 else jnp.concatenate(wide, -1)
+    return jnp.concatenate([jnp.broadcast_to(x, (*lead, x.shape[-1])) for x in arrays], -1)

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.forces.element import Element, Loads, Shapes, coordinates
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub
+from rbjax.lanes import Lane, add, is_zero, mul, neg, sub
 from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
@@ -106,7 +106,7 @@ class JointFriction(Element):
 
 def _friction(v: Lane, coulomb: Lane, breakaway: Lane, v_s: Lane, v_0: Lane, viscous: Lane) -> Lane:
     dry, extra = coulomb, sub(breakaway, coulomb)
-    if not (is_literal(extra) and extra == 0):
+    if not is_zero(extra):
         dry = add(dry, mul(extra, jnp.exp(-((v / v_s) ** 2))))
     if not is_zero(dry):
         dry = mul(dry, jnp.tanh(v / v_0))

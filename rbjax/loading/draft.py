@@ -26,6 +26,7 @@ class Draft:
     option: ET.Element
     world: ET.Element
     tendon: ET.Element
+    equality: ET.Element
     actuator: ET.Element
     bodies: list[ET.Element] = field(default_factory=list)
     joints: list[ET.Element] = field(default_factory=list)
@@ -44,6 +45,7 @@ class Draft:
             option=ET.SubElement(root, "option"),
             world=ET.SubElement(root, "worldbody"),
             tendon=ET.SubElement(root, "tendon"),
+            equality=ET.SubElement(root, "equality"),
             actuator=ET.SubElement(root, "actuator"),
         )
 

@@ -7,13 +7,18 @@ import numpy as np
 
 from rbjax.errors import listed
 from rbjax.loading.actuator_kinds import is_at_joint, what_is_left_out
+from rbjax.loading.constraints import equalities_are_on, is_loaded
 
 _SHOWN = 4  # names listed before "and N more"
 _LAST_GROUP = 30  # of those that a file can disable
 
 
 def dropped_features(
-    m: mujoco.MjModel, *, limits: bool = False, friction: bool = False
+    m: mujoco.MjModel,
+    *,
+    limits: bool = False,
+    friction: bool = False,
+    constraints: bool = False,
 ) -> tuple[str, ...]:
     """One entry for each feature that changes the motion and is not modelled."""
     off, bit, obj = m.opt.disableflags, mujoco.mjtDisableBit, mujoco.mjtObj
@@ -35,15 +40,15 @@ def dropped_features(
     joints_of_dofs = np.zeros(m.njnt, bool)
     if m.nv:
         joints_of_dofs[m.dof_jntid[m.dof_frictionloss > 0]] = True
-    constraints = enabled(bit.mjDSBL_CONSTRAINT)
-    if constraints and enabled(bit.mjDSBL_CONTACT) and _may_collide(m):
+    solved = enabled(bit.mjDSBL_CONSTRAINT)
+    if solved and enabled(bit.mjDSBL_CONTACT) and _may_collide(m):
         out.append(f"contacts ({m.ngeom} geoms)")
-    if constraints and enabled(bit.mjDSBL_LIMIT) and not limits:
+    if solved and enabled(bit.mjDSBL_LIMIT) and not limits:
         note("joint limits", m.jnt_limited, obj.mjOBJ_JOINT)
-    if constraints and enabled(bit.mjDSBL_FRICTIONLOSS) and not friction:
+    if solved and enabled(bit.mjDSBL_FRICTIONLOSS) and not friction:
         note("joint friction loss", joints_of_dofs, obj.mjOBJ_JOINT)
-    if constraints and enabled(bit.mjDSBL_EQUALITY):
-        note("equality constraints", m.eq_active0, obj.mjOBJ_EQUALITY)
+    for why, which in _equalities_left_out(m, constraints=constraints).items():
+        note(why, which, obj.mjOBJ_EQUALITY)
     note("tendons", [not tendon_is_supported(m, i) for i in range(m.ntendon)], obj.mjOBJ_TENDON)
     if m.nflex:
         note("deformable bodies", np.ones(m.nflex), obj.mjOBJ_FLEX)
@@ -58,6 +63,22 @@ def dropped_features(
          obj.mjOBJ_ACTUATOR)  # fmt: skip
     note("plugins", m.nplugin)
     return tuple(out)
+
+
+def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, np.ndarray]:
+    """Which equalities do not load, by why."""
+    if not equalities_are_on(m):
+        return {}
+    active = m.eq_active0.astype(bool)
+    if not constraints:
+        return {"equality constraints": active}
+    tendons = m.eq_type == int(mujoco.mjtEq.mjEQ_TENDON)
+    loaded = np.array([is_loaded(m, i) for i in range(m.neq)], bool)
+    return {
+        "equality constraints of tendons": active & tendons,
+        "equality constraints of flexes": active & ~loaded & ~tendons,
+        "equality constraints that are not active": ~active,
+    }
 
 
 def _tendons_that_act(m: mujoco.MjModel) -> np.ndarray:

@@ -17,11 +17,13 @@ import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
 from rbjax.loading.actuator_kinds import is_affine, is_off, reflected
+from rbjax.loading.constraints import constraints_of, mimicking
 from rbjax.loading.dropped import dropped_features
 from rbjax.loading.force_actuators import key_states
 from rbjax.loading.forces import elements
 from rbjax.loading.inertials import write_inertials
 from rbjax.loading.meshes import without_missing_mesh
+from rbjax.loading.mimics import Mimics
 from rbjax.loading.motors import with_motors
 from rbjax.loading.singular import joints_that_cancel
 from rbjax.loading.urdf import is_urdf, prepare_urdf
@@ -59,6 +61,7 @@ def load(
     limits: bool = False,
     friction: bool = False,
     motors: bool = False,
+    constraints: bool = True,
 ) -> Model:
     """A `Model` from an MJCF or URDF file.
 
@@ -69,6 +72,8 @@ def load(
         limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
         motors: put a motor of gear 1, named as the joint, on each hinge and slide that has none.
         friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
+        constraints: take the file's connects, welds, joint equalities and mimics as rigid
+            constraints (`model.constraints`).
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own; a
@@ -93,15 +98,16 @@ def load(
             f"of the other two; correct the file if these links matter",
             stacklevel=2,
         )
-    dropped = dropped_features(compiled, limits=limits, friction=friction)
-    if mimics:
-        dropped += (f"mimic joints, which move on their own ({', '.join(mimics)})",)
+    taken = {"limits": limits, "friction": friction, "constraints": constraints}
+    dropped = dropped_features(compiled, **taken) + mimics.left_out(constraints=constraints)
     if dropped:
         text = f"{_describe(source)}: left out of the model: {'; '.join(dropped)}"
         if strict:
             raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
         warnings.warn(text, stacklevel=2)
-    model = from_compiled(compiled, dropped, limits=limits, friction=friction)
+    model = from_compiled(compiled, dropped, **taken)
+    if constraints:
+        model = model.with_constraints(*mimicking(mimics))
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(
@@ -118,14 +124,12 @@ def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel
     return _compile_source(source, floating_base=floating_base)[0]
 
 
-def _compile_source(
-    source: Any, *, floating_base: bool
-) -> tuple[mujoco.MjModel, str, tuple[str, ...]]:
+def _compile_source(source: Any, *, floating_base: bool) -> tuple[mujoco.MjModel, str, Mimics]:
     """The compiled model; of a URDF also, in words, impossible inertials and joints that mimic."""
     if isinstance(source, mujoco.MjModel):
-        return source, "", ()
+        return source, "", Mimics()
     if isinstance(source, mujoco.MjSpec):
-        return _compile(source, "MjSpec"), "", ()
+        return _compile(source, "MjSpec"), "", Mimics()
     if not isinstance(source, (str, Path)):
         raise ModelError(
             f"load: got {type(source).__name__}, expected a path, an XML string, "
@@ -151,7 +155,7 @@ def _compile_source(
         add_floats(spec, urdf.floats)
     compiled = _compile(spec, name)
     if urdf is None:
-        return compiled, "", ()
+        return compiled, "", Mimics()
     return compiled, write_inertials(compiled, urdf.inertials, name), urdf.mimics
 
 
@@ -234,6 +238,7 @@ def from_compiled(
     *,
     limits: bool = False,
     friction: bool = False,
+    constraints: bool = True,
 ) -> Model:
     """The `Model` of a compiled MuJoCo model."""
     _refuse_nan(m)
@@ -306,6 +311,7 @@ def from_compiled(
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
         forces=elements(m, limits=limits, friction=friction),
+        constraints=constraints_of(m) if constraints else (),
     )
 
 

@@ -8,10 +8,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from rbjax.constraints import Constraint, JointPolynomial, Pair
 from rbjax.forces import Element, PointSpring
 from rbjax.forces.actuator import Actuator
 from rbjax.forces.orientation_servo import OrientationServo
 from rbjax.loading.draft import Draft, free_bodies
+from rbjax.loading.write_constraints import in_body
 from rbjax.model import Model
 
 Array = np.ndarray
@@ -22,7 +24,9 @@ _ALIKE = ("position", "orientation")  # leaves of bodies and sites
 Difference = tuple[str, list[str]]
 
 
-def differences(draft: Draft, again: Model, written: list[Element]) -> Iterator[Difference]:
+def differences(
+    draft: Draft, again: Model, written: list[Element], constraints: list[Constraint]
+) -> Iterator[Difference]:
     """What is not the same in the model that was read back, and where, in words."""
     model, top, other = draft.model, draft.model.topology, again.topology
     pairs = {"bodies": (top.body_names, other.body_names),
@@ -47,6 +51,7 @@ def differences(draft: Draft, again: Model, written: list[Element]) -> Iterator[
         yield from _rows(f"keyframes.{name}", a, b, top.keyframe_names)
     yield from _rows("gravity", model.gravity[None], again.gravity[None], ("gravity",))
     yield from _of_elements(model, again, written)
+    yield from _of_constraints(model, again, constraints)
 
 
 def _of_bodies(model: Model, again: Model) -> Iterator[Difference]:
@@ -113,6 +118,28 @@ def _of_elements(model: Model, again: Model, written: list[Element]) -> Iterator
         getattr(x, "controls", ()) for x in states
     ] != [getattr(x, "controls", ()) for x in again.forces if x.size]:
         yield "the order of the force elements' states x", []
+
+
+def _of_constraints(model: Model, again: Model, written: list[Constraint]) -> Iterator[Difference]:
+    if [type(x) for x in again.constraints] != [type(x) for x in written]:
+        kinds = [type(x).__name__ for x in again.constraints]
+        yield "constraints, which are read back as others", kinds or ["none"]
+        return
+    for one, read in zip(written, again.constraints, strict=True):
+        a, b = (_coupled(m, x) for m, x in ((model, one), (again, read)))
+        if not all(map(_same, a, b)):
+            yield f"numbers of {type(one).__name__}", []
+
+
+def _coupled(model: Model, one: Constraint) -> list:
+    """What a constraint couples, by index, and its numbers."""
+    if isinstance(one, Pair):
+        ends = [in_body(model, place) for place in (one.a, one.b)]
+        return [x for body, p, quat in ends for x in (body, p, _as_turns(_ALIKE[1], quat[None]))]
+    if isinstance(one, JointPolynomial):
+        driver = -1 if one.driver is None else model.joint(one.driver)
+        return [model.joint(one.joint), driver, one.coefficients]
+    raise TypeError(f"{type(one).__name__} is not written")
 
 
 def _comparable(element: Element) -> Any:

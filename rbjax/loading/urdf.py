@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 from rbjax.errors import ModelError
 from rbjax.loading.inertials import Inertial, take_inertials
+from rbjax.loading.mimics import Mimics, take_mimics
 from rbjax.loading.urdf_floating import float_root, free_name, take_floats
 
 #: settings of MuJoCo's compiler that change inertials; ours are the file's
@@ -61,7 +62,7 @@ class Urdf:
 
     text: str
     inertials: dict[str, Inertial]
-    mimics: tuple[str, ...]
+    mimics: Mimics
     floats: dict[str, str]
 
 
@@ -90,7 +91,7 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
     inertials = take_inertials(links, name)
-    mimics = _take_mimics(robot)
+    mimics = take_mimics(robot, name)
     for material in robot.findall("material"):
         robot.remove(material)
     extension = robot.find("mujoco")
@@ -114,17 +115,6 @@ def _check_kinds(robot: ET.Element, name: str) -> None:
                 f"{name}: joint {joint.get('name')!r} has the invalid joint type "
                 f"{joint.get('type')!r}, expected one of {', '.join(_KINDS)}; correct its type"
             )
-
-
-def _take_mimics(robot: ET.Element) -> tuple[str, ...]:
-    """The moving joints that mimic others, and do no longer."""
-    found = []
-    for joint in robot.findall("joint"):
-        for mimic in joint.findall("mimic"):
-            joint.remove(mimic)
-            if joint.get("type") != "fixed":
-                found.append(f"{joint.get('name')} of {mimic.get('joint')}")
-    return tuple(found)
 
 
 def _root(robot: ET.Element, links: set, name: str) -> str:

@@ -22,6 +22,7 @@ from rbjax.loading.draft import Draft, free_bodies, text, unique, unusual
 from rbjax.loading.load import from_compiled
 from rbjax.loading.read_back import differences
 from rbjax.loading.write_actuators import write_actuators
+from rbjax.loading.write_constraints import write_constraints
 from rbjax.loading.write_forces import box_axes, write_forces
 from rbjax.model import WORLD, Model
 from rbjax.model.links import as_declared
@@ -38,7 +39,8 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     """A model as the text of an MJCF file that `load` reads back as the same model.
 
     Masses, centres, inertias, frames, joints with springs, dampers, armature and ranges, actuators
-    with their states, sites, keyframes, gravity, timestep, and the force elements that MJCF has.
+    with their states, sites, keyframes, gravity, timestep, and the force elements and constraints
+    that MJCF has.
 
     Args:
         model: the robot; one, with known numbers (not a batch, not traced).
@@ -70,9 +72,10 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     _write_joints(draft)
     _write_sites(draft)
     written = [*write_forces(draft), *write_actuators(draft)]
+    constraints = write_constraints(draft)
     _write_keyframes(draft)
     again = jax.tree.map(np.asarray, from_compiled(_compiled(_serialised(draft))))
-    for what, names in differences(draft, again, written):
+    for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
     out = _serialised(draft)
     if draft.notes:

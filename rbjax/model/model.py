@@ -323,23 +323,18 @@ class Model(Record):
 
     def with_forces(self, *elements: Any) -> Model:
         """The model with force elements (`rbjax.forces`) beside those that it has."""
-        for element in elements:
-            if isinstance(element, type) or not callable(getattr(element, "loads", None)):
-                raise InputError(
-                    f"with_forces: got {_described(element)}, expected elements of rbjax.forces "
-                    "or of a subclass of rbjax.forces.Element"
-                )
-        return self.replace(forces=(*self.forces, *elements))
+        return self._with("forces", "Element", "loads", elements)
 
     def with_constraints(self, *constraints: Any) -> Model:
         """The model with constraints (`rbjax.constraints`) beside those that it has."""
-        for one in constraints:
-            if isinstance(one, type) or not callable(getattr(one, "rows", None)):
-                raise InputError(
-                    f"with_constraints: got {_described(one)}, expected constraints of "
-                    "rbjax.constraints or of a subclass of rbjax.constraints.Constraint"
-                )
-        return self.replace(constraints=(*self.constraints, *constraints))
+        return self._with("constraints", "Constraint", "rows", constraints)
+
+    def _with(self, room: str, kind: str, method: str, given: tuple) -> Model:
+        for one in given:
+            if isinstance(one, type) or not callable(getattr(one, method, None)):
+                expected = f"{kind}s of rbjax.{room} or of a subclass of rbjax.{room}.{kind}"
+                raise InputError(f"with_{room}: got {_described(one)}, expected {expected}")
+        return self.replace(**{room: (*getattr(self, room), *given)})
 
     def with_joint(self, name: str, kind: str, **given: Any) -> Model:
         """The model with another kind of joint in the place of one: `rbjax.joints.kinds()`.

@@ -17,9 +17,10 @@ object that equals nothing else, as to `jit`: it is compiled where it is new.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -99,7 +100,10 @@ def with_captured(call: Callable[..., T], *functions: Any) -> T:
 
 
 def captured(f: Callable) -> Callable:
-    """A function as a pytree, where all that it reads is known; else itself."""
+    """A function as a pytree, where all that it reads is known; else itself. So a frozen dataclass,
+    which equals what has the same numbers."""
+    if dataclasses.is_dataclass(f) and isinstance(f, Hashable):
+        return f
     for level in range(_levels.get(_site(f), FLOATS), OPAQUE):
         found = _read(f, level)
         if found is not None:

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.link_forces import LinkForces
@@ -120,6 +121,14 @@ class Field:
             return chord(self.model, t, state, u.ctrl, dt)
 
         return added(t, state, u) if state.q.ndim == 1 else batch_last(added, t, state, u)
+
+    def settled(self, t: Any, state: State) -> State:
+        """The state after a step, as the law leaves it: a formulation may put it back on its
+        constraints."""
+        if not isinstance(self.law, Formulation):
+            return state
+        settle = functools.partial(self.law.settled, self.model)
+        return settle(t, state) if state.q.ndim == 1 else batch_last(settle, t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
         """The states (nx, ...) of force elements, within the ranges that they have."""

@@ -103,6 +103,8 @@ def advanced(
 ) -> State:
     """The state after a step; anything else is refused."""
     after: Any = integrator(field, t, state, u, dt)
+    if isinstance(after, State):
+        after = field.settled(t + dt, after)
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
     found = jax.tree.leaves(after)
     tree: Any = jax.tree.structure(after)

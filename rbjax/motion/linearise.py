@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.forces.inputs import Inputs
@@ -39,6 +41,7 @@ def step(
     t: Any = 0.0,
     integrator: str | Integrator = "semi_implicit_euler",
     law: Law = free_motion,
+    constraints: str | Formulation | None = None,
 ) -> State:
     """The state after one step, the controls held over it: what `rollout` does once.
 
@@ -50,6 +53,8 @@ def step(
         t: time in seconds, for force elements that look at it.
         integrator: as in `rollout`.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
+        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
+            or a `Formulation`; "projected" if None.
 
     Returns:
         `State`.
@@ -68,6 +73,7 @@ def step(
     """
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
     check_law("step", law)
+    law = formulation_of("step", model, constraints, law, free_motion)
     integrator = integrator_of("step", integrator)
     return advanced(integrator, Field(model, law, dt), t, state, Inputs(ctrl), dt)
 
@@ -82,6 +88,7 @@ def linearise(
     t: Any = 0.0,
     integrator: str | Integrator = "semi_implicit_euler",
     law: Law = free_motion,
+    constraints: str | Formulation | None = None,
 ) -> Linear:
     """A and B of the motion linearised about a state and controls, with all forces that act.
 
@@ -95,6 +102,8 @@ def linearise(
         t: time in seconds, for force elements that look at it.
         integrator: of the discrete form, as in `rollout`.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
+        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
+            or a `Formulation`; "projected" if None.
 
     Returns:
         `Linear(A (n, n), B (n, nu))`, n = 2 nv + nx; rows and columns are dq on the tangent space,
@@ -114,6 +123,7 @@ def linearise(
         ((4, 4), (4, 1))
     """
     check_law("linearise", law)
+    law = formulation_of("linearise", model, constraints, law, free_motion)
     if dt is None:
         return Linear(*linearised(model, state, ctrl, t, law)[1:])
     advance = functools.partial(advanced, integrator_of("linearise", integrator))

@@ -21,6 +21,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiling import compiled, inside_jit
+from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
 from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.devices import memory_share
@@ -49,6 +51,7 @@ def rollout(
     wrenches: jax.Array | Source | None = None,
     integrator: str | Integrator = "semi_implicit_euler",
     law: Law = free_motion,
+    constraints: str | Formulation | None = None,
     save_every: int = 1,
     steps: int | None = None,
     kernel: bool | None = None,
@@ -92,6 +95,8 @@ def rollout(
             "dop853"; or a function (field, t, state, inputs, dt) -> state
             (`rbjax.motion.integrators.Integrator`).
         law: from forces to accelerations (`rbjax.motion.field.Law`).
+        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
+            or a `Formulation`; "projected" if None.
         save_every: keep every so many states; it must divide the number of steps.
         steps: the number of steps, where ctrls does not give it.
         kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.
@@ -132,6 +137,7 @@ def rollout(
     """
     advance = integrator_of("rollout", integrator)
     check_law("rollout", law)
+    law = formulation_of("rollout", model, constraints, law, free_motion)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
     check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")

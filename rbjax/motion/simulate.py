@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import diffrax
@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
+from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import (
     check_array,
     check_arrays,
@@ -29,7 +31,8 @@ from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.captured import with_captured
-from rbjax.motion.field import Law, check_law, free_motion
+from rbjax.motion.field import Field, Law, check_law, free_motion
+from rbjax.motion.settling import settling
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.solvers.arguments import check_solver, check_whole
@@ -49,7 +52,7 @@ def simulate(
     dt0: float | jax.Array | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
-    constraints: None = None,
+    constraints: str | Formulation | None = None,
     law: Law = free_motion,
     progress: bool = False,
     throw: bool = True,
@@ -87,6 +90,8 @@ def simulate(
         adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
+        constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
+            or a `Formulation`; "projected" if None.
         progress: show diffrax's meter.
         throw: raise if the solve fails; otherwise `result` and `ok` say so.
         max_steps: the largest number of steps.
@@ -108,10 +113,6 @@ def simulate(
         >>> rb.simulate(model, model.default_state(), jnp.linspace(0, 1, 5)).q.shape
         (5, 1)
     """
-    if constraints is not None:
-        raise InputError(
-            f"simulate: constraints={constraints!r}, expected None: no formulation yet"
-        )
     state = check_arrays("simulate", model, {"state": state})["state"]
     check_moves("simulate", model)
     ts, elapsed = _times(ts, state.q.dtype)
@@ -122,6 +123,7 @@ def simulate(
     check_solver("simulate", solver)
     check_takes_robots(solver)
     check_law("simulate", law)
+    law = formulation_of("simulate", model, constraints, law, free_motion)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt0 is not None:
@@ -146,7 +148,6 @@ def simulate(
     on_gpu = wanted() and inside_jit() and not progress
     solve = functools.partial(
         diffrax.diffeqsolve if on_gpu else _diffeqsolve,
-        solver=solver,
         dt0=dt0,
         stepsize_controller=stepsize_controller,
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
@@ -154,15 +155,21 @@ def simulate(
         throw=throw and not on_gpu,
         progress_meter=diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter(),
     )
-    saved = _Saved(model.topology)
-
     def solved(*functions: Any) -> tuple:
         *given, law = functions
 
         def solved_from(state: State, start: jax.Array, elapsed: jax.Array, args: Any) -> tuple:
             term, state = motion(model, state, solver, Inputs(*given), of_args, law, start)
-            saveat = diffrax.SaveAt(ts=elapsed, fn=saved)
-            out = solve(term, t0=elapsed[0], t1=elapsed[-1], y0=state, args=args, saveat=saveat)
+            saveat = diffrax.SaveAt(ts=elapsed, fn=_Saved(of_args, law, start))
+            out = solve(
+                term,
+                solver=settling(solver, law, of_args, start),
+                t0=elapsed[0],
+                t1=elapsed[-1],
+                y0=state,
+                args=args,
+                saveat=saveat,
+            )
             return out.ys, out.result, out.stats
 
         return (threaded if on_gpu else itself)(solved_from)(state, ts[0], elapsed, args)
@@ -187,12 +194,16 @@ _diffeqsolve = compiled(diffrax.diffeqsolve, jit=eqx.filter_jit)
 
 
 class _Saved(eqx.Module):
-    """What is kept of a state: the same, with unit quaternions."""
+    """What is kept of a state: the same with unit quaternions, settled by the law."""
 
-    topology: Any = eqx.field(static=True)
+    model: Callable[[Any], Model]
+    law: Law
+    start: Any
 
     def __call__(self, t, y: State, args) -> State:
-        return State(unit(self.topology, y.q), y.v, y.x)
+        model = self.model(args)
+        y = State(unit(model.topology, y.q), y.v, y.x)
+        return Field(model, self.law).settled(self.start + t, y)
 
 
 def _inputs(model: Model, control: Any, tau: Any, wrenches: Any, dtype: Any) -> Inputs:

@@ -1,6 +1,5 @@
 """Moving frames against the path itself, differentiated twice."""
 
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,7 @@ import pytest
 import rbjax as rb
 from rbjax.body import relative_motion as rm
 from rbjax.rotations import se3
-from tests.robots import QUICK
+from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 RNG = np.random.default_rng(2)
@@ -46,7 +45,7 @@ def seen_from(path):
     return lambda t: (path(t) @ jnp.append(point(t), 1.0))[:3]
 
 
-@functools.partial(jax.jit, compiler_options=QUICK)
+@quick_jit
 def everything():
     r = twice(point)
     frame = rm.moving_frame(outer, TIME)

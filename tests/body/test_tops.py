@@ -47,7 +47,13 @@ def top_of(inertia, weight: float = 0.0) -> Situation:
     return Situation(Body(np.array(1.0), np.zeros(3), np.asarray(inertia, float)), (pull,))
 
 
-@pytest.mark.parametrize("name", ATTITUDE_FREE)
+# A program each; the equations of these are those of others, about another point or in other axes
+# (test_formulations.py runs every one).
+ALIKE = {"newton_euler_origin", "spatial_body", "momentum_body"}
+TOPS = [pytest.param(n, marks=pytest.mark.slow if n in ALIKE else ()) for n in ATTITUDE_FREE]
+
+
+@pytest.mark.parametrize("name", TOPS)
 def test_torque_free_and_heavy_top(name: str) -> None:
     """One program for both: the free top is one without weight.
 

@@ -17,8 +17,12 @@ TABLE = rb.load(
 SHAPES = {"wrenches": (2, 6), "mass": (2,), "com": (2, 3), "point": (3,)}
 
 
-@pytest.mark.parametrize("closed", [True, False], ids=["closed over", "argument"])
-def test_every_algorithm(closed: bool) -> None:
+@pytest.mark.parametrize(
+    ("closed", "driver"), [(True, "auto"), (False, "rolled")], ids=["closed over", "argument"]
+)
+def test_every_algorithm(closed: bool, driver: str) -> None:
+    table = TABLE.replace(driver=driver)
+
     def every(model):
         out = {}
         for name, entry in REGISTRY.items():
@@ -27,7 +31,7 @@ def test_every_algorithm(closed: bool) -> None:
                 out[name] = entry.function(model, *arrays, **entry.rest)
         return out
 
-    out = jax.jit(lambda: every(TABLE))() if closed else jax.jit(every)(TABLE)
+    out = jax.jit(lambda: every(table))() if closed else jax.jit(every)(table)
     poses = out["forward_kinematics"]
     np.testing.assert_allclose(poses.p, [[1, 2, 3], [1, 2, 4]], atol=1e-15)
     np.testing.assert_allclose(out["site_pose"][1], [1, 2.5, 3], atol=1e-15)
@@ -36,5 +40,6 @@ def test_every_algorithm(closed: bool) -> None:
     assert out["mass_matrix"].shape == (0, 0) and out["jacobian"].shape == (6, 0)
     assert out["inertial_regressor"].shape == (0, 20) and out["forward_dynamics"].shape == (0,)
     assert out["jacobian_rate"].shape == (6, 0)
+    assert out["kinetic_energy"] == 0 and out["step"][0].shape == (0,)
     assert not np.any(out["frame_velocity"]) and not np.any(out["frame_bias_acceleration"])
     assert not np.any(out["body_velocities"]) and not np.any(out["centroidal_momentum"])

@@ -14,6 +14,7 @@ import rbjax as rb
 from rbjax.dynamics.momenta import momentum_and_rate
 from rbjax.lanes import Mat3, Vec3, rotation_z, sincos
 from rbjax.spatial import Transform
+from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_ROUNDING, relative_error
 
 #: a chain with a joint of every sort of neighbour; {joint} moves the second body
@@ -133,7 +134,7 @@ def everything(model, q, v, a):
 @functools.cache
 def found(kind: str, driver: str = "unrolled", last: str = SLIDE):
     model, q, v, a = moving(kind, last)
-    return jax.jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
+    return quick_jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
 
 
 @pytest.mark.parametrize(
@@ -215,7 +216,7 @@ def check_identities(kind: str, last: str) -> None:
             rb.forward_kinematics(model, q_h).p,
         )
 
-    again, (M_rate, J_rate, moved) = jax.jit(
+    again, (M_rate, J_rate, moved) = quick_jit(
         lambda tau: (
             rb.forward_dynamics(model, q, v, tau), jax.jvp(along, (0.0,), (1.0,))[1]
         )
@@ -248,8 +249,8 @@ def test_derivatives(kind: str) -> None:
     for f, by in (
         (inverse, rb.inverse_dynamics_derivatives), (forward, rb.forward_dynamics_derivatives),
     ):  # fmt: skip
-        got = jax.jit(functools.partial(by, model))(q, v, a)
-        want = jax.jit(jax.jacrev(f, (0, 1, 2)))(0 * v, v, a)
+        got = quick_jit(functools.partial(by, model))(q, v, a)
+        want = quick_jit(jax.jacrev(f, (0, 1, 2)))(0 * v, v, a)
         for one, other in zip(got, want, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8)
 
@@ -257,6 +258,13 @@ def test_derivatives(kind: str) -> None:
 @pytest.mark.parametrize("kind", ONE)
 def test_the_rolled_driver_agrees(kind: str) -> None:
     agree(found(kind), found(kind, "rolled"))
+
+
+def test_a_node_among_hinges_on_the_rolled_driver() -> None:
+    """The cheapest of `everything`."""
+    model, q, v, a = moving("bent")
+    rolled, unrolled = (model.replace(driver=driver) for driver in ("rolled", "unrolled"))
+    agree(rb.inverse_dynamics(rolled, q, v, a), rb.inverse_dynamics(unrolled, q, v, a))
 
 
 @pytest.mark.slow
@@ -280,7 +288,7 @@ def test_limbs_agree(kind: str) -> None:
     q, v, a = state.q, state.v, jnp.cos(state.v)
     agree(
         *(
-            jax.jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
+            quick_jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
             for driver in ("limbs", "rolled")
         )
     )
@@ -298,7 +306,7 @@ def test_a_node_is_the_chain_of_the_same_motion() -> None:
     A = np.array([[11, 2, 10], [2, 14, -5], [-10, 5, 10]]) / 15.0
     second = A[:, 0]
     same = chain("universal", second_axis=second)
-    want = jax.jit(lambda q, v, a: everything(same, q, v, a))(q, v, a)
+    want = quick_jit(lambda q, v, a: everything(same, q, v, a))(q, v, a)
     ours = found("cardan")
     for name, x in ours.items():
         assert relative_error(x, want[name]) <= F64_IDENTITY, name
@@ -309,8 +317,8 @@ def test_momenta(kind: str) -> None:
     """p = M v, and p' along the motion: of axes that depend on q too."""
     model, q, v, a = moving(kind)
     tau = found(kind)["tau"]
-    p, rate = jax.jit(lambda q, v, tau: momentum_and_rate(model, q, v, tau))(q, v, tau)
-    want = jax.jit(
+    p, rate = quick_jit(lambda q, v, tau: momentum_and_rate(model, q, v, tau))(q, v, tau)
+    want = quick_jit(
         lambda q, v, a: jax.jvp(lambda q, v: rb.mass_matrix(model, q) @ v, (q, v), (v, a))
     )(q, v, a)
     np.testing.assert_allclose(p, want[0], rtol=1e-10, atol=1e-12)
@@ -321,6 +329,7 @@ def test_the_variational_step_is_of_order_two_on_a_node() -> None:
     model = rb.load("cart_pole").with_joint("slider", "on_curve", axis=[0.0, 0.0, 1.0])
     state = rb.State(jnp.array([0.4, 0.3]), jnp.array([0.5, -0.2]))
 
+    @functools.partial(quick_jit, static_argnums=(0, 1))
     def end(integrator, n):
         return rb.rollout(model, state, None, 0.4 / n, steps=n, integrator=integrator).q[-1]
 
@@ -343,7 +352,7 @@ def test_motion(kind: str) -> None:
     def run(scale):
         return rb.rollout(model, state.replace(v=scale * state.v), steps=100, integrator="rk4")
 
-    rate = jax.jit(lambda s: jax.jvp(lambda s: run(s).q[-1], (s,), (1.0,))[1])(1.0)
+    rate = quick_jit(lambda s: jax.jvp(lambda s: run(s).q[-1], (s,), (1.0,))[1])(1.0)
     kept = energy(run(1.0))
     np.testing.assert_allclose(kept, kept[0], rtol=1e-6)
     quotient = (run(1.0 + 1e-5).q[-1] - run(1.0 - 1e-5).q[-1]) / 2e-5
@@ -377,6 +386,7 @@ def test_with_joint_keeps_what_it_can_and_says_what_it_cannot() -> None:
     assert wide.nq == model.nq + 2 and wide.keyframes.q.shape == (len(wide.keyframe_names), wide.nq)
     assert wide.q_slice(name) == slice(2, 5)
     np.testing.assert_array_equal(wide.default_state().q[2:5], [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(model.with_joint(name, "universal").joints.numbers, [0, 1, 0])
     fixed = screw.fix_zeros()
     assert fixed.with_joint(name, "hinge").execution.zeros is not None
     with pytest.raises(rb.UnknownName, match="screw"):

@@ -8,7 +8,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.momenta import momentum_and_rate, momentum_of, nearby_velocity, velocity_of
-from tests.robots import QUICK, at, mass_matrix, robot
+from tests.quickly import quick_jit
+from tests.robots import at, mass_matrix, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
@@ -79,6 +80,6 @@ def test_derivatives_of_the_velocity_of_a_momentum():
         return jax.jacfwd(f), jax.jacrev(f), jax.jacfwd(jax.grad(bent))
 
     for got, want in zip(all_of(ours), all_of(dense), strict=True):
-        a, b = (jax.jit(f, compiler_options=QUICK)((q, p, mass)) for f in (got, want))
+        a, b = (quick_jit(f)((q, p, mass)) for f in (got, want))
         for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
             assert relative_error(x, y) < F64_IDENTITY

@@ -27,10 +27,10 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     ("quadrotor", "rolled", True),
     ("satellite", "rolled", False),
     ("arm7", "rolled", False),
-    ("tree:0", "rolled", False),
+    pytest.param("tree:0", "rolled", False, marks=pytest.mark.slow),
     ("tree:1", "rolled", True),
     pytest.param("tree:2", "rolled", False, marks=pytest.mark.slow),
-    ("tree:3", "rolled", False),
+    pytest.param("tree:3", "rolled", False, marks=pytest.mark.slow),
     pytest.param("tree:4", "rolled", True, marks=pytest.mark.slow),
     pytest.param("tree:5", "rolled", False, marks=pytest.mark.slow),
     ("gymnasium/half_cheetah.xml", "unrolled", False),
@@ -39,8 +39,8 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     ("frax/unitree_g1/g1_29dof_rev_1_0.urdf+free", "rolled", False),
 ]
 FAST_F32 = ["arm7", "quadrotor", "tree:5"]
-FAST_F32 += ["frax/franka_panda/panda.urdf", "frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
-SLOW_F32 = ["tree:0", "gymnasium/half_cheetah.xml"]
+FAST_F32 += ["frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
+SLOW_F32 = ["tree:0", "gymnasium/half_cheetah.xml", "frax/franka_panda/panda.urdf"]
 SLOW = [*MODELS, *(f"tree:{seed}" for seed in range(50))]
 IMMERSED = [f"{name} in water" for name in (*rb.scenes(), *MODELS)]
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from tests.quickly import quick_jit
 from tests.robots import QUICK
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -57,7 +58,7 @@ def test_wind_by_a_stranger():
 def test_gradients_by_its_numbers(on, kernel):
     rng, wind = np.random.default_rng(0), Wind(WIND.air, WIND.drag, on)
     ways = rng.normal(size=blown(wind, kernel=False).shape)
-    slope = jax.jit(jax.grad(lambda x: ways @ end(x, kernel)), compiler_options=QUICK)
+    slope = quick_jit(jax.grad(lambda x: ways @ end(x, kernel)))
     slopes = slope(wind)
     for name in ("air", "drag"):
         x, g = getattr(wind, name), getattr(slopes, name)

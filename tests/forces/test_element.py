@@ -8,6 +8,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.forces import Element, Loads
+from rbjax.forces.instant import Instant
 from rbjax.model import made_ahead
 from tests.forces.elements import Lag, Wind
 from tests.tolerances import F64_IDENTITY, relative_error
@@ -37,6 +38,28 @@ class Pull(Element):
     def loads(self, now):
         pole = now.body("pole")
         return pole.push(self.force, self.torque, at=pole.at(self.point).position)
+
+
+class Everywhere(Element):
+    """Generalized forces on all coordinates."""
+
+    tau: jax.Array
+
+    def loads(self, now):
+        return now.generalized(self.tau)
+
+
+def test_a_push_on_the_world_is_no_load():
+    """It is no link's: its number, -1, would be the last link's among columns."""
+    model = rb.load("cart_pole")
+    now = Instant.of(model, 0.0, model.default_state(), None)
+    assert rb.forces.Anchor.on().frame(now).push(jnp.ones(3)) == Loads()
+
+
+def test_generalized_forces_act_as_they_are():
+    model, tau = rb.load("cart_pole"), jnp.array([3.0, -2.0])
+    found = rb.applied_forces(model.with_forces(Everywhere(tau)), model.default_state())
+    np.testing.assert_array_equal(found, tau)
 
 
 def test_a_push_is_the_jacobian_transposed(key):
@@ -122,10 +145,11 @@ class Unmoved(Element):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda m: m.with_forces(3.0), "with_forces: got float, expected elements of rbjax.forces"),
+        (lambda m: m.with_forces(3.0), "with_forces: got float, expected Elements of rbjax.forces"),
         (lambda m: m.with_forces(Silent()), "Silent.loads returned NoneType, expected Loads"),
         (lambda m: m.with_forces(Pull(jnp.zeros(2), jnp.zeros(3), jnp.zeros(3))),
          r"push: a vector has shape \(2,\), expected \(3,\)"),
+        (lambda m: m.with_forces(Everywhere(jnp.zeros(3))), r"has shape \(3,\), expected \(2,\)"),
         (lambda m: m.with_forces(Torque(jnp.zeros(2))), "push: got 2 forces on a hinge joint, exp"),
     ],
 )  # fmt: skip

@@ -8,6 +8,7 @@ import pytest
 
 import rbjax as rb
 from tests.forces.against_mujoco import applied, costs_nothing, slopes
+from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, GRADIENT
 
@@ -51,7 +52,7 @@ def test_acceleration_while_sliding(text: str) -> None:
     mujoco.mj_forward(m, data)
     ratio = model.forces[0].coulomb[0] / (5 * model.forces[0].coulomb[0]) * 25  # 5 per inertia
 
-    @jax.jit
+    @quick_jit
     def error(v_0):
         state = rb.State(jnp.zeros(1), jnp.full(1, v))
         changed = smoothed(model, 1.0).forces[0].replace(smoothing=v_0[None])
@@ -74,7 +75,7 @@ def test_a_motion_that_comes_to_rest_converges_with_order_one() -> None:
     assert abs(data.qpos[0] - 1.0) < 2e-3  # v^2 / (2 (5 - 3))
     start = rb.State(jnp.zeros(1), jnp.full(1, 2.0))
 
-    @jax.jit
+    @quick_jit
     @jax.vmap
     def end(v_0):
         changed = model.forces[0].replace(smoothing=v_0[None])
@@ -136,6 +137,11 @@ def test_only_where_asked_for_and_enabled() -> None:
         off = SLIDE.replace('"RK4"/>', f'"RK4"><flag {flag}="disable"/></option>')
         assert rb.load(off, friction=True).forces == ()
     assert rb.load("double_pendulum", friction=True).forces == ()
+
+
+def test_the_numbers_are_those_of_a_model() -> None:
+    with pytest.raises(rb.InputError, match=r"JointFriction.of: the first argument is str, expect"):
+        rb.forces.JointFriction.of("cart_pole", ["slider"], 1.0)  # type: ignore[arg-type]
 
 
 def test_zeros_cost_nothing() -> None:

@@ -1,8 +1,12 @@
 """PID controllers against MuJoCo C: subsets of the inputs, slewing, wind-up, angles."""
 
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
+from rbjax.forces.acting import within
 from tests.forces.actuated import errors, limbs
+from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY
 
 GENERAL = '<general gaintype="pid" biastype="affine" biasprm="0.3 -2 -1" '
@@ -29,3 +33,10 @@ CONTROLLERS = {
 @pytest.mark.parametrize("which", CONTROLLERS)
 def test_against_mujoco(which):
     assert max(errors(limbs(*CONTROLLERS[which]))) < F64_PARITY
+
+
+def test_states_within_their_ranges():
+    """Of the first the file says none: its integral is only no longer added to at the limit."""
+    _, free, *_, ranged = CONTROLLERS["joints"]
+    x = within(load_quietly(limbs(free, ranged)), jnp.array([0.4, 5.0, 0.05, 5.0]))
+    np.testing.assert_array_equal(x, [0.4, 5.0, 0.05, 0.2])

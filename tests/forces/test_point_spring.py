@@ -18,6 +18,7 @@ from tests.forces.against_mujoco import (
     tree,
     worst_error,
 )
+from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, GRADIENT
 
@@ -131,7 +132,7 @@ def test_a_stretched_spring_whose_ends_meet_has_finite_slopes() -> None:
     def f(forces, q, v):
         return rb.applied_forces(model.replace(forces=forces), rb.State(q, v))
 
-    slope = jax.jit(jax.jacrev(f, (0, 1, 2)))(model.forces, state.q, state.v)
+    slope = quick_jit(jax.jacrev(f, (0, 1, 2)))(model.forces, state.q, state.v)
     assert all(bool(jnp.isfinite(x).all()) for x in jax.tree.leaves(slope))
     assert not np.any(f(model.forces, state.q, state.v))
 
@@ -143,6 +144,9 @@ def test_zeros_cost_nothing_and_other_models_have_none() -> None:
     assert costs_nothing(rb.forces.PointSpring.of(*ends), model)
 
 
-def test_anchor_of_two_frames() -> None:
+def test_anchor_of_two_frames_or_of_what_is_no_name() -> None:
     with pytest.raises(rb.InputError, match="give one of them"):
         rb.forces.Anchor.on(body="a", site="b")
+    for wrong in (True, 1.5):
+        with pytest.raises(rb.InputError, match=r"site is .*, expected its name, its index, or"):
+            rb.forces.Anchor.on(site=wrong)  # type: ignore[arg-type]

@@ -32,6 +32,13 @@ def test_sincos_against_many_digits(x: float) -> None:
         assert abs(mpmath.mpf(float(s)) - mpmath.sin(x)) <= 1.2e-16
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_on_the_cpu_libm_is_not_called(dtype: type) -> None:
+    """In f64 it costs ten times as much."""
+    traced = jax.jit(sincos).trace(jax.ShapeDtypeStruct((3,), dtype))
+    assert "sine" not in traced.lower(lowering_platforms=("cpu",)).as_text()
+
+
 def test_sincos_derivatives() -> None:
     x = ANGLES[:5000]
 
@@ -55,6 +62,11 @@ def test_sincos_in_f32_and_eager() -> None:
         assert c.dtype == s.dtype == np.float32
         np.testing.assert_allclose(c, np.cos(exact), rtol=0, atol=8e-8)
         np.testing.assert_allclose(s, np.sin(exact), rtol=0, atol=8e-8)
+
+
+def test_sincos_of_half_precision_is_xla_s() -> None:
+    x = np.linspace(-3, 3, 50).astype(np.float16)
+    np.testing.assert_allclose(jax.jit(sincos)(x), [np.cos(x), np.sin(x)], atol=1e-3)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

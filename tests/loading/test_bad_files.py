@@ -5,7 +5,6 @@ fixed seed. `load` gives either a model with finite dynamics or an error of rbja
 """
 
 import dataclasses
-import functools
 import random
 import re
 import time
@@ -22,7 +21,8 @@ import pytest
 import rbjax as rb
 from rbjax.loading import load as loading
 from tests.loading.test_load import joint, link, mjcf, urdf
-from tests.robots import QUICK, SMALL
+from tests.quickly import quick_jit
+from tests.robots import SMALL
 
 SCENES = Path(loading.__code__.co_filename).parent / "scenes"
 ARM = urdf(link("base", 3), link("arm"), link("hand"), joint("elbow", "base", "arm", "continuous"),
@@ -233,7 +233,7 @@ def told(path: Path) -> rb.Model | None:
     return None if any("move no mass" in str(w.message) for w in said) else model
 
 
-@functools.partial(jax.jit, compiler_options=QUICK)
+@quick_jit
 def accelerations(model, q, v):
     state = rb.State(q, v, model.start(q.dtype))
     return rb.forward_dynamics(model, q, v, rb.applied_forces(model, state, jnp.ones(model.nu)))

@@ -234,9 +234,10 @@ DROPPED = {  # word of the message: file that has it
         body('<joint name="knee" limited="true" range="0 1"/>')
     ),
     "joint friction loss (dry)": mjcf(body('<joint name="dry" frictionloss="1"/>')),
-    "equality constraints (loop)": mjcf(
+    "equality constraints of tendons (loop)": mjcf(
         body('<joint name="a"/>'),
-        extra='<equality><joint name="loop" joint1="a"/></equality>',
+        extra='<tendon><fixed name="idle"><joint joint="a" coef="1"/></fixed></tendon>'
+        '<equality><tendon name="loop" tendon1="idle"/></equality>',
     ),
     "tendons (rope)": mjcf(
         body('<joint name="a"/>'),

@@ -2,7 +2,6 @@
 rest."""
 
 import dataclasses
-import functools
 import warnings
 from pathlib import Path
 
@@ -23,7 +22,8 @@ from tests.oracles.media import fluid_forces, immersed_tree, states
 from tests.oracles.models import MODELS
 from tests.oracles.random_actuators import random_actuated
 from tests.oracles.random_trees import random_state
-from tests.robots import QUICK, load_quietly, robot
+from tests.quickly import quick_jit
+from tests.robots import load_quietly, robot
 from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 
 TREES = [f"tree:{seed}" for seed in range(3)]
@@ -66,7 +66,7 @@ def accelerations(text_or_model, q, v, u) -> np.ndarray:
     return np.array(rows)
 
 
-@functools.partial(jax.jit, compiler_options=QUICK)
+@quick_jit
 def dynamics(model, q, v, u):
     def one(q, v, u):
         tau = rb.applied_forces(model, rb.State(q, v, model.start(q.dtype)), u)

@@ -8,6 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax.motion.linearise import apart, beside
 from tests.forces.elements import Lag, Wind
+from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, relative_error
 
 EPS = 1e-6
@@ -67,7 +68,7 @@ def test_a_step_is_differentiated(key):
     n = 2 * model.nv + model.nx
     assert A.shape == (n, n) and B.shape == (n, model.nu)
 
-    @jax.jit
+    @quick_jit
     def moved(dx, du):
         after = rb.step(model, beside(model, state, dx), u + du, 0.01)
         return apart(model, rb.step(model, state, u, 0.01), after)

@@ -21,7 +21,7 @@ from rbjax.motion.march import March, keep_every
 from rbjax.motion.pullback import Pullback
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import traced
-from tests.robots import QUICK
+from tests.quickly import quick_jit
 from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
@@ -96,7 +96,7 @@ def weighed(f):
 def test_a_march_is_a_scan(save_every, k, leaving):
     program, want = marched(save_every, k, leaving), scanned(save_every)
 
-    @jax.jit
+    @quick_jit
     def both(w, q, v, us):
         found = []
         for f in (lambda *args: run(program, args), want):
@@ -119,7 +119,7 @@ def test_a_march_without_controls(k):
             qs, _ = jax.vmap(lambda q, v: f(q, v, w))(Q, V)
             return (qs[:, -1] ** 2).sum()
 
-        return jax.jit(jax.value_and_grad(loss))
+        return quick_jit(jax.value_and_grad(loss))
 
     got = last(lambda *args: run(program, args))
     agree(got(OTHER), last(lambda q, v, w: want(q, v, jnp.zeros((STEPS, NU)), w))(OTHER))
@@ -206,7 +206,7 @@ def size(path: rb.Trajectory):
 def compare(f, *args) -> None:
     """f(kernel, *args), with True and with False."""
     got, want = (
-        jax.jit(lambda *a, kernel=kernel: f(kernel, *a), compiler_options=QUICK)(*args)
+        quick_jit(lambda *a, kernel=kernel: f(kernel, *a))(*args)
         for kernel in (True, False)
     )
     agree(got, want, F64_IDENTITY)

@@ -142,7 +142,8 @@ def test_bad_times_and_states_are_named():
     ("arguments", "message"),
     [
         ({"control": jnp.ones((4, 1))}, "expected a function .* an array are for rollout"),
-        ({"control": lambda t, s: jnp.ones(2)}, r"returned has shape \(2,\), expected \(1,\)"),
+        ({"control": lambda t, s: jnp.ones(2)}, r"the control returned has shape \(2,\), exp"),
+        ({"control": dict}, r"control is the class dict, expected a function \(t, state\)"),
         ({"control": lambda t, s: 1.0}, r"returned has shape \(\), expected \(1,\)"),
         ({"control": lambda t, s: None}, "returned is NoneType, expected an array of shape"),
         ({"model": rb.load("spinning_top"), "control": lambda t, s: jnp.ones(3)}, "expected .0,.:"),

@@ -10,7 +10,7 @@ import pytest
 import rbjax as rb
 from rbjax.motion.variational import VariationalMidpoint
 from tests.forces.elements import Lag, Wind
-from tests.robots import QUICK
+from tests.quickly import quick_jit
 from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
@@ -20,7 +20,7 @@ SLOW = pytest.mark.slow
 
 def energies(model: rb.Model, path: rb.Trajectory) -> np.ndarray:
     one = lambda q, v: rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q)  # noqa: E731
-    return np.asarray(jax.jit(jax.vmap(one))(path.q, path.v))
+    return np.asarray(quick_jit(jax.vmap(one))(path.q, path.v))
 
 
 def form(model: rb.Model, p: jax.Array) -> np.ndarray:
@@ -57,7 +57,7 @@ def test_a_step_keeps_the_symplectic_form(scene, evaluations):
         after = rb.step(model, rb.State(q, v), None, 0.01, integrator=method)
         return p, after.q, rb.mass_matrix(model, after.q) @ after.v
 
-    @jax.jit
+    @quick_jit
     def both(at):
         p0, q1, p1 = stepped(at, at)
 
@@ -124,7 +124,7 @@ def test_order_two_with_forces(which):
 
     more = {"law": held} if which == "held" else {}
 
-    @functools.partial(jax.jit, static_argnums=(0, 1), compiler_options=QUICK)
+    @functools.partial(quick_jit, static_argnums=(0, 1))
     def end(integrator, n):
         path = rb.rollout(
             model, state, jnp.broadcast_to(u, (n, model.nu)), 0.2 / n, save_every=n,
@@ -144,7 +144,7 @@ def test_gradients_are_difference_quotients(scene):
     state = model.random_state(key)
     ctrls = jax.random.normal(key, (8, model.nu))
 
-    @jax.jit
+    @quick_jit
     def loss(ctrls, dq, v, mass):
         changed = model.replace(bodies=model.bodies.replace(mass=mass))
         start = rb.State(rb.integrate(model, state.q, dq), v)
@@ -154,7 +154,7 @@ def test_gradients_are_difference_quotients(scene):
         return (path.q**2).sum() + jnp.sin(path.v).sum()
 
     at = (ctrls, jnp.zeros(model.nv), state.v, model.bodies.mass)
-    gradient = jax.jit(jax.grad(loss, (0, 1, 2, 3)), compiler_options=QUICK)(*at)
+    gradient = quick_jit(jax.grad(loss, (0, 1, 2, 3)))(*at)
     keys = jax.random.split(key, 4)
     step = tuple(jax.random.normal(k, x.shape) for k, x in zip(keys, at, strict=True))
     h = 1e-5
@@ -192,10 +192,38 @@ def test_emitted_c(scene, driver):
         return jax.grad(lambda *x: sum((a * a).sum() for a in f(*x)), (0, 1))(q, v)
 
     given = (states.q, states.v)
-    wants = [jax.jit(jax.vmap(g), compiler_options=QUICK)(*given) for g in (f, slope)]
+    wants = [quick_jit(jax.vmap(g))(*given) for g in (f, slope)]
     for got, want in zip(many_on_host([(f, given), (slope, given)]), wants, strict=True):
         for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
             assert relative_error(a, b) < F64_IDENTITY
+
+
+def test_a_law_gives_the_acceleration():
+    """Of a cart whose law lets nothing accelerate: only what a midpoint neglects is left."""
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.array([0.0, 1.0]), jnp.array([0.3, 0.2]))
+    after = rb.step(model, state, dt=1e-3, integrator=NAME, law=lambda *_: jnp.zeros(2))
+    np.testing.assert_allclose(after.v, state.v, atol=1e-7)
+
+
+class Stiff(rb.forces.Element):
+    """A spring that keeps its stiffness from the iteration."""
+
+    k: jax.Array
+
+    def loads(self, now):
+        joint = now.joint(0)
+        return joint.push(-self.k * joint.q[0])
+
+
+def test_a_slow_step_that_does_not_converge_is_no_number_either():
+    """Without gravity; a correction is h^2 k / 4 I times the one before."""
+    model = rb.load("pendulum").replace(gravity=jnp.zeros(3))
+    inertia = rb.mass_matrix(model, jnp.zeros(1))[0, 0]
+    for ratio, converges in ((0.01, True), (1.5, False)):
+        acted = model.with_forces(Stiff(4 * ratio * inertia / 0.01))
+        after = rb.step(acted, rb.State(1e-5 * jnp.ones(1), jnp.zeros(1)), dt=0.1, integrator=NAME)
+        assert bool(jnp.isfinite(after.v).all()) == converges
 
 
 def test_a_step_that_does_not_converge_is_no_number():

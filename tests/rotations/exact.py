@@ -11,6 +11,7 @@ import mpmath
 import numpy as np
 from mpmath import mp, mpf
 
+from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 DIGITS = 100
@@ -116,7 +117,7 @@ def jets(f: Callable[[list], object], xs, ds) -> list[np.ndarray]:
     return [np.stack(column) for column in zip(*rows, strict=True)]
 
 
-def our_jets(f: Callable, xs, ds, **options) -> list[np.ndarray]:
+def our_jets(f: Callable, xs, ds) -> list[np.ndarray]:
     """The same of a function of ours: value, forward first and second derivative, reverse first."""
 
     def one(x, d):
@@ -132,8 +133,8 @@ def our_jets(f: Callable, xs, ds, **options) -> list[np.ndarray]:
         (gradient,) = jax.vjp(lambda x: f(x).reshape(-1), x)[1](weight)
         return value, first, second, (gradient * d).sum() - (weight * first).sum()
 
-    compiled = jax.jit(jax.vmap(one), **options)
-    return [np.asarray(a) for a in compiled(jax.numpy.asarray(xs), jax.numpy.asarray(ds))]
+    run = quick_jit(jax.vmap(one))
+    return [np.asarray(a) for a in run(jax.numpy.asarray(xs), jax.numpy.asarray(ds))]
 
 
 # What the room promises against a hundred digits: a few units in the last place (2.2e-16) of the

@@ -19,6 +19,7 @@ from rbjax.rotations import convert, mrp_shadow, mrp_short, quaternion, represen
 from rbjax.rotations.euler import SEQUENCES
 from rbjax.rotations.representation import Representation
 from rbjax.rotations.vectorial import VECTORIAL
+from tests.quickly import quick_jit
 from tests.robots import QUICK
 from tests.rotations import exact
 from tests.rotations.exact import assert_jets, jets, our_jets
@@ -138,7 +139,7 @@ def test_round_trips_among_all(dtype, limit, count) -> None:
 def test_round_trips_through_the_matrix(dtype, limit) -> None:
     R = jnp.asarray(quaternion.to_matrix(QUATERNIONS), dtype)
 
-    @functools.partial(jax.jit, compiler_options=QUICK)
+    @quick_jit
     def backs(R):
         return {name: rep.to_matrix(rep.from_matrix(R)) for name, rep in REPS.items()}
 
@@ -194,7 +195,7 @@ def test_vectorial_maps(name) -> None:
     x = PARAMETER_OF[name](angles)[:, None] * np.array([1.0, -2.0, 2.0]) / 3
     size = np.maximum(1.0, np.linalg.norm(x, axis=1, keepdims=True))
     d = np.array([0.3, -0.7, 0.5]) * size  # the scale on which a large parameter varies
-    got = our_jets(maps(rep), x, d, compiler_options=QUICK)
+    got = our_jets(maps(rep), x, d)
     want = jets(exact_maps(definition(name)), x, d)
     for block in (slice(0, 18), slice(18, 36)):  # a map and its inverse are of different size
         ours = [*(g[:, block] for g in got[:3]), got[3]]
@@ -215,7 +216,7 @@ def test_euler_maps(sequence) -> None:
     d = np.tile([0.3, -0.7, 0.5], (5, 1))
     for name in (f"intrinsic_{sequence}", f"extrinsic_{sequence}"):
         rep = REPS[name]
-        got = our_jets(maps(rep), x, d, compiler_options=QUICK)
+        got = our_jets(maps(rep), x, d)
         want = jets(exact_maps(definition(name)), x, d)
         near = 1 / np.asarray(rep.singularity_distance(x)).min()
         for block, slack in ((slice(0, 18), 1), (slice(18, 36), near)):
@@ -238,7 +239,7 @@ def test_redundant_maps(name) -> None:
     x = np.array(rep.from_quaternion(QUATERNIONS[:6]))
     if name == "axis_angle":
         x[:3, 3] = [1e-6, 1e-3, np.pi - 1e-9]
-    got = np.asarray(jax.jit(jax.vmap(maps(rep)))(x))
+    got = np.asarray(quick_jit(jax.vmap(maps(rep)))(x))
     f = exact_maps(definition(name))
     with mpmath.mp.workdps(exact.DIGITS):
         want = np.array([[float(a) for a in f(exact.numbers(row))] for row in x])
@@ -255,7 +256,7 @@ MOVING = [n for n in REPS if n not in EULER] + [
 ]
 
 
-@functools.partial(jax.jit, compiler_options=QUICK)
+@quick_jit
 def kinematics(q, a, b):
     """Of R exp(a t + b t^2/2), a turn with omega_body = a and alpha_body = b at t = 0."""
     out = {}
@@ -299,7 +300,7 @@ def test_rates_and_accelerations_along_a_motion() -> None:
 # ------------------------------------------------------------------------ singular attitudes
 
 
-@functools.partial(jax.jit, compiler_options=QUICK)
+@quick_jit
 def all_about(R):
     out = {}
     for name, rep in REPS.items():
@@ -338,7 +339,7 @@ def test_gimbal_lock_nearby() -> None:
     """The attitude is accurate to rounding at any distance from the singularity."""
     off = 10.0 ** np.arange(-17, 0)
 
-    @functools.partial(jax.jit, compiler_options=QUICK)
+    @quick_jit
     def errors(off):
         out = {}
         for name, rep in EULER.items():
@@ -376,7 +377,7 @@ def test_shadow_of_modified_rodrigues_parameters() -> None:
     np.testing.assert_allclose(mrp_short(shadow), p, rtol=1e-14)
     np.testing.assert_array_equal(mrp_short(p), p)
     assert np.isfinite(mrp_shadow(np.zeros(3))).all()
-    assert np.isfinite(jax.jit(jax.jacrev(mrp_short))(np.zeros(3))).all()
+    assert np.isfinite(quick_jit(jax.jacrev(mrp_short))(np.zeros(3))).all()
 
 
 # -------------------------------------------------------------------------------- the door

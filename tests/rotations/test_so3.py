@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from rbjax import InputError
 from rbjax.rotations import quaternion, so3
-from tests.robots import QUICK
+from tests.quickly import quick_jit
 from tests.rotations import exact
 from tests.rotations.exact import ANGLES, VALUE, assert_jets, jets, our_jets, series
 from tests.tolerances import F64_ROUNDING, relative_error
@@ -34,7 +34,7 @@ ALONG = np.tile([0.3, -0.7, 0.5], (len(PHI), 1))
 def test_against_power_series(ours, theirs) -> None:
     some = slice(None) if ours in (so3.exp, quaternion.exp) else slice(None, None, 3)
     phi, d = PHI[some], ALONG[some]
-    assert_jets(our_jets(ours, phi, d, compiler_options=QUICK), jets(theirs, phi, d))
+    assert_jets(our_jets(ours, phi, d), jets(theirs, phi, d))
 
 
 def test_beyond_half_a_turn() -> None:
@@ -44,7 +44,7 @@ def test_beyond_half_a_turn() -> None:
         (so3.exp, lambda p: series(exact.hat(p))),
         (so3.left_jacobian, lambda p: series(exact.hat(p), 1)),
     ):
-        got = our_jets(ours, far, ALONG[:5], compiler_options=QUICK)
+        got = our_jets(ours, far, ALONG[:5])
         assert_jets([*got[:3], got[3]], jets(theirs, far, ALONG[:5]))
 
 
@@ -52,7 +52,7 @@ def test_quaternion_log() -> None:
     """Of quaternions of any length and either sign; relative to the smallest vector even."""
     q = np.asarray(quaternion.exp(PHI)) * np.where(np.arange(len(PHI)) % 2, 0.7, -1.3)[:, None]
     d = np.tile([0.2, 0.4, -0.3, 0.6], (len(q), 1))
-    got = our_jets(quaternion.log, q, d, compiler_options=QUICK)
+    got = our_jets(quaternion.log, q, d)
     want = jets(exact.quaternion_log, q, d)
     assert_jets(got, want)
     tiny = np.abs(want[0]).max(1) > 1e-299
@@ -75,7 +75,7 @@ def test_matrix_log() -> None:
 
     x = np.hstack([PHI, np.zeros((len(PHI), 1))])
     d = np.tile([0.0, 0.0, 0.0, 1.0], (len(PHI), 1))
-    got = our_jets(ours, x, d, compiler_options=QUICK)
+    got = our_jets(ours, x, d)
     assert_jets(got, jets(theirs, x, d))
 
 
@@ -97,7 +97,7 @@ def test_half_a_turn_has_a_logarithm_of_length_pi() -> None:
     phi = np.asarray(so3.log(R))
     np.testing.assert_allclose(np.linalg.norm(phi, axis=1), np.pi, rtol=VALUE)
     assert relative_error(so3.exp(phi), R) <= F64_ROUNDING
-    slopes = jax.jit(jax.vmap(jax.jacrev(so3.log)))(R)
+    slopes = quick_jit(jax.vmap(jax.jacrev(so3.log)))(R)
     assert np.isfinite(slopes).all()
 
 
@@ -145,7 +145,7 @@ def test_geodesics(key) -> None:
         np.testing.assert_allclose(so3.distance(C, B), (1 - s) * whole, atol=1e-14)
         r = quaternion.interpolate(p, -q, s)
         assert relative_error(quaternion.to_matrix(r), C) <= F64_ROUNDING
-    same = jax.jit(jax.jacfwd(lambda s: quaternion.interpolate(p[0], p[0], s)))(0.5)
+    same = quick_jit(jax.jacfwd(lambda s: quaternion.interpolate(p[0], p[0], s)))(0.5)
     assert np.abs(same).max() <= 1e-15
 
 
@@ -179,7 +179,7 @@ def test_derivatives_of_the_projection() -> None:
     R0 = np.asarray(so3.exp([0.3, -0.5, 0.9]))
     D, h = rng.normal(size=(3, 3)), 1e-4
 
-    @jax.jit
+    @quick_jit
     def line(M, D):
         def f(t):
             return so3.project(M + t * D)

@@ -1,6 +1,5 @@
 """Masarati's Table A.1: the vectorial parametrizations against their closed forms, row by row."""
 
-import functools
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,7 @@ from mpmath import mp
 from rbjax.rotations import representations, vectorial
 from rbjax.rotations.representation import Representation
 from tests.oracles.vectorial import TABLE, Row
-from tests.robots import QUICK
+from tests.quickly import quick_jit
 from tests.rotations import exact
 from tests.tolerances import relative_error
 
@@ -77,7 +76,7 @@ def test_table_a1(name: str) -> None:
     x = np.concatenate([np.outer(sizes, axis) for axis in AXES])
     left = row.end - np.tile(angles(row), len(AXES))
 
-    @functools.partial(jax.jit, compiler_options=QUICK)
+    @quick_jit
     def ours(x: jax.Array) -> tuple[jax.Array, ...]:
         return (
             rep.to_matrix(x), rep.space_rate_matrix(x), rep.inverse_space_rate_matrix(x),

@@ -10,6 +10,7 @@ from rbjax import spatial
 from rbjax.errors import InputError
 from rbjax.rotations import se3, so3
 from rbjax.spatial import shapes
+from tests.quickly import quick_jit
 from tests.tolerances import F64_ROUNDING, GRADIENT, relative_error
 
 RHO = 700.0
@@ -188,11 +189,17 @@ TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 )
 def test_derivatives_in_the_dimensions(shape, x) -> None:
     x = np.array(x, float)
-    f = jax.jit(lambda x: jnp.concatenate([jnp.ravel(a) for a in shape(x)]))
-    got = jax.jit(jax.jacfwd(f))(x)
+    f = quick_jit(lambda x: jnp.concatenate([jnp.ravel(a) for a in shape(x)]))
+    got = quick_jit(jax.jacfwd(f))(x)
     step = 6e-6
     want = np.stack([(f(x + e) - f(x - e)) / (2 * step) for e in step * np.eye(len(x))], -1)
     assert relative_error(got, want) <= GRADIENT
+
+
+def test_one_dimension_may_be_traced_and_another_known() -> None:
+    """I_zz = m (R^2 + r^2) / 2."""
+    slope = jax.grad(lambda outer: shapes.tube(outer, 0.1, 1.0, mass=2.0).inertia[2, 2])(0.3)
+    np.testing.assert_allclose(slope, 2.0 * 0.3, rtol=1e-12)
 
 
 def test_dimensions_may_be_batches() -> None:
@@ -209,6 +216,7 @@ def test_dimensions_may_be_batches() -> None:
         (lambda: shapes.sphere(1.0), ["neither", "density and mass"]),
         (lambda: shapes.sphere(1.0, density=1.0, mass=1.0), ["both", "density and mass"]),
         (lambda: shapes.sphere(-1.0, mass=1.0), ["radius is -1.0", "more than zero"]),
+        (lambda: shapes.sphere(0.0, mass=1.0), ["radius is 0.0", "more than zero"]),
         (lambda: shapes.box([1.0, 2.0], mass=1.0), ["size", "(2,)", "3"]),
         (lambda: shapes.tube(1.0, 2.0, 1.0, mass=1.0), ["inner", "inner < outer"]),
         (lambda: shapes.combine([]), ["at least one"]),
@@ -221,7 +229,7 @@ def test_dimensions_may_be_batches() -> None:
             ["volume is", "clockwise"],
         ),
     ],
-    ids=range(11),
+    ids=range(12),
 )
 def test_wrong_dimensions_are_refused_in_a_sentence(call, words) -> None:
     with pytest.raises(InputError) as caught:

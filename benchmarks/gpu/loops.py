@@ -1,0 +1,110 @@
+"""Robots with loops on a GPU, beside MJX: steps a second, what is left of the loops, gradients.
+
+`python -m benchmarks.gpu.loops four_bar cassie.xml` writes results/loops-<robot>-<device>.json.
+Batch first, f32, 100 steps; ours semi-implicit Euler with the formulation "projected", MJX its own
+Euler with soft constraints, Newton's method, one iteration and more. The error is the norm of the
+rows at the end, the median over the batch; without constraints the same robot with its loops open.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from mujoco import mjx
+
+import rbjax as rb
+from benchmarks.shared.gpu_timing import timed
+from benchmarks.shared.timing import markdown_table, save
+
+STEPS = 100
+COLUMNS = ("what", "engine", "batch", "lower_s", "compile_s", "M/s median", "rows left")
+FOUR_BAR = """<mujoco><option timestep="0.002"/><worldbody>
+  <body name="a" xyaxes="0 0 1 0 1 0"><joint axis="0 1 0"/>
+    <inertial pos="0.5 0 0" mass="1" diaginertia="0.01 0.083 0.083"/>
+    <body name="b" pos="1 0 0" xyaxes="0 0 -1 0 1 0"><joint axis="0 1 0"/>
+      <inertial pos="0.5 0 0" mass="1" diaginertia="0.01 0.083 0.083"/></body></body>
+  <body name="c" pos="1 0 0" xyaxes="0 0 1 0 1 0"><joint axis="0 1 0"/>
+    <inertial pos="0.5 0 0" mass="1" diaginertia="0.01 0.083 0.083"/></body>
+</worldbody><equality><connect body1="b" body2="c" anchor="1 0 0"/></equality></mujoco>"""
+
+
+def start(name: str, m: mujoco.MjModel, model: rb.Model, batch: int) -> rb.State:
+    """States on the loops: the file's own, turned and moved a little, put back by projection."""
+    q = jnp.asarray(m.key_qpos[0] if m.nkey else m.qpos0)
+    q, v = jnp.tile(q, (batch, 1)), jax.random.normal(jax.random.key(0), (batch, model.nv)) * 0.1
+    exact = rb.constraints.Projected(iterations=8)
+    state = rb.State(q.astype(jnp.float32), v.astype(jnp.float32))
+    return jax.jit(jax.vmap(lambda s: exact.settled(model, 0.0, s)))(state)
+
+
+def rows(name: str, batch: int) -> Iterator[dict]:
+    m = (
+        mujoco.MjModel.from_xml_string(FOUR_BAR)
+        if name == "four_bar"
+        else mujoco.MjModel.from_xml_path(name)
+    )
+    m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    model = rb.load(m).astype(jnp.float32)
+    state = start(name, m, model, batch)
+    dt = float(m.opt.timestep)
+
+    def left(q, v):
+        off = jax.vmap(lambda q, v: rb.constraints.residual(model, rb.State(q, v)).value)(q, v)
+        return float(jnp.median(jnp.sqrt((off * off).sum(-1))))
+
+    for what, robot in (("loops", model), ("open", model.replace(constraints=()))):
+
+        def run(state: rb.State, robot: rb.Model = robot):
+            path = rb.rollout(robot, state, None, dt, steps=STEPS, save_every=STEPS)
+            return path.q[:, -1], path.v[:, -1]
+
+        def slope(state: rb.State, run=run):
+            return jax.grad(lambda v: sum((x * x).sum() for x in run(state.replace(v=v))))(state.v)
+
+        row = {"what": what, "engine": "rbjax", "batch": batch}
+        row = timed(row, run, state, work=batch * STEPS)
+        yield row | {"rows left": left(*jax.jit(run)(state))}
+        yield timed(
+            {"what": f"gradient, {what}", "engine": "rbjax", "batch": batch},
+            slope, state, work=batch * STEPS,
+        )  # fmt: skip
+    for iterations in (1, 4):
+        m.opt.solver, m.opt.iterations, m.opt.ls_iterations = 2, iterations, 4
+        theirs = mjx.put_model(m)
+        blank = mjx.make_data(theirs)
+
+        def march(state: rb.State, theirs=theirs, blank=blank):
+            def step(c, _):
+                d = jax.vmap(lambda q, v: mjx.step(theirs, blank.replace(qpos=q, qvel=v)))(*c)
+                return (d.qpos, d.qvel), None
+
+            return jax.lax.scan(step, (state.q, state.v), None, STEPS)[0]
+
+        some = jax.tree.map(lambda x: x[: min(batch, 16384)], state)
+        size = some.q.shape[0]
+        row = {"what": f"MJX, {iterations} iterations", "engine": "mjx", "batch": size}
+        row = timed(row, march, some, work=size * STEPS)
+        yield row | {"rows left": left(*jax.jit(march)(some))}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", nargs="*", default=["four_bar"], help="four_bar, or MJCF files")
+    parser.add_argument("--batch", type=int, default=65536)
+    args = parser.parse_args()
+    for name in args.robots:
+        found = []
+        for row in rows(name, args.batch):
+            found.append(row)
+            print(row, flush=True)
+        print(markdown_table(found, COLUMNS))
+        print(save(f"loops-{Path(name).stem}", found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,101 @@
+"""Formulations: how constraints are enforced, as a law of motion that may mend the state it moves.
+
+A formulation is a law (from forces to accelerations) and a `settled`: what becomes of a state
+after each step. It is hashable, and is part of the program.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+
+from rbjax.constraints.law import constrained_motion
+from rbjax.constraints.projection import projected
+from rbjax.dynamics.link_forces import LinkForces
+from rbjax.model import Model, State
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """Accelerations of constrained motion. Make a frozen dataclass of it: its fields are its
+    numbers.
+
+    Class fields: name; family, "minimal", "redundant" or "unconstrained" (Masarati, ch. 8); index,
+    of the differential-algebraic equations that it solves (0 where no multipliers are left).
+    """
+
+    name: ClassVar[str]
+    family: ClassVar[str]
+    index: ClassVar[int]
+
+    def __call__(
+        self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
+    ) -> jax.Array:
+        """v' (nv,), as `rbjax.motion.field.Law`."""
+        raise NotImplementedError(f"{type(self).__name__} has no accelerations")
+
+    def settled(self, model: Model, t: Any, state: State) -> State:
+        """The state after a step, as the next one starts from it."""
+        return state
+
+
+@dataclass(frozen=True)
+class Multipliers(Formulation):
+    """Index 1: G a = -(G' v + ...), with nothing against drift.
+
+    The residual after a time t is g_0 + g'_0 t, and what the integrator adds.
+    """
+
+    name: ClassVar[str] = "multipliers"
+    family: ClassVar[str] = "redundant"
+    index: ClassVar[int] = 1
+
+    def __call__(self, model, t, state, tau, pushes):
+        return constrained_motion(model, t, state, tau, pushes)[0]
+
+
+@dataclass(frozen=True)
+class Baumgarte(Formulation):
+    """Index 1 with feedback of the residual: g'' + 2 alpha g' + beta^2 g = 0, exactly.
+
+    Fields: alpha, beta in 1/s. alpha = beta is critically damped. Large ones make the equations
+    stiff: an explicit step dt needs alpha dt well below 1. (Baumgarte 1972)
+    """
+
+    alpha: float = 20.0
+    beta: float = 20.0
+    name: ClassVar[str] = "baumgarte"
+    family: ClassVar[str] = "redundant"
+    index: ClassVar[int] = 1
+
+    def __call__(self, model, t, state, tau, pushes):
+        return constrained_motion(model, t, state, tau, pushes, self.alpha, self.beta)[0]
+
+
+@dataclass(frozen=True)
+class Projected(Formulation):
+    """Another formulation, and after each step positions and velocities are put back on the
+    constraints by the least change in the norm of the mass matrix.
+
+    Fields: of, the formulation; iterations, of each of the two. Family and index are those of `of`.
+    """
+
+    of: Formulation = Multipliers()
+    iterations: int = 2
+    name: ClassVar[str] = "projected"
+
+    @property
+    def family(self) -> str:  # type: ignore[override]
+        return self.of.family
+
+    @property
+    def index(self) -> int:  # type: ignore[override]
+        return self.of.index
+
+    def __call__(self, model, t, state, tau, pushes):
+        return self.of(model, t, state, tau, pushes)
+
+    def settled(self, model: Model, t: Any, state: State) -> State:
+        return projected(model, t, self.of.settled(model, t, state), self.iterations)

@@ -1,0 +1,79 @@
+"""The formulations that there are, and which one a motion takes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
+from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
+from rbjax.constraints.redundant import KKT
+from rbjax.constraints.unconstrained import (
+    AugmentedLagrangian,
+    ForceProjection,
+    Penalty,
+    UdwadiaKalaba,
+)
+from rbjax.errors import InputError, UnknownName
+from rbjax.model import Model
+
+DEFAULT = Projected()
+_ALL: tuple[Formulation, ...] = (
+    DEFAULT, Multipliers(), Baumgarte(), KKT(),
+    NullSpaceQR(), NullSpaceSVD(), Partitioning(),
+    UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(),
+)  # fmt: skip
+_FORMULATIONS: dict[str, Formulation] = {f.name: f for f in _ALL}
+
+
+def formulations() -> dict[str, Formulation]:
+    """The formulations by name, each with its `family` and `index`.
+
+    | name | family | index | what it solves |
+    |---|---|---|---|
+    | projected | of another | of another | another's; puts states back after steps (default) |
+    | multipliers | redundant | 1 | A l = c - G a_f by the factors of ABA |
+    | baumgarte | redundant | 1 | the same, with feedback of the residual |
+    | kkt | redundant | 1 | a and l at once |
+    | null_space_qr | minimal | 0 | a = L c + Z z, Z of a pivoted QR |
+    | null_space_svd | minimal | 0 | the same, Z of singular values |
+    | partitioning | minimal | 0 | the same, z some of the velocities |
+    | udwadia_kalaba | unconstrained | 0 | the least change of a_f |
+    | force_projection | unconstrained | 0 | forces without their part along the rows |
+    | augmented_lagrangian | unconstrained | 0 | penalties on accelerations, iterated |
+    | penalty | unconstrained | 0 | stiff springs: an approximation |
+
+    Those from "kkt" to "augmented_lagrangian" work on arrays, of nv and rows cubed; they are for
+    comparison and small mechanisms. All but "penalty" give the same accelerations.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.constraints.formulations()["baumgarte"].index
+        1
+    """
+    return dict(_FORMULATIONS)
+
+
+def formulation_of(where: str, model: Model, given: Any, law: Any, free: Any) -> Any:
+    """The law of a motion: the caller's, or a formulation of the model's constraints, or free
+    motion. `given`: a name, a `Formulation`, or None for the default."""
+    if law is not free:
+        if given is not None:
+            raise InputError(
+                f"{where}: got a law and constraints={given!r}; give one of them: a formulation is "
+                "a law"
+            )
+        return law
+    if not model.constraints:
+        if given is not None:
+            raise InputError(
+                f"{where}: constraints={given!r}, and the model has none; "
+                "model.with_constraints(...) adds some"
+            )
+        return law
+    if given is None:
+        return DEFAULT
+    if isinstance(given, Formulation):
+        return given
+    if isinstance(given, str) and given in _FORMULATIONS:
+        return _FORMULATIONS[given]
+    raise UnknownName("formulation", given, _FORMULATIONS)

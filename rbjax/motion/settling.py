@@ -1,0 +1,78 @@
+"""A diffrax solver whose states a formulation of constraints settles after each step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+
+from rbjax.constraints.formulation import Formulation
+from rbjax.model import Model
+from rbjax.motion.field import Law
+
+
+class Settling(diffrax.AbstractWrappedSolver):
+    """The solver, and after each of its steps `formulation.settled`.
+
+    The estimate of the error is that of the step before it. A solver that keeps the slope at the
+    end of a step for the next one keeps that of the unsettled state, which differs by less than the
+    error of the step.
+    """
+
+    solver: Any  # type: ignore[misc]
+    formulation: Formulation = eqx.field(static=True)
+    model: Callable[[Any], Model]
+    start: Any
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):  # type: ignore[override]
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self):
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def scan_kind(self):  # diffrax sets these two on solvers that have them
+        return self.solver.scan_kind
+
+    @property
+    def root_finder(self):
+        return self.solver.root_finder
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def strong_order(self, terms):
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        y1, error, dense, solver_state, result = self.solver.step(
+            terms, t0, t1, y0, args, solver_state, made_jump
+        )
+        y1 = self.formulation.settled(self.model(args), self.start + t1, y1)
+        return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
+
+
+def settling(
+    solver: diffrax.AbstractSolver, law: Law, model: Callable[[Any], Model], start: Any
+) -> diffrax.AbstractSolver:
+    """The solver, with what the law does to states after steps, if it does anything."""
+    if not isinstance(law, Formulation) or type(law).settled is Formulation.settled:
+        return solver
+    return Settling(solver, law, model, start)
