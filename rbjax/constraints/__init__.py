@@ -2,7 +2,9 @@
 
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
+from rbjax.constraints.curve import PointOnCurve, PointOnSurface
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
+from rbjax.constraints.functions import Holonomic, Pfaffian
 from rbjax.constraints.geometry import (
     along,
     coordinate,
@@ -33,6 +35,7 @@ from rbjax.constraints.place import Place, places
 from rbjax.constraints.reactions import jacobian, joint_wrenches, multipliers, residual
 from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations
+from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.row import Row
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
@@ -42,6 +45,7 @@ from rbjax.constraints.unconstrained import (
 )
 
 __all__ = [
+    "KKT",
     "AugmentedLagrangian",
     "Baumgarte",
     "Constraint",
@@ -50,10 +54,11 @@ __all__ = [
     "ForceProjection",
     "Formulation",
     "Gear",
+    "Holonomic",
     "Inline",
     "Inplane",
     "JointPolynomial",
-    "KKT",
+    "KnifeEdge",
     "Multipliers",
     "NullSpaceQR",
     "NullSpaceSVD",
@@ -62,13 +67,18 @@ __all__ = [
     "Parallel",
     "Partitioning",
     "Penalty",
+    "Pfaffian",
     "Place",
     "Planar",
+    "PointOnCurve",
+    "PointOnSurface",
     "Prescribed",
     "Prismatic",
     "Projected",
     "Rack",
     "Revolute",
+    "RollingDisc",
+    "RollingSphere",
     "Row",
     "Screw",
     "Spherical",

@@ -10,7 +10,7 @@ is written as its residual, and what follows of it by the chain rule is never wr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,3 +118,28 @@ def angle(sine: Row, cosine: Row) -> Row:
         sine.gradient * x + cosine.gradient * neg(y),
         sub(acceleration, mul(2.0, mul(rate, longer))),
     )
+
+
+def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype: Any) -> list[Row]:
+    """f (n,) -> (m,) of n holonomic rows, f smooth."""
+
+    def stacked(lanes: Sequence[Any]) -> jax.Array:
+        return jnp.stack([jnp.asarray(x, dtype) for x in lanes])
+
+    x, rate = stacked([row.value for row in rows]), stacked([row.rate for row in rows])
+    bent, one = stacked([row.acceleration for row in rows]), jnp.ones((), dtype)
+
+    def slope(s: jax.Array) -> tuple:
+        return jax.jvp(lambda s: f(x + s * rate + (s * s / 2) * bent), (s,), (one,))
+
+    (value, first), (_, second) = jax.jvp(slope, (jnp.zeros_like(one),), (one,))
+    J = jax.jacfwd(f)(x)
+    return [
+        Row(
+            value[r],
+            first[r],
+            sum((row.gradient * J[r, k] for k, row in enumerate(rows)), Loads()),
+            second[r],
+        )
+        for r in range(value.shape[0])
+    ]
