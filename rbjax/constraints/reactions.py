@@ -50,7 +50,7 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
     Example:
         >>> import rbjax as rb
         >>> model = rb.load("double_pendulum")
-        >>> loop = rb.constraints.Inline.between(model, None, "forearm", point=[0.0, 0, -2.0])
+        >>> loop = rb.constraints.Inline.between(model, None, "lower", point=[0.0, 0, -2.0])
         >>> model = model.with_constraints(loop)
         >>> rb.constraints.residual(model, model.default_state()).value.shape
         (2,)
