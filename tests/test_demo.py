@@ -11,6 +11,7 @@ from rbjax.demo.forces import forces
 from rbjax.demo.identify import identify
 from rbjax.demo.integrators import integrators
 from rbjax.demo.joints import joints
+from rbjax.demo.loops import loops
 from rbjax.demo.motion import motion
 from rbjax.demo.report import Section
 from rbjax.demo.swing_up import swing_up
@@ -82,6 +83,13 @@ def test_carts_swing_on_bent_rails(tmp_path: Path) -> None:
     assert all(float(lost) < 1e-6 for *_, lost in section.rows)
 
 
+def test_a_loop_stays_closed(tmp_path: Path) -> None:
+    section = loops(tmp_path, quiet, steps=200)
+    assert (tmp_path / "loops.png").stat().st_size > 10_000
+    gap = {row[0]: float(row[1]) for row in section.rows}
+    assert gap["projected"] < 1e-14 and gap["multipliers"] < 1e-6
+
+
 def test_forces_act(tmp_path: Path) -> None:
     section = forces(tmp_path, quiet, steps=200)
     check(section, tmp_path)
@@ -91,7 +99,7 @@ def test_forces_act(tmp_path: Path) -> None:
 
 def test_the_report_holds_all(tmp_path: Path) -> None:
     parts: dict = dict.fromkeys(
-        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "threads")
+        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "loops", "threads")
     )
     parts["validate"] = {"scenes": {"pendulum": False}}
     page = demo(tmp_path, say=quiet, options=parts)
