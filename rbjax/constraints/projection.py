@@ -28,9 +28,11 @@ from rbjax.model import Model, State
 ITERATIONS = {4: 1, 8: 2}
 
 
-def projected(model: Model, t: Any, state: State, iterations: int | None = None) -> State:
-    """The state on its constraints; iterations None: as many as bring the error of a step down to
-    rounding."""
+def projected(
+    model: Model, t: Any, state: State, iterations: int | None = None, positions: bool = True
+) -> State:
+    """The state on its constraints. iterations None: as many as bring the error of a step down to
+    rounding. `positions`: not only its velocity."""
     iterations = ITERATIONS[state.q.dtype.itemsize] if iterations is None else iterations
     d = driver(model, state.q.dtype)
 
@@ -45,7 +47,7 @@ def projected(model: Model, t: Any, state: State, iterations: int | None = None)
     def least(off: list[Lane]) -> jax.Array:
         return answer.accelerated(None, answer.multipliers([neg(x) for x in off]))
 
-    if any(row.holonomic for row in rows):
+    if positions and any(row.holonomic for row in rows):
         for _ in range(iterations):
             dq = least([_value(row) for row in rows])
             q = jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(dq))))
