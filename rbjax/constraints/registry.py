@@ -13,6 +13,7 @@ from rbjax.constraints.unconstrained import (
     Penalty,
     UdwadiaKalaba,
 )
+from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 
@@ -56,6 +57,7 @@ def formulations() -> dict[str, Formulation]:
 def formulation_of(where: str, model: Model, given: Any, law: Any, free: Any) -> Any:
     """The law of a motion: the caller's, or a formulation of the model's constraints, or free
     motion. `given`: a name, a `Formulation`, or None for the default."""
+    check_model(where, model)
     if law is not free:
         if given is not None:
             raise InputError(

@@ -17,16 +17,16 @@ object that equals nothing else, as to `jit`: it is compiled where it is new.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import weakref
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 
 from rbjax.compiling import inside_jit
+from rbjax.constraints.formulation import Formulation
 from rbjax.motion.reading import FLOATS, TRACERS, Reader, Same, UnreadableError
 
 T = TypeVar("T")
@@ -100,9 +100,9 @@ def with_captured(call: Callable[..., T], *functions: Any) -> T:
 
 
 def captured(f: Callable) -> Callable:
-    """A function as a pytree, where all that it reads is known; else itself. So a frozen dataclass,
-    which equals what has the same numbers."""
-    if dataclasses.is_dataclass(f) and isinstance(f, Hashable):
+    """A function as a pytree, where all that it reads is known; else itself. A formulation is known
+    by its numbers already."""
+    if isinstance(f, Formulation):
         return f
     for level in range(_levels.get(_site(f), FLOATS), OPAQUE):
         found = _read(f, level)
