@@ -1,5 +1,6 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
+from rbjax.constraints.assembly import Assembly, assemble
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.curve import PointOnCurve, PointOnSurface
@@ -32,9 +33,10 @@ from rbjax.constraints.pairs import (
     Weld,
 )
 from rbjax.constraints.place import Place, places
+from rbjax.constraints.rank import Mobility, mobility
 from rbjax.constraints.reactions import jacobian, joint_wrenches, multipliers, residual
 from rbjax.constraints.redundant import KKT
-from rbjax.constraints.registry import formulations
+from rbjax.constraints.registry import formulations, kinds
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.row import Row
 from rbjax.constraints.unconstrained import (
@@ -45,7 +47,7 @@ from rbjax.constraints.unconstrained import (
 )
 
 __all__ = [
-    "KKT",
+    "Assembly",
     "AugmentedLagrangian",
     "Baumgarte",
     "Constraint",
@@ -58,7 +60,9 @@ __all__ = [
     "Inline",
     "Inplane",
     "JointPolynomial",
+    "KKT",
     "KnifeEdge",
+    "Mobility",
     "Multipliers",
     "NullSpaceQR",
     "NullSpaceSVD",
@@ -86,6 +90,7 @@ __all__ = [
     "Universal",
     "Weld",
     "along",
+    "assemble",
     "coordinate",
     "cosine",
     "displacement",
@@ -93,6 +98,8 @@ __all__ = [
     "formulations",
     "jacobian",
     "joint_wrenches",
+    "kinds",
+    "mobility",
     "multipliers",
     "places",
     "residual",

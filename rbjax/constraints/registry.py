@@ -1,9 +1,11 @@
-"""The formulations that there are, and which one a motion takes."""
+"""The kinds of constraints and the formulations that there are, and which one a motion takes."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from rbjax.constraints import couplings, curve, functions, pairs, rolling
+from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.redundant import KKT
@@ -52,6 +54,20 @@ def formulations() -> dict[str, Formulation]:
         1
     """
     return dict(_FORMULATIONS)
+
+
+def kinds() -> dict[str, type[Constraint]]:
+    """The kinds of constraints that come with rbjax, by name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.constraints.kinds()["Weld"].size
+        6
+    """
+    rooms = pairs, couplings, curve, functions, rolling
+    every = (x for room in rooms for x in vars(room).values() if isinstance(x, type))
+    bases = Constraint, pairs.Pair, rolling.Rolling
+    return {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
 
 
 def formulation_of(where: str, model: Model, given: Any, law: Any, free: Any) -> Any:

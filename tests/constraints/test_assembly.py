@@ -1,0 +1,48 @@
+"""Consistent states from guesses; freedoms and redundant rows of mechanisms."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import constraints as rc
+from tests.constraints.mechanisms import four_bars, spatial_slider_crank
+
+
+def test_mobility_of_mechanisms() -> None:
+    model, start = four_bars(1)
+    found = rc.mobility(model, start.q)
+    assert (found.freedoms, found.rank) == (1, 2)
+    assert found.redundant == ("Spherical 0, row 1",)  # across the plane
+    flat = rc.mobility(model, jnp.array([np.pi / 2, -np.pi / 2, np.pi / 2]))
+    assert (flat.freedoms, flat.rank) == (2, 1)
+    crank, start = spatial_slider_crank()
+    assert rc.mobility(crank, start.q) [:2] == (1, 7)  # fmt: skip
+
+
+def test_a_guess_is_assembled_with_a_joint_pinned() -> None:
+    model, _ = four_bars(1)
+    guess = rb.State(jnp.array([0.4, -0.1, 0.3]), jnp.array([2.0, 0.0, 0.0]))
+    found = rc.assemble(model, guess, pinned=["rod0"])
+    assert found.ok and found.off < 1e-12 and not found.conflicting
+    # a parallelogram: both rods alike, the coupler level
+    np.testing.assert_allclose(found.state.q, [0.4, -0.4, 0.4], atol=1e-12)
+    np.testing.assert_allclose(found.state.v, [2.0, -2.0, 2.0], atol=1e-12)
+
+
+def test_what_cannot_be_assembled_is_named() -> None:
+    model, start = four_bars(1)
+    far = rc.Distance(rc.Place.on(), rc.Place.on(body="rod1", point=[1.0, 0, 0]), jnp.array(5.0))
+    model = model.with_constraints(far)
+    found = rc.assemble(model, start, throw=False)
+    assert not found.ok and "Distance 1, row 0" in found.conflicting
+    with pytest.raises(rb.InputError, match="Distance 1, row 0"):
+        rc.assemble(model, start)
+    with pytest.raises(rb.UnknownName, match="rod7"):
+        rc.assemble(model, start, pinned=["rod7"])
+
+
+def test_kinds_are_all_there() -> None:
+    found = rc.kinds()
+    assert {"Spherical", "Revolute", "Gear", "RollingDisc", "Holonomic", "Pfaffian"} <= set(found)
+    assert all(getattr(rc, name) is kind for name, kind in found.items())
