@@ -134,6 +134,7 @@ def on_the_plane(turn, omega, com):
     return rb.State(jnp.array(q), jnp.array(v))
 
 
+@pytest.mark.slow
 def test_rolling_disc():
     model, oracle = disc(), ORACLE["rolling_disc"]["generic"]
     turn = np.array(oracle["R0"]).reshape(3, 3)

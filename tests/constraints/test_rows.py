@@ -19,7 +19,15 @@ def closed(kind: type, **numbers: float) -> rb.Model:
     return tree().with_constraints(made)
 
 
-@pytest.mark.parametrize("kind", PAIRS, ids=lambda kind: kind.__name__)
+#: with every kind of row among them
+QUICK = (rc.Cylindrical, rc.Universal, rc.Weld)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [x if x in QUICK else pytest.param(x, marks=pytest.mark.slow) for x in PAIRS],
+    ids=[x.__name__ for x in PAIRS],
+)
 def test_pairs(kind: type) -> None:
     found = check(closed(kind))
     np.testing.assert_allclose(found["rest"], 0.0, rtol=0, atol=1e-15)

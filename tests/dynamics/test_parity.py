@@ -38,9 +38,9 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     ("frax/franka_panda/panda.urdf", "rolled", False),
     ("frax/unitree_g1/g1_29dof_rev_1_0.urdf+free", "rolled", False),
 ]
-FAST_F32 = ["arm7", "quadrotor", "tree:5"]
-FAST_F32 += ["frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
-SLOW_F32 = ["tree:0", "gymnasium/half_cheetah.xml", "frax/franka_panda/panda.urdf"]
+FAST_F32 = ["arm7", "quadrotor"]
+SLOW_F32 = ["tree:0", "tree:5", "gymnasium/half_cheetah.xml", "frax/franka_panda/panda.urdf"]
+SLOW_F32 += ["frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
 SLOW = [*MODELS, *(f"tree:{seed}" for seed in range(50))]
 IMMERSED = [f"{name} in water" for name in (*rb.scenes(), *MODELS)]
 
