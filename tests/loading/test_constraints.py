@@ -16,7 +16,7 @@ from rbjax.constraints.system import gradient_matrix, rows_of
 from rbjax.loading import compile_model
 from tests.robots import QUICK, load_quietly
 
-CASSIE = Path("/work/shared/data/cassie")
+CASSIE = Path(__file__).parents[3] / "shared" / "data" / "cassie"  # beside the repository
 TREE = """<mujoco><option jacobian="dense"><flag contact="disable"/></option><worldbody>
   <site name="ground" pos="0.3 0 0.2" quat="1 0 2 0"/><body name="stone"><geom size="0.1"/></body>
   <body name="a" pos="0 0 1"><freejoint/><geom size="0.1"/>
