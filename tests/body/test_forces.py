@@ -97,9 +97,9 @@ def test_a_damper_takes_the_rate_of_its_length() -> None:
 
     rate = quick_jit(lambda: jax.jvp(length, (jnp.zeros(6),), (V,))[1])()
     assert relative_error(spatial.power(force(0.0, BODY, T, V), V), -2.0 * rate**2) < 1e-13
-    there = np.r_[T[:3, 3] + R @ point]  # of no length: no direction, no force, no nan
-    assert not np.any(body.Damper(2.0, there, point)(0.0, BODY, T, V))
-    assert np.isfinite(body.Spring(2.0, there, point, 0.5)(0.0, BODY, T, V)).all()
+    here = np.eye(4)  # of no length, exactly: no direction, no force, no nan
+    assert not np.any(body.Damper(2.0, point, point)(0.0, BODY, here, V))
+    assert np.isfinite(body.Spring(2.0, point, point, 0.5)(0.0, BODY, here, V)).all()
 
 
 @functools.cache

@@ -85,7 +85,10 @@ def test_spatial_slider_crank() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("constraints", ["projected", "multipliers", "baumgarte"])
+@pytest.mark.parametrize(
+    "constraints",
+    ["projected", "multipliers", "baumgarte", "kkt", "null_space_svd", "udwadia_kalaba"],
+)
 def test_andrews(constraints: str) -> None:
     """Seven bodies, three loops that meet in a point: positions, velocities, multipliers."""
     figures = FIGURES["andrews"]
