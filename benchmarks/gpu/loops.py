@@ -33,7 +33,7 @@ FOUR_BAR = """<mujoco><option timestep="0.002"/><worldbody>
 </worldbody><equality><connect body1="b" body2="c" anchor="1 0 0"/></equality></mujoco>"""
 
 
-def start(name: str, m: mujoco.MjModel, model: rb.Model, batch: int) -> rb.State:
+def start(m: mujoco.MjModel, model: rb.Model, batch: int) -> rb.State:
     """States on the loops: the file's own, turned and moved a little, put back by projection."""
     q = jnp.asarray(m.key_qpos[0] if m.nkey else m.qpos0)
     q, v = jnp.tile(q, (batch, 1)), jax.random.normal(jax.random.key(0), (batch, model.nv)) * 0.1
@@ -50,7 +50,7 @@ def rows(name: str, batch: int) -> Iterator[dict]:
     )
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     model = rb.load(m).astype(jnp.float32)
-    state = start(name, m, model, batch)
+    state = start(m, model, batch)
     dt = float(m.opt.timestep)
 
     def left(q, v):

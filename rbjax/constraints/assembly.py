@@ -15,6 +15,7 @@ import numpy as np
 
 from rbjax.constraints.rank import row_names
 from rbjax.constraints.reactions import jacobian, residual
+from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.crba import mass_matrix
 from rbjax.dynamics.manifold import integrate
 from rbjax.errors import InputError, listed
@@ -72,6 +73,7 @@ def assemble(
         >>> found.ok
         True
     """
+    state = check_arrays("assemble", model, {"state": state})["state"]
     dtype = state.q.dtype
     if tolerance is None:
         tolerance = 1e-12 if dtype == jnp.float64 else 1e-5

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from rbjax.constraints.row import Row
 from rbjax.forces.instant import Instant
-from rbjax.model.record import Record
+from rbjax.model.record import Record, check_fields
 
 
 class Constraint(Record):
@@ -26,6 +26,9 @@ class Constraint(Record):
         ...         return [coordinate(now, "shoulder") + coordinate(now, "elbow")]
         >>> model = rb.load("double_pendulum").with_constraints(Mirror())
     """
+
+    def __check_init__(self) -> None:
+        check_fields(self)
 
     @property
     def size(self) -> int:

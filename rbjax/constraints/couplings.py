@@ -21,14 +21,12 @@ import jax.numpy as jnp
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.geometry import coordinate, time
 from rbjax.constraints.row import Row
+from rbjax.constraints.user_function import check_function, evaluate
 from rbjax.errors import InputError
 from rbjax.forces.instant import Instant
 from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.links import lane
-
-
-def _array(x: Any) -> Any:
-    return x if hasattr(x, "dtype") else jnp.asarray(x, float)
+from rbjax.model.record import check_fields, check_number, floats
 
 
 class JointPolynomial(Constraint):
@@ -46,8 +44,16 @@ class JointPolynomial(Constraint):
 
     joint: str | int = eqx.field(static=True)
     driver: str | int | None = eqx.field(static=True)
-    coefficients: jax.Array = eqx.field(converter=_array)
+    coefficients: jax.Array = eqx.field(converter=floats)
     size = 1
+
+    def __check_init__(self) -> None:
+        check_fields(self)
+        if len(jnp.shape(self.coefficients)) != 1 or not jnp.shape(self.coefficients)[0]:
+            raise InputError(
+                f"JointPolynomial(coefficients=...): got the shape {jnp.shape(self.coefficients)}, "
+                "expected (n,) with n at least 1, c_0 first"
+            )
 
     def rows(self, now: Instant) -> Sequence[Row]:
         c = numbers(self.coefficients, now.q.dtype)
@@ -67,8 +73,11 @@ class Gear(Constraint):
 
     joint: str | int = eqx.field(static=True)
     driver: str | int = eqx.field(static=True)
-    ratio: jax.Array = eqx.field(converter=_array)
+    ratio: jax.Array = eqx.field(converter=floats)
     size = 1
+
+    def __check_init__(self) -> None:
+        check_number(self, "ratio")
 
     def rows(self, now: Instant) -> Sequence[Row]:
         turned = moved(now, self.driver, "hinge")
@@ -84,8 +93,11 @@ class Rack(Constraint):
 
     joint: str | int = eqx.field(static=True)
     driver: str | int = eqx.field(static=True)
-    radius: jax.Array = eqx.field(converter=_array)
+    radius: jax.Array = eqx.field(converter=floats)
     size = 1
+
+    def __check_init__(self) -> None:
+        check_number(self, "radius")
 
     def rows(self, now: Instant) -> Sequence[Row]:
         turned = moved(now, self.driver, "hinge")
@@ -109,10 +121,16 @@ class Prescribed(Constraint):
     function: Callable[[Any], Any] = eqx.field(static=True)
     size = 1
 
+    def __check_init__(self) -> None:
+        check_function("Prescribed(function=...)", self.function)
+
     def rows(self, now: Instant) -> Sequence[Row]:
         _check_kind(now, self.joint, None)
-        wanted = time(now).applied(lambda t: jnp.asarray(self.function(t), now.q.dtype))
-        return [coordinate(now, self.joint) - wanted]
+
+        def wanted(t: Any) -> Any:
+            return evaluate("Prescribed: function", self.function, None, (t,), (), now.q.dtype)
+
+        return [coordinate(now, self.joint) - time(now).applied(wanted)]
 
 
 def moved(now: Instant, joint: str | int, kind: str | None = None) -> Row:

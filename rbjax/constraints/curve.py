@@ -15,8 +15,8 @@ span the plane across c'(s). The rows vanish together only where x = c(s).
 Points of equal distance. s(x) is smooth as long as x is nearer than the curve's centre of curvature
 (F_s < 0). Two branches of the curve may be equally near; then the first entry of the table decides,
 and s jumps as x passes from one to the other. There the rows jump too; a point that satisfies them
-is on the curve, at distance zero, so this concerns only where a curve crosses itself: which branch
-is meant cannot be told from x, and such curves need a coordinate s of their own (a slide).
+is on the curve, at distance zero, so this concerns only where a curve crosses itself: x does not
+say which branch is meant, and such curves need a coordinate s of their own (a slide).
 (do Carmo, *Differential Geometry of Curves and Surfaces*, 1.5, 2.7)
 """
 
@@ -31,7 +31,7 @@ import jax.numpy as jnp
 
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.geometry import AXES, along
-from rbjax.constraints.place import Place
+from rbjax.constraints.place import Place, check_places
 from rbjax.constraints.row import Row, function_of
 from rbjax.constraints.user_function import (
     arrays,
@@ -42,6 +42,7 @@ from rbjax.constraints.user_function import (
 from rbjax.dynamics.tracing import jvp_of, with_jvp
 from rbjax.errors import InputError
 from rbjax.forces.instant import Instant
+from rbjax.model.record import check_fields, floats
 
 #: of Newton's method, from the nearest point of the table; a table that is fine enough to be on the
 #: right branch needs four or five
@@ -81,6 +82,7 @@ class PointOnSurface(Constraint):
     size = 1
 
     def __check_init__(self) -> None:
+        check_places(self)
         check_function("PointOnSurface(f=...)", self.f)
         check_leaves("PointOnSurface(numbers=...)", self.numbers)
 
@@ -114,18 +116,19 @@ class PointOnCurve(Constraint):
     a: Place
     b: Place
     c: Callable = eqx.field(static=True)
-    starts: jax.Array = eqx.field(converter=lambda x: jnp.asarray(x, float))
+    starts: jax.Array = eqx.field(converter=floats)
     numbers: Any = eqx.field(converter=arrays, default=None)
     size = 2
 
     def __check_init__(self) -> None:
+        check_places(self)
         check_function("PointOnCurve(c=...)", self.c)
+        check_fields(self)
         if len(jnp.shape(self.starts)) != 1 or not jnp.shape(self.starts)[0]:
             raise InputError(
                 f"PointOnCurve(starts=...): got the shape {jnp.shape(self.starts)}, expected (n,), "
                 "parameters along the curve, as jnp.linspace makes them"
             )
-        check_leaves("PointOnCurve(starts=...)", self.starts)
         check_leaves("PointOnCurve(numbers=...)", self.numbers)
 
     def point(self, s: jax.Array) -> jax.Array:

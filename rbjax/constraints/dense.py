@@ -27,6 +27,7 @@ from rbjax.constraints.system import gradient_matrix
 from rbjax.dynamics.crba import crba
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.link_forces import LinkForces
+from rbjax.dynamics.packing import pack
 from rbjax.dynamics.rnea import rnea
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane
@@ -59,7 +60,7 @@ class Dense(Formulation):
 
             def solve(force: jax.Array | None, c: Sequence[Lane]) -> Solution:
                 f = jnp.zeros_like(tau) if force is None else force
-                return self.solved(M, G, f, jnp.stack([jnp.asarray(x, f.dtype) for x in c]))
+                return self.solved(M, G, f, pack(c, f))
 
             return solve
 

@@ -23,19 +23,19 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.row import Row
-from rbjax.constraints.system import response, rows_of
+from rbjax.constraints.system import response, rows_of, with_multipliers
 from rbjax.dynamics.aba import aba
 from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.link_forces import LinkForces, added
+from rbjax.dynamics.link_forces import LinkForces
+from rbjax.dynamics.packing import pack
 from rbjax.dynamics.rnea import rnea
 from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
-from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, add, mul, sub
+from rbjax.lanes import Lane, add, mul, neg
 from rbjax.model import Model, State
 
-#: (force (nv,) or None for zero, c of the rows) -> da (nv,), dl (rows,) as lanes or an array
-Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, Any]]
+#: (force (nv,) or None for zero, c of the rows) -> da (nv,), dl (rows,)
+Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, jax.Array]]
 #: (instant, rows) -> how their equations are solved
 System = Callable[[Instant, Sequence[Row]], Solve]
 #: (driver, instant, tau, pushes) -> a_0 or None for zero, the forces left there, the system
@@ -51,15 +51,7 @@ def range_space(
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
 
     def system(now: Instant, rows: Sequence[Row]) -> Solve:
-        answer = response(d, factors, now, rows)
-
-        def solve(force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, Any]:
-            if force is not None:
-                c = [sub(x, y) for x, y in zip(c, answer.projected(force), strict=True)]
-            l = answer.multipliers(c)
-            return answer.accelerated(force, l), l
-
-        return solve
+        return response(d, factors, now, rows).solved
 
     return d.pack(qdd, tau), None, system
 
@@ -89,7 +81,7 @@ def constrained_motion(
         solve = system(now, rows)
         da, l = solve(left, [asked(row, alpha, beta) for row in rows])
         a = da if start is None else start + da
-        return jnp.concatenate([a, _stacked(l, a)]), solve
+        return jnp.concatenate([a, l]), solve
 
     def plain(changed, q, v, tau):
         return run(changed, q, v, tau, values=known_model)[0]
@@ -98,8 +90,7 @@ def constrained_motion(
         x, solve = run(changed, q, v, tau)
 
         def solution(change):
-            da, dl = solve(change[:nv], list(change[nv:]))
-            return jnp.concatenate([da, _stacked(dl, da)])
+            return jnp.concatenate(solve(change[:nv], list(change[nv:])))
 
         return x, solution
 
@@ -109,12 +100,10 @@ def constrained_motion(
         d = driver(model, q.dtype)
         now = Instant.of(model, t, State(q, v), None, d=d).accelerating(a)
         rows = rows_of(model, now)
-        held = sum((row.gradient * l[r] for r, row in enumerate(rows)), Loads())
-        forces = rnea(
-            d, now.links.joints, d.lanes(a), d.prepared.gravity, added(pushes, held.wrenches)
-        )
-        left = tau + d.pack(d.scattered(held.tau, 0.0), tau) - d.pack(forces, tau)
-        return jnp.concatenate([left, _stacked([asked(row, alpha, beta) for row in rows], a)])
+        tau, pushes = with_multipliers(d, rows, list(l), tau, pushes)
+        forces = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, pushes)
+        off = pack([asked(row, alpha, beta) for row in rows], a)
+        return jnp.concatenate([tau - d.pack(forces, tau), off])
 
     found = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)
     return found[:nv], found[nv:]
@@ -123,12 +112,4 @@ def constrained_motion(
 def asked(row: Row, alpha: Any, beta: Any) -> Lane:
     """What a row asks of G times the change of a: -g'' - 2 alpha g' - beta^2 g."""
     out = add(row.acceleration, mul(mul(2.0, alpha), row.rate))
-    if row.holonomic:
-        out = add(out, mul(mul(beta, beta), row.value))
-    return sub(0.0, out)
-
-
-def _stacked(lanes: Sequence[Lane] | jax.Array, like: jax.Array) -> jax.Array:
-    if isinstance(lanes, jax.Array):
-        return lanes
-    return jnp.stack([jnp.asarray(x, like.dtype) for x in lanes])
+    return neg(add(out, mul(mul(beta, beta), row.residual)))

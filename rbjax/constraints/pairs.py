@@ -15,20 +15,24 @@ a and b are frames on the two bodies, their z the axis of the joint.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.geometry import X, Y, Z, along, cosine, displacement, distance, turn
-from rbjax.constraints.place import Place, places
+from rbjax.constraints.place import Place, check_places, places
 from rbjax.constraints.row import Row, angle
+from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
+from rbjax.model.record import check_number, floats
 
 
 class Pair(Constraint):
@@ -39,6 +43,9 @@ class Pair(Constraint):
 
     a: Place
     b: Place
+
+    def __check_init__(self) -> None:
+        check_places(self)
 
     @classmethod
     def between(
@@ -64,8 +71,13 @@ class Pair(Constraint):
             numbers: the kind's own.
         """
         ends = places(model, a, b, point=point, axis=axis, q=q)
-        own: dict[str, Any] = {name: jnp.asarray(x, float) for name, x in numbers.items()}
-        return cls(*ends, **own)
+        try:
+            return cls(*ends, **numbers)
+        except TypeError as error:
+            fields = [f.name for f in dataclasses.fields(cls)][2:]
+            raise InputError(
+                f"{cls.__name__}.between: got the numbers {sorted(numbers)}, expected {fields}"
+            ) from error
 
     def rows(self, now: Instant) -> Sequence[Row]:
         return self.between_frames(self.a.frame(now), self.b.frame(now), now)
@@ -122,8 +134,11 @@ class Screw(Pair):
     Fields: pitch, m a turn. Any number of turns: the turn is what the slide says, within half one.
     """
 
-    pitch: jax.Array
+    pitch: jax.Array = eqx.field(converter=floats)
     size = 5
+
+    def __check_init__(self) -> None:
+        check_number(self, "pitch")
 
     def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
         lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
@@ -207,8 +222,11 @@ class Distance(Pair):
     Fields: length, m, above zero.
     """
 
-    length: jax.Array
+    length: jax.Array = eqx.field(converter=floats)
     size = 1
+
+    def __check_init__(self) -> None:
+        check_number(self, "length", positive=True)
 
     def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
         return [distance(A, B) - scalar(self.length, now.q.dtype)]

@@ -12,12 +12,13 @@ import numpy as np
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
+from rbjax.forces.anchor import check_named, named_frame
 from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Vec3, quaternion_matrix
-from rbjax.model import WORLD, Model
+from rbjax.model import Model
 from rbjax.model.leaves import table
 from rbjax.model.links import lane
-from rbjax.model.record import Record
+from rbjax.model.record import Record, check_fields
 from rbjax.rotations import quaternion
 from rbjax.spatial import Transform
 
@@ -41,11 +42,8 @@ class Place(Record):
     site: str | int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
-        if self.body is not None and self.site is not None:
-            raise InputError(
-                f"Place: got body {self.body!r} and site {self.site!r}; give one of them, or none "
-                "for the world"
-            )
+        check_fields(self)
+        check_named(self)
 
     @classmethod
     def on(
@@ -63,13 +61,20 @@ class Place(Record):
 
     def frame(self, now: Instant) -> Frame:
         """The frame at an instant."""
-        if self.site is not None:
-            frame = now.site(self.site)
-        else:
-            frame = now.body(WORLD if self.body is None else self.body)
         p, quat = (table(x, now.q.dtype) for x in (self.position, self.orientation))
         turn = quaternion_matrix(*(lane(quat, k) for k in range(4)))
-        return frame.then(Transform(turn, Vec3(*(lane(p, k) for k in range(3)))))
+        return named_frame(self, now).then(Transform(turn, Vec3(*(lane(p, k) for k in range(3)))))
+
+
+def check_places(constraint: Any) -> None:
+    """Refuse ends a and b of a constraint that are no places."""
+    for end in ("a", "b"):
+        got = getattr(constraint, end)
+        if not isinstance(got, Place):
+            raise InputError(
+                f"{type(constraint).__name__}: {end} is {type(got).__name__}, expected a Place: "
+                "rbjax.constraints.Place.on(body=...), on(site=...) or on() for the world"
+            )
 
 
 def turn_z_to(axis: jax.Array) -> jax.Array:

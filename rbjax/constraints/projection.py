@@ -15,7 +15,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.row import Row
 from rbjax.constraints.system import response, rows_of
 from rbjax.dynamics.aba import factorize
 from rbjax.dynamics.drivers import driver
@@ -45,11 +44,11 @@ def projected(
     answer = response(d, factorize(d, now.links.joints), now, rows)
 
     def least(off: list[Lane]) -> jax.Array:
-        return answer.accelerated(None, answer.multipliers([neg(x) for x in off]))
+        return answer.solved(None, [neg(x) for x in off])[0]
 
     if positions and any(row.holonomic for row in rows):
         for _ in range(iterations):
-            dq = least([_value(row) for row in rows])
+            dq = least([row.residual for row in rows])
             q = jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(dq))))
             rows = rows_of(model, seen(q, v))
     for k in range(iterations):
@@ -57,7 +56,3 @@ def projected(
             rows = rows_of(model, seen(q, v))
         v = v + least([row.rate for row in rows])
     return State(q, v, state.x)
-
-
-def _value(row: Row) -> Lane:
-    return 0.0 if row.value is None else row.value

@@ -44,8 +44,8 @@ def mobility(model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float = 1e-
         model: the robot, with constraints.
         q: (nq,) configuration.
         t: time in seconds, for rows that look at it.
-        tolerance: below which a singular value counts as zero, and a row as a combination of those
-            before it.
+        tolerance: a row, scaled to length one, is redundant where less than this is left of it
+            across the rows before it.
 
     Returns:
         `Mobility`, of numbers and not of arrays: it is a report, and cannot be traced.

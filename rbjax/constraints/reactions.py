@@ -14,11 +14,12 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.pairs import Pair
 from rbjax.constraints.system import by_link, gradient_matrix, rows_of
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, Vec3
+from rbjax.lanes import Vec3
 from rbjax.model import Model, State
 
 
@@ -27,12 +28,6 @@ class Residual(NamedTuple):
 
     value: jax.Array
     rate: jax.Array
-
-
-def _column(lanes: list[Lane], like: jax.Array) -> jax.Array:
-    if not lanes:
-        return jnp.zeros(0, like.dtype)
-    return jnp.stack([jnp.asarray(x, like.dtype) for x in lanes])
 
 
 @algorithm("state", "t")
@@ -56,8 +51,8 @@ def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
         (2,)
     """
     rows = rows_of(model, Instant.of(model, t, state, None))
-    values = [row.value if row.holonomic else 0.0 for row in rows]
-    return Residual(_column(values, state.q), _column([row.rate for row in rows], state.q))
+    values, rates = [row.residual for row in rows], [row.rate for row in rows]
+    return Residual(pack(values, state.v), pack(rates, state.v))
 
 
 @algorithm("q", "t")
@@ -128,5 +123,5 @@ def joint_wrenches(
                 torque = torque + (link.rotation @ push.ang + arm.cross(lin)) * l[at]
                 force = force + lin * l[at]
             at += 1
-        out.append(_column([*torque, *force], state.q))
-    return jnp.stack(out)
+        out.append(pack([*torque, *force], state.v))
+    return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)

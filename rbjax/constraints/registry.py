@@ -1,4 +1,4 @@
-"""The kinds of constraints and the formulations that there are, and which one a motion takes."""
+"""The kinds of constraints, the formulations, and which one enforces those of a model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from rbjax.constraints.unconstrained import (
     Penalty,
     UdwadiaKalaba,
 )
-from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 
@@ -70,24 +69,16 @@ def kinds() -> dict[str, type[Constraint]]:
     return {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
 
 
-def formulation_of(where: str, model: Model, given: Any, law: Any, free: Any) -> Any:
-    """The law of a motion: the caller's, or a formulation of the model's constraints, or free
-    motion. `given`: a name, a `Formulation`, or None for the default."""
-    check_model(where, model)
-    if law is not free:
-        if given is not None:
-            raise InputError(
-                f"{where}: got a law and constraints={given!r}; give one of them: a formulation is "
-                "a law"
-            )
-        return law
+def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
+    """The formulation that enforces the model's constraints; None where it has none. `given`: a
+    name, a `Formulation`, or None for the default."""
     if not model.constraints:
         if given is not None:
             raise InputError(
                 f"{where}: constraints={given!r}, and the model has none; "
                 "model.with_constraints(...) adds some"
             )
-        return law
+        return None
     if given is None:
         return DEFAULT
     if isinstance(given, Formulation):

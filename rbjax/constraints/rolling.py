@@ -28,17 +28,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.geometry import X, Y, Z, along, cosine
-from rbjax.constraints.place import Place
+from rbjax.constraints.place import Place, check_places
 from rbjax.constraints.row import Row
-from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Lane, Vec3, add
 from rbjax.model.leaves import scalar
-from rbjax.model.record import check_numbers
+from rbjax.model.record import check_number, floats
 
 Moving = tuple[Vec3, Vec3]  # a vector in world axes, and its rate
 
@@ -65,10 +63,6 @@ def slip(A: Frame, B: Frame, arm: Moving, ways: Sequence[Moving]) -> list[Row]:
     ]
 
 
-def _number(x: Any) -> jax.Array:
-    return jnp.asarray(x, float)
-
-
 class Rolling(Constraint):
     """A wheel on a plane: three rows, the height of the contact and two of slip.
 
@@ -78,16 +72,12 @@ class Rolling(Constraint):
 
     a: Place
     b: Place
-    radius: jax.Array = eqx.field(converter=_number)
+    radius: jax.Array = eqx.field(converter=floats)
     size = 3
 
     def __check_init__(self) -> None:
-        name = f"{type(self).__name__}(radius=...)"
-        if jnp.shape(self.radius) != ():
-            raise InputError(f"{name}: got the shape {jnp.shape(self.radius)}, expected a number")
-        check_numbers(name, self.radius, endless=False)
-        if not isinstance(self.radius, jax.core.Tracer) and not np.asarray(self.radius) > 0:
-            raise InputError(f"{name}: got {float(self.radius)}, expected a length above zero")
+        check_places(self)
+        check_number(self, "radius", positive=True)
 
     def rows(self, now: Instant) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
@@ -163,6 +153,9 @@ class KnifeEdge(Constraint):
     a: Place
     b: Place
     size = 1
+
+    def __check_init__(self) -> None:
+        check_places(self)
 
     def rows(self, now: Instant) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)

@@ -17,6 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.dynamics.packing import pack
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
 
@@ -43,6 +44,11 @@ class Row:
     @property
     def holonomic(self) -> bool:
         return self.value is not None
+
+    @property
+    def residual(self) -> Lane:
+        """g; zero where there is none."""
+        return 0.0 if self.value is None else self.value
 
     def __add__(self, other: Row | Lane) -> Row:
         if not isinstance(other, Row):
@@ -122,12 +128,9 @@ def angle(sine: Row, cosine: Row) -> Row:
 
 def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype: Any) -> list[Row]:
     """f (n,) -> (m,) of n holonomic rows, f smooth."""
-
-    def stacked(lanes: Sequence[Any]) -> jax.Array:
-        return jnp.stack([jnp.asarray(x, dtype) for x in lanes])
-
-    x, rate = stacked([row.value for row in rows]), stacked([row.rate for row in rows])
-    bent, one = stacked([row.acceleration for row in rows]), jnp.ones((), dtype)
+    one = jnp.ones((), dtype)
+    columns = zip(*((row.value, row.rate, row.acceleration) for row in rows), strict=True)
+    x, rate, bent = (pack(column, one[None]) for column in columns)
 
     def slope(s: jax.Array) -> tuple:
         return jax.jvp(lambda s: f(x + s * rate + (s * s / 2) * bent), (s,), (one,))

@@ -26,8 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.row import Row
-from rbjax.dynamics.aba import Factor, solve
+from rbjax.dynamics.aba import Factor, accelerated, eliminated, solve
 from rbjax.dynamics.drivers import Driver
+from rbjax.dynamics.link_forces import LinkForces, added
+from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
@@ -35,7 +37,7 @@ from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, sub, tot
 from rbjax.lanes.ldlt import ldlt
 from rbjax.lanes.products import matmat, matvec
 from rbjax.model import WORLD, Model
-from rbjax.spatial import Force, Motion
+from rbjax.spatial import Force
 
 #: eps, what is added to the diagonal of A, relatively, and how often its effect is taken back, by
 #: bytes of a number: components of A above 1e-3 of the diagonal come out to rounding
@@ -54,6 +56,12 @@ def rows_of(model: Model, now: Instant) -> list[Row]:
                 f"{type(constraint).__name__}.rows returned {len(rows)} rows, expected its size, "
                 f"{constraint.size}"
             )
+        for row in rows:
+            if not isinstance(row, Row):
+                raise InputError(
+                    f"{type(constraint).__name__}.rows returned a {type(row).__name__} among its "
+                    "rows, expected a Row: rbjax.constraints.coordinate and others make them"
+                )
         out += [_computed(row, now) for row in rows]
     return out
 
@@ -88,22 +96,24 @@ def gradient_matrix(now: Instant, rows: Sequence[Row]) -> jax.Array:
     for r, row in enumerate(rows):
         found = {i: x for i, x in arms(now, row).items() if not is_zero(x)}
         if found:
-            lanes = jnp.stack([jnp.asarray(x, now.q.dtype) for x in found.values()])
-            out = out.at[r, np.array(list(found))].set(lanes)
+            out = out.at[r, np.array(list(found))].set(pack(list(found.values()), now.v))
     return out
+
+
+def with_multipliers(
+    d: Driver, rows: Sequence[Row], l: Sequence[Lane], tau: jax.Array, pushes: LinkForces
+) -> tuple[jax.Array, LinkForces]:
+    """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
+    held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
+    return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(pushes, held.wrenches)
 
 
 class Response(Protocol):
     """What multipliers do, from the factors of the mass matrix."""
 
-    def multipliers(self, c: Sequence[Lane]) -> list[Lane]:
-        """l of A l = c, of least norm."""
-
-    def projected(self, tau: jax.Array) -> list[Lane]:
-        """G M^-1 tau."""
-
-    def accelerated(self, tau: jax.Array | None, l: Sequence[Lane]) -> jax.Array:
-        """M^-1 (tau + G^T l) (nv,)."""
+    def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
+        """a (nv,) and l (rows,), of least norm, of M a = force + G^T l, G a = c; force None is
+        zero."""
 
 
 def response(d: Driver, factors: Any, now: Instant, rows: Sequence[Row]) -> Response:
@@ -148,7 +158,20 @@ class OnLanes:
         """Its lower triangle."""
         return [[self._shared(a, b) for b in self._left[: r + 1]] for r, a in enumerate(self._left)]
 
-    def multipliers(self, c: Sequence[Lane]) -> list[Lane]:
+    def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
+        d, left = self._d, {}
+        if force is not None:
+            left = dict(enumerate(d.whole(d.part(eliminated(d, self._factors, d.lanes(force)), 1))))
+            c = [sub(x, self._shared(own, left)) for x, own in zip(c, self._left, strict=True)]
+        l = self._multipliers(c)
+        for own, x in zip(self._left, l, strict=True):
+            for i, y in own.items():
+                left[i] = add(left.get(i, 0.0), mul(x, y))
+        a = accelerated(d, d.zip(self._factors, d.scattered(left, 0.0)))
+        return d.pack(a, self._like), pack(l, self._like)
+
+    def _multipliers(self, c: Sequence[Lane]) -> list[Lane]:
+        """l of A l = c, of least norm."""
         eps, again = PROXIMAL[self._like.dtype.itemsize]
         A = self._A
         least = mul(float(jnp.finfo(self._like.dtype).eps), total(row[-1] for row in A))
@@ -159,27 +182,6 @@ class OnLanes:
             off = [sub(x, inner(row, l)) for x, row in zip(c, full, strict=True)]
             l = fusion_barrier([add(x, dx) for x, dx in zip(l, factors.solve(off), strict=True)])
         return l
-
-    def projected(self, tau: jax.Array) -> list[Lane]:
-        every = self._eliminated(Loads({i: tau[i] for i in range(tau.shape[0])}))
-        return [self._shared(left, every) for left in self._left]
-
-    def accelerated(self, tau: jax.Array | None, l: Sequence[Lane]) -> jax.Array:
-        given = {} if tau is None else {i: tau[i] for i in range(tau.shape[0])}
-        left = self._eliminated(Loads(given)) if given else {}
-        for u, x in zip(self._left, l, strict=True):
-            for i, y in u.items():
-                left[i] = add(left.get(i, 0.0), mul(x, y))
-
-        def outward(x, a_parent):
-            factor, u = x
-            a = factor.X(a_parent)
-            qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
-            return a + factor.S * qdd, qdd
-
-        d = self._d
-        xs = d.zip(self._factors, d.scattered(left, 0.0))
-        return d.pack(d.outward(outward, Motion.zero(), xs), self._like)
 
 
 class OnMatrices:
@@ -194,21 +196,14 @@ class OnMatrices:
     def A(self) -> jax.Array:
         return matmat(self.G, self._Y)
 
-    def multipliers(self, c: Sequence[Lane]) -> list[Lane]:
-        return list(least_norm(self.A, self._array(c)))
-
-    def _array(self, lanes: Sequence[Lane]) -> jax.Array:
-        return jnp.stack([jnp.asarray(x, self._like.dtype) for x in lanes])
-
-    def projected(self, tau: jax.Array) -> list[Lane]:
-        return list(matvec(self._Y.T, tau))
-
-    def accelerated(self, tau: jax.Array | None, l: Sequence[Lane]) -> jax.Array:
-        out = matvec(self._Y, self._array(l))
-        if tau is None:
-            return out
-        d = self._d
-        return out + d.pack(solve(d, self._factors, d.lanes(tau)), tau)
+    def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
+        d, asked = self._d, pack(c, self._like)
+        if force is None:
+            l = least_norm(self.A, asked)
+            return matvec(self._Y, l), l
+        free = d.pack(solve(d, self._factors, d.lanes(force)), force)
+        l = least_norm(self.A, asked - matvec(self.G, free))
+        return free + matvec(self._Y, l), l
 
 
 def least_norm(A: jax.Array, c: jax.Array) -> jax.Array:

@@ -14,13 +14,12 @@ import jax.numpy as jnp
 
 from rbjax.constraints.dense import Dense, Solution, pseudo_inverse, solve_positive
 from rbjax.constraints.formulation import Formulation
-from rbjax.constraints.system import rows_of
+from rbjax.constraints.row import Row
+from rbjax.constraints.system import rows_of, with_multipliers
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.forward import acceleration
-from rbjax.dynamics.link_forces import added
-from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
-from rbjax.lanes import add, mul
+from rbjax.lanes import Lane, add, mul, neg
 from rbjax.lanes.products import matmat, matvec
 
 
@@ -125,11 +124,10 @@ class Penalty(Formulation):
 
     def __call__(self, model, t, state, tau, pushes):
         d = driver(model, state.q.dtype)
-        held = Loads()
-        for row in rows_of(model, Instant.of(model, t, state, None, d=d)):
-            force = mul(self.damping, row.rate)
-            if row.value is not None:
-                force = add(force, mul(self.stiffness, row.value))
-            held = held + row.gradient * mul(-1.0, force)
-        tau = tau + d.pack(d.scattered(held.tau, 0.0), tau)
-        return acceleration(model, state.q, state.v, tau, added(pushes, held.wrenches))
+        rows = rows_of(model, Instant.of(model, t, state, None, d=d))
+        l = [neg(self._force(row)) for row in rows]
+        tau, pushes = with_multipliers(d, rows, l, tau, pushes)
+        return acceleration(model, state.q, state.v, tau, pushes)
+
+    def _force(self, row: Row) -> Lane:
+        return add(mul(self.stiffness, row.residual), mul(self.damping, row.rate))

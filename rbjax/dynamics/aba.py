@@ -144,13 +144,27 @@ def factorize(d: Driver, joints: Any, extra: Any = None) -> Any:
 
 
 def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
-    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: other
-    copies of the factors for the outward sweep, if it shall not reuse those of the inward one."""
+    """M^-1 tau from the factors: ABA without velocities and gravity, linear in tau. `again`: the
+    factors that the way out reads, where it shall not be handed those of the way in."""
+    ys = eliminated(d, factors, tau)
+    if again is not None:
+        ys = d.zip(again, d.part(ys, 1))
+    return accelerated(d, ys)
+
+
+def eliminated(d: Driver, factors: Any, tau: Any) -> Any:
+    """The way in: (factor, u) per link, u the force that is left at its joint."""
 
     def inward(x, p_A):
         factor, tau = x
         u = sub(tau, factor.S.dot(p_A))
         return factor.X.T(p_A + factor.U * mul(u, factor.inverse_D)), (factor, u)
+
+    return d.inward(inward, Force.zero(), d.zip(factors, tau))
+
+
+def accelerated(d: Driver, left: Any) -> Any:
+    """The way out: accelerations per link, of (factor, u) per link."""
 
     def outward(x, a_parent):
         factor, u = x
@@ -158,7 +172,4 @@ def solve(d: Driver, factors: Any, tau: Any, again: Any = None) -> Any:
         qdd = mul(sub(u, factor.U.dot(a)), factor.inverse_D)
         return a + factor.S * qdd, qdd
 
-    ys = d.inward(inward, Force.zero(), d.zip(factors, tau))
-    if again is not None:
-        ys = d.zip(again, d.part(ys, 1))
-    return d.outward(outward, Motion.zero(), ys)
+    return d.outward(outward, Motion.zero(), left)

@@ -33,16 +33,7 @@ class Anchor(Record):
     site: str | int | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
-        if self.body is not None and self.site is not None:
-            raise InputError(
-                f"Anchor: got body {self.body!r} and site {self.site!r}; give one of them, or none "
-                "for the world"
-            )
-        for kind, name in (("body", self.body), ("site", self.site)):
-            if isinstance(name, bool) or not isinstance(name, str | int | None):
-                raise InputError(
-                    f"Anchor: {kind} is {name!r}, expected its name, its index, or None"
-                )
+        check_named(self)
 
     @classmethod
     def on(
@@ -57,12 +48,29 @@ class Anchor(Record):
 
     def frame(self, now: Instant) -> Frame:
         """Its frame at an instant."""
-        if self.site is not None:
-            frame = now.site(self.site)
-        else:
-            frame = now.body(WORLD if self.body is None else self.body)
+        frame = named_frame(self, now)
         point = table(self.point, now.q.dtype)
         return frame.at(Vec3(*(lane(point, k) for k in range(3))))
+
+
+def check_named(place: Any) -> None:
+    """Refuse a `body` and a `site` that name no frame, or two."""
+    kind = type(place).__name__
+    if place.body is not None and place.site is not None:
+        raise InputError(
+            f"{kind}: got body {place.body!r} and site {place.site!r}; give one of them, or none "
+            "for the world"
+        )
+    for what, name in (("body", place.body), ("site", place.site)):
+        if isinstance(name, bool) or not isinstance(name, str | int | None):
+            raise InputError(f"{kind}: {what} is {name!r}, expected its name, its index, or None")
+
+
+def named_frame(place: Any, now: Instant) -> Frame:
+    """The frame of the body or the site that it names; of the world if none."""
+    if place.site is not None:
+        return now.site(place.site)
+    return now.body(WORLD if place.body is None else place.body)
 
 
 def check_anchors(element: Any) -> None:

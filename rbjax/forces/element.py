@@ -11,12 +11,10 @@ The numbers are leaves: they can be differentiated, vmapped over and changed wit
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +23,7 @@ from rbjax.dynamics.link_forces import LinkForces, added
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import Model
-from rbjax.model.record import Record, check_numbers
+from rbjax.model.record import Record, check_fields
 from rbjax.spatial import Force
 
 if TYPE_CHECKING:
@@ -91,18 +89,7 @@ class Element(Record):
     """
 
     def __check_init__(self) -> None:
-        for f in dataclasses.fields(self):
-            value, where = getattr(self, f.name), f"{type(self).__name__}({f.name}=...)"
-            if f.type in ("jax.Array", jax.Array):
-                if not (eqx.is_array(value) or isinstance(value, (np.ndarray, np.generic, float))):
-                    raise InputError(
-                        f"{where}: got {type(value).__name__}, expected an array of numbers, as "
-                        "jax.numpy.asarray makes it"
-                    )
-                check_numbers(where, value, endless=self.may_be_endless(f.name))
-            named = str(f.type).startswith("tuple[") and not isinstance(value, tuple)
-            if named and (value is not None or "None" not in str(f.type)):
-                raise InputError(f"{where}: got {type(value).__name__}, expected a tuple")
+        check_fields(self)
 
     def may_be_endless(self, name: str) -> bool:
         return True

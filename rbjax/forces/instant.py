@@ -169,7 +169,7 @@ class Frame:
     @cached_property
     def acceleration(self) -> Vec3:
         """The acceleration of its origin in world axes, m/s^2, gravity not counted. A force element
-        sees what velocities alone make (v' = 0)."""
+        sees what only velocities make (v' = 0)."""
         return self.rotation @ self._accelerated.lin
 
     @cached_property

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from rbjax.constraints import Constraint, JointPolynomial, Place, Spherical, Weld
-from rbjax.loading.finite import refuse_nan
+from rbjax.errors import ModelError
 from rbjax.loading.mimics import Mimics
 
 _KIND = mujoco.mjtEq
@@ -32,9 +32,8 @@ def constraints_of(m: mujoco.MjModel) -> tuple[Constraint, ...]:
     if equalities_are_on(m):
         for i in np.flatnonzero(m.eq_active0).tolist():
             if is_loaded(m, i) and _moves(m, i):
+                _refuse_nan(m, i)
                 found.append(_constraint(m, i))
-    for constraint in found:
-        refuse_nan(constraint)
     return tuple(found)
 
 
@@ -57,6 +56,17 @@ def is_loaded(m: mujoco.MjModel, i: int) -> bool:
     return int(m.eq_type[i]) in _LOADED
 
 
+def _refuse_nan(m: mujoco.MjModel, i: int) -> None:
+    numbers = m.eq_data[i]
+    bad = numbers[~np.isfinite(numbers)]
+    if bad.size:
+        name = mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_EQUALITY, i) or i
+        raise ModelError(
+            f"equality {name!r} has {bad[0]} among its numbers, which is not finite; correct that "
+            "number in the file"
+        )
+
+
 def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
     kind, data = int(m.eq_type[i]), m.eq_data[i]
     first, second = int(m.eq_obj1id[i]), int(m.eq_obj2id[i])
@@ -65,7 +75,7 @@ def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
         return JointPolynomial(first, driver, _array(data[:_TERMS]))
     is_weld = kind == int(_KIND.mjEQ_WELD)
     if _has_sites(m, i):
-        a, b = (Place(jnp.zeros(3), _quaternion(None), site=s) for s in (first, second))
+        a, b = (Place.on(site=s) for s in (first, second))
     elif is_weld:  # of the second body its anchor, of the first where that is in it, and its axes
         a = _on_body(first, data[3:6], data[6:10])
         b = _on_body(second, data[:3])

@@ -1,4 +1,4 @@
-"""Numbers that no force and no constraint can have, which MuJoCo compiles."""
+"""Numbers that no force can have, which MuJoCo compiles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _LIMITS = ("range", "limits", "windup", "slew", "drive", "current_rate", "strong
 
 
 def refuse_nan(record: Record) -> None:
-    """Refuse a force element or a constraint of numbers that are not finite."""
+    """Refuse a force element of numbers that are not finite."""
     for at, leaf in jax.tree_util.tree_leaves_with_path(record):
         name, values = jax.tree_util.keystr(at).lstrip("."), np.asarray(leaf)
         bad = np.isnan(values) if name.endswith(_LIMITS) else ~np.isfinite(values)

@@ -73,3 +73,38 @@ def check_numbers(where: str, x: Any, *, endless: bool) -> None:
 
 def _is_real(dtype: Any) -> bool:
     return any(jnp.issubdtype(dtype, kind) for kind in (jnp.floating, jnp.integer, jnp.bool_))
+
+
+def floats(x: Any) -> Any:
+    """A field's converter: numbers as an array. What is none stays for `check_fields` to refuse."""
+    try:
+        return x if hasattr(x, "dtype") else jnp.asarray(x, float)
+    except (TypeError, ValueError):
+        return x
+
+
+def check_number(record: Record, name: str, *, positive: bool = False) -> None:
+    """Refuse a field that is no number, or not above zero where that is due."""
+    check_fields(record)
+    value, where = getattr(record, name), f"{type(record).__name__}({name}=...)"
+    if jnp.shape(value) != ():
+        raise InputError(f"{where}: got the shape {jnp.shape(value)}, expected a number")
+    if positive and not isinstance(value, jax.core.Tracer) and not np.asarray(value) > 0:
+        raise InputError(f"{where}: got {float(value)}, expected a length above zero")
+
+
+def check_fields(record: Record) -> None:
+    """Refuse fields of a record of a user that are no arrays of numbers, or no tuples, where these
+    are due."""
+    for f in dataclasses.fields(record):
+        value, where = getattr(record, f.name), f"{type(record).__name__}({f.name}=...)"
+        if f.type in ("jax.Array", jax.Array):
+            if not (eqx.is_array(value) or isinstance(value, (np.ndarray, np.generic, float))):
+                raise InputError(
+                    f"{where}: got {type(value).__name__}, expected an array of numbers, as "
+                    "jax.numpy.asarray makes it"
+                )
+            check_numbers(where, value, endless=record.may_be_endless(f.name))
+        named = str(f.type).startswith("tuple[") and not isinstance(value, tuple)
+        if named and (value is not None or "None" not in str(f.type)):
+            raise InputError(f"{where}: got {type(value).__name__}, expected a tuple")

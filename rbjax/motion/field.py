@@ -18,11 +18,13 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation
-from rbjax.dynamics.arguments import check_array, check_takes
+from rbjax.constraints.registry import formulation_of
+from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
 from rbjax.dynamics.rnea import forces_of
+from rbjax.errors import InputError
 from rbjax.forces.acting import applied, chord, within
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import fusion_barrier, is_literal
@@ -141,10 +143,19 @@ class Field:
         return jnp.stack(fusion_barrier(rate_lanes(self.model.topology, list(u), list(v))))
 
 
-def check_law(where: str, law: Any) -> None:
-    """Refuse what is no law."""
-    if law is not free_motion:
-        check_takes(where, "law", law, "model", "t", "state", "tau", "pushes")
+def law_of(where: str, model: Model, law: Any, constraints: Any) -> Law:
+    """The law of a motion: the caller's, or that which enforces the model's constraints, or free
+    motion. Refuses what is no law, no formulation, and both at once."""
+    check_model(where, model)
+    if law is free_motion:
+        return formulation_of(where, model, constraints) or law
+    check_takes(where, "law", law, "model", "t", "state", "tau", "pushes")
+    if constraints is not None:
+        raise InputError(
+            f"{where}: got a law and constraints={constraints!r}; give one of them: a formulation "
+            "is a law"
+        )
+    return law
 
 
 def batch_last(f: Callable, t: Any, *args: Any) -> Any:

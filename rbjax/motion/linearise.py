@@ -15,12 +15,11 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation
-from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.forces.inputs import Inputs
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, Law, check_law, free_motion
+from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.integrators import Integrator, advanced, integrator_of
 
 
@@ -72,8 +71,7 @@ def step(
         (2,)
     """
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
-    check_law("step", law)
-    law = formulation_of("step", model, constraints, law, free_motion)
+    law = law_of("step", model, law, constraints)
     integrator = integrator_of("step", integrator)
     return advanced(integrator, Field(model, law, dt), t, state, Inputs(ctrl), dt)
 
@@ -122,8 +120,7 @@ def linearise(
         >>> A.shape, B.shape
         ((4, 4), (4, 1))
     """
-    check_law("linearise", law)
-    law = formulation_of("linearise", model, constraints, law, free_motion)
+    law = law_of("linearise", model, law, constraints)
     if dt is None:
         return Linear(*linearised(model, state, ctrl, t, law)[1:])
     advance = functools.partial(advanced, integrator_of("linearise", integrator))

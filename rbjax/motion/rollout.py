@@ -22,7 +22,6 @@ import jax.numpy as jnp
 
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
-from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
 from rbjax.dynamics.batching import chunks
 from rbjax.dynamics.devices import memory_share
@@ -32,7 +31,7 @@ from rbjax.forces.inputs import Inputs, Source
 from rbjax.meshes import on_auto_axes
 from rbjax.model import Model, State
 from rbjax.motion.captured import Captured, with_captured
-from rbjax.motion.field import Field, Law, batch_last, check_law, free_motion
+from rbjax.motion.field import Field, Law, batch_last, free_motion, law_of
 from rbjax.motion.integrators import Integrator, advanced, integrator_of
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
@@ -136,8 +135,7 @@ def rollout(
         (11, 2)
     """
     advance = integrator_of("rollout", integrator)
-    check_law("rollout", law)
-    law = formulation_of("rollout", model, constraints, law, free_motion)
+    law = law_of("rollout", model, law, constraints)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
     check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")

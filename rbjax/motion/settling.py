@@ -11,9 +11,10 @@ import equinox as eqx
 from rbjax.constraints.formulation import Formulation
 from rbjax.model import Model
 from rbjax.motion.field import Law
+from rbjax.solvers.wrapped import Wrapped
 
 
-class Settling(diffrax.AbstractWrappedSolver):
+class Settling(Wrapped):
     """The solver, and after each of its steps `formulation.settled`.
 
     The estimate of the error is that of the step before it. A solver that keeps the slope at the
@@ -21,45 +22,9 @@ class Settling(diffrax.AbstractWrappedSolver):
     error of the step.
     """
 
-    solver: Any  # type: ignore[misc]
     formulation: Formulation = eqx.field(static=True)
     model: Callable[[Any], Model]
     start: Any
-
-    @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):  # type: ignore[override]
-        return self.solver.interpolation_cls
-
-    @property
-    def term_compatible_contr_kwargs(self):
-        return self.solver.term_compatible_contr_kwargs
-
-    @property
-    def scan_kind(self):  # diffrax sets these two on solvers that have them
-        return self.solver.scan_kind
-
-    @property
-    def root_finder(self):
-        return self.solver.root_finder
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def strong_order(self, terms):
-        return self.solver.strong_order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
-
-    def init(self, terms, t0, t1, y0, args):
-        return self.solver.init(terms, t0, t1, y0, args)
-
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         y1, error, dense, solver_state, result = self.solver.step(

@@ -15,7 +15,6 @@ import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
-from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import (
     check_array,
     check_arrays,
@@ -31,7 +30,7 @@ from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.captured import with_captured
-from rbjax.motion.field import Field, Law, check_law, free_motion
+from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
@@ -122,8 +121,7 @@ def simulate(
     solver = diffrax.Tsit5() if solver is None else solver
     check_solver("simulate", solver)
     check_takes_robots(solver)
-    check_law("simulate", law)
-    law = formulation_of("simulate", model, constraints, law, free_motion)
+    law = law_of("simulate", model, law, constraints)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt0 is not None:

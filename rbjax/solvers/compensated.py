@@ -23,12 +23,13 @@ from rbjax.solvers.groups import OnGroup, unwrapped
 from rbjax.solvers.implicit_rk import ImplicitRungeKutta
 from rbjax.solvers.multistep import Adams
 from rbjax.solvers.rosenbrock import RosenbrockW
+from rbjax.solvers.wrapped import Wrapped
 
 #: solvers that use the state only to evaluate rates of the vector field
 BY_RATES = (diffrax.AbstractRungeKutta, diffrax.Euler, ImplicitRungeKutta, RosenbrockW, Adams)
 
 
-class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver):
+class Compensated(Wrapped, diffrax.AbstractAdaptiveSolver):
     """A solver that also carries the low part of the state, so that its additions lose nothing.
 
     Use it where rounding limits the accuracy: small steps, long chaotic motions, single precision.
@@ -53,8 +54,6 @@ class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver)
         True
     """
 
-    solver: Any  # type: ignore[misc]
-
     def __check_init__(self):
         if not isinstance(self.solver, BY_RATES):
             raise InputError(
@@ -63,29 +62,8 @@ class Compensated(diffrax.AbstractWrappedSolver, diffrax.AbstractAdaptiveSolver)
             )
 
     @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
     def interpolation_cls(self):  # type: ignore[override]
         return _Interpolation(self.solver.interpolation_cls)
-
-    @property
-    def scan_kind(self):  # diffrax sets these two on solvers that have them
-        return self.solver.scan_kind
-
-    @property
-    def root_finder(self):
-        return self.solver.root_finder
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
-
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
 
     def init(self, terms, t0, t1, y0, args):
         if isinstance(unwrapped(terms), OnGroup):

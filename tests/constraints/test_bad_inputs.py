@@ -1,0 +1,79 @@
+"""What is no constraint is refused, with a sentence, where it is made or first used."""
+
+from collections.abc import Callable, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import constraints as rc
+
+MODEL = rb.load("double_pendulum")
+HERE, LOWER = rc.Place.on(), rc.Place.on(body="lower")
+
+
+class TwoOfOne(rc.Constraint):
+    size = 2
+
+    def rows(self, now: rb.forces.Instant) -> Sequence[rc.Row]:
+        return [rc.coordinate(now, "elbow")]
+
+
+class Numbers(rc.Constraint):
+    size = 1
+
+    def rows(self, now: rb.forces.Instant) -> Sequence[rc.Row]:
+        return [3.0]  # type: ignore[list-item]
+
+
+MADE: dict[str, Callable] = {
+    "a is int, expected a Place": lambda: rc.Spherical(1, LOWER),
+    "KnifeEdge: b is int": lambda: rc.KnifeEdge(HERE, 1),
+    "RollingDisc: a is int": lambda: rc.RollingDisc(1, 2, 0.1),
+    "PointOnCurve: a is int": lambda: rc.PointOnCurve(1, 2, lambda s: s, [0.0]),
+    "PointOnSurface: a is int": lambda: rc.PointOnSurface(1, 2, lambda x: x),
+    "body is True": lambda: rc.Place.on(body=True),
+    "expected a direction": lambda: rc.Place.on(axis=[0, 0, 0]),
+    "point.0. is nan": lambda: rc.Place.on(point=[np.nan, 0, 0]),
+    "length=...): got nan": lambda: rc.Distance(HERE, LOWER, np.nan),
+    "length=...): got str": lambda: rc.Distance(HERE, LOWER, "long"),
+    "length=...): got -1.0, expected a length above zero": lambda: rc.Distance(HERE, LOWER, -1.0),
+    "pitch=...): got str": lambda: rc.Screw.between(MODEL, None, "lower", pitch="a"),
+    "got the numbers .'pitch'., expected ..": lambda: rc.Weld.between(
+        MODEL, None, "lower", pitch=1.0
+    ),
+    "got the numbers .., expected .'pitch'.": lambda: rc.Screw.between(MODEL, None, "lower"),
+    "ratio=...): got nan": lambda: rc.Gear("elbow", "shoulder", np.nan),
+    "radius=...): got the shape .2,., expected a number": lambda: rc.Rack("a", "b", [1.0, 2.0]),
+    "radius=...): got -1.0": lambda: rc.RollingSphere(HERE, LOWER, -1.0),
+    "coefficients=...): got str": lambda: rc.JointPolynomial("elbow", "shoulder", "c"),
+    "coefficients=...): got the shape .0,.": lambda: rc.JointPolynomial("elbow", "shoulder", []),
+    "starts=...): got the shape ..,": lambda: rc.PointOnCurve(HERE, LOWER, lambda s: s, 0.0),
+    "function=...): got int, expected a function": lambda: rc.Prescribed("elbow", 3),
+}
+USED: dict[str, rc.Constraint] = {
+    "unknown joint 'knee'": rc.Gear("knee", "shoulder", 2.0),
+    "function returned the shape .2,., expected": rc.Prescribed("elbow", lambda t: jnp.zeros(2)),
+    "f returned the shape .2,., expected .1,.": rc.Holonomic(lambda t, q: q),
+    "returned 1 rows, expected its size, 2": TwoOfOne(),
+    "returned a float among its rows, expected a Row": Numbers(),
+}
+
+
+@pytest.mark.parametrize("message", MADE)
+def test_refused_where_it_is_made(message: str) -> None:
+    with pytest.raises(rb.InputError, match=message.replace("(", r"\(").replace(")", r"\)")):
+        MADE[message]()
+
+
+@pytest.mark.parametrize("message", USED)
+def test_refused_where_it_is_used(message: str) -> None:
+    with pytest.raises((rb.InputError, rb.UnknownName), match=message):
+        rc.residual(MODEL.with_constraints(USED[message]), MODEL.default_state())
+
+
+@pytest.mark.parametrize("model, state", [(3, MODEL.default_state()), (MODEL, [1.0])])
+def test_assemble_wants_a_model_and_a_state(model: object, state: object) -> None:
+    with pytest.raises(rb.InputError, match="assemble: "):
+        rc.assemble(model, state)  # type: ignore[arg-type]
