@@ -1,15 +1,16 @@
 """Robots with loops on a GPU, beside MJX: steps a second, what is left of the loops, gradients.
 
 `python -m benchmarks.gpu.loops four_bar cassie.xml` writes results/loops-<robot>-<device>.json.
-Batch first, f32, 100 steps; ours semi-implicit Euler with the formulation "projected", MJX its own
-Euler with soft constraints, Newton's method, one iteration and more. The error is the norm of the
-rows at the end, the median over the batch; without constraints the same robot with its loops open.
+Batch first, f32, 100 steps; ours semi-implicit Euler with the formulations "projected" and
+"baumgarte", MJX its own Euler with soft constraints, Newton's method, one iteration and more. The
+error is the norm of the rows at the end, the median over the batch; "open" is the same robot
+without its constraints.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import jax
@@ -22,6 +23,8 @@ from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, save
 
 STEPS = 100
+WAYS = ("projected", "baumgarte", "open")
+PARTS = (*WAYS, *(f"gradient-{way}" for way in WAYS), "mjx")
 COLUMNS = ("what", "engine", "batch", "lower_s", "compile_s", "M/s median", "rows left")
 FOUR_BAR = """<mujoco><option timestep="0.002"/><worldbody>
   <body name="a" xyaxes="0 0 1 0 1 0"><joint axis="0 1 0"/>
@@ -42,7 +45,7 @@ def start(m: mujoco.MjModel, model: rb.Model, batch: int) -> rb.State:
     return jax.jit(jax.vmap(lambda s: exact.settled(model, 0.0, s)))(state)
 
 
-def rows(name: str, batch: int) -> Iterator[dict]:
+def rows(name: str, batch: int, parts: Collection[str]) -> Iterator[dict]:
     m = (
         mujoco.MjModel.from_xml_string(FOUR_BAR)
         if name == "four_bar"
@@ -57,23 +60,30 @@ def rows(name: str, batch: int) -> Iterator[dict]:
         off = jax.vmap(lambda q, v: rb.constraints.residual(model, rb.State(q, v)).value)(q, v)
         return float(jnp.median(jnp.sqrt((off * off).sum(-1))))
 
-    for what, robot in (("loops", model), ("open", model.replace(constraints=()))):
+    feedback = rb.constraints.Baumgarte.for_step(dt)
+    ways = {"projected": (model, "projected"), "baumgarte": (model, feedback)}
+    ways["open"] = model.replace(constraints=()), None
+    for what, (robot, formulation) in ways.items():
 
-        def run(state: rb.State, robot: rb.Model = robot):
-            path = rb.rollout(robot, state, None, dt, steps=STEPS, save_every=STEPS)
+        def run(state: rb.State, robot: rb.Model = robot, formulation=formulation):
+            path = rb.rollout(
+                robot, state, None, dt, steps=STEPS, save_every=STEPS, constraints=formulation
+            )
             return path.q[:, -1], path.v[:, -1]
 
         def slope(state: rb.State, run=run):
             return jax.grad(lambda v: sum((x * x).sum() for x in run(state.replace(v=v))))(state.v)
 
         row = {"what": what, "engine": "rbjax", "batch": batch}
-        row = timed(row, run, state, work=batch * STEPS)
-        yield row | {"rows left": left(*jax.jit(run)(state))}
-        yield timed(
-            {"what": f"gradient, {what}", "engine": "rbjax", "batch": batch},
-            slope, state, work=batch * STEPS,
-        )  # fmt: skip
-    for iterations in (1, 4):
+        if what in parts:
+            row = timed(row, run, state, work=batch * STEPS)
+            yield row | {"rows left": left(*jax.jit(run)(state))}
+        if f"gradient-{what}" in parts:
+            yield timed(
+                {"what": f"gradient, {what}", "engine": "rbjax", "batch": batch},
+                slope, state, work=batch * STEPS,
+            )  # fmt: skip
+    for iterations in (1, 4) if "mjx" in parts else ():
         m.opt.solver, m.opt.iterations, m.opt.ls_iterations = 2, iterations, 4
         theirs = mjx.put_model(m)
         blank = mjx.make_data(theirs)
@@ -96,10 +106,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=["four_bar"], help="four_bar, or MJCF files")
     parser.add_argument("--batch", type=int, default=65536)
+    parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS)
     args = parser.parse_args()
     for name in args.robots:
         found = []
-        for row in rows(name, args.batch):
+        for row in rows(name, args.batch, args.parts):
             found.append(row)
             print(row, flush=True)
         print(markdown_table(found, COLUMNS))

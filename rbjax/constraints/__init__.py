@@ -34,7 +34,14 @@ from rbjax.constraints.pairs import (
 )
 from rbjax.constraints.place import Place, places
 from rbjax.constraints.rank import Mobility, mobility
-from rbjax.constraints.reactions import jacobian, joint_wrenches, multipliers, residual
+from rbjax.constraints.reactions import (
+    ConstrainedMotion,
+    constrained_dynamics,
+    jacobian,
+    joint_wrenches,
+    multipliers,
+    residual,
+)
 from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations, kinds
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
@@ -50,6 +57,7 @@ __all__ = [
     "Assembly",
     "AugmentedLagrangian",
     "Baumgarte",
+    "ConstrainedMotion",
     "Constraint",
     "Cylindrical",
     "Distance",
@@ -91,6 +99,7 @@ __all__ = [
     "Weld",
     "along",
     "assemble",
+    "constrained_dynamics",
     "coordinate",
     "cosine",
     "displacement",

@@ -70,6 +70,17 @@ class Baumgarte(Formulation):
     family: ClassVar[str] = "redundant"
     index: ClassVar[int] = 1
 
+    @classmethod
+    def for_step(cls, dt: float) -> Baumgarte:
+        """The feedback that is best for steps dt of semi-implicit Euler, with nothing after them:
+        alpha = 1 / (2 dt), beta = 0.3 / dt, by which G v+ = -0.09 g / dt. Three steps of ten take
+        away two thirds of a residual; each adds about |G' v| dt^2 / 2. Other integrators, with
+        stages, want alpha and beta well below 1 / dt.
+
+        Source: Anitescu & Potra 1997 (constraints on the velocity after a step).
+        """
+        return cls(0.5 / dt, 0.3 / dt)
+
     def __call__(self, model, t, state, tau, pushes):
         return constrained_motion(model, t, state, tau, pushes, self.alpha, self.beta)[0]
 

@@ -41,7 +41,7 @@ def projected(
     q, v = state.q, state.v
     now = seen(q, v)
     rows = rows_of(model, now)
-    answer = response(d, factorize(d, now.links.joints), now, rows)
+    answer = response(d, factorize(d, now.links.joints), now, rows, refined=False)
 
     def least(off: list[Lane]) -> jax.Array:
         return answer.solved(None, [neg(x) for x in off])[0]

@@ -14,6 +14,8 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.pairs import Pair
 from rbjax.constraints.system import by_link, gradient_matrix, rows_of
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.link_forces import on_links
 from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
@@ -66,6 +68,64 @@ def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
     """
     now = Instant.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
     return gradient_matrix(now, rows_of(model, now))
+
+
+class ConstrainedMotion(NamedTuple):
+    """Accelerations (nv,) and multipliers (m,)."""
+
+    acceleration: jax.Array
+    multipliers: jax.Array
+
+
+@algorithm("q", "v", "tau", "wrenches", "t", long=True)
+def constrained_dynamics(
+    model: Model,
+    q: jax.Array,
+    v: jax.Array,
+    tau: jax.Array,
+    wrenches: jax.Array | None = None,
+    t: Any = 0.0,
+) -> ConstrainedMotion:
+    """Accelerations of a robot with its constraints, and their multipliers:
+
+        M a + b = tau + sum_b J_b^T w_b + G^T l,      G a = -(G' v + ...)
+
+    `rbjax.forward_dynamics` is the same without constraints.
+
+    Args:
+        model: the robot; its constraints are enforced, redundant ones too.
+        q: (nq,) configuration.
+        v: (nv,) velocity.
+        tau: (nv,) all applied generalized forces; `applied_forces` gives those of the model.
+        wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
+        t: time in seconds, for rows that look at it.
+
+    Returns:
+        `ConstrainedMotion(acceleration (nv,), multipliers (m,))`, the latter as `multipliers` has
+        them.
+
+    Raises:
+        InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
+
+    Source: Masarati, *Multibody System Dynamics*, ch. 7; Carpentier, Budhiraja & Mansard 2021.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rail = rb.constraints.Inplane.between(model, None, "lower", point=[0.0, 0, -2.0])
+        >>> model = model.with_constraints(rail)
+        >>> state = model.default_state()
+        >>> found = rb.constraints.constrained_dynamics(model, state.q, state.v, 0 * state.v)
+        >>> found.multipliers.shape
+        (1,)
+    """
+    if not model.nv:
+        return ConstrainedMotion(jnp.zeros(0, q.dtype), jnp.zeros(0, q.dtype))
+    pushes: Any = None
+    if wrenches is not None:
+        d = driver(model, q.dtype)
+        pushes = on_links(d, d.joints(q, None), wrenches)
+    return ConstrainedMotion(*constrained_motion(model, t, State(q, v), tau, pushes))
 
 
 @algorithm("state", "ctrl", "t")

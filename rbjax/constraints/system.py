@@ -116,17 +116,21 @@ class Response(Protocol):
         zero."""
 
 
-def response(d: Driver, factors: Any, now: Instant, rows: Sequence[Row]) -> Response:
-    """By lanes where the driver walks the tree link by link; by matrices otherwise."""
+def response(
+    d: Driver, factors: Any, now: Instant, rows: Sequence[Row], *, refined: bool = True
+) -> Response:
+    """By lanes where the driver walks the tree link by link; by matrices otherwise. Not `refined`:
+    A + eps D in the place of A, enough for one of several iterations."""
     few = d.listed and len(rows) <= ROWS_ON_LANES
-    return (OnLanes if few else OnMatrices)(d, factors, now, rows)
+    again = PROXIMAL[now.v.dtype.itemsize][1] if refined else 0
+    return (OnLanes if few else OnMatrices)(d, factors, now, rows, again)
 
 
 class OnLanes:
     """A from the forces that are left at the joints which two rows share."""
 
-    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row]):
-        self._d, self._factors, self._like = d, factors, now.v
+    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], again: int):
+        self._d, self._factors, self._like, self._again = d, factors, now.v, again
         self._links: list[Factor] = d.whole(factors)
         self._left = [self._eliminated(row.gradient) for row in rows]
 
@@ -172,13 +176,12 @@ class OnLanes:
 
     def _multipliers(self, c: Sequence[Lane]) -> list[Lane]:
         """l of A l = c, of least norm."""
-        eps, again = PROXIMAL[self._like.dtype.itemsize]
-        A = self._A
+        eps, A = PROXIMAL[self._like.dtype.itemsize][0], self._A
         least = mul(float(jnp.finfo(self._like.dtype).eps), total(row[-1] for row in A))
         factors = ldlt([[*row[:-1], add(mul(1.0 + eps, row[-1]), least)] for row in A])
         full = [[A[max(r, s)][min(r, s)] for s in range(len(A))] for r in range(len(A))]
         l = fusion_barrier(factors.solve(c))
-        for _ in range(again):
+        for _ in range(self._again):
             off = [sub(x, inner(row, l)) for x, row in zip(c, full, strict=True)]
             l = fusion_barrier([add(x, dx) for x, dx in zip(l, factors.solve(off), strict=True)])
         return l
@@ -187,8 +190,8 @@ class OnLanes:
 class OnMatrices:
     """A = G Y, Y = M^-1 G^T."""
 
-    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row]):
-        self._d, self._factors, self._like = d, factors, now.v
+    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], again: int):
+        self._d, self._factors, self._like, self._again = d, factors, now.v, again
         self.G = gradient_matrix(now, rows)
         self._Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
 
@@ -199,16 +202,16 @@ class OnMatrices:
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, asked = self._d, pack(c, self._like)
         if force is None:
-            l = least_norm(self.A, asked)
+            l = least_norm(self.A, asked, self._again)
             return matvec(self._Y, l), l
         free = d.pack(solve(d, self._factors, d.lanes(force)), force)
-        l = least_norm(self.A, asked - matvec(self.G, free))
+        l = least_norm(self.A, asked - matvec(self.G, free), self._again)
         return free + matvec(self._Y, l), l
 
 
-def least_norm(A: jax.Array, c: jax.Array) -> jax.Array:
-    """l of A l = c, of least norm in the norm of D."""
-    eps, again = PROXIMAL[A.dtype.itemsize]
+def least_norm(A: jax.Array, c: jax.Array, again: int) -> jax.Array:
+    """l of A l = c, of least norm in the norm of D, after so many refinements."""
+    eps = PROXIMAL[A.dtype.itemsize][0]
     diagonal = jnp.diagonal(A)
     D = diagonal + jnp.finfo(A.dtype).eps / eps * diagonal.sum()
     s = jnp.where(D > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(D > 0, D, 1.0))

@@ -89,6 +89,8 @@ def forward_dynamics(
 ) -> jax.Array:
     """Accelerations of a robot under generalized forces: a = M^-1 (tau - b + sum_b J_b^T w_b).
 
+    The model's constraints are not among them: `rbjax.constraints.constrained_dynamics` has them.
+
     Args:
         model: the robot.
         q: (nq,) configuration.

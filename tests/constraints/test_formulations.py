@@ -215,7 +215,7 @@ def test_rows_that_are_zero_but_for_rounding() -> None:
     A = G[jnp.array([0, 2])]
     want = f + A.T @ jnp.linalg.solve(A @ A.T, c[jnp.array([0, 2])] - A @ f)
     found = {name: one.solved(jnp.eye(3), G, f, c)[0] for name, one in DENSE.items()}
-    found["multipliers"] = f + G.T @ least_norm(G @ G.T, c - G @ f)
+    found["multipliers"] = f + G.T @ least_norm(G @ G.T, c - G @ f, 2)
     for name, a in found.items():
         np.testing.assert_allclose(a, want, rtol=0, atol=1e-10, err_msg=name)
 
@@ -297,3 +297,15 @@ def test_penalty_is_a_singular_perturbation() -> None:
     scaled = np.asarray(off * ks)
     np.testing.assert_allclose(scaled[1:], scaled[:-1], rtol=0.1)
     assert scaled[-1] > 1.0
+
+
+def test_baumgarte_for_the_steps_of_semi_implicit_euler() -> None:
+    """Of a row that is linear in q a step leaves 1 - 0.09 of the residual, whatever the step."""
+    for dt in (0.01, 0.002):
+        model = rb.load("cart_pole").with_constraints(rc.JointPolynomial("slider", None, [0.25]))
+        path = rb.rollout(
+            model, model.default_state(), None, dt, steps=4,
+            integrator="semi_implicit_euler", constraints=rc.Baumgarte.for_step(dt),
+        )  # fmt: skip
+        left = path.q[1:, 0] - 0.25
+        np.testing.assert_allclose(left, -0.25 * 0.91 ** np.arange(1, 5), rtol=1e-10)

@@ -58,6 +58,21 @@ def test_equations_and_redundant_rows(driver: str) -> None:
     np.testing.assert_allclose(l, multipliers, atol=1e-3)
 
 
+def test_constrained_dynamics_with_wrenches_on_bodies() -> None:
+    """The same as generalized forces; and as what the textbook has."""
+    model, state, tau = scene("unrolled")
+    wrenches = jax.random.normal(jax.random.key(2), (model.nb, 6))
+    held = quick_jit(functools.partial(rc.constrained_dynamics, model))
+    a, l = held(state.q, state.v, tau, wrenches)
+    pushed = sum(
+        np.asarray(rb.jacobian(model, state.q, body=name)).T @ w
+        for name, w in zip(model.body_names, wrenches, strict=True)
+    )
+    want, multipliers = textbook(model, state, tau + pushed)
+    np.testing.assert_allclose(a, want, atol=1e-9)
+    np.testing.assert_allclose(l, multipliers, atol=1e-3)
+
+
 @pytest.mark.parametrize("driver", ["unrolled", pytest.param("rolled", marks=pytest.mark.slow)])
 def test_derivatives(driver: str) -> None:
     """Forward against differences, reverse against forward, by state, torque and model."""
