@@ -20,7 +20,7 @@ from mujoco import mjx
 
 import rbjax as rb
 from benchmarks.shared.gpu_timing import timed
-from benchmarks.shared.timing import markdown_table, save
+from benchmarks.shared.timing import markdown_table, others, save
 
 STEPS = 100
 WAYS = ("projected", "baumgarte", "open")
@@ -95,11 +95,9 @@ def rows(name: str, batch: int, parts: Collection[str]) -> Iterator[dict]:
 
             return jax.lax.scan(step, (state.q, state.v), None, STEPS)[0]
 
-        some = jax.tree.map(lambda x: x[: min(batch, 16384)], state)
-        size = some.q.shape[0]
-        row = {"what": f"MJX, {iterations} iterations", "engine": "mjx", "batch": size}
-        row = timed(row, march, some, work=size * STEPS)
-        yield row | {"rows left": left(*jax.jit(march)(some))}
+        row = {"what": f"MJX, {iterations} iterations", "engine": "mjx", "batch": batch}
+        row = timed(row, march, state, work=batch * STEPS)
+        yield row | {"rows left": left(*jax.jit(march)(state))}
 
 
 def main() -> None:
@@ -114,7 +112,8 @@ def main() -> None:
             found.append(row)
             print(row, flush=True)
         print(markdown_table(found, COLUMNS))
-        print(save(f"loops-{Path(name).stem}", found))
+        title = f"loops-{Path(name).stem}"
+        print(save(title, found + others(title, found, ("what", "batch"))))
 
 
 if __name__ == "__main__":
