@@ -166,6 +166,9 @@ def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
         return OperationCount(), out
     if name == "scan":
         return _scan(eqn, out)
+    if name == "threads":  # a kernel of a GPU: its program, once a sample
+        count, needs = _walk(params["program"].closed.jaxpr, out)
+        return math.prod(params["batch"]) * count, needs
     if name == "sincos":
         return OperationCount(trigonometry=sum(out) * math.prod(eqn.outvars[0].aval.shape)), [True]
     if name == "while":

@@ -8,6 +8,8 @@ import pytest
 import rbjax as rb
 from rbjax.dynamics.operations import OperationCount, leaf_names, operation_count
 from rbjax.lanes import fusion_barrier, sincos
+from rbjax.threads.primitive import run
+from rbjax.threads.programs import traced
 from tests.forces.test_drivers import TWO_ARMED
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import load_quietly
@@ -15,7 +17,16 @@ from tests.robots import load_quietly
 NO_ELEMENTS = {"Anchor", "Element", "Frame", "Instant", "Joint", "Loads", "applied_forces",
                "elastic_energy", "on_each"}  # fmt: skip
 
+ONCE = jax.ShapeDtypeStruct((), float)
+
+
+def in_threads(x: jax.Array) -> jax.Array:
+    """What a GPU has in the place of `jax.vmap(lambda x: x * x + 1)`."""
+    return run(traced(lambda x: [x * x + 1], ONCE), [x], x.shape, [(0,)])[0]
+
+
 COUNTED = {
+    "a kernel": (in_threads, OperationCount(3, 3)),
     "array": (lambda x: x * x + 2.0 * x, OperationCount(3, 6)),
     "dead code": (lambda x: (jnp.exp(x), x + 1)[1], OperationCount(3)),
     "power": (lambda x: x**5, OperationCount(0, 9)),
