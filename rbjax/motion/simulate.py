@@ -31,10 +31,10 @@ from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.captured import with_captured
 from rbjax.motion.field import Field, Law, free_motion, law_of
-from rbjax.motion.settling import settling
+from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.arguments import check_solver, check_whole
+from rbjax.solvers.arguments import check_whole
 from rbjax.threads import threaded, wanted
 
 
@@ -118,10 +118,9 @@ def simulate(
     inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
     if max_steps is not None:
         check_whole("simulate", "max_steps", max_steps, 1)
-    solver = diffrax.Tsit5() if solver is None else solver
-    check_solver("simulate", solver)
-    check_takes_robots(solver)
     law = law_of("simulate", model, law, constraints)
+    solver = solver_of(solver, law)
+    check_takes_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt0 is not None:
