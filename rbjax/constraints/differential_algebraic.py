@@ -58,6 +58,11 @@ class DifferentialAlgebraic(Formulation):
         """The rows whose values mu holds."""
         return []
 
+    @property
+    def damping(self) -> DifferentialAlgebraic:
+        """The formulation whose equations an estimate of the error is damped by."""
+        return self
+
     def depths(self, model: Model, t: Any, state: State) -> tuple[int, ...]:
         """After how many integrations each of the algebraic equations comes."""
         rows = rows_of(model, Instant.of(model, t, state, None))
@@ -137,6 +142,12 @@ class Index3(DifferentialAlgebraic):
 
     def held(self, row: Row) -> tuple[Lane, int]:
         return (row.residual, 2) if row.holonomic else _rate(row)
+
+    @property
+    def damping(self) -> DifferentialAlgebraic:
+        """Across the constraints a velocity is off by the error of the step before, however short
+        this one is."""
+        return GGL()
 
 
 @dataclass(frozen=True)

@@ -42,13 +42,19 @@ DEFAULT = "radau_iia3"
 
 class Stages(NamedTuple):
     """What a step finds: its stages' rates (s, 2 nv + nx) times h, their multipliers (s, rows),
-    whether they were found; and for an estimate of the error, the equations and the start."""
+    whether they were found, and the start."""
 
     k: jax.Array
     w: jax.Array
     ok: jax.Array
-    equations: Equations
     start: Point
+
+    def polynomial(self, tableau: Tableau, h: Any) -> jax.Array:
+        """Coefficients of theta, theta^2, ... of the increment."""
+        if tableau.dense:
+            return mixed(tuple(zip(*tableau.dense, strict=True)), self.k)
+        first = h * self.start.rate
+        return jnp.stack([first, mixed(tableau.b, self.k) - first])
 
 
 def stages(
@@ -67,7 +73,31 @@ def stages(
     weights = Weights(*(jnp.asarray(x, dtype) for x in (a, np.linalg.inv(a))))
     base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
     found = solve(equations, h, t + c * h, base, weights, start)
-    return Stages(h * found.rates, found.w, found.ok, equations, start)
+    return Stages(h * found.rates, found.w, found.ok, start)
+
+
+def error_of(
+    found: Stages,
+    law: DifferentialAlgebraic,
+    tableau: Tableau,
+    model: Model,
+    forces: Forces,
+    state: State,
+    h: Any,
+) -> jax.Array:
+    """The error of a step by the tableau's weights, damped."""
+    law, start = law.damping, found.start
+    at_start, *others = tableau.error
+    raw = mixed(others, found.k) + at_start * h * start.rate
+    depth = law.depths(model, start.t, state)
+    equations = Equations(law.equations(model, state.q, forces), depth)
+    w = _padded(start.w, len(depth))
+    return damped(equations, tableau.filter * h, start._replace(w=w), raw)
+
+
+def _padded(w: jax.Array, size: int) -> jax.Array:
+    """Multipliers, and as many that are zero as are missing."""
+    return jnp.concatenate([w, jnp.zeros(size - len(w), w.dtype)])
 
 
 def begun(
@@ -77,7 +107,7 @@ def begun(
     tau, pushes, dx = forces(t, state)
     a, l = constrained_motion(model, t, state, tau, pushes)
     depth = law.depths(model, t, state)
-    w = jnp.concatenate([l, jnp.zeros(len(depth) - len(l), l.dtype)])
+    w = _padded(l, len(depth))
     x = [] if state.x is None else [state.x]
     y = jnp.concatenate([jnp.zeros_like(state.v), state.v, *x])
     rate = jnp.concatenate([state.v, a, *([] if dx is None else [dx])])
@@ -131,15 +161,11 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         y1 = term.group.retract(y0, increment(model, mixed(self.tableau.b, found.k)))
         error = None
         if self.tableau.error:
-            at_start, *others = self.tableau.error
-            raw = mixed(others, found.k) + at_start * h * found.start.rate
-            off = damped(found.equations, self.tableau.filter * h, found.start, raw)
+            off = error_of(found, law, self.tableau, model, forces, y0, h)
             beside = term.group.retract(y1, increment(model, off))
             error = refused(found.ok, jax.tree.map(jnp.subtract, beside, y1))
-        coefficients = mixed(tuple(zip(*self.tableau.dense, strict=True)), found.k)
-        dense = {
-            "y0": y0, "coefficients": increment(model, coefficients), "group": term.group
-        }  # fmt: skip
+        coefficients = increment(model, found.polynomial(self.tableau, h))
+        dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
         return y1, error, dense, solver_state, verdict(found.ok)
 
 
@@ -154,9 +180,9 @@ def seen(vector_field: Any, args: Any) -> tuple[Model, Any, Forces, Any]:
     return model, law, forces, vector_field.start
 
 
-def stepped_by(where: str, law: DifferentialAlgebraic, given: Any) -> Tableau:
+def stepped_by(where: str, law: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
     """The tableau of the implicit method that steps a formulation. given: a name, a solver, or None
-    for the default."""
+    for the default; also: what else `where` takes."""
     if given is None:
         return radau_iia(3).tableau
     solver = solvers()[given].make() if isinstance(given, str) and given in FITTING else given
@@ -165,6 +191,7 @@ def stepped_by(where: str, law: DifferentialAlgebraic, given: Any) -> Tableau:
     got = given if isinstance(given, str) else type(given).__name__
     raise InputError(
         f"{where}: constraints={law.name!r} with {got}, expected an implicit method whose stages "
-        f"are all implicit: {', '.join(FITTING)} of rb.solvers.all(), radau_iia(1) (backward "
-        "Euler) or None for radau_iia3; other methods are for other formulations, as 'projected'"
+        f"are all implicit, of rb.solvers.all(): {', '.join(FITTING)}{also}; "
+        "rb.solvers.radau_iia(1) (backward Euler); or None for radau_iia3. Other methods are for "
+        "other formulations, as 'projected'"
     )

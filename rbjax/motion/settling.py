@@ -13,6 +13,8 @@ from rbjax.constraints.formulation import Formulation
 from rbjax.model import Model
 from rbjax.motion.field import Law
 from rbjax.motion.implicit import StagesSolver, stepped_by
+from rbjax.motion.implicit_multistep import BDFSolver
+from rbjax.solvers import BDF
 from rbjax.solvers.arguments import check_solver
 from rbjax.solvers.wrapped import Wrapped
 
@@ -43,7 +45,9 @@ def solver_of(given: diffrax.AbstractSolver | None, law: Law) -> diffrax.Abstrac
     if given is not None:
         check_solver("simulate", given)
     if isinstance(law, DifferentialAlgebraic):
-        return StagesSolver(stepped_by("simulate", law, given))
+        if isinstance(given, BDF):
+            return BDFSolver(given.formula_order)
+        return StagesSolver(stepped_by("simulate", law, given, ", bdf1 to bdf6"))
     return diffrax.Tsit5() if given is None else given
 
 
