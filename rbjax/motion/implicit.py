@@ -22,7 +22,7 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, evaluated
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, Law, batch_last
+from rbjax.motion.field import Field, batch_last
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
 from rbjax.solvers.differential_algebraic import Equations, Point, Weights, damped, solve

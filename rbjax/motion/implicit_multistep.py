@@ -2,7 +2,7 @@
 
     f(t1, u1, Q'(t1), w) = 0,      Q through u1 and the past increments u_k, q_k = q0 (+) u_k
 The increments are those from the state at the start of the step, whose chart moves along with the
-motion. Radau IIA of three stages starts it, and again after a jump.
+motion. Radau IIA of three stages starts it (of one, BDF 1), and again after a jump.
 (Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII.3: orders 1 to 6 keep their
 order for index 2; Lotstedt & Petzold, *Mathematics of Computation* 46, 1986, for index 3.)
 """
@@ -89,7 +89,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
 
     def _begin(self, term: Any, args: Any, t0: Any, h: Any, y0: State) -> Step:
         model, law, forces, start = seen(term.vector_field, args)
-        tableau = radau_iia(3).tableau
+        tableau = radau_iia(1 if self.formula_order == 1 else 3).tableau
         found = stages(law, tableau, model, forces, start + t0, y0, h)
         return Step(
             mixed(tableau.b, found.k),

@@ -18,8 +18,8 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.arguments import check_takes
 from rbjax.constraints.differential_algebraic import DifferentialAlgebraic
+from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State

@@ -1,6 +1,6 @@
 """Implicit methods for differential-algebraic equations, whatever their index.
 
-    f(t, y, y', w) = 0,      as many equations as there are rates y' (n) and algebraic unknowns w (m)
+    f(t, y, y', w) = 0,      n + m equations, n rates y' and m algebraic unknowns w
     stages:  f(t_i, Y_i, Y'_i, W_i) = 0,      Y_i = y_i + h sum_j a_ij Y'_j
 with A invertible: Radau IIA, Gauss, Lobatto IIIC, and one stage for a BDF. The last m equations may
 have no w and no y' in them; where y' is found from them after p integrations, they are taken as
