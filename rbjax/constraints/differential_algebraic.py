@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.formulation import Formulation, Projected
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import rows_of, with_multipliers
@@ -42,7 +42,14 @@ class DifferentialAlgebraic(Formulation):
     """A formulation whose equations an implicit method steps: Radau IIA of three stages, or another
     one given as `integrator=` of `rollout` or `solver=` of `simulate`.
 
-    As a law it gives the accelerations of index 1, which are those of consistent states.
+    As a law it gives the accelerations of index 1, which are those of consistent states. A step
+    whose equations are not solved is a value: `Trajectory.ok` is False, and adaptive steps become
+    shorter. `Projected(of=...)` puts states back on all levels after steps.
+
+    Example:
+        >>> import rbjax as rb
+        >>> [rb.constraints.formulations()[x].index for x in ("index_2", "index_3", "ggl")]
+        [2, 3, 2]
     """
 
     family: ClassVar[str] = "redundant"
@@ -95,6 +102,14 @@ class DifferentialAlgebraic(Formulation):
         return f
 
 
+def stepped(law: Any) -> DifferentialAlgebraic | None:
+    """The formulation whose equations are stepped where this is the law, if any: itself, or that
+    whose states it projects."""
+    while isinstance(law, Projected):
+        law = law.of
+    return law if isinstance(law, DifferentialAlgebraic) else None
+
+
 def _moved(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
     return jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(u))))
 
@@ -116,6 +131,7 @@ class Index2(DifferentialAlgebraic):
     """G v + g_t = 0 at the stages of each step. Positions drift by the error of the steps.
 
     Radau IIA of s stages: order 2 s - 1, multipliers s. Lobatto IIIC: 2 s - 2, multipliers s - 1.
+    BDF k: k, multipliers too. Gauss: velocities s, or s + 1 where s is odd.
 
     Source: Hairer, Lubich & Roche 1989; Hairer & Wanner, II, VII.4.
     """
@@ -131,8 +147,10 @@ class Index2(DifferentialAlgebraic):
 class Index3(DifferentialAlgebraic):
     """g(t, q) = 0 at the stages of each step. Velocities hold to their order.
 
-    Radau IIA of s stages: order of positions 2 s - 1, velocities s, multipliers s - 1. In f32 a
-    step must not be short: velocities carry the rounding of positions divided by it.
+    Radau IIA of s stages: order of positions 2 s - 1, velocities s, multipliers s - 1. BDF k: k.
+    Gauss methods do not converge in velocities where s = 2. In f32 a step must not be short:
+    velocities carry the rounding of positions divided by it. Adaptive steps look at velocities
+    along the constraints only.
 
     Source: as `Index2`; VII.8.
     """
@@ -155,7 +173,8 @@ class GGL(DifferentialAlgebraic):
     """Gear, Gupta and Leimkuhler's: index 2, with a second multiplier that holds g(t, q) = 0 too.
 
         M (q' - v) = G^T mu,    G v + g_t = 0,    g(t, q) = 0
-    Orders are those of index 2, and positions do not drift.
+    Orders of stiffly accurate methods (Radau IIA, Lobatto IIIC, BDF) are those of index 2. Gauss
+    methods end their steps off the constraints.
 
     Source: Gear, Leimkuhler & Gupta 1985.
     """

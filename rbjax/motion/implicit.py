@@ -37,7 +37,6 @@ FITTING = (
     "radau_iia2", "radau_iia3", "gauss_legendre2", "gauss_legendre3", "implicit_midpoint",
     "lobatto_iiic2", "lobatto_iiic3",
 )  # fmt: skip
-DEFAULT = "radau_iia3"
 
 
 class Stages(NamedTuple):
@@ -108,8 +107,8 @@ def begun(
     a, l = constrained_motion(model, t, state, tau, pushes)
     depth = law.depths(model, t, state)
     w = _padded(l, len(depth))
-    x = [] if state.x is None else [state.x]
-    y = jnp.concatenate([jnp.zeros_like(state.v), state.v, *x])
+    still = jnp.zeros_like(state.v)
+    y = jnp.concatenate([still, state.v, *([] if state.x is None else [state.x])])
     rate = jnp.concatenate([state.v, a, *([] if dx is None else [dx])])
     return Equations(law.equations(model, state.q, forces), depth), Point(t, y, rate, w)
 
@@ -125,6 +124,7 @@ class ByStages:
     """An integrator of `rollout` for formulations of index 2 and 3. A step whose equations do not
     converge is nan, and `Trajectory.ok` is False."""
 
+    formulation: DifferentialAlgebraic
     tableau: Tableau
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
@@ -132,10 +132,10 @@ class ByStages:
             def forces(t: Any, state: State) -> tuple:
                 return field.applied(t, state, u)
 
-            law: Any = field.law
-            found = stages(law, self.tableau, field.model, forces, t, state, dt)
-            du = increment(field.model, mixed(self.tableau.b, found.k))
-            x = None if state.x is None else field.within(state.x + du.x)
+            model = field.model
+            found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
+            du = increment(model, mixed(self.tableau.b, found.k))
+            x = None if state.x is None or du.x is None else field.within(state.x + du.x)
             after = State(field.moved(state.q, du.q), state.v + du.v, x)
             return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
 
@@ -145,6 +145,7 @@ class ByStages:
 class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     """A diffrax solver of `simulate` for formulations of index 2 and 3: the method of a tableau."""
 
+    formulation: DifferentialAlgebraic = eqx.field(static=True)
     tableau: Tableau = eqx.field(static=True)
 
     def order(self, terms):
@@ -156,7 +157,7 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         term, h = unwrapped(terms), t1 - t0
         h = jnp.where(h == 0, 1.0, h)
-        model, law, forces, start = seen(term.vector_field, args)
+        (model, forces, start), law = seen(term.vector_field, args), self.formulation
         found = stages(law, self.tableau, model, forces, start + t0, y0, h)
         y1 = term.group.retract(y0, increment(model, mixed(self.tableau.b, found.k)))
         error = None
@@ -169,15 +170,15 @@ class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return y1, error, dense, solver_state, verdict(found.ok)
 
 
-def seen(vector_field: Any, args: Any) -> tuple[Model, Any, Forces, Any]:
-    """The model, the law, the forces and the first time of the vector field of `simulate`."""
-    model, law = vector_field.model(args), vector_field.law
+def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
+    """The model, the forces and the first time of the vector field of `simulate`."""
+    model = vector_field.model(args)
 
     def forces(t: Any, state: State) -> tuple:
         inputs = evaluated("simulate", model, vector_field.inputs, t, state)
-        return Field(model, law).applied(t, state, inputs)
+        return Field(model).applied(t, state, inputs)
 
-    return model, law, forces, vector_field.start
+    return model, forces, vector_field.start
 
 
 def stepped_by(where: str, law: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:

@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.differential_algebraic import DifferentialAlgebraic
 from rbjax.model import State
 from rbjax.motion.implicit import begun, error_of, increment, seen, stages
 from rbjax.solvers import radau_iia
@@ -44,6 +45,7 @@ class Step(NamedTuple):
 class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     """BDF of an order from 1 to 6 for formulations of index 2 and 3."""
 
+    formulation: DifferentialAlgebraic = eqx.field(static=True)
     formula_order: int = eqx.field(static=True)
 
     def order(self, terms):
@@ -88,7 +90,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         return jnp.pad(coefficients, ((0, self._degree - len(coefficients)), (0, 0)))
 
     def _begin(self, term: Any, args: Any, t0: Any, h: Any, y0: State) -> Step:
-        model, law, forces, start = seen(term.vector_field, args)
+        (model, forces, start), law = seen(term.vector_field, args), self.formulation
         tableau = radau_iia(1 if self.formula_order == 1 else 3).tableau
         found = stages(law, tableau, model, forces, start + t0, y0, h)
         return Step(
@@ -101,7 +103,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
     def _formula(
         self, term: Any, args: Any, t0: Any, h: Any, y0: State, ts: Any, states: State
     ) -> Step:
-        model, law, forces, first = seen(term.vector_field, args)
+        (model, forces, first), law = seen(term.vector_field, args), self.formulation
         equations, start = begun(law, model, forces, first + t0, y0)
         past = jax.vmap(lambda y: term.group.difference(y0, y))(states)
         past = jnp.concatenate([past.q, past.v, *([] if past.x is None else [past.x])], -1)

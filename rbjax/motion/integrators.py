@@ -18,7 +18,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.differential_algebraic import DifferentialAlgebraic
+from rbjax.constraints.differential_algebraic import stepped
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -88,8 +88,9 @@ def integrator_of(
     where: str, integrator: str | Integrator | None, law: Law = free_motion
 ) -> Integrator:
     """The integrator of a law: by its name, or itself, or the default."""
-    if isinstance(law, DifferentialAlgebraic):
-        return ByStages(stepped_by(where, law, integrator))
+    formulation = stepped(law)
+    if formulation is not None:
+        return ByStages(formulation, stepped_by(where, formulation, integrator))
     if integrator is None:
         return semi_implicit_euler
     if not isinstance(integrator, str):

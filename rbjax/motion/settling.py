@@ -8,7 +8,7 @@ from typing import Any
 import diffrax
 import equinox as eqx
 
-from rbjax.constraints.differential_algebraic import DifferentialAlgebraic
+from rbjax.constraints.differential_algebraic import stepped
 from rbjax.constraints.formulation import Formulation
 from rbjax.model import Model
 from rbjax.motion.field import Law
@@ -44,10 +44,12 @@ def solver_of(given: diffrax.AbstractSolver | None, law: Law) -> diffrax.Abstrac
     formulation of index 2 or 3, or the default."""
     if given is not None:
         check_solver("simulate", given)
-    if isinstance(law, DifferentialAlgebraic):
+    formulation = stepped(law)
+    if formulation is not None:
         if isinstance(given, BDF):
-            return BDFSolver(given.formula_order)
-        return StagesSolver(stepped_by("simulate", law, given, ", bdf1 to bdf6"))
+            return BDFSolver(formulation, given.formula_order)
+        tableau = stepped_by("simulate", formulation, given, ", bdf1 to bdf6")
+        return StagesSolver(formulation, tableau)
     return diffrax.Tsit5() if given is None else given
 
 

@@ -83,7 +83,9 @@ def simulate(
         wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6), or
             (t, state) -> (nb, 6).
         solver: any diffrax solver, `rb.solvers` among them; Tsit5 if None. Those for second-order
-            form, splittings and Lie groups move along the manifold of configurations.
+            form, splittings and Lie groups move along the manifold of configurations. Constraints
+            of index 2 and 3 take radau_iia, gauss_legendre, lobatto_iiic or bdf; radau_iia(3) if
+            None.
         dt0: first step, or the fixed step where no controller is given.
         stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give

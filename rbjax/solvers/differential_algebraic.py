@@ -23,6 +23,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve
@@ -79,11 +80,13 @@ def solve(
     system = System(f, equations.depth, n)
     start = Point(*jax.lax.stop_gradient(tuple(start)))
 
-    def plain(h, t, y, weights, start, read):
+    @eqx.filter_custom_jvp
+    def root(h, t, y, weights, start, read):
         return batch_first(system.iterated(h, t, y, weights, start, read))
 
-    def rule(primals, tangents):
-        found = ruled(*primals)  # with its own derivative: this rule
+    @root.def_jvp
+    def _(primals, tangents):
+        found = root(*primals)  # with its own derivative: this rule
         h, t, y, weights, _, read = primals
         x = found[:-1].reshape(s, -1)
 
@@ -91,14 +94,12 @@ def solve(
             del start
             return system.residual(x, h, t, y, weights, read)
 
-        _, change = jax.jvp(off, primals, tangents)
+        _, change = eqx.filter_jvp(off, primals, tangents)
         matrix = system.matrix(system.slopes(x, h, t, y, weights, read), h, weights)
         moved = -Factored(matrix).solved(change)
         return batch_first((found, jnp.append(moved, jnp.zeros_like(found[-1]))))
 
-    ruled = jax.custom_jvp(plain)
-    ruled.defjvp(rule)
-    found = ruled(h, t, y, weights, start, tuple(read))
+    found = root(h, t, y, weights, start, tuple(read))
     x = found[:-1].reshape(s, -1)
     return Stages(x[:, :n], x[:, n:], found[-1] > 0)
 
@@ -153,7 +154,9 @@ class System:
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:
         """The same at each stage."""
         k, w = x[:, : self.n], x[:, self.n :]
-        return jax.vmap(lambda *at: self.slope(*at, read))(t, y + h * mixed(weights.a, k), k, w)
+        return jax.vmap(lambda t, y, k, w: self.slope(t, y, k, w, read))(
+            t, y + h * mixed(weights.a, k), k, w
+        )
 
     def matrix(self, slopes: jax.Array, h: Any, weights: Weights) -> Matrix:
         """d residual / d (rates, w), from the slopes at the stages (s, n + m, 2 n + m)."""

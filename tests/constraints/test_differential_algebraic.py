@@ -80,7 +80,7 @@ def by_stages(solver, law: rc.Formulation) -> Callable:
 
 def by_bdf(k: int, law: rc.Formulation) -> Callable:
     """Steps of a BDF; its multiplier is that of the rate at the end of the last one."""
-    model, solver = pendulum(), BDFSolver(k)
+    model, solver = pendulum(), BDFSolver(law, k)
 
     @jax.jit
     def run(n):
@@ -301,6 +301,22 @@ def test_states_of_elements_inputs_and_batches(name: str) -> None:
         )
         for a, b in ((both.q[i], one.q), (both.v[i], one.v), (both.x[i], one.x)):
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_projection_after_steps() -> None:
+    """Velocities of index 3, put back on the constraints."""
+    model, start = four_bars(1)
+    both = rc.Projected(of=rc.Index3())
+    path = rb.rollout(model, start, None, 0.01, steps=10, constraints=both)
+    adaptive = rb.simulate(model, start, path.ts[::5], constraints=both)
+    np.testing.assert_allclose(adaptive.q, path.q[::5], rtol=0, atol=1e-7)
+    for end in (path.state(-1), adaptive.state(-1)):
+        r = rc.residual(model, end)
+        assert max(np.abs(r.value).max(), np.abs(r.rate).max()) < 1e-13
+    want = rb.rollout(model, start, None, 1e-3, steps=100, integrator="rk4", save_every=100)
+    np.testing.assert_allclose(path.q[-1], want.q[-1], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(path.v[-1], want.v[-1], rtol=0, atol=1e-7)
 
 
 @pytest.mark.slow
