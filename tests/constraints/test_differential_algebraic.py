@@ -303,6 +303,47 @@ def test_states_of_elements_inputs_and_batches(name: str) -> None:
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-12)
 
 
+class Pull(rb.forces.Element):
+    """A stiff spring and damper along x."""
+
+    k: jax.Array
+    c: jax.Array
+
+    def loads(self, now):
+        force = -self.k * (now.q[0] - 0.6) - self.c * now.v[0]
+        return now.generalized(jnp.stack([force, 0.0 * force]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORMS)
+def test_stiff_forces(name: str) -> None:
+    """A hundred times stiffer than an explicit step can be: at rest after it, or creeping."""
+    start = rb.State(jnp.array([0.6, -0.8]), jnp.array([0.008, 0.006]))
+    for k, c in ((1e8, 0.0), (0.0, 1e8)):
+        model = pendulum().with_forces(Pull(jnp.array(k), jnp.array(c)))
+        path = rb.rollout(model, start, None, 0.01, steps=20, constraints=name)
+        assert path.ok
+        np.testing.assert_allclose(path.q[-1], start.q, rtol=0, atol=2e-7)
+        # along the circle, weight against c times the velocity
+        creep = -9.81 * 0.6 / 0.64 / c * np.array([0.8, 0.6]) if c else np.zeros(2)
+        np.testing.assert_allclose(path.v[-1], creep, rtol=0, atol=1e-12)
+        if name == "index_3":
+            assert not rb.rollout(model, start, None, 0.01, steps=200, integrator="rk4").ok
+
+
+@pytest.mark.slow
+def test_steps_that_are_not_solved() -> None:
+    """A value, not an exception: a fixed step says so, adaptive ones become shorter."""
+    model, ts = pendulum(), jnp.array([0.0, 3.0])
+    path = rb.simulate(model, REST, ts, dt0=3.0, constraints="index_3", throw=False)
+    assert not path.ok and path.result == diffrax.RESULTS.nonlinear_divergence
+    controller = diffrax.PIDController(rtol=1e-8, atol=1e-8)
+    path = rb.simulate(
+        model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="index_3"
+    )
+    assert path.ok and path.stats["num_rejected_steps"] > 0
+
+
 @pytest.mark.slow
 def test_projection_after_steps() -> None:
     """Velocities of index 3, put back on the constraints."""
