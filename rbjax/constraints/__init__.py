@@ -4,6 +4,12 @@ from rbjax.constraints.assembly import Assembly, assemble
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.curve import PointOnCurve, PointOnSurface
+from rbjax.constraints.differential_algebraic import (
+    GGL,
+    DifferentialAlgebraic,
+    Index2,
+    Index3,
+)
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.functions import Holonomic, Pfaffian
 from rbjax.constraints.geometry import (
@@ -60,11 +66,15 @@ __all__ = [
     "ConstrainedMotion",
     "Constraint",
     "Cylindrical",
+    "DifferentialAlgebraic",
     "Distance",
     "ForceProjection",
     "Formulation",
+    "GGL",
     "Gear",
     "Holonomic",
+    "Index2",
+    "Index3",
     "Inline",
     "Inplane",
     "JointPolynomial",

@@ -6,6 +6,7 @@ from typing import Any
 
 from rbjax.constraints import couplings, curve, functions, pairs, rolling
 from rbjax.constraints.constraint import Constraint
+from rbjax.constraints.differential_algebraic import GGL, Index2, Index3
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.redundant import KKT
@@ -23,6 +24,7 @@ _ALL: tuple[Formulation, ...] = (
     DEFAULT, Multipliers(), Baumgarte(), KKT(),
     NullSpaceQR(), NullSpaceSVD(), Partitioning(),
     UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(),
+    Index2(), Index3(), GGL(),
 )  # fmt: skip
 _FORMULATIONS: dict[str, Formulation] = {f.name: f for f in _ALL}
 
@@ -43,6 +45,9 @@ def formulations() -> dict[str, Formulation]:
     | force_projection | unconstrained | 0 | forces without their part along the rows |
     | augmented_lagrangian | unconstrained | 0 | penalties on accelerations, iterated |
     | penalty | unconstrained | 0 | stiff springs: an approximation |
+    | index_2 | redundant | 2 | G v + g_t = 0 at the stages of implicit methods |
+    | index_3 | redundant | 3 | g = 0 there |
+    | ggl | redundant | 2 | both, the second by a multiplier of positions |
 
     Those from "kkt" to "augmented_lagrangian" work on arrays, of nv and rows cubed; they are for
     comparison and small mechanisms. All but "penalty" give the same accelerations.

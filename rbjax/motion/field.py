@@ -61,7 +61,7 @@ class Field:
 
     def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
         """v' (nv, ...) and x' (nx, ...)."""
-        return self._found(self._applied, t, state, u)
+        return self._found(self.applied, t, state, u)
 
     def pushed(
         self, t: Any, state: State, u: Inputs, dt: Any
@@ -70,7 +70,8 @@ class Field:
         advance = functools.partial(applied, self.model, dt=dt, advance=True)
         return self._found(advance, t, state, u)
 
-    def _applied(self, t: Any, state: State, u: Inputs) -> tuple:
+    def applied(self, t: Any, state: State, u: Inputs) -> tuple:
+        """Generalized forces, forces on links, and x' of one sample."""
         return applied(self.model, t, state, u, self.dt)
 
     def _found(self, forces: Callable, t: Any, state: State, u: Inputs) -> tuple:
@@ -99,7 +100,7 @@ class Field:
         than free motion are what gives its acceleration: with the forces of a constraint."""
 
         def acting(t: Any, state: State, u: Inputs) -> tuple:
-            tau, pushes, x = self._applied(t, state, u)
+            tau, pushes, x = self.applied(t, state, u)
             if self.law is not free_motion:
                 a = self._accelerated(t, state, tau, pushes)
                 tau = forces_of(self.model, state.q, state.v, a, pushes)

@@ -18,11 +18,13 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.differential_algebraic import stepped
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
-from rbjax.motion.field import Field
+from rbjax.motion.field import Field, Law, free_motion
+from rbjax.motion.implicit import ByStages, stepped_by
 from rbjax.motion.variational import variational_midpoint
 from rbjax.solvers.dop853 import DOP853
 from rbjax.solvers.steps import combine, explicit_stages, scaled
@@ -82,8 +84,15 @@ INTEGRATORS: dict[str, Integrator] = {
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
 
 
-def integrator_of(where: str, integrator: str | Integrator) -> Integrator:
-    """An integrator by its name, or itself."""
+def integrator_of(
+    where: str, integrator: str | Integrator | None, law: Law = free_motion
+) -> Integrator:
+    """The integrator of a law: by its name, or itself, or the default."""
+    formulation = stepped(law)
+    if formulation is not None:
+        return ByStages(formulation, stepped_by(where, formulation, integrator))
+    if integrator is None:
+        return semi_implicit_euler
     if not isinstance(integrator, str):
         if not callable(integrator):
             raise InputError(

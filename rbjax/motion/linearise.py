@@ -38,7 +38,7 @@ def step(
     dt: Any = None,
     *,
     t: Any = 0.0,
-    integrator: str | Integrator = "semi_implicit_euler",
+    integrator: str | Integrator | None = None,
     law: Law = free_motion,
     constraints: str | Formulation | None = None,
 ) -> State:
@@ -72,7 +72,7 @@ def step(
     """
     dt = jnp.asarray(model.timestep, state.q.dtype) if dt is None else dt
     law = law_of("step", model, law, constraints)
-    integrator = integrator_of("step", integrator)
+    integrator = integrator_of("step", integrator, law)
     return advanced(integrator, Field(model, law, dt), t, state, Inputs(ctrl), dt)
 
 
@@ -84,7 +84,7 @@ def linearise(
     dt: Any = None,
     *,
     t: Any = 0.0,
-    integrator: str | Integrator = "semi_implicit_euler",
+    integrator: str | Integrator | None = None,
     law: Law = free_motion,
     constraints: str | Formulation | None = None,
 ) -> Linear:
@@ -123,7 +123,7 @@ def linearise(
     law = law_of("linearise", model, law, constraints)
     if dt is None:
         return Linear(*linearised(model, state, ctrl, t, law)[1:])
-    advance = functools.partial(advanced, integrator_of("linearise", integrator))
+    advance = functools.partial(advanced, integrator_of("linearise", integrator, law))
     field = Field(model, law, dt)
     u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
     after = advance(field, t, state, Inputs(ctrl), dt)

@@ -48,7 +48,7 @@ def rollout(
     *,
     tau: jax.Array | Source | None = None,
     wrenches: jax.Array | Source | None = None,
-    integrator: str | Integrator = "semi_implicit_euler",
+    integrator: str | Integrator | None = None,
     law: Law = free_motion,
     constraints: str | Formulation | None = None,
     save_every: int = 1,
@@ -92,7 +92,8 @@ def rollout(
             or (B, steps, nb, 6); or a function (t, state) -> (nb, 6), evaluated once a step.
         integrator: one of "semi_implicit_euler", "variational_midpoint", "rk4", "tsit5", "dopri8",
             "dop853"; or a function (field, t, state, inputs, dt) -> state
-            (`rbjax.motion.integrators.Integrator`).
+            (`rbjax.motion.integrators.Integrator`); "semi_implicit_euler" if None. For constraints
+            of index 2 and 3 a fully implicit method (`rbjax.constraints.DifferentialAlgebraic`).
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
             or a `Formulation`; "projected" if None.
@@ -134,8 +135,8 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
-    advance = integrator_of("rollout", integrator)
     law = law_of("rollout", model, law, constraints)
+    advance = integrator_of("rollout", integrator, law)
     _check_where(kernel, memory)
     state, sources, steps, batched = _checked(model, state, Inputs(ctrls, tau, wrenches), steps)
     check_whole("rollout", "save_every", save_every, 1, why=f", a divisor of the {steps} steps")
@@ -160,7 +161,7 @@ def rollout(
         run = _run if eager else _compiled(*key)
         return run(model, state, numbers, step, key, how, threads, memory)
 
-    if isinstance(integrator, str):
+    if integrator is None or isinstance(integrator, str):
         return with_captured(lambda *f: march(*f, advance), *sources.functions, law)
     return with_captured(march, *sources.functions, law, advance)
 

@@ -8,9 +8,14 @@ from typing import Any
 import diffrax
 import equinox as eqx
 
+from rbjax.constraints.differential_algebraic import stepped
 from rbjax.constraints.formulation import Formulation
 from rbjax.model import Model
 from rbjax.motion.field import Law
+from rbjax.motion.implicit import StagesSolver, stepped_by
+from rbjax.motion.implicit_multistep import BDFSolver
+from rbjax.solvers import BDF
+from rbjax.solvers.arguments import check_solver
 from rbjax.solvers.wrapped import Wrapped
 
 
@@ -32,6 +37,20 @@ class Settling(Wrapped):
         )
         y1 = self.formulation.settled(self.model(args), self.start + t1, y1)
         return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
+
+
+def solver_of(given: diffrax.AbstractSolver | None, law: Law) -> diffrax.AbstractSolver:
+    """The solver of a law: the caller's, that which takes its method to the equations of a
+    formulation of index 2 or 3, or the default."""
+    if given is not None:
+        check_solver("simulate", given)
+    formulation = stepped(law)
+    if formulation is not None:
+        if isinstance(given, BDF):
+            return BDFSolver(formulation, given.formula_order)
+        tableau = stepped_by("simulate", formulation, given, ", bdf1 to bdf6")
+        return StagesSolver(formulation, tableau)
+    return diffrax.Tsit5() if given is None else given
 
 
 def settling(

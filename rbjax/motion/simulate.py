@@ -31,10 +31,10 @@ from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.captured import with_captured
 from rbjax.motion.field import Field, Law, free_motion, law_of
-from rbjax.motion.settling import settling
+from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.arguments import check_solver, check_whole
+from rbjax.solvers.arguments import check_whole
 from rbjax.threads import threaded, wanted
 
 
@@ -83,7 +83,9 @@ def simulate(
         wrenches: [moment N m; force N] on bodies, in world axes at their origins: (nb, 6), or
             (t, state) -> (nb, 6).
         solver: any diffrax solver, `rb.solvers` among them; Tsit5 if None. Those for second-order
-            form, splittings and Lie groups move along the manifold of configurations.
+            form, splittings and Lie groups move along the manifold of configurations. Constraints
+            of index 2 and 3 take radau_iia, gauss_legendre, lobatto_iiic or bdf; radau_iia(3) if
+            None.
         dt0: first step, or the fixed step where no controller is given.
         stepsize_controller: diffrax's; without it and without dt0, adaptive to 1e-8 (f64) or 1e-5.
         adjoint: diffrax's. None: checkpointed reverse mode, for `grad` and `jacrev`. Give
@@ -118,10 +120,9 @@ def simulate(
     inputs = _inputs(model, control, tau, wrenches, state.q.dtype)
     if max_steps is not None:
         check_whole("simulate", "max_steps", max_steps, 1)
-    solver = diffrax.Tsit5() if solver is None else solver
-    check_solver("simulate", solver)
-    check_takes_robots(solver)
     law = law_of("simulate", model, law, constraints)
+    solver = solver_of(solver, law)
+    check_takes_robots(solver)
     _check_kind("stepsize_controller", stepsize_controller, diffrax.AbstractStepSizeController)
     _check_kind("adjoint", adjoint, diffrax.AbstractAdjoint)
     if dt0 is not None:

@@ -1,0 +1,198 @@
+"""Steps of constrained motion as differential-algebraic equations, by implicit methods.
+
+The unknowns of a step are those of its stages: u', v', x' and multipliers, with increments u of the
+configuration, q = q0 (+) u, so that attitudes turn. `rollout` takes `ByStages`, which keeps nothing
+from step to step; `simulate` takes the diffrax solver `StagesSolver`.
+(`rbjax.constraints.differential_algebraic` has the equations, `rbjax.solvers` the methods.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.constraints.differential_algebraic import DifferentialAlgebraic, Forces
+from rbjax.constraints.law import constrained_motion
+from rbjax.errors import InputError
+from rbjax.forces.inputs import Inputs, evaluated
+from rbjax.model import Model, State
+from rbjax.motion.field import Field, batch_last
+from rbjax.solvers import all as solvers
+from rbjax.solvers import radau_iia
+from rbjax.solvers.differential_algebraic import Equations, Point, Weights, damped, solve
+from rbjax.solvers.groups import unwrapped
+from rbjax.solvers.implicit_rk import ImplicitRungeKutta
+from rbjax.solvers.newton import refused, verdict
+from rbjax.solvers.steps import AbstractGroupSolver, mixed
+from rbjax.solvers.tableau import Tableau
+
+#: of rbjax.solvers.all(), by name
+FITTING = (
+    "radau_iia2", "radau_iia3", "gauss_legendre2", "gauss_legendre3", "implicit_midpoint",
+    "lobatto_iiic2", "lobatto_iiic3",
+)  # fmt: skip
+
+
+class Stages(NamedTuple):
+    """What a step finds: its stages' rates (s, 2 nv + nx) times h, their multipliers (s, rows),
+    whether they were found, and the start."""
+
+    k: jax.Array
+    w: jax.Array
+    ok: jax.Array
+    start: Point
+
+    def polynomial(self, tableau: Tableau, h: Any) -> jax.Array:
+        """Coefficients of theta, theta^2, ... of the increment."""
+        if tableau.dense:
+            return mixed(tuple(zip(*tableau.dense, strict=True)), self.k)
+        first = h * self.start.rate
+        return jnp.stack([first, mixed(tableau.b, self.k) - first])
+
+
+def stages(
+    law: DifferentialAlgebraic,
+    tableau: Tableau,
+    model: Model,
+    forces: Forces,
+    t: Any,
+    state: State,
+    h: Any,
+) -> Stages:
+    """The stages of a Runge-Kutta step."""
+    dtype = state.q.dtype
+    equations, start = begun(law, model, forces, t, state)
+    a, c = np.array(tableau.a), jnp.asarray(tableau.c, jnp.result_type(h))
+    weights = Weights(*(jnp.asarray(x, dtype) for x in (a, np.linalg.inv(a))))
+    base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
+    found = solve(equations, h, t + c * h, base, weights, start)
+    return Stages(h * found.rates, found.w, found.ok, start)
+
+
+def error_of(
+    found: Stages,
+    law: DifferentialAlgebraic,
+    tableau: Tableau,
+    model: Model,
+    forces: Forces,
+    state: State,
+    h: Any,
+) -> jax.Array:
+    """The error of a step by the tableau's weights, damped."""
+    law, start = law.damping, found.start
+    at_start, *others = tableau.error
+    raw = mixed(others, found.k) + at_start * h * start.rate
+    depth = law.depths(model, start.t, state)
+    equations = Equations(law.equations(model, state.q, forces), depth)
+    w = _padded(start.w, len(depth))
+    return damped(equations, tableau.filter * h, start._replace(w=w), raw)
+
+
+def _padded(w: jax.Array, size: int) -> jax.Array:
+    """Multipliers, and as many that are zero as are missing."""
+    return jnp.concatenate([w, jnp.zeros(size - len(w), w.dtype)])
+
+
+def begun(
+    law: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
+) -> tuple[Equations, Point]:
+    """The equations from a state on, and its rates and multipliers as those of index 1."""
+    tau, pushes, dx = forces(t, state)
+    a, l = constrained_motion(model, t, state, tau, pushes)
+    depth = law.depths(model, t, state)
+    w = _padded(l, len(depth))
+    still = jnp.zeros_like(state.v)
+    y = jnp.concatenate([still, state.v, *([] if state.x is None else [state.x])])
+    rate = jnp.concatenate([state.v, a, *([] if dx is None else [dx])])
+    return Equations(law.equations(model, state.q, forces), depth), Point(t, y, rate, w)
+
+
+def increment(model: Model, u: jax.Array) -> State:
+    """The parts of (..., 2 nv + nx), each a tangent vector."""
+    q, v, x = jnp.split(u, (model.nv, 2 * model.nv), -1)
+    return State(q, v, x if model.nx else None)
+
+
+@dataclass(frozen=True)
+class ByStages:
+    """An integrator of `rollout` for formulations of index 2 and 3. A step whose equations do not
+    converge is nan, and `Trajectory.ok` is False."""
+
+    formulation: DifferentialAlgebraic
+    tableau: Tableau
+
+    def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
+        def one(t: Any, state: State, u: Inputs) -> State:
+            def forces(t: Any, state: State) -> tuple:
+                return field.applied(t, state, u)
+
+            model = field.model
+            found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
+            du = increment(model, mixed(self.tableau.b, found.k))
+            x = None if state.x is None or du.x is None else field.within(state.x + du.x)
+            after = State(field.moved(state.q, du.q), state.v + du.v, x)
+            return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
+
+        return one(t, state, u) if state.q.ndim == 1 else batch_last(one, t, state, u)
+
+
+class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
+    """A diffrax solver of `simulate` for formulations of index 2 and 3: the method of a tableau."""
+
+    formulation: DifferentialAlgebraic = eqx.field(static=True)
+    tableau: Tableau = eqx.field(static=True)
+
+    def order(self, terms):
+        return self.tableau.order
+
+    def error_order(self, terms):
+        return self.tableau.error_order or None
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        term, h = unwrapped(terms), t1 - t0
+        h = jnp.where(h == 0, 1.0, h)
+        (model, forces, start), law = seen(term.vector_field, args), self.formulation
+        found = stages(law, self.tableau, model, forces, start + t0, y0, h)
+        y1 = term.group.retract(y0, increment(model, mixed(self.tableau.b, found.k)))
+        error = None
+        if self.tableau.error:
+            off = error_of(found, law, self.tableau, model, forces, y0, h)
+            beside = term.group.retract(y1, increment(model, off))
+            error = refused(found.ok, jax.tree.map(jnp.subtract, beside, y1))
+        coefficients = increment(model, found.polynomial(self.tableau, h))
+        dense = {"y0": y0, "coefficients": coefficients, "group": term.group}
+        return y1, error, dense, solver_state, verdict(found.ok)
+
+
+def seen(vector_field: Any, args: Any) -> tuple[Model, Forces, Any]:
+    """The model, the forces and the first time of the vector field of `simulate`."""
+    model = vector_field.model(args)
+
+    def forces(t: Any, state: State) -> tuple:
+        inputs = evaluated("simulate", model, vector_field.inputs, t, state)
+        return Field(model).applied(t, state, inputs)
+
+    return model, forces, vector_field.start
+
+
+def stepped_by(where: str, law: DifferentialAlgebraic, given: Any, also: str = "") -> Tableau:
+    """The tableau of the implicit method that steps a formulation. given: a name, a solver, or None
+    for the default; also: what else `where` takes."""
+    if given is None:
+        return radau_iia(3).tableau
+    solver = solvers()[given].make() if isinstance(given, str) and given in FITTING else given
+    if isinstance(solver, ImplicitRungeKutta) and np.linalg.cond(solver.tableau.a) < 1e8:
+        return solver.tableau
+    got = given if isinstance(given, str) else type(given).__name__
+    raise InputError(
+        f"{where}: constraints={law.name!r} with {got}, expected an implicit method whose stages "
+        f"are all implicit, of rb.solvers.all(): {', '.join(FITTING)}{also}; "
+        "rb.solvers.radau_iia(1) (backward Euler); or None for radau_iia3. Other methods are for "
+        "other formulations, as 'projected'"
+    )
