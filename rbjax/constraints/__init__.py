@@ -39,6 +39,7 @@ from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations, kinds
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.row import Row
+from rbjax.constraints.tangent import TangentSpace
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
     ForceProjection,
@@ -86,6 +87,7 @@ __all__ = [
     "Row",
     "Screw",
     "Spherical",
+    "TangentSpace",
     "UdwadiaKalaba",
     "Universal",
     "Weld",

@@ -9,6 +9,7 @@ from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.redundant import KKT
+from rbjax.constraints.tangent import TangentSpace
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
     ForceProjection,
@@ -21,7 +22,7 @@ from rbjax.model import Model
 DEFAULT = Projected()
 _ALL: tuple[Formulation, ...] = (
     DEFAULT, Multipliers(), Baumgarte(), KKT(),
-    NullSpaceQR(), NullSpaceSVD(), Partitioning(),
+    NullSpaceQR(), NullSpaceSVD(), Partitioning(), TangentSpace(),
     UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(),
 )  # fmt: skip
 _FORMULATIONS: dict[str, Formulation] = {f.name: f for f in _ALL}
@@ -39,6 +40,7 @@ def formulations() -> dict[str, Formulation]:
     | null_space_qr | minimal | 0 | a = L c + Z z, Z of a pivoted QR |
     | null_space_svd | minimal | 0 | the same, Z of singular values |
     | partitioning | minimal | 0 | the same, z some of the velocities |
+    | tangent_space | minimal | 0 | another's, at stages on the constraints |
     | udwadia_kalaba | unconstrained | 0 | the least change of a_f |
     | force_projection | unconstrained | 0 | forces without their part along the rows |
     | augmented_lagrangian | unconstrained | 0 | penalties on accelerations, iterated |

@@ -190,20 +190,20 @@ class OnMatrices:
     def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row]):
         self._d, self._factors, self._like = d, factors, now.v
         self.G = gradient_matrix(now, rows)
-        self._Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
+        self.Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
 
     @cached_property
     def A(self) -> jax.Array:
-        return matmat(self.G, self._Y)
+        return matmat(self.G, self.Y)
 
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, asked = self._d, pack(c, self._like)
         if force is None:
             l = least_norm(self.A, asked)
-            return matvec(self._Y, l), l
+            return matvec(self.Y, l), l
         free = d.pack(solve(d, self._factors, d.lanes(force)), force)
         l = least_norm(self.A, asked - matvec(self.G, free))
-        return free + matvec(self._Y, l), l
+        return free + matvec(self.Y, l), l
 
 
 def least_norm(A: jax.Array, c: jax.Array) -> jax.Array:
