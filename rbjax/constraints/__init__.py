@@ -1,6 +1,7 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
 from rbjax.constraints.assembly import Assembly, assemble
+from rbjax.constraints.compliant import Compliant
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.curve import PointOnCurve, PointOnSurface
@@ -39,6 +40,7 @@ from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations, kinds
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.row import Row
+from rbjax.constraints.soft import QuaternionWeld, Soft
 from rbjax.constraints.tangent import TangentSpace
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
@@ -51,6 +53,7 @@ __all__ = [
     "Assembly",
     "AugmentedLagrangian",
     "Baumgarte",
+    "Compliant",
     "Constraint",
     "Cylindrical",
     "Distance",
@@ -80,12 +83,14 @@ __all__ = [
     "Prescribed",
     "Prismatic",
     "Projected",
+    "QuaternionWeld",
     "Rack",
     "Revolute",
     "RollingDisc",
     "RollingSphere",
     "Row",
     "Screw",
+    "Soft",
     "Spherical",
     "TangentSpace",
     "UdwadiaKalaba",

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from rbjax.constraints import couplings, curve, functions, pairs, rolling
+from rbjax.constraints.compliant import Compliant
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.redundant import KKT
+from rbjax.constraints.soft import QuaternionWeld, Soft
 from rbjax.constraints.tangent import TangentSpace
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
@@ -23,7 +25,7 @@ DEFAULT = Projected()
 _ALL: tuple[Formulation, ...] = (
     DEFAULT, Multipliers(), Baumgarte(), KKT(),
     NullSpaceQR(), NullSpaceSVD(), Partitioning(), TangentSpace(),
-    UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(),
+    UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(), Compliant(),
 )  # fmt: skip
 _FORMULATIONS: dict[str, Formulation] = {f.name: f for f in _ALL}
 
@@ -45,9 +47,11 @@ def formulations() -> dict[str, Formulation]:
     | force_projection | unconstrained | 0 | forces without their part along the rows |
     | augmented_lagrangian | unconstrained | 0 | penalties on accelerations, iterated |
     | penalty | unconstrained | 0 | stiff springs: an approximation |
+    | compliant | unconstrained | 0 | rows that yield as MuJoCo's (`Soft`) and others |
 
     Those from "kkt" to "augmented_lagrangian" work on arrays, of nv and rows cubed; they are for
-    comparison and small mechanisms. All but "penalty" give the same accelerations.
+    comparison and small mechanisms. All but "penalty" and
+    "compliant" give the same accelerations; "compliant" is the default of models with a `Soft`.
 
     Example:
         >>> import rbjax as rb
@@ -68,7 +72,8 @@ def kinds() -> dict[str, type[Constraint]]:
     rooms = pairs, couplings, curve, functions, rolling
     every = (x for room in rooms for x in vars(room).values() if isinstance(x, type))
     bases = Constraint, pairs.Pair, rolling.Rolling
-    return {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
+    found = {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
+    return found | {x.__name__: x for x in (QuaternionWeld, Soft)}
 
 
 def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
@@ -82,7 +87,8 @@ def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
             )
         return None
     if given is None:
-        return DEFAULT
+        soft = any(isinstance(x, Soft) for x in model.constraints)
+        return _FORMULATIONS["compliant"] if soft else DEFAULT
     if isinstance(given, Formulation):
         return given
     if isinstance(given, str) and given in _FORMULATIONS:

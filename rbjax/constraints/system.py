@@ -17,6 +17,7 @@ rounding, as those of a plane loop across its plane are: their own entry of A is
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Protocol
@@ -185,16 +186,26 @@ class OnLanes:
 
 
 class OnMatrices:
-    """A = G Y, Y = M^-1 G^T."""
+    """A = G Y, Y = M^-1 G^T; R (rows,), if any, is added to its diagonal: compliance of the rows,
+    G a + R l = c."""
+
+    R: jax.Array | None = None
 
     def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row]):
         self._d, self._factors, self._like = d, factors, now.v
         self.G = gradient_matrix(now, rows)
         self.Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
 
+    def with_compliance(self, R: jax.Array) -> OnMatrices:
+        """The same, of rows that yield."""
+        soft = copy.copy(self)
+        soft.R = R
+        return soft
+
     @cached_property
     def A(self) -> jax.Array:
-        return matmat(self.G, self.Y)
+        A = matmat(self.G, self.Y)
+        return A if self.R is None else A + jnp.diag(self.R)
 
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, asked = self._d, pack(c, self._like)
