@@ -16,6 +16,7 @@ from rbjax.constraints.geometry import (
     time,
     turn,
 )
+from rbjax.constraints.lagrange import LagrangeSystem
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.pairs import (
     Cylindrical,
@@ -66,6 +67,7 @@ __all__ = [
     "JointPolynomial",
     "KKT",
     "KnifeEdge",
+    "LagrangeSystem",
     "Mobility",
     "Multipliers",
     "NullSpaceQR",
