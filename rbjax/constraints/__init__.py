@@ -1,6 +1,7 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
 from rbjax.constraints.assembly import Assembly, assemble
+from rbjax.constraints.compliant import Compliant
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.couplings import Gear, JointPolynomial, Prescribed, Rack
 from rbjax.constraints.curve import PointOnCurve, PointOnSurface
@@ -21,6 +22,7 @@ from rbjax.constraints.geometry import (
     time,
     turn,
 )
+from rbjax.constraints.lagrange import LagrangeSystem
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.pairs import (
     Cylindrical,
@@ -52,6 +54,8 @@ from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations, kinds
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.row import Row
+from rbjax.constraints.soft import QuaternionWeld, Soft
+from rbjax.constraints.tangent import TangentSpace
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
     ForceProjection,
@@ -63,6 +67,7 @@ __all__ = [
     "Assembly",
     "AugmentedLagrangian",
     "Baumgarte",
+    "Compliant",
     "ConstrainedMotion",
     "Constraint",
     "Cylindrical",
@@ -80,6 +85,7 @@ __all__ = [
     "JointPolynomial",
     "KKT",
     "KnifeEdge",
+    "LagrangeSystem",
     "Mobility",
     "Multipliers",
     "NullSpaceQR",
@@ -97,13 +103,16 @@ __all__ = [
     "Prescribed",
     "Prismatic",
     "Projected",
+    "QuaternionWeld",
     "Rack",
     "Revolute",
     "RollingDisc",
     "RollingSphere",
     "Row",
     "Screw",
+    "Soft",
     "Spherical",
+    "TangentSpace",
     "UdwadiaKalaba",
     "Universal",
     "Weld",

@@ -1,7 +1,8 @@
 """Formulations: how constraints are enforced, as a law of motion that may mend the state it moves.
 
-A formulation is a law (from forces to accelerations) and a `settled`: what becomes of a state
-after each step. It is hashable, and is part of the program.
+A formulation is a law (from forces to accelerations), a `settled`: what becomes of a state after
+each step, and a `staged`: where within a step its rates are taken. It is hashable, and is part of
+the program.
 """
 
 from __future__ import annotations
@@ -35,6 +36,11 @@ class Formulation:
     ) -> jax.Array:
         """v' (nv,), as `rbjax.motion.field.Law`."""
         raise NotImplementedError(f"{type(self).__name__} has no accelerations")
+
+    def staged(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
+        """The state at which a stage's rates are taken, of a step that began at t0 in `start`; and
+        the state that the step ends with, before it is settled."""
+        return state
 
     def settled(self, model: Model, t: Any, state: State) -> State:
         """The state after a step, as the next one starts from it."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from rbjax.constraints import couplings, curve, functions, pairs, rolling
+from rbjax.constraints.compliant import Compliant
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.differential_algebraic import GGL, Index2, Index3
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.redundant import KKT
+from rbjax.constraints.soft import QuaternionWeld, Soft
+from rbjax.constraints.tangent import TangentSpace
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
     ForceProjection,
@@ -22,8 +25,8 @@ from rbjax.model import Model
 DEFAULT = Projected()
 _ALL: tuple[Formulation, ...] = (
     DEFAULT, Multipliers(), Baumgarte(), KKT(),
-    NullSpaceQR(), NullSpaceSVD(), Partitioning(),
-    UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(),
+    NullSpaceQR(), NullSpaceSVD(), Partitioning(), TangentSpace(),
+    UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(), Compliant(),
     Index2(), Index3(), GGL(),
 )  # fmt: skip
 _FORMULATIONS: dict[str, Formulation] = {f.name: f for f in _ALL}
@@ -41,6 +44,7 @@ def formulations() -> dict[str, Formulation]:
     | null_space_qr | minimal | 0 | a = L c + Z z, Z of a pivoted QR |
     | null_space_svd | minimal | 0 | the same, Z of singular values |
     | partitioning | minimal | 0 | the same, z some of the velocities |
+    | tangent_space | minimal | 0 | another's, at stages on the constraints |
     | udwadia_kalaba | unconstrained | 0 | the least change of a_f |
     | force_projection | unconstrained | 0 | forces without their part along the rows |
     | augmented_lagrangian | unconstrained | 0 | penalties on accelerations, iterated |
@@ -48,9 +52,11 @@ def formulations() -> dict[str, Formulation]:
     | index_2 | redundant | 2 | G v + g_t = 0 at the stages of implicit methods |
     | index_3 | redundant | 3 | g = 0 there |
     | ggl | redundant | 2 | both, the second by a multiplier of positions |
+    | compliant | unconstrained | 0 | rows that yield as MuJoCo's (`Soft`) and others |
 
     Those from "kkt" to "augmented_lagrangian" work on arrays, of nv and rows cubed; they are for
-    comparison and small mechanisms. All but "penalty" give the same accelerations.
+    comparison and small mechanisms. All but "penalty" and
+    "compliant" give the same accelerations; "compliant" is the default of models with a `Soft`.
 
     Example:
         >>> import rbjax as rb
@@ -71,7 +77,8 @@ def kinds() -> dict[str, type[Constraint]]:
     rooms = pairs, couplings, curve, functions, rolling
     every = (x for room in rooms for x in vars(room).values() if isinstance(x, type))
     bases = Constraint, pairs.Pair, rolling.Rolling
-    return {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
+    found = {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
+    return found | {x.__name__: x for x in (QuaternionWeld, Soft)}
 
 
 def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
@@ -85,7 +92,8 @@ def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
             )
         return None
     if given is None:
-        return DEFAULT
+        soft = any(isinstance(x, Soft) for x in model.constraints)
+        return _FORMULATIONS["compliant"] if soft else DEFAULT
     if isinstance(given, Formulation):
         return given
     if isinstance(given, str) and given in _FORMULATIONS:

@@ -17,6 +17,7 @@ rounding, as those of a plane loop across its plane are: their own entry of A is
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Protocol
@@ -108,6 +109,12 @@ def with_multipliers(
     return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(pushes, held.wrenches)
 
 
+def proximal(dtype: Any, again: int | None) -> tuple[float, int]:
+    """eps, and the refinements: so many, or as many as bring the result to rounding."""
+    eps, enough = PROXIMAL[dtype.itemsize]
+    return eps, enough if again is None else again
+
+
 class Response(Protocol):
     """What multipliers do, from the factors of the mass matrix."""
 
@@ -122,14 +129,15 @@ def response(
     """By lanes where the driver walks the tree link by link; by matrices otherwise. Not `refined`:
     A + eps D in the place of A, enough for one of several iterations."""
     few = d.listed and len(rows) <= ROWS_ON_LANES
-    again = PROXIMAL[now.v.dtype.itemsize][1] if refined else 0
-    return (OnLanes if few else OnMatrices)(d, factors, now, rows, again)
+    return (OnLanes if few else OnMatrices)(d, factors, now, rows, None if refined else 0)
 
 
 class OnLanes:
     """A from the forces that are left at the joints which two rows share."""
 
-    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], again: int):
+    def __init__(
+        self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], again: int | None = None
+    ):
         self._d, self._factors, self._like, self._again = d, factors, now.v, again
         self._links: list[Factor] = d.whole(factors)
         self._left = [self._eliminated(row.gradient) for row in rows]
@@ -176,42 +184,55 @@ class OnLanes:
 
     def _multipliers(self, c: Sequence[Lane]) -> list[Lane]:
         """l of A l = c, of least norm."""
-        eps, A = PROXIMAL[self._like.dtype.itemsize][0], self._A
+        (eps, again), A = proximal(self._like.dtype, self._again), self._A
         least = mul(float(jnp.finfo(self._like.dtype).eps), total(row[-1] for row in A))
         factors = ldlt([[*row[:-1], add(mul(1.0 + eps, row[-1]), least)] for row in A])
         full = [[A[max(r, s)][min(r, s)] for s in range(len(A))] for r in range(len(A))]
         l = fusion_barrier(factors.solve(c))
-        for _ in range(self._again):
+        for _ in range(again):
             off = [sub(x, inner(row, l)) for x, row in zip(c, full, strict=True)]
             l = fusion_barrier([add(x, dx) for x, dx in zip(l, factors.solve(off), strict=True)])
         return l
 
 
 class OnMatrices:
-    """A = G Y, Y = M^-1 G^T."""
+    """A = G Y, Y = M^-1 G^T; R (rows,), if any, is added to its diagonal: compliance of the rows,
+    G a + R l = c."""
 
-    def __init__(self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], again: int):
+    R: jax.Array | None = None
+
+    def __init__(
+        self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], again: int | None = None
+    ):
         self._d, self._factors, self._like, self._again = d, factors, now.v, again
         self.G = gradient_matrix(now, rows)
-        self._Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
+        self.Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
+
+    def with_compliance(self, R: jax.Array) -> OnMatrices:
+        """The same, of rows that yield."""
+        soft = copy.copy(self)
+        soft.R = R
+        return soft
 
     @cached_property
     def A(self) -> jax.Array:
-        return matmat(self.G, self._Y)
+        A = matmat(self.G, self.Y)
+        return A if self.R is None else A + jnp.diag(self.R)
 
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, asked = self._d, pack(c, self._like)
         if force is None:
             l = least_norm(self.A, asked, self._again)
-            return matvec(self._Y, l), l
+            return matvec(self.Y, l), l
         free = d.pack(solve(d, self._factors, d.lanes(force)), force)
         l = least_norm(self.A, asked - matvec(self.G, free), self._again)
-        return free + matvec(self._Y, l), l
+        return free + matvec(self.Y, l), l
 
 
-def least_norm(A: jax.Array, c: jax.Array, again: int) -> jax.Array:
-    """l of A l = c, of least norm in the norm of D, after so many refinements."""
-    eps = PROXIMAL[A.dtype.itemsize][0]
+def least_norm(A: jax.Array, c: jax.Array, again: int | None = None) -> jax.Array:
+    """l of A l = c, of least norm in the norm of D, after so many refinements, or as many as bring
+    it to rounding."""
+    eps, again = proximal(A.dtype, again)
     diagonal = jnp.diagonal(A)
     D = diagonal + jnp.finfo(A.dtype).eps / eps * diagonal.sum()
     s = jnp.where(D > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(D > 0, D, 1.0))

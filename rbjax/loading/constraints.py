@@ -4,8 +4,9 @@
     weld                      Weld; Spherical where torquescale is zero
     joint                     JointPolynomial
     mimic of a URDF           JointPolynomial, q1 = offset + multiplier q2
-They hold exactly. MuJoCo's are soft, as `solref` and `solimp` say, which are not read; torquescale
-only weighs rotation against translation there.
+They hold exactly. MuJoCo's are soft, as `solref` and `solimp` say: so are these if `compliant` is
+asked for, with the same accelerations (`Soft`, of a weld `QuaternionWeld`). torquescale only weighs
+rotation against translation there.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from rbjax.constraints import Constraint, JointPolynomial, Place, Spherical, Weld
+from rbjax.constraints import (
+    Constraint,
+    JointPolynomial,
+    Place,
+    QuaternionWeld,
+    Soft,
+    Spherical,
+    Weld,
+)
 from rbjax.errors import ModelError
 from rbjax.loading.mimics import Mimics
 
@@ -26,14 +35,14 @@ _LOADED = {int(_KIND.mjEQ_CONNECT), int(_KIND.mjEQ_WELD), int(_KIND.mjEQ_JOINT)}
 _TERMS = 5  # of MuJoCo's polynomials
 
 
-def constraints_of(m: mujoco.MjModel) -> tuple[Constraint, ...]:
+def constraints_of(m: mujoco.MjModel, *, compliant: bool = False) -> tuple[Constraint, ...]:
     """The equalities that are on and have a kind here, in the file's order."""
     found = []
     if equalities_are_on(m):
         for i in np.flatnonzero(m.eq_active0).tolist():
             if is_loaded(m, i) and _moves(m, i):
                 _refuse_nan(m, i)
-                found.append(_constraint(m, i))
+                found.append(_soft(m, i) if compliant else _constraint(m, i))
     return tuple(found)
 
 
@@ -82,6 +91,29 @@ def _constraint(m: mujoco.MjModel, i: int) -> Constraint:
     else:
         a, b = _on_body(first, data[:3]), _on_body(second, data[3:6])
     return (Weld if is_weld and data[10] != 0 else Spherical)(a, b)
+
+
+def _soft(m: mujoco.MjModel, i: int) -> Soft:
+    """An equality with its softness; a time constant is at least two of the file's steps, unless
+    the file switches that off."""
+    one = _constraint(m, i)
+    if isinstance(one, Weld):
+        one = QuaternionWeld(one.a, one.b, _array(m.eq_data[i, 10]))
+    solref = m.eq_solref[i].copy()
+    if solref[0] > 0 and not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
+        solref[0] = max(solref[0], 2 * m.opt.timestep)
+    solref, solimp, weight = map(_array, (solref, m.eq_solimp[i], _weights(m, i, one.size)))
+    return Soft(one, solref, solimp, weight, bias=not isinstance(one, JointPolynomial))
+
+
+def _weights(m: mujoco.MjModel, i: int, rows: int) -> np.ndarray:
+    """MuJoCo's estimate of diag(G M^-1 G^T), from the file's own configuration."""
+    ends = np.array([m.eq_obj1id[i], m.eq_obj2id[i]])
+    if int(m.eq_type[i]) == int(_KIND.mjEQ_JOINT):
+        return m.dof_invweight0[m.jnt_dofadr[ends[ends >= 0]]].sum(keepdims=True)
+    bodies = m.site_bodyid[ends] if _has_sites(m, i) else ends
+    along, about = m.body_invweight0[bodies].sum(0)
+    return np.array([along] * 3 + [about] * (rows - 3))
 
 
 def _on_body(body: int, point: np.ndarray, quat: np.ndarray | None = None) -> Place:

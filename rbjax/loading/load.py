@@ -62,6 +62,7 @@ def load(
     friction: bool = False,
     motors: bool = False,
     constraints: bool = True,
+    compliant: bool = False,
 ) -> Model:
     """A `Model` from an MJCF or URDF file.
 
@@ -74,6 +75,8 @@ def load(
         friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
         constraints: take the file's connects, welds, joint equalities and mimics as rigid
             constraints (`model.constraints`).
+        compliant: let the file's equalities yield as its solref and solimp say, by MuJoCo's law
+            (`rbjax.constraints.Soft`); mimics stay rigid.
 
     Returns:
         The model; `model.dropped` says what was left out. A URDF's inertials are the file's own; a
@@ -105,7 +108,7 @@ def load(
         if strict:
             raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
         warnings.warn(text, stacklevel=2)
-    model = from_compiled(compiled, dropped, **taken)
+    model = from_compiled(compiled, dropped, **taken, compliant=compliant)
     if constraints:
         model = model.with_constraints(*mimicking(mimics))
     undone = joints_that_cancel(compiled)
@@ -239,6 +242,7 @@ def from_compiled(
     limits: bool = False,
     friction: bool = False,
     constraints: bool = True,
+    compliant: bool = False,
 ) -> Model:
     """The `Model` of a compiled MuJoCo model."""
     _refuse_nan(m)
@@ -311,7 +315,7 @@ def from_compiled(
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
         forces=elements(m, limits=limits, friction=friction),
-        constraints=constraints_of(m) if constraints else (),
+        constraints=constraints_of(m, compliant=compliant) if constraints else (),
     )
 
 

@@ -8,7 +8,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rbjax.constraints import Constraint, Gear, JointPolynomial, Pair, Place, Rack, Spherical, Weld
+from rbjax.constraints import (
+    Constraint,
+    Gear,
+    JointPolynomial,
+    Pair,
+    Place,
+    QuaternionWeld,
+    Rack,
+    Soft,
+    Spherical,
+    Weld,
+)
 from rbjax.loading.draft import Draft, text, unique
 from rbjax.model import WORLD, Model
 
@@ -20,18 +31,36 @@ _STILL = np.array([1.0, 0.0, 0.0, 0.0])
 def write_constraints(draft: Draft) -> list[Constraint]:
     """Write the constraints; return them as they will be read, in that order."""
     written: list[Constraint] = []
-    for one in draft.model.constraints:
+    for given in draft.model.constraints:
+        one = _rigid(given)
         kind, coupling = type(one), _polynomial(draft.model, one)
         if isinstance(one, Pair) and kind in _TAGS and _moves(draft.model, one):
             ends = {"site1": _site(draft, one.a), "site2": _site(draft, one.b)}
-            ET.SubElement(draft.equality, _TAGS[kind], ends)
+            element = ET.SubElement(draft.equality, _TAGS[kind], ends)
             written.append(one)
         elif coupling is not None:
-            _write_polynomial(draft, coupling)
+            element = _write_polynomial(draft, coupling)
             written.append(coupling)
         else:
             draft.note(f"no MJCF form, left out: constraint {kind.__name__}")
+            continue
+        _write_softness(element, given)
     return written
+
+
+def _rigid(one: Constraint) -> Constraint:
+    """A constraint as it is read without its softness."""
+    one = one.of if isinstance(one, Soft) else one
+    return Weld(one.a, one.b) if isinstance(one, QuaternionWeld) else one
+
+
+def _write_softness(element: ET.Element, given: Constraint) -> None:
+    """solref and solimp; the weights are those that MuJoCo finds."""
+    if isinstance(given, Soft):
+        element.set("solref", text(given.solref))
+        element.set("solimp", text(given.solimp))
+        if isinstance(given.of, QuaternionWeld):
+            element.set("torquescale", text(np.atleast_1d(given.of.scale)))
 
 
 def in_body(model: Model, place: Place) -> tuple[int, np.ndarray, np.ndarray]:
@@ -71,10 +100,11 @@ def _polynomial(model: Model, one: Constraint) -> JointPolynomial | None:
     return JointPolynomial(given.joint, given.driver, padded) if fits else None
 
 
-def _write_polynomial(draft: Draft, coupling: JointPolynomial) -> None:
+def _write_polynomial(draft: Draft, coupling: JointPolynomial) -> ET.Element:
     ends = {"joint1": coupling.joint, "joint2": coupling.driver}
     names = {key: draft.joint(draft.model.joint(x)) for key, x in ends.items() if x is not None}
-    ET.SubElement(draft.equality, "joint", names, polycoef=text(coupling.coefficients))
+    polycoef = text(coupling.coefficients)
+    return ET.SubElement(draft.equality, "joint", names, polycoef=polycoef)
 
 
 def _site(draft: Draft, place: Place) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -125,6 +125,18 @@ class Field:
 
         return added(t, state, u) if state.q.ndim == 1 else batch_last(added, t, state, u)
 
+    def staged(self, t: Any, state: State, t0: Any, start: State) -> State:
+        """The state at which a stage's rates are taken, of a step that began at t0 in `start`."""
+        law = self.law
+        if not moves_stages(law):
+            return state
+
+        def stage(t: Any, state: State, start: State) -> State:
+            return law.staged(self.model, t, state, t0, start)
+
+        one = state.q.ndim == 1
+        return stage(t, state, start) if one else batch_last(stage, t, state, start)
+
     def settled(self, t: Any, state: State) -> State:
         """The state after a step, as the law leaves it: a formulation may put it back on its
         constraints."""
@@ -142,6 +154,11 @@ class Field:
         if not self.model.topology.turn_starts:
             return v
         return jnp.stack(fusion_barrier(rate_lanes(self.model.topology, list(u), list(v))))
+
+
+def moves_stages(law: Law) -> TypeGuard[Formulation]:
+    """Whether a law takes the rates of a stage at another state."""
+    return isinstance(law, Formulation) and type(law).staged is not Formulation.staged
 
 
 def law_of(where: str, model: Model, law: Any, constraints: Any) -> Law:

@@ -61,8 +61,13 @@ def runge_kutta(
     """A step of an explicit tableau; its stages are written out, or a loop where they are many."""
     q0, v0, x0 = state.q, state.v, state.x
 
+    begun = t
+
+    def staged(t, dq, dv, x):
+        return field.staged(t, State(field.moved(q0, dq), v0 + dv, x), begun, state)
+
     def rate(t, k):
-        at = State(field.moved(q0, k[0]), v0 + k[1], None if x0 is None else x0 + k[2])
+        at = staged(t, k[0], k[1], None if x0 is None else x0 + k[2])
         a, x = field.rates(t, at, u)
         return _given(field.increment_rate(k[0], at.v), a, x)
 
@@ -70,7 +75,7 @@ def runge_kutta(
     stages = explicit_stages(rate, table, t, dt, written=written)
     start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
     dq, dv, *dx = scaled(dt, combine(table.b, stages(start)))
-    return State(field.moved(q0, dq), v0 + dv, None if x0 is None else field.within(x0 + dx[0]))
+    return staged(t + dt, dq, dv, None if x0 is None else field.within(x0 + dx[0]))
 
 
 def _given(*parts: Any) -> tuple:

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import diffrax
 import equinox as eqx
+import jax
 
 from rbjax.constraints.differential_algebraic import stepped
 from rbjax.constraints.formulation import Formulation
-from rbjax.model import Model
-from rbjax.motion.field import Law
+from rbjax.model import Model, State
+from rbjax.motion.field import Law, moves_stages
 from rbjax.motion.implicit import StagesSolver, stepped_by
 from rbjax.motion.implicit_multistep import BDFSolver
+from rbjax.motion.term import VectorField
 from rbjax.solvers import BDF
 from rbjax.solvers.arguments import check_solver
 from rbjax.solvers.wrapped import Wrapped
 
 
 class Settling(Wrapped):
-    """The solver, and after each of its steps `formulation.settled`.
+    """The solver, with the stages of its steps `formulation.staged`, and what they end with too;
+    after each step `formulation.settled`.
 
     The estimate of the error is that of the step before it. A solver that keeps the slope at the
     end of a step for the next one keeps that of the unsettled state, which differs by less than the
@@ -32,10 +36,15 @@ class Settling(Wrapped):
     start: Any
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        model, begun = self.model(args), (self.start + t0, y0)
+        stages = moves_stages(self.formulation)
         y1, error, dense, solver_state, result = self.solver.step(
-            terms, t0, t1, y0, args, solver_state, made_jump
+            _of_step(terms, begun) if stages else terms, t0, t1, y0, args, solver_state, made_jump
         )
-        y1 = self.formulation.settled(self.model(args), self.start + t1, y1)
+        t = self.start + t1
+        if stages:
+            y1 = self.formulation.staged(model, t, y1, *begun)
+        y1 = self.formulation.settled(model, t, y1)
         return y1, error, dense | ({"y1": y1} if "y1" in dense else {}), solver_state, result
 
 
@@ -51,6 +60,18 @@ def solver_of(given: diffrax.AbstractSolver | None, law: Law) -> diffrax.Abstrac
         tableau = stepped_by("simulate", formulation, given, ", bdf1 to bdf6")
         return StagesSolver(formulation, tableau)
     return diffrax.Tsit5() if given is None else given
+
+
+def _of_step(terms: Any, begun: tuple[Any, State]) -> Any:
+    """The terms, whose fields know where their step began."""
+
+    def of(x: Any) -> Any:
+        return dataclasses.replace(x, begun=begun) if is_field(x) else x
+
+    def is_field(x: Any) -> bool:
+        return isinstance(x, VectorField)
+
+    return jax.tree.map(of, terms, is_leaf=is_field)
 
 
 def settling(

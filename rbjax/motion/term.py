@@ -53,7 +53,8 @@ class VectorField(eqx.Module):
 
     model: of diffrax' args, which hold what is traced of it; what is known stays known. start: the
     time at which diffrax' own begins. tangent: the configuration's rate is v itself, for solvers
-    that move along the manifold.
+    that move along the manifold. begun: time and state at which the step began, for laws that take
+    the rates of a stage elsewhere; None: at the state itself.
     """
 
     inputs: Inputs
@@ -61,15 +62,18 @@ class VectorField(eqx.Module):
     law: Law = free_motion
     start: Any = None
     tangent: bool = eqx.field(static=True, default=False)
+    begun: tuple[Any, State] | None = None
 
     @eqx.filter_jit  # diffrax asks for it in many places: traced once
     def __call__(self, t: Any, y: State, args: Any) -> State:
         model = self.model(args)
         t = t if self.start is None else self.start + t
         at = State(unit(model.topology, y.q), y.v, y.x)
+        field = Field(model, self.law)
+        at = field.staged(t, at, *((t, at) if self.begun is None else self.begun))
         inputs = evaluated("simulate", model, self.inputs, t, at)
-        a, x = Field(model, self.law).rates(t, at, inputs)
-        rate = y.v if self.tangent else configuration_rate(model.topology, y.q, y.v)
+        a, x = field.rates(t, at, inputs)
+        rate = at.v if self.tangent else configuration_rate(model.topology, y.q, at.v)
         return State(rate, a, x)
 
 

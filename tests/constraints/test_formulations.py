@@ -215,7 +215,7 @@ def test_rows_that_are_zero_but_for_rounding() -> None:
     A = G[jnp.array([0, 2])]
     want = f + A.T @ jnp.linalg.solve(A @ A.T, c[jnp.array([0, 2])] - A @ f)
     found = {name: one.solved(jnp.eye(3), G, f, c)[0] for name, one in DENSE.items()}
-    found["multipliers"] = f + G.T @ least_norm(G @ G.T, c - G @ f, 2)
+    found["multipliers"] = f + G.T @ least_norm(G @ G.T, c - G @ f)
     for name, a in found.items():
         np.testing.assert_allclose(a, want, rtol=0, atol=1e-10, err_msg=name)
 

@@ -1,0 +1,122 @@
+"""Motion in the coordinates of the tangent space at a step's start: the minimal family.
+
+Near a state (q_0, v_0) on the constraints others are known by how far they are along the rows'
+null space there, Z (G_0 Z = 0), and are found by Newton's method across it, along M_0^-1 G_0^T:
+
+    q = q_0 (+) u,   Z^T M_0 u = z,   g(t, q) = 0;        Z^T M_0 v = s,   G v + g_t = 0
+A step is one of the ordinary differential equations of z and s (z' = s, where joints do not turn
+bodies freely): the forces of each of its stages are those of a state on the constraints. A method
+of Runge and Kutta makes z from u' and s from v' as Z^T M_0 makes them, and what they have across Z
+is found again: it never enters. So u and v are integrated as they are, and Z is never made.
+
+(Mani, Haug & Atkinson 1985; Potra & Rheinboldt 1991; Hairer, Lubich & Wanner, *Geometric Numerical
+Integration*, IV.5.3; Masarati, *Multibody System Dynamics*, ch. 8)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.constraints.formulation import Formulation, Multipliers
+from rbjax.constraints.projection import projected
+from rbjax.constraints.row import Row
+from rbjax.constraints.system import OnMatrices, gradient_matrix, least_norm, rows_of
+from rbjax.dynamics.aba import factorize
+from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.packing import pack
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane, fusion_barrier
+from rbjax.lanes.products import matmat, matvec
+from rbjax.model import Model, State
+
+MULTIPLIERS = Multipliers()
+#: of Newton's method, by bytes of a number: from the error of a stage, below 0.1, to rounding
+ITERATIONS = {4: 3, 8: 5}
+
+
+@dataclass(frozen=True)
+class TangentSpace(Formulation):
+    """Index 0: each stage of a step stands on the constraints, in positions and velocities, and
+    its forces and accelerations are those of that state.
+
+    `Projected` puts states back only where steps end; its stages are off by the square of the step.
+    The two agree to the order of the method. This one is for forces, rows or functions that have no
+    meaning off the constraints, and where a step is to be that of a method in minimal coordinates.
+    It takes a Newton iteration a stage, on arrays of the rows. It acts in `simulate` and in the
+    Runge-Kutta methods of `rollout`; the other integrators see it as `Projected`.
+
+    Fields: of, the formulation that gives the accelerations; iterations, of Newton's method: by the
+    dtype if None, 5 in f64 and 3 in f32.
+
+    Source: Mani, Haug & Atkinson 1985; Hairer, Lubich & Wanner, IV.5.3.
+
+    Example:
+        >>> import rbjax as rb
+        >>> one = rb.constraints.TangentSpace(of=rb.constraints.NullSpaceQR())
+        >>> one.family, one.index
+        ('minimal', 0)
+    """
+
+    of: Formulation = MULTIPLIERS
+    iterations: int | None = None
+    name: ClassVar[str] = "tangent_space"
+    family: ClassVar[str] = "minimal"
+    index: ClassVar[int] = 0
+
+    def __call__(self, model, t, state, tau, pushes):
+        return self.of(model, t, state, tau, pushes)
+
+    def staged(self, model: Model, t: Any, state: State, t0: Any, start: State) -> State:
+        return across(model, t, state, t0, start, self.iterations)
+
+    def settled(self, model: Model, t: Any, state: State) -> State:
+        return projected(model, t, self.of.settled(model, t, state))
+
+
+def across(
+    model: Model, t: Any, state: State, t0: Any, start: State, iterations: int | None = None
+) -> State:
+    """The state on the constraints with the z and s of another, of the tangent space at `start`."""
+    top, dtype = model.topology, state.q.dtype
+    d = driver(model, dtype)
+
+    def seen(t: Any, q: jax.Array, v: jax.Array) -> tuple[Instant, list[Row]]:
+        now = Instant.of(model, t, State(q, v), None, d=d)
+        return now, rows_of(model, now)
+
+    first, rows = seen(t0, start.q, start.v)
+    begun = OnMatrices(d, factorize(d, first.links.joints), first, rows)
+    size = jnp.diagonal(begun.A)
+    size = size + jnp.finfo(dtype).eps * size.sum()
+    r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
+
+    def least(now: Instant, rows: Sequence[Row], off: Sequence[Lane]) -> jax.Array:
+        """-M_0^-1 G_0^T l, which takes `off` away at first order; of redundant rows the least l."""
+        J = r[:, None] * matmat(gradient_matrix(now, rows), begun.Y) * r
+        l = matvec(J.T, least_norm(matmat(J, J.T), r * pack(off, now.v)))
+        return -matvec(begun.Y, r * l)
+
+    def turned(u: jax.Array) -> jax.Array:
+        return jnp.stack(fusion_barrier(integrate_lanes(top, list(start.q), list(u))))
+
+    def nearer(_: Any, u: jax.Array) -> jax.Array:
+        now, rows = seen(t, turned(u), state.v)
+        return u + least(now, rows, [row.residual for row in rows])
+
+    def slower(_: Any, v: jax.Array) -> jax.Array:
+        now, rows = seen(t, q, v)
+        return v + least(now, rows, [row.rate for row in rows])
+
+    q = state.q
+    if any(row.holonomic for row in rows):
+        u = jnp.stack(difference_lanes(top, list(start.q), list(q)))
+        many = ITERATIONS[dtype.itemsize] if iterations is None else iterations
+        q = turned(jax.lax.fori_loop(0, many, nearer, u))
+    v = jax.lax.fori_loop(0, 2, slower, state.v)  # linear: twice for rounding
+    return State(q, v, state.x)
