@@ -13,8 +13,8 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
 from tests.quickly import quick_jit
 
-#: name -> freedoms (Gruebler's and Kutzbach's count, textbooks on mechanisms), motors, and redundant
-#: rows: those across the plane of a plane loop
+#: name -> freedoms (the textbooks' number), motors, and redundant rows: those across the plane of a
+#: plane loop
 SCENES = {"four_bar": (1, 0, 1), "delta": (3, 3, 0), "stewart": (6, 6, 0), "gripper": (1, 1, 2)}
 FEW = [pytest.param(name, marks=pytest.mark.slow if name == "stewart" else ()) for name in SCENES]
 
