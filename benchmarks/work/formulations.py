@@ -100,7 +100,7 @@ def reference(of: Mechanism, small: bool) -> tuple[Any, float]:
     """q and v at the end, and a bound of their error."""
     if of.end is not None:
         return of.end, 0.0
-    runs, chunks = Runs(of, "projected", "dop853"), of.chunks * (2 if small else 2**RUNGS)
+    runs, chunks = Runs(of, "projected", "dop853"), of.chunks * (2 if small else 2 ** (RUNGS - 2))
     ends = last(runs(chunks)), last(runs(2 * chunks))
     return ends[1], apart(of.model, *ends)
 
@@ -170,6 +170,19 @@ def table(rows: list[dict[str, Any]]) -> Table:
     return out
 
 
+def with_others(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """With what an older run has of other mechanisms and formulations, in the order of both."""
+    every = others(NAME, rows, ("mechanism", "formulation", "what")) + rows
+    order = list(MECHANISMS), [None, *rc.formulations()]
+    return sorted(
+        every,
+        key=lambda row: [
+            each.index(row.get(k))
+            for each, k in zip(order, ("mechanism", "formulation"), strict=True)
+        ],
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("mechanisms", nargs="*", default=[], help=", ".join(MECHANISMS))
@@ -186,12 +199,10 @@ def main() -> None:
             print(f"cassie is left out: {CASSIE} is not there")
             continue
         rows += rows_of(name, asked, given.small)
+        if not given.small:
+            save(NAME, with_others(rows))
     if not given.small:
-        rows = sorted(
-            others(NAME, rows, ("mechanism", "formulation", "what")) + rows,
-            key=lambda row: list(MECHANISMS).index(row["mechanism"]),
-        )
-        print(save(NAME, rows))
+        rows = with_others(rows)
         print(draw(rows))
     Console(width=150).print(table(rows))
 

@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullFormatter
 
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE, TEAL
 
@@ -39,6 +40,7 @@ def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
             for key, line in work_precision(axis, mine).items():
                 handles.setdefault(key, line)
             axis.set_title(title)
+            axis.xaxis.set_minor_formatter(NullFormatter())
             if k % columns == 0:
                 axis.set_ylabel("error of q and v at the end")
             axis.set_xlabel("us per second of motion")
@@ -46,8 +48,8 @@ def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
         drift(figure.add_subplot(grid[2, :]), runs, titles, order)
         figure.legend([handles[key] for key in order], order, loc="outside lower center", ncols=6)
         figure.suptitle(
-            "Formulations of constrained motion, RK4, f64, one core: error against cost (filled: "
-            "redundant, minimal, unconstrained family as circle, square, triangle)",
+            "Formulations of constrained motion, RK4, f64, one core: error against cost "
+            "(circles: redundant family, squares: minimal, triangles: unconstrained)",
             x=0.01, ha="left", fontweight="bold",
         )  # fmt: skip
         figure.savefig(path)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
+from rbjax import constraints as rc
 from tests.constraints.mechanisms import (
     andrews,
     four_bars,
@@ -45,7 +46,7 @@ def _pendulum() -> Mechanism:
     start = rb.State(jnp.array([-1.0, 0.0]), jnp.zeros(2))
     at = FIGURES["pendulum"]["samples"]["2.0"]
     end = np.array([at["x"], at["y"]]), np.array([at["vx"], at["vy"]])
-    return Mechanism("pendulum in Cartesian coordinates", pendulum(), start, 2.0, end=end)
+    return Mechanism("Cartesian pendulum", pendulum(), start, 2.0, end=end)
 
 
 def _four_bar() -> Mechanism:
@@ -68,8 +69,14 @@ def _andrews() -> Mechanism:
 
 
 def _delta() -> Mechanism:
+    """Thrown: its arms at 5, -3 and 1 rad/s, the rest as the loops ask."""
     model = rb.load("delta")
-    return Mechanism("delta robot, let go", model, model.default_state(), 0.3)
+    v = jnp.zeros(model.nv)
+    for name, speed in (("shoulder1", 5.0), ("shoulder2", -3.0), ("shoulder3", 1.0)):
+        v = v.at[model.v_slice(name)].set(speed)
+    guess = model.default_state().replace(v=v)
+    start = rc.assemble(model, guess, pinned=["shoulder1", "shoulder2", "shoulder3"]).state
+    return Mechanism("delta robot, thrown", model, start, 0.3)
 
 
 def _through_singular_positions() -> Mechanism:
@@ -81,12 +88,14 @@ def _through_singular_positions() -> Mechanism:
 
 
 def _cassie() -> Mechanism:
+    """Thrown with random velocities, as near to them as the loops allow."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*left out of the model")
         model = rb.load(CASSIE / "cassie.xml")
     q = json.loads((CASSIE / "consistent.json").read_text())["qpos"]
-    start = model.default_state().replace(q=jnp.array(q))
-    return Mechanism("Cassie, let go", model, start, 0.1)
+    v = np.random.default_rng(0).normal(size=model.nv)
+    start = rc.assemble(model, model.default_state().replace(q=jnp.array(q), v=jnp.array(v))).state
+    return Mechanism("Cassie, thrown", model, start, 0.1)
 
 
 MECHANISMS: dict[str, Callable[[], Mechanism]] = {

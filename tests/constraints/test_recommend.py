@@ -87,7 +87,7 @@ def test_a_singular_position_is_met(n: int, met: float) -> None:
     r = rc.recommend(model, start, 1e-6)
     check(r, 1e-6)
     assert r.reason.startswith(f"a singular position is met at {met:.2g} s")
-    assert r.closest < 5e-3 and r.redundant == n
+    assert r.closest < 5e-3 and r.redundant == n and r.name in ("baumgarte", "projected")
     short = rc.recommend(model, start, 1e-6, horizon=0.5)
     assert short.reason.startswith(f"{n} of {3 * n} rows are redundant")
 
