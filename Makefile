@@ -65,6 +65,7 @@ bench-work-precision: $(STAMP) ## error against time, here, hours; tables, and p
 	$(BIN)/python -m benchmarks.work.precision
 	$(BIN)/python -m benchmarks.work.queue
 	$(BIN)/python -m benchmarks.work.stiffness
+	$(BIN)/python -m benchmarks.work.formulations
 	$(BIN)/python -m benchmarks.work.precision_chart
 
 notebooks: $(patsubst %.py,%.ipynb,$(wildcard notebooks/*.py)) ## execute every notebook anew

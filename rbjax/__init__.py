@@ -56,9 +56,10 @@ def _of(module: str, name: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-# `rb.solvers` offers these two names too, although their module imports `rb.solvers`.
+# `rb.solvers` and `rb.constraints` offer these names too, although their modules import them.
 for _name in ("recommend", "Recommendation"):
-    solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend", _name)
+    solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.solver", _name)
+    constraints.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.formulation", _name)
 
 
 def __getattr__(name: str) -> Any:

@@ -26,14 +26,13 @@ STEPS = 100
 WAYS = ("projected", "baumgarte", "open")
 PARTS = (*WAYS, *(f"gradient-{way}" for way in WAYS), "mjx")
 COLUMNS = ("what", "engine", "batch", "lower_s", "compile_s", "M/s median", "rows left")
-FOUR_BAR = """<mujoco><option timestep="0.002"/><worldbody>
-  <body name="a" xyaxes="0 0 1 0 1 0"><joint axis="0 1 0"/>
-    <inertial pos="0.5 0 0" mass="1" diaginertia="0.01 0.083 0.083"/>
-    <body name="b" pos="1 0 0" xyaxes="0 0 -1 0 1 0"><joint axis="0 1 0"/>
-      <inertial pos="0.5 0 0" mass="1" diaginertia="0.01 0.083 0.083"/></body></body>
-  <body name="c" pos="1 0 0" xyaxes="0 0 1 0 1 0"><joint axis="0 1 0"/>
-    <inertial pos="0.5 0 0" mass="1" diaginertia="0.01 0.083 0.083"/></body>
-</worldbody><equality><connect body1="b" body2="c" anchor="1 0 0"/></equality></mujoco>"""
+
+
+def compiled(name: str) -> mujoco.MjModel:
+    """A file's model; of a scene without the geoms, which MJX would move too."""
+    if name in rb.scenes():
+        return mujoco.MjModel.from_xml_string(rb.write_mjcf(rb.load(name)))
+    return mujoco.MjModel.from_xml_path(name)
 
 
 def start(m: mujoco.MjModel, model: rb.Model, batch: int) -> rb.State:
@@ -46,11 +45,7 @@ def start(m: mujoco.MjModel, model: rb.Model, batch: int) -> rb.State:
 
 
 def rows(name: str, batch: int, parts: Collection[str]) -> Iterator[dict]:
-    m = (
-        mujoco.MjModel.from_xml_string(FOUR_BAR)
-        if name == "four_bar"
-        else mujoco.MjModel.from_xml_path(name)
-    )
+    m = compiled(name)
     m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     model = rb.load(m).astype(jnp.float32)
     state = start(m, model, batch)
@@ -102,7 +97,7 @@ def rows(name: str, batch: int, parts: Collection[str]) -> Iterator[dict]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robots", nargs="*", default=["four_bar"], help="four_bar, or MJCF files")
+    parser.add_argument("robots", nargs="*", default=["four_bar"], help="scenes, or MJCF files")
     parser.add_argument("--batch", type=int, default=65536)
     parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS)
     args = parser.parse_args()

@@ -1,5 +1,8 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
+from collections.abc import Callable
+from typing import Any
+
 from rbjax.constraints.assembly import Assembly, assemble
 from rbjax.constraints.compliant import Compliant
 from rbjax.constraints.constraint import Constraint
@@ -63,6 +66,17 @@ from rbjax.constraints.unconstrained import (
     UdwadiaKalaba,
 )
 
+#: names offered here whose module imports this package; `rbjax` fills this table
+FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+
+
+def __getattr__(name: str) -> Any:
+    """`recommend` runs motions, so its module imports this package; it is loaded on use."""
+    if name in FROM_ABOVE:
+        return FROM_ABOVE[name]()
+    raise AttributeError(f"module 'rbjax.constraints' has no attribute {name!r}")
+
+
 __all__ = [
     "Assembly",
     "AugmentedLagrangian",
@@ -105,6 +119,7 @@ __all__ = [
     "Projected",
     "QuaternionWeld",
     "Rack",
+    "Recommendation",
     "Revolute",
     "RollingDisc",
     "RollingSphere",
@@ -130,6 +145,7 @@ __all__ = [
     "mobility",
     "multipliers",
     "places",
+    "recommend",
     "residual",
     "time",
     "turn",

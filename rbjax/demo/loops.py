@@ -19,17 +19,10 @@ from rbjax.plotting import BLUE, ORANGE, STYLE
 
 STEPS, DT = 4000, 1e-3
 NAMES = {"projected": BLUE, "multipliers": ORANGE}
-_ROD = '<inertial pos="0.5 0 0" mass="1" diaginertia="1e-9 0.0833 0.0833"/>'
-_UP, _ACROSS = 'xyaxes="0 0 1 0 1 0"', 'xyaxes="0 0 -1 0 1 0"'
-FOUR_BAR = f"""<mujoco><worldbody>
-  <body name="left" {_UP}><joint name="left" axis="0 1 0"/>{_ROD}
-    <body name="coupler" pos="1 0 0" {_ACROSS}><joint name="coupler" axis="0 1 0"/>{_ROD}</body>
-  </body>
-  <body name="right" pos="1 0 0" {_UP}><joint name="right" axis="0 1 0"/>{_ROD}</body>
-</worldbody><equality><connect body1="coupler" body2="right" anchor="1 0 0"/></equality></mujoco>"""
 
 _CODE = """\
-model = rb.load("four_bar.xml")     # its <connect> is a constraint of the model
+model = rb.load("four_bar")         # its <connect> is a constraint of the model
+state = model.keyframe("turning")
 path = rb.rollout(model, state, None, 1e-3, steps=4000, integrator="rk4")
 force = rb.constraints.joint_wrenches(model, path.state(-1))
 soft = rb.rollout(model, state, None, 1e-3, steps=4000, constraints="baumgarte")"""
@@ -38,8 +31,8 @@ soft = rb.rollout(model, state, None, 1e-3, steps=4000, constraints="baumgarte")
 def loops(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> Section:
     """Run and draw."""
     say("a four-bar through its dead points")
-    model = load(FOUR_BAR)
-    start = model.default_state().replace(v=jnp.array([1.0, -1.0, 1.0]))
+    model = load("four_bar")
+    start = model.keyframe("turning")
     some = max(1, steps // 200)
     rows, drawn = [], []
 

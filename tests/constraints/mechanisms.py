@@ -6,6 +6,7 @@ import numpy as np
 import rbjax as rb
 from rbjax import constraints as rc
 
+QUIET = '<default><geom contype="0" conaffinity="0"/></default>'
 #: a rod of 1 m and 1 kg along x of its body, thin
 ROD = f'<inertial pos="0.5 0 0" mass="1" diaginertia="1e-9 {1 / 12} {1 / 12}"/>'
 
@@ -43,6 +44,24 @@ def four_bars(n: int, joint: type = rc.Spherical) -> tuple[rb.Model, rb.State]:
     v = [x for k in range(n + 1) for x in ([1.0, -1.0] if k < n else [1.0])]
     start = model.default_state().replace(v=jnp.array(v))
     return model.with_constraints(*loops), start
+
+
+def tilted_four_bar(tilt: str) -> rb.Model:
+    """Three unequal bodies, hinged in a plane; closed in space: five rows of rank two."""
+    bar = '<joint name="{0}" axis="0 1 0"/><geom size="0.05" pos="{1}" mass="{2}"/>'
+    model = rb.load(
+        f'<mujoco>{QUIET}<worldbody><body pos="0.1 0.2 1" quat="{tilt}">'
+        f'<body name="crank">{bar.format("a", "0.1 0 0.2", 1)}'
+        f'<body name="coupler" pos="0.2 0 0.4">{bar.format("b", "0.4 0 0.1", 2)}'
+        f'<body name="rocker" pos="0.8 0 0.2">{bar.format("c", "0 0 -0.3", 1.5)}'
+        "</body></body></body></body></worldbody></mujoco>"
+    )
+    R, p = rb.forward_kinematics(model, model.default_state().q)
+    rocker = model.body("rocker")
+    end = p[rocker] + R[rocker] @ jnp.array([0.1, 0.0, -0.7])
+    axis = R[rocker] @ jnp.array([0.0, 1.0, 0.0])
+    joint = rc.Revolute.between(model, "rocker", None, point=end, axis=axis)
+    return model.with_constraints(joint)
 
 
 def spatial_slider_crank() -> tuple[rb.Model, rb.State]:

@@ -6,12 +6,12 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from tests.constraints.mechanisms import four_bars, spatial_slider_crank
+from tests.constraints.mechanisms import spatial_slider_crank
 
 
 def test_mobility_of_mechanisms() -> None:
-    model, start = four_bars(1)
-    found = rc.mobility(model, start.q)
+    model = rb.load("four_bar")
+    found = rc.mobility(model, model.default_state().q)
     assert (found.freedoms, found.rank) == (1, 2)
     assert found.redundant == ("Spherical 0, row 1",)  # across the plane
     flat = rc.mobility(model, jnp.array([np.pi / 2, -np.pi / 2, np.pi / 2]))
@@ -21,9 +21,9 @@ def test_mobility_of_mechanisms() -> None:
 
 
 def test_a_guess_is_assembled_with_a_joint_pinned() -> None:
-    model, _ = four_bars(1)
+    model = rb.load("four_bar")
     guess = rb.State(jnp.array([0.4, -0.1, 0.3]), jnp.array([2.0, 0.0, 0.0]))
-    found = rc.assemble(model, guess, pinned=["rod0"])
+    found = rc.assemble(model, guess, pinned=["left"])
     assert found.ok and found.off < 1e-12 and not found.conflicting
     # a parallelogram: both rods alike, the coupler level
     np.testing.assert_allclose(found.state.q, [0.4, -0.4, 0.4], atol=1e-12)
@@ -31,8 +31,9 @@ def test_a_guess_is_assembled_with_a_joint_pinned() -> None:
 
 
 def test_what_cannot_be_assembled_is_named() -> None:
-    model, start = four_bars(1)
-    far = rc.Distance(rc.Place.on(), rc.Place.on(body="rod1", point=[1.0, 0, 0]), jnp.array(5.0))
+    model = rb.load("four_bar")
+    start = model.default_state()
+    far = rc.Distance(rc.Place.on(), rc.Place.on(body="right", point=[1.0, 0, 0]), jnp.array(5.0))
     model = model.with_constraints(far)
     found = rc.assemble(model, start, throw=False)
     assert not found.ok and "Distance 1, row 0" in found.conflicting

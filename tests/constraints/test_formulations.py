@@ -17,34 +17,16 @@ from rbjax.constraints.dense import Dense
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
 from rbjax.constraints.system import least_norm
+from tests.constraints.mechanisms import QUIET, tilted_four_bar
 from tests.oracles import load
 from tests.tolerances import GRADIENT
 
 LAWS = load("constraint_identities")
 DENSE = {name: one for name, one in rc.formulations().items() if isinstance(one, Dense)}
-QUIET = '<default><geom contype="0" conaffinity="0"/></default>'
 
 
 def of_xml(bodies: str) -> rb.Model:
     return rb.load(f"<mujoco>{QUIET}<worldbody>{bodies}</worldbody></mujoco>")
-
-
-def four_bar(tilt: str) -> rb.Model:
-    """Three hinged bodies in a plane; the loop is closed in space: five rows of rank two."""
-    bar = '<joint name="{0}" axis="0 1 0"/><geom size="0.05" pos="{1}" mass="{2}"/>'
-    model = of_xml(
-        f'<body pos="0.1 0.2 1" quat="{tilt}">'
-        f'<body name="crank">{bar.format("a", "0.1 0 0.2", 1)}'
-        f'<body name="coupler" pos="0.2 0 0.4">{bar.format("b", "0.4 0 0.1", 2)}'
-        f'<body name="rocker" pos="0.8 0 0.2">{bar.format("c", "0 0 -0.3", 1.5)}'
-        "</body></body></body></body>"
-    )
-    R, p = rb.forward_kinematics(model, model.default_state().q)
-    rocker = model.body("rocker")
-    end = p[rocker] + R[rocker] @ jnp.array([0.1, 0.0, -0.7])
-    axis = R[rocker] @ jnp.array([0.0, 1.0, 0.0])
-    joint = rc.Revolute.between(model, "rocker", None, point=end, axis=axis)
-    return model.with_constraints(joint)
 
 
 def hung_twice() -> rb.Model:
@@ -96,8 +78,8 @@ def pendulum() -> rb.Model:
 
 
 MECHANISMS = {
-    "four_bar": lambda: four_bar("1 0 0 0"),
-    "four_bar_tilted": lambda: four_bar("0.8 0.3 -0.2 0.4"),
+    "four_bar": lambda: tilted_four_bar("1 0 0 0"),
+    "four_bar_tilted": lambda: tilted_four_bar("0.8 0.3 -0.2 0.4"),
     "hung_twice": hung_twice,
     "skate": skate,
 }

@@ -10,7 +10,6 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.law import constrained_motion
-from tests.constraints.mechanisms import four_bars
 from tests.quickly import quick_jit
 
 
@@ -118,7 +117,7 @@ def test_a_user_s_constraint_and_the_default() -> None:
 
 
 def test_a_model_without_constraints_carries_nothing() -> None:
-    model, _ = four_bars(1)
+    model = rb.load("four_bar")
     free = model.replace(constraints=())
     state = free.default_state()
     plain = rb.operation_count(lambda s: rb.step(free, s, dt=0.01), state)
@@ -162,6 +161,7 @@ def test_reactions_of_a_hanging_rod() -> None:
     ],
 )  # fmt: skip
 def test_wrong_inputs(call, message: str) -> None:
-    model, start = four_bars(1)
+    model = rb.load("four_bar")
+    start = model.default_state()
     with pytest.raises((rb.InputError, rb.UnknownName), match=message):
         call(model, start)

@@ -112,6 +112,8 @@ def test_the_same_in_mujoco(name: str) -> None:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_number_and_name_is_read_again(name: str) -> None:
     model = identified(load_quietly(name) if name in rb.scenes() else robot(name).model)
+    if model.constraints:  # their ends on bodies are written as sites, which then stay
+        model = load_quietly(written(model)).replace(dropped=model.dropped)
     again = load_quietly(written(model)).replace(dropped=model.dropped)
     assert jax.tree.structure(again) == jax.tree.structure(model)
     for a, b in zip(jax.tree.leaves(again), jax.tree.leaves(model), strict=True):

@@ -215,14 +215,14 @@ def recommend(
         state = check_arrays("recommend", model, {"state": state})["state"]
         if not model.nv:
             raise InputError("recommend: the model has no joints, so nothing moves")
-        model = made_ahead(jax.tree.map(_double, model), jnp.float64)
+        model = made_ahead(jax.tree.map(double, model), jnp.float64)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
-        with _told(progress) as say:
+        with telling(progress) as say:
             return _recommended(model, state, float(accuracy), float(horizon), control, say)
 
 
 @contextlib.contextmanager
-def _told(progress: bool) -> Iterator[Say]:
+def telling(progress: bool) -> Iterator[Say]:
     """A transient progress line on stderr, if that is a terminal."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -241,7 +241,7 @@ def _light(model: Model) -> Model:
     return model.replace(driver="rolled") if rolls else model
 
 
-def _double(x: Any) -> Any:
+def double(x: Any) -> Any:
     floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
     return jnp.asarray(x, jnp.float64) if floating else x
 

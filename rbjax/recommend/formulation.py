@@ -1,0 +1,228 @@
+"""The formulation of a robot's constraints for a motion, measured and explained in a sentence.
+
+    1. the motion itself, by "projected" with steps that are halved until they agree
+    2. the rank of the rows along it: redundant rows, singular positions
+    3. each candidate with steps halved until the gap of the rows and the error are as requested
+    4. the cheapest of these per second of motion
+Beyond the trial run gaps of positions are taken to grow with t^2 and those of velocities with t,
+where nothing takes them back, and errors with t^2.
+
+Where rows are redundant, only formulations that decide no rank are candidates: the range space with
+proximal multipliers. At a singular position what the rows are off by is divided by a singular value
+near zero, by luck of where the steps fall; there only those of them that put the rows back are.
+(benchmarks/results/work-formulations-*.json: two four-bars, each singular twice)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from rbjax.constraints import Formulation, formulations, residual
+from rbjax.dynamics.arguments import check_arrays, check_takes
+from rbjax.errors import InputError
+from rbjax.forces.inputs import Source
+from rbjax.model import Model, State
+from rbjax.recommend.solver import FINEST, Say, double, telling
+from rbjax.recommend.trials import Rank, Runs, Trial
+
+HALVINGS = 8  # of the step
+MOST_STEPS = 200_000
+CLOSED = 1e-6  # m, rad, and per second: a start that is further off is on no constraint
+RESTORING = ("baumgarte", "projected")
+PROXIMAL = ("multipliers", *RESTORING)
+BY_RANK = ("null_space_qr",)
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """A formulation and a step: `rb.rollout(model, state, None, r.dt, constraints=r.formulation)`.
+
+    Fields: formulation, None where there are no rows; name; dt in seconds; gap, the largest
+    residual of a row (m, rad) or of its rate over the horizon; error, the largest deviation of a
+    configuration coordinate; redundant, how many rows say nothing new; closest, the least singular
+    value of the others along the way, of rows scaled to length one; trials, of all candidates;
+    reason, a sentence with the deciding number.
+    """
+
+    formulation: Formulation | None
+    name: str
+    dt: float
+    gap: float
+    error: float
+    redundant: int
+    closest: float
+    trials: tuple[Trial, ...]
+    reason: str
+
+
+def recommend(
+    model: Model,
+    state: State,
+    accuracy: float,
+    *,
+    horizon: float = 1.0,
+    dt: float | None = None,
+    integrator: str = "rk4",
+    control: Source | None = None,
+    progress: bool = True,
+) -> Recommendation:
+    """A formulation of the model's constraints for its motion from a state, and why.
+
+    Of the formulations with steps dt, dt/2, dt/4, ... whose gap and error over the horizon are at
+    most the accuracy: the one that is cheapest per second of motion, by this machine's clock.
+
+    Args:
+        model: the robot, with constraints.
+        state: initial q (nq,), v (nv,), on the constraints.
+        accuracy: the largest residual of a row or of its rate, and the largest deviation of a
+            configuration coordinate over the horizon, in m, rad and seconds; at least 1e-10.
+        horizon: seconds of motion; only the first 2 are run, and what grows is extrapolated.
+        dt: the largest step in seconds; the model's timestep if None.
+        integrator: a name, as in `rb.rollout`.
+        control: (t, state) -> (nu,), as `rb.rollout` takes it; None for no actuation.
+        progress: show the progress on the terminal.
+
+    Returns:
+        `Recommendation`: formulation, name, dt, gap, error, redundant, closest, trials, reason.
+
+    Raises:
+        InputError: a state of the wrong type or shape, not finite, or off the constraints; an
+            accuracy, a horizon or a step that is not positive or too fine; a motion that no step
+            follows with this accuracy.
+
+    It compiles a program for each candidate (three or four), two for the rows, and computes in f64.
+
+    Source: Masarati, *Multibody System Dynamics*, ch. 7, 8.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> r = rb.constraints.recommend(model, model.default_state(), 1e-6)
+        >>> r.name, r.reason
+        ('none', 'nothing decides: the model has 0 rows, its motion is free')
+    """
+    for name, x in (("accuracy", accuracy), ("horizon", horizon), ("dt", dt)):
+        if x is not None and (np.ndim(x) or np.asarray(x).dtype.kind not in "iuf"):
+            raise InputError(f"recommend: {name} is {x!r}, expected a number")
+    if not accuracy >= FINEST:
+        raise InputError(f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}")
+    for name, x in (("horizon", horizon), ("dt", dt)):
+        if x is not None and not 0 < x < math.inf:
+            raise InputError(f"recommend: {name} is {x}, expected a positive time in seconds")
+    with jax.enable_x64(True):
+        state = check_arrays("recommend", model, {"state": state})["state"]
+        if control is not None:
+            check_takes("recommend", "control", control, "t", "state")
+        model, state = jax.tree.map(double, (model, state))
+        largest = float(model.timestep if dt is None else dt)
+        if not model.constraints:
+            why = "nothing decides: the model has 0 rows, its motion is free"
+            return Recommendation(None, "none", largest, 0.0, 0.0, 0, math.inf, (), why)
+        off = max(float(np.abs(x).max()) for x in residual(model, state))
+        if not off <= CLOSED:
+            raise InputError(
+                f"recommend: the state is off the constraints by {off:.2g}, expected at most "
+                f"{CLOSED:.0e}; rb.constraints.assemble(model, state) finds one that is on them"
+            )
+        with telling(progress) as say:
+            runs = Runs(model, state, float(horizon), largest, integrator, control)
+            return _recommended(runs, float(accuracy), float(horizon), say)
+
+
+def _recommended(runs: Runs, accuracy: float, horizon: float, say: Say) -> Recommendation:
+    truth = _truth(runs, accuracy, say)
+    say("the rank of the rows")
+    rank = runs.rank(truth)
+    independent = PROXIMAL if rank.redundant else PROXIMAL + BY_RANK
+    names = RESTORING if rank.singular else independent
+    trials = [_trial(runs, name, truth, accuracy, say) for name in names]
+    good = [x for x in trials if x.ok]
+    if not good:
+        raise InputError(
+            f"recommend: none of {', '.join(names)} keeps gap and error within {accuracy:.1e} over "
+            f"{horizon:g} s with steps down to {trials[-1].dt:.1e} s; give a larger accuracy, a "
+            "shorter horizon or a smaller dt"
+        )
+    best = min(good, key=lambda x: x.cost)
+    why = _reason(best, trials, rank, accuracy, horizon)
+    return Recommendation(
+        formulations()[best.name], best.name, best.dt, best.gap, best.error, rank.redundant,
+        rank.closest, tuple(trials), why,
+    )  # fmt: skip
+
+
+def _truth(runs: Runs, accuracy: float, say: Say) -> State:
+    """The motion, by "projected", with an error far below the accuracy."""
+    before = None
+    for k in range(HALVINGS + 2):
+        if k and runs.steps(k) > MOST_STEPS:
+            break
+        say(f"the motion itself, with steps of {runs.dt(k):.2g} s")
+        now = runs.path("projected", k)
+        if before is not None and runs.apart(before, now) < accuracy / 8:
+            return now
+        before = now
+    raise InputError(
+        f"recommend: the motion over {runs.seconds:.3g} s does not converge to {accuracy:.1e} with "
+        f"steps down to {runs.dt(k - 1):.1e} s; give a larger accuracy, a shorter horizon or a "
+        "smaller dt"
+    )
+
+
+def _trial(runs: Runs, name: str, truth: State, accuracy: float, say: Say) -> Trial:
+    """With the largest step that is good enough; else with the smallest that was tried."""
+    for k in range(HALVINGS + 1):
+        if k and runs.steps(k) > MOST_STEPS:
+            break
+        say(f"{name} with steps of {runs.dt(k):.2g} s")
+        path = runs.path(name, k)
+        gap, error = runs.gap(name, path), runs.apart(path, truth)
+        if max(gap, error) <= accuracy:
+            return Trial(name, runs.dt(k), gap, error, runs.step_us(name, k), True)
+    return Trial(name, runs.dt(k), gap, error, math.inf, False)
+
+
+def _reason(
+    best: Trial, trials: list[Trial], rank: Rank, accuracy: float, horizon: float
+) -> str:
+    """The deciding criterion, with its number."""
+    met = (
+        f"{best.name} with steps of {best.dt:.2g} s leaves a gap of {best.gap:.1e} and an error of "
+        f"{best.error:.1e} (requested: {accuracy:.1e}) over {horizon:g} s, at {best.cost:.2g} us "
+        "per second of motion"
+    )
+    return f"{_ruled_out(rank)}{_against(best, trials)}; {met}"
+
+
+def _ruled_out(rank: Rank) -> str:
+    """What the rank of the rows says about candidates."""
+    if rank.singular:
+        return (
+            f"a singular position is met at {rank.at:.2g} s, where the least singular value of the "
+            f"rows falls to {rank.closest:.1e} from {rank.median:.2g}, so only proximal "
+            "multipliers that put the rows back are tried; "
+        )
+    if rank.redundant:
+        return (
+            f"{rank.redundant} of {rank.rows} rows are redundant, so only proximal multipliers, "
+            "which decide no rank, are tried; "
+        )
+    return ""
+
+
+def _against(best: Trial, trials: list[Trial]) -> str:
+    """Why it is this one of them."""
+    bare = next((x for x in trials if x.name == "multipliers"), best)
+    if best.name in RESTORING and best.dt > bare.dt:
+        needs = f"needs steps of {bare.dt:.2g} s"
+        if not bare.ok:
+            needs = f"is off by {max(bare.gap, bare.error):.1e} with steps of {bare.dt:.2g} s"
+        return f"drift decides: multipliers, which puts nothing back, {needs}"
+    other = min((x for x in trials if x is not best), key=lambda x: x.cost)
+    if not other.ok:
+        return f"accuracy decides: {other.name} is off by {max(other.gap, other.error):.1e}"
+    return f"cost decides: {other.name} would take {other.cost:.2g} us per second of motion"

@@ -1,0 +1,116 @@
+"""The recommended formulation has the requested accuracy over the horizon, and says why."""
+
+import json
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import constraints as rc
+from tests.constraints.mechanisms import four_bars, pendulum, spatial_slider_crank, tilted_four_bar
+
+FIGURES = Path(__file__).parent.parent / "oracles" / "loops.json"
+slow = pytest.mark.slow
+LEFT = rb.State(jnp.array([-1.0, 0.0]), jnp.zeros(2))
+
+
+def delivered(model: rb.Model, state: rb.State, r: rc.Recommendation, horizon: float):
+    """The path of the user, and the largest residual of rows and their rates on it."""
+    steps = round(horizon / r.dt / 20) * 20
+    path = rb.rollout(
+        model, state, None, r.dt, steps=steps, save_every=steps // 20, integrator="rk4",
+        constraints=r.formulation,
+    )  # fmt: skip
+    off = [rc.residual(model, path.state(i)) for i in range(21)]
+    return path, max(float(np.abs(x).max()) for each in off for x in each)
+
+
+def check(r: rc.Recommendation, accuracy: float) -> None:
+    """The cheapest of the good ones, with its numbers in the sentence."""
+    best = min((x for x in r.trials if x.ok), key=lambda x: x.cost)
+    assert (r.name, r.dt, r.gap, r.error) == (best.name, best.dt, best.gap, best.error)
+    assert r.formulation is rc.formulations()[r.name]
+    assert max(r.gap, r.error) <= accuracy
+    assert f"steps of {r.dt:.2g} s leaves a gap of {r.gap:.1e} and an error of {r.error:.1e}" in (
+        r.reason
+    )
+
+
+def test_cost_decides_where_nothing_drifts(capfd: pytest.CaptureFixture) -> None:
+    model = pendulum()
+    r = rc.recommend(model, LEFT, 1e-6)
+    check(r, 1e-6)
+    assert r.reason.startswith("cost decides: ") and r.redundant == 0
+    assert {x.name for x in r.trials} >= {"multipliers", "projected", "null_space_qr"}
+    assert delivered(model, LEFT, r, 1.0)[1] <= 1e-6
+    assert capfd.readouterr() == ("", "")
+
+
+@slow
+def test_beyond_the_trial_run() -> None:
+    """Ten seconds, of which two are run: against the closed form."""
+    model = pendulum()
+    r = rc.recommend(model, LEFT, 1e-7, horizon=10.0)
+    check(r, 1e-7)
+    path, gap = delivered(model, LEFT, r, 10.0)
+    assert gap <= 1e-7
+    want = json.loads(FIGURES.read_text())["pendulum"]["samples"]["10.0"]
+    assert abs(path.ts[-1] - 10.0) < 1e-9
+    np.testing.assert_allclose(path.q[-1], [want["x"], want["y"]], atol=1e-7)
+
+
+@slow
+def test_drift_decides() -> None:
+    model, start = spatial_slider_crank()
+    r = rc.recommend(model, start, 1e-6, horizon=5.0)
+    check(r, 1e-6)
+    assert (r.name, r.redundant) == ("projected", 0) and r.reason.startswith("drift decides: ")
+    assert delivered(model, start, r, 5.0)[1] <= 1e-6
+
+
+@slow
+def test_redundant_rows() -> None:
+    model = tilted_four_bar("0.8 0.3 -0.2 0.4")
+    r = rc.recommend(model, model.default_state(), 1e-4)
+    check(r, 1e-4)
+    assert r.reason.startswith("3 of 5 rows are redundant, so only proximal multipliers")
+    assert {x.name for x in r.trials} == {"multipliers", "baumgarte", "projected"}
+
+
+@slow
+@pytest.mark.parametrize("n, met", [(1, 0.723), (2, 0.728)])
+def test_a_singular_position_is_met(n: int, met: float) -> None:
+    """Flat, where theta is 90 degrees; never reached in half a second."""
+    model, start = four_bars(n)
+    r = rc.recommend(model, start, 1e-6)
+    check(r, 1e-6)
+    assert r.reason.startswith(f"a singular position is met at {met:.2g} s")
+    assert r.closest < 5e-3 and r.redundant == n and r.name in ("baumgarte", "projected")
+    short = rc.recommend(model, start, 1e-6, horizon=0.5)
+    assert short.reason.startswith(f"{n} of {3 * n} rows are redundant")
+
+
+def test_without_rows() -> None:
+    r = rc.recommend(rb.load("pendulum"), rb.load("pendulum").default_state(), 1e-6)
+    assert (r.formulation, r.name, r.trials) == (None, "none", ())
+    assert "the model has 0 rows" in r.reason
+
+
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ({"accuracy": "fine"}, "accuracy is 'fine', expected a number"),
+        ({"accuracy": 1e-12}, "accuracy is 1e-12, expected at least 1e-10"),
+        ({"horizon": -1.0}, "horizon is -1.0, expected a positive time"),
+        ({"dt": 0.0}, "dt is 0.0, expected a positive time"),
+        ({"control": lambda t: None}, "control"),
+        ({"state": rb.State(jnp.array([-1.0, 0.1]), jnp.zeros(2))}, "off the constraints by 0.005"),
+        ({"state": jnp.zeros(2)}, "expected rbjax.State"),
+    ],
+)
+def test_wrong_inputs(given: dict, message: str) -> None:
+    given = {"state": LEFT, "accuracy": 1e-6} | given
+    with pytest.raises(rb.InputError, match=message):
+        rc.recommend(pendulum(), **given)
