@@ -94,8 +94,9 @@ def compliant_motion(
         now = Instant.of(model, t, State(q, v), None, d=d).accelerating(a)
         rows = rows_of(model, now)
         R, left = softness(model, rows, a, gradient_matrix(now, rows))
+        joints = now.links.joints  # first: a driver learns from them what its lanes are
         tau, pushes = with_multipliers(d, rows, list(f), tau, pushes)
-        forces = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, pushes)
+        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, pushes)
         return jnp.concatenate([tau - d.pack(forces, tau), left - R * f])
 
     found = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)

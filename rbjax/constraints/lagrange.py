@@ -3,9 +3,9 @@
     d/dt dL/dv - dL/dq = Q + G^T l,        v = q'
     f(t, q) = 0,     A(t, q) v = b(t, q),      G = [df/dq; A]
 by differentiation of L = T - V, f, A and b; or M a = F + G^T l in the place of the first line.
-The rows hold as G a = c: f'' and (A v - b)' at a, with feedback of the residual (Baumgarte) if asked
-for. Both lines are solved at once by a formulation on arrays; their derivative is that of the
-implicit function, and of redundant rows l is the least. (Goldstein, *Classical Mechanics*, 2.4;
+The rows hold as G a = c: f'' and (A v - b)' at a, with feedback of the residual (Baumgarte) where
+it is asked for. Both lines are solved at once by a formulation on arrays. Their derivative is that
+of the implicit function; of redundant rows l is the least. (Goldstein, *Classical Mechanics*, 2.4;
 Arnold, *Mathematical Methods of Classical Mechanics*, 21; Masarati, *Multibody System Dynamics*,
 ch. 7; Neimark & Fufaev, *Dynamics of Nonholonomic Systems*, ch. 3)
 """

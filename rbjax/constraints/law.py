@@ -100,8 +100,9 @@ def constrained_motion(
         d = driver(model, q.dtype)
         now = Instant.of(model, t, State(q, v), None, d=d).accelerating(a)
         rows = rows_of(model, now)
+        joints = now.links.joints  # first: a driver learns from them what its lanes are
         tau, pushes = with_multipliers(d, rows, list(l), tau, pushes)
-        forces = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, pushes)
+        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, pushes)
         off = pack([asked(row, alpha, beta) for row in rows], a)
         return jnp.concatenate([tau - d.pack(forces, tau), off])
 

@@ -124,7 +124,9 @@ class Penalty(Formulation):
 
     def __call__(self, model, t, state, tau, pushes):
         d = driver(model, state.q.dtype)
-        rows = rows_of(model, Instant.of(model, t, state, None, d=d))
+        now = Instant.of(model, t, state, None, d=d)
+        _ = now.links.joints  # a driver learns from them what its lanes are
+        rows = rows_of(model, now)
         l = [neg(self._force(row)) for row in rows]
         tau, pushes = with_multipliers(d, rows, l, tau, pushes)
         return acceleration(model, state.q, state.v, tau, pushes)

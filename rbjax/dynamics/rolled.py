@@ -23,6 +23,7 @@ from rbjax.dynamics.joints import joint_columns, joint_lanes
 from rbjax.dynamics.packing import pack
 from rbjax.joints import JointMotion, PosedJoint
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal
+from rbjax.lanes.fusion_barrier import whole_cotangent
 from rbjax.model import WORLD, Model, Prepared
 from rbjax.model.cells import lane_of
 
@@ -287,7 +288,7 @@ class Rolled(Sweeps):
 
         given = (jnp.asarray(self._index), row, list(columns.values()))
         carry, ys = jax.lax.scan(scanned, carry, given, reverse=reverse, unroll=self.unroll)
-        fresh = iter(ys)
+        fresh = map(whole_cotangent, ys)
         out = [next(fresh) if a is None else a for a in emitted["known"]]
         return carry, jax.tree.unflatten(emitted["tree"], out)
 

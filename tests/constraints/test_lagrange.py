@@ -160,6 +160,17 @@ def test_pendulum_and_redundant_rows() -> None:
                                    rtol=0, atol=1e-10)  # fmt: skip
 
 
+def test_a_mass_matrix_that_only_the_rows_make_regular() -> None:
+    """No mass moves where x and y part, which x = y forbids."""
+    system = rc.LagrangeSystem(
+        lambda t, q: jnp.ones((2, 2)),
+        lambda t, q, v: jnp.array([2.0, 0.0]),
+        holonomic=lambda t, q: q[:1] - q[1:],
+    )
+    a, l = system.solve(0.0, jnp.zeros(2), jnp.zeros(2))
+    np.testing.assert_allclose([*a, *l], [0.5, 0.5, -1.0], rtol=0, atol=1e-14)
+
+
 def test_time_in_the_lagrangian_and_in_the_rows() -> None:
     """L = e^(3 t) v^2 / 2 is friction; a bead on a line that turns at w feels w^2 r."""
     free = rc.LagrangeSystem.lagrangian(

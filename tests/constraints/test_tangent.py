@@ -53,6 +53,23 @@ def step_of_one_coordinate(y: np.ndarray, dt: float) -> np.ndarray:
     return np.concatenate(whole(x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
 
 
+def test_a_state_found_across_the_tangent() -> None:
+    """The circle's point above z, and the velocity there with the part s along the tangent."""
+    start, z, s = rb.State(*jnp.split(jnp.array(START), 2)), 0.1, 1.2
+    p0, t0 = START[:2], np.array([0.8, 0.6])
+
+    @quick_jit
+    def found(q, v):
+        return across(pendulum(), 0.0, rb.State(q, v), 0.0, start)
+
+    end = found(p0 * 1.01 + z * t0, 0.3 * p0 + s * t0)
+    p = z * t0 + np.sqrt(1 - z * z) * p0
+    np.testing.assert_allclose(end.q, p, rtol=0, atol=1e-15)
+    tangent = np.array([-p[1], p[0]])
+    np.testing.assert_allclose(end.v, s / (t0 @ tangent) * tangent, rtol=0, atol=1e-14)
+
+
+@pytest.mark.slow
 def test_a_step_is_that_of_minimal_coordinates() -> None:
     """And forces are those of states on the constraints."""
 
