@@ -14,33 +14,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import diffrax
 import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.dense import Dense
+from rbjax.constraints.reactions import ConstrainedMotion, Residual
 from rbjax.constraints.redundant import KKT
 from rbjax.constraints.user_function import check_function, evaluate
 from rbjax.errors import InputError
 from rbjax.lanes.products import matvec
 
 FULL = KKT()
-
-
-class Constrained(NamedTuple):
-    """acceleration (n,) and multipliers (rows,), those of f first."""
-
-    acceleration: jax.Array
-    multipliers: jax.Array
-
-
-class Off(NamedTuple):
-    """value (rows,), f, and zero in the rows of A; rate (rows,), G v + f_t and A v - b."""
-
-    value: jax.Array
-    rate: jax.Array
 
 
 @dataclass(frozen=True)
@@ -146,7 +133,7 @@ class LagrangeSystem:
     def solve(
         self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, *, alpha: Any = 0.0,
         beta: Any = 0.0,
-    ) -> Constrained:  # fmt: skip
+    ) -> ConstrainedMotion:  # fmt: skip
         """Accelerations and multipliers.
 
         Args:
@@ -159,13 +146,13 @@ class LagrangeSystem:
         M, F = self._mass(t, q, args), self._of("force", (t, q, v), args, q.shape)
         (value, rate, bent), G = self._rows(t, q, v, args)
         c = -bent - 2 * alpha * rate - beta**2 * value
-        return Constrained(*self.formulation.solved(M, G, F, c))
+        return ConstrainedMotion(*self.formulation.solved(M, G, F, c))
 
-    def residual(self, t: Any, q: jax.Array, v: jax.Array, args: Any = None) -> Off:
+    def residual(self, t: Any, q: jax.Array, v: jax.Array, args: Any = None) -> Residual:
         """How far a state is from the constraints, as `solve`."""
         t, q, v = _arrays("LagrangeSystem.residual", t, q, v)
         value, rate, _ = self._rows(t, q, v, args)[0]
-        return Off(value, rate)
+        return Residual(value, rate)
 
     def settled(
         self, t: Any, q: jax.Array, v: jax.Array, args: Any = None, iterations: int = 3
