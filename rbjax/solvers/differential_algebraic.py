@@ -33,7 +33,9 @@ from rbjax.solvers.steps import mixed
 
 MAX_STEPS = 50
 ROUNDING = 4  # units in the last place, beside the size of y
-STALLED = 0.9  # corrections that shrink by no more, below sqrt(eps) of y, are rounding
+#: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
+#: those of index 3 carry the rounding of positions, some 50 / h times
+STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
 #: eps, what is added to the diagonal of S, and how often a linear solution takes it back, by bytes
 PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
 
@@ -176,7 +178,7 @@ class System:
 
     def iterated(self, h, t, y, weights, start: Point, read) -> jax.Array:
         """The root and 1, or the start and 0 where it was not found, in one array."""
-        s, eps = len(y), float(jnp.finfo(y.dtype).eps)
+        s, eps, noise = len(y), float(jnp.finfo(y.dtype).eps), STALLED_BELOW[y.dtype.itemsize]
         slopes = self.slope(*start, read)
         matrix = Factored(self.matrix(jnp.broadcast_to(slopes, (s, *slopes.shape)), h, weights))
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, slopes.shape[0]))
@@ -191,7 +193,7 @@ class System:
             ratio = now / jnp.where(before > 0, before, 1.0)
             falling = (count > 0) & (ratio < STALLED)
             coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)
-            stalled = (count > 0) & (ratio >= STALLED) & (now <= eps**0.5)
+            stalled = (count > 0) & (ratio >= STALLED) & (now <= noise)
             done = (coming <= ROUNDING * eps) | stalled
             return x, now, count + 1, done
 

