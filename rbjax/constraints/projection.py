@@ -17,8 +17,9 @@ import jax.numpy as jnp
 
 from rbjax.constraints.system import response, rows_of
 from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.manifold import integrate_lanes
+from rbjax.dynamics.tracing import with_values
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, fusion_barrier, neg
 from rbjax.model import Model, State
@@ -33,12 +34,22 @@ def projected(
     """The state on its constraints. iterations None: as many as bring the error of a step down to
     rounding. `positions`: not only its velocity."""
     iterations = ITERATIONS[state.q.dtype.itemsize] if iterations is None else iterations
-    d = driver(model, state.q.dtype)
 
+    def run(given: Any, q: jax.Array, v: jax.Array, values: bool) -> tuple[jax.Array, jax.Array]:
+        model, t = given
+        d = driver(model, q.dtype, values=values)
+        return _least_changes(d, model, t, q, v, iterations, positions)
+
+    q, v = with_values(run, (model, t), state.q, state.v)
+    return State(q, v, state.x)
+
+
+def _least_changes(
+    d: Driver, model: Model, t: Any, q: jax.Array, v: jax.Array, iterations: int, positions: bool
+) -> tuple[jax.Array, jax.Array]:
     def seen(q: jax.Array, v: jax.Array) -> Instant:
         return Instant.of(model, t, State(q, v), None, d=d)
 
-    q, v = state.q, state.v
     now = seen(q, v)
     rows = rows_of(model, now)
     answer = response(d, factorize(d, now.links.joints), now, rows, refined=False)
@@ -55,4 +66,4 @@ def projected(
         if k:
             rows = rows_of(model, seen(q, v))
         v = v + least([row.rate for row in rows])
-    return State(q, v, state.x)
+    return q, v

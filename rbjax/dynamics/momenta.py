@@ -22,7 +22,7 @@ from rbjax.dynamics.aba import factorize, solve
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.link_forces import LinkForces, per_link
 from rbjax.dynamics.rnea import momentum
-from rbjax.dynamics.tracing import jvp_of, split_tracers, with_implicit_jvp, with_jvp
+from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp, with_values
 from rbjax.lanes import Lane, Vec3, add, mul
 from rbjax.model import Model
 from rbjax.spatial import Force, Motion
@@ -34,7 +34,7 @@ def momentum_of(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     def run(given: Any, q: jax.Array, v: jax.Array, values: bool) -> jax.Array:
         return momentum(given[0], q, v, values=values)
 
-    return _ruled(run, (model,), q, v)
+    return with_values(run, (model,), q, v)
 
 
 def momentum_and_rate(
@@ -72,25 +72,7 @@ def momentum_and_rate(
         p, rate = d.unzip(found, 2)
         return d.pack(p, v), d.pack(rate, v)
 
-    return _ruled(run, (model, pushes), q, v, tau)
-
-
-def _ruled(run: Callable, given: Any, *args: jax.Array) -> Any:
-    """run(given, *args, values=) with the driver for values; its derivative uses the driver for
-    derivatives. The first of `given` is the model."""
-    moving, rebuilt = split_tracers(given)
-    known = not split_tracers(given[0])[0]
-
-    def plain(changed, *args):
-        return run(rebuilt(changed), *args, values=known)
-
-    def tangent(primals, tangents):
-        def f(changed, *args):
-            return run(rebuilt(changed), *args, values=False)
-
-        return jvp_of(f, primals, tangents)
-
-    return with_jvp(plain, tangent)(moving, *args)
+    return with_values(run, (model, pushes), q, v, tau)
 
 
 def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
