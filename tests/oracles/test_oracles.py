@@ -156,7 +156,7 @@ def test_scenes_compile_quietly(path: Path, capfd: pytest.CaptureFixture[str]) -
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     assert "timestep=" in path.read_text()
-    assert switch_off_constraints(model) == []  # smooth dynamics, no more
+    assert set(switch_off_constraints(model)) <= {"equality"}  # smooth dynamics and loops, no more
     for key in range(model.nkey):
         mujoco.mj_resetDataKeyframe(model, data, key)
         for _ in range(100):
