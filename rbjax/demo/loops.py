@@ -45,10 +45,14 @@ def loops(folder: Path, say: Callable[[str], None], *, steps: int = STEPS) -> Se
         return jax.vmap(one)(path.q, path.v)
 
     for name in NAMES:
-        path = rollout(
-            model, start, None, DT, steps=steps, integrator="rk4", save_every=some,
-            constraints=name,
-        )  # fmt: skip
+
+        def run(state, name=name):
+            return rollout(
+                model, state, None, DT, steps=steps, integrator="rk4", save_every=some,
+                constraints=name,
+            )  # fmt: skip
+
+        path = jax.jit(run)(start)  # knows the model: a tenth of the program
         energy, off = map(np.asarray, jax.jit(seen)(path))
         lost = np.abs(energy - energy[0]).max()
         drawn.append((name, np.asarray(path.ts), np.asarray(path.q[:, 0]), off))
