@@ -108,19 +108,25 @@ def chaos(folder: Path, say: Callable[[str], None], *, batch: int, seconds: floa
     spread = 1e-6 * jnp.linspace(-0.5, 0.5, batch)
     q = jnp.array([2.8, -0.4]) + spread[:, None] * jnp.array([1.0, 0.0])
     steps = round(seconds / 0.002)
-    path = rollout(
-        model, State(q, jnp.zeros_like(q)), None, 0.002, integrator="rk4", save_every=5, steps=steps
-    )
+
+    def pendulums(state):  # compiled with the model known, a smaller program
+        return rollout(model, state, None, 0.002, integrator="rk4", save_every=5, steps=steps)
+
+    path = jax.jit(pendulums)(State(q, jnp.zeros_like(q)))
     ts, angles = np.asarray(path.ts), np.asarray(path.q)
     say("motion: a fan of spinning tops")
     top = load("spinning_top")
     spins = jnp.array([350.0, 500.0, 900.0])
     held = top.keyframe("spinning")
     v = jnp.stack([0 * spins, 0 * spins, spins], -1)
-    tops = rollout(
-        top, State(jnp.broadcast_to(held.q, (3, 4)), v), None, 0.0005,
-        integrator="rk4", save_every=5, steps=5 * round(200 * seconds),
-    )  # fmt: skip
+
+    def spun(state):
+        return rollout(
+            top, state, None, 0.0005,
+            integrator="rk4", save_every=5, steps=5 * round(200 * seconds),
+        )  # fmt: skip
+
+    tops = jax.jit(spun)(State(jnp.broadcast_to(held.q, (3, 4)), v))
     _chaos_picture(folder / "chaos.png", ts, angles)
     _tops_picture(folder / "tops.png", top, np.asarray(tops.q), np.asarray(spins))
     apart = np.abs(angles[-1] - angles[0]).max(-1)
