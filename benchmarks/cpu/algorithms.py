@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
-import time
-
 import jax
 import mujoco
 import numpy as np
@@ -17,7 +15,7 @@ import pinocchio as pin
 
 import rbjax as rb
 from benchmarks.shared.robots import NAMES, compiled, ours, states
-from benchmarks.shared.timing import markdown_table, measure, save
+from benchmarks.shared.timing import fastest_ns, markdown_table, measure, save
 from tests.oracles.models import MODELS
 
 BATCH = 4096
@@ -45,26 +43,18 @@ def pinocchio_ns(name: str) -> dict[str, float]:
     data = model.createData()
     columns = [np.ascontiguousarray(q[:, i]) for i in range(512)]
 
-    def best(f, count: int) -> float:
-        times = []
-        for _ in range(15):
-            start = time.perf_counter()
-            f()
-            times.append(time.perf_counter() - start)
-        return min(times) / count * 1e9
-
     def crba(m, d, xs):
         for one in xs:
             pin.crba(m, d, one)
 
     empty = pin.Model()
     nothing = [np.zeros(0)] * 512
-    overhead = best(lambda: crba(empty, empty.createData(), nothing), 512)
+    overhead = fastest_ns(lambda: crba(empty, empty.createData(), nothing), 512)
     return {
-        "forward dynamics": best(lambda: pin.abaInParallel(1, pool, q, v, tau, out), BATCH),
-        "RNEA": best(lambda: pin.rneaInParallel(1, pool, q, v, tau, out), BATCH),
+        "forward dynamics": fastest_ns(lambda: pin.abaInParallel(1, pool, q, v, tau, out), BATCH),
+        "RNEA": fastest_ns(lambda: pin.rneaInParallel(1, pool, q, v, tau, out), BATCH),
         # no batch form: a Python loop, minus the same loop on a model without joints
-        "CRBA": best(lambda: crba(model, data, columns), 512) - overhead,
+        "CRBA": fastest_ns(lambda: crba(model, data, columns), 512) - overhead,
     }
 
 
@@ -73,14 +63,13 @@ def mujoco_ns(name: str) -> float:
     m = compiled(name)
     d = mujoco.MjData(m)
     q, v, tau = states(m, 256)
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
+
+    def forward() -> None:
         for i in range(256):
             d.qpos[:], d.qvel[:], d.qfrc_applied[:] = q[i], v[i], tau[i]
             mujoco.mj_forward(m, d)
-        times.append(time.perf_counter() - start)
-    return min(times) / 256 * 1e9
+
+    return fastest_ns(forward, 256, runs=5)
 
 
 def ours_timed(f, model, inputs, dtype, size: int) -> dict:

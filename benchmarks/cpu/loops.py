@@ -12,8 +12,7 @@ from __future__ import annotations
 import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
 import argparse
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -23,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 import rbjax as rb
-from benchmarks.shared.timing import markdown_table, measure, save
+from benchmarks.shared.timing import fastest_ns, markdown_table, measure, save
 
 BATCH, THEIRS = 4096, 256
 
@@ -87,16 +86,6 @@ class Pinocchio:
         return np.asarray(rb.rotations.quaternion.to_matrix(quat)).T
 
 
-def best(f: Callable[[], None], count: int) -> float:
-    """Nanoseconds a state."""
-    times = []
-    for _ in range(15):
-        start = time.perf_counter()
-        f()
-        times.append(time.perf_counter() - start)
-    return min(times) / count * 1e9
-
-
 def pinocchio_ns(theirs: Pinocchio, inputs: list[tuple[np.ndarray, ...]]) -> dict[str, float]:
     """With the loops and without them (ABA), less what the call from Python takes."""
 
@@ -115,8 +104,8 @@ def pinocchio_ns(theirs: Pinocchio, inputs: list[tuple[np.ndarray, ...]]) -> dic
         for _ in inputs:
             pin.aba(empty, data, nothing, nothing, nothing)
 
-    overhead = best(called, len(inputs))
-    return {name: best(f, len(inputs)) - overhead for name, f in (("loops", held), ("open", free))}
+    overhead, ways = fastest_ns(called, len(inputs)), {"loops": held, "open": free}
+    return {name: fastest_ns(f, len(inputs)) - overhead for name, f in ways.items()}
 
 
 def rows(path: str) -> Iterator[dict]:
