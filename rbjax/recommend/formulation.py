@@ -26,13 +26,12 @@ from rbjax.dynamics.arguments import check_arrays, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State
-from rbjax.recommend.solver import FINEST, Say, double, telling
-from rbjax.recommend.trials import Rank, Runs, Trial
+from rbjax.recommend.request import Say, check_request, double, telling
+from rbjax.recommend.trials import RESTORING, Rank, Runs, Trial
 
 HALVINGS = 8  # of the step
 MOST_STEPS = 200_000
 CLOSED = 1e-6  # m, rad, and per second: a start that is further off is on no constraint
-RESTORING = ("baumgarte", "projected")
 PROXIMAL = ("multipliers", *RESTORING)
 BY_RANK = ("null_space_qr",)
 
@@ -105,14 +104,7 @@ def recommend(
         >>> r.name, r.reason
         ('none', 'nothing decides: the model has 0 rows, its motion is free')
     """
-    for name, x in (("accuracy", accuracy), ("horizon", horizon), ("dt", dt)):
-        if x is not None and (np.ndim(x) or np.asarray(x).dtype.kind not in "iuf"):
-            raise InputError(f"recommend: {name} is {x!r}, expected a number")
-    if not accuracy >= FINEST:
-        raise InputError(f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}")
-    for name, x in (("horizon", horizon), ("dt", dt)):
-        if x is not None and not 0 < x < math.inf:
-            raise InputError(f"recommend: {name} is {x}, expected a positive time in seconds")
+    check_request(accuracy, horizon=horizon, **({} if dt is None else {"dt": dt}))
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]
         if control is not None:

@@ -15,9 +15,8 @@ is guaranteed for chaotic motion.
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +33,7 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.simulate import simulate
+from rbjax.recommend.request import Say, check_request, double, telling
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 
@@ -41,14 +41,11 @@ TRIAL = 10.0  # the most seconds of motion in a trial run
 RADIANS = 5e4  # of the fastest mode in that time: about a hundred thousand steps
 POINTS = 17  # times at which motions are compared
 LOOKS = 9  # the number of these at which the motion is linearised
-FINEST = 1e-10  # accuracy at which the reference's own error matters
 MOST_STEPS = 2_000_000
 LOOSE = 1e-3  # accuracy for which order three is enough for stiff motion
 TRIES = 14  # runs of a candidate
 ROLLED_ABOVE = 6  # velocity coordinates above which a rolled program compiles in half the time
 BRIEF = 1e4  # radians of the fastest mode up to which this saves more than it costs
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -201,16 +198,7 @@ def recommend(
         >>> r.name, "accuracy decides" in r.reason, r.predicted_error <= 1e-6
         ('rk4', True, True)
     """
-    for name, x in (("accuracy", accuracy), ("horizon", horizon)):
-        if np.ndim(x) or np.asarray(x).dtype.kind not in "iuf":
-            raise InputError(f"recommend: {name} is {x!r}, expected a number")
-    if not accuracy >= FINEST:
-        raise InputError(
-            f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}: the reference is "
-            "not more accurate"
-        )
-    if not 0 < horizon < math.inf:
-        raise InputError(f"recommend: horizon is {horizon}, expected a positive time in seconds")
+    check_request(accuracy, horizon=horizon)
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]
         if not model.nv:
@@ -221,29 +209,10 @@ def recommend(
             return _recommended(model, state, float(accuracy), float(horizon), control, say)
 
 
-@contextlib.contextmanager
-def telling(progress: bool) -> Iterator[Say]:
-    """A transient progress line on stderr, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True, force_jupyter=False)
-    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("recommend: {task.description}"))
-    quiet = not (progress and console.is_terminal)
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
-        task = bar.add_task("")
-        yield lambda text: bar.update(task, description=text)
-
-
 def _light(model: Model) -> Model:
     """The robot in the form that compiles fastest."""
     rolls = model.driver == "auto" and model.nv > ROLLED_ABOVE
     return model.replace(driver="rolled") if rolls else model
-
-
-def double(x: Any) -> Any:
-    floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
-    return jnp.asarray(x, jnp.float64) if floating else x
 
 
 def _recommended(

@@ -25,7 +25,7 @@ ROUNDS = 5  # of the clock
 INDEPENDENT = 1e-7  # a singular value of scaled rows above this counts
 #: a position is singular where the least one is below this, against its median on the run
 SINGULAR = 0.05
-RESTORED = {"projected", "baumgarte"}  # whose gaps do not grow
+RESTORING = ("baumgarte", "projected")  # the rows: gaps do not grow
 
 
 class Trial(NamedTuple):
@@ -134,7 +134,7 @@ class Runs:
         if not _is_finite(path):
             return math.inf
         value, rate = (float(np.abs(x).max()) for x in self._residual(path, self.times))
-        if name not in RESTORED:
+        if name not in RESTORING:
             value, rate = value * self.longer**2, rate * self.longer
         return max(value, rate)
 

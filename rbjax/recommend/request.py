@@ -1,0 +1,51 @@
+"""What both recommendations check, compute in, and show."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+
+FINEST = 1e-10  # accuracy at which the reference's own error matters
+
+Say = Callable[[str], None]
+
+
+def check_request(accuracy: Any, **times: Any) -> None:
+    """Refuse an accuracy that is no number or too fine, and times that are no positive numbers."""
+    for name, x in (("accuracy", accuracy), *times.items()):
+        if np.ndim(x) or np.asarray(x).dtype.kind not in "iuf":
+            raise InputError(f"recommend: {name} is {x!r}, expected a number")
+    if not accuracy >= FINEST:
+        raise InputError(
+            f"recommend: accuracy is {accuracy}, expected at least {FINEST:.0e}: the reference is "
+            "not more accurate"
+        )
+    for name, x in times.items():
+        if not 0 < x < math.inf:
+            raise InputError(f"recommend: {name} is {x}, expected a positive time in seconds")
+
+
+@contextlib.contextmanager
+def telling(progress: bool) -> Iterator[Say]:
+    """A transient progress line on stderr, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, force_jupyter=False)
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("recommend: {task.description}"))
+    quiet = not (progress and console.is_terminal)
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task("")
+        yield lambda text: bar.update(task, description=text)
+
+
+def double(x: Any) -> Any:
+    floating = jnp.issubdtype(jnp.result_type(x), jnp.floating)
+    return jnp.asarray(x, jnp.float64) if floating else x
