@@ -13,22 +13,23 @@ square of the time constant T, as 1 / k. MuJoCo's four-bar after 0.25 s of its f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import jax
-import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.law import Solve, System, constrained_motion
 from rbjax.constraints.projection import projected
+from rbjax.constraints.row import Row
 from rbjax.constraints.soft import Soft, softness
-from rbjax.constraints.system import OnMatrices, gradient_matrix, rows_of, with_multipliers
+from rbjax.constraints.system import OnMatrices
 from rbjax.dynamics.aba import aba
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.rnea import rnea
-from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
 from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane
 from rbjax.model import Model, State
 
 
@@ -59,45 +60,22 @@ def compliant_motion(
     model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
 ) -> tuple[jax.Array, jax.Array]:
     """a (nv,) and the forces f (rows,) on the rows, of a sample."""
-    given, rebuilt = split_tracers((model, pushes, t))
-    known_model, nv = not split_tracers(model)[0], model.nv
+    return constrained_motion(model, t, state, tau, pushes, method=yielding, left_of=left_of)
 
-    def run(changed, q, v, tau, values=False):
-        model, pushes, t = rebuilt(changed)
-        d = driver(model, q.dtype, values=values)
-        now = Instant.of(model, t, State(q, v), None, d=d)
-        qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
-        a = d.pack(qdd, tau)
-        now = now.accelerating(a)
-        rows = rows_of(model, now)
-        system = OnMatrices(d, factors, now, rows)
-        R, left = softness(model, rows, a, system.G)
-        system = system.with_compliance(R)
-        da, f = system.solved(None, list(left))
-        return jnp.concatenate([a + da, f]), system
 
-    def plain(changed, q, v, tau):
-        return run(changed, q, v, tau, values=known_model)[0]
+def yielding(
+    d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
+) -> tuple[jax.Array, None, System]:
+    """From free motion on: (A + R) df = c - G M^-1 f."""
+    qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
 
-    def solved(changed, q, v, tau):
-        x, system = run(changed, q, v, tau)
+    def system(now: Instant, rows: Sequence[Row]) -> Solve:
+        return OnMatrices(d, factors, now, rows, R=softness(now, rows)[0]).solved
 
-        def solution(change):
-            return jnp.concatenate(system.solved(change[:nv], list(change[nv:])))
+    return d.pack(qdd, tau), None, system
 
-        return x, solution
 
-    def residual(changed, q, v, tau, x):
-        model, pushes, t = rebuilt(changed)
-        a, f = x[:nv], x[nv:]
-        d = driver(model, q.dtype)
-        now = Instant.of(model, t, State(q, v), None, d=d).accelerating(a)
-        rows = rows_of(model, now)
-        R, left = softness(model, rows, a, gradient_matrix(now, rows))
-        joints = now.links.joints  # first: a driver learns from them what its lanes are
-        tau, pushes = with_multipliers(d, rows, list(f), tau, pushes)
-        forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, pushes)
-        return jnp.concatenate([tau - d.pack(forces, tau), left - R * f])
-
-    found = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)
-    return found[:nv], found[nv:]
+def left_of(now: Instant, rows: Sequence[Row], f: jax.Array | None) -> Sequence[Lane]:
+    """(what is asked) - g'' - R f."""
+    R, left = softness(now, rows)
+    return list(left if f is None else left - R * f)

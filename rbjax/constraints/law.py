@@ -43,6 +43,9 @@ Method = Callable[
     [Driver, Instant, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
 ]
 
+#: (instant, rows, l or None for zero) -> what is left of the rows' equations
+Left = Callable[[Instant, Sequence[Row], jax.Array | None], Sequence[Lane]]
+
 
 def range_space(
     d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
@@ -65,11 +68,18 @@ def constrained_motion(
     alpha: Any = 0.0,
     beta: Any = 0.0,
     method: Method = range_space,
+    left_of: Left | None = None,
 ) -> tuple[jax.Array, jax.Array]:
-    """a (nv,) and l (rows,) of a sample, on checked arrays."""
+    """a (nv,) and l (rows,) of a sample, on checked arrays. `left_of`: of rows with another
+    equation than that above, which `method` solves."""
     given, rebuilt = split_tracers((model, pushes, t, alpha, beta))
     known_model = not split_tracers(model)[0]
     nv = model.nv
+
+    def left_at(now, rows, l, alpha, beta):
+        if left_of is not None:
+            return list(left_of(now, rows, l))
+        return [asked(row, alpha, beta) for row in rows]
 
     def run(changed, q, v, tau, values=False):
         model, pushes, t, alpha, beta = rebuilt(changed)
@@ -79,7 +89,7 @@ def constrained_motion(
         now = now if start is None else now.accelerating(start)
         rows = rows_of(model, now)
         solve = system(now, rows)
-        da, l = solve(left, [asked(row, alpha, beta) for row in rows])
+        da, l = solve(left, left_at(now, rows, None, alpha, beta))
         a = da if start is None else start + da
         return jnp.concatenate([a, l]), solve
 
@@ -103,7 +113,7 @@ def constrained_motion(
         joints = now.links.joints  # first: a driver learns from them what its lanes are
         tau, pushes = with_multipliers(d, rows, list(l), tau, pushes)
         forces = rnea(d, joints, d.lanes(a), d.prepared.gravity, pushes)
-        off = pack([asked(row, alpha, beta) for row in rows], a)
+        off = pack(left_at(now, rows, l, alpha, beta), a)
         return jnp.concatenate([tau - d.pack(forces, tau), off])
 
     found = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)

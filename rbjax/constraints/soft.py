@@ -30,6 +30,7 @@ from rbjax.constraints.geometry import AXES, cosine, displacement, turn
 from rbjax.constraints.pairs import Pair
 from rbjax.constraints.reactions import jacobian
 from rbjax.constraints.row import Row
+from rbjax.constraints.system import gradient_matrix
 from rbjax.dynamics.crba import mass_matrix
 from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
@@ -177,13 +178,14 @@ class QuaternionWeld(Pair):
         return [*displacement(A, B), *(row * turned * scale for row in turn(A, B))]
 
 
-def softness(model: Model, rows: Sequence[Row], a: jax.Array, G: jax.Array) -> tuple:
+def softness(now: Instant, rows: Sequence[Row]) -> tuple[jax.Array, jax.Array]:
     """R (rows,), zero where a constraint is not soft, and what is left of the rows' equations at
-    the accelerations a, which the rows have: asked - g''; of rigid ones -g''."""
+    the accelerations of the instant without forces on them: asked - g''; of rigid ones -g''."""
     R: list[Any] = []
     left: list[Any] = []
-    done = matvec(G, a)
-    for constraint in model.constraints:
+    a = now.a
+    done = matvec(gradient_matrix(now, rows), a)
+    for constraint in now.model.constraints:
         at = slice(len(R), len(R) + constraint.size)
         has = [row.acceleration for row in rows[at]]
         if isinstance(constraint, Soft):

@@ -17,7 +17,6 @@ rounding, as those of a plane loop across its plane are: their own entry of A is
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Protocol
@@ -37,12 +36,10 @@ from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, sub, total
 from rbjax.lanes.ldlt import ldlt
 from rbjax.lanes.products import matmat, matvec
+from rbjax.lanes.proximal import proximal
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force
 
-#: eps, what is added to the diagonal of A, relatively, and how often its effect is taken back, by
-#: bytes of a number: components of A above 1e-3 of the diagonal come out to rounding
-PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
 #: up to so many rows A is factored on lanes, where blocks that do not meet cost nothing
 ROWS_ON_LANES = 24
 
@@ -107,12 +104,6 @@ def with_multipliers(
     """tau + G^T l, in two parts: generalized forces (nv,) and forces on links."""
     held = sum((row.gradient * x for row, x in zip(rows, l, strict=True)), Loads())
     return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(pushes, held.wrenches)
-
-
-def proximal(dtype: Any, again: int | None) -> tuple[float, int]:
-    """eps, and the refinements: so many, or as many as bring the result to rounding."""
-    eps, enough = PROXIMAL[dtype.itemsize]
-    return eps, enough if again is None else again
 
 
 class Response(Protocol):
@@ -199,25 +190,24 @@ class OnMatrices:
     """A = G Y, Y = M^-1 G^T; R (rows,), if any, is added to its diagonal: compliance of the rows,
     G a + R l = c."""
 
-    R: jax.Array | None = None
-
     def __init__(
-        self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], again: int | None = None
+        self,
+        d: Driver,
+        factors: Any,
+        now: Instant,
+        rows: Sequence[Row],
+        again: int | None = None,
+        R: jax.Array | None = None,
     ):
         self._d, self._factors, self._like, self._again = d, factors, now.v, again
+        self._R = R
         self.G = gradient_matrix(now, rows)
         self.Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
-
-    def with_compliance(self, R: jax.Array) -> OnMatrices:
-        """The same, of rows that yield."""
-        soft = copy.copy(self)
-        soft.R = R
-        return soft
 
     @cached_property
     def A(self) -> jax.Array:
         A = matmat(self.G, self.Y)
-        return A if self.R is None else A + jnp.diag(self.R)
+        return A if self._R is None else A + jnp.diag(self._R)
 
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, asked = self._d, pack(c, self._like)

@@ -4,6 +4,7 @@
     products          stacks of matrices, without `dot`
     fusion_barrier    a point where XLA's CPU compiler computes values once and stores them
     ldlt              L D L^T of small symmetric matrices
+    proximal          how singular systems are regularized
     sincos            cosine and sine by polynomials
     batch_axis        the position of a result's batch under `vmap`
 

@@ -29,6 +29,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve
 
 from rbjax.lanes import batch_first, matvec
+from rbjax.lanes.proximal import proximal
 from rbjax.solvers.steps import mixed
 
 MAX_STEPS = 50
@@ -36,8 +37,6 @@ ROUNDING = 4  # units in the last place, beside the size of y
 #: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
 #: those of index 3 carry the rounding of positions, some 50 / h times
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
-#: eps, what is added to the diagonal of S, and how often a linear solution takes it back, by bytes
-PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,7 @@ class Factored:
 
     def __init__(self, matrix: Matrix):
         self._matrix = matrix
-        self._eps, self._again = PROXIMAL[matrix.w.dtype.itemsize]
+        self._eps, self._again = proximal(matrix.w.dtype)
         self._rates = lu_factor(matrix.rates)
         self._response = lu_solve(self._rates, matrix.w)
         S = matrix.row_w - _product(matrix.row_rates, self._response)
