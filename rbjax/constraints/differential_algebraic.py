@@ -26,11 +26,11 @@ from rbjax.constraints.row import Row
 from rbjax.constraints.system import rows_of, with_multipliers
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
+from rbjax.dynamics.manifold import increment_rate, moved
 from rbjax.dynamics.packing import pack
 from rbjax.dynamics.rnea import rnea
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, Vec3, fusion_barrier
+from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model, State
 
 #: (t, state) -> generalized forces (nv,), forces on links, x'
@@ -81,7 +81,7 @@ class DifferentialAlgebraic(Formulation):
 
         def f(t: Any, y: jax.Array, rate: jax.Array, w: jax.Array) -> jax.Array:
             (u, v, x), (du, a, dx) = (jnp.split(z, (nv, 2 * nv)) for z in (y, rate))
-            at = State(_moved(model, q, u), v, x if model.nx else None)
+            at = State(moved(model, q, u), v, x if model.nx else None)
             tau, pushes, x_rate = forces(t, at)
             d = driver(model, dtype)
             now = Instant.of(model, t, at, None, d=d)
@@ -89,7 +89,7 @@ class DifferentialAlgebraic(Formulation):
             l, mu = list(w[: len(rows)]), list(w[len(rows) :])
             tau, pushes = with_multipliers(d, rows, l, tau, pushes)
             needed = rnea(d, now.links.joints, d.lanes(a), d.prepared.gravity, pushes)
-            drift = du - jnp.stack(fusion_barrier(rate_lanes(model.topology, list(u), list(v))))
+            drift = du - increment_rate(model, u, v)
             values = self.held_by_mu(rows)
             if values:
                 drift = _pushed(d, at.q, drift, values, mu)
@@ -108,10 +108,6 @@ def stepped(law: Any) -> DifferentialAlgebraic | None:
     while isinstance(law, Projected):
         law = law.of
     return law if isinstance(law, DifferentialAlgebraic) else None
-
-
-def _moved(model: Model, q: jax.Array, u: jax.Array) -> jax.Array:
-    return jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(u))))
 
 
 def _pushed(

@@ -13,15 +13,14 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from rbjax.constraints.system import response, rows_of
 from rbjax.dynamics.aba import factorize
 from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.manifold import integrate_lanes
+from rbjax.dynamics.manifold import moved
 from rbjax.dynamics.tracing import with_values
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, fusion_barrier, neg
+from rbjax.lanes import Lane, neg
 from rbjax.model import Model, State
 
 #: by bytes of a number
@@ -60,7 +59,7 @@ def _least_changes(
     if positions and any(row.holonomic for row in rows):
         for _ in range(iterations):
             dq = least([row.residual for row in rows])
-            q = jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(dq))))
+            q = moved(model, q, dq)
             rows = rows_of(model, seen(q, v))
     for k in range(iterations):
         if k:

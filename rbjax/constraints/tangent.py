@@ -28,10 +28,10 @@ from rbjax.constraints.row import Row
 from rbjax.constraints.system import OnMatrices, gradient_matrix, least_norm, rows_of
 from rbjax.dynamics.aba import factorize
 from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.manifold import difference_lanes, moved
 from rbjax.dynamics.packing import pack
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, fusion_barrier
+from rbjax.lanes import Lane
 from rbjax.lanes.products import matmat, matvec
 from rbjax.model import Model, State
 
@@ -83,7 +83,7 @@ def across(
     model: Model, t: Any, state: State, t0: Any, start: State, iterations: int | None = None
 ) -> State:
     """The state on the constraints with the z and s of another, of the tangent space at `start`."""
-    top, dtype = model.topology, state.q.dtype
+    dtype = state.q.dtype
     d = driver(model, dtype)
 
     def seen(t: Any, q: jax.Array, v: jax.Array) -> tuple[Instant, list[Row]]:
@@ -102,11 +102,8 @@ def across(
         l = matvec(J.T, least_norm(matmat(J, J.T), r * pack(off, now.v)))
         return -matvec(begun.Y, r * l)
 
-    def turned(u: jax.Array) -> jax.Array:
-        return jnp.stack(fusion_barrier(integrate_lanes(top, list(start.q), list(u))))
-
     def nearer(_: Any, u: jax.Array) -> jax.Array:
-        now, rows = seen(t, turned(u), state.v)
+        now, rows = seen(t, moved(model, start.q, u), state.v)
         return u + least(now, rows, [row.residual for row in rows])
 
     def slower(_: Any, v: jax.Array) -> jax.Array:
@@ -115,8 +112,8 @@ def across(
 
     q = state.q
     if any(row.holonomic for row in rows):
-        u = jnp.stack(difference_lanes(top, list(start.q), list(q)))
+        u = jnp.stack(difference_lanes(model.topology, list(start.q), list(q)))
         many = ITERATIONS[dtype.itemsize] if iterations is None else iterations
-        q = turned(jax.lax.fori_loop(0, many, nearer, u))
+        q = moved(model, start.q, jax.lax.fori_loop(0, many, nearer, u))
     v = jax.lax.fori_loop(0, 2, slower, state.v)  # linear: twice for rounding
     return State(q, v, state.x)

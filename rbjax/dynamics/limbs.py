@@ -26,6 +26,7 @@ from rbjax.dynamics.joints import joint_lanes
 from rbjax.dynamics.packing import pack
 from rbjax.joints import HINGE, JointMotion, PosedJoint, turning
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, sincos, sub
+from rbjax.lanes.fusion_barrier import whole_cotangent
 from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
 
@@ -303,9 +304,7 @@ class Limbs(Sweeps, unrolled.Listed):
         total, (messages, ys) = self._loop(group, body, start, (xs, starts))
         if together:
             return [(ports[0], total)] if summed else [], ys
-        # JAX 0.10.2 gives `scan` a cotangent of the wrong shape for what nobody reads; here zeros
-        read = jax.lax.optimization_barrier
-        messages = jax.tree.map(lambda x: x if is_literal(x) else read(x), messages)
+        messages = jax.tree.map(lambda x: x if is_literal(x) else whole_cotangent(x), messages)
         pairs = [(port, self._limb(messages, j)) for j, port in enumerate(ports) if port != WORLD]
         return pairs, ys
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import algorithm
-from rbjax.lanes import Lane, Vec3, horner, sub
+from rbjax.lanes import Lane, Vec3, fusion_barrier, horner, sub
 from rbjax.model import Model, spans
 from rbjax.rotations import quaternion
 
@@ -50,6 +50,20 @@ def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
 
 #: |B_2k| / (2 k)!, the coefficients of (1 - (t/2) cot(t/2)) / t^2 as a series in t^2
 _TURN = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
+
+
+def moved(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:
+    """q + dq of arrays (nq, ...) and (nv, ...), computed once."""
+    if not model.nv:
+        return q
+    return jnp.stack(fusion_barrier(integrate_lanes(model.topology, list(q), list(dq))))
+
+
+def increment_rate(model: Model, u: jax.Array, v: jax.Array) -> jax.Array:
+    """u' (nv, ...) where the configuration q + u moves at v, computed once."""
+    if not model.topology.turn_starts:
+        return v
+    return jnp.stack(fusion_barrier(rate_lanes(model.topology, list(u), list(v))))
 
 
 def difference_lanes(top: Any, q0: list[Lane], q1: list[Lane]) -> list[Lane]:

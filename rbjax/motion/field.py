@@ -15,19 +15,18 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeGuard
 
 import jax
-import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import check_array, check_model, check_takes
 from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.manifold import integrate_lanes, rate_lanes
+from rbjax.dynamics.manifold import increment_rate, moved
 from rbjax.dynamics.rnea import forces_of
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied, chord, within
 from rbjax.forces.inputs import Inputs
-from rbjax.lanes import fusion_barrier, is_literal
+from rbjax.lanes import is_literal
 from rbjax.model import Model, State
 
 
@@ -75,13 +74,10 @@ class Field:
         return applied(self.model, t, state, u, self.dt)
 
     def _found(self, forces: Callable, t: Any, state: State, u: Inputs) -> tuple:
-        if state.q.ndim == 1:
-            tau, pushes, x = forces(t, state, u)
-            return self._accelerated(t, state, tau, pushes), x
-        tau, pushes, x = batch_last(forces, t, state, u)
+        tau, pushes, x = of_samples(forces, t, state, u)
         if self.law is free_motion:  # takes lanes with a batch as they are
             return self._accelerated(t, state, tau, pushes), x
-        return batch_last(self._accelerated, t, state, tau, pushes), x
+        return of_samples(self._accelerated, t, state, tau, pushes), x
 
     def _accelerated(
         self, t: Any, state: State, tau: jax.Array, pushes: LinkForces
@@ -106,15 +102,11 @@ class Field:
                 tau = forces_of(self.model, state.q, state.v, a, pushes)
             return tau, pushes, x
 
-        if state.q.ndim == 1:
-            return acting(t, state, u)
-        return batch_last(acting, t, state, u)
+        return of_samples(acting, t, state, u)
 
     def moved(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """q (+) dq."""
-        if not self.model.nv:
-            return q
-        return jnp.stack(fusion_barrier(integrate_lanes(self.model.topology, list(q), list(dq))))
+        return moved(self.model, q, dq)
 
     def chord(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
         """What forces at the middle of a step add to the diagonal of the mass matrix, lanes (...)
@@ -123,7 +115,7 @@ class Field:
         def added(t: Any, state: State, u: Inputs) -> dict:
             return chord(self.model, t, state, u.ctrl, dt)
 
-        return added(t, state, u) if state.q.ndim == 1 else batch_last(added, t, state, u)
+        return of_samples(added, t, state, u)
 
     def staged(self, t: Any, state: State, t0: Any, start: State) -> State:
         """The state at which a stage's rates are taken, of a step that began at t0 in `start`."""
@@ -134,16 +126,14 @@ class Field:
         def stage(t: Any, state: State, start: State) -> State:
             return law.staged(self.model, t, state, t0, start)
 
-        one = state.q.ndim == 1
-        return stage(t, state, start) if one else batch_last(stage, t, state, start)
+        return of_samples(stage, t, state, start)
 
     def settled(self, t: Any, state: State) -> State:
         """The state after a step, as the law leaves it: a formulation may put it back on its
         constraints."""
         if not isinstance(self.law, Formulation):
             return state
-        settle = functools.partial(self.law.settled, self.model)
-        return settle(t, state) if state.q.ndim == 1 else batch_last(settle, t, state)
+        return of_samples(functools.partial(self.law.settled, self.model), t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
         """The states (nx, ...) of force elements, within the ranges that they have."""
@@ -151,9 +141,7 @@ class Field:
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
         """u' of the increment u, where the configuration moves at v."""
-        if not self.model.topology.turn_starts:
-            return v
-        return jnp.stack(fusion_barrier(rate_lanes(self.model.topology, list(u), list(v))))
+        return increment_rate(self.model, u, v)
 
 
 def moves_stages(law: Law) -> TypeGuard[Formulation]:
@@ -174,6 +162,11 @@ def law_of(where: str, model: Model, law: Any, constraints: Any) -> Law:
             "is a law"
         )
     return law
+
+
+def of_samples(f: Callable, t: Any, state: State, *rest: Any) -> Any:
+    """f(t, state, *rest), f of one sample: of this one, or of each where the batch is last."""
+    return f(t, state, *rest) if state.q.ndim == 1 else batch_last(f, t, state, *rest)
 
 
 def batch_last(f: Callable, t: Any, *args: Any) -> Any:

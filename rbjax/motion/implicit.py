@@ -22,7 +22,7 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, evaluated
 from rbjax.model import Model, State
-from rbjax.motion.field import Field, batch_last
+from rbjax.motion.field import Field, of_samples
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
 from rbjax.solvers.differential_algebraic import Equations, Point, Weights, damped, solve
@@ -139,7 +139,7 @@ class ByStages:
             after = State(field.moved(state.q, du.q), state.v + du.v, x)
             return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
 
-        return one(t, state, u) if state.q.ndim == 1 else batch_last(one, t, state, u)
+        return of_samples(one, t, state, u)
 
 
 class StagesSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):

@@ -161,9 +161,9 @@ def rollout(
         run = _run if eager else _compiled(*key)
         return run(model, state, numbers, step, key, how, threads, memory)
 
-    if integrator is None or isinstance(integrator, str):
-        return with_captured(lambda *f: march(*f, advance), *sources.functions, law)
-    return with_captured(march, *sources.functions, law, advance)
+    if advance is integrator:  # the caller's function
+        return with_captured(march, *sources.functions, law, advance)
+    return with_captured(lambda *f: march(*f, advance), *sources.functions, law)
 
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:
