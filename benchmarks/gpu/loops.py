@@ -4,7 +4,7 @@
 Batch first, f32, 100 steps; ours semi-implicit Euler with the formulations "projected" and
 "baumgarte", MJX its own Euler with soft constraints, Newton's method, one iteration and more. The
 error is the norm of the rows at the end, the median over the batch; "open" is the same robot
-without its constraints.
+without its constraints. `--parts` takes the other formulations by name, too.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from benchmarks.shared.timing import markdown_table, others, save
 
 STEPS = 100
 WAYS = ("projected", "baumgarte", "open")
+OTHERS = tuple(name for name in rb.constraints.formulations() if name not in WAYS)
 PARTS = (*WAYS, *(f"gradient-{way}" for way in WAYS), "mjx")
+MORE = (*OTHERS, *(f"gradient-{way}" for way in OTHERS))
 COLUMNS = ("what", "engine", "batch", "lower_s", "compile_s", "M/s median", "rows left")
 
 
@@ -58,6 +60,7 @@ def rows(name: str, batch: int, parts: Collection[str]) -> Iterator[dict]:
     feedback = rb.constraints.Baumgarte.for_step(dt)
     ways = {"projected": (model, "projected"), "baumgarte": (model, feedback)}
     ways["open"] = model.replace(constraints=()), None
+    ways |= {name: (model, name) for name in OTHERS}
     for what, (robot, formulation) in ways.items():
 
         def run(state: rb.State, robot: rb.Model = robot, formulation=formulation):
@@ -99,7 +102,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=["four_bar"], help="scenes, or MJCF files")
     parser.add_argument("--batch", type=int, default=65536)
-    parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS)
+    parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS + MORE)
     args = parser.parse_args()
     for name in args.robots:
         found = []

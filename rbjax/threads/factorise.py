@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from rbjax.threads.lowering import Lowering, Unsupported, rule
+from rbjax.threads.lowering import Lowering, rule
 
 #: matrices with more columns are factorised by a loop
 UNROLL_UP_TO = 8
@@ -39,6 +39,14 @@ def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
     for i in reversed(range(first, len(a) - 1)):
         out = jnp.where(k == i, a[i], out)
     return out
+
+
+def _exchanged(x: jax.Array, k: Any, p: Any, first: Any = 0) -> jax.Array:
+    """x, with rows k and p in each other's place, where p is at least `first`."""
+    rows = np.arange(len(x))
+    here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
+    there = (rows == k).reshape(here.shape)
+    return jnp.where(there, _row(x, p, first), jnp.where(here, x[k], x))
 
 
 def cholesky(a: jax.Array) -> jax.Array:
@@ -72,12 +80,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         p = p + k if isinstance(k, int) else p
         first = k if isinstance(k, int) else 0
 
-        def exchange(x: jax.Array) -> jax.Array:
-            here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
-            there = (rows == k).reshape(here.shape)
-            return jnp.where(there, _row(x, p, first), jnp.where(here, x[k], x))
-
-        a, order = exchange(a), exchange(order)
+        a, order = _exchanged(a, k, p, first), _exchanged(order, k, p, first)
         pivots = jnp.where(np.arange(count) == k, p, pivots)
         below = rows > k
         pivot = a[k, k]
@@ -125,12 +128,17 @@ def triangular_solve(
     return x if left_side else x.T
 
 
-def geqrf(a: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Householder's reflections below the diagonal, R above it, and the reflections' factors."""
+def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Householder's reflections below the diagonal, R above it, the reflections' factors, and the
+    order of the columns: with `pivoting` the longest that is left comes next."""
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
-    def step(k: Any, a: jax.Array, taus: jax.Array) -> tuple:
+    def step(k: Any, a: jax.Array, taus: jax.Array, order: jax.Array) -> tuple:
+        if pivoting:
+            left = jnp.where((rows >= k)[:, None], a, 0)
+            p = jnp.where(columns >= k, (left * left).sum(0), -1).argmax().astype(jnp.int32)
+            a, order = _exchanged(a.T, k, p).T, _exchanged(order, k, p)
         below, alpha = rows > k, a[k, k]
         rest = jnp.where(below, a[:, k] ** 2, 0).sum()
         length = jnp.sqrt(alpha**2 + rest)
@@ -144,9 +152,9 @@ def geqrf(a: jax.Array) -> tuple[jax.Array, jax.Array]:
         mine = columns == k
         a = jnp.where(below[:, None] & mine, v[:, None], a)
         a = jnp.where((rows == k)[:, None] & mine, jnp.where(flat, alpha, beta), a)
-        return a, jnp.where(np.arange(count) == k, tau, taus)
+        return a, jnp.where(np.arange(count) == k, tau, taus), order
 
-    return _columns(count, step, a, jnp.zeros(count, a.dtype))
+    return _columns(count, step, a, jnp.zeros(count, a.dtype), jnp.arange(n, dtype=jnp.int32))
 
 
 def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
@@ -161,16 +169,17 @@ def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
     return _columns(len(taus), step, start, reverse=True)[0]
 
 
-def qr(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array]:
-    """Q and R."""
+def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[jax.Array, ...]:
+    """Q and R; with `pivoting` the order of the columns too."""
     m, n = a.shape
-    r, taus = geqrf(a)
+    r, taus, order = geqrf(a, pivoting)
     k = m if full_matrices else min(m, n)
     wide = jnp.concatenate([r, jnp.zeros((m, max(k - n, 0)), a.dtype)], 1)[:, :k]
-    return householder_product(wide, taus), jnp.triu(r[:k])
+    found = householder_product(wide, taus), jnp.triu(r[:k])
+    return (*found, order) if pivoting else found
 
 
-def _of(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
+def mapped(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
     """The results of f, mapped over the axes before the last ones."""
     for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
         f = jax.vmap(f)
@@ -179,43 +188,42 @@ def _of(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ...])
 
 @rule("cholesky")
 def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
-    return _of(low, eqn, ins, cholesky, (2,))
+    return mapped(low, eqn, ins, cholesky, (2,))
 
 
 @rule("lu")
 def _lu(low: Lowering, eqn: Any, ins: list) -> list:
-    return _of(low, eqn, ins, lu, (2,))
+    return mapped(low, eqn, ins, lu, (2,))
 
 
 @rule("lu_pivots_to_permutation")
 def _permutation(low: Lowering, eqn: Any, ins: list) -> list:
     f = functools.partial(permutation, size=eqn.params["permutation_size"])
-    return _of(low, eqn, ins, f, (1,))
+    return mapped(low, eqn, ins, f, (1,))
 
 
 @rule("triangular_solve")
 def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
     names = "left_side", "lower", "transpose_a", "unit_diagonal"
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
-    return _of(low, eqn, ins, f, (2,))
+    return mapped(low, eqn, ins, f, (2,))
 
 
 @rule("geqrf")
 def _geqrf(low: Lowering, eqn: Any, ins: list) -> list:
-    return _of(low, eqn, ins, geqrf, (2,))
+    return mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
 
 
 @rule("householder_product")
 def _householder_product(low: Lowering, eqn: Any, ins: list) -> list:
-    return _of(low, eqn, ins, householder_product, (2,))
+    return mapped(low, eqn, ins, householder_product, (2,))
 
 
 @rule("qr")
 def _qr(low: Lowering, eqn: Any, ins: list) -> list:
-    if eqn.params.get("pivoting"):
-        raise Unsupported("qr with pivoting")
-    f = functools.partial(qr, full_matrices=eqn.params["full_matrices"])
-    return _of(low, eqn, ins, f, (2,))
+    names = "full_matrices", "pivoting"
+    f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
+    return mapped(low, eqn, ins, f, (2,))
 
 
 @rule("custom_linear_solve")

@@ -27,6 +27,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
     reductions,
     sorting,
     special,
+    spectral,
     structure,
 )
 from rbjax.threads.arrays import View, row_major

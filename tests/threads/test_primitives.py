@@ -529,6 +529,67 @@ def test_singular_and_single_precision_factorisations():
     compare(cases, ulps=64, absolute=64)
 
 
+def of_eigenvalues(a: jax.Array) -> tuple:
+    """What the signs of eigenvectors do not change."""
+    w, v = jnp.linalg.eigh(a)
+    return w, (v * w) @ v.T, (v * jnp.tanh(w)) @ v.T, v.T @ v
+
+
+def of_singular_values(a: jax.Array) -> tuple:
+    u, s, vt = jnp.linalg.svd(a, full_matrices=False)
+    whole = jnp.linalg.svd(a)
+    bases = [x.T @ x for x in (whole[0], whole[2])]
+    return s, jnp.linalg.svd(a, compute_uv=False), (u * s) @ vt, (u * jnp.tanh(s)) @ vt, *bases
+
+
+def of_pivots(a: jax.Array) -> tuple:
+    q, r, p = lax.linalg.qr(a, pivoting=True, full_matrices=False)
+    back = jnp.zeros_like(a).at[:, p].set(q @ r)
+    return p, jnp.abs(jnp.diagonal(r)), back, lax.linalg.qr(a, pivoting=True)[0].T[0] ** 2
+
+
+@pytest.mark.parametrize("n", mostly_slow((3,), (1, 2, 9, 14)), ids=lambda n: f"{n} rows")
+def test_spectra(n):
+    """Eigenvalues and singular values of matrices full, short of rank, diagonal, zero, graded."""
+    x, tall = normal(F64, 5, n, n, seed=1), normal(F64, 5, n + 2, n, seed=2)
+    short = tall.copy()
+    short[:, :, n // 2 :] = short[:, :, :1]  # equal columns
+    x[1], short[1] = np.diag(np.arange(n) - 1.0), 0.0
+    x[2], short[2] = 0.0, short[2] * 10.0 ** -np.arange(n)
+    x[3] = np.eye(n)
+    symmetric = x + x.swapaxes(1, 2)
+    wide = short.swapaxes(1, 2)
+    cases: dict[str, Case] = {
+        "eigh": (of_eigenvalues, (symmetric,)),
+        "upper": (lambda a: lax.linalg.eigh(a, lower=False, symmetrize_input=False)[1], (x,)),
+        "svd": (of_singular_values, (x,)),
+        "svd tall": (of_singular_values, (tall,)),
+        "svd short of rank": (of_singular_values, (short,)),
+        "svd wide": (of_singular_values, (wide,)),
+        "qr with pivots": (of_pivots, (tall,)),
+        "qr with pivots, wide": (of_pivots, (tall.swapaxes(1, 2),)),
+        "nan": (lambda a: (jnp.linalg.eigvalsh(a), jnp.linalg.svd(a)[1]), (x * np.nan,)),
+        "slope": (jax.grad(lambda a: jnp.tanh(jnp.linalg.eigvalsh(a)).sum()), (symmetric[4:],)),
+        "pinv": (jnp.linalg.pinv, (tall,)),
+    }
+    compare(cases, ulps=1e5, absolute=1e3)
+    single: dict[str, Case] = {
+        "eigh": (of_eigenvalues, (symmetric.astype(F32),)),
+        "svd": (of_singular_values, (short.astype(F32),)),
+    }
+    compare(single, ulps=1e3, absolute=1e3)
+
+
+def test_spectra_of_many_rows():
+    """Whose rotations are a loop."""
+    x = normal(F64, 2, 9, 9)
+    cases: dict[str, Case] = {
+        "eigh": (jnp.linalg.eigvalsh, (x,)),
+        "svd": (lambda a: jnp.linalg.svd(a[:7], compute_uv=False), (x,)),
+    }
+    compare(cases, ulps=1e3, absolute=1e2)
+
+
 # ------------------------------------------------------------------- control
 
 

@@ -1,0 +1,73 @@
+"""Robots with loops as threads: every formulation's step and gradient, the functions of rows."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import constraints as rc
+from tests.quickly import quick_jit
+from tests.threads.host import COMPILER, many_on_host
+from tests.threads.test_algorithms import agree, by_xla
+from tests.tolerances import F64_PARITY
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+
+DT = 1e-3
+IMPLICIT = [name for name, one in rc.formulations().items() if one.index > 1]
+OTHERS = [name for name in rc.formulations() if name not in IMPLICIT]
+
+
+def on_loops(scene: str) -> tuple[rb.Model, rb.State]:
+    """Three states of a scene, moving, on its rows."""
+    model = rb.load(scene)
+    rng = np.random.default_rng(3)
+    q = model.default_state().q + 0.1 * rng.normal(size=(3, model.nq))
+    state = rb.State(jnp.asarray(q), jnp.asarray(rng.normal(size=(3, model.nv))))
+    exact = rc.Projected(iterations=20)
+    return model, quick_jit(jax.vmap(lambda s: exact.settled(model, 0.0, s)))(state)
+
+
+def step_of(model: rb.Model, name: str):
+    def step(q, v):
+        after = rb.step(model, rb.State(q, v), None, DT, constraints=name)
+        return after.q, after.v
+
+    return step
+
+
+def gradient_of(model: rb.Model, name: str):
+    step = step_of(model, name)
+    return jax.grad(lambda q, v: sum(jnp.sin(x).sum() for x in step(q, v)), argnums=(0, 1))
+
+
+@pytest.mark.parametrize(
+    ("scene", "of", "names"),
+    [
+        ("four_bar", step_of, OTHERS),
+        pytest.param("four_bar", step_of, IMPLICIT, marks=pytest.mark.slow),
+        pytest.param("four_bar", gradient_of, OTHERS, marks=pytest.mark.slow),
+        pytest.param("four_bar", gradient_of, IMPLICIT, marks=pytest.mark.slow),
+        pytest.param("gripper", step_of, OTHERS, marks=pytest.mark.slow),
+    ],
+)
+def test_formulations(scene, of, names):
+    model, state = on_loops(scene)
+    cases = [(of(model, name), (state.q, state.v)) for name in names]
+    for (f, args), got in zip(cases, many_on_host(cases, ("-O0",)), strict=True):
+        agree(got, by_xla(f, args), F64_PARITY)
+
+
+def test_functions_of_rows():
+    model, state = on_loops("four_bar")
+    functions = [
+        lambda q, v: tuple(rc.residual(model, rb.State(q, v))),
+        lambda q, v: rc.jacobian(model, q),
+        lambda q, v: tuple(rc.constrained_dynamics(model, q, v, jnp.sin(v))),
+        lambda q, v: rc.multipliers(model, rb.State(q, v)),
+        lambda q, v: rc.joint_wrenches(model, rb.State(q, v)),
+    ]
+    cases = [(f, (state.q, state.v)) for f in functions]
+    for (f, args), got in zip(cases, many_on_host(cases, ("-O0",)), strict=True):
+        agree(got, by_xla(f, args), F64_PARITY)
