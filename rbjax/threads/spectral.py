@@ -1,7 +1,7 @@
 """Rules for eigenvalues and singular values, by Jacobi's rotations.
 
-    eigenvalues       A <- J^T A J until A is diagonal              (two-sided; V is the product of J)
-    singular values   A <- A J until the columns are orthogonal     (one-sided; A V = U S)
+    eigenvalues       A <- J^T A J until A is diagonal             (V is the product of all J)
+    singular values   A <- A J until the columns are orthogonal    (A V = U S)
 Each rotation takes one pair to zero. Sweeps over all pairs converge quadratically.
 (Golub & Van Loan, *Matrix Computations*, 8.5, 8.6; Demmel & Veselic 1992.)
 """
