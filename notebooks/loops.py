@@ -93,3 +93,70 @@ for _ in range(4):
     J, off = slope(length), angles(length) - measured
     length = length - (J @ off) / (J @ J)
     print(f"length {float(length):.9f} m")
+
+# %% [markdown]
+# ## Andrews' squeezer
+#
+# Seven planar bodies in four chains that meet in one point E, a spring, a motor on K1: the test
+# of multibody codes (Schiehlen 1990; figures of Hairer & Wanner, *Solving ODEs II*, VII.7). Three
+# loop joints close it, and their multipliers are the forces in E.
+
+
+# %%
+def body(name, at, com, mass, inertia, inside=""):
+    return (
+        f'<body name="{name}" pos="{at} 0"><joint name="{name}" axis="0 0 1"/>'
+        f'<inertial pos="{com} 0" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>'
+        f"{inside}</body>"
+    )
+
+
+k2 = body("K2", "0.007 0", "-0.0115 0", 0.00365, 4.41e-7)
+k4 = body("K4", "0.04 0", "0 -0.00579", 0.00706, 5.667e-7)
+k6 = body("K6", "0 -0.04", "0.00579 0", 0.00706, 5.667e-7)
+bodies = [
+    body("K1", "0 0", "0.00092 0", 0.04325, 2.194e-6, k2),
+    body("K3", "-0.03635 0.03273", "0.01043 -0.01874", 0.02373, 5.255e-6),
+    body("K5", "-0.06934 -0.00227", "0.02308 0.00916", 0.0705, 1.169e-5, k4),
+    body("K7", "-0.06934 -0.00227", "0.01228 0.00449", 0.05498, 1.912e-5, k6),
+]
+tree = rb.load(
+    f"""<mujoco><option gravity="0 0 0"/><worldbody>{"".join(bodies)}</worldbody>
+    <actuator><motor joint="K1"/></actuator></mujoco>"""
+)
+on = rb.forces.Anchor.on
+ends = on(point=[0.014, 0.072, 0]), on(body="K3", point=[0.02, -0.018, 0])
+spring = rb.forces.PointSpring.of(*ends, stiffness=4530.0, length=0.07785)
+E = {"K2": [-0.028, 0, 0], "K3": [0, -0.035, 0], "K4": [0, -0.02, 0], "K6": [0.02, 0, 0]}
+at = {name: rc.Place.on(body=name, point=point) for name, point in E.items()}
+loops = [rc.Spherical(at[name], at["K2"]) for name in ("K3", "K4", "K6")]
+squeezer = tree.with_forces(spring).with_constraints(*loops)
+angles0 = {"K1": -0.0617, "K2": 0.0, "K3": 0.4553, "K4": 0.2227, "K5": 0.4874, "K6": -0.2227}
+guess = jnp.array([angles0.get(name, 1.2305) for name in squeezer.joint_names])
+begin = rc.assemble(squeezer, squeezer.default_state().replace(q=guess), pinned=["K2"]).state
+print(rc.mobility(squeezer, begin.q))
+
+# %%
+motor = jnp.array([0.033])  # N m
+held = jnp.tile(motor, (3000, 1))
+path = rb.rollout(squeezer, begin, held, 1e-5, integrator="rk4", save_every=10)
+l = jax.vmap(lambda q, v: rc.multipliers(squeezer, rb.State(q, v), motor))(path.q, path.v)
+figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
+turn = jnp.array([squeezer.joint(name) for name in ("K1", "K3", "K7")])
+left.plot(1e3 * path.ts, path.q[:, turn], label=["K1", "K3", "K7"])
+left.set(xlabel="t, ms", ylabel="angle, rad")
+right.plot(1e3 * path.ts, l.reshape(-1, 3, 3)[:, :, 0], label=["K3", "K4", "K6"])
+right.set(xlabel="t, ms", ylabel="x of the force of K2 in E, N")
+for axes in (left, right):
+    axes.legend(frameon=False)
+
+# %% [markdown]
+# ## Which formulation
+#
+# `recommend` runs the candidates on a motion and says in a sentence which one to take, and why.
+
+# %%
+crank = model.keyframe("turning").replace(q=2.2 * jnp.array([1.0, -1.0, 1.0]), v=jnp.zeros(3))
+choice = rc.recommend(model, crank, 1e-6, horizon=0.5, dt=0.01, progress=False)
+print(choice.name, choice.dt)
+print(choice.reason)

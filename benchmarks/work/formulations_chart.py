@@ -19,7 +19,9 @@ LOOKS = {
     "projected": (BLUE, "o"), "multipliers": (ORANGE, "o"), "baumgarte": (RED, "o"),
     "kkt": (INK, "o"), "null_space_qr": (GREEN, "s"), "null_space_svd": (TEAL, "s"),
     "partitioning": (PURPLE, "s"), "udwadia_kalaba": (ORANGE, "^"), "force_projection": (RED, "^"),
-    "augmented_lagrangian": (INK, "^"), "penalty": (TEAL, "^"),
+    "augmented_lagrangian": (INK, "^"), "penalty": (TEAL, "^"), "compliant": (PURPLE, "^"),
+    "tangent_space": (BLUE, "s"), "recursive": (RED, "s"),
+    "index_2": (ORANGE, "D"), "index_3": (GREEN, "D"), "ggl": (PURPLE, "D"),
 }  # fmt: skip
 BEST, WORST = -16, 0  # log10 of the gaps that the colours tell apart
 FAILED = "#22303c"
@@ -48,8 +50,8 @@ def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
         drift(figure.add_subplot(grid[2, :]), runs, titles, order)
         figure.legend([handles[key] for key in order], order, loc="outside lower center", ncols=6)
         figure.suptitle(
-            "Formulations of constrained motion, RK4, f64, one core: error against cost "
-            "(circles: redundant family, squares: minimal, triangles: unconstrained)",
+            "Formulations of constrained motion, f64, one core: error against cost (RK4: circles "
+            "redundant family, squares minimal, triangles unconstrained; diamonds: Radau IIA)",
             x=0.01, ha="left", fontweight="bold",
         )  # fmt: skip
         figure.savefig(path)

@@ -53,7 +53,7 @@ def step(
         integrator: as in `rollout`.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; "projected" if None.
+            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
 
     Returns:
         `State`.
@@ -101,7 +101,7 @@ def linearise(
         integrator: of the discrete form, as in `rollout`.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; "projected" if None.
+            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
 
     Returns:
         `Linear(A (n, n), B (n, nu))`, n = 2 nv + nx; rows and columns are dq on the tangent space,

@@ -96,7 +96,7 @@ def rollout(
             of index 2 and 3 a fully implicit method (`rbjax.constraints.DifferentialAlgebraic`).
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; "projected" if None.
+            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
         save_every: keep every so many states; it must divide the number of steps.
         steps: the number of steps, where ctrls does not give it.
         kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.

@@ -11,6 +11,9 @@ Where rows are redundant, only formulations that decide no rank are candidates: 
 proximal multipliers. At a singular position what the rows are off by is divided by a singular value
 near zero, by luck of where the steps fall; there only those of them that put the rows back are.
 (benchmarks/results/work-formulations-*.json: two four-bars, each singular twice)
+
+Where no motion is given it is the default of `rollout` and `simulate`: one that is right for any
+motion, horizon and rank.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ import jax
 import numpy as np
 
 from rbjax.constraints import Formulation, formulations, residual
+from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.arguments import check_arrays, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
@@ -34,11 +38,19 @@ MOST_STEPS = 200_000
 CLOSED = 1e-6  # m, rad, and per second: a start that is further off is on no constraint
 PROXIMAL = ("multipliers", *RESTORING)
 BY_RANK = ("null_space_qr",)
+FREE = "nothing decides: the model has 0 rows, its motion is free"
+#: of the defaults
+WHY = {
+    "projected": "keeps the rows at rounding over any horizon, decides no rank and has no number "
+    "to choose",
+    "compliant": "is the law of rows that yield, which the model has",
+}
 
 
 @dataclass(frozen=True)
 class Recommendation:
     """A formulation and a step: `rb.rollout(model, state, None, r.dt, constraints=r.formulation)`.
+    Numbers of a motion are nan where none was given.
 
     Fields: formulation, None where there are no rows; name; dt in seconds; gap, the largest
     residual of a row (m, rad) or of its rate over the horizon; error, the largest deviation of a
@@ -52,7 +64,7 @@ class Recommendation:
     dt: float
     gap: float
     error: float
-    redundant: int
+    redundant: int | None
     closest: float
     trials: tuple[Trial, ...]
     reason: str
@@ -60,8 +72,8 @@ class Recommendation:
 
 def recommend(
     model: Model,
-    state: State,
-    accuracy: float,
+    state: State | None = None,
+    accuracy: float | None = None,
     *,
     horizon: float = 1.0,
     dt: float | None = None,
@@ -73,10 +85,11 @@ def recommend(
 
     Of the formulations with steps dt, dt/2, dt/4, ... whose gap and error over the horizon are at
     most the accuracy: the one that is cheapest per second of motion, by this machine's clock.
+    Without a state and an accuracy: the default of `rollout` and `simulate`, for any motion.
 
     Args:
         model: the robot, with constraints.
-        state: initial q (nq,), v (nv,), on the constraints.
+        state: initial q (nq,), v (nv,), on the constraints; or None.
         accuracy: the largest residual of a row or of its rate, and the largest deviation of a
             configuration coordinate over the horizon, in m, rad and seconds; at least 1e-10.
         horizon: seconds of motion; only the first 2 are run, and what grows is extrapolated.
@@ -104,6 +117,14 @@ def recommend(
         >>> r.name, r.reason
         ('none', 'nothing decides: the model has 0 rows, its motion is free')
     """
+    if state is None and accuracy is None:
+        return _of_any_motion(model, dt)
+    if state is None or accuracy is None:
+        raise InputError(
+            f"recommend: {'accuracy' if state is None else 'state'} is given and "
+            f"{'state' if state is None else 'accuracy'} is not; give both for a motion, or "
+            "neither for the default"
+        )
     check_request(accuracy, horizon=horizon, **({} if dt is None else {"dt": dt}))
     with jax.enable_x64(True):
         state = check_arrays("recommend", model, {"state": state})["state"]
@@ -112,8 +133,7 @@ def recommend(
         model, state = jax.tree.map(double, (model, state))
         largest = float(model.timestep if dt is None else dt)
         if not model.constraints:
-            why = "nothing decides: the model has 0 rows, its motion is free"
-            return Recommendation(None, "none", largest, 0.0, 0.0, 0, math.inf, (), why)
+            return Recommendation(None, "none", largest, 0.0, 0.0, 0, math.inf, (), FREE)
         off = max(float(np.abs(x).max()) for x in residual(model, state))
         if not off <= CLOSED:
             raise InputError(
@@ -123,6 +143,16 @@ def recommend(
         with telling(progress) as say:
             runs = Runs(model, state, float(horizon), largest, integrator, control)
             return _recommended(runs, float(accuracy), float(horizon), say)
+
+
+def _of_any_motion(model: Model, dt: float | None) -> Recommendation:
+    found = formulation_of("recommend", model, None)
+    why = FREE
+    if found is not None:
+        why = f"no motion is given, so nothing is measured: {found.name} {WHY[found.name]}"
+    step, unknown = float(model.timestep if dt is None else dt), math.nan
+    name = "none" if found is None else found.name
+    return Recommendation(found, name, step, unknown, unknown, None, unknown, (), why)
 
 
 def _recommended(runs: Runs, accuracy: float, horizon: float, say: Say) -> Recommendation:

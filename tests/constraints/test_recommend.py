@@ -10,10 +10,13 @@ from scipy.integrate import quad
 
 import rbjax as rb
 from rbjax import constraints as rc
+from rbjax.constraints.registry import formulation_of
 from tests.constraints.mechanisms import four_bars, pendulum, spatial_slider_crank, tilted_four_bar
 
 FIGURES = Path(__file__).parent.parent / "oracles" / "loops.json"
 slow = pytest.mark.slow
+SOFT = """<mujoco><worldbody><body name="a"><joint name="x" type="slide"/><geom size="0.1"/></body>
+  </worldbody><equality><joint joint1="x"/></equality></mujoco>"""
 LEFT = rb.State(jnp.array([-1.0, 0.0]), jnp.zeros(2))
 
 
@@ -117,3 +120,17 @@ def test_wrong_inputs(given: dict, message: str) -> None:
     given = {"state": LEFT, "accuracy": 1e-6} | given
     with pytest.raises(rb.InputError, match=message):
         rc.recommend(pendulum(), **given)
+
+
+def test_the_default_is_the_one_of_any_motion() -> None:
+    """That of `rollout` and `simulate`, with its reason."""
+    r = rc.recommend(pendulum())
+    assert r.formulation is formulation_of("simulate", pendulum(), None)
+    assert r.name == "projected" and "decides no rank" in r.reason and np.isnan(r.gap)
+    soft = rb.load(SOFT, compliant=True)
+    r = rc.recommend(soft)
+    assert r.formulation is formulation_of("simulate", soft, None)
+    assert r.name == "compliant" and "yield" in r.reason
+    assert rc.recommend(rb.load("pendulum")).formulation is None
+    with pytest.raises(rb.InputError, match="accuracy is given and state is not"):
+        rc.recommend(pendulum(), accuracy=1e-6)

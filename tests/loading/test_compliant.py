@@ -4,6 +4,7 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from mujoco import mjx
 
 import rbjax as rb
 from rbjax import constraints as rc
@@ -92,6 +93,34 @@ def test_mujoco_comes_to_the_rigid_motion_as_solref_stiffens() -> None:
         assert 1e-4 < off[0] < 1e-3 and gaps[0] < 1e-3
         for x in (off, gaps):
             np.testing.assert_allclose((x[:-1] / x[1:])[-2:], 4.0, rtol=0.05)
+
+
+WELDED = FOUR_BAR.replace(
+    "</body></body></body>",
+    f'<body name="tip" pos="0.1 0 -0.7">{BAR.format("0.3 0 -0.1", 1)}</body></body></body></body>',
+).replace('<connect body1="rocker" anchor="0.1 0 -0.7"', '<weld body1="tip"')
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", [FOUR_BAR, WELDED], ids=["connect", "weld"])
+def test_mjx_comes_to_the_rigid_motion_as_solref_stiffens(text: str) -> None:
+    """By the square of the time constant, as MuJoCo."""
+    dt, constants = 1.25e-4, 2.5e-3 / 2.0 ** np.arange(4)
+    model = rb.load(text.format(""))
+    rigid = rb.rollout(model, model.default_state(), None, dt, steps=500, integrator="rk4").q[-1]
+    m = exact(text.format(""))
+    m.opt.timestep, m.opt.tolerance, m.opt.iterations, m.opt.ls_iterations = dt, 1e-14, 20, 20
+    theirs = mjx.put_model(m)
+
+    def end(solref: jax.Array) -> jax.Array:
+        softened = theirs.replace(eq_solref=solref[None])
+        data = mjx.make_data(softened)
+        return jax.lax.fori_loop(0, 500, lambda _, d: mjx.step(softened, d), data).qpos
+
+    found = jax.jit(jax.vmap(end))(np.stack([constants, np.ones(4)], 1))
+    off = np.abs(found - rigid).max(1)
+    assert 1e-6 < off[0] < 1e-2
+    np.testing.assert_allclose((off[:-1] / off[1:])[-2:], 4.0, rtol=0.05)
 
 
 @pytest.mark.slow
