@@ -1,13 +1,13 @@
 """Formulations of constrained motion on mechanisms: error, drift, cost, failures.
 
 `python -m benchmarks.work.formulations [MECHANISM ...] [--small]`. Each motion is run by RK4 in
-`rollout`, f64, one sample, with a ladder of steps; index 2, 3 and GGL by Radau IIA of order 5. The error is the largest deviation of q, or of v
-against the fastest, at the end, from a closed form or from DOP853 with "projected" and steps far
-smaller, whose own error is bounded by a run with half as many. Drift is the largest residual of the
-rows at 10 to 320 times on the way. A step's cost is the least of 40 runs of 100 steps, in which all
-formulations take turns; compile times are apart, in CPU seconds. Results go to
-results/work-formulations-<device>.json and docs/formulations.png; a run of some mechanisms keeps
-the others.
+`rollout`, f64, one sample, with a ladder of steps; index 2, 3 and GGL by Radau IIA of order 5. The
+error is the largest deviation of q, or of v against the fastest, at the end, from a closed form or
+from DOP853 with "projected" and steps far smaller, whose own error is bounded by a run with half as
+many. Drift is the largest residual of the rows at 10 to 320 times on the way. A step's cost is the
+least of 40 runs of 100 steps, in which all formulations take turns; compile times are apart, in CPU
+seconds. Results go to results/work-formulations-<device>.json and docs/formulations.png; a run of
+some mechanisms keeps the others.
 """
 
 from __future__ import annotations
