@@ -51,7 +51,7 @@ Left = Callable[[Instant, Sequence[Row], jax.Array | None], Sequence[Lane]]
 def range_space(
     d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
 ) -> tuple[jax.Array, None, System]:
-    """From free motion on, where no force is left, by its factors: A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
+    """From free motion on (no force is left): A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
 
     def system(now: Instant, rows: Sequence[Row]) -> Solve:

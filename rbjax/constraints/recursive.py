@@ -9,13 +9,13 @@ force u_i at each joint and a wrench w at the parent. With W = [w ...] the rows 
 (u_f: what the forces leave; a_p: the parent's acceleration). So the cluster is to its parent
 
     I = I_f + W A^-1 W^T,     p = p_f - W l_0,     l = l_0 - A^-1 W^T a_p
-In other words, with F the coupling of the cluster's joints to the parent and H their inertia,
-W = -F H^-1 G^T and I = I_c - F P F^T with P = H^-1 - H^-1 G^T A^-1 G H^-1, the inverse of H that the
-rows leave: B (B^T H B)^-1 B^T, with no basis B of their null space. A holds the rows of one cluster
-only: loops that share no joint are never coupled, and what carries them sees one inertia.
+With H the inertia of the cluster's joints and F their coupling to the parent, W = -F H^-1 G^T and
+I = I_c - F P F^T, where P = H^-1 - H^-1 G^T A^-1 G H^-1 is the inverse that the rows leave of H. It
+is B (B^T H B)^-1 B^T, with no basis B of their null space and no choice of coordinates. A holds the
+rows of one cluster only: loops that share no joint are never coupled.
 
-Forces of a row that do not quite cancel at the parent (a loop that is not quite closed) are in W;
-nothing is assumed of them.
+Where a loop is not quite closed, forces of its rows do not quite cancel at the parent. What is left
+is in W, so the equations stay exact.
 
 (Jain 2012, *Multibody graph transformations and analysis, part II: constraint embedding*; Chignoli,
 Adrian, Kim & Wensing 2023, *Recursive rigid-body dynamics algorithms for systems with kinematic
@@ -92,13 +92,14 @@ def by_clusters(
 
     def system(now: Instant, rows: Sequence[Row]) -> Solve:
         found = clusters(d.topology, rows)
-        if max(len(cluster.rows) for cluster in found) > ROWS_ON_LANES:
+        if max((len(cluster.rows) for cluster in found), default=0) > ROWS_ON_LANES:
             by_rows = response(d, factorize(d, joints), now, rows)
-            needed = d.pack(rnea(d, joints, d.lanes(None), gravity, pushes), tau)
-            return lambda f, c: by_rows.solved(tau - needed if f is None else f, c)
+            left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, pushes), tau)
+            return lambda f, c: by_rows.solved(left if f is None else f, c)
+        tree = ClusterTree(d, joints, rows, found, tau)
         needed = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, pushes))
-        tree, left = ClusterTree(d, joints, rows, found, tau), {i: -f for i, f in enumerate(needed)}
-        return lambda f, c: tree.solved(tau, left, c) if f is None else tree.solved(f, {}, c)
+        own = {i: -f for i, f in enumerate(needed)}
+        return lambda f, c: tree.solved(tau, own, c) if f is None else tree.solved(f, {}, c)
 
     return None, None, system
 
@@ -106,16 +107,17 @@ def by_clusters(
 class Tied(NamedTuple):
     """A cluster whose joints and multipliers are eliminated.
 
-    Fields, of each of its rows: u, the force that a unit multiplier leaves at each joint; e = u / D;
-    W, what it leaves at the parent; Y = A^-1 W, of no row if the parent is the world.
+    Fields, of each of its rows: u, the force that a unit multiplier leaves at each joint, and
+    e = u / D; W, the wrench that it leaves at the parent, and Y = A^-1 W, of no row if the parent
+    is the world.
     """
 
     cluster: Cluster
-    u: list[dict[int, Lane]]
-    e: list[dict[int, Lane]]
-    W: list[Force]
+    u: Sequence[dict[int, Lane]]
+    e: Sequence[dict[int, Lane]]
+    W: Sequence[Force]
+    Y: Sequence[Force]
     A: LeastNorm
-    Y: list[Force]
 
 
 class ClusterTree:
@@ -146,24 +148,23 @@ class ClusterTree:
                 carried[parent] = carried[parent] + message if parent in carried else message
         self._with_clusters(WORLD, ArticulatedInertia.zero())
 
-    # ------------------------------------------------------------------------------- its factors
-
     def _with_clusters(self, link: int, I: ArticulatedInertia) -> ArticulatedInertia:
         """The inertia of a link with the clusters that hang on it."""
         self._tied[link] = [self._tie(x) for x in self._found if x.parent == link]
-        for tied in self._tied[link]:
-            for w, y in zip(tied.W, tied.Y, strict=False):
-                I = I + ArticulatedInertia.outer(w, y)
-        return fusion_barrier(I) if self._tied[link] else I
+        more = [x for tied in self._tied[link] for x in zip(tied.W, tied.Y, strict=False)]
+        for w, y in more:
+            I = I + ArticulatedInertia.outer(w, y)
+        return fusion_barrier(I) if more else I
 
     def _tie(self, cluster: Cluster) -> Tied:
-        u, e, W = zip(*(self._unit(cluster, self._rows[r].gradient) for r in cluster.rows))
+        units = [self._unit(cluster, self._rows[r].gradient) for r in cluster.rows]
+        u, e, W = zip(*units, strict=True)
         triangle = [[_shared(a, b) for b in e[: r + 1]] for r, a in enumerate(u)]
         A, Y = LeastNorm(triangle, self._like.dtype), []
         if cluster.parent != WORLD:
             columns = [A.solve(column) for column in zip(*W, strict=True)]
             Y = [Force.from_lanes(lanes) for lanes in zip(*columns, strict=True)]
-        return Tied(cluster, u, e, W, A, Y)
+        return Tied(cluster, u, e, W, Y, A)
 
     def _unit(self, cluster: Cluster, loads: Loads) -> tuple[dict, dict, Force]:
         """u, u / D and w of loads on a cluster."""
@@ -182,8 +183,6 @@ class ClusterTree:
                 pending[parent] = message
         return us, es, pending.get(cluster.parent, Force.zero())
 
-    # ------------------------------------------------------------------------------ its solutions
-
     def solved(
         self, tau: jax.Array, forces: Mapping[int, Force], c: Sequence[Lane]
     ) -> tuple[jax.Array, jax.Array]:
@@ -197,39 +196,38 @@ class ClusterTree:
     def _inward(
         self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]
     ) -> list[Lane]:
-        """The forces u become those that are left at the joints; the multipliers, as if parents
-        did not accelerate. pending: forces on links."""
+        """The multipliers, as if no parent of a cluster moved; the forces u become those that are
+        left at the joints. pending: forces on links."""
         l: list[Lane] = [0.0] * len(self._rows)
 
-        def held(link: int) -> Force:
+        def arrived(link: int) -> Force:
+            """The force on a link, with those of the clusters that hang on it."""
             f = pending.pop(link, Force.zero())
             for tied in self._tied[link]:
-                rows = tied.cluster.rows
-                left = dict(enumerate(u))
+                rows, left = tied.cluster.rows, dict(enumerate(u))
                 off = [sub(c[r], _shared(left, e)) for r, e in zip(rows, tied.e, strict=True)]
                 for r, x, w in zip(rows, tied.A.solve(off), tied.W, strict=True):
                     l[r], f = x, f + w * x
             return f
 
         for i in reversed(range(len(u))):
-            f, x, parent = held(i), self._factors[i], self._parents[i]
-            left = add(u[i], x.S.dot(f))
-            message = None
+            f, x, parent = arrived(i), self._factors[i], self._parents[i]
+            left, message = add(u[i], x.S.dot(f)), None
             if parent != WORLD:
-                message = pending.get(parent, Force.zero())
-                message = message + x.X.T(f - x.U * mul(left, x.inverse_D))
+                message = x.X.T(f - x.U * mul(left, x.inverse_D))
+                message = pending.get(parent, Force.zero()) + message
             u[i], message = fusion_barrier((left, message), known=(u[i], x))
             if parent != WORLD:
                 pending[parent] = message
-        held(WORLD)
+        arrived(WORLD)
         return l
 
     def _outward(self, u: list[Lane], l: list[Lane]) -> list[Lane]:
-        """Accelerations; l become the multipliers where parents accelerate."""
-        a = {WORLD: Motion.zero()}
-        out: list[Lane] = []
+        """Accelerations; l become the multipliers where parents move."""
+        a, out = {WORLD: Motion.zero()}, []
 
-        def release(link: int) -> None:
+        def arrived(link: int) -> None:
+            """The multipliers of the clusters that hang on a link act on their joints."""
             for tied in self._tied[link]:
                 rows = tied.cluster.rows
                 for r, y in zip(rows, tied.Y, strict=False):
@@ -238,14 +236,14 @@ class ClusterTree:
                     for i, x in own.items():
                         u[i] = add(u[i], mul(l[r], x))
 
-        release(WORLD)
+        arrived(WORLD)
         for i, parent in enumerate(self._parents):
             x = self._factors[i]
             carried = x.X(a[parent])
             qdd = mul(sub(u[i], x.U.dot(carried)), x.inverse_D)
             a[i], qdd = fusion_barrier((carried + x.S * qdd, qdd), known=(x, a[parent]))
             out.append(qdd)
-            release(i)
+            arrived(i)
         return out
 
 

@@ -1,6 +1,6 @@
 """How singular systems are regularized: eps D is added to A, and taken back by iteration.
 
-    (A + eps D) dx = b - A x,     x <- x + dx
+    (A + eps D) dx = b - A x,     x <- x + dx;     or (A + eps D) x <- b + eps D x
 converges to the solution of least norm, in the norm of D, with no decision about rank. (Carpentier,
 Budhiraja & Mansard, *Proximal and sparse resolution of constrained dynamics*, 2021.)
 """
@@ -12,7 +12,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rbjax.lanes.algebra import Lane, add, inner, mul, sub, total
+from rbjax.lanes.algebra import Lane, add, mul, total
 from rbjax.lanes.fusion_barrier import fusion_barrier
 from rbjax.lanes.ldlt import ldlt
 
@@ -32,14 +32,16 @@ class LeastNorm:
 
     def __init__(self, A: Sequence[Sequence[Lane]], dtype: Any, again: int | None = None):
         eps, self._again = proximal(dtype, again)
-        least = mul(float(jnp.finfo(dtype).eps), total(row[-1] for row in A))
-        self._factors = ldlt([[*row[:-1], add(mul(1.0 + eps, row[-1]), least)] for row in A])
-        many = range(len(A))
-        self._rows = [[A[max(r, s)][min(r, s)] for s in many] for r in many]
+        diagonal = [row[-1] for row in A]
+        least = mul(float(jnp.finfo(dtype).eps), total(diagonal))
+        self._added = [add(mul(eps, x), least) for x in diagonal]
+        self._factors = ldlt(
+            [[*row[:-1], add(row[-1], e)] for row, e in zip(A, self._added, strict=True)]
+        )
 
     def solve(self, b: Sequence[Lane]) -> list[Lane]:
         x = fusion_barrier(self._factors.solve(b))
         for _ in range(self._again):
-            off = [sub(y, inner(row, x)) for y, row in zip(b, self._rows, strict=True)]
-            x = fusion_barrier([add(y, dy) for y, dy in zip(x, self._factors.solve(off), strict=True)])
+            known = [add(y, mul(e, z)) for y, e, z in zip(b, self._added, x, strict=True)]
+            x = fusion_barrier(self._factors.solve(known))
         return x
