@@ -52,9 +52,7 @@ def opposed(action: Loads, reaction: Loads) -> Loads:
 def displacement(A: Frame, B: Frame) -> list[Row]:
     """p_B - p_A in world axes."""
     d, rate, bent = _apart(A, B)
-    return [
-        Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), bent[k]) for k, e in enumerate(AXES)
-    ]
+    return [Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), bent[k]) for k, e in enumerate(AXES)]
 
 
 def along(A: Frame, u: Vec3, B: Frame) -> Row:

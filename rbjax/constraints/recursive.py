@@ -55,12 +55,14 @@ class Recursive(Formulation):
         I = I_f + W A^-1 W^T,     A = G_c H_c^-1 G_c^T of one cluster
     The cost is that of the articulated-body algorithm and, of each cluster by itself, its rows
     cubed: a robot with loops in its legs costs as much as its legs do. The accelerations are those
-    of `Multipliers`, where rows are redundant too. Where no cluster hangs on a moving link they
-    are found in the same way.
+    of `Multipliers`, where rows are redundant too. A single cluster that hangs on the world is
+    solved as there; rows that hold links to the world are in one.
 
     Recursion is for trees that are written out link by link (`driver="unrolled"`, small trees, and
     values on a CPU up to 40 coordinates), and for clusters of up to 24 rows. Others are solved as
-    by `Multipliers`. `Projected(of=Recursive())` also puts states back on the constraints.
+    by `Multipliers`. `Projected(of=Recursive())` also puts states back on the constraints. A row
+    whose gradient has pushes of your own counts as held to the world unless its `Loads` are
+    `internal`.
 
     Source: Jain 2012; Chignoli, Adrian, Kim & Wensing 2023.
 
@@ -193,9 +195,7 @@ class ClusterTree:
         a = self._outward(u, l)
         return pack(a, self._like), pack(l, self._like)
 
-    def _inward(
-        self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]
-    ) -> list[Lane]:
+    def _inward(self, u: list[Lane], pending: dict[int, Force], c: Sequence[Lane]) -> list[Lane]:
         """The multipliers, as if no parent of a cluster moved; the forces u become those that are
         left at the joints. pending: forces on links."""
         l: list[Lane] = [0.0] * len(self._rows)

@@ -203,6 +203,10 @@ def test_clusters_of_rows_of_all_kinds() -> None:
         (WORLD, list(range(7))),
     ]
     assert [len(x.rows) for x in found_clusters(model)] == [1, 5]
+    names = model.body_names
+    screw = rc.Screw.between(model, names[3], names[5], pitch=0.1)  # rows times rows
+    (found,) = found_clusters(model.replace(constraints=(screw,)))
+    assert found == Cluster(2, frozenset({3, 4}), (0, 1, 2, 3, 4))
 
 
 def test_rows_of_all_kinds_with_forces_on_links() -> None:
