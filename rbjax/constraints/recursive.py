@@ -45,7 +45,7 @@ from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub, total
 from rbjax.lanes.proximal import LeastNorm
 from rbjax.model import WORLD
-from rbjax.spatial import ArticulatedInertia, Force, Motion
+from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ def by_clusters(
             by_rows = response(d, factorize(d, joints), now, rows)
             left = tau - d.pack(rnea(d, joints, d.lanes(None), gravity, pushes), tau)
             return lambda f, c: by_rows.solved(left if f is None else f, c)
-        tree = ClusterTree(d, joints, rows, found, tau)
-        needed = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, pushes))
-        own = {i: -f for i, f in enumerate(needed)}
+        moved = d.whole(forces_on_links(d, joints, d.lanes(None), gravity, pushes))
+        tree = ClusterTree(d, joints, [X for X, _ in moved], rows, found, tau)
+        own = {i: -f for i, (_, f) in enumerate(moved)}
         return lambda f, c: tree.solved(tau, own, c) if f is None else tree.solved(f, {}, c)
 
     return None, None, system
@@ -126,25 +126,30 @@ class ClusterTree:
     """The factors of the mass matrix of a robot and of the rows that tie its joints."""
 
     def __init__(
-        self, d: Driver, joints: Any, rows: Sequence[Row], found: list[Cluster], like: jax.Array
+        self,
+        d: Driver,
+        joints: Any,
+        poses: Sequence[Transform],
+        rows: Sequence[Row],
+        found: Sequence[Cluster],
+        like: jax.Array,
     ):
         self._parents, self._rows, self._like = d.topology.parents, rows, like
         self._factors: dict[int, Factor] = {}
-        self._tied: dict[int, list[Tied]] = {}  # by the link on which they hang
         self._found = found
+        self._tied: dict[int, list[Tied]] = {}  # by the link on which they hang
         constants, joints = d.whole(d.constants), d.whole(joints)
         carried: dict[int, ArticulatedInertia] = {}
         for i in reversed(range(len(joints))):
-            link, joint = constants[i], joints[i]
+            link, joint, X = constants[i], joints[i], poses[i]
             I_children = self._with_clusters(i, carried.pop(i, ArticulatedInertia.zero()))
-            I_a, factor = eliminate(
-                link, joint.S, joint.transform(link), link.inertia.articulated() + I_children
-            )
+            I_A = link.inertia.articulated() + I_children
+            I_a, factor = eliminate(link, joint.S, X, I_A)
             message, parent = None, self._parents[i]
             if parent != WORLD:
                 mass = rigid_mass(link, joint.S, I_children)
-                message = to_parent(factor.X, I_a, factor, mass)
-            known = (link, joint, I_children)
+                message = to_parent(X, I_a, factor, mass)
+            known = (link, joint, X, I_children)
             message, self._factors[i] = fusion_barrier((message, factor), known=known)
             if parent != WORLD:
                 carried[parent] = carried[parent] + message if parent in carried else message

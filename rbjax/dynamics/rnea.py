@@ -49,9 +49,10 @@ def rnea(
 def forces_on_links(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, pushes: LinkForces | None = None
 ) -> Any:
-    """As `rnea`, the force that each link needs, in its axes at its origin, per link."""
+    """As `rnea`, per link: its pose in its parent, and the force that it needs beyond its push, in
+    its axes at its origin."""
     xs = d.zip(d.constants, joints, accelerations, per_link(d, pushes))
-    return d.part(d.outward(newton_euler, _root(gravity), xs), 1)
+    return d.outward(newton_euler, _root(gravity), xs)
 
 
 def _root(gravity: Vec3) -> tuple[Vec3, Motion]:
