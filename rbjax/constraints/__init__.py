@@ -53,6 +53,7 @@ from rbjax.constraints.reactions import (
     multipliers,
     residual,
 )
+from rbjax.constraints.recursive import Recursive
 from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations, kinds
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
@@ -120,6 +121,7 @@ __all__ = [
     "QuaternionWeld",
     "Rack",
     "Recommendation",
+    "Recursive",
     "Revolute",
     "RollingDisc",
     "RollingSphere",

@@ -11,6 +11,8 @@ With d = p_B - p_A, and u, w directions that are fixed in A and B,
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from rbjax.constraints.row import Row
 from rbjax.forces import Frame, Loads
 from rbjax.forces.instant import Instant
@@ -41,12 +43,16 @@ def _apart(A: Frame, B: Frame) -> tuple[Vec3, Vec3, Vec3]:
     )
 
 
+def opposed(action: Loads, reaction: Loads) -> Loads:
+    """An action and its reaction; the world feels none."""
+    both = bool(action.wrenches and reaction.wrenches)
+    return replace(action + reaction, internal=both)
+
+
 def displacement(A: Frame, B: Frame) -> list[Row]:
     """p_B - p_A in world axes."""
     d, rate, bent = _apart(A, B)
-    return [
-        Row(d[k], rate[k], B.push(e) + A.push(-e), bent[k]) for k, e in enumerate(AXES)
-    ]
+    return [Row(d[k], rate[k], opposed(B.push(e), A.push(-e)), bent[k]) for k, e in enumerate(AXES)]
 
 
 def along(A: Frame, u: Vec3, B: Frame) -> Row:
@@ -58,7 +64,7 @@ def along(A: Frame, u: Vec3, B: Frame) -> Row:
     return Row(
         u.dot(d),
         add(du.dot(d), u.dot(rate)),
-        B.push(u) + A.push(-u, at=B.position),
+        opposed(B.push(u), A.push(-u, at=B.position)),
         add(add(ddu.dot(d), mul(2.0, du.dot(rate))), u.dot(bent)),
     )
 
@@ -73,7 +79,7 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
     return Row(
         u.dot(w),
         (b - a).dot(turn),
-        B.push(Vec3.zero(), turn) + A.push(Vec3.zero(), -turn),
+        opposed(B.push(Vec3.zero(), turn), A.push(Vec3.zero(), -turn)),
         add(bent.dot(turn), (b - a).dot(turned)),
     )
 
@@ -85,7 +91,7 @@ def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
     n = d * (1.0 / length)
     along = n.dot(rate)
     turning = sub(rate.dot(rate), mul(along, along)) / length
-    return Row(length, along, B.push(n) + A.push(-n), add(n.dot(bent), turning))
+    return Row(length, along, opposed(B.push(n), A.push(-n)), add(n.dot(bent), turning))
 
 
 def turn(A: Frame, B: Frame) -> list[Row]:

@@ -34,11 +34,12 @@ from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, mul, neg
 from rbjax.model import Model, State
 
-#: (force (nv,) or None for zero, c of the rows) -> da (nv,), dl (rows,)
+#: (force (nv,), or None for what the method leaves at a_0; c of the rows) -> da (nv,), dl (rows,)
 Solve = Callable[[jax.Array | None, Sequence[Lane]], tuple[jax.Array, jax.Array]]
 #: (instant, rows) -> how their equations are solved
 System = Callable[[Instant, Sequence[Row]], Solve]
-#: (driver, instant, tau, pushes) -> a_0 or None for zero, the forces left there, the system
+#: (driver, instant, tau, pushes) -> a_0 or None for zero, the forces left there or None if the
+#: system knows them, the system
 Method = Callable[
     [Driver, Instant, jax.Array, LinkForces], tuple[jax.Array | None, jax.Array | None, System]
 ]
@@ -50,7 +51,7 @@ Left = Callable[[Instant, Sequence[Row], jax.Array | None], Sequence[Lane]]
 def range_space(
     d: Driver, now: Instant, tau: jax.Array, pushes: LinkForces
 ) -> tuple[jax.Array, None, System]:
-    """From free motion on, by its factors: A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
+    """From free motion on (no force is left): A dl = c - G M^-1 f, da = M^-1 (f + G^T dl)."""
     qdd, factors = aba(d, now.links.joints, d.lanes(tau), d.prepared.gravity, pushes)
 
     def system(now: Instant, rows: Sequence[Row]) -> Solve:

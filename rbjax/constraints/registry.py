@@ -10,6 +10,7 @@ from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.differential_algebraic import GGL, Index2, Index3
 from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, Projected
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
+from rbjax.constraints.recursive import Recursive
 from rbjax.constraints.redundant import KKT
 from rbjax.constraints.soft import QuaternionWeld, Soft
 from rbjax.constraints.tangent import TangentSpace
@@ -25,7 +26,7 @@ from rbjax.model import Model
 DEFAULT = Projected()
 _ALL: tuple[Formulation, ...] = (
     DEFAULT, Multipliers(), Baumgarte(), KKT(),
-    NullSpaceQR(), NullSpaceSVD(), Partitioning(), TangentSpace(),
+    NullSpaceQR(), NullSpaceSVD(), Partitioning(), TangentSpace(), Recursive(),
     UdwadiaKalaba(), ForceProjection(), AugmentedLagrangian(), Penalty(), Compliant(),
     Index2(), Index3(), GGL(),
 )  # fmt: skip
@@ -44,6 +45,7 @@ def formulations() -> dict[str, Formulation]:
     | null_space_qr | minimal | 0 | a = L c + Z z, Z of a pivoted QR |
     | null_space_svd | minimal | 0 | the same, Z of singular values |
     | partitioning | minimal | 0 | the same, z some of the velocities |
+    | recursive | minimal | 0 | those of multipliers, loop by loop along the tree |
     | tangent_space | minimal | 0 | another's, at stages on the constraints |
     | udwadia_kalaba | unconstrained | 0 | the least change of a_f |
     | force_projection | unconstrained | 0 | forces without their part along the rows |

@@ -30,7 +30,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.constraint import Constraint
-from rbjax.constraints.geometry import X, Y, Z, along, cosine
+from rbjax.constraints.geometry import X, Y, Z, along, cosine, opposed
 from rbjax.constraints.place import Place, check_places
 from rbjax.constraints.row import Row
 from rbjax.forces.instant import Frame, Instant
@@ -58,7 +58,12 @@ def slip(A: Frame, B: Frame, arm: Moving, ways: Sequence[Moving]) -> list[Row]:
         - A.acceleration - A.angular_acceleration.cross(far) - a.cross(apart)
     )  # fmt: skip
     return [
-        Row(None, u.dot(s), B.push(s, at=p) + A.push(-s, at=p), add(du.dot(s), u.dot(ds)))
+        Row(
+            None,
+            u.dot(s),
+            opposed(B.push(s, at=p), A.push(-s, at=p)),
+            add(du.dot(s), u.dot(ds)),
+        )
         for s, ds in ways
     ]
 

@@ -33,10 +33,9 @@ from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, sub, total
-from rbjax.lanes.ldlt import ldlt
+from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub, total
 from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import proximal
+from rbjax.lanes.proximal import LeastNorm, proximal
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force
 
@@ -69,7 +68,7 @@ def _computed(row: Row, now: Instant) -> Row:
     known = (now.q, now.v, now.a, now.t)
     parts = row.value, row.rate, row.acceleration, row.gradient.tau, row.gradient.wrenches
     value, rate, acceleration, tau, wrenches = fusion_barrier(parts, known=known)
-    return Row(value, rate, Loads(tau, wrenches), acceleration)
+    return Row(value, rate, Loads(tau, wrenches, row.gradient.internal), acceleration)
 
 
 def by_link(loads: Loads) -> Mapping[int, Force]:
@@ -157,33 +156,23 @@ class OnLanes:
         return fusion_barrier(total(mul(mul(a[i], b[i]), self._links[i].inverse_D) for i in both))
 
     @cached_property
-    def _A(self) -> list[list[Lane]]:
-        """Its lower triangle."""
-        return [[self._shared(a, b) for b in self._left[: r + 1]] for r, a in enumerate(self._left)]
+    def _A(self) -> LeastNorm:
+        """By its lower triangle."""
+        left, dtype = self._left, self._like.dtype
+        rows = [[self._shared(a, b) for b in left[: r + 1]] for r, a in enumerate(left)]
+        return LeastNorm(rows, dtype, self._again)
 
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, left = self._d, {}
         if force is not None:
             left = dict(enumerate(d.whole(d.part(eliminated(d, self._factors, d.lanes(force)), 1))))
             c = [sub(x, self._shared(own, left)) for x, own in zip(c, self._left, strict=True)]
-        l = self._multipliers(c)
+        l = self._A.solve(c)
         for own, x in zip(self._left, l, strict=True):
             for i, y in own.items():
                 left[i] = add(left.get(i, 0.0), mul(x, y))
         a = accelerated(d, d.zip(self._factors, d.scattered(left, 0.0)))
         return d.pack(a, self._like), pack(l, self._like)
-
-    def _multipliers(self, c: Sequence[Lane]) -> list[Lane]:
-        """l of A l = c, of least norm."""
-        (eps, again), A = proximal(self._like.dtype, self._again), self._A
-        least = mul(float(jnp.finfo(self._like.dtype).eps), total(row[-1] for row in A))
-        factors = ldlt([[*row[:-1], add(mul(1.0 + eps, row[-1]), least)] for row in A])
-        full = [[A[max(r, s)][min(r, s)] for s in range(len(A))] for r in range(len(A))]
-        l = fusion_barrier(factors.solve(c))
-        for _ in range(again):
-            off = [sub(x, inner(row, l)) for x, row in zip(c, full, strict=True)]
-            l = fusion_barrier([add(x, dx) for x, dx in zip(l, factors.solve(off), strict=True)])
-        return l
 
 
 class OnMatrices:

@@ -22,27 +22,41 @@ from rbjax.model import Model
 from rbjax.spatial import Force, Motion
 
 
+def newton_euler(x: Any, parent: tuple[Vec3, Motion]) -> tuple[tuple[Vec3, Motion], Any]:
+    """Outward step: a link's pose, and the force that its motion needs beyond its push."""
+    w_parent, a_parent = parent
+    link, joint, qdd, push = x
+    w, moved = velocity_step((link, joint), w_parent)
+    a = moved.X(a_parent) + moved.c + joint.S * qdd
+    return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w) - push)
+
+
 def rnea(
     d: Driver, joints: Any, accelerations: Any, gravity: Vec3, pushes: LinkForces | None = None
 ) -> Any:
     """Generalized forces per link, from `accelerations` per link. `pushes`: external forces on
     links."""
 
-    def outward(x, parent):
-        w_parent, a_parent = parent
-        link, joint, qdd, push = x
-        w, moved = velocity_step((link, joint), w_parent)
-        a = moved.X(a_parent) + moved.c + joint.S * qdd
-        return (w, a), (moved.X, link.inertia(a) + bias_force(link.inertia, w) - push)
-
     def inward(x, children):
         (link, joint, qdd, _), (X, f) = x
         f = f + children
         return X.T(f), add(joint.S.dot(f), mul(link.armature, qdd))
 
-    root = (Vec3.zero(), Motion(Vec3.zero(), -gravity))
     xs = d.zip(d.constants, joints, accelerations, per_link(d, pushes))
-    return d.out_and_in(outward, root, inward, Force.zero(), xs)
+    return d.out_and_in(newton_euler, _root(gravity), inward, Force.zero(), xs)
+
+
+def forces_on_links(
+    d: Driver, joints: Any, accelerations: Any, gravity: Vec3, pushes: LinkForces | None = None
+) -> Any:
+    """As `rnea`, per link: its pose in its parent, and the force that it needs beyond its push, in
+    its axes at its origin."""
+    xs = d.zip(d.constants, joints, accelerations, per_link(d, pushes))
+    return d.outward(newton_euler, _root(gravity), xs)
+
+
+def _root(gravity: Vec3) -> tuple[Vec3, Motion]:
+    return Vec3.zero(), Motion(Vec3.zero(), -gravity)
 
 
 def _run(

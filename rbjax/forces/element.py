@@ -38,14 +38,19 @@ class Loads:
     """Forces on a robot; they add.
 
     Fields: tau, generalized forces by velocity coordinate; wrenches, forces by link, in the link's
-    axes at its origin, or columns over all links. `Frame.push` and `Joint.push` make them.
+    axes at its origin, or columns over all links; internal, whether the wrenches are actions and
+    reactions between links, which no joint feels that carries them all. `Frame.push` and
+    `Joint.push` make them.
     """
 
     tau: Mapping[int, Lane] = field(default_factory=dict)
     wrenches: LinkForces = field(default_factory=dict)
+    internal: bool = False
 
     def __add__(self, other: Loads) -> Loads:
-        return Loads(_summed(self.tau, other.tau), added(self.wrenches, other.wrenches))
+        internal = all(x.internal or not x.wrenches for x in (self, other))
+        wrenches = added(self.wrenches, other.wrenches)
+        return Loads(_summed(self.tau, other.tau), wrenches, internal)
 
     def __radd__(self, other: Any) -> Loads:
         return self if isinstance(other, int) and other == 0 else NotImplemented  # of sum()
@@ -56,8 +61,9 @@ class Loads:
     def __mul__(self, scale: Lane) -> Loads:
         tau = {i: mul(x, scale) for i, x in self.tau.items()}
         if isinstance(self.wrenches, Force):
-            return Loads(tau, self.wrenches * scale)
-        return Loads(tau, {i: x * scale for i, x in self.wrenches.items()})
+            return Loads(tau, self.wrenches * scale, self.internal)
+        wrenches = {i: x * scale for i, x in self.wrenches.items()}
+        return Loads(tau, wrenches, self.internal)
 
     __rmul__ = __mul__
 

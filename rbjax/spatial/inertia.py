@@ -84,6 +84,12 @@ class ArticulatedInertia:
     def zero(cls) -> ArticulatedInertia:
         return cls(Sym3.zero(), Mat3.zero(), Sym3.zero())
 
+    @classmethod
+    def outer(cls, U: Force, V: Force) -> ArticulatedInertia:
+        """U V^T, a term of a symmetric sum."""
+        H = Mat3(*(mul(a, b) for a in U.ang for b in V.lin))
+        return cls(Sym3.outer(U.ang, V.ang), H, Sym3.outer(U.lin, V.lin))
+
     def __add__(self, other: ArticulatedInertia) -> ArticulatedInertia:
         return ArticulatedInertia(self.J + other.J, self.H + other.H, self.M + other.M)
 
@@ -104,12 +110,7 @@ class ArticulatedInertia:
 
     def less(self, U: Force, inverse_D: Lane) -> ArticulatedInertia:
         """I - U U^T / D."""
-        V = U * inverse_D
-        return self - ArticulatedInertia(
-            Sym3.outer(V.ang, U.ang),
-            Mat3(*(mul(a, b) for a in V.ang for b in U.lin)),
-            Sym3.outer(V.lin, U.lin),
-        )
+        return self - ArticulatedInertia.outer(U * inverse_D, U)
 
     def without(self, U: Force, inverse_D: Lane, S: Motion, armature: Lane) -> ArticulatedInertia:
         """I_A - U U^T / D: the remaining inertia across a joint that moves freely along S.

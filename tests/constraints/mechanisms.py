@@ -117,3 +117,35 @@ def andrews(p: dict, q0: list, loop: type = rc.Spherical) -> tuple[rb.Model, rb.
     model = model.with_forces(spring).with_constraints(*loops)
     order = [int(name[1]) - 1 for name in model.joint_names]  # of K1 ... K7, as the figures are
     return model, model.default_state().replace(q=jnp.array(q0)[np.array(order)])
+
+
+def walker(legs: list[float], pelvis: str) -> tuple[rb.Model, rb.State]:
+    """A pelvis on a joint, with legs at these y, each a loop in space: a thigh and a shank on
+    hinges, and from the pelvis a rod on a ball, its tip on a ball of the shank. No two are alike.
+    """
+    bodies = "".join(
+        f"""<body name="thigh{k}" pos="0 {y} -0.1"><joint name="hip{k}" axis="0.1 1 {y}"/>
+          <geom type="capsule" size="0.04" fromto="0 0 0 0 0 -0.4" mass="3"/>
+          <body name="shank{k}" pos="0 0 -0.4"><joint name="knee{k}" axis="0 1 0.2"/>
+            <geom type="capsule" size="0.03" fromto="0 0 0 0.1 0 -0.4" mass="2"/></body></body>
+        <body name="rod{k}" pos="0.15 {y} -0.1"><joint name="rod{k}" type="ball"/>
+          <geom type="capsule" size="0.02" fromto="0 0 0 0.02 0.01 -0.45" mass="0.5"/></body>"""
+        for k, y in enumerate(legs)
+    )
+    model = rb.load(
+        f'<mujoco>{QUIET}<worldbody><body name="pelvis" pos="0 0 1">{pelvis}'
+        f'<geom type="box" size="0.1 0.2 0.1" mass="10"/>{bodies}</body></worldbody></mujoco>'
+    )
+    loops = [
+        rc.Spherical(
+            rc.Place.on(body=f"rod{k}", point=[0.02, 0.01, -0.45]),
+            rc.Place.on(body=f"shank{k}", point=[0.17, 0.01, -0.05]),
+        )
+        for k in range(len(legs))
+    ]
+    return model.with_constraints(*loops), model.default_state()
+
+
+def biped() -> tuple[rb.Model, rb.State]:
+    """Two legs on a free pelvis."""
+    return walker([0.1, -0.15], "<freejoint/>")

@@ -114,8 +114,11 @@ def test_spatial_slider_crank() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "constraints",
-    ["projected", "multipliers", "baumgarte", "kkt", "null_space_svd", "udwadia_kalaba"],
-)
+    [
+        "projected", "multipliers", "baumgarte", "kkt", "null_space_svd", "udwadia_kalaba",
+        "recursive",
+    ],
+)  # fmt: skip
 def test_andrews(constraints: str) -> None:
     """Seven bodies, three loops that meet in a point: positions, velocities, multipliers."""
     figures = FIGURES["andrews"]

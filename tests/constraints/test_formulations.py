@@ -16,6 +16,7 @@ from rbjax.constraints import Constraint, Row, coordinate
 from rbjax.constraints.dense import Dense
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
+from rbjax.constraints.recursive import by_clusters
 from rbjax.constraints.system import least_norm
 from tests.constraints.mechanisms import QUIET, tilted_four_bar
 from tests.oracles import load
@@ -210,7 +211,7 @@ def test_pendulum_accelerations_and_multiplier() -> None:
         given = {} if method is None else {"method": method}
         return constrained_motion(model, 0.0, state, jnp.zeros(2), {}, **given)
 
-    ways = [None, *(one._method for one in DENSE.values())]
+    ways = [None, by_clusters, *(one._method for one in DENSE.values())]
     for a, l in jax.jit(lambda: [found(method) for method in ways])():
         np.testing.assert_allclose(a, law["a"], rtol=0, atol=1e-12)
         np.testing.assert_allclose(l, law["lam"], rtol=0, atol=1e-10)
