@@ -11,7 +11,7 @@ from typing import Any
 
 #: eps, relative to the diagonal, and how often its effect is taken back, by bytes of a number:
 #: components of A above 1e-3 of the diagonal come out to rounding
-PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
+PROXIMAL = {4: (1e-4, 3), 8: (1e-8, 2)}
 
 
 def proximal(dtype: Any, again: int | None = None) -> tuple[float, int]:
