@@ -11,10 +11,9 @@ from typing import Any
 
 #: eps, relative to the diagonal, and how often its effect is taken back, by bytes of a number:
 #: components of A above 1e-3 of the diagonal come out to rounding
-PROXIMAL = {4: (1e-4, 3), 8: (1e-8, 2)}
+PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
 
 
-def proximal(dtype: Any, again: int | None = None) -> tuple[float, int]:
-    """eps, and the refinements: so many, or as many as bring the result to rounding."""
-    eps, enough = PROXIMAL[dtype.itemsize]
-    return eps, enough if again is None else again
+def proximal(dtype: Any) -> tuple[float, int]:
+    """eps, and the refinements that bring the result to rounding."""
+    return PROXIMAL[dtype.itemsize]
