@@ -34,7 +34,7 @@ from rbjax.constraints.clusters import Cluster, clusters
 from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.law import Solve, System, constrained_motion, range_space
 from rbjax.constraints.row import Row
-from rbjax.constraints.system import ROWS_ON_LANES, by_link, response
+from rbjax.constraints.system import ROWS_ON_LANES, as_free_bodies, by_link, response
 from rbjax.dynamics.aba import Factor, eliminate, factorize, rigid_mass, to_parent
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.link_forces import LinkForces
@@ -134,7 +134,8 @@ class ClusterTree:
         found: Sequence[Cluster],
         like: jax.Array,
     ):
-        self._parents, self._rows, self._like = d.topology.parents, rows, like
+        self._d, self._parents = d, d.topology.parents
+        self._rows, self._like = rows, like
         self._factors: dict[int, Factor] = {}
         self._found = found
         self._tied: dict[int, list[Tied]] = {}  # by the link on which they hang
@@ -167,7 +168,8 @@ class ClusterTree:
         units = [self._unit(cluster, self._rows[r].gradient) for r in cluster.rows]
         u, e, W = zip(*units, strict=True)
         triangle = [[_shared(a, b) for b in e[: r + 1]] for r, a in enumerate(u)]
-        A, Y = LeastNorm(triangle, self._like.dtype), []
+        usual = [as_free_bodies(self._d, self._rows[r]) for r in cluster.rows]
+        A, Y = LeastNorm(triangle, usual, self._like.dtype), []
         if cluster.parent != WORLD:
             columns = [A.solve(column) for column in zip(*W, strict=True)]
             Y = [Force.from_lanes(lanes) for lanes in zip(*columns, strict=True)]

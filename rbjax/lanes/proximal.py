@@ -1,8 +1,9 @@
-"""How singular systems are regularized: eps D is added to A, and taken back by iteration.
+"""How singular systems are regularized: E is added to A, and taken back by iteration.
 
-    (A + eps D) dx = b - A x,     x <- x + dx;     or (A + eps D) x <- b + eps D x
-converges to the solution of least norm, in the norm of D, with no decision about rank. (Carpentier,
-Budhiraja & Mansard, *Proximal and sparse resolution of constrained dynamics*, 2021.)
+    (A + E) dx = b - A x,     x <- x + dx;     or (A + E) x <- b + E x
+converges to the solution of least norm, in the norm of E, with no decision about rank. E is
+eps diag(A) + e B, B what the diagonal is where no row vanishes. (Carpentier, Budhiraja & Mansard,
+*Proximal and sparse resolution of constrained dynamics*, 2021.)
 """
 
 from __future__ import annotations
@@ -12,29 +13,51 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from rbjax.lanes.algebra import Lane, add, mul, total
+from rbjax.lanes.algebra import Lane, add, is_zero, mul, total
 from rbjax.lanes.fusion_barrier import fusion_barrier
 from rbjax.lanes.ldlt import ldlt
 
 #: eps, relative to the diagonal, and how often its effect is taken back, by bytes of a number:
 #: components of A above 1e-3 of the diagonal come out to rounding
 PROXIMAL = {4: (1e-4, 3), 8: (1e-9, 2)}
+#: e, relative to B
+VANISHING = {4: 1e-4, 8: 1e-10}
 
 
-def proximal(dtype: Any, again: int | None = None) -> tuple[float, int]:
-    """eps, and the refinements: so many, or as many as bring the result to rounding."""
-    eps, enough = PROXIMAL[dtype.itemsize]
-    return eps, enough if again is None else again
+def proximal(dtype: Any) -> tuple[float, int]:
+    """eps, and the refinements that bring the result to rounding."""
+    return PROXIMAL[dtype.itemsize]
+
+
+def damped(dtype: Any, damping: float | None) -> tuple[float, float, int]:
+    """eps, e, and how often they are taken back: `damping` is both, and is not."""
+    if damping is not None:
+        return damping, damping, 0
+    eps, again = proximal(dtype)
+    return eps, VANISHING[dtype.itemsize], again
 
 
 class LeastNorm:
-    """The solution of A x = b of least norm, of a symmetric A on lanes, by its lower triangle."""
+    """The solution of A x = b of least norm, of a symmetric A on lanes.
 
-    def __init__(self, A: Sequence[Sequence[Lane]], dtype: Any, again: int | None = None):
-        eps, self._again = proximal(dtype, again)
+    Args:
+        A: its lower triangle, row by row.
+        usual: what its diagonal is where no row vanishes; 0 where that is not known.
+        damping: eps and e, not taken back; None: those of the dtype, taken back.
+    """
+
+    def __init__(
+        self,
+        A: Sequence[Sequence[Lane]],
+        usual: Sequence[Lane],
+        dtype: Any,
+        damping: float | None = None,
+    ):
+        eps, vanishing, self._again = damped(dtype, damping)
         diagonal = [row[-1] for row in A]
         least = mul(float(jnp.finfo(dtype).eps), total(diagonal))
-        self._added = [add(mul(eps, x), least) for x in diagonal]
+        more = [least if is_zero(x) else mul(vanishing, x) for x in usual]
+        self._added = [add(mul(eps, x), e) for x, e in zip(diagonal, more, strict=True)]
         self._factors = ldlt(
             [[*row[:-1], add(row[-1], e)] for row, e in zip(A, self._added, strict=True)]
         )
