@@ -79,17 +79,16 @@ def with_length(length):
     return tree.with_constraints(ball.__class__(place, ball.b))
 
 
-@jax.jit
 def angles(length):
     longer = with_length(length)
     begin = rc.Projected(iterations=8).settled(longer, 0.0, start)
     return rb.rollout(longer, begin, None, 2e-3, steps=250, integrator="rk4").q[::10, 0]
 
 
-measured = angles(jnp.array(1.07))
-length = jnp.array(1.0)
-slope = jax.jit(jax.jacfwd(angles))
+both = jax.jit(lambda length: jax.jvp(angles, (length,), (1.0,)))  # the angles and their slope
+measured, _ = both(1.07)
+length = 1.0
 for _ in range(4):
-    J, off = slope(length), angles(length) - measured
-    length = length - (J @ off) / (J @ J)
-    print(f"length {float(length):.9f} m")
+    found, slope = both(length)
+    length = length - slope @ (found - measured) / (slope @ slope)
+    print(f"length {length:.9f} m")
