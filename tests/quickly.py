@@ -10,6 +10,7 @@ compiles (conftest.py), and so does every test of what compilation does.
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -25,14 +26,24 @@ by_xla = True  # conftest.py says otherwise
 LOOPS, WHILE = 30, 1000  # a `while` is expected to take so many turns
 
 
-def quick_jit(f: Callable, static_argnums: int | tuple[int, ...] = ()) -> Callable:
+def quick_jit(
+    f: Callable, static_argnums: int | tuple[int, ...] = (), static_argnames: Iterable[str] = ()
+) -> Callable:
     """`jax.jit(f)` for a few calls with small arrays."""
-    jitted = jax.jit(f, static_argnums=static_argnums, compiler_options=QUICK)
+    names = set(static_argnames)
     static = {static_argnums} if isinstance(static_argnums, int) else set(static_argnums)
+    if names:
+        parameters = inspect.signature(f).parameters.values()
+        places = [p.name for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD]
+        static |= {i for i, name in enumerate(places) if name in names}
+    jitted = jax.jit(
+        f, static_argnums=tuple(static), static_argnames=tuple(names), compiler_options=QUICK
+    )
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
-        leaves = jax.tree.leaves(([x for i, x in enumerate(args) if i not in static], kwargs))
+        named = {name: x for name, x in kwargs.items() if name not in names}
+        leaves = jax.tree.leaves(([x for i, x in enumerate(args) if i not in static], named))
         if any(isinstance(x, jax.core.Tracer) for x in leaves):  # within another program
             return f(*args, **kwargs)
         if by_xla:
