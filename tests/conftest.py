@@ -34,9 +34,11 @@ def pytest_configure(config: pytest.Config) -> None:
     if "not slow" in config.option.markexpr and not on_gpu:
         given = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = " ".join([*QUICK_FLAGS, given]).strip()
+        from rbjax import compiling
         from tests import quickly  # now that the flags are set: its imports compile something
 
         quickly.by_xla = False
+        compiling.outermost = quickly.quick_jit
 
 
 def pytest_collection_finish() -> None:
@@ -57,6 +59,12 @@ tests_so_far = itertools.count(1)
 def key(request: pytest.FixtureRequest) -> jax.Array:
     """A random key for each test, the same on every run."""
     return jax.random.key(zlib.crc32(request.node.nodeid.encode()))
+
+
+@pytest.fixture
+def by_xla(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a test of what compilation does: nothing is evaluated by numpy."""
+    monkeypatch.setattr("tests.quickly.by_xla", True)
 
 
 @pytest.fixture(autouse=True)
