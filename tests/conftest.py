@@ -5,6 +5,7 @@ JAX reads `JAX_COMPILATION_CACHE_DIR` by itself: the Makefile sets it, a bare `p
 """
 
 import gc
+import itertools
 import os
 import zlib
 from collections.abc import Iterator
@@ -23,6 +24,8 @@ jax.config.update("jax_enable_x64", True)
 QUICK_FLAGS = ["--xla_backend_optimization_level=0"]
 if jaxlib_version < (0, 11):  # which has no emitters to leave out, and dies of flags unknown to it
     QUICK_FLAGS.append("--xla_cpu_use_fusion_emitters=false")
+    # A program is else cut in 32 parts, to be compiled beside each other: a tenth more work.
+    QUICK_FLAGS.append("--xla_cpu_parallel_codegen_split_count=1")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -31,9 +34,11 @@ def pytest_configure(config: pytest.Config) -> None:
     if "not slow" in config.option.markexpr and not on_gpu:
         given = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = " ".join([*QUICK_FLAGS, given]).strip()
+        from rbjax import compiling
         from tests import quickly  # now that the flags are set: its imports compile something
 
         quickly.by_xla = False
+        compiling.outermost = quickly.quick_jit
 
 
 def pytest_collection_finish() -> None:
@@ -45,8 +50,9 @@ def pytest_collection_finish() -> None:
 
 
 # Every compiled program keeps some memory mapped, and Linux allows a process 65,530 maps; beyond
-# that LLVM dies of "Cannot allocate memory".
-MAPS, MANY_MAPS = Path("/proc/self/maps"), 25_000
+# that LLVM dies of "Cannot allocate memory". Linux takes 10 ms to list them.
+MAPS, MANY_MAPS, EVERY = Path("/proc/self/maps"), 25_000, 10
+tests_so_far = itertools.count(1)
 
 
 @pytest.fixture
@@ -55,8 +61,16 @@ def key(request: pytest.FixtureRequest) -> jax.Array:
     return jax.random.key(zlib.crc32(request.node.nodeid.encode()))
 
 
+@pytest.fixture
+def by_xla(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a test of what compilation does: nothing is evaluated by numpy."""
+    monkeypatch.setattr("tests.quickly.by_xla", True)
+
+
 @pytest.fixture(autouse=True)
 def _programs_are_let_go() -> Iterator[None]:
     yield
-    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+    if next(tests_so_far) % EVERY or not MAPS.exists():
+        return
+    if MAPS.read_bytes().count(b"\n") > MANY_MAPS:
         jax.clear_caches()

@@ -24,11 +24,11 @@ MOVES = re.compile(r" (all-gather|all-to-all|collective-permute|all-reduce|reduc
 def on_eight_devices(f: Callable[[], None]) -> None:
     """f() in a process that has eight devices."""
     setup = "import jax; jax.config.update('jax_enable_x64', True)"
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
     child = subprocess.run(
         [sys.executable, "-c", f"{setup}; from {f.__module__} import {f.__name__} as f; f()"],
         capture_output=True, text=True, cwd=Path(__file__).parents[1],
-        env={**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=8",
-             "JAX_PLATFORMS": "cpu"},
+        env={**os.environ, "XLA_FLAGS": flags.strip(), "JAX_PLATFORMS": "cpu"},
     )  # fmt: skip
     assert child.returncode == 0, child.stderr
 

@@ -10,7 +10,9 @@ compiles (conftest.py), and so does every test of what compilation does.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+import inspect
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -22,24 +24,36 @@ from tests.robots import QUICK
 
 by_xla = True  # conftest.py says otherwise
 # An equation takes XLA 0.3 ms to compile, and numpy 3 us each time.
-LOOPS, WHILE = 30, 1000  # a `while` is expected to take so many turns
+LOOPS, WHILE = 60, 1000  # a `while` is expected to take so many turns
+CALLS = 30  # of one program, after which it is compiled
 
 
-def quick_jit(f: Callable, static_argnums: int | tuple[int, ...] = ()) -> Callable:
+def quick_jit(
+    f: Callable, static_argnums: int | tuple[int, ...] = (), static_argnames: Iterable[str] = (),
+    compiler_options: dict[str, Any] | None = QUICK,
+) -> Callable:  # fmt: skip
     """`jax.jit(f)` for a few calls with small arrays."""
-    jitted = jax.jit(f, static_argnums=static_argnums, compiler_options=QUICK)
+    names = set(static_argnames)
     static = {static_argnums} if isinstance(static_argnums, int) else set(static_argnums)
+    if names:
+        parameters = inspect.signature(f).parameters.values()
+        places = [p.name for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD]
+        static |= {i for i, name in enumerate(places) if name in names}
+    jitted = jax.jit(
+        f, static_argnums=tuple(static), static_argnames=tuple(names),
+        compiler_options=compiler_options,
+    )  # fmt: skip
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
-        leaves = jax.tree.leaves(([x for i, x in enumerate(args) if i not in static], kwargs))
+        named = {name: x for name, x in kwargs.items() if name not in names}
+        leaves = jax.tree.leaves(([x for i, x in enumerate(args) if i not in static], named))
         if any(isinstance(x, jax.core.Tracer) for x in leaves):  # within another program
             return f(*args, **kwargs)
-        if by_xla:
+        if by_xla or jax.config.jax_disable_jit:
             return jitted(*args, **kwargs)
         traced = jitted.trace(*args, **kwargs)
-        written, done = _length(traced.jaxpr.jaxpr)
-        if done > LOOPS * written:
+        if _is_long(traced.jaxpr) or next(_calls(traced.jaxpr)) > CALLS:
             return jitted(*args, **kwargs)
         avals = traced.jaxpr.in_avals
         values = [_number(x, aval.dtype) for x, aval in zip(leaves, avals, strict=True)]
@@ -48,6 +62,17 @@ def quick_jit(f: Callable, static_argnums: int | tuple[int, ...] = ()) -> Callab
         return jax.tree.unflatten(traced.out_tree, [jnp.asarray(x) for x in out])
 
     return call
+
+
+@functools.lru_cache(maxsize=64)
+def _is_long(closed: core.ClosedJaxpr) -> bool:
+    written, done = _length(closed.jaxpr)
+    return done > LOOPS * written
+
+
+@functools.lru_cache(maxsize=64)
+def _calls(closed: core.ClosedJaxpr) -> Iterator[int]:
+    return itertools.count(1)
 
 
 def _length(jaxpr: core.Jaxpr) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from rbjax.compiling import xla_accepts
 from rbjax.dynamics.unrolled import Unrolled
 from tests.tolerances import F64_ROUNDING
 
+pytestmark = pytest.mark.usefixtures("by_xla")
 
 def test_every_option_is_known_and_an_unknown_one_is_told() -> None:
     options = rb.compiler_options()
@@ -23,7 +24,7 @@ def test_every_option_is_known_and_an_unknown_one_is_told() -> None:
 
 
 def rolled(model, start):
-    return rb.rollout(model, start, dt=0.01, integrator="rk4", steps=8, save_every=8).q[-1]
+    return rb.rollout(model, start, dt=0.01, steps=8, save_every=8).q[-1]
 
 
 def simulated(model, start):

@@ -89,6 +89,7 @@ def test_derivatives_inside_and_outside_of_the_batch(given):
     assert relative_error(twice[:, :, 1], change / (2 * step)) <= 1e-7
 
 
+@pytest.mark.usefixtures("by_xla")
 def test_outside_of_jit_nothing_compiles_twice(given):
     """A vmap or grad of a public algorithm runs one compiled program, which is cached."""
     run = functools.partial(fd, MODEL)

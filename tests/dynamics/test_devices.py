@@ -67,13 +67,13 @@ def test_every_algorithm():
     on_eight_devices(child_algorithms)
 
 
-def child_rollouts():
+def cart_poles():
+    """A batch over eight devices: rollouts of it, a policy by weights, a loss by everything."""
     batching.CPU_CHUNK = 16
     model = rb.load("cart_pole")
-    where = NamedSharding(mesh(), BOTH)
     rng = np.random.default_rng(0)
     W = jnp.asarray(rng.normal(size=(1, 4)))
-    q, v, us = placed([rng.normal(size=s) for s in ((SIZE, 2), (SIZE, 2), (SIZE, 4, 1))])
+    batch = placed([rng.normal(size=s) for s in ((SIZE, 2), (SIZE, 2), (SIZE, 4, 1))])
 
     def rolled(q, v, us, mass=model.bodies.mass, **how):
         out = rb.rollout(heavier(model, mass), rb.State(q, v), us, 0.01, **how)
@@ -86,19 +86,27 @@ def child_rollouts():
         ways = rolled(q, v, us, mass, save_every=2), rolled(q, v, policy(w), mass, steps=4)
         return sum((x[:, -1] ** 2).sum() for x in jax.tree.leaves(ways))
 
-    mass = model.bodies.mass
+    return model, batch, W, rolled, policy, loss
+
+
+def by_what_is_shared(name, f, *args):
+    """Of arguments that all samples share: one sum over the devices."""
+
+    def total(*x):
+        return (f(*x)[0][:, -1] ** 2).sum()
+
+    check(f"by shared masses and {name}", jax.grad(total, (0, 1)), args, sums=1)
+
+
+def child_rollouts():
+    model, (q, v, us), W, rolled, policy, loss = cart_poles()
+    mass, where = model.bodies.mass, NamedSharding(mesh(), BOTH)
     check("rollout", rolled, (q, v, us), sharding=where, sums=0)
     check("under a policy", lambda q, v, w: rolled(q, v, policy(w), steps=4), (q, v, W),
           sharding=where, sums=0)  # fmt: skip
     check("by state and controls", jax.grad(lambda *x: loss(*x, W, mass), (0, 1)), (q, v, us),
           sharding=where)  # fmt: skip
-    for name, f, shared in (
-        ("weights", lambda w, m, q, v: rolled(q, v, policy(w), m, steps=4), W),
-        ("controls", lambda u, m, q, v: rolled(q, v, u, m), us[0]),
-    ):
-        total = functools.partial(lambda f, *x: (f(*x)[0][:, -1] ** 2).sum(), f)
-        check(f"by shared masses and {name}", jax.grad(total, (0, 1)), (shared, mass, q, v),
-              sums=1)  # fmt: skip
+    by_what_is_shared("controls", lambda u, m, q, v: rolled(q, v, u, m), us[0], mass, q, v)
     check("along a tangent", lambda q, v, us: jax.jvp(rolled, (q, v, us), (v, q, us)), (q, v, us),
           sharding=where, sums=0)  # fmt: skip
     ways = jax.vmap(lambda u: rolled(q, v, u))
@@ -109,22 +117,34 @@ def child_rollouts():
     slope = jax.grad(lambda w: (rolled(q, v, policy(w), steps=4)[0] ** 2).sum())
     assert relative_error(slope(W), jax.jit(slope)(W)) <= F64_TRANSFORM
 
-    def total(*args):
-        return jax.lax.psum(loss(*args), ("a", "b"))
-
-    own = functools.partial(jax.shard_map, mesh=mesh())
-    specs = (BOTH, BOTH, BOTH)
-    check("in shard_map", own(rolled, in_specs=specs, out_specs=BOTH), (q, v, us), rolled, where, 0)
-    parted = own(lambda *x: total(*x, W, mass), in_specs=specs, out_specs=P())
+    own = functools.partial(jax.shard_map, mesh=mesh(), in_specs=(BOTH, BOTH, BOTH))
+    check("in shard_map", own(rolled, out_specs=BOTH), (q, v, us), rolled, where, 0)
+    parted = own(lambda *x: jax.lax.psum(loss(*x, W, mass), ("a", "b")), out_specs=P())
     check("its gradient", jax.grad(parted), (q, v, us), jax.grad(lambda *x: loss(*x, W, mass)),
           where)  # fmt: skip
-    parted = own(total, in_specs=(*specs, P(), P()), out_specs=P())
+
+
+def child_shared():
+    model, (q, v, us), W, rolled, policy, loss = cart_poles()
+    mass = model.bodies.mass
+    by_what_is_shared(
+        "weights", lambda w, m, q, v: rolled(q, v, policy(w), m, steps=4), W, mass, q, v
+    )
+    parted = jax.shard_map(
+        lambda *x: jax.lax.psum(loss(*x), ("a", "b")),
+        mesh=mesh(), in_specs=(BOTH, BOTH, BOTH, P(), P()), out_specs=P(),
+    )  # fmt: skip
     shared = jax.grad(parted, (3, 4)), (q, v, us, W, mass), jax.grad(loss, (3, 4))
-    check("its gradient by what is shared", *shared)
+    check("gradient in shard_map by what is shared", *shared)
 
 
 def test_rollouts():
     on_eight_devices(child_rollouts)
+
+
+@pytest.mark.slow
+def test_gradients_by_what_is_shared():
+    on_eight_devices(child_shared)
 
 
 @pytest.mark.parametrize("size", [320, 12, 7, 1])

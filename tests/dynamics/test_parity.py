@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from tests import quickly
 from tests.oracles.models import MODELS, SINGULAR
 from tests.robots import AS_USERS, QUICK, Robot, at, mass_matrix, robot
 from tests.tolerances import F32_MAX, F32_MEDIAN, F64_PARITY, relative_error
@@ -38,6 +39,8 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     ("frax/franka_panda/panda.urdf", "rolled", False),
     ("frax/unitree_g1/g1_29dof_rev_1_0.urdf+free", "rolled", False),
 ]
+AS_COMPILED = {"cart_pole", "gyroscope", "gymnasium/half_cheetah.xml", "arm7 in f32"}
+"""What the quick tests, too, compile with all optimizations: each driver, and single precision."""
 FAST_F32 = ["arm7", "quadrotor"]
 SLOW_F32 = ["tree:0", "tree:5", "gymnasium/half_cheetah.xml", "frax/franka_panda/panda.urdf"]
 SLOW_F32 += ["frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
@@ -99,12 +102,13 @@ def errors(name: str, driver: str, *, argument: bool = False, dtype: type = np.f
     given = inputs(sample, dtype)
     want = expected(sample.reference, given)
     batch = [given[n] for n in ("q", "v", "x", "ctrl", "tau", "w")]
+    case = f"{name} in f32" if dtype == np.float32 else name
+    as_users = quickly.by_xla or case in AS_COMPILED
+    jit = functools.partial(jax.jit, compiler_options=AS_USERS) if as_users else quickly.quick_jit
     if argument:
-        mapped = jax.vmap(answer, (None, 0, 0, 0, 0, 0, 0))
-        got = jax.jit(mapped, compiler_options=AS_USERS)(sample.model, *batch)
+        got = jit(jax.vmap(answer, (None, 0, 0, 0, 0, 0, 0)))(sample.model, *batch)
     else:
-        mapped = jax.vmap(lambda *x: answer(sample.model, *x))
-        got = jax.jit(mapped, compiler_options=AS_USERS)(*batch)
+        got = jit(jax.vmap(lambda *x: answer(sample.model, *x)))(*batch)
     assert all(x.dtype == dtype for x in got.values())
     if name in SINGULAR:
         del want["acceleration"]

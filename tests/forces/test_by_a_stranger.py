@@ -8,7 +8,6 @@ import pytest
 
 import rbjax as rb
 from tests.quickly import quick_jit
-from tests.robots import QUICK
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 STEP, STEPS = 1e-6, 20
@@ -36,7 +35,7 @@ def end(wind, kernel):
     return jnp.concatenate([path.q[-1], path.v[-1]])
 
 
-blown = jax.jit(end, static_argnames="kernel", compiler_options=QUICK)
+blown = quick_jit(end, static_argnames=("kernel",))
 WIND = Wind(jnp.array([8.0, 2.0, 0.0]), jnp.array(0.4))
 
 

@@ -1,5 +1,7 @@
 """`linearise` and `step` against differences of `rollout`, and a closed form."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +14,9 @@ from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, relative_error
 
 EPS = 1e-6
+
+
+linearised = quick_jit(rb.linearise)
 
 
 def model_with_states() -> rb.Model:
@@ -37,7 +42,8 @@ def test_a_pendulum_in_closed_form():
 def test_a_step_is_one_of_rollout(integrator, key):
     model = model_with_states()
     state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)
-    one = rb.step(model, state, u, 0.01, integrator=integrator)
+    stepped = quick_jit(functools.partial(rb.step, integrator=integrator))
+    one = stepped(model, state, u, 0.01)
     path = rb.rollout(model, state, u[None], 0.01, integrator=integrator)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(path.state(1)), strict=True):
         assert relative_error(a, b) < F64_IDENTITY
@@ -64,7 +70,7 @@ def test_a_step_takes_what_a_rollout_takes():
 def test_a_step_is_differentiated(key):
     model = model_with_states()
     state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)
-    A, B = rb.linearise(model, state, u, 0.01)
+    A, B = linearised(model, state, u, 0.01)
     n = 2 * model.nv + model.nx
     assert A.shape == (n, n) and B.shape == (n, model.nu)
 
@@ -87,10 +93,10 @@ def test_the_continuous_form_is_the_limit_of_the_discrete_one(key):
     """(A_dt - 1) / dt = A + O(dt), for attitudes and element states too."""
     model = model_with_states()
     state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)
-    A, B = rb.linearise(model, state, u)
+    A, B = linearised(model, state, u)
     errors = []
     for dt in (1e-3, 1e-4):
-        Ad, Bd = rb.linearise(model, state, u, dt)
+        Ad, Bd = linearised(model, state, u, dt)
         slope = (Ad - jnp.eye(len(A))) / dt
         errors.append([relative_error(slope, A), relative_error(Bd / dt, B)])
     coarse, fine = np.array(errors)

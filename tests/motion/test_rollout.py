@@ -239,6 +239,7 @@ class Gain(eqx.Module):
         return self.k @ state.v
 
 
+@pytest.mark.usefixtures("by_xla")
 def test_a_policy_may_be_a_module(key):
     """Its arrays are arguments: differentiable, and others compile nothing again."""
     model = rb.load("cart_pole")
