@@ -19,7 +19,7 @@ from typing import Any
 
 import jax
 
-from rbjax.constraints.system import Response, response, rows_of
+from rbjax.constraints.system import Response, damped_by, response, rows_of
 from rbjax.dynamics.aba import factorize
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.manifold import moved
@@ -57,19 +57,18 @@ def _least_changes(
         return Instant.of(model, t, State(q, v), None, d=d)
 
     now = seen(q, v)
-    rows = first = rows_of(model, now)
-    factors = factorize(d, now.links.joints)
+    rows = rows_of(model, now)
+    near = response(d, factorize(d, now.links.joints), now, rows, DAMPING[q.dtype.itemsize])
 
     def least(answer: Response, off: list[Lane]) -> jax.Array:
         return answer.solved(None, [neg(x) for x in off])[0]
 
     if positions and any(row.holonomic for row in rows):
-        near = response(d, factors, now, rows, DAMPING[q.dtype.itemsize])
         for _ in range(iterations):
             dq = least(near, [row.residual for row in rows])
             q = moved(model, q, dq)
             rows = rows_of(model, seen(q, v))
-    exact = response(d, factors, now, first, 0.0)
+    exact = damped_by(near, 0.0)
     for k in range(iterations):
         if k:
             rows = rows_of(model, seen(q, v))

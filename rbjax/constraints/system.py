@@ -29,6 +29,7 @@ with e = 1e-9, 7e-6 with 1e-10; two linkages by adaptive steps at 1e-11 have err
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Protocol
@@ -178,6 +179,13 @@ def response(
     those of the dtype; None: those of the dtype, taken back."""
     few = d.listed and len(rows) <= ROWS_ON_LANES
     return (OnLanes if few else OnMatrices)(d, factors, now, rows, damping)
+
+
+def damped_by(answer: Response, damping: float) -> Response:
+    """The same response, damped otherwise; A is shared once it is made."""
+    out: Any = copy.copy(answer)
+    out._damping = damping
+    return out
 
 
 class OnLanes:
