@@ -5,10 +5,11 @@
 G, M and A are those of the state as it came, so they are factored once; after a step, whose error
 is small, each iteration takes the residual down by about the relative size of the correction.
 
-For positions A is damped (`DAMPING`): what a row of the singular value sigma is off by is divided
-by sigma + eps / sigma. So near a singular position rounding u moves a state by u / (2 eps^(1/2)) at
-most, and not by u / sigma; what is left is of second order there, and goes when sigma grows again.
-A velocity across a row is scaled by a factor between 0 and 1, so kinetic energy never rises.
+A is damped more than in the law (`DAMPING`), and that is taken back once: what a row of the
+singular value sigma is off by is divided by sigma, times 1 - (eps / (sigma^2 + eps))^2. So near a
+singular position rounding u moves a state by about u / eps^(1/2) at most, and not by u / sigma;
+what is left is of second order there, and goes when sigma grows again. A velocity across a row is
+scaled by a factor between 0 and 1, so kinetic energy does not rise but by rounding.
 (Blajer 2002; Bayo & Ledesma, *Augmented Lagrangian and mass-orthogonal projection methods for
 constrained multibody dynamics*, 1996; Masarati, ch. 8)
 """
@@ -19,7 +20,7 @@ from typing import Any
 
 import jax
 
-from rbjax.constraints.system import Response, damped_by, response, rows_of
+from rbjax.constraints.system import response, rows_of
 from rbjax.dynamics.aba import factorize
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.manifold import moved
@@ -30,7 +31,7 @@ from rbjax.model import Model, State
 
 #: by bytes of a number
 ITERATIONS = {4: 1, 8: 2}
-#: eps and e of `system` for positions, by bytes of a number; velocities have those of the law
+#: eps and e of `system`, by bytes of a number
 DAMPING = {4: 1e-3, 8: 1e-6}
 
 
@@ -58,19 +59,18 @@ def _least_changes(
 
     now = seen(q, v)
     rows = rows_of(model, now)
-    near = response(d, factorize(d, now.links.joints), now, rows, DAMPING[q.dtype.itemsize])
+    answer = response(d, factorize(d, now.links.joints), now, rows, DAMPING[q.dtype.itemsize])
 
-    def least(answer: Response, off: list[Lane]) -> jax.Array:
+    def least(off: list[Lane]) -> jax.Array:
         return answer.solved(None, [neg(x) for x in off])[0]
 
     if positions and any(row.holonomic for row in rows):
         for _ in range(iterations):
-            dq = least(near, [row.residual for row in rows])
+            dq = least([row.residual for row in rows])
             q = moved(model, q, dq)
             rows = rows_of(model, seen(q, v))
-    exact = damped_by(near, 0.0)
     for k in range(iterations):
         if k:
             rows = rows_of(model, seen(q, v))
-        v = v + least(exact, [row.rate for row in rows])
+        v = v + least([row.rate for row in rows])
     return q, v

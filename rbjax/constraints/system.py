@@ -21,15 +21,14 @@ is a hyperbola, sigma y constant: rounding u of a row makes y = u / sigma, a vel
 across the branch, and v^2 y / sigma^2 = v^2 u / sigma^3 of acceleration. e B damps these below
 sigma = e^(1/2); diag(A) does not, for it vanishes with the row. Without B ten seconds of a
 parallelogram in f32 (RK4, 1 ms, 20 J, 15 starts) gained 3e2 J or more, or were no numbers; with it
-energy is kept to 5e-3 J. In f64 `projection` has damped y already, and e is small: across a branch
+energy is kept to 6e-3 J. In f64 `projection` has damped y already, and e is small: across a branch
 the acceleration is free where e damps. Ten seconds of 40 linkages (RK4, 1 ms, 620 J) lose 1.05e-5 J
 with e = 1e-9, 7e-6 with 1e-10; two linkages by adaptive steps at 1e-11 have errors of 4e-10 and
-1.4e-8, and of 2e-6 with 1e-11.
+1e-8, and of 2e-6 with e = 1e-11.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Protocol
@@ -134,10 +133,10 @@ def with_multipliers(
 
 def damped(dtype: Any, damping: float | None) -> tuple[float, float, int]:
     """eps, e, and how often they are taken back."""
-    if damping:
-        return damping, damping, 0
+    if damping is not None:
+        return damping, damping, 1
     eps, again = proximal(dtype)
-    return eps, VANISHING[dtype.itemsize], again if damping is None else 0
+    return eps, VANISHING[dtype.itemsize], again
 
 
 class Response(Protocol):
@@ -175,17 +174,9 @@ def response(
     d: Driver, factors: Any, now: Instant, rows: Sequence[Row], damping: float | None = None
 ) -> Response:
     """By lanes where the driver walks the tree link by link; by matrices otherwise. damping: eps
-    and e, not taken back, for one of several iterations; 0, the same with
-    those of the dtype; None: those of the dtype, taken back."""
+    and e, taken back once, for one of several iterations; None: those of the dtype."""
     few = d.listed and len(rows) <= ROWS_ON_LANES
     return (OnLanes if few else OnMatrices)(d, factors, now, rows, damping)
-
-
-def damped_by(answer: Response, damping: float) -> Response:
-    """The same response, damped otherwise; A is shared once it is made."""
-    out: Any = copy.copy(answer)
-    out._damping = damping
-    return out
 
 
 class OnLanes:
