@@ -5,12 +5,11 @@
 G, M and A are those of the state as it came, so they are factored once; after a step, whose error
 is small, each iteration takes the residual down by about the relative size of the correction.
 
-A is damped (`DAMPING`): what a row of the singular value sigma is off by is divided by
-sigma + eps / sigma. So near a singular position rounding u moves a state by u / (2 eps^(1/2)) at
-most, and not by u / sigma; what is left is of second order there, and goes when sigma grows again.
-A velocity across a row is scaled by eps / (sigma^2 + eps), so kinetic energy never rises. Adaptive
-steps in f64 (Dopri8 at 1e-12, two linkages that fall flat) were stuck, from all of 45 starts, with
-1e-9 here; with 1e-6 none is.
+A is damped more than in the law (`DAMPING`), and that is taken back once: what a row of the
+singular value sigma is off by is divided by sigma, times 1 - (eps / (sigma^2 + eps))^2. So near a
+singular position rounding u moves a state by about u / eps^(1/2) at most, and not by u / sigma;
+what is left is of second order there, and goes when sigma grows again. A velocity across a row is
+scaled by a factor between 0 and 1, so kinetic energy does not rise but by rounding.
 (Blajer 2002; Bayo & Ledesma, *Augmented Lagrangian and mass-orthogonal projection methods for
 constrained multibody dynamics*, 1996; Masarati, ch. 8)
 """

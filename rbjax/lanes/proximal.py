@@ -30,9 +30,9 @@ def proximal(dtype: Any) -> tuple[float, int]:
 
 
 def damped(dtype: Any, damping: float | None) -> tuple[float, float, int]:
-    """eps, e, and how often they are taken back: `damping` is both, and is not."""
+    """eps, e, and how often they are taken back: `damping` is both, once."""
     if damping is not None:
-        return damping, damping, 0
+        return damping, damping, 1
     eps, again = proximal(dtype)
     return eps, VANISHING[dtype.itemsize], again
 
@@ -43,7 +43,7 @@ class LeastNorm:
     Args:
         A: its lower triangle, row by row.
         usual: what its diagonal is where no row vanishes; 0 where that is not known.
-        damping: eps and e, not taken back; None: those of the dtype, taken back.
+        damping: eps and e, taken back once; None: those of the dtype, to rounding.
     """
 
     def __init__(
