@@ -50,8 +50,8 @@ def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
         drift(figure.add_subplot(grid[2, :]), runs, titles, order)
         figure.legend([handles[key] for key in order], order, loc="outside lower center", ncols=6)
         figure.suptitle(
-            "Formulations of constrained motion, f64, one core: error against cost (RK4: circles "
-            "redundant family, squares minimal, triangles unconstrained; diamonds: Radau IIA)",
+            "Formulations, f64, one core: error against cost (RK4: circles redundant, squares "
+            "minimal, triangles unconstrained; diamonds Radau IIA)",
             x=0.01, ha="left", fontweight="bold",
         )  # fmt: skip
         figure.savefig(path)
