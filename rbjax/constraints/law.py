@@ -95,7 +95,7 @@ def constrained_motion(
         return jnp.concatenate([a, l]), solve
 
     def plain(changed, q, v, tau):
-        return run(changed, q, v, tau, values=known_model)[0]
+        return (run(changed, q, v, tau, values=known_model)[0],)
 
     def solved(changed, q, v, tau):
         x, solve = run(changed, q, v, tau)
@@ -103,7 +103,7 @@ def constrained_motion(
         def solution(change):
             return jnp.concatenate(solve(change[:nv], list(change[nv:])))
 
-        return x, solution
+        return (x,), [solution]
 
     def residual(changed, q, v, tau, x):
         model, pushes, t, alpha, beta = rebuilt(changed)
@@ -117,7 +117,7 @@ def constrained_motion(
         off = pack(left_at(now, rows, l, alpha, beta), a)
         return jnp.concatenate([tau - d.pack(forces, tau), off])
 
-    found = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)
+    (found,) = with_implicit_jvp(plain, solved, residual)(given, state.q, state.v, tau)
     return found[:nv], found[nv:]
 
 

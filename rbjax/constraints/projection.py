@@ -3,7 +3,8 @@
     min |dq|_M:  g(t, q + dq) = 0          dq = -M^-1 G^T A^-1 g, again with what is left
     min |dv|_M:  G v + g_t = 0             dv = -M^-1 G^T A^-1 (G v + g_t)
 G, M and A are those of the state as it came, so they are factored once; after a step, whose error
-is small, each iteration takes the residual down by about the relative size of the correction.
+is small, each iteration takes the residual down by about the relative size of the correction. The
+equations of the derivative (`least_change`) are solved by the same iterations.
 
 A is damped more than in the law (`DAMPING`), and that is taken back once: what a row of the
 singular value sigma is off by is divided by sigma, times 1 - (eps / (sigma^2 + eps))^2. So near a
@@ -16,19 +17,22 @@ constrained multibody dynamics*, 1996; Masarati, ch. 8)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
+from rbjax.constraints.least_change import Changes, Solve, least_changes, leveled, off, off_of
 from rbjax.constraints.system import response, rows_of
 from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import Driver, driver
+from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.manifold import moved
-from rbjax.dynamics.tracing import with_values
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, neg
 from rbjax.model import Model, State
 
+#: x (nv,) -> what rows are off by (rows,)
+Residual = Callable[[jax.Array], jax.Array]
 #: by bytes of a number
 ITERATIONS = {4: 1, 8: 2}
 #: eps and e of `system`, by bytes of a number
@@ -40,37 +44,52 @@ def projected(
 ) -> State:
     """The state on its constraints. iterations None: as many as bring the error of a step down to
     rounding. `positions`: not only its velocity."""
-    iterations = ITERATIONS[state.q.dtype.itemsize] if iterations is None else iterations
+    q, v = state.q, state.v
+    many = ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
 
-    def run(given: Any, q: jax.Array, v: jax.Array, values: bool) -> tuple[jax.Array, jax.Array]:
-        model, t = given
-        d = driver(model, q.dtype, values=values)
-        return _least_changes(d, model, t, q, v, iterations, positions)
+    def method(d: Driver, model: Model, _: Any, t: Any, q: jax.Array, u: Any, v: Any) -> Changes:
+        return _projection(d, model, t, q, v, many, positions)
 
-    q, v = with_values(run, (model, t), state.q, state.v)
-    return State(q, v, state.x)
+    dq, dv = least_changes(method, model, t, t, q, jnp.zeros_like(v), v)
+    return State(moved(model, q, dq) if positions else q, v + dv, state.x)
 
 
-def _least_changes(
-    d: Driver, model: Model, t: Any, q: jax.Array, v: jax.Array, iterations: int, positions: bool
-) -> tuple[jax.Array, jax.Array]:
-    def seen(q: jax.Array, v: jax.Array) -> Instant:
-        return Instant.of(model, t, State(q, v), None, d=d)
-
-    now = seen(q, v)
+def _projection(
+    d: Driver, model: Model, t: Any, q: jax.Array, v: jax.Array, many: int, positions: bool
+) -> Changes:
+    now = Instant.of(model, t, State(q, v), None, d=d)
     rows = rows_of(model, now)
     answer = response(d, factorize(d, now.links.joints), now, rows, DAMPING[q.dtype.itemsize])
 
-    def least(off: list[Lane]) -> jax.Array:
-        return answer.solved(None, [neg(x) for x in off])[0]
+    def iterated(f: Residual, begun: jax.Array, force: Any = None) -> tuple[jax.Array, jax.Array]:
+        """x and l of M x = force + G^T l and f(x) = 0, from x = 0, where f is `begun`."""
+        x, l = answer.solved(force, list(-begun))
+        for _ in range(many - 1):
+            more = answer.solved(None, list(-f(x)))
+            x, l = x + more[0], l + more[1]
+        return x, l
 
+    def linear(f: Residual, x: jax.Array) -> Solve:
+        def left(dx: jax.Array, c: jax.Array) -> jax.Array:
+            return jax.jvp(f, (x,), (dx,))[1] - c
+
+        return lambda force, c: iterated(lambda dx: left(dx, c), -c, force)
+
+    def level(dq: jax.Array) -> jax.Array:
+        return leveled(now, rows, off(d, model, t, q, dq, v)[0], dq)
+
+    def rate(dv: jax.Array) -> jax.Array:
+        return off(d, model, t, q, dq, v + dv)[1]
+
+    dq, l = jnp.zeros_like(v), jnp.zeros(len(rows), v.dtype)
+    begun = off_of(rows, v)
+    of_positions: Solve = _unmoved
     if positions and any(row.holonomic for row in rows):
-        for _ in range(iterations):
-            dq = least([row.residual for row in rows])
-            q = moved(model, q, dq)
-            rows = rows_of(model, seen(q, v))
-    for k in range(iterations):
-        if k:
-            rows = rows_of(model, seen(q, v))
-        v = v + least([row.rate for row in rows])
-    return q, v
+        dq, l = iterated(level, begun[0])
+        begun, of_positions = off(d, model, t, q, dq, v), linear(level, dq)
+    dv, m = iterated(rate, begun[1])
+    return Changes(dq, l, dv, m, of_positions, linear(rate, dv))
+
+
+def _unmoved(force: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jnp.zeros_like(force), jnp.zeros_like(c)

@@ -15,23 +15,24 @@ Integration*, IV.5.3; Masarati, *Multibody System Dynamics*, ch. 8)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.constraints.formulation import Formulation, Multipliers
+from rbjax.constraints.least_change import Changes, Solve, least_changes, leveled, off
 from rbjax.constraints.projection import projected
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import OnMatrices, gradient_matrix, least_norm, rows_of
 from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.manifold import difference_lanes, moved
+from rbjax.dynamics.aba import solve as solved
+from rbjax.dynamics.drivers import Driver
+from rbjax.dynamics.manifold import difference_lanes, moved, velocity_lanes
 from rbjax.dynamics.packing import pack
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane
 from rbjax.lanes.products import matmat, matvec
 from rbjax.model import Model, State
 
@@ -83,37 +84,75 @@ def across(
     model: Model, t: Any, state: State, t0: Any, start: State, iterations: int | None = None
 ) -> State:
     """The state on the constraints with the z and s of another, of the tangent space at `start`."""
-    dtype = state.q.dtype
-    d = driver(model, dtype)
+    q, v, top = start.q, state.v, model.topology
+    many = ITERATIONS[q.dtype.itemsize] if iterations is None else iterations
+    u = pack(difference_lanes(top, list(q), list(state.q)), v)
 
-    def seen(t: Any, q: jax.Array, v: jax.Array) -> tuple[Instant, list[Row]]:
-        now = Instant.of(model, t, State(q, v), None, d=d)
+    def method(
+        d: Driver, model: Model, t0: Any, t: Any, q: jax.Array, u: jax.Array, v: jax.Array
+    ) -> Changes:
+        return _newton(d, model, t0, t, q, u, v, many)
+
+    du, dv = least_changes(method, model, t0, t, q, u, v)
+    return State(moved(model, q, u + du), v + dv, state.x)
+
+
+def _newton(
+    d: Driver,
+    model: Model,
+    t0: Any,
+    t: Any,
+    q: jax.Array,
+    u: jax.Array,
+    v: jax.Array,
+    many: int,
+) -> Changes:
+    def seen(t: Any, u: jax.Array, v: jax.Array) -> tuple[Instant, list[Row]]:
+        now = Instant.of(model, t, State(moved(model, q, u), v), None, d=d)
         return now, rows_of(model, now)
 
-    first, rows = seen(t0, start.q, start.v)
-    begun = OnMatrices(d, factorize(d, first.links.joints), first, rows)
+    first, rows = seen(t0, jnp.zeros_like(u), v)
+    factors = factorize(d, first.links.joints)
+    begun = OnMatrices(d, factors, first, rows)
     size = jnp.diagonal(begun.A)
-    size = size + jnp.finfo(dtype).eps * size.sum()
+    size = size + jnp.finfo(size.dtype).eps * size.sum()
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
-    def least(now: Instant, rows: Sequence[Row], off: Sequence[Lane]) -> jax.Array:
-        """-M_0^-1 G_0^T l, which takes `off` away at first order; of redundant rows the least l."""
-        J = r[:, None] * matmat(gradient_matrix(now, rows), begun.Y) * r
-        l = matvec(J.T, least_norm(matmat(J, J.T), r * pack(off, now.v)))
-        return -matvec(begun.Y, r * l)
+    def least(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """x = M_0^-1 G_0^T l, and l, of G x = c; of redundant rows the least l."""
+        J = r[:, None] * matmat(G, begun.Y) * r
+        l = r * matvec(J.T, least_norm(matmat(J, J.T), r * c))
+        return matvec(begun.Y, l), l
 
-    def nearer(_: Any, u: jax.Array) -> jax.Array:
-        now, rows = seen(t, moved(model, start.q, u), state.v)
-        return u + least(now, rows, [row.residual for row in rows])
+    def level_gradient(du: jax.Array) -> jax.Array:
+        """By du: attitudes turn by J_r(u) du."""
+        now, rows = seen(t, u + du, v)
+        back = list(-(u + du))
+        turned = jax.vmap(lambda row: pack(velocity_lanes(model.topology, back, list(row)), row))
+        level = np.array([row.holonomic for row in rows])
+        return jnp.where(level[:, None], turned(gradient_matrix(now, rows)), begun.G)
 
-    def slower(_: Any, v: jax.Array) -> jax.Array:
-        now, rows = seen(t, q, v)
-        return v + least(now, rows, [row.rate for row in rows])
+    def nearer(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        level = leveled(first, rows, off(d, model, t, q, u + x[0], v)[0], x[0])
+        more = least(level_gradient(x[0]), -level)
+        return x[0] + more[0], x[1] + more[1]
 
-    q = state.q
+    du, l = jnp.zeros_like(u), jnp.zeros(len(rows), u.dtype)
     if any(row.holonomic for row in rows):
-        u = jnp.stack(difference_lanes(model.topology, list(start.q), list(q)))
-        many = ITERATIONS[dtype.itemsize] if iterations is None else iterations
-        q = moved(model, start.q, jax.lax.fori_loop(0, many, nearer, u))
-    v = jax.lax.fori_loop(0, 2, slower, state.v)  # linear: twice for rounding
-    return State(q, v, state.x)
+        du, l = jax.lax.fori_loop(0, many, nearer, (du, l))
+    G = gradient_matrix(*seen(t, u + du, v))
+
+    def slower(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        more = least(G, -off(d, model, t, q, u + du, v + x[0])[1])
+        return x[0] + more[0], x[1] + more[1]
+
+    def linear(G: jax.Array) -> Solve:
+        def solve(force: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+            free = d.pack(solved(d, factors, d.lanes(force)), force)
+            x, l = least(G, c - matvec(G, free))
+            return free + x, l
+
+        return solve
+
+    dv, m = jax.lax.fori_loop(0, 2, slower, (jnp.zeros_like(v), jnp.zeros_like(l)))  # linear: twice
+    return Changes(du, l, dv, m, linear(level_gradient(du)), linear(G))

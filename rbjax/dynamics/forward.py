@@ -67,12 +67,12 @@ def acceleration(
         return d, d.pack(qdd, tau), factors
 
     def plain(changed, q, v, tau):
-        return run(changed, q, v, tau, values=known_model)[1]
+        return (run(changed, q, v, tau, values=known_model)[1],)
 
     def solved(changed, q, v, tau):
         d, a, factors = run(changed, q, v, tau)
         a, factors = _left(a, factors)
-        return a, lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)
+        return (a,), [lambda change: d.pack(solve(d, factors, d.lanes(change)), tau)]
 
     def residual(changed, q, v, tau, a):
         model, pushes = rebuilt(changed)
@@ -80,7 +80,7 @@ def acceleration(
         forces = rnea(d, d.joints(q, v), d.lanes(a), d.prepared.gravity, pushes)
         return tau - d.pack(forces, tau)
 
-    return with_implicit_jvp(plain, solved, residual)(given, q, v, tau)
+    return with_implicit_jvp(plain, solved, residual)(given, q, v, tau)[0]
 
 
 @algorithm("q", "v", "tau", "wrenches", long=True)

@@ -15,6 +15,7 @@ from rbjax.dynamics.arguments import algorithm
 from rbjax.lanes import Lane, Vec3, fusion_barrier, horner, sub
 from rbjax.model import Model, spans
 from rbjax.rotations import quaternion
+from rbjax.rotations.coefficients import stumpff
 
 
 def integrate_lanes(top: Any, q: list[Lane], dq: list[Lane]) -> list[Lane]:
@@ -50,6 +51,26 @@ def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
 
 #: |B_2k| / (2 k)!, the coefficients of (1 - (t/2) cot(t/2)) / t^2 as a series in t^2
 _TURN = (1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000)
+
+
+def velocity_lanes(top: Any, u: list[Lane], du: list[Lane]) -> list[Lane]:
+    """v where the configuration q + u moves as u' = du: du itself, except for attitudes q exp(u)
+
+        w = J_r(u) u' = u' - a u x u' + b u x (u x u'),
+        a = (1 - cos |u|) / |u|^2,   b = (|u| - sin |u|) / |u|^3
+
+    J_r^T is J_r(-u).
+    """
+    out: list[Lane] = []
+    for span in spans(top):
+        out += du[span.v]
+        if span.attitude:
+            by = span.attitude[1]
+            turn, rate = Vec3(*u[by]), Vec3(*du[by])
+            once = turn.cross(rate)
+            a, b = stumpff(turn.dot(turn), 2, 3)
+            out.extend(rate - once * a + turn.cross(once) * b)
+    return out
 
 
 def moved(model: Model, q: jax.Array, dq: jax.Array) -> jax.Array:

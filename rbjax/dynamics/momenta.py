@@ -89,7 +89,7 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
 
     def plain(changed, q, p):
         d, found = factors(changed, q, known_model)
-        return d.pack(solve(d, found, d.lanes(p)), p)
+        return (d.pack(solve(d, found, d.lanes(p)), p),)
 
     def solved(changed, q, p):
         d, found = factors(changed, q)
@@ -97,12 +97,12 @@ def velocity_of(model: Model, q: jax.Array, p: jax.Array) -> jax.Array:
         def velocity(p):
             return d.pack(solve(d, found, d.lanes(p)), p)
 
-        return velocity(p), velocity
+        return (velocity(p),), [velocity]
 
     def residual(changed, q, p, v):
         return p - momentum(rebuilt(changed), q, v)
 
-    return with_implicit_jvp(plain, solved, residual)(given, q, p)
+    return with_implicit_jvp(plain, solved, residual)(given, q, p)[0]
 
 
 def nearby_velocity(

@@ -7,6 +7,7 @@ these. `split_tracers` separates the two.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -58,32 +59,39 @@ def with_values(run: Callable, given: Any, *args: jax.Array) -> Any:
     return with_jvp(plain, tangent)(moving, *args)
 
 
-def with_implicit_jvp(plain: Callable, solved: Callable, residual: Callable) -> Callable:
-    """x = plain(*at), the solution of residual(*at, x) = 0, with the derivative of the implicit
-    function:
+def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -> Callable:
+    """x_1, x_2, ... = plain(*at), the solutions of residual_k(*at, x_1, ..., x_k) = 0, one after
+    another, with the derivative of the implicit function:
 
-        dx = solve(d residual(*at, x)),   x held constant
+        dx_k = solve_k(d residual_k(*at, x_1, ..., x_k)),   x_k held constant
 
     Args:
-        plain: *at -> x, used where nothing is differentiated.
-        solved: *at -> x and the function solve.
-        residual: linear in x, with the sign for which `solve` maps its change to that of x.
+        plain: *at -> the solutions, used where nothing is differentiated.
+        solved: *at -> the solutions, and a function solve for each.
+        residuals: each with the sign for which `solve` maps its change to that of its solution.
 
-    Derivatives of higher order take only `solve` from `solved`, not x.
+    Derivatives of higher order take only the functions `solve` from `solved`, not the solutions.
     """
 
     def tangent(primals: tuple, tangents: tuple) -> tuple:
-        x, solve = solved(*primals)
-        x = found(*primals, x)
-        _, change = jvp_of(lambda *at: residual(*at, x), primals, tangents)
-        return x, jnp.zeros_like(x) if change is None else solve(change)
+        xs, solves = solved(*primals)
+        xs, rates = found(*primals, xs), list[Any]()
+        for k, (residual, solve) in enumerate(zip(residuals, solves, strict=True)):
+            at, moving = (*primals, *xs[:k]), (*tangents, *rates)
+            _, change = jvp_of(functools.partial(_held, residual, xs[k]), at, moving)
+            rates.append(jnp.zeros_like(xs[k]) if change is None else solve(change))
+        return xs, tuple(rates)
 
     def again(at: tuple, moving: tuple) -> tuple:
         return at[-1], tangent(at[:-1], moving[:-1])[1]
 
-    # x = plain(*at), already computed, with a rule for the next derivative
+    # the solutions, already computed, with a rule for the next derivative
     found = with_jvp(lambda *at: at[-1], again)
     return with_jvp(plain, tangent)
+
+
+def _held(residual: Callable, x: Any, *at: Any) -> Any:
+    return residual(*at, x)
 
 
 def of_jax(x: Any) -> Any:

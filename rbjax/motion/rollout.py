@@ -121,7 +121,7 @@ def rollout(
     - a derivative keeps every k-th state, in forward mode too: k = 1 where that fits into `memory`,
       else the smallest divisor of save_every that does, or save_every;
     - a policy of more than 4,000 operations runs under XLA between the steps;
-    - a step with more than 60,000 statements or 64 KiB of arrays, or with a primitive that threads
+    - a step with more than 100,000 statements or 64 KiB of arrays, or with a primitive that threads
       do not know (svd, eigh, a callback), makes the rollout run under XLA; a warning names it.
 
     Source: Hairer, Lubich & Wanner, *Geometric Numerical Integration*, I.1, IV.8; Marsden & West,

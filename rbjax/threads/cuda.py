@@ -23,8 +23,8 @@ BLOCK = 32
 SHARED_BYTES = 47 * 1024
 #: bytes of constant memory for tables; the others are read through the cache
 CONSTANT_BYTES = 48 * 1024
-#: for more statements NVRTC takes a minute
-STATEMENTS_UP_TO = 60_000
+#: NVRTC takes a second for a thousand statements; what is larger takes XLA longer still
+STATEMENTS_UP_TO = 100_000
 #: the driver reserves a thread's arrays for all threads that the device can hold at once: 17 GB
 ARRAY_BYTES_UP_TO = 64 * 1024
 
