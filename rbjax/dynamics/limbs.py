@@ -304,7 +304,6 @@ class Limbs(Sweeps, unrolled.Listed):
         total, (messages, ys) = self._loop(group, body, start, (xs, starts))
         if together:
             return [(ports[0], total)] if summed else [], ys
-        messages = jax.tree.map(lambda x: x if is_literal(x) else whole_cotangent(x), messages)
         pairs = [(port, self._limb(messages, j)) for j, port in enumerate(ports) if port != WORLD]
         return pairs, ys
 
@@ -312,7 +311,8 @@ class Limbs(Sweeps, unrolled.Listed):
         """The lanes of limb j."""
 
         def lane(column):
-            found = self._cast(column)[j]
+            cast = self._cast(column)
+            found = (whole_cotangent(cast) if isinstance(cast, jax.Array) else cast)[j]
             self._read[id(found)] = found, column, j
             return found
 

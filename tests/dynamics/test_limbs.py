@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics.aba import factorize
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.limbs import Limbs
 from rbjax.dynamics.unrolled import Unrolled
+from rbjax.lanes import fusion_barrier
 from rbjax.model import WORLD, partition
 from rbjax.threads.frame import batch_first, write_program
 from tests.quickly import quick_jit
@@ -233,6 +235,23 @@ def test_reverse_derivatives_of_limbs_on_two_links():
         return jax.grad(lambda q: rb.inverse_dynamics(model, q, v, v).sum())(q)
 
     agree(*(run(partial(slope, walker(name, CART).model), q, v) for name in ("limbs", "rolled")))
+
+
+def test_reverse_derivatives_where_values_of_a_limb_are_unused():
+    """Nothing comes back to what a loop has found but one number of one limb, though a barrier
+    takes others."""
+    q = given(walker(text=CART), 1)[0][0]
+
+    def slope(driven, q):
+        def loss(q):
+            d = driver(driven, q.dtype)
+            of = d.whole(factorize(d, d.joints(q, None)))[2]
+            return fusion_barrier((of.inverse_D, of.U))[0]
+
+        return jax.grad(loss)(q)
+
+    found = (run(partial(slope, walker(name, CART).model), q) for name in ("limbs", "unrolled"))
+    agree(*found)
 
 
 @pytest.mark.slow
