@@ -135,7 +135,7 @@ rng = np.random.default_rng(0)
 def swing(mass):
     heavier = model.replace(bodies=model.bodies.replace(mass=mass))
     start = rb.State(jnp.array([0.6, -0.4]), jnp.zeros(2))
-    return rb.rollout(heavier, start, None, 0.005, integrator="rk4", steps=200).q
+    return rb.rollout(heavier, start, None, 0.005, steps=200).q
 
 
 measured = swing(true_mass) + 2e-3 * rng.normal(size=(201, 2))

@@ -47,7 +47,7 @@ def test_validation(tmp_path: Path) -> None:
 
 
 def test_identification_finds_the_truth(tmp_path: Path) -> None:
-    section = identify(tmp_path, quiet, steps=400)
+    section = identify(tmp_path, quiet, steps=200)
     check(section, tmp_path)
     for name, _, estimate, truth, _ in section.rows:
         value, error = (float(x) for x in estimate.split(" ± "))

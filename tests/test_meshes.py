@@ -154,29 +154,23 @@ def child_registry():
     check("algorithms", everything, xs, sharding=NamedSharding(mesh, BATCH), sums=0)
 
 
-def test_algorithms():
-    on_eight_devices(child_algorithms)
-
-
-def child_rollouts_on_lanes():
-    child_rollouts(False)
-
-
 def child_rollouts_on_threads():
     child_rollouts(True)
 
 
-def test_rollouts():
-    on_eight_devices(child_rollouts_on_lanes)
+def child_on_lanes():
+    child_algorithms()
+    child_simulate()
+    child_rollouts(False)
+
+
+def test_algorithms_and_motions():
+    on_eight_devices(child_on_lanes)
 
 
 @pytest.mark.slow
 def test_rollouts_on_threads():
     on_eight_devices(child_rollouts_on_threads)
-
-
-def test_simulate():
-    on_eight_devices(child_simulate)
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from tests.quickly import quick_jit
 #: name -> freedoms (the textbooks' number), motors, and redundant rows: those across the plane of a
 #: plane loop
 SCENES = {"four_bar": (1, 0, 1), "delta": (3, 3, 0), "stewart": (6, 6, 0), "gripper": (1, 1, 2)}
+SPATIAL = ("delta", "stewart")
 FEW = [pytest.param(name, marks=pytest.mark.slow if name == "stewart" else ()) for name in SCENES]
 
 
@@ -53,7 +54,9 @@ def test_closed_as_drawn(name: str) -> None:
             assert np.abs(x).max() <= 1e-12
 
 
-@pytest.mark.parametrize("name", FEW)
+@pytest.mark.parametrize(
+    "name", ["four_bar", "gripper", *(pytest.param(n, marks=pytest.mark.slow) for n in SPATIAL)]
+)
 def test_mobility(name: str) -> None:
     freedoms, motors, redundant = SCENES[name]
     model = rb.load(name)

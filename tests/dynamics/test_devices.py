@@ -109,24 +109,27 @@ def child_rollouts():
     by_what_is_shared("controls", lambda u, m, q, v: rolled(q, v, u, m), us[0], mass, q, v)
     check("along a tangent", lambda q, v, us: jax.jvp(rolled, (q, v, us), (v, q, us)), (q, v, us),
           sharding=where, sums=0)  # fmt: skip
-    ways = jax.vmap(lambda u: rolled(q, v, u))
-    check("two axes", ways, (jax.device_put(us[:3], NamedSharding(mesh(), P())),), sums=0)
 
     out = rb.rollout(model, rb.State(q, v), us, 0.01)  # outside of any program
     assert out.q.sharding.is_equivalent_to(where, 3)
     slope = jax.grad(lambda w: (rolled(q, v, policy(w), steps=4)[0] ** 2).sum())
     assert relative_error(slope(W), jax.jit(slope)(W)) <= F64_TRANSFORM
 
-    own = functools.partial(jax.shard_map, mesh=mesh(), in_specs=(BOTH, BOTH, BOTH))
-    check("in shard_map", own(rolled, out_specs=BOTH), (q, v, us), rolled, where, 0)
-    parted = own(lambda *x: jax.lax.psum(loss(*x, W, mass), ("a", "b")), out_specs=P())
-    check("its gradient", jax.grad(parted), (q, v, us), jax.grad(lambda *x: loss(*x, W, mass)),
-          where)  # fmt: skip
+    own = jax.shard_map(rolled, mesh=mesh(), in_specs=(BOTH, BOTH, BOTH), out_specs=BOTH)
+    check("in shard_map", own, (q, v, us), rolled, where, 0)
 
 
-def child_shared():
+def child_more():
     model, (q, v, us), W, rolled, policy, loss = cart_poles()
     mass = model.bodies.mass
+    ways = jax.vmap(lambda u: rolled(q, v, u))
+    check("two axes", ways, (jax.device_put(us[:3], NamedSharding(mesh(), P())),), sums=0)
+    parted = jax.shard_map(
+        lambda *x: jax.lax.psum(loss(*x, W, mass), ("a", "b")),
+        mesh=mesh(), in_specs=(BOTH, BOTH, BOTH), out_specs=P(),
+    )  # fmt: skip
+    check("gradient in shard_map", jax.grad(parted), (q, v, us),
+          jax.grad(lambda *x: loss(*x, W, mass)), NamedSharding(mesh(), BOTH))  # fmt: skip
     by_what_is_shared(
         "weights", lambda w, m, q, v: rolled(q, v, policy(w), m, steps=4), W, mass, q, v
     )
@@ -143,8 +146,8 @@ def test_rollouts():
 
 
 @pytest.mark.slow
-def test_gradients_by_what_is_shared():
-    on_eight_devices(child_shared)
+def test_two_axes_and_gradients_in_shard_map():
+    on_eight_devices(child_more)
 
 
 @pytest.mark.parametrize("size", [320, 12, 7, 1])

@@ -83,12 +83,9 @@ def test_a_step_compiled_is_a_step_op_by_op(name: str) -> None:
     assert relative_error(eager, compiled) < F64_TRANSFORM
 
 
-CLOSED_OVER = "radau_iia2 newmark".split()  # noqa: SIM905
-
-
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=() if n in CLOSED_OVER else pytest.mark.slow) for n in SOLVERS
+    [pytest.param(n, marks=() if n == "newmark" else pytest.mark.slow) for n in SOLVERS
      if n != "rigid_body_splitting"],
 )  # fmt: skip
 def test_a_gain_that_the_control_of_a_robot_closes_over(name: str) -> None:

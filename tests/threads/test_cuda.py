@@ -299,13 +299,14 @@ def long_rows(x, n):
             jnp.arange(132, dtype=jnp.int32) * n[0]]  # fmt: skip
 
 
+slow = pytest.mark.slow
 CASES = [
-    (leaving, {}, 200),
+    pytest.param(leaving, {}, 200, marks=slow),
     (leaving, {}, 20),
     (leaving, {"SHARED_BYTES": 12 * 1024}, 40),
     (long_rows, {}, 200),
-    (long_rows, {"TILE": 32}, 200),
-    (long_rows, {"TILE": 64}, 20),
+    pytest.param(long_rows, {"TILE": 32}, 200, marks=slow),
+    pytest.param(long_rows, {"TILE": 64}, 20, marks=slow),
     (long_rows, {"SHARED_BYTES": 1024}, 40),
 ]
 

@@ -147,9 +147,10 @@ def test_memory_is_that_of_each_device(monkeypatch):
     assert [kept(2**19, 1), kept(2**20, 1), kept(2**20, 2), kept(2**21, 2)] == [100, 50, 100, 50]
 
 
-def test_functions():
-    on_eight_devices(child_functions)
+def child():
+    child_functions()
+    child_rollouts()
 
 
-def test_rollouts():
-    on_eight_devices(child_rollouts)
+def test_functions_and_rollouts():
+    on_eight_devices(child)
