@@ -1,5 +1,25 @@
-"""Planning in the plane: shortest curves of a car, maps of obstacles, and searches among them."""
+"""Planning in the plane: shortest curves of a car, maps of obstacles, and searches among them.
+
+    shortest curves       dubins, reeds_shepp -> Curve
+    maps                  OccupancyGrid, its DistanceField
+    robots on maps        Footprint, clear, clearance
+Poses are (x, y, heading) in m and rad; leading axes are a batch.
+"""
 
 from rbjax.planning.curves import Curve, dubins, reeds_shepp
+from rbjax.planning.footprint import Footprint, clear, clearance
+from rbjax.planning.occupancy import DistanceField, OccupancyGrid
 
-__all__ = ["Curve", "dubins", "reeds_shepp"]
+__all__ = [
+    # shortest curves
+    "Curve",
+    "dubins",
+    "reeds_shepp",
+    # maps
+    "DistanceField",
+    "OccupancyGrid",
+    # robots on maps
+    "Footprint",
+    "clear",
+    "clearance",
+]

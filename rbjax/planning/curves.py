@@ -12,23 +12,24 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, wide_vectors
 from rbjax.errors import InputError
+from rbjax.model.record import Record
 from rbjax.planning import words
 from rbjax.rotations.arguments import takes
 
 
-class Curve(eqx.Module):
+class Curve(Record):
     """Arcs and straights, one after the other; leading axes are a batch.
 
     Fields: length (...) m; lengths (..., 5) m, signed: negative is driven backwards; turns
     (..., 5): 1 left, 0 straight, -1 right; start (..., 3), the pose (x, y, heading) in m and rad;
-    radius (...) m, of the arcs. Where there are fewer than five segments, the others have length zero.
+    radius (...) m, of the arcs. Where there are fewer than five segments, the others have length
+    zero.
     """
 
     length: jax.Array

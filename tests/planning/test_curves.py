@@ -141,16 +141,16 @@ def test_scale_and_frame_do_not_matter(shortest) -> None:
 @BOTH
 def test_poses_along_a_curve(shortest) -> None:
     """Neighbours are as far apart as driven, along the heading, on arcs of the radius."""
-    start, goal, radius = pairs(50)
+    start, goal, radius = pairs(30)
     curve = shortest(start, goal, radius)
-    n = 2001
+    n = 1001
     path = np.asarray(curve.poses(n))
     assert apart(path[:, 0], start) == 0 and apart(path[:, -1], goal) <= END
     step = np.diff(path[..., :2], axis=1)
     ds = np.asarray(curve.length)[:, None] / (n - 1)
     middle = (path[:, 1:, 2] + path[:, :-1, 2]) / 2
     along = (step * np.stack([np.cos(middle), np.sin(middle)], -1)).sum(-1)
-    regular = np.abs(np.abs(along) - ds) < 1e-4 * ds  # no change of segment within
+    regular = np.abs(np.abs(along) - ds) < 1e-3 * ds  # no change of segment within
     assert regular.sum() >= regular.size - 4 * len(path)
     bend = np.abs(np.diff(path[..., 2], axis=1)) * radius[:, None]
     assert (bend <= ds * (1 + 1e-9)).all()
@@ -162,29 +162,20 @@ def test_poses_along_a_curve(shortest) -> None:
 def test_gradients(shortest) -> None:
     """By start, goal and radius against central differences; finite where formulas degenerate."""
     start, goal, radius = pairs(40)
-    args = start, goal, radius
+    flat = np.column_stack([start, goal, radius])
 
-    def length(*args):
-        return shortest(*args).length.sum()
+    def lengths(flat):
+        return shortest(flat[..., :3], flat[..., 3:6], flat[..., 6]).length
 
-    slopes = quick_jit(jax.grad(length, (0, 1, 2)))(*args)
+    slope_of = quick_jit(jax.grad(lambda flat: lengths(flat).sum()))
     h = 6e-6
-    wrong = 0
-    for which, slope in enumerate(slopes):
-        for column in range(3 if which < 2 else 1):
-            step = [np.zeros_like(x) for x in args]
-            step[which].reshape(len(radius), -1)[:, column] = h
-            ends = [
-                np.asarray(shortest(*(x + s * d for x, d in zip(args, step, strict=True))).length)
-                for s in (1, -1)
-            ]
-            want = (ends[0] - ends[1]) / (2 * h)
-            got = np.asarray(slope).reshape(len(radius), -1)[:, column]
-            wrong += (np.abs(got - want) > 10 * GRADIENT * np.maximum(1, np.abs(want))).sum()
-    assert wrong <= 1  # a pair next to where the best word changes
+    forth, back = (np.asarray(lengths(flat[:, None] + s * h * np.eye(7))) for s in (1, -1))
+    want = (forth - back) / (2 * h)
+    off = np.abs(slope_of(flat) - want) > 10 * GRADIENT * np.maximum(1, np.abs(want))
+    assert off.any(1).sum() <= 1  # a pair next to where the best word changes
     corners = np.array([[0, 0, 0], [4, 0, 0], [0, 2, 0], [0, 2, np.pi], [2, 2, 0], [0, 0, np.pi]])
-    slopes = quick_jit(jax.grad(length, (0, 1, 2)))(0 * corners, corners, np.ones(len(corners)))
-    assert all(np.isfinite(s).all() for s in slopes)
+    ends = np.column_stack([0 * corners, corners, np.ones(len(corners))])
+    assert np.isfinite(slope_of(ends)).all()
 
 
 def test_transformations_and_dtypes() -> None:
