@@ -3,11 +3,14 @@
     shortest curves       dubins, reeds_shepp -> Curve
     maps                  OccupancyGrid, its DistanceField
     robots on maps        Footprint, clear, clearance
+    searches              grid_dijkstra, with Controls -> Plan
 Poses are (x, y, heading) in m and rad; leading axes are a batch.
 """
 
+from rbjax.planning.controls import Controls
 from rbjax.planning.curves import Curve, dubins, reeds_shepp
 from rbjax.planning.footprint import Footprint, clear, clearance
+from rbjax.planning.grid_dijkstra import Plan, grid_dijkstra
 from rbjax.planning.occupancy import DistanceField, OccupancyGrid
 
 __all__ = [
@@ -22,4 +25,8 @@ __all__ = [
     "Footprint",
     "clear",
     "clearance",
+    # searches
+    "Controls",
+    "Plan",
+    "grid_dijkstra",
 ]
