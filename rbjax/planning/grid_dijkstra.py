@@ -111,8 +111,9 @@ def grid_dijkstra(
         >>> plan.status, plan.cost, len(plan.controls)
         ('found', 28, 28)
     """
-    _check(grid, footprint, controls, tolerance, headings, max_count)
-    start, goal = (_pose(name, x) for name, x in (("start", start), ("goal", goal)))
+    where = "grid_dijkstra"
+    check_problem(where, grid, footprint, controls, tolerance, headings, max_count)
+    start, goal = check_poses(where, start, goal)
     table = MotionTable.of(controls, footprint, start[2], headings, float(grid.resolution) / 2)
     distances = grid.distance_field()
     free = np.asarray(clear(distances, np.stack([start, goal]), footprint))
@@ -305,19 +306,31 @@ class _Search:
         return Plan("found", cost, np.column_stack([places[::-1], heading]), chosen, count)
 
 
-def _pose(name: str, x: Any) -> np.ndarray:
-    try:
-        pose = np.asarray(x, float)
-    except (TypeError, ValueError) as error:
+def check_poses(where: str, start: Any, goal: Any, axes: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Start and goal as arrays (3,), or of as many poses each (q, 3)."""
+    shape = "(3,)" if axes == 1 else "(q, 3)"
+    poses = []
+    for name, x in (("start", start), ("goal", goal)):
+        try:
+            pose = np.asarray(x, float)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"{where}: {name} is {type(x).__name__}, expected {shape}, numbers in m and rad"
+            ) from error
+        if pose.ndim != axes or pose.shape[-1] != 3 or not np.isfinite(pose).all():
+            raise InputError(
+                f"{where}: {name} is {pose}, expected {shape}, finite numbers in m and rad"
+            )
+        poses.append(pose)
+    if poses[0].shape != poses[1].shape:
         raise InputError(
-            f"grid_dijkstra: {name} is {type(x).__name__}, expected a pose (3,)"
-        ) from error
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise InputError(f"grid_dijkstra: {name} is {pose}, expected a finite pose (3,)")
-    return pose
+            f"{where}: got {len(poses[0])} starts and {len(poses[1])} goals, expected as many"
+        )
+    return poses[0], poses[1]
 
 
-def _check(grid, footprint, controls, tolerance, headings, max_count) -> None:
+def check_problem(where: str, grid, footprint, controls, tolerance, headings, max_count) -> None:
+    """Refuse arguments of a search that are no such thing."""
     for name, x, kind in (
         ("grid", grid, OccupancyGrid),
         ("footprint", footprint, Footprint),
@@ -325,12 +338,10 @@ def _check(grid, footprint, controls, tolerance, headings, max_count) -> None:
     ):
         if not isinstance(x, kind):
             raise InputError(
-                f"grid_dijkstra: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
+                f"{where}: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
             )
     if np.shape(tolerance) != (2,) or not (np.asarray(tolerance) >= 0).all():
-        raise InputError(
-            f"grid_dijkstra: tolerance is {tolerance!r}, expected two numbers, m and rad"
-        )
+        raise InputError(f"{where}: tolerance is {tolerance!r}, expected two numbers, m and rad")
     for name, x in (("headings", headings), ("max_count", 1 if max_count is None else max_count)):
         if not isinstance(x, (int, np.integer)) or x < 1:
-            raise InputError(f"grid_dijkstra: {name} is {x!r}, expected a positive integer")
+            raise InputError(f"{where}: {name} is {x!r}, expected a positive integer")
