@@ -8,7 +8,18 @@ import functools
 import importlib
 from typing import Any
 
-from rbjax import body, constraints, dynamics, forces, joints, rotations, solvers, spatial, sysid
+from rbjax import (
+    body,
+    constraints,
+    dynamics,
+    forces,
+    joints,
+    planning,
+    rotations,
+    solvers,
+    spatial,
+    sysid,
+)
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
@@ -114,6 +125,7 @@ __all__ = [
     "load",
     "mass_matrix",
     "operation_count",
+    "planning",
     "plotting",
     "potential_energy",
     "rollout",

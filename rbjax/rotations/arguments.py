@@ -22,6 +22,7 @@ from rbjax.errors import InputError
 SHAPES: dict[str, tuple[int, ...]] = {
     "scalar": (),
     "scalar_or_infinite": (),
+    "positive": (),
     "vector": (3,),
     "quaternion": (4,),
     "twist": (6,),
@@ -31,6 +32,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "pose": (4, 4),
     "matrix6": (6, 6),
     "pair": (2,),
+    "planar_pose": (3,),
 }
 # How far from orthonormal a matrix may be. Measured or half-precision matrices pass.
 ORTHONORMAL = 1e-2
@@ -90,6 +92,9 @@ def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:
     if not fine.all():
         bad = tuple(int(i) for i in np.argwhere(~fine)[0])
         raise InputError(f"{where}: {name}{list(bad)} is {x[bad]}, expected finite values")
+    if kind == "positive" and not (x > 0).all():
+        bad = tuple(int(i) for i in np.argwhere(~(x > 0))[0])
+        raise InputError(f"{where}: {name}{list(bad)} is {x[bad]}, expected a number above zero")
     if kind == "quaternion" and not x.any(-1).all():
         raise InputError(
             f"{where}: {name} has a zero quaternion, expected a unit one (w, x, y, z); "

@@ -1,0 +1,34 @@
+"""Planning in the plane: shortest curves of a car, maps of obstacles, and searches among them.
+
+    shortest curves       dubins, reeds_shepp -> Curve
+    maps                  OccupancyGrid, its DistanceField
+    robots on maps        Footprint, clear, clearance
+    searches              grid_dijkstra, grid_dijkstra_many, with Controls -> Plan
+Poses are (x, y, heading) in m and rad; leading axes are a batch.
+"""
+
+from rbjax.planning.controls import Controls
+from rbjax.planning.curves import Curve, dubins, reeds_shepp
+from rbjax.planning.footprint import Footprint, clear, clearance
+from rbjax.planning.grid_dijkstra import Plan, grid_dijkstra
+from rbjax.planning.many_searches import grid_dijkstra_many
+from rbjax.planning.occupancy import DistanceField, OccupancyGrid
+
+__all__ = [
+    # shortest curves
+    "Curve",
+    "dubins",
+    "reeds_shepp",
+    # maps
+    "DistanceField",
+    "OccupancyGrid",
+    # robots on maps
+    "Footprint",
+    "clear",
+    "clearance",
+    # searches
+    "Controls",
+    "Plan",
+    "grid_dijkstra",
+    "grid_dijkstra_many",
+]

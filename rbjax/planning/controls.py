@@ -1,0 +1,151 @@
+"""A finite set of controls of a wheeled robot, and the motions that they make.
+
+A control is a speed v and a turning rate w that are held for a time dt:
+
+    x' = v cos(theta),  y' = v sin(theta),  theta' = w
+
+Its motion is an arc, integrated exactly. If w dt is a multiple of the width of a heading's cell,
+headings stay on a ring of n values. Then all motions there are make a table by heading and control.
+(Lynch & Park, *Modern Robotics*, 10.4.2, figure 10.14)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.planning.footprint import Footprint
+
+
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """Controls of a planner.
+
+    Fields: speeds (n,) m/s; turn_rates (n,) rad/s; dt s; costs (n,), positive integers, None for 1
+    each; reversal, a non-negative integer, what a change from driving ahead to driving backwards
+    costs, or back.
+
+    Example:
+        >>> car = Controls.car(radius=1.0, turn=np.deg2rad(15.0), reversal=2)
+        >>> len(car.speeds), round(car.dt, 4), car.costs.tolist()
+        (6, 0.2618, [1, 1, 1, 1, 1, 1])
+    """
+
+    speeds: np.ndarray
+    turn_rates: np.ndarray
+    dt: float
+    costs: Any = None
+    reversal: int = 0
+
+    def __post_init__(self) -> None:
+        speeds, rates = (
+            np.atleast_1d(np.asarray(x, float)) for x in (self.speeds, self.turn_rates)
+        )
+        costs = np.ones(len(speeds), int) if self.costs is None else np.asarray(self.costs)
+        if speeds.ndim != 1 or not len(speeds) or not speeds.shape == rates.shape == costs.shape:
+            raise InputError(
+                f"Controls: got speeds, turn_rates and costs of shapes {speeds.shape}, "
+                f"{rates.shape} and {costs.shape}, expected (n,) each"
+            )
+        if not (np.isfinite(speeds).all() and np.isfinite(rates).all()):
+            raise InputError(
+                "Controls: speeds or turn_rates are not finite, expected m/s and rad/s"
+            )
+        if not 0 < self.dt < math.inf:
+            raise InputError(f"Controls: dt is {self.dt}, expected a time above zero")
+        if costs.dtype.kind not in "iu" or (costs < 1).any():
+            raise InputError(
+                f"Controls: costs are {costs.tolist()}, expected positive integers: choose a unit "
+                "so small that every cost is a multiple of it"
+            )
+        if not isinstance(self.reversal, (int, np.integer)) or self.reversal < 0:
+            raise InputError(
+                f"Controls: reversal is {self.reversal!r}, expected an integer of at least zero"
+            )
+        for name, value in (("speeds", speeds), ("turn_rates", rates), ("costs", costs)):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def car(
+        cls, radius: float, turn: float, speed: float = 1.0, costs: Any = None, reversal: int = 0
+    ) -> Controls:
+        """Six controls: ahead and backwards; to the left, straight, and to the right.
+
+        radius: turning radius, m. turn: the angle of an arc, rad. speed: m/s. costs: (6,), ahead
+        before backwards, and from left to right.
+        """
+        for name, x in (("radius", radius), ("turn", turn), ("speed", speed)):
+            if not 0 < x < math.inf:
+                raise InputError(f"Controls.car: {name} is {x}, expected a number above zero")
+        speeds = speed * np.repeat([1.0, -1.0], 3)
+        bend = np.tile([1.0, 0.0, -1.0], 2) / radius
+        return cls(speeds, speeds * bend, float(radius * turn / speed), costs, reversal)
+
+    def turns(self, headings: int) -> np.ndarray:
+        """w dt (n,) as numbers of heading cells."""
+        exact = self.turn_rates * self.dt * headings / (2 * math.pi)
+        whole = np.round(exact)
+        off = int(np.abs(exact - whole).argmax())
+        if abs(exact[off] - whole[off]) > 1e-9:
+            raise InputError(
+                f"turn_rates[{off}] * dt is {exact[off]:.6g} of {headings} heading cells, expected "
+                "a whole number; change dt or the number of headings"
+            )
+        return whole.astype(int)
+
+    def moved(self, heading: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements (..., n) m by all controls from a heading (...), after a time t (...)."""
+        heading, t = (np.asarray(x)[..., None] for x in (heading, t))
+        turn = self.turn_rates * t
+        chord = self.speeds * t * np.sinc(turn / (2 * math.pi))
+        return chord * np.cos(heading + turn / 2), chord * np.sin(heading + turn / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTable:
+    """All motions from the origin, by heading k and control c, for headings first + 2 pi k / K.
+
+    Fields: headings (K,) rad; step (2, K, n) m, the displacement; turns (n,), in cells of headings;
+    discs (2, K, n, m) m, centres of a footprint's discs at moments of the motion; radii (K, n, m)
+    m, of the discs, so enlarged that they cover the footprint between those moments too.
+    """
+
+    headings: np.ndarray
+    step: np.ndarray
+    turns: np.ndarray
+    discs: np.ndarray
+    radii: np.ndarray
+
+    @classmethod
+    def of(
+        cls, controls: Controls, footprint: Footprint, first: float, headings: int, spacing: float
+    ) -> MotionTable:
+        """spacing: the distance in m between two moments, at most."""
+        turns = controls.turns(headings)
+        angles = first + 2 * math.pi * np.arange(headings) / headings
+        centers, radii = np.asarray(footprint.centers, float), np.asarray(footprint.radii, float)
+        # how far a disc moves, at most: the origin's way, and the turn about it
+        far = np.hypot(*centers.T)
+        way = controls.dt * (
+            np.abs(controls.speeds)[:, None] + np.abs(controls.turn_rates)[:, None] * far
+        )
+        moments = max(1, math.ceil(way.max() / spacing))
+        times = controls.dt * (np.arange(moments) + 0.5) / moments
+        x, y = controls.moved(angles[:, None], times[None])  # (K, moments, n)
+        turned = angles[:, None, None] + controls.turn_rates * times[:, None]
+        c, s = np.cos(turned)[..., None], np.sin(turned)[..., None]
+        a, b = centers.T
+        discs = np.stack([x[..., None] + c * a - s * b, y[..., None] + s * a + c * b])
+        discs = np.moveaxis(discs, 2, 3).reshape(2, headings, len(turns), -1)
+        wide = np.tile(radii + way / (2 * moments), (1, moments))  # (n, moments * discs)
+        return cls(
+            angles,
+            np.stack(controls.moved(angles, controls.dt)),
+            turns,
+            discs,
+            np.broadcast_to(wide, discs.shape[1:]),
+        )
