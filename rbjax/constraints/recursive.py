@@ -34,15 +34,21 @@ from rbjax.constraints.clusters import Cluster, clusters
 from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.law import Solve, System, constrained_motion, range_space
 from rbjax.constraints.row import Row
-from rbjax.constraints.system import ROWS_ON_LANES, as_free_bodies, by_link, response
+from rbjax.constraints.system import (
+    ROWS_ON_LANES,
+    as_free_bodies,
+    eliminated_along,
+    response,
+    shared,
+    triangle,
+)
 from rbjax.dynamics.aba import Factor, eliminate, factorize, rigid_mass, to_parent
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.packing import pack, unpack
 from rbjax.dynamics.rnea import forces_on_links, rnea
-from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, sub, total
+from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
 from rbjax.lanes.proximal import LeastNorm
 from rbjax.model import WORLD
 from rbjax.spatial import ArticulatedInertia, Force, Motion, Transform
@@ -165,32 +171,19 @@ class ClusterTree:
         return fusion_barrier(I) if more else I
 
     def _tie(self, cluster: Cluster) -> Tied:
-        units = [self._unit(cluster, self._rows[r].gradient) for r in cluster.rows]
+        inward = sorted(cluster.links, reverse=True)
+        loads = [self._rows[r].gradient for r in cluster.rows]
+        units = [
+            eliminated_along(self._parents, self._factors, inward, x, cluster.parent)
+            for x in loads
+        ]
         u, e, W = zip(*units, strict=True)
-        triangle = [[_shared(a, b) for b in e[: r + 1]] for r, a in enumerate(u)]
         usual = [as_free_bodies(self._d, self._rows[r]) for r in cluster.rows]
-        A, Y = LeastNorm(triangle, usual, self._like.dtype), []
+        A, Y = LeastNorm(triangle(u, e), usual, self._like.dtype), []
         if cluster.parent != WORLD:
             columns = [A.solve(column) for column in zip(*W, strict=True)]
             Y = [Force.from_lanes(lanes) for lanes in zip(*columns, strict=True)]
         return Tied(cluster, u, e, W, Y, A)
-
-    def _unit(self, cluster: Cluster, loads: Loads) -> tuple[dict, dict, Force]:
-        """u, u / D and w of loads on a cluster."""
-        pending, us, es = dict(by_link(loads)), {}, {}
-        for i in sorted(cluster.links, reverse=True):
-            tau = loads.tau.get(i, 0.0)
-            if i not in pending and is_zero(tau):
-                continue
-            f, x, parent = pending.pop(i, Force.zero()), self._factors[i], self._parents[i]
-            u = add(tau, x.S.dot(f))
-            e, message = mul(u, x.inverse_D), None
-            if parent != WORLD:
-                message = pending.get(parent, Force.zero()) + x.X.T(f - x.U * e)
-            us[i], es[i], message = fusion_barrier((u, e, message), known=(tau, f, x))
-            if parent != WORLD:
-                pending[parent] = message
-        return us, es, pending.get(cluster.parent, Force.zero())
 
     def solved(
         self, tau: jax.Array, forces: Mapping[int, Force], c: Sequence[Lane]
@@ -212,7 +205,7 @@ class ClusterTree:
             f = pending.pop(link, Force.zero())
             for tied in self._tied[link]:
                 rows, left = tied.cluster.rows, dict(enumerate(u))
-                off = [sub(c[r], _shared(left, e)) for r, e in zip(rows, tied.e, strict=True)]
+                off = [sub(c[r], shared(left, e)) for r, e in zip(rows, tied.e, strict=True)]
                 for r, x, w in zip(rows, tied.A.solve(off), tied.W, strict=True):
                     l[r], f = x, f + w * x
             return f
@@ -252,7 +245,3 @@ class ClusterTree:
             out.append(qdd)
             arrived(i)
         return out
-
-
-def _shared(a: dict[int, Lane], b: dict[int, Lane]) -> Lane:
-    return fusion_barrier(total(mul(a[i], b[i]) for i in sorted(a.keys() & b.keys())))

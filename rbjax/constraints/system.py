@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -117,14 +117,6 @@ def with_multipliers(
     return tau + d.pack(d.scattered(held.tau, 0.0), tau), added(pushes, held.wrenches)
 
 
-class Response(Protocol):
-    """What multipliers do, from the factors of the mass matrix."""
-
-    def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
-        """a (nv,) and l (rows,), of least norm, of M a = force + G^T l, G a = c; force None is
-        zero."""
-
-
 def as_free_bodies(d: Driver, row: Row) -> Lane:
     """What a row's entry of A would be if the links that it pushes were free bodies, of the same
     inertia in all directions: the sum of f^2 / m of forces f, or of n^2 / (tr J / 3) of couples n
@@ -157,66 +149,88 @@ def response(
     return (OnLanes if few else OnMatrices)(d, factors, now, rows, damping)
 
 
-class OnLanes:
+def eliminated_along(
+    parents: Sequence[int],
+    factors: Mapping[int, Factor],
+    links: Sequence[int],
+    loads: Loads,
+    base: int = WORLD,
+) -> tuple[dict[int, Lane], dict[int, Lane], Force]:
+    """The force u that loads leave at each joint that they reach, of links from the tips inward;
+    e = u / D; and the wrench that they leave at the base that the links hang on."""
+    pending, us, es = dict(by_link(loads)), {}, {}
+    for i in links:
+        tau = loads.tau.get(i, 0.0)
+        if i not in pending and is_zero(tau):
+            continue
+        f, x, parent = pending.pop(i, Force.zero()), factors[i], parents[i]
+        u = add(tau, x.S.dot(f))
+        e, message = mul(u, x.inverse_D), None
+        if parent != WORLD:
+            message = pending.get(parent, Force.zero()) + x.X.T(f - x.U * e)
+        us[i], es[i], message = fusion_barrier((u, e, message), known=(tau, f, x))
+        if parent != WORLD:
+            pending[parent] = message
+    return us, es, pending.get(base, Force.zero())
+
+
+def shared(a: dict[int, Lane], b: dict[int, Lane]) -> Lane:
+    """The sum of products over the joints that both have."""
+    return fusion_barrier(total(mul(a[i], b[i]) for i in sorted(a.keys() & b.keys())))
+
+
+def triangle(u: Sequence[dict[int, Lane]], e: Sequence[dict[int, Lane]]) -> list[list[Lane]]:
+    """A by its lower triangle, from what its rows leave at the joints."""
+    return [[shared(a, b) for b in e[: r + 1]] for r, a in enumerate(u)]
+
+
+class Response:
+    """What multipliers do, from the factors of the mass matrix."""
+
+    def __init__(
+        self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], damping: float | None
+    ):
+        self._d, self._factors, self._like, self._damping = d, factors, now.v, damping
+        self._free = [as_free_bodies(d, row) for row in rows]
+
+    def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
+        """a (nv,) and l (rows,), of least norm, of M a = force + G^T l, G a = c; force None is
+        zero."""
+        raise NotImplementedError(f"{type(self).__name__} has no method solved(force, c) -> a, l")
+
+
+class OnLanes(Response):
     """A from the forces that are left at the joints which two rows share."""
 
     def __init__(
-        self,
-        d: Driver,
-        factors: Any,
-        now: Instant,
-        rows: Sequence[Row],
-        damping: float | None = None,
+        self, d: Driver, factors: Any, now: Instant, rows: Sequence[Row], damping: float | None
     ):
-        self._d, self._factors, self._like, self._damping = d, factors, now.v, damping
-        self._links: list[Factor] = d.whole(factors)
-        self._left = [self._eliminated(row.gradient) for row in rows]
-        self._free = [as_free_bodies(d, row) for row in rows]
-
-    def _eliminated(self, loads: Loads) -> dict[int, Lane]:
-        """The force left at each joint that the loads reach."""
-        links, pending, left = self._d.topology.links, dict(by_link(loads)), {}
-        for i in reversed(range(len(links))):
-            tau = loads.tau.get(i, 0.0)
-            if i not in pending and is_zero(tau):
-                continue
-            f, x = pending.pop(i, Force.zero()), self._links[i]
-            u, parent = add(tau, x.S.dot(f)), links[i].parent
-            message = None
-            if parent != WORLD:
-                message = x.X.T(f - x.U * mul(u, x.inverse_D))
-                if parent in pending:
-                    message = pending[parent] + message
-            left[i], message = fusion_barrier((u, message), known=(tau, f, x))
-            if parent != WORLD:
-                pending[parent] = message
-        return left
-
-    def _shared(self, a: dict[int, Lane], b: dict[int, Lane]) -> Lane:
-        both = sorted(a.keys() & b.keys())
-        return fusion_barrier(total(mul(mul(a[i], b[i]), self._links[i].inverse_D) for i in both))
+        super().__init__(d, factors, now, rows, damping)
+        links = dict(enumerate(d.whole(factors)))
+        inward = sorted(links, reverse=True)
+        parents = d.topology.parents
+        units = [eliminated_along(parents, links, inward, row.gradient) for row in rows]
+        self._u, self._e = [u for u, _, _ in units], [e for _, e, _ in units]
 
     @cached_property
     def _A(self) -> LeastNorm:
-        """By its lower triangle."""
-        left, dtype = self._left, self._like.dtype
-        rows = [[self._shared(a, b) for b in left[: r + 1]] for r, a in enumerate(left)]
-        return LeastNorm(rows, self._free, dtype, self._damping)
+        A = triangle(self._u, self._e)
+        return LeastNorm(A, self._free, self._like.dtype, self._damping)
 
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, left = self._d, {}
         if force is not None:
             left = dict(enumerate(d.whole(d.part(eliminated(d, self._factors, d.lanes(force)), 1))))
-            c = [sub(x, self._shared(own, left)) for x, own in zip(c, self._left, strict=True)]
+            c = [sub(x, shared(left, e)) for x, e in zip(c, self._e, strict=True)]
         l = self._A.solve(c)
-        for own, x in zip(self._left, l, strict=True):
+        for own, x in zip(self._u, l, strict=True):
             for i, y in own.items():
                 left[i] = add(left.get(i, 0.0), mul(x, y))
         a = accelerated(d, d.zip(self._factors, d.scattered(left, 0.0)))
         return d.pack(a, self._like), pack(l, self._like)
 
 
-class OnMatrices:
+class OnMatrices(Response):
     """A = G Y, Y = M^-1 G^T; R (rows,), if any, is added to its diagonal: compliance of the rows,
     G a + R l = c."""
 
@@ -229,10 +243,9 @@ class OnMatrices:
         damping: float | None = None,
         R: jax.Array | None = None,
     ):
-        self._d, self._factors, self._like, self._damping = d, factors, now.v, damping
-        self._R = R
+        super().__init__(d, factors, now, rows, damping)
+        self._R, self._usual = R, pack(self._free, now.v)
         self.G = gradient_matrix(now, rows)
-        self._free = pack([as_free_bodies(d, row) for row in rows], now.v)
         self.Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
 
     @cached_property
@@ -243,10 +256,10 @@ class OnMatrices:
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, asked = self._d, pack(c, self._like)
         if force is None:
-            l = least_norm(self.A, asked, self._free, self._damping)
+            l = least_norm(self.A, asked, self._usual, self._damping)
             return matvec(self.Y, l), l
         free = d.pack(solve(d, self._factors, d.lanes(force)), force)
-        l = least_norm(self.A, asked - matvec(self.G, free), self._free, self._damping)
+        l = least_norm(self.A, asked - matvec(self.G, free), self._usual, self._damping)
         return free + matvec(self.Y, l), l
 
 
