@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from rbjax.constraints.formulation import Formulation, Projected
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.row import Row
-from rbjax.constraints.system import rows_of, with_multipliers
+from rbjax.constraints.system import as_free_bodies, rows_of, with_multipliers
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import increment_rate, moved
@@ -70,10 +70,18 @@ class DifferentialAlgebraic(Formulation):
         """The formulation whose equations an estimate of the error is damped by."""
         return self
 
-    def depths(self, model: Model, t: Any, state: State) -> tuple[int, ...]:
-        """After how many integrations each of the algebraic equations comes."""
-        rows = rows_of(model, Instant.of(model, t, state, None))
-        return (*(self.held(row)[1] for row in rows), *[1] * len(self.held_by_mu(rows)))
+    def algebraic(
+        self, model: Model, t: Any, state: State
+    ) -> tuple[tuple[int, ...], jax.Array]:
+        """After how many integrations each of the algebraic equations comes, and what a unit of its
+        multiplier does to it, of free bodies (`as_free_bodies`)."""
+        d = driver(model, state.q.dtype)
+        now = Instant.of(model, t, state, None, d=d)
+        _ = now.links.joints  # a driver learns from them what its lanes are
+        rows = rows_of(model, now)
+        again = self.held_by_mu(rows)
+        usual = [as_free_bodies(d, row) for row in (*rows, *again)]
+        return (*(self.held(row)[1] for row in rows), *[1] * len(again)), pack(usual, state.v)
 
     def equations(self, model: Model, q: jax.Array, forces: Forces) -> Callable[..., jax.Array]:
         """0 = f(t, y, y', w) of y = (u, v, x), w = (l, mu): the configuration is q (+) u."""

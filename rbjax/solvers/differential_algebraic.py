@@ -29,10 +29,12 @@ import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve
 
 from rbjax.lanes import batch_first, matvec
-from rbjax.lanes.proximal import proximal
+from rbjax.lanes.proximal import damped as damped_by
 from rbjax.solvers.steps import mixed
 
 MAX_STEPS = 50
+#: iterations with a matrix of the stages: with w as found so far, then with w held near the last
+FREE, HELD = 6, 9
 ROUNDING = 4  # units in the last place, beside the size of y
 #: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
 #: those of index 3 carry the rounding of positions, some 50 / h times
@@ -41,10 +43,13 @@ STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
 
 @dataclass(frozen=True)
 class Equations:
-    """f: (t, y (n,), y' (n,), w (m,)) -> (n + m,); depth: the p of each of the last m rows."""
+    """f: (t, y (n,), y' (n,), w (m,)) -> (n + m,); depth: the p of each of the last m rows; usual
+    (m,): what a unit of each w does to its row, integrated back, where no row vanishes; 0 where
+    that is not known."""
 
     f: Callable[..., jax.Array]
     depth: tuple[int, ...]
+    usual: jax.Array
 
 
 class Weights(NamedTuple):
@@ -79,28 +84,28 @@ def solve(
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
     system = System(f, equations.depth, n)
-    start = Point(*jax.lax.stop_gradient(tuple(start)))
+    start, usual = jax.lax.stop_gradient((start, equations.usual))
 
     @eqx.filter_custom_jvp
-    def root(h, t, y, weights, start, read):
-        return batch_first(system.iterated(h, t, y, weights, start, read))
+    def root(h, t, y, weights, start, usual, read):
+        return batch_first(system.iterated(h, t, y, weights, start, usual, read))
 
     @root.def_jvp
     def _(primals, tangents):
         found = root(*primals)  # with its own derivative: this rule
-        h, t, y, weights, _, read = primals
+        h, t, y, weights, _, usual, read = primals
         x = found[:-1].reshape(s, -1)
 
-        def off(h, t, y, weights, start, read):
-            del start
+        def off(h, t, y, weights, start, usual, read):
+            del start, usual
             return system.residual(x, h, t, y, weights, read)
 
         _, change = eqx.filter_jvp(off, primals, tangents)
         matrix = system.matrix(system.slopes(x, h, t, y, weights, read), h, weights)
-        moved = -Factored(matrix).solved(change)
+        moved = -Factored(matrix, usual).solved(change)
         return batch_first((found, jnp.append(moved, jnp.zeros_like(found[-1]))))
 
-    found = root(h, t, y, weights, start, tuple(read))
+    found = root(h, t, y, weights, start, usual, tuple(read))
     x = found[:-1].reshape(s, -1)
     return Stages(x[:, :n], x[:, n:], found[-1] > 0)
 
@@ -108,12 +113,12 @@ def solve(
 def damped(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> jax.Array:
     """What an error raw (n,) of y leaves after an implicit Euler step of length gamma h of the
     linearized equations: without its stiff parts and those against the constraints."""
-    start = Point(*jax.lax.stop_gradient(tuple(start)))
+    start, usual = jax.lax.stop_gradient((start, equations.usual))
     n, one = raw.size, Weights(*[jnp.ones((1, 1), raw.dtype)] * 2)
     system = System(equations.f, equations.depth, n)
     slopes = system.slope(*start, ())[None]
     off = system.weighted(matvec(slopes[0, :, :n], raw)[None], gamma_h, one)
-    change = -Factored(system.matrix(slopes, gamma_h, one)).solved(off)
+    change = -Factored(system.matrix(slopes, gamma_h, one), usual).solved(off)
     return raw + gamma_h * change[0, :n]
 
 
@@ -175,35 +180,60 @@ class System:
             of_w[:, n:].reshape(s * m, s * m),
         )
 
-    def iterated(self, h, t, y, weights, start: Point, read) -> jax.Array:
+    def iterated(self, h, t, y, weights, start: Point, usual, read) -> jax.Array:
         """The root and 1, or the start and 0 where it was not found, in one array."""
-        s, eps, noise = len(y), float(jnp.finfo(y.dtype).eps), STALLED_BELOW[y.dtype.itemsize]
+        s, size = len(y), jnp.maximum(1.0, jnp.abs(y).max())
         slopes = self.slope(*start, read)
-        matrix = Factored(self.matrix(jnp.broadcast_to(slopes, (s, *slopes.shape)), h, weights))
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, slopes.shape[0]))
-        size = jnp.maximum(1.0, jnp.abs(y).max())
 
-        def once(at: tuple) -> tuple:
-            x, before, count, _ = at
-            dx = matrix.once(self.residual(x, h, t, y, weights, read))
-            x = x - dx
-            scale = jnp.maximum(size, jnp.abs(h * x[:, : self.n]).max())
-            now = jnp.abs(h * dx[:, : self.n]).max() / scale
-            ratio = now / jnp.where(before > 0, before, 1.0)
-            falling = (count > 0) & (ratio < STALLED)
-            coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)
-            stalled = (count > 0) & (ratio >= STALLED) & (now <= noise)
-            done = (coming <= ROUNDING * eps) | stalled
-            return x, now, count + 1, done
+        def off(x: jax.Array) -> jax.Array:
+            return self.residual(x, h, t, y, weights, read)
 
-        def more(at: tuple) -> jax.Array:
-            _, before, count, done = at
-            return ~done & (count < MAX_STEPS) & ((count == 0) | jnp.isfinite(before))
+        def factored(slopes: jax.Array) -> Factored:
+            return Factored(self.matrix(slopes, h, weights), usual)
 
-        first = guess, jnp.full((), jnp.inf, y.dtype), jnp.array(0), jnp.array(False)
-        x, _, _, done = jax.lax.while_loop(more, once, first)
-        x = jnp.where(done, x, guess)
-        return jnp.append(x, done.astype(y.dtype))
+        def found(step: Callable, x: jax.Array, done: jax.Array, most: int) -> tuple:
+            """x and whether it is settled, by steps (x, held, count) -> dx, held."""
+
+            def once(at: tuple) -> tuple:
+                x, held, before, count, _ = at
+                dx, held = step(x, held, count)
+                x = x - dx
+                scale = jnp.maximum(size, jnp.abs(h * x[:, : self.n]).max())
+                now = jnp.abs(h * dx[:, : self.n]).max() / scale
+                return x, held, now, count + 1, settled(now, before, count)
+
+            def more(at: tuple) -> jax.Array:
+                *_, before, count, done = at
+                return ~done & (count < most) & ((count == 0) | jnp.isfinite(before))
+
+            first = x, x[:, self.n :], jnp.full((), jnp.inf, y.dtype), jnp.array(0), done
+            x, _, _, _, done = jax.lax.while_loop(more, once, first)
+            return jnp.where(done, x, guess), done
+
+        chord = factored(jnp.broadcast_to(slopes, (s, *slopes.shape)))
+
+        def of_start(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            return chord.once(off(x)), held
+
+        def of_stages(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            matrix = factored(self.slopes(x, h, t, y, weights, read))
+            held = jnp.where(count < FREE, x[:, self.n :], held)
+            return matrix.once(off(x), x[:, self.n :] - held), held
+
+        x, done = found(of_start, guess, jnp.array(False), MAX_STEPS)
+        x, done = found(of_stages, x, done, FREE + HELD)
+        return jnp.append(x.ravel(), done.astype(y.dtype))
+
+
+def settled(now: jax.Array, before: jax.Array, count: jax.Array) -> jax.Array:
+    """Whether corrections, relative to y, have become rounding."""
+    eps, noise = float(jnp.finfo(now.dtype).eps), STALLED_BELOW[now.dtype.itemsize]
+    ratio = now / jnp.where(before > 0, before, 1.0)
+    falling = (count > 0) & (ratio < STALLED)
+    coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)
+    stalled = (count > 0) & (ratio >= STALLED) & (now <= noise)
+    return (coming <= ROUNDING * eps) | stalled
 
 
 class Matrix(NamedTuple):
@@ -219,23 +249,28 @@ class Matrix(NamedTuple):
 class Factored:
     """Solves by the Schur complement of the w, regularized."""
 
-    def __init__(self, matrix: Matrix):
+    def __init__(self, matrix: Matrix, usual: jax.Array):
         self._matrix = matrix
-        self._eps, self._again = proximal(matrix.w.dtype)
+        eps, vanishing, self._again = damped_by(matrix.w.dtype)
         self._rates = lu_factor(matrix.rates)
         self._response = lu_solve(self._rates, matrix.w)
         S = matrix.row_w - _product(matrix.row_rates, self._response)
         D = jnp.abs(jnp.diagonal(S))
-        least = jnp.finfo(D.dtype).eps / self._eps * D.sum()
-        D = D + jnp.where(least > 0, least, 1.0)
-        self._schur = lu_factor(S + self._eps * jnp.diag(D))
+        B = jnp.tile(usual, len(D) // len(usual)) if len(D) else D
+        least = jnp.where(B > 0, vanishing * B, jnp.finfo(D.dtype).eps * D.sum())
+        E = eps * D + least
+        self._added = jnp.where(E > 0, E, 1.0)
+        self._schur = lu_factor(S + jnp.diag(self._added))
 
-    def once(self, r: jax.Array) -> jax.Array:
-        """x (s, n + m) of matrix x = r, regularized."""
+    def once(self, r: jax.Array, off: jax.Array | None = None) -> jax.Array:
+        """x (s, n + m) of matrix x = r, regularized: towards zero, or to w less by `off` (s, m)."""
         s = len(r)
         n = len(self._matrix.rates) // s
         k = lu_solve(self._rates, r[:, :n].ravel())
-        w = lu_solve(self._schur, r[:, n:].ravel() - matvec(self._matrix.row_rates, k))
+        asked = r[:, n:].ravel() - matvec(self._matrix.row_rates, k)
+        if off is not None:
+            asked = asked + self._added * off.ravel()
+        w = lu_solve(self._schur, asked)
         k = k - matvec(self._response, w)
         return jnp.concatenate([k.reshape(s, -1), w.reshape(s, -1)], 1)
 
