@@ -70,9 +70,7 @@ class DifferentialAlgebraic(Formulation):
         """The formulation whose equations an estimate of the error is damped by."""
         return self
 
-    def algebraic(
-        self, model: Model, t: Any, state: State
-    ) -> tuple[tuple[int, ...], jax.Array]:
+    def algebraic(self, model: Model, t: Any, state: State) -> tuple[tuple[int, ...], jax.Array]:
         """After how many integrations each of the algebraic equations comes, and what a unit of its
         multiplier does to it, of free bodies (`as_free_bodies`)."""
         d = driver(model, state.q.dtype)

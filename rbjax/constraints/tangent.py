@@ -92,14 +92,14 @@ def across(
 
     first, rows = seen(t0, start.q, start.v)
     begun = OnMatrices(d, factorize(d, first.links.joints), first, rows)
-    size = jnp.diagonal(begun.A)
-    size = size + jnp.finfo(dtype).eps * size.sum()
+    size, usual = jnp.diagonal(begun.A), begun.usual  # a row that vanishes stays short
+    size = size + jnp.where(usual > 0, usual, jnp.finfo(dtype).eps * size.sum())
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
     def least(now: Instant, rows: Sequence[Row], off: Sequence[Lane]) -> jax.Array:
         """-M_0^-1 G_0^T l, which takes `off` away at first order; of redundant rows the least l."""
         J = r[:, None] * matmat(gradient_matrix(now, rows), begun.Y) * r
-        l = matvec(J.T, least_norm(matmat(J, J.T), r * pack(off, now.v)))
+        l = matvec(J.T, least_norm(matmat(J, J.T), r * pack(off, now.v), 1.0))
         return -matvec(begun.Y, r * l)
 
     def nearer(_: Any, u: jax.Array) -> jax.Array:

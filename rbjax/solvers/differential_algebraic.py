@@ -9,9 +9,13 @@ have no w and no y' in them; where y' is found from them after p integrations, t
     [M  -G^T]
     [G    0 ]       for constraints of index 2 (p = 1) and 3 (p = 2), up to terms in h.
 
-The iteration is Newton's with the matrix of the start of the step, factored once. Redundant rows
-leave w open: the Schur complement S of the w has eps diag(S) added, which changes steps of the
-iteration and not where they end; w stays where the guess put it in directions that do nothing.
+The iteration is Newton's with the matrix of the start of the step, factored once; where that does
+not converge, with the matrices of the stages, factored each time. Redundant rows leave w open: the
+matrix is regularized (`stage_matrix`), which changes steps of the iteration and not where they end;
+w stays where the guess put it in directions that do nothing. Of a step that passes a singular
+position rows vanish between its stages, and turn round: the matrix of the start is of no use, and
+what a stage right there asks of w has no bound. So after some iterations w is drawn to the last
+one, and not to its own value: the iteration settles, with what is left of a row that vanishes.
 The derivative of the solution is that of the implicit function, to all orders.
 (Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta
 Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.)
@@ -26,19 +30,20 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import lu_factor, lu_solve
 
 from rbjax.lanes import batch_first, matvec
-from rbjax.lanes.proximal import damped as damped_by
+from rbjax.lanes.proximal import proximal
+from rbjax.solvers.stage_matrix import Factored, Matrix
 from rbjax.solvers.steps import mixed
 
 MAX_STEPS = 50
-#: iterations with a matrix of the stages: with w as found so far, then with w held near the last
-FREE, HELD = 6, 9
 ROUNDING = 4  # units in the last place, beside the size of y
 #: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
 #: those of index 3 carry the rounding of positions, some 50 / h times
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
+#: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
+#: how strongly, by bytes
+FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
 
 
 @dataclass(frozen=True)
@@ -102,7 +107,7 @@ def solve(
 
         _, change = eqx.filter_jvp(off, primals, tangents)
         matrix = system.matrix(system.slopes(x, h, t, y, weights, read), h, weights)
-        moved = -Factored(matrix, usual).solved(change)
+        moved = -Factored(matrix, usual, proximal(change.dtype)[0]).solved(change)
         return batch_first((found, jnp.append(moved, jnp.zeros_like(found[-1]))))
 
     found = root(h, t, y, weights, start, usual, tuple(read))
@@ -182,48 +187,45 @@ class System:
 
     def iterated(self, h, t, y, weights, start: Point, usual, read) -> jax.Array:
         """The root and 1, or the start and 0 where it was not found, in one array."""
-        s, size = len(y), jnp.maximum(1.0, jnp.abs(y).max())
+        s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         slopes = self.slope(*start, read)
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, slopes.shape[0]))
+        slopes = jnp.broadcast_to(slopes, (s, *slopes.shape))
+        shared = Factored(self.matrix(slopes, h, weights), usual)
 
-        def off(x: jax.Array) -> jax.Array:
-            return self.residual(x, h, t, y, weights, read)
+        def chord(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            return shared.once(self.residual(x, h, t, y, weights, read)), held
 
-        def factored(slopes: jax.Array) -> Factored:
-            return Factored(self.matrix(slopes, h, weights), usual)
+        def newton(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            slopes = self.slopes(x, h, t, y, weights, read)
+            near = NEAR[y.dtype.itemsize]
+            matrix = Factored(self.matrix(slopes, h, weights), usual, near)
+            held = jnp.where(count < FREE, x[:, n:], held)
+            r = self.residual(x, h, t, y, weights, read)
+            return matrix.once(r, x[:, n:] - held), held
 
-        def found(step: Callable, x: jax.Array, done: jax.Array, most: int) -> tuple:
-            """x and whether it is settled, by steps (x, held, count) -> dx, held."""
+        def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
+            """Whether x is settled, and x or the guess."""
 
             def once(at: tuple) -> tuple:
                 x, held, before, count, _ = at
                 dx, held = step(x, held, count)
                 x = x - dx
-                scale = jnp.maximum(size, jnp.abs(h * x[:, : self.n]).max())
-                now = jnp.abs(h * dx[:, : self.n]).max() / scale
+                scale = jnp.maximum(size, jnp.abs(h * x[:, :n]).max())
+                now = jnp.abs(h * dx[:, :n]).max() / scale
                 return x, held, now, count + 1, settled(now, before, count)
 
             def more(at: tuple) -> jax.Array:
                 *_, before, count, done = at
                 return ~done & (count < most) & ((count == 0) | jnp.isfinite(before))
 
-            first = x, x[:, self.n :], jnp.full((), jnp.inf, y.dtype), jnp.array(0), done
-            x, _, _, _, done = jax.lax.while_loop(more, once, first)
-            return jnp.where(done, x, guess), done
+            first = x, x[:, n:], jnp.full((), jnp.inf, y.dtype), jnp.array(0), done
+            x, *_, done = jax.lax.while_loop(more, once, first)
+            return done, jnp.where(done, x, guess)
 
-        chord = factored(jnp.broadcast_to(slopes, (s, *slopes.shape)))
-
-        def of_start(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
-            return chord.once(off(x)), held
-
-        def of_stages(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
-            matrix = factored(self.slopes(x, h, t, y, weights, read))
-            held = jnp.where(count < FREE, x[:, self.n :], held)
-            return matrix.once(off(x), x[:, self.n :] - held), held
-
-        x, done = found(of_start, guess, jnp.array(False), MAX_STEPS)
-        x, done = found(of_stages, x, done, FREE + HELD)
-        return jnp.append(x.ravel(), done.astype(y.dtype))
+        done, x = found(chord, jnp.array(False), guess, MAX_STEPS)
+        done, x = found(newton, done, x, FREE + HELD)
+        return jnp.append(x, done.astype(y.dtype))
 
 
 def settled(now: jax.Array, before: jax.Array, count: jax.Array) -> jax.Array:
@@ -234,61 +236,3 @@ def settled(now: jax.Array, before: jax.Array, count: jax.Array) -> jax.Array:
     coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)
     stalled = (count > 0) & (ratio >= STALLED) & (now <= noise)
     return (coming <= ROUNDING * eps) | stalled
-
-
-class Matrix(NamedTuple):
-    """Blocks: rows of the differential equations, then of the algebraic ones; columns of the rates,
-    then of w."""
-
-    rates: jax.Array
-    w: jax.Array
-    row_rates: jax.Array
-    row_w: jax.Array
-
-
-class Factored:
-    """Solves by the Schur complement of the w, regularized."""
-
-    def __init__(self, matrix: Matrix, usual: jax.Array):
-        self._matrix = matrix
-        eps, vanishing, self._again = damped_by(matrix.w.dtype)
-        self._rates = lu_factor(matrix.rates)
-        self._response = lu_solve(self._rates, matrix.w)
-        S = matrix.row_w - _product(matrix.row_rates, self._response)
-        D = jnp.abs(jnp.diagonal(S))
-        B = jnp.tile(usual, len(D) // len(usual)) if len(D) else D
-        least = jnp.where(B > 0, vanishing * B, jnp.finfo(D.dtype).eps * D.sum())
-        E = eps * D + least
-        self._added = jnp.where(E > 0, E, 1.0)
-        self._schur = lu_factor(S + jnp.diag(self._added))
-
-    def once(self, r: jax.Array, off: jax.Array | None = None) -> jax.Array:
-        """x (s, n + m) of matrix x = r, regularized: towards zero, or to w less by `off` (s, m)."""
-        s = len(r)
-        n = len(self._matrix.rates) // s
-        k = lu_solve(self._rates, r[:, :n].ravel())
-        asked = r[:, n:].ravel() - matvec(self._matrix.row_rates, k)
-        if off is not None:
-            asked = asked + self._added * off.ravel()
-        w = lu_solve(self._schur, asked)
-        k = k - matvec(self._response, w)
-        return jnp.concatenate([k.reshape(s, -1), w.reshape(s, -1)], 1)
-
-    def solved(self, r: jax.Array) -> jax.Array:
-        """The same, with what regularization did taken back."""
-        x = self.once(r)
-        for _ in range(self._again):
-            x = x + self.once(r - self._times(x))
-        return x
-
-    def _times(self, x: jax.Array) -> jax.Array:
-        s, n = len(x), len(self._matrix.rates) // len(x)
-        k, w = x[:, :n].ravel(), x[:, n:].ravel()
-        B = self._matrix
-        top = matvec(B.rates, k) + matvec(B.w, w)
-        bottom = matvec(B.row_rates, k) + matvec(B.row_w, w)
-        return jnp.concatenate([top.reshape(s, -1), bottom.reshape(s, -1)], 1)
-
-
-def _product(a: jax.Array, b: jax.Array) -> jax.Array:
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
