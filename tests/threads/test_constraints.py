@@ -48,7 +48,7 @@ def gradient_of(model: rb.Model, name: str):
     ("scene", "of", "names"),
     [
         ("four_bar", step_of, OTHERS),
-        pytest.param("four_bar", step_of, ["index_2", "index_3"], marks=slow),
+        pytest.param("four_bar", step_of, ["index_2", "index_3"], marks=large),
         pytest.param("four_bar", step_of, ["ggl"], marks=large),
         pytest.param("four_bar", gradient_of, OTHERS, marks=slow),
         pytest.param("four_bar", gradient_of, IMPLICIT, marks=large),
