@@ -9,6 +9,12 @@ rate, which all of them hold. Implicit methods step these equations as they stan
 through RNEA: no mass matrix is inverted.
 (Gear, Leimkuhler & Gupta, *Automatic integration of Euler-Lagrange equations with constraints*,
 1985; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VII; Masarati, ch. 7.)
+
+Singular positions are passed in f64 (`rbjax.solvers.stage_matrix`): ten seconds of a parallelogram,
+some fifteen passages, are as accurate as the steps, wherever stages fall, and also where all joints
+are said twice. In f32 only GGL passes them: index 2 does not put positions back, and the
+rows of index 3 carry the rounding of positions divided by the square of the step, and again by the
+singular value.
 """
 
 from __future__ import annotations
@@ -23,7 +29,7 @@ import jax.numpy as jnp
 from rbjax.constraints.formulation import Formulation, Projected
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.row import Row
-from rbjax.constraints.system import rows_of, with_multipliers
+from rbjax.constraints.system import as_free_bodies, rows_of, with_multipliers
 from rbjax.dynamics.drivers import Driver, driver
 from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import increment_rate, moved
@@ -70,10 +76,16 @@ class DifferentialAlgebraic(Formulation):
         """The formulation whose equations an estimate of the error is damped by."""
         return self
 
-    def depths(self, model: Model, t: Any, state: State) -> tuple[int, ...]:
-        """After how many integrations each of the algebraic equations comes."""
-        rows = rows_of(model, Instant.of(model, t, state, None))
-        return (*(self.held(row)[1] for row in rows), *[1] * len(self.held_by_mu(rows)))
+    def algebraic(self, model: Model, t: Any, state: State) -> tuple[tuple[int, ...], jax.Array]:
+        """After how many integrations each of the algebraic equations comes, and what a unit of its
+        multiplier does to it, of free bodies (`as_free_bodies`)."""
+        d = driver(model, state.q.dtype)
+        now = Instant.of(model, t, state, None, d=d)
+        _ = now.links.joints  # a driver learns from them what its lanes are
+        rows = rows_of(model, now)
+        again = self.held_by_mu(rows)
+        usual = [as_free_bodies(d, row) for row in (*rows, *again)]
+        return (*(self.held(row)[1] for row in rows), *[1] * len(again)), pack(usual, state.v)
 
     def equations(self, model: Model, q: jax.Array, forces: Forces) -> Callable[..., jax.Array]:
         """0 = f(t, y, y', w) of y = (u, v, x), w = (l, mu): the configuration is q (+) u."""
@@ -124,7 +136,8 @@ def _rate(row: Row) -> tuple[Lane, int]:
 
 @dataclass(frozen=True)
 class Index2(DifferentialAlgebraic):
-    """G v + g_t = 0 at the stages of each step. Positions drift by the error of the steps.
+    """G v + g_t = 0 at the stages of each step. Positions drift by the error of the steps, in f32
+    so far that motions leave their branch at singular positions.
 
     Radau IIA of s stages: order 2 s - 1, multipliers s. Lobatto IIIC: 2 s - 2, multipliers s - 1.
     BDF k: k, multipliers too. Gauss: velocities s, or s + 1 where s is odd.
@@ -145,8 +158,8 @@ class Index3(DifferentialAlgebraic):
 
     Radau IIA of s stages: order of positions 2 s - 1, velocities s, multipliers s - 1. BDF k: k.
     Gauss methods do not converge in velocities where s = 2. In f32 a step must not be short:
-    velocities carry the rounding of positions divided by it. Adaptive steps look at velocities
-    along the constraints only.
+    velocities carry the rounding of positions divided by it, and singular positions are not passed
+    (`ok` is False). Adaptive steps look at velocities along the constraints only.
 
     Source: as `Index2`; VII.8.
     """

@@ -16,9 +16,8 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from rbjax.constraints.dense import Dense, Solution, inverted, solve_positive
+from rbjax.constraints.dense import NEGLIGIBLE, Dense, Solution, inverted, solve_positive
 from rbjax.lanes.products import matmat, matvec
 
 
@@ -100,7 +99,7 @@ class Partitioning(Minimal):
 
     def split(self, G: jax.Array) -> tuple[jax.Array, jax.Array]:
         m, n = G.shape
-        zero = np.sqrt(jnp.finfo(G.dtype).eps) * jnp.abs(G).max()
+        zero = NEGLIGIBLE[G.dtype.itemsize] * jnp.abs(G).max()
 
         def eliminate(_: int, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
             W, chosen = x  # G and 1, reduced so far (Gauss-Jordan); the pivots

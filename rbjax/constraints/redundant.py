@@ -35,5 +35,5 @@ class KKT(Dense):
         n, m = len(f), len(c)
         K = jnp.block([[M, G.T], [G, jnp.zeros((m, m), M.dtype)]])
         w, V = jnp.linalg.eigh(K)
-        x = matvec(V, inverted(w) * matvec(V.T, jnp.concatenate([f, c])))
+        x = matvec(V, inverted(w, 2) * matvec(V.T, jnp.concatenate([f, c])))
         return x[:n], -x[n:]

@@ -244,7 +244,7 @@ class OnMatrices(Response):
         R: jax.Array | None = None,
     ):
         super().__init__(d, factors, now, rows, damping)
-        self._R, self._usual = R, pack(self._free, now.v)
+        self._R, self.usual = R, pack(self._free, now.v)
         self.G = gradient_matrix(now, rows)
         self.Y = jax.vmap(lambda row: d.pack(solve(d, factors, d.lanes(row)), row))(self.G).T
 
@@ -256,10 +256,10 @@ class OnMatrices(Response):
     def solved(self, force: jax.Array | None, c: Sequence[Lane]) -> tuple[jax.Array, jax.Array]:
         d, asked = self._d, pack(c, self._like)
         if force is None:
-            l = least_norm(self.A, asked, self._usual, self._damping)
+            l = least_norm(self.A, asked, self.usual, self._damping)
             return matvec(self.Y, l), l
         free = d.pack(solve(d, self._factors, d.lanes(force)), force)
-        l = least_norm(self.A, asked - matvec(self.G, free), self._usual, self._damping)
+        l = least_norm(self.A, asked - matvec(self.G, free), self.usual, self._damping)
         return free + matvec(self.Y, l), l
 
 

@@ -114,14 +114,14 @@ def _newton(
     first, rows = seen(t0, jnp.zeros_like(u), v)
     factors = factorize(d, first.links.joints)
     begun = OnMatrices(d, factors, first, rows)
-    size = jnp.diagonal(begun.A)
-    size = size + jnp.finfo(size.dtype).eps * size.sum()
+    size, usual = jnp.diagonal(begun.A), begun.usual  # a row that vanishes stays short
+    size = size + jnp.where(usual > 0, usual, jnp.finfo(u.dtype).eps * size.sum())
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
     def least(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
         """x = M_0^-1 G_0^T l, and l, of G x = c; of redundant rows the least l."""
         J = r[:, None] * matmat(G, begun.Y) * r
-        l = r * matvec(J.T, least_norm(matmat(J, J.T), r * c))
+        l = r * matvec(J.T, least_norm(matmat(J, J.T), r * c, 1.0))
         return matvec(begun.Y, l), l
 
     def level_gradient(du: jax.Array) -> jax.Array:

@@ -29,7 +29,7 @@ def proximal(dtype: Any) -> tuple[float, int]:
     return PROXIMAL[dtype.itemsize]
 
 
-def damped(dtype: Any, damping: float | None) -> tuple[float, float, int]:
+def damped(dtype: Any, damping: float | None = None) -> tuple[float, float, int]:
     """eps, e, and how often they are taken back: `damping` is both, once."""
     if damping is not None:
         return damping, damping, 1

@@ -88,9 +88,8 @@ def error_of(
     law, start = law.damping, found.start
     at_start, *others = tableau.error
     raw = mixed(others, found.k) + at_start * h * start.rate
-    depth = law.depths(model, start.t, state)
-    equations = Equations(law.equations(model, state.q, forces), depth)
-    w = _padded(start.w, len(depth))
+    equations = equations_of(law, model, forces, start.t, state)
+    w = _padded(start.w, len(equations.depth))
     return damped(equations, tableau.filter * h, start._replace(w=w), raw)
 
 
@@ -105,12 +104,20 @@ def begun(
     """The equations from a state on, and its rates and multipliers as those of index 1."""
     tau, pushes, dx = forces(t, state)
     a, l = constrained_motion(model, t, state, tau, pushes)
-    depth = law.depths(model, t, state)
-    w = _padded(l, len(depth))
+    equations = equations_of(law, model, forces, t, state)
+    w = _padded(l, len(equations.depth))
     still = jnp.zeros_like(state.v)
     y = jnp.concatenate([still, state.v, *([] if state.x is None else [state.x])])
     rate = jnp.concatenate([state.v, a, *([] if dx is None else [dx])])
-    return Equations(law.equations(model, state.q, forces), depth), Point(t, y, rate, w)
+    return equations, Point(t, y, rate, w)
+
+
+def equations_of(
+    law: DifferentialAlgebraic, model: Model, forces: Forces, t: Any, state: State
+) -> Equations:
+    """The equations from a state on."""
+    f = law.equations(model, state.q, forces)
+    return Equations(f, *law.algebraic(model, t, state))
 
 
 def increment(model: Model, u: jax.Array) -> State:

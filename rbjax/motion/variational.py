@@ -16,7 +16,9 @@ R = 0 is looked for by a chord: w - (M + h D / 2 + h^2 K / 4)^-1 R(w), the matri
 with the dampers D and springs K of joints and the gains of their servos, by its articulated-body
 factors. Each evaluation is O(n), and divides the error by about h |dM/dq v| / |M|. Of an element
 without a `chord`, a spring k on a mass m converges for h < 2 sqrt(m / k), as explicit methods are
-stable.
+stable. Nor is what a constraint does part of the chord: at a singular value sigma of its rows each
+evaluation multiplies a velocity across them by about h v / sigma, so a step whose midpoint comes
+that near to a singular position does not converge in f64; in f32 the law damps sigma below 1e-2.
 """
 
 from __future__ import annotations

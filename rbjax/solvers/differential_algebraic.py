@@ -9,9 +9,13 @@ have no w and no y' in them; where y' is found from them after p integrations, t
     [M  -G^T]
     [G    0 ]       for constraints of index 2 (p = 1) and 3 (p = 2), up to terms in h.
 
-The iteration is Newton's with the matrix of the start of the step, factored once. Redundant rows
-leave w open: the Schur complement S of the w has eps diag(S) added, which changes steps of the
-iteration and not where they end; w stays where the guess put it in directions that do nothing.
+The iteration is Newton's with the matrix of the start of the step, factored once; where that does
+not converge, with the matrices of the stages, factored each time. Redundant rows leave w open: the
+matrix is regularized (`stage_matrix`), which changes steps of the iteration and not where they end;
+w stays where the guess put it in directions that do nothing. Of a step that passes a singular
+position rows vanish between its stages, and turn round: the matrix of the start is of no use, and
+what a stage right there asks of w has no bound. So after some iterations w is drawn to the last
+one, and not to its own value: the iteration settles, with what is left of a row that vanishes.
 The derivative of the solution is that of the implicit function, to all orders.
 (Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta
 Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.)
@@ -26,10 +30,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import lu_factor, lu_solve
 
 from rbjax.lanes import batch_first, matvec
 from rbjax.lanes.proximal import proximal
+from rbjax.solvers.stage_matrix import Factored, Matrix
 from rbjax.solvers.steps import mixed
 
 MAX_STEPS = 50
@@ -37,14 +41,20 @@ ROUNDING = 4  # units in the last place, beside the size of y
 #: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
 #: those of index 3 carry the rounding of positions, some 50 / h times
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
+#: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
+#: how strongly, by bytes
+FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
 
 
 @dataclass(frozen=True)
 class Equations:
-    """f: (t, y (n,), y' (n,), w (m,)) -> (n + m,); depth: the p of each of the last m rows."""
+    """f: (t, y (n,), y' (n,), w (m,)) -> (n + m,); depth: the p of each of the last m rows; usual
+    (m,): what a unit of each w does to its row, integrated back, where no row vanishes; 0 where
+    that is not known."""
 
     f: Callable[..., jax.Array]
     depth: tuple[int, ...]
+    usual: jax.Array
 
 
 class Weights(NamedTuple):
@@ -79,28 +89,28 @@ def solve(
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
     system = System(f, equations.depth, n)
-    start = Point(*jax.lax.stop_gradient(tuple(start)))
+    start, usual = jax.lax.stop_gradient((start, equations.usual))
 
     @eqx.filter_custom_jvp
-    def root(h, t, y, weights, start, read):
-        return batch_first(system.iterated(h, t, y, weights, start, read))
+    def root(h, t, y, weights, start, usual, read):
+        return batch_first(system.iterated(h, t, y, weights, start, usual, read))
 
     @root.def_jvp
     def _(primals, tangents):
         found = root(*primals)  # with its own derivative: this rule
-        h, t, y, weights, _, read = primals
+        h, t, y, weights, _, usual, read = primals
         x = found[:-1].reshape(s, -1)
 
-        def off(h, t, y, weights, start, read):
-            del start
+        def off(h, t, y, weights, start, usual, read):
+            del start, usual
             return system.residual(x, h, t, y, weights, read)
 
         _, change = eqx.filter_jvp(off, primals, tangents)
         matrix = system.matrix(system.slopes(x, h, t, y, weights, read), h, weights)
-        moved = -Factored(matrix).solved(change)
+        moved = -Factored(matrix, usual, proximal(change.dtype)[0]).solved(change)
         return batch_first((found, jnp.append(moved, jnp.zeros_like(found[-1]))))
 
-    found = root(h, t, y, weights, start, tuple(read))
+    found = root(h, t, y, weights, start, usual, tuple(read))
     x = found[:-1].reshape(s, -1)
     return Stages(x[:, :n], x[:, n:], found[-1] > 0)
 
@@ -108,12 +118,12 @@ def solve(
 def damped(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> jax.Array:
     """What an error raw (n,) of y leaves after an implicit Euler step of length gamma h of the
     linearized equations: without its stiff parts and those against the constraints."""
-    start = Point(*jax.lax.stop_gradient(tuple(start)))
+    start, usual = jax.lax.stop_gradient((start, equations.usual))
     n, one = raw.size, Weights(*[jnp.ones((1, 1), raw.dtype)] * 2)
     system = System(equations.f, equations.depth, n)
     slopes = system.slope(*start, ())[None]
     off = system.weighted(matvec(slopes[0, :, :n], raw)[None], gamma_h, one)
-    change = -Factored(system.matrix(slopes, gamma_h, one)).solved(off)
+    change = -Factored(system.matrix(slopes, gamma_h, one), usual).solved(off)
     return raw + gamma_h * change[0, :n]
 
 
@@ -175,85 +185,54 @@ class System:
             of_w[:, n:].reshape(s * m, s * m),
         )
 
-    def iterated(self, h, t, y, weights, start: Point, read) -> jax.Array:
+    def iterated(self, h, t, y, weights, start: Point, usual, read) -> jax.Array:
         """The root and 1, or the start and 0 where it was not found, in one array."""
-        s, eps, noise = len(y), float(jnp.finfo(y.dtype).eps), STALLED_BELOW[y.dtype.itemsize]
+        s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         slopes = self.slope(*start, read)
-        matrix = Factored(self.matrix(jnp.broadcast_to(slopes, (s, *slopes.shape)), h, weights))
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, slopes.shape[0]))
-        size = jnp.maximum(1.0, jnp.abs(y).max())
+        slopes = jnp.broadcast_to(slopes, (s, *slopes.shape))
+        shared = Factored(self.matrix(slopes, h, weights), usual)
 
-        def once(at: tuple) -> tuple:
-            x, before, count, _ = at
-            dx = matrix.once(self.residual(x, h, t, y, weights, read))
-            x = x - dx
-            scale = jnp.maximum(size, jnp.abs(h * x[:, : self.n]).max())
-            now = jnp.abs(h * dx[:, : self.n]).max() / scale
-            ratio = now / jnp.where(before > 0, before, 1.0)
-            falling = (count > 0) & (ratio < STALLED)
-            coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)
-            stalled = (count > 0) & (ratio >= STALLED) & (now <= noise)
-            done = (coming <= ROUNDING * eps) | stalled
-            return x, now, count + 1, done
+        def chord(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            return shared.once(self.residual(x, h, t, y, weights, read)), held
 
-        def more(at: tuple) -> jax.Array:
-            _, before, count, done = at
-            return ~done & (count < MAX_STEPS) & ((count == 0) | jnp.isfinite(before))
+        def newton(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            slopes = self.slopes(x, h, t, y, weights, read)
+            near = NEAR[y.dtype.itemsize]
+            matrix = Factored(self.matrix(slopes, h, weights), usual, near)
+            held = jnp.where(count < FREE, x[:, n:], held)
+            r = self.residual(x, h, t, y, weights, read)
+            return matrix.once(r, x[:, n:] - held), held
 
-        first = guess, jnp.full((), jnp.inf, y.dtype), jnp.array(0), jnp.array(False)
-        x, _, _, done = jax.lax.while_loop(more, once, first)
-        x = jnp.where(done, x, guess)
+        def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
+            """Whether x is settled, and x or the guess."""
+
+            def once(at: tuple) -> tuple:
+                x, held, before, count, _ = at
+                dx, held = step(x, held, count)
+                x = x - dx
+                scale = jnp.maximum(size, jnp.abs(h * x[:, :n]).max())
+                now = jnp.abs(h * dx[:, :n]).max() / scale
+                return x, held, now, count + 1, settled(now, before, count)
+
+            def more(at: tuple) -> jax.Array:
+                *_, before, count, done = at
+                return ~done & (count < most) & ((count == 0) | jnp.isfinite(before))
+
+            first = x, x[:, n:], jnp.full((), jnp.inf, y.dtype), jnp.array(0), done
+            x, *_, done = jax.lax.while_loop(more, once, first)
+            return done, jnp.where(done, x, guess)
+
+        done, x = found(chord, jnp.array(False), guess, MAX_STEPS)
+        done, x = found(newton, done, x, FREE + HELD)
         return jnp.append(x, done.astype(y.dtype))
 
 
-class Matrix(NamedTuple):
-    """Blocks: rows of the differential equations, then of the algebraic ones; columns of the rates,
-    then of w."""
-
-    rates: jax.Array
-    w: jax.Array
-    row_rates: jax.Array
-    row_w: jax.Array
-
-
-class Factored:
-    """Solves by the Schur complement of the w, regularized."""
-
-    def __init__(self, matrix: Matrix):
-        self._matrix = matrix
-        self._eps, self._again = proximal(matrix.w.dtype)
-        self._rates = lu_factor(matrix.rates)
-        self._response = lu_solve(self._rates, matrix.w)
-        S = matrix.row_w - _product(matrix.row_rates, self._response)
-        D = jnp.abs(jnp.diagonal(S))
-        least = jnp.finfo(D.dtype).eps / self._eps * D.sum()
-        D = D + jnp.where(least > 0, least, 1.0)
-        self._schur = lu_factor(S + self._eps * jnp.diag(D))
-
-    def once(self, r: jax.Array) -> jax.Array:
-        """x (s, n + m) of matrix x = r, regularized."""
-        s = len(r)
-        n = len(self._matrix.rates) // s
-        k = lu_solve(self._rates, r[:, :n].ravel())
-        w = lu_solve(self._schur, r[:, n:].ravel() - matvec(self._matrix.row_rates, k))
-        k = k - matvec(self._response, w)
-        return jnp.concatenate([k.reshape(s, -1), w.reshape(s, -1)], 1)
-
-    def solved(self, r: jax.Array) -> jax.Array:
-        """The same, with what regularization did taken back."""
-        x = self.once(r)
-        for _ in range(self._again):
-            x = x + self.once(r - self._times(x))
-        return x
-
-    def _times(self, x: jax.Array) -> jax.Array:
-        s, n = len(x), len(self._matrix.rates) // len(x)
-        k, w = x[:, :n].ravel(), x[:, n:].ravel()
-        B = self._matrix
-        top = matvec(B.rates, k) + matvec(B.w, w)
-        bottom = matvec(B.row_rates, k) + matvec(B.row_w, w)
-        return jnp.concatenate([top.reshape(s, -1), bottom.reshape(s, -1)], 1)
-
-
-def _product(a: jax.Array, b: jax.Array) -> jax.Array:
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+def settled(now: jax.Array, before: jax.Array, count: jax.Array) -> jax.Array:
+    """Whether corrections, relative to y, have become rounding."""
+    eps, noise = float(jnp.finfo(now.dtype).eps), STALLED_BELOW[now.dtype.itemsize]
+    ratio = now / jnp.where(before > 0, before, 1.0)
+    falling = (count > 0) & (ratio < STALLED)
+    coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)
+    stalled = (count > 0) & (ratio >= STALLED) & (now <= noise)
+    return (coming <= ROUNDING * eps) | stalled

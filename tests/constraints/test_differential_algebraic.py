@@ -170,7 +170,7 @@ def test_pendulum(name: str) -> None:
         np.testing.assert_allclose(found[:2], [want["q"][0], want["v"][0]], rtol=1e-4)
     held = {"index_2": (1e-6, 1e-13), "index_3": (1e-13, 1e-2), "ggl": (1e-13, 1e-13)}[name]
     assert (value, rate) < held and value < held[0] and rate < held[1]
-    if name == "index_3":
+    if name == "index_2":
         wild = rb.rollout(model, REST, None, 3.0, steps=n, constraints=name)
         assert not wild.ok
 
@@ -339,11 +339,11 @@ def test_stiff_forces(name: str) -> None:
 def test_steps_that_are_not_solved() -> None:
     """A value, not an exception: a fixed step says so, adaptive ones become shorter."""
     model, ts = pendulum(), jnp.array([0.0, 3.0])
-    path = rb.simulate(model, REST, ts, dt0=3.0, constraints="index_3", throw=False)
+    path = rb.simulate(model, REST, ts, dt0=3.0, constraints="ggl", throw=False)
     assert not path.ok and path.result == diffrax.RESULTS.nonlinear_divergence
     controller = diffrax.PIDController(rtol=1e-8, atol=1e-8)
     path = rb.simulate(
-        model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="index_3"
+        model, REST, ts, dt0=3.0, stepsize_controller=controller, constraints="ggl"
     )
     assert path.ok and path.stats["num_rejected_steps"] > 0
 

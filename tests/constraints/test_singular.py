@@ -57,15 +57,22 @@ def of_dtype(model: rb.Model, dtype) -> rb.Model:
     return jax.tree.map(cast, model)
 
 
-def rolled(n: int, dtype, integrator: str, seconds: float, starts: np.ndarray, dt: float = 1e-3):
-    """The trajectories of a batch, and the largest change of energy of each, J."""
+def rolled(
+    n: int, dtype, integrator: str | None, seconds: float, starts: np.ndarray, dt: float = 1e-3,
+    constraints=None, twice: bool = False,
+):  # fmt: skip
+    """The trajectories of a batch, and the largest change of energy of each, J. twice: whether
+    joints are said twice."""
     model, _ = four_bars(n)
+    if twice:
+        model = model.with_constraints(*model.constraints, *model.constraints)
     own, steps = of_dtype(model, dtype), round(seconds / dt)
 
     def run(state):
         return rb.rollout(
-            own, state, None, dt, steps=steps, save_every=steps // 100, integrator=integrator
-        )
+            own, state, None, dt, steps=steps, save_every=max(1, steps // 100),
+            integrator=integrator, constraints=constraints,
+        )  # fmt: skip
 
     path = jax.jit(jax.vmap(run))(at(n, starts, dtype))
 
@@ -207,3 +214,80 @@ def test_derivative_across_a_flat_position() -> None:
     slope = after(jnp.array(1.0))[1]
     ends = [after(jnp.array(1.0 + s))[0] for s in (h, -h)]
     np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * h), rtol=1e-5)
+
+
+IMPLICIT = ["index_2", "index_3", "ggl"]
+OTHERS = [
+    rc.Projected(of=of)
+    for of in (
+        rc.KKT(), rc.NullSpaceQR(), rc.NullSpaceSVD(), rc.Partitioning(), rc.UdwadiaKalaba(),
+        rc.ForceProjection(), rc.AugmentedLagrangian(),
+    )
+] + [rc.TangentSpace()]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_an_implicit_step_passes_a_flat_position() -> None:
+    """Its stages are on both sides of it: rows turn round between them."""
+    model, _ = four_bars(1)
+    start = at(1, FLAT - 0.03)
+    path = rb.rollout(model, start, None, 0.01, steps=1, constraints="index_3")
+    assert path.ok
+    bars = path.q[-1] * jnp.array([1.0, -1.0, 1.0])
+    np.testing.assert_allclose(bars, expected(1, start, 0.01), atol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("twice", [False, True])
+@pytest.mark.parametrize("name", IMPLICIT)
+def test_implicit_steps_keep_energy_through_many_flat_positions(name: str, twice: bool) -> None:
+    """10 s of Radau IIA, some fifteen passages, 20 J; with rows that say the same twice."""
+    path, off = rolled(1, jnp.float64, None, 10.0, STARTS, 0.01, name, twice)
+    assert path.ok.all() and off.max() < 5e-8
+    assert np.abs(path.q[..., 0] - path.q[..., -1]).max() < 1e-7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", IMPLICIT)
+@pytest.mark.parametrize("stage", [0, 2])
+def test_stages_at_a_flat_position(name: str, stage: int) -> None:
+    """Exactly there, or so near that a row is neither held nor free."""
+    c = rb.solvers.radau_iia(3).tableau.c[stage]
+    apart = [0.0, 1e-8, 1e-6, 1e-5, 3e-5, 1e-4, -1e-6, -1e-5, -3e-5, -1e-4]
+    starts = np.array([expected(1, at(1, FLAT + x), -(9 + c) * 0.01) for x in apart])
+    path, off = rolled(1, jnp.float64, None, 0.2, starts, 0.01, name)
+    assert path.ok.all() and off.max() < 1e-9
+
+
+@pytest.mark.slow
+def test_ggl_in_f32() -> None:
+    path, off = rolled(1, jnp.float32, None, 10.0, STARTS, 0.01, "ggl")
+    assert path.ok.all() and off.max() < 5e-2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", IMPLICIT)
+def test_derivatives_of_implicit_steps_across_a_flat_position(name: str) -> None:
+    """By the speed of the bars, with each joint said twice, both ways and against differences."""
+    model, _ = four_bars(1)
+    model = model.with_constraints(*model.constraints, *model.constraints)
+    start = at(1, FLAT - 0.075)
+
+    def end(speed):
+        state = start.replace(v=start.v * speed)
+        return rb.rollout(model, state, None, 0.01, steps=3, constraints=name).q[-1]
+
+    end = jax.jit(end)
+    forward = jax.jacfwd(end)(1.0)
+    h = 1e-5
+    np.testing.assert_allclose(forward, (end(1.0 + h) - end(1.0 - h)) / (2 * h), rtol=1e-6)
+    np.testing.assert_allclose(jax.jacrev(end)(1.0), forward, rtol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype, most", [(jnp.float64, 2e-9), (jnp.float32, 2e-2)])
+@pytest.mark.parametrize("formulation", OTHERS, ids=lambda x: getattr(x, "of", x).name)
+def test_formulations_on_arrays_keep_energy(formulation: rc.Formulation, dtype, most) -> None:
+    """As the first test of 10 s."""
+    path, off = rolled(1, dtype, "rk4", 10.0, STARTS, constraints=formulation)
+    assert path.ok.all() and off.max() < most

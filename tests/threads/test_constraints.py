@@ -51,7 +51,7 @@ def gradient_of(model: rb.Model, name: str):
     [
         ("four_bar", step_of, FEW),
         pytest.param("four_bar", step_of, [n for n in OTHERS if n not in FEW], marks=slow),
-        pytest.param("four_bar", step_of, ["index_2", "index_3"], marks=slow),
+        pytest.param("four_bar", step_of, ["index_2", "index_3"], marks=large),
         pytest.param("four_bar", step_of, ["ggl"], marks=large),
         pytest.param("four_bar", gradient_of, OTHERS, marks=slow),
         pytest.param("four_bar", gradient_of, IMPLICIT, marks=large),
