@@ -13,6 +13,7 @@ from rbjax.demo.integrators import integrators
 from rbjax.demo.joints import joints
 from rbjax.demo.loops import loops
 from rbjax.demo.motion import motion
+from rbjax.demo.planning import planning
 from rbjax.demo.report import Section
 from rbjax.demo.swing_up import swing_up
 from rbjax.demo.threads import threads
@@ -99,10 +100,18 @@ def test_forces_act(tmp_path: Path) -> None:
 
 def test_the_report_holds_all(tmp_path: Path) -> None:
     parts: dict = dict.fromkeys(
-        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "loops", "threads")
-    )
+        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "loops", "planning",
+         "threads")
+    )  # fmt: skip
     parts["validate"] = {"scenes": {"pendulum": False}}
     page = demo(tmp_path, say=quiet, options=parts)
     assert "<table>" in page.read_text()
     assert "| scene |" in (tmp_path / "report.md").read_text()
     assert jnp.ones(1).dtype == jnp.float64  # the caller's choice, as before
+
+
+def test_a_car_parks(tmp_path: Path) -> None:
+    section = planning(tmp_path, quiet)
+    check(section, tmp_path)
+    plan, curve = section.rows
+    assert plan[-1] == "yes" and float(plan[1]) > float(curve[1])

@@ -1,4 +1,4 @@
-"""The whole demo: nine sections, in f64, and their report."""
+"""The whole demo: ten sections, in f64, and their report."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from rbjax.demo.integrators import integrators
 from rbjax.demo.joints import joints
 from rbjax.demo.loops import loops
 from rbjax.demo.motion import motion
+from rbjax.demo.planning import planning
 from rbjax.demo.report import Section, write
 from rbjax.demo.swing_up import swing_up
 from rbjax.demo.threads import threads
@@ -36,6 +37,7 @@ PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "forces": (forces, 5),
     "joints": (joints, 5),
     "loops": (loops, 6),
+    "planning": (planning, 2),
     "threads": (threads, 2),
 }
 
@@ -60,7 +62,8 @@ def demo(
         say: called with the name of each stage before it starts.
         done: called with a part's name and share after it ends.
         options: keyword arguments by part (motion, validate, identify, swing_up, integrators,
-            forces, joints, loops, threads), for smaller runs; a part given as None is skipped.
+            forces, joints, loops, planning, threads), for smaller runs; a part given as None is
+            skipped.
 
     Returns:
         The path of report.html.

@@ -1,0 +1,114 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Planning in the plane
+#
+# `rb.planning` has the shortest curves of a car, maps of obstacles, and a search among them. A pose
+# is (x, y, heading), in m and rad.
+
+# %%
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+
+import rbjax as rb
+from rbjax.planning import Controls, Footprint, OccupancyGrid
+
+jax.config.update("jax_enable_x64", True)
+
+# %% [markdown]
+# ## Shortest curves
+#
+# A car that cannot turn more sharply than a circle of 1 m wants to stand 0.8 m further left, as it
+# stands now. Forwards only (Dubins) it drives a loop; in both directions (Reeds and Shepp) it
+# shuffles.
+
+# %%
+start, goal = jnp.zeros(3), jnp.array([0.0, 0.8, 0.0])
+curves = {"dubins": rb.planning.dubins, "reeds_shepp": rb.planning.reeds_shepp}
+figure, ax = plt.subplots(figsize=(6, 3.5))
+for name, f in curves.items():
+    curve = f(start, goal, 1.0)
+    ax.plot(*curve.poses(200)[:, :2].T, label=f"{name}: {curve.word}, {curve.length:.2f} m")
+ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+_ = ax.legend(bbox_to_anchor=(1.05, 1.0), loc="upper left")
+
+# %% [markdown]
+# Both take batches of poses, and their lengths have gradients: which way should the goal move to
+# shorten the curve?
+
+# %%
+goals = jnp.array([[2.0, y, 0.5] for y in (-1.0, 0.0, 1.0)])
+
+
+def length(goal):
+    return rb.planning.reeds_shepp(start, goal, 1.0).length
+
+
+length(goals), jax.vmap(jax.grad(length))(goals)
+
+# %% [markdown]
+# ## Maps
+#
+# Cells of 5 cm: a wall with a door. The distance field is exact; the car is covered by discs, so
+# that a test of a pose is one look into the field for each disc. `clearance` interpolates and can
+# be differentiated; `clear` errs on the safe side.
+
+# %%
+walls = np.zeros((100, 80), bool)
+walls[48:52] = True
+walls[48:52, 50:66] = False
+grid = OccupancyGrid(walls, 0.05)
+car = Footprint.rectangle(ahead=0.5, behind=0.2, width=0.35)
+field = grid.distance_field()
+poses = jnp.array([[1.0, 1.0, 0.0], [2.3, 1.0, 0.0], [2.3, 2.9, 0.0]])
+rb.planning.clearance(field, poses, car), rb.planning.clear(field, poses, car)
+
+# %% [markdown]
+# ## A search
+#
+# Algorithm 10.2 of Lynch and Park's *Modern Robotics*: six controls (straight on, left and right,
+# ahead and back), each integrated exactly; one visit to each cell of position and heading; a price
+# for each reversal. What it finds is what the controls do, so the same controls drive a robot.
+
+# %%
+steer = Controls.car(radius=0.6, turn=np.deg2rad(5.0), reversal=4)
+plan = rb.planning.grid_dijkstra(
+    grid, car, start=[0.8, 0.8, 0.0], goal=[4.2, 0.8, np.pi], controls=steer, headings=72
+)
+plan.status, plan.cost, len(plan.controls), plan.expanded
+
+# %%
+figure, ax = plt.subplots(figsize=(6, 4.5))
+ax.imshow(walls.T, origin="lower", extent=(0, 5, 0, 4), cmap="Greys", vmax=2)
+corners = np.array([[0.5, 0.175], [0.5, -0.175], [-0.2, -0.175], [-0.2, 0.175], [0.5, 0.175]])
+for x, y, heading in plan.poses[::6]:
+    c, s = np.cos(heading), np.sin(heading)
+    outline = corners @ np.array([[c, s], [-s, c]]) + [x, y]
+    ax.plot(*outline.T, color="tab:blue", alpha=0.3, lw=1)
+ax.plot(*plan.poses[:, :2].T, color="tab:blue")
+_ = ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+# %% [markdown]
+# A question without an answer is a status, not an error.
+
+# %%
+shut = OccupancyGrid(np.where(np.arange(100)[:, None] // 4 == 12, True, walls), 0.05)
+rb.planning.grid_dijkstra(
+    shut, car, start=[0.8, 0.8, 0.0], goal=[4.2, 0.8, np.pi], controls=steer, headings=72
+).status
+
+# %% [markdown]
+# `grid_dijkstra_many` runs many searches on one map at once, as one compiled program, for an
+# accelerator.
