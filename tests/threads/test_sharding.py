@@ -144,7 +144,8 @@ def test_memory_is_that_of_each_device(monkeypatch):
         text = str(jax.make_jaxpr(jax.grad(loss))(jax.ShapeDtypeStruct((size, 2), jnp.float64)))
         return next(n for n in (100, 50, 25) if f"[{n},2,{size}]" in text)
 
-    assert [kept(2**19, 1), kept(2**20, 1), kept(2**20, 2), kept(2**21, 2)] == [100, 50, 100, 50]
+    n = places.memory_share() // places.devices() // 2**12  # 2**19 without a GPU
+    assert [kept(n, 1), kept(2 * n, 1), kept(2 * n, 2), kept(4 * n, 2)] == [100, 50, 100, 50]
 
 
 def child():
