@@ -39,7 +39,7 @@ from rbjax.dynamics.rnea import rnea
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane
 from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import VANISHING
+from rbjax.lanes.proximal import VANISHING, least
 
 #: singular values below it, of the largest, are zero, by bytes of a number
 NEGLIGIBLE = {4: 1e-2, 8: float(np.sqrt(np.finfo(float).eps))}
@@ -105,8 +105,8 @@ class Dense(Formulation):
         s = 1.0 / jnp.sqrt(jnp.diagonal(M))
         G = G * s
         squares = (G * G).sum(1)
-        least = np.sqrt(jnp.finfo(G.dtype).eps) * squares.sum()
-        squares = squares + jnp.where(usual > 0, SHORT[G.dtype.itemsize] * usual, least)
+        root = float(np.sqrt(jnp.finfo(G.dtype).eps))
+        squares = squares + least(squares, usual, SHORT[G.dtype.itemsize], root)
         r = 1.0 / jnp.sqrt(jnp.where(squares > 0, squares, 1.0))
         a, l = self.solution(s[:, None] * M * s, r[:, None] * G, s * f, r * c)
         return s * a, r * l

@@ -70,25 +70,28 @@ def least_changes(
         solves = x.of_positions, x.of_velocities
         return values, [lambda c, by=by: _joined(*by(c[:nv], c[nv:])) for by in solves]
 
-    def equations(changed, q, u, v, dq, dv, x, l):
-        """G^T l - M x, and what rows are off by after the changes dq and dv."""
-        model, t0, t = rebuilt(changed)
+    def begun(changed, q, v, x, l):
+        """The driver, the instant and the rows at q, and G^T l - M x there."""
+        model, t0, _ = rebuilt(changed)
         d = driver(model, q.dtype)
         now = Instant.of(model, t0, State(q, v), None, d=d)
         rows = rows_of(model, now)
         tau, pushes = with_multipliers(d, rows, list(l), jnp.zeros_like(x), {})
         needed = rnea(d, d.joints(q, None), d.lanes(x), Vec3.zero(), pushes)
-        level, rate = off(d, model, t, q, u + dq, v + dv)
-        return tau - d.pack(needed, tau), leveled(now, rows, level, dq), rate
+        return d, now, rows, tau - d.pack(needed, tau)
 
     def of_positions(changed, q, u, v, x):
+        model, _, t = rebuilt(changed)
         dq = x[:nv]
-        force, level, _ = equations(changed, q, u, v, dq, jnp.zeros_like(v), dq, x[nv:])
-        return _joined(force, -level)
+        d, now, rows, force = begun(changed, q, v, dq, x[nv:])
+        level, _ = off(d, model, t, q, u + dq, v)
+        return _joined(force, -leveled(now, rows, level, dq))
 
     def of_velocities(changed, q, u, v, x, y):
+        model, _, t = rebuilt(changed)
         dv = y[:nv]
-        force, _, rate = equations(changed, q, u, v, x[:nv], dv, dv, y[nv:])
+        d, _, _, force = begun(changed, q, v, dv, y[nv:])
+        _, rate = off(d, model, t, q, u + x[:nv], v + dv)
         return _joined(force, -rate)
 
     changes = with_implicit_jvp(plain, solved, of_positions, of_velocities)(given, q, u, v)

@@ -47,7 +47,7 @@ from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3, add, fusion_barrier, is_literal, is_zero, mul, sub, total
 from rbjax.lanes.products import matmat, matvec
-from rbjax.lanes.proximal import LeastNorm, damped
+from rbjax.lanes.proximal import LeastNorm, damped, least
 from rbjax.model import WORLD, Model
 from rbjax.spatial import Force
 
@@ -270,8 +270,7 @@ def least_norm(
     `response`."""
     eps, vanishing, again = damped(A.dtype, damping)
     diagonal = jnp.diagonal(A)
-    least = jnp.where(jnp.asarray(B) > 0, vanishing * B, jnp.finfo(A.dtype).eps * diagonal.sum())
-    D = diagonal + least / eps
+    D = diagonal + least(diagonal, B, vanishing) / eps
     s = jnp.where(D > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(D > 0, D, 1.0))
     scaled = s[:, None] * A * s[None]
     factors = jax.scipy.linalg.cho_factor(scaled + eps * jnp.eye(len(A), dtype=A.dtype))

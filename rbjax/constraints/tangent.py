@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.formulation import Formulation, Multipliers
-from rbjax.constraints.least_change import Changes, Solve, least_changes, leveled, off
+from rbjax.constraints.least_change import Changes, Solve, least_changes, leveled, off, off_of
 from rbjax.constraints.projection import projected
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import OnMatrices, gradient_matrix, least_norm, rows_of
@@ -34,6 +34,7 @@ from rbjax.dynamics.manifold import difference_lanes, moved, velocity_lanes
 from rbjax.dynamics.packing import pack
 from rbjax.forces.instant import Instant
 from rbjax.lanes.products import matmat, matvec
+from rbjax.lanes.proximal import least
 from rbjax.model import Model, State
 
 MULTIPLIERS = Multipliers()
@@ -115,44 +116,46 @@ def _newton(
     factors = factorize(d, first.links.joints)
     begun = OnMatrices(d, factors, first, rows)
     size, usual = jnp.diagonal(begun.A), begun.usual  # a row that vanishes stays short
-    size = size + jnp.where(usual > 0, usual, jnp.finfo(u.dtype).eps * size.sum())
+    size = size + least(size, usual, 1.0)
     r = jnp.where(size > 0, 1.0, 0.0) / jnp.sqrt(jnp.where(size > 0, size, 1.0))
 
-    def least(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def nearest(G: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
         """x = M_0^-1 G_0^T l, and l, of G x = c; of redundant rows the least l."""
         J = r[:, None] * matmat(G, begun.Y) * r
         l = r * matvec(J.T, least_norm(matmat(J, J.T), r * c, 1.0))
         return matvec(begun.Y, l), l
 
-    def level_gradient(du: jax.Array) -> jax.Array:
-        """By du: attitudes turn by J_r(u) du."""
-        now, rows = seen(t, u + du, v)
+    level = np.array([row.holonomic for row in rows])
+
+    def by_du(G: jax.Array, du: jax.Array) -> jax.Array:
+        """The gradient of positions: attitudes turn by J_r(u) du; a row with only a rate
+        keeps G_0."""
         back = list(-(u + du))
         turned = jax.vmap(lambda row: pack(velocity_lanes(model.topology, back, list(row)), row))
-        level = np.array([row.holonomic for row in rows])
-        return jnp.where(level[:, None], turned(gradient_matrix(now, rows)), begun.G)
+        return jnp.where(level[:, None], turned(G), begun.G)
 
     def nearer(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        level = leveled(first, rows, off(d, model, t, q, u + x[0], v)[0], x[0])
-        more = least(level_gradient(x[0]), -level)
+        now, there = seen(t, u + x[0], v)
+        left = leveled(first, rows, off_of(there, v)[0], x[0])
+        more = nearest(by_du(gradient_matrix(now, there), x[0]), -left)
         return x[0] + more[0], x[1] + more[1]
 
     du, l = jnp.zeros_like(u), jnp.zeros(len(rows), u.dtype)
-    if any(row.holonomic for row in rows):
+    if level.any():
         du, l = jax.lax.fori_loop(0, many, nearer, (du, l))
     G = gradient_matrix(*seen(t, u + du, v))
 
     def slower(_: Any, x: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        more = least(G, -off(d, model, t, q, u + du, v + x[0])[1])
+        more = nearest(G, -off(d, model, t, q, u + du, v + x[0])[1])
         return x[0] + more[0], x[1] + more[1]
 
     def linear(G: jax.Array) -> Solve:
         def solve(force: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
             free = d.pack(solved(d, factors, d.lanes(force)), force)
-            x, l = least(G, c - matvec(G, free))
+            x, l = nearest(G, c - matvec(G, free))
             return free + x, l
 
         return solve
 
     dv, m = jax.lax.fori_loop(0, 2, slower, (jnp.zeros_like(v), jnp.zeros_like(l)))  # linear: twice
-    return Changes(du, l, dv, m, linear(level_gradient(du)), linear(G))
+    return Changes(du, l, dv, m, linear(by_du(G, du)), linear(G))

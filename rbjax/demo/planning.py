@@ -30,7 +30,7 @@ curve = rb.planning.reeds_shepp(start, goal, 0.8)      # as if there were no wal
 def planning(folder: Path, say: Callable[[str], None]) -> Section:
     """Run and draw."""
     say("a car parks in a gap")
-    grid = street(CELL)
+    grid = street()
     car = Controls.car(RADIUS, np.deg2rad(360 / HEADINGS), reversal=4)
     shape = Footprint.rectangle(AHEAD, BEHIND, WIDTH)
     plan = grid_dijkstra(grid, shape, START, GOAL, car, headings=HEADINGS)
@@ -70,8 +70,9 @@ def planning(folder: Path, say: Callable[[str], None]) -> Section:
     )
 
 
-def street(cell: Any) -> OccupancyGrid:
+def street() -> OccupancyGrid:
     """A street of 6 x 3.5 m, with a gap between two parked cars and a post."""
+    cell: Any = CELL
     n, m = round(6 / cell), round(3.5 / cell)
     x, y = (np.arange(k)[:, None] * cell + cell / 2 for k in (n, m))
     y = y.T

@@ -6,6 +6,7 @@ Tangent vectors have the coordinates of v: integrate(q, v dt) is motion at const
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -38,15 +39,7 @@ def rate_lanes(top: Any, u: list[Lane], v: list[Lane]) -> list[Lane]:
     function is `inverse_jacobian_coefficient` of `rotations`. Its sines would cost a kernel time at
     each stage.)
     """
-    out: list[Lane] = []
-    for span in spans(top):
-        out += v[span.v]
-        if span.attitude:
-            by = span.attitude[1]
-            turn, w = Vec3(*u[by]), Vec3(*v[by])
-            once, x = turn.cross(w), turn.dot(turn)
-            out.extend(w + once * 0.5 + turn.cross(once) * horner(_TURN, x))
-    return out
+    return _with_attitudes(top, u, v, lambda x: (0.5, horner(_TURN, x)))
 
 
 #: |B_2k| / (2 k)!, the coefficients of (1 - (t/2) cot(t/2)) / t^2 as a series in t^2
@@ -61,15 +54,27 @@ def velocity_lanes(top: Any, u: list[Lane], du: list[Lane]) -> list[Lane]:
 
     J_r^T is J_r(-u).
     """
+
+    def coefficients(x: Lane) -> tuple[Lane, Lane]:
+        a, b = stumpff(x, 2, 3)
+        return -a, b
+
+    return _with_attitudes(top, u, du, coefficients)
+
+
+def _with_attitudes(
+    top: Any, u: list[Lane], v: list[Lane], coefficients: Callable[[Any], tuple[Lane, Lane]]
+) -> list[Lane]:
+    """v, of attitudes w + a u x w + b u x (u x w), with a and b of |u|^2."""
     out: list[Lane] = []
     for span in spans(top):
-        out += du[span.v]
+        out += v[span.v]
         if span.attitude:
             by = span.attitude[1]
-            turn, rate = Vec3(*u[by]), Vec3(*du[by])
-            once = turn.cross(rate)
-            a, b = stumpff(turn.dot(turn), 2, 3)
-            out.extend(rate - once * a + turn.cross(once) * b)
+            turn, w = Vec3(*u[by]), Vec3(*v[by])
+            once = turn.cross(w)
+            a, b = coefficients(turn.dot(turn))
+            out.extend(w + once * a + turn.cross(once) * b)
     return out
 
 

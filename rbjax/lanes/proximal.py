@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from rbjax.lanes.algebra import Lane, add, is_zero, mul, total
@@ -35,6 +36,16 @@ def damped(dtype: Any, damping: float | None = None) -> tuple[float, float, int]
         return damping, damping, 1
     eps, again = proximal(dtype)
     return eps, VANISHING[dtype.itemsize], again
+
+
+def least(
+    diagonal: jax.Array, usual: jax.Array | float, factor: float, unknown: float | None = None
+) -> jax.Array:
+    """`factor` times what a diagonal is where no row vanishes. Where that is not known (0): the sum
+    of the diagonal, times `unknown`, which is the rounding unit if None."""
+    unknown = float(jnp.finfo(diagonal.dtype).eps) if unknown is None else unknown
+    usual = jnp.asarray(usual, diagonal.dtype)
+    return jnp.where(usual > 0, factor * usual, unknown * diagonal.sum())
 
 
 class LeastNorm:

@@ -120,6 +120,11 @@ class MotionTable:
     discs: np.ndarray
     radii: np.ndarray
 
+    def along(self, start: float, controls: np.ndarray) -> np.ndarray:
+        """Headings (n + 1,) rad of a path, by the numbers (n,) of its controls."""
+        turned = np.concatenate([[0], np.cumsum(self.turns[controls])])
+        return start + turned * (2 * math.pi / len(self.headings))
+
     @classmethod
     def of(
         cls, controls: Controls, footprint: Footprint, first: float, headings: int, spacing: float

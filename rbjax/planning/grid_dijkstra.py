@@ -301,8 +301,7 @@ class _Search:
             wave = int(np.searchsorted(firsts, parent, "right")) - 1
             node = self.visited[wave].those(np.array([parent - firsts[wave]]))
         chosen = np.array(used[::-1], int)
-        turned = np.concatenate([[0], np.cumsum(self.table.turns[chosen])])
-        heading = self.start[2] + turned * (2 * math.pi / self.shape[2])
+        heading = self.table.along(self.start[2], chosen)
         return Plan("found", cost, np.column_stack([places[::-1], heading]), chosen, count)
 
 

@@ -306,8 +306,6 @@ def _plans(
         else:
             some = slice(int(on[:, i].sum()) - 1, None, -1)
             chosen = control[some, i][1:].astype(int)
-            turned = np.concatenate([[0], np.cumsum(table.turns[chosen])])
-            heading = start[2] + turned * (2 * math.pi / len(table.headings))
-            poses = np.column_stack([x[some, i], y[some, i], heading])
+            poses = np.column_stack([x[some, i], y[some, i], table.along(start[2], chosen)])
             plans.append(Plan("found", int(cost[i]), poses, chosen, int(visited[i])))
     return plans

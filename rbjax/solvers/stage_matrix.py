@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve, solve_triangular
 
 from rbjax.lanes import matvec
-from rbjax.lanes.proximal import damped
+from rbjax.lanes.proximal import damped, least
 
 #: (b, c) -> w
 Solve = Callable[[jax.Array, jax.Array], jax.Array]
@@ -54,12 +54,12 @@ class Factored:
         S = matrix.row_w - _product(matrix.row_rates, self._response)
         D = jnp.abs(jnp.diagonal(S))
         B = jnp.tile(usual, len(D) // max(len(usual), 1))
-        rounding = jnp.finfo(D.dtype).eps * D.sum()
         if least_squares:
-            size = D + jnp.where(B > 0, B, rounding / least_squares)
+            rounding = float(jnp.finfo(D.dtype).eps)
+            size = D + least(D, B, 1.0, rounding / least_squares)
             self._solved = _by_least_squares(S, jnp.where(size > 0, size, 1.0), least_squares)
         else:
-            E = eps * D + jnp.where(B > 0, vanishing * B, rounding)
+            E = eps * D + least(D, B, vanishing)
             self._solved = _by_shift(S, jnp.where(E > 0, E, 1.0))
 
     def once(self, r: jax.Array, c: jax.Array | float = 0.0) -> jax.Array:
