@@ -1,0 +1,162 @@
+"""Newton-Euler equations of a wheeled robot, projected on any velocities.
+
+With twists V_k = J_k nu of the bodies and rates r_i = j_i nu of what turns by itself,
+
+    M = sum J_k^T M_k J_k + sum I_i j_i^T j_i
+    f = sum J_k^T (F_k - M_k V_k' - C_k) + sum j_i^T (t_i - I_i r_i')      at nu' = 0
+    M nu' = f
+
+M_k and C_k are those of a body about its own origin, in its own axes: m, the moment m c, the
+inertia, and w x (momentum). This is the principle of virtual power (Jourdain; Kane): wrenches are
+separated into what drives and what constrains by J^T, twists by J.
+(Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8, the kinematical approach)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, sub, total
+from rbjax.wheeled.numbers import BodyNumbers, Numbers
+from rbjax.wheeled.planar import Moving, Twist, cross, rate_of, turned_back, value_of
+from rbjax.wheeled.velocities import Motion, Shape, motion, shape_of
+
+#: nu and a shape to full velocities
+Velocities = Callable[[Numbers, Shape, Sequence[Lane]], list[Lane]]
+
+
+class Equations(NamedTuple):
+    """M (rows of lanes) and f (lanes)."""
+
+    M: list[list[Lane]]
+    f: list[Lane]
+
+
+def momentum(body: BodyNumbers, V: Twist) -> Twist:
+    """Linear momentum, and angular momentum about the origin."""
+    (x, y, w), (a, b) = V, body.moment
+    return Twist(
+        sub(mul(body.mass, x), mul(w, b)),
+        add(mul(body.mass, y), mul(w, a)),
+        add(mul(body.inertia, w), sub(mul(a, y), mul(b, x))),
+    )
+
+
+def _gyroscopic(body: BodyNumbers, V: Twist) -> Twist:
+    """w x p, and v x p about the origin: what F takes beside M_k V'."""
+    p, w = momentum(body, V), V[2]
+    return Twist(neg(mul(w, p[1])), mul(w, p[0]), cross((V[0], V[1]), (p[0], p[1])))
+
+
+def weights(n: Numbers, pose: tuple[Lane, ...], shape: Shape) -> list[Twist]:
+    """Gravity along the ground on each body, in its axes."""
+    if is_zero(n.downhill[0]) and is_zero(n.downhill[1]):
+        return [Twist(0.0, 0.0, 0.0)] * len(n.bodies)
+    falls = [turned_back(n.downhill, pose)]
+    for k in range(1, len(n.bodies)):
+        ahead = n.bodies[k].ahead
+        assert ahead is not None
+        falls.append(turned_back(falls[ahead], shape.trailers[k - 1]))
+    return [
+        Twist(mul(body.mass, x), mul(body.mass, y), cross(body.moment, (x, y)))
+        for body, (x, y) in zip(n.bodies, falls, strict=True)
+    ]
+
+
+def columns_of(n: Numbers, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
+    """Full velocities by each velocity nu alone: the columns of the basis."""
+    units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
+    return [velocities(n, shape, unit) for unit in units]
+
+
+def project(
+    n: Numbers,
+    angles: Sequence[Lane],
+    angle_rates: Sequence[Lane],
+    velocities: Velocities,
+    nu: Sequence[Lane],
+    forces: Sequence[Twist],
+    torques: Sequence[Lane],
+) -> Equations:
+    """M and f for velocities nu.
+
+    Args:
+        angles, angle_rates: of trailers, steerings and casters.
+        velocities: full velocities by nu.
+        forces: on each body, in its axes, the moment about its origin.
+        torques: on each shaft.
+    """
+    shape = shape_of(n, angles)
+    parts = [motion(n, shape, w) for w in columns_of(n, shape, velocities, len(nu))]
+    now, then = _with_rates(n, angles, angle_rates, velocities, nu)
+    loads = [
+        F - momentum(body, A) - _gyroscopic(body, V)
+        for body, F, V, A in zip(n.bodies, forces, now.twists, then.twists, strict=True)
+    ]
+    for body, moment in _steering_torques(n, angles, angle_rates):
+        loads[body] = loads[body] - Twist(0.0, 0.0, moment)
+    driving = [*torques, *([0.0] * (len(now.turns) - len(torques)))]
+    turning = [
+        sub(t, mul(inertia, rate)) for t, (inertia, rate) in zip(driving, then.turns, strict=True)
+    ]
+    pushed = [[momentum(b, V) for b, V in zip(n.bodies, p.twists, strict=True)] for p in parts]
+    M: list[list[Lane]] = [[0.0] * len(nu) for _ in nu]
+    for a, part in enumerate(parts):
+        for b in range(a + 1):
+            entry = total(inner(V, P) for V, P in zip(part.twists, pushed[b], strict=True))
+            for (inertia, x), (_, y) in zip(part.turns, parts[b].turns, strict=True):
+                entry = add(entry, mul(inertia, mul(x, y)))
+            M[a][b] = M[b][a] = entry
+    f = [
+        add(
+            total(inner(V, F) for V, F in zip(part.twists, loads, strict=True)),
+            total(mul(x, t) for (_, x), t in zip(part.turns, turning, strict=True)),
+        )
+        for part in parts
+    ]
+    return Equations(M, f)
+
+
+def _with_rates(
+    n: Numbers,
+    angles: Sequence[Lane],
+    angle_rates: Sequence[Lane],
+    velocities: Velocities,
+    nu: Sequence[Lane],
+) -> tuple[Motion, Motion]:
+    """The motion at nu, and its rate at nu' = 0."""
+    shape = shape_of(n, [Moving(a, r) for a, r in zip(angles, angle_rates, strict=True)])
+    both = motion(n, shape, velocities(n, shape, nu))
+    now = Motion(
+        [Twist(*map(value_of, V)) for V in both.twists],
+        [(i, value_of(rate)) for i, rate in both.turns],
+    )
+    then = Motion(
+        [Twist(*map(rate_of, V)) for V in both.twists],
+        [(i, rate_of(rate)) for i, rate in both.turns],
+    )
+    return now, then
+
+
+def _steering_torques(
+    n: Numbers, angles: Sequence[Lane], angle_rates: Sequence[Lane]
+) -> list[tuple[int, Lane]]:
+    """What bodies feel as their steered wheels turn faster about the vertical, at b'' = 0.
+
+    Wheels that turn by the angle b itself turn evenly; those of Ackermann's geometry do not.
+    """
+    out = []
+    second = [
+        Moving(Moving(a, r), Moving(r, 0.0)) for a, r in zip(angles, angle_rates, strict=True)
+    ]
+    for steering in n.robot.steerings:
+        if len(steering.wheels) == 1 or all(is_zero(n.wheels[i].yaw_inertia) for i in steering.wheels):
+            continue
+        shape = shape_of(n, second)
+        for i in steering.wheels:
+            e = shape.wheels[i]
+            now = tuple(value_of(value_of(x)) for x in e)
+            twice = tuple(rate_of(rate_of(x)) for x in e)
+            out.append((n.wheels[i].body, mul(n.wheels[i].yaw_inertia, cross(now, twice))))
+    return out

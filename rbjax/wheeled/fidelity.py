@@ -1,0 +1,215 @@
+"""A wheeled robot at one fidelity: what its velocities are, and how they change.
+
+All fidelities of a robot have the same coordinates q (`Robot`) and the same controls u: one number
+a drive, then one a steering. They differ in v: nothing, the velocities that the wheels leave free,
+or all velocities; and in x, states of tyres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.errors import InputError
+from rbjax.lanes import Lane, add, inner, mul, sub, total
+from rbjax.model import State
+from rbjax.model.record import Record
+from rbjax.wheeled.equations import momentum, weights
+from rbjax.wheeled.numbers import Numbers, numbers_of
+from rbjax.wheeled.planar import Twist, direction, dot, turned
+from rbjax.wheeled.robot import Robot
+from rbjax.wheeled.velocities import (
+    Shape,
+    caster_rates,
+    motion,
+    shaft_speed,
+    shape_of,
+    twists_of,
+)
+
+
+class Instant(NamedTuple):
+    """Coordinates, velocities, tyre states and controls as lanes."""
+
+    q: list[Lane]
+    v: list[Lane]
+    x: list[Lane]
+    u: list[Lane]
+
+    @property
+    def pose(self) -> tuple[Lane, Lane]:
+        """The direction of the chassis."""
+        return direction(self.q[2])
+
+
+class Fidelity(Record):
+    """A robot at one fidelity. Subclasses say what v is, and how it changes.
+
+    Fields: robot.
+    """
+
+    robot: Robot
+    name: ClassVar[str] = ""
+    #: whether wheels roll without sliding, so that their torques or speeds say all
+    ideal: ClassVar[bool] = True
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.robot, Robot):
+            raise InputError(
+                f"{type(self).__name__}: robot is {type(self.robot).__name__}, expected a Robot, "
+                "such as rbjax.wheeled.kinds()['differential_drive'].make()"
+            )
+
+    @property
+    def nq(self) -> int:
+        """The number of coordinates."""
+        return self.robot.layout.nq
+
+    @property
+    def nv(self) -> int:
+        """The number of velocities."""
+        raise NotImplementedError(f"{type(self).__name__} has no property nv")
+
+    @property
+    def nx(self) -> int:
+        """The number of tyre states."""
+        return 0
+
+    @property
+    def nu(self) -> int:
+        """The number of controls."""
+        return self.robot.nu
+
+    # what a fidelity is
+
+    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+        """The full velocities w."""
+        raise NotImplementedError(f"{type(self).__name__} has no method full")
+
+    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        """v'."""
+        raise NotImplementedError(f"{type(self).__name__} has no method accelerations")
+
+    def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
+        """x'."""
+        return []
+
+    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+        """v by full velocities that the fidelity allows."""
+        raise NotImplementedError(f"{type(self).__name__} has no method start_velocities")
+
+    # what all share
+
+    def rates(self, n: Numbers, now: Instant) -> tuple[list[Lane], list[Lane], list[Lane]]:
+        """q', v', x'."""
+        w = self.full(n, now)
+        rates = coordinate_rates(n, now, w)
+        return rates, self.accelerations(n, now), self.relaxation(n, now)
+
+    def instant(self, state: State, u: Any = None) -> tuple[Numbers, Instant]:
+        """The robot's numbers and a state as lanes."""
+        dtype = state.q.dtype
+        given = jnp.zeros(self.nu, dtype) if u is None else u
+        x = state.x if self.nx else None
+        return numbers_of(self.robot, dtype), Instant(
+            [state.q[i] for i in range(self.nq)],
+            [state.v[i] for i in range(self.nv)],
+            [] if x is None else [x[i] for i in range(self.nx)],
+            [given[i] for i in range(self.nu)],
+        )
+
+
+def angles_of(n: Numbers, now: Instant) -> list[Lane]:
+    """The angles on which the shape depends."""
+    return now.q[3 : n.layout.casters.stop]
+
+
+def steering_rates(n: Numbers, now: Instant) -> list[Lane]:
+    """b' of each steering."""
+    out = []
+    first = len(n.robot.drives)
+    for j, steering in enumerate(n.robot.steerings):
+        u = now.u[first + j]
+        if steering.lag is None:
+            out.append(u)
+        else:
+            out.append((u - now.q[n.layout.steerings.start + j]) / n.lane(steering.lag))
+    return out
+
+
+def coordinate_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+    """q' by the full velocities."""
+    x, y = turned((w[0], w[1]), now.pose)
+    trailers = list(w[3 : 2 + len(n.bodies)])
+    shape = shape_of(n, angles_of(n, now))
+    casters = caster_rates(n, shape, twists_of(n, shape, w)) if n.layout.caster_wheels else []
+    return [x, y, w[2], *trailers, *steering_rates(n, now), *casters, *w[2 + len(n.bodies) :]]
+
+
+def angle_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+    """The rates of the angles on which the shape depends."""
+    return coordinate_rates(n, now, w)[3 : n.layout.casters.stop]
+
+
+def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+    """The torques of the drives on each shaft."""
+    rates = w[2 + len(n.bodies) :]
+    out: list[Lane] = [0.0] * len(n.shafts)
+    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
+        torque = drive.motor.torque(now.u[j], shaft_speed(n, drive.wheels, split, rates))
+        for i, share in zip(drive.wheels, split, strict=True):
+            shaft = n.wheels[i].shaft
+            out[shaft] = add(out[shaft], mul(share, torque))
+    return out
+
+
+def kinetic_energy(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Lane:
+    """T of all bodies, wheels and motors."""
+    parts = motion(n, shape, w)
+    bodies = total(
+        inner(V, momentum(body, V)) for body, V in zip(n.bodies, parts.twists, strict=True)
+    )
+    return 0.5 * add(bodies, total(mul(i, mul(rate, rate)) for i, rate in parts.turns))
+
+
+def potential_energy(n: Numbers, now: Instant) -> Lane:
+    """The energy of the centres of mass on the slope."""
+    shape = shape_of(n, angles_of(n, now))
+    e, origin = now.pose, (now.q[0], now.q[1])
+    directions, origins, energy = [e], [origin], 0.0
+    for k, body in enumerate(n.bodies):
+        if body.ahead is not None:
+            ahead = directions[body.ahead]
+            e = turned(shape.trailers[k - 1], ahead)
+            hitch = turned(body.hitch, ahead)
+            bar = turned((body.drawbar, 0.0), e)
+            at = origins[body.ahead]
+            origin = tuple(sub(add(a, b), c) for a, b, c in zip(at, hitch, bar, strict=True))
+            directions.append(e)
+            origins.append(origin)
+        moment = turned(body.moment, e)
+        fall = dot(n.downhill, origin)
+        energy = sub(energy, add(mul(body.mass, fall), dot(n.downhill, moment)))
+    return energy
+
+
+def zero_pull(n: Numbers) -> list[Twist]:
+    """No force on any body."""
+    return [Twist(0.0, 0.0, 0.0) for _ in n.bodies]
+
+
+def gravity_pull(n: Numbers, now: Instant, shape: Shape) -> list[Twist]:
+    """Gravity along the slope on each body."""
+    return weights(n, now.pose, shape)
+
+
+def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any) -> State:
+    """Lanes as arrays."""
+
+    def array(lanes: Sequence[Lane]) -> jax.Array:
+        return jnp.stack([jnp.asarray(a, dtype) for a in lanes]) if lanes else jnp.zeros(0, dtype)
+
+    return State(array(q), array(v), array(x) if len(x) else None)

@@ -1,0 +1,123 @@
+"""The numbers of a robot as lanes, in the form in which the equations use them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rbjax.lanes import Lane, add, is_zero, mul, sub, total
+from rbjax.model.leaves import numbers as lanes
+from rbjax.model.leaves import scalar
+from rbjax.wheeled.planar import Pair, direction, dot, left, turned
+
+if TYPE_CHECKING:
+    from rbjax.wheeled.robot import Layout, Robot
+
+
+@dataclass(frozen=True)
+class BodyNumbers:
+    """A body with its wheels: mass; moment (2,) = mass com; inertia about its origin."""
+
+    ahead: int | None
+    mass: Lane
+    moment: Pair
+    inertia: Lane
+    height: Lane
+    hitch: Pair
+    drawbar: Lane
+
+
+@dataclass(frozen=True)
+class WheelNumbers:
+    """A wheel. heading: its direction at zero steering; slant: the tangent of its rollers' angle."""
+
+    kind: str
+    body: int
+    shaft: int
+    skids: bool
+    position: Pair
+    heading: Pair
+    radius: Lane
+    inertia: Lane
+    yaw_inertia: Lane
+    slant: Lane
+    trail: Lane
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What the equations need of a robot."""
+
+    robot: Any
+    dtype: Any
+    layout: Layout
+    bodies: tuple[BodyNumbers, ...]
+    wheels: tuple[WheelNumbers, ...]
+    #: inertias of shafts, with those of motors
+    shafts: tuple[Lane, ...]
+    #: of each drive, the shares of its wheels
+    splits: tuple[tuple[Lane, ...], ...]
+    turn_center: Lane
+    #: gravity along the ground, in world axes, and across it
+    downhill: Pair
+    gravity: Lane
+    rolling_resistance: Lane
+
+    def lane(self, x: Any) -> Lane:
+        """A number of a part."""
+        return scalar(x, self.dtype)
+
+
+def numbers_of(robot: Robot, dtype: Any) -> Numbers:
+    """The lanes of a robot. What is known while tracing is a literal."""
+    layout = robot.layout
+
+    def number(x: Any) -> Lane:
+        return scalar(x, dtype)
+
+    def pair(x: Any) -> Pair:
+        a, b = lanes(x, dtype)
+        return a, b
+
+    wheels = []
+    for wheel, shaft in zip(robot.wheels, layout.shaft, strict=True):
+        c, s = direction(number(wheel.roller)) if wheel.kind == "rollers" else (1.0, 0.0)
+        wheels.append(
+            WheelNumbers(
+                wheel.kind, wheel.body, shaft, wheel.skids, pair(wheel.position),
+                direction(number(wheel.heading)), number(wheel.radius), number(wheel.inertia),
+                number(wheel.yaw_inertia), 0.0 if is_zero(s) else s / c, number(wheel.trail),
+            )
+        )  # fmt: skip
+    bodies = []
+    for k, body in enumerate(robot.bodies):
+        mass, com = number(body.mass), pair(body.com)
+        masses = [(mass, com)]
+        inertia = number(body.inertia)
+        for wheel, n in zip(robot.wheels, wheels, strict=True):
+            if wheel.body == k:
+                masses.append((number(wheel.mass), n.position))
+                # a caster turns about its pivot by itself
+                inertia = add(inertia, 0.0 if n.kind == "caster" else n.yaw_inertia)
+        inertia = add(inertia, total(mul(m, dot(p, p)) for m, p in masses))
+        bodies.append(
+            BodyNumbers(
+                body.ahead,
+                total(m for m, _ in masses),
+                (total(mul(m, p[0]) for m, p in masses), total(mul(m, p[1]) for m, p in masses)),
+                inertia, number(body.height), pair(body.hitch), number(body.drawbar),
+            )
+        )  # fmt: skip
+    shafts: list[Lane] = [0.0] * len(layout.setters)
+    for n in wheels:
+        shafts[n.shaft] = add(shafts[n.shaft], n.inertia)
+    splits = tuple(tuple(lanes(drive.split, dtype)) for drive in robot.drives)
+    fall = pair(robot.slope)
+    across = number(robot.gravity)
+    if not (is_zero(fall[0]) and is_zero(fall[1])):
+        across = across * (1.0 + dot(fall, fall)) ** -0.5
+    return Numbers(
+        robot, dtype, layout, tuple(bodies), tuple(wheels), tuple(shafts), splits,
+        number(robot.turn_center), (mul(across, fall[0]), mul(across, fall[1])), across,
+        number(robot.rolling_resistance),
+    )  # fmt: skip

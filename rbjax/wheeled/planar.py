@@ -1,0 +1,131 @@
+"""Motion in the plane on lanes: points, twists, directions, and rates of change beside values.
+
+A body's twist is (x, y, w): the velocity of its origin in m/s along its own axes, and its turning
+rate in rad/s. A point and a direction are pairs of lanes in the body's axes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+
+from rbjax.lanes import Lane, Lanes, add, is_literal, mul, neg, sincos, sub
+
+Pair = tuple[Lane, Lane]
+#: a cosine or sine of a known angle below this is rounding of a right angle
+SNAP = 1e-15
+
+
+class Twist(Lanes):
+    """x, y, w."""
+
+    __slots__ = ()
+
+    def at(self, p: Pair) -> Pair:
+        """The velocity of the body's point p."""
+        x, y, w = self
+        return sub(x, mul(w, p[1])), add(y, mul(w, p[0]))
+
+
+def dot(a: Pair, b: Pair) -> Lane:
+    """a . b."""
+    return add(mul(a[0], b[0]), mul(a[1], b[1]))
+
+
+def cross(a: Pair, b: Pair) -> Lane:
+    """a x b, along the vertical."""
+    return sub(mul(a[0], b[1]), mul(a[1], b[0]))
+
+
+def left(e: Pair) -> Pair:
+    """A direction, turned to the left by a right angle."""
+    return neg(e[1]), e[0]
+
+
+def turned(a: Pair, e: Pair) -> Pair:
+    """A vector turned by the angle of the direction e."""
+    return sub(mul(a[0], e[0]), mul(a[1], e[1])), add(mul(a[0], e[1]), mul(a[1], e[0]))
+
+
+def turned_back(a: Pair, e: Pair) -> Pair:
+    """A vector in axes that are turned by the angle of the direction e."""
+    return turned(a, (e[0], neg(e[1])))
+
+
+class Moving:
+    """A lane with its rate of change, d/dt. The functions of lanes take it for a lane.
+
+    Where it meets lanes without a rate they are constant. A rate that is a structural zero stays
+    one. A value and a rate may be `Moving` themselves, for second rates.
+    """
+
+    __slots__ = ("rate", "value")
+    __array_ufunc__ = None  # numpy's scalars leave operations to this class
+
+    def __init__(self, value: Lane, rate: Lane):
+        self.value, self.rate = value, rate
+
+    def __add__(self, other: Any) -> Moving:
+        return Moving(add(self.value, value_of(other)), add(self.rate, rate_of(other)))
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Moving:
+        return Moving(neg(self.value), neg(self.rate))
+
+    def __sub__(self, other: Any) -> Moving:
+        return self + neg(other)
+
+    def __rsub__(self, other: Any) -> Moving:
+        return -self + other
+
+    def __mul__(self, other: Any) -> Moving:
+        a, b = self.value, value_of(other)
+        return Moving(mul(a, b), add(mul(self.rate, b), mul(a, rate_of(other))))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Moving:
+        return self * inverse(other)
+
+    def __rtruediv__(self, other: Any) -> Moving:
+        return inverse(self) * other
+
+
+def value_of(a: Lane) -> Lane:
+    """A lane without its rate."""
+    return a.value if isinstance(a, Moving) else a
+
+
+def rate_of(a: Lane) -> Lane:
+    """The rate of a lane; a structural zero if it has none."""
+    return a.rate if isinstance(a, Moving) else 0.0
+
+
+def inverse(a: Lane) -> Lane:
+    """1 / a."""
+    if isinstance(a, Moving):
+        b = inverse(a.value)
+        return Moving(b, neg(mul(mul(b, b), a.rate)))
+    return 1.0 / a
+
+
+def inverse_root(a: Lane) -> Lane:
+    """1 / sqrt(a)."""
+    if isinstance(a, Moving):
+        b = inverse_root(a.value)
+        return Moving(b, mul(mul(mul(b, mul(b, b)), a.rate), -0.5))
+    return a**-0.5 if is_literal(a) else 1.0 / jnp.sqrt(a)
+
+
+def direction(angle: Lane) -> Pair:
+    """The cosine and sine of an angle."""
+    if isinstance(angle, Moving):
+        c, s = direction(angle.value)
+        return Moving(c, neg(mul(s, angle.rate))), Moving(s, mul(c, angle.rate))
+    if is_literal(angle):
+        c, s = math.cos(angle), math.sin(angle)
+        return c if abs(c) > SNAP else 0.0, s if abs(s) > SNAP else 0.0
+    return sincos(angle)

@@ -1,0 +1,101 @@
+"""Which wheeled robots there are, and at which fidelities each runs."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from rbjax.errors import UnknownName
+from rbjax.wheeled import kinds as made
+from rbjax.wheeled.fidelity import Fidelity
+from rbjax.wheeled.robot import Robot
+from rbjax.wheeled.rolling import Dynamical, Kinematic, Kinematical
+
+_FIDELITIES: tuple[type[Fidelity], ...] = (Kinematic, Kinematical, Dynamical)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A robot by name: `make(**numbers)` builds it; `fidelities` are those at which it runs."""
+
+    name: str
+    make: Callable[..., Robot]
+    fidelities: tuple[str, ...]
+
+
+def fidelities() -> dict[str, type[Fidelity]]:
+    """All fidelities, the cheapest first: name -> class.
+
+    Example:
+        >>> import rbjax as rb
+        >>> list(rb.wheeled.fidelities())[0]
+        'kinematic'
+    """
+    return {f.name: f for f in _FIDELITIES}
+
+
+def kinds() -> dict[str, Kind]:
+    """All robots: name -> `Kind`.
+
+    Example:
+        >>> import rbjax as rb
+        >>> robot = rb.wheeled.kinds()["car"].make(wheelbase=2.5)
+        >>> robot.arrangement.mobility
+        1
+    """
+    makers: dict[str, Callable[..., Robot]] = {
+        "differential_drive": made.differential_drive,
+        "unicycle": made.unicycle,
+        "omni_3": functools.partial(made.omnidirectional, 3),
+        "omni_4": functools.partial(made.omnidirectional, 4),
+        "mecanum": made.mecanum,
+        "car": made.car,
+        "front_drive_car": functools.partial(made.car, drive="front"),
+        "bicycle": made.bicycle,
+        "tricycle": made.tricycle,
+        "skid_steer": made.skid_steer,
+        "tractor_trailers": _with_trailers(made.differential_drive, 2, 0.0),
+        "car_trailer": _with_trailers(made.car, 1, 0.8, drawbar=3.0, track=1.4, mass=400.0,
+                                      inertia=300.0, radius=0.3, wheel_mass=15.0),
+    }  # fmt: skip
+    names = tuple(fidelities())
+    return {name: Kind(name, make, names) for name, make in makers.items()}
+
+
+def _with_trailers(
+    make: Callable[..., Robot], number: int, hitch: float, **trailer: Any
+) -> Callable[..., Robot]:
+    """A robot with trailers; `trailer` are numbers of `kinds.with_trailers`."""
+
+    @functools.wraps(make)
+    def both(**numbers: Any) -> Robot:
+        return made.with_trailers(make(**numbers), number, hitch, **trailer)
+
+    return both
+
+
+def at(robot: Robot, fidelity: str, **options: Any) -> Fidelity:
+    """A robot at a fidelity.
+
+    Args:
+        robot: `Robot`.
+        fidelity: a name of `fidelities`.
+        options: fields of that fidelity, such as `tyre` of "slipping".
+
+    Returns:
+        `Fidelity`.
+
+    Raises:
+        UnknownName: no such fidelity.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.wheeled.at(rb.wheeled.kinds()["omni_3"].make(), "kinematical").nv
+        3
+    """
+    known = fidelities()
+    if fidelity not in known:
+        raise UnknownName("fidelity", fidelity, known)
+    return known[fidelity](robot, **options)

@@ -1,0 +1,172 @@
+"""Fidelities whose wheels roll and do not slide sideways.
+
+    kinematic          v is empty: wheel speeds say all
+    kinematical        v = nu, the free velocities: twists are separated, w = S nu
+    dynamical          v = nu: multipliers are eliminated from the equations of all velocities
+    quasi_velocities   v = nu: the Boltzmann-Hamel equations
+The last three are equal. The second is the cheapest.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from rbjax.lanes import Lane, ldlt, mul, neg, sub, total
+from rbjax.wheeled.equations import columns_of, project
+from rbjax.wheeled.fidelity import (
+    Fidelity,
+    Instant,
+    angle_rates,
+    angles_of,
+    gravity_pull,
+    shaft_torques,
+)
+from rbjax.wheeled.numbers import Numbers
+from rbjax.wheeled.planar import Moving, Twist, rate_of, value_of
+from rbjax.wheeled.resistance import rolling_torques
+from rbjax.wheeled.velocities import (
+    chassis_twist,
+    free_velocities,
+    ideal,
+    rows,
+    shaft_speed,
+    shape_of,
+)
+
+
+class Kinematic(Fidelity):
+    """Wheels turn at the free speeds of their motors; the robot has no inertia.
+
+        w = S nu,   W_j(nu) = free speed of drive j at u_j, in least squares over the drives
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "kinematic")
+        >>> cart.nv, cart.nu
+        (0, 2)
+    """
+
+    name: ClassVar[str] = "kinematic"
+
+    @property
+    def nv(self) -> int:
+        return 0
+
+    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+        shape = shape_of(n, angles_of(n, now))
+        size = n.robot.arrangement.mobility
+        columns = []
+        for w in columns_of(n, shape, ideal, size):
+            rates = w[2 + len(n.bodies) :]
+            columns.append(
+                [
+                    shaft_speed(n, drive.wheels, split, rates)
+                    for drive, split in zip(n.robot.drives, n.splits, strict=True)
+                ]
+            )
+        speeds = [drive.motor.free_speed(u) for drive, u in zip(n.robot.drives, now.u, strict=False)]
+        M = [[total(mul(a, b) for a, b in zip(x, y, strict=True)) for y in columns] for x in columns]
+        f = [total(mul(a, s) for a, s in zip(x, speeds, strict=True)) for x in columns]
+        return ideal(n, shape, ldlt(M).solve(f))
+
+    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        return []
+
+    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+        return []
+
+
+class Rolling(Fidelity):
+    """Robots with inertia whose wheels roll: v = nu, the velocities that the wheels leave free."""
+
+    @property
+    def nv(self) -> int:
+        return self.robot.arrangement.mobility
+
+    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+        return ideal(n, shape_of(n, angles_of(n, now)), now.v)
+
+    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+        return free_velocities(n, shape_of(n, angles_of(n, now)), Twist(*w[:3]))
+
+    def _driven(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+        resisting = rolling_torques(n, w)
+        return [sub(a, b) for a, b in zip(shaft_torques(n, now, w), resisting, strict=True)]
+
+
+class Kinematical(Rolling):
+    """Dynamics reduced by the kinematical approach: twists and wrenches are separated.
+
+        (S^T M S) nu' = S^T (f - M S' nu),   w = S nu
+
+    (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
+
+    Example:
+        >>> import rbjax as rb
+        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> cart.nv, cart.nu
+        (2, 2)
+    """
+
+    name: ClassVar[str] = "kinematical"
+
+    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        angles, w = angles_of(n, now), self.full(n, now)
+        M, f = project(
+            n, angles, angle_rates(n, now, w), ideal, now.v,
+            gravity_pull(n, now, shape_of(n, angles)), self._driven(n, now, w),
+        )  # fmt: skip
+        return ldlt(M).solve(f)
+
+
+class Dynamical(Rolling):
+    """Dynamics reduced by the dynamical approach: multipliers are eliminated.
+
+        M w' = f + A^T l,   A w' = -A' w,   l = -(A M^-1 A^T)^-1 (A M^-1 f + A' w)
+
+    v' = nu' are the free ones of w'. (Olguín Díaz, *3D Motion of Rigid Bodies*, ch. 8)
+
+    Example:
+        >>> import rbjax as rb
+        >>> cart = rb.wheeled.at(rb.wheeled.kinds()["differential_drive"].make(), "dynamical")
+        >>> cart.nv
+        2
+    """
+
+    name: ClassVar[str] = "dynamical"
+
+    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        angles, w = angles_of(n, now), self.full(n, now)
+        moving = [Moving(a, r) for a, r in zip(angles, angle_rates(n, now, w), strict=True)]
+        shape = shape_of(n, angles)
+        M, f = project(
+            n, angles, [a.rate for a in moving], _as_they_are, w,
+            gravity_pull(n, now, shape), self._driven(n, now, w),
+        )  # fmt: skip
+        factors = ldlt(M)
+        free = factors.solve(f)
+        units = columns_of(n, shape, _as_they_are, len(w))
+        A = [rows(n, shape, unit) for unit in units]  # by column
+        size = len(A[0])
+        bias = [rate_of(x) for x in rows(n, shape_of(n, moving), w)]
+        lifted = [factors.solve([column[i] for column in A]) for i in range(size)]  # M^-1 A^T
+        K = [
+            [total(mul(c[i], x) for c, x in zip(A, lifted[j], strict=True)) for j in range(size)]
+            for i in range(size)
+        ]
+        short = [
+            sub(neg(bias[i]), total(mul(c[i], x) for c, x in zip(A, free, strict=True)))
+            for i in range(size)
+        ]
+        l = ldlt(K).solve(short)
+        rate = [
+            total([x, *(mul(lifted[i][k], l[i]) for i in range(size))]) for k, x in enumerate(free)
+        ]
+        # nu' = S^+ (w' - S' nu)
+        turning = chassis_twist(n, shape_of(n, moving), now.v)
+        V = Twist(*(sub(a, rate_of(b)) for a, b in zip(rate[:3], turning, strict=True)))
+        return [value_of(x) for x in free_velocities(n, shape, V)]
+
+
+def _as_they_are(n: Numbers, shape: object, w: list[Lane]) -> list[Lane]:
+    return list(w)
