@@ -224,9 +224,10 @@ def check_array(
     if not isinstance(x, jax.core.Tracer):
         on_host = isinstance(value, np.ndarray) and value.dtype == x.dtype
         xp, values = looked_at(value if on_host else x)
-        finite = xp.isfinite(values)
+        with jax.ensure_compile_time_eval():  # within a program known values stay known
+            finite = np.asarray(xp.isfinite(values))
         if not finite.all():
-            at = tuple(np.argwhere(~np.asarray(finite))[0])
+            at = tuple(np.argwhere(~finite)[0])
             place = f"[{', '.join(map(str, at))}]" if at else ""
             wrong = np.asarray(values)[at]
             raise InputError(f"{where}: {name}{place} is {wrong}, expected finite values")

@@ -103,10 +103,13 @@ class Fidelity(Record):
 
     # what all share
 
+    def coordinate_rates(self, n: Numbers, now: Instant) -> list[Lane]:
+        """q'."""
+        return coordinate_rates(n, now, self.full(n, now))
+
     def rates(self, n: Numbers, now: Instant) -> tuple[list[Lane], list[Lane], list[Lane]]:
         """q', v', x'."""
-        w = self.full(n, now)
-        rates = coordinate_rates(n, now, w)
+        rates = self.coordinate_rates(n, now)
         return rates, self.accelerations(n, now), self.relaxation(n, now)
 
     def instant(self, state: State, u: Any = None) -> tuple[Numbers, Instant]:
