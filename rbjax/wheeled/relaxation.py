@@ -31,8 +31,8 @@ import jax
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
-from rbjax.model.record import Record, check_fields, floats
-from rbjax.wheeled.tyres import Pair, Tyre, check_above, check_shapes, pair
+from rbjax.model.record import Record, check_number, floats
+from rbjax.wheeled.tyres import Pair, Tyre, check_above, check_coefficients, pair
 
 
 class Relaxing(Record):
@@ -63,8 +63,8 @@ class Relaxing(Record):
                 f"Relaxing(law=...): got {type(self.law).__name__}, expected a tyre law, as "
                 "rbjax.wheeled.TMeasy"
             )
-        check_fields(self)
-        check_shapes(self)
+        check_coefficients(self)
+        check_number(self, "damping_time")
         check_above(self, length=0.0)
 
     @property

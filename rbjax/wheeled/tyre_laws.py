@@ -14,7 +14,6 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Lane
 from rbjax.model.record import floats
-from rbjax.rotations.coefficients import length, where
 from rbjax.wheeled.tyres import Pair, Tyre, check_above, check_up_to, pair
 
 #: v_n where none is given, m/s
@@ -46,7 +45,7 @@ class Linear(Tyre):
     friction: jax.Array | None = _number(default=None)
     smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
 
-    def __check_init__(self) -> None:
+    def check_ranges(self) -> None:
         check_above(self, stiffness=0.0, friction=0.0)
 
     @property
@@ -77,7 +76,7 @@ class Coulomb(Tyre):
     width: jax.Array = _number(default=0.02)
     smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
 
-    def __check_init__(self) -> None:
+    def check_ranges(self) -> None:
         check_above(self, friction=0.0, width=0.0)
 
     @property
@@ -86,6 +85,12 @@ class Coulomb(Tyre):
 
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         return _saturated(self.slopes, pair(self.friction), sx, sy)
+
+
+def _root(square: Lane) -> Lane:
+    """The square root, zero with its derivatives where those of the third order would overflow."""
+    some = square > jnp.finfo(jnp.result_type(square)).tiny ** (1 / 3)
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
 
 
 def _saturated(slopes: Pair, limits: Pair, sx: Lane, sy: Lane) -> Pair:
@@ -115,7 +120,7 @@ class Fiala(Tyre):
     friction: jax.Array = _number()
     smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
 
-    def __check_init__(self) -> None:
+    def check_ranges(self) -> None:
         check_above(self, stiffness=0.0, friction=0.0)
 
     @property
@@ -126,10 +131,10 @@ class Fiala(Tyre):
         cx, cy = self.slopes
         third = self.stiffness / (3 * self.friction)
         x, y = (k * s for k, s in zip(pair(third), (sx, sy), strict=True))
-        rho = length(x * x + y * y)
+        rho = _root(x * x + y * y)
         adheres = rho < 1
-        slides = where(adheres, 1.0, rho)
-        share = where(adheres, 1 - rho + rho * rho / 3, 1 / (3 * slides))
+        slides = jnp.where(adheres, 1.0, rho)
+        share = jnp.where(adheres, 1 - rho + rho * rho / 3, 1 / (3 * slides))
         return cx * share, cy * share
 
 
@@ -158,7 +163,7 @@ class Pacejka(Tyre):
     curvature: jax.Array = _number(default=0.0)
     smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
 
-    def __check_init__(self) -> None:
+    def check_ranges(self) -> None:
         check_above(self, stiffness_factor=0.0, shape=0.0, peak=0.0)
         check_up_to(self, shape=2.0, curvature=1.0)
 
@@ -173,12 +178,12 @@ class Pacejka(Tyre):
         square = x * x + y * y
         # f / rho is a series in rho^2, which has no 0 / 0; eps^(1/2) balances what both lose
         near = square < jnp.finfo(square.dtype).eps ** 0.5
-        rho = jnp.sqrt(where(near, 1.0, square))
+        rho = jnp.sqrt(jnp.where(near, 1.0, square))
         turned = jnp.arctan(rho)
 
         def curve(c: Lane, e: Lane) -> Lane:
             far = jnp.sin(c * jnp.arctan(rho - e * (rho - turned))) / rho
-            return where(near, c - c * ((1 + e) / 3 + c * c / 6) * square, far)
+            return jnp.where(near, c - c * ((1 + e) / 3 + c * c / 6) * square, far)
 
         if jnp.ndim(self.shape) == jnp.ndim(self.curvature) == 0:
             alike = curve(self.shape, self.curvature)
@@ -219,7 +224,7 @@ class TMeasy(Tyre):
     sliding: jax.Array = _number()
     smooth_speed: jax.Array = _number(default=SMOOTH_SPEED)
 
-    def __check_init__(self) -> None:
+    def check_ranges(self) -> None:
         check_above(self, slope=0.0, peak_slip=0.0, peak=0.0, sliding=0.0)
         check_above(self, sliding_slip=self.peak_slip)
         check_up_to(self, sliding=self.peak)
@@ -231,17 +236,17 @@ class TMeasy(Tyre):
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         ix, iy = pair(1 / self.peak_slip)
         x, y = ix * sx, iy * sy
-        rho = length(x * x + y * y)
+        rho = _root(x * x + y * y)
         rising = rho < 1
-        beyond = where(rising, 1.0, rho)
+        beyond = jnp.where(rising, 1.0, rho)
         bend = self.slope * self.peak_slip / self.peak - 2
         ways = 1 / (self.sliding_slip / self.peak_slip - 1)
 
         def secant(bend: Lane, ways: Lane, slope: Lane, peak: Lane, fall: Lane, i: Lane) -> Lane:
             part = (beyond - 1) * ways
-            part = where(part < 1, part, 1.0)
+            part = jnp.where(part < 1, part, 1.0)
             falling = (peak - fall * part * part * (3 - 2 * part)) * i / beyond
-            return where(rising, slope / (1 + rho * (bend + rho)), falling)
+            return jnp.where(rising, slope / (1 + rho * (bend + rho)), falling)
 
         columns = bend, ways, self.slope, self.peak, self.peak - self.sliding, 1 / self.peak_slip
         if all(jnp.ndim(c) == 0 for c in columns):

@@ -37,7 +37,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
-from rbjax.model.record import Record, check_fields
+from rbjax.model.record import Record, check_fields, check_number, check_numbers
 
 Pair = tuple[Lane, Lane]  # along the wheel's x and y
 
@@ -65,9 +65,13 @@ class Tyre(Record):
     smooth_speed: eqx.AbstractVar[jax.Array]
 
     def __check_init__(self) -> None:
-        check_fields(self)
-        check_shapes(self)
+        check_coefficients(self)
+        check_number(self, "smooth_speed")
         check_above(self, smooth_speed=0.0)
+        self.check_ranges()
+
+    def check_ranges(self) -> None:
+        """Refuse coefficients of which the law makes no sense (`check_above`, `check_up_to`)."""
 
     @property
     def size(self) -> int:
@@ -142,16 +146,18 @@ def pair(x: jax.Array) -> Pair:
     return (x, x) if jnp.ndim(x) == 0 else (x[0], x[1])
 
 
-def check_shapes(record: Record) -> None:
-    """Refuse coefficients that are not () or (2,)."""
+def check_coefficients(record: Record) -> None:
+    """Refuse coefficients that are no numbers of the shape () or (2,), or None where that may be."""
+    check_fields(record)
     for name, value in vars(record).items():
-        if (hasattr(value, "dtype") or isinstance(value, float)) and (
-            jnp.shape(value) not in ((), (2,))
-        ):
+        if value is None or isinstance(value, Record):
+            continue
+        where = f"{type(record).__name__}({name}=...)"
+        check_numbers(where, value, endless=False)
+        if jnp.shape(value) not in ((), (2,)):
             raise InputError(
-                f"{type(record).__name__}({name}=...): got the shape {jnp.shape(value)}, expected "
-                "a number, or (2,): one along the wheel and one across; for many tyres use "
-                "jax.vmap over them"
+                f"{where}: got the shape {jnp.shape(value)}, expected a number, or (2,): one along "
+                "the wheel and one across; for many tyres use jax.vmap over them"
             )
 
 
