@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
 from rbjax.model.record import Record, check_number, floats
-from rbjax.wheeled.tyres import check_above
+from rbjax.wheeled.tyres import check_above, check_at_least
 
 
 def _number(**given: Any) -> Any:
@@ -93,7 +93,7 @@ class SpeedServo(Motor):
     limit: jax.Array = _number(default=math.inf)
 
     def __check_init__(self) -> None:
-        _check_numbers(self, above={"gain", "limit"})
+        _check_numbers(self, "gain", "limit")
 
     def may_be_endless(self, name: str) -> bool:
         return name == "limit"
@@ -132,7 +132,8 @@ class DCMotor(Motor):
     rotor_inertia: jax.Array = _number(default=0.0)
 
     def __check_init__(self) -> None:
-        _check_numbers(self, above={"resistance", "torque_constant", "battery"})
+        _check_numbers(self, "resistance", "torque_constant", "battery")
+        check_at_least(self, friction=0.0, rotor_inertia=0.0)
 
     def may_be_endless(self, name: str) -> bool:
         return name == "battery"
@@ -176,7 +177,7 @@ def limited(x: Lane, limit: jax.Array) -> Lane:
     return jnp.where(ends, width * jnp.tanh(x / width), x)
 
 
-def _check_numbers(motor: Motor, above: set[str]) -> None:
+def _check_numbers(motor: Motor, *above_zero: str) -> None:
     for name in vars(motor):
         check_number(motor, name)
-    check_above(motor, **dict.fromkeys(above, 0.0))
+    check_above(motor, **dict.fromkeys(above_zero, 0.0))

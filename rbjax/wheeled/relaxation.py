@@ -17,7 +17,8 @@ linear part, zeta' = -v_s - v zeta / sigma.) Hence
                 curve, it is within the ellipse.
     standing    v = v_n: a spring, which holds a car on a slope. It gives way at v_n C / (G sigma)
                 of its deflection a second, so make v_n small: 1e-4 m/s costs nothing here, since no
-                force changes faster than the spring and the damper c tau have it.
+                force changes faster than the spring and the damper c tau have it. As in Dahl's law
+                of friction, a load that comes and goes moves it a little each time.
     locked      sliding at v_s, it forgets within mu / c of way, so nothing winds up.
     power       mu . v_s = -d/dt (c zeta^2 / 2) - c tau zeta'^2 - mu^2 v / G, never gained.
 """
@@ -32,7 +33,14 @@ import jax
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
 from rbjax.model.record import Record, check_number, floats
-from rbjax.wheeled.tyres import Pair, Tyre, check_above, check_coefficients, pair
+from rbjax.wheeled.tyres import (
+    Pair,
+    Tyre,
+    check_above,
+    check_at_least,
+    check_coefficients,
+    pair,
+)
 
 
 class Relaxing(Record):
@@ -66,6 +74,7 @@ class Relaxing(Record):
         check_coefficients(self)
         check_number(self, "damping_time")
         check_above(self, length=0.0)
+        check_at_least(self, damping_time=0.0)
 
     @property
     def size(self) -> int:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Lane
 from rbjax.model.record import Record, check_number, floats
-from rbjax.wheeled.tyres import check_above
+from rbjax.wheeled.tyres import check_above, check_at_least
 
 
 class RollingResistance(Record):
@@ -32,6 +32,7 @@ class RollingResistance(Record):
         for name in ("coefficient", "smooth_speed"):
             check_number(self, name)
         check_above(self, smooth_speed=0.0)
+        check_at_least(self, coefficient=0.0)
 
     def torque(self, load: Lane, radius: Lane, roll_speed: Lane) -> Lane:
         """The torque on the wheel about its axle, N m.

@@ -42,7 +42,7 @@ from rbjax.model import Model
 from rbjax.model.record import check_number, floats
 from rbjax.wheeled.relaxation import Relaxing
 from rbjax.wheeled.rolling_resistance import RollingResistance
-from rbjax.wheeled.tyres import Pair, Tyre, check_above
+from rbjax.wheeled.tyres import Pair, Tyre, check_above, check_at_least
 
 
 class Contact(NamedTuple):
@@ -113,6 +113,7 @@ class TyreOnGround(Element):
         for name in ("radius", "stiffness", "damping", "onset"):
             check_number(self, name)
         check_above(self, radius=0.0, stiffness=0.0, onset=0.0)
+        check_at_least(self, damping=0.0)
 
     def may_be_endless(self, name: str) -> bool:
         return False

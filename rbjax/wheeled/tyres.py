@@ -147,7 +147,7 @@ def pair(x: jax.Array) -> Pair:
 
 
 def check_coefficients(record: Record) -> None:
-    """Refuse coefficients that are no numbers of the shape () or (2,), or None where that may be."""
+    """Refuse coefficients that are no numbers of the shape () or (2,)."""
     check_fields(record)
     for name, value in vars(record).items():
         if value is None or isinstance(value, Record):
@@ -164,6 +164,11 @@ def check_coefficients(record: Record) -> None:
 def check_above(record: Record, **least: Any) -> None:
     """Refuse coefficients that are not above these values, where both are known."""
     _check(record, least, np.greater, "above")
+
+
+def check_at_least(record: Record, **least: Any) -> None:
+    """Refuse coefficients that are below these values, where both are known."""
+    _check(record, least, np.greater_equal, "of at least")
 
 
 def check_up_to(record: Record, **most: Any) -> None:

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from rbjax.wheeled import Coulomb, Fiala, Linear, Pacejka, TMeasy
 from tests.quickly import quick_jit
@@ -24,6 +25,15 @@ LAWS = {
     "tmeasy": TMeasy(25.0, 0.1, 1.0, 0.4, 0.8),
     "tmeasy, two": TMeasy([28.0, 22.0], [0.1, 0.17], [1.05, 0.9], [0.45, 0.6], [0.9, 0.85]),
 }
+# two numbers of each kind are the general case; the slow tests take the others too
+GENERAL = {*(name for name in LAWS if "two" in name), "linear", "pacejka"} - {"linear, two"}
+EVERY = pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(law, id=name, marks=() if name in GENERAL else pytest.mark.slow)
+        for name, law in LAWS.items()
+    ],
+)
 
 
 def limits(law) -> np.ndarray | None:
