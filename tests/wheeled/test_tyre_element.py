@@ -131,9 +131,9 @@ def test_a_push_from_the_side():
     found = run(state)
     reference = np.hypot(4.0, 0.05)
     ends = reference * 30.0 / (20 * G * 9.0)
-    t = np.arange(1, 201) * 1e-3
+    t = np.arange(201) * 1e-3
     want = ends * (1 - np.exp(-G * 9.0 / reference * t))
-    np.testing.assert_allclose(found.v[:, 1], want[-found.v.shape[0] :], rtol=1e-6)
+    np.testing.assert_allclose(found.v[:, 1], want, rtol=1e-6)
     np.testing.assert_allclose(found.v[-1, [0, 3]], [4.0, 4.0 / lever], rtol=1e-12)
 
 
@@ -162,8 +162,8 @@ def test_a_relaxing_tyre_holds_on_a_slope():
     np.testing.assert_allclose(-rolled.x[-1], [mu * 0.3 / 12, 0.0], rtol=1e-4)
     assert np.abs(rolled.v[-1]).max() < 1e-6 and 0 < rolled.q[-1, 0] < 0.02
     simulated = rb.simulate(model, start, jnp.array([0.0, 0.2]))
-    np.testing.assert_allclose(simulated.x[-1], rolled.x[199], atol=1e-6)
-    np.testing.assert_allclose(simulated.q[-1], rolled.q[199], atol=1e-6)
+    np.testing.assert_allclose(simulated.x[-1], rolled.x[200], atol=1e-6)
+    np.testing.assert_allclose(simulated.q[-1], rolled.q[200], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -230,11 +230,13 @@ def test_in_single_precision_and_as_a_thread():
     state = at_rest(model, wheel, v0=2.0, v2=7.0).replace(x=jnp.full(2, 0.01))
     half = model.astype(jnp.float32)
     light = jax.tree.map(lambda x: x.astype(jnp.float32), state)
-    found = rb.applied_forces(half, light)
+    found = quick_jit(rb.applied_forces)(half, light)
     assert found.dtype == jnp.float32
-    np.testing.assert_allclose(found, rb.applied_forces(model, state), rtol=1e-3, atol=0.05)
-    explained = rb.threads.explain(lambda s: rb.step(half, s, None, 0.01).v, light)
-    assert explained.operations < 2000
+    np.testing.assert_allclose(
+        found, quick_jit(rb.applied_forces)(model, state), rtol=1e-3, atol=0.05
+    )
+    explained = rb.threads.explain(lambda s: rb.applied_forces(half, s), light)
+    assert explained.operations < 400
 
 
 @pytest.mark.parametrize(
