@@ -48,7 +48,8 @@ from rbjax.wheeled.tyres import Pair, Tyre, check_above, check_at_least
 class Contact(NamedTuple):
     """A tyre at an instant: p, where it touches; n, x, y, the directions there (all in world axes);
     depth, m; load N, in newtons; lever D, m; the sliding velocity, m/s, the traction mu, and the
-    rates of the state, along x and y; spin, rad/s about the axle."""
+    rates of the state, along x and y; spin, rad/s about the axle; roll_speed, m/s, at which the rim
+    comes round."""
 
     p: Vec3
     n: Vec3
@@ -61,6 +62,7 @@ class Contact(NamedTuple):
     mu: Pair
     rates: Any
     spin: Lane
+    roll_speed: Lane
 
 
 class TyreOnGround(Element):
@@ -149,7 +151,7 @@ class TyreOnGround(Element):
         rolls = lever * (spin - cosine * heading)
         mu, rates = own.tyre.response(vx + rolls, vy, rolls, now.x)
         p = B.position + arm
-        return Contact(p, n, x, y, depth, load, lever, (vx, vy), mu, rates, spin)
+        return Contact(p, n, x, y, depth, load, lever, (vx, vy), mu, rates, spin, rolls)
 
     def loads(self, now: Instant) -> Loads:
         at, A, B = now.once(self, lambda: self.contact(now)), self.a.frame(now), self.b.frame(now)

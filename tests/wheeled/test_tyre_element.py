@@ -167,7 +167,11 @@ def test_a_relaxing_tyre_holds_on_a_slope():
 
 
 @pytest.mark.parametrize(
-    "law", ["relaxing", *(pytest.param(n, marks=pytest.mark.slow) for n in list(LAWS)[3::2])]
+    "law",
+    [
+        "relaxing",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("pacejka, two", "tmeasy, two")),
+    ],
 )
 def test_gradients_of_a_motion(law):
     """By every number of the tyre, against central differences."""
@@ -191,6 +195,25 @@ def test_gradients_of_a_motion(law):
     ends = jax.jit(jax.vmap(lambda d: (cost(row + d) - cost(row - d)) / (2 * jnp.abs(d).sum())))
     scale = max(1.0, np.abs(gradient).max())
     assert np.abs(ends(steps) - gradient).max() / scale < 10 * GRADIENT
+
+
+def test_the_roll_speed_is_that_of_the_contact_on_the_ground():
+    """A disc that leans, turns and rolls without slip: its contact runs as fast as the rim does."""
+    p, oracle = ORACLE["rolling_disc"]["params"], ORACLE["rolling_disc"]["generic"]
+    turn = np.array(oracle["R0"]).reshape(3, 3)
+    start = on_the_plane(turn, np.array(oracle["omega0"]), oracle["com0"])
+    free, hub = disc().replace(constraints=()), rc.Place.on(body="disc")
+    wheel = TyreOnGround(GROUND, hub, Linear(1.0), jnp.asarray(p["r"]), 1e3)
+
+    def at(s):
+        q = rb.integrate(free, start.q, s * start.v)
+        found = wheel.contact(Instant.of(free, 0.0, start.replace(q=q), None))
+        return found.p.array, (found.x.array, jnp.stack([*found.sliding, found.roll_speed]))
+
+    (_, (x, speeds)), (dp, _) = quick_jit(lambda: jax.jvp(at, (0.0,), (1.0,)))()
+    np.testing.assert_allclose(speeds[:2], 0, atol=1e-6)  # the oracle's numbers of the start
+    np.testing.assert_allclose(dp @ x, speeds[2], rtol=1e-6)
+    assert abs(turn[2, 2]) > 0.1  # it does lean
 
 
 @pytest.mark.slow
