@@ -19,6 +19,7 @@ from rbjax import (
     solvers,
     spatial,
     sysid,
+    wheeled,
 )
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
@@ -140,5 +141,6 @@ __all__ = [
     "sysid",
     "threads",
     "validation",
+    "wheeled",
     "write_mjcf",
 ]

@@ -1,14 +1,58 @@
-"""Wheeled robots: rolling without slipping, and slipping when they must."""
+"""Wheeled robots: rolling without slipping, and slipping when they must.
+
+    parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
+    robots         kinds, with_trailers
+    fidelities     at(robot, name) -> a vehicle; fidelities
+    motion         start, rates, rollout, simulate
+    motors         TorqueSource, SpeedServo, DCMotor
+    tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
+    on any model   TyreOnGround, a force element
+"""
 
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.fidelity import Fidelity
+from rbjax.wheeled.kinds import with_trailers
 from rbjax.wheeled.motion import rollout, simulate
+from rbjax.wheeled.motors import DCMotor, Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
 from rbjax.wheeled.registry import at, fidelities, kinds
+from rbjax.wheeled.relaxation import Relaxing
 from rbjax.wheeled.robot import Robot
+from rbjax.wheeled.rolling_resistance import RollingResistance
 from rbjax.wheeled.states import rates, start
+from rbjax.wheeled.tyre_element import Contact, TyreOnGround
+from rbjax.wheeled.tyre_laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
+from rbjax.wheeled.tyres import Tyre, traction_along
 
 __all__ = [
-    "Arrangement", "Body", "Drive", "Fidelity", "Robot", "Steering", "Wheel", "at", "fidelities",
-    "kinds", "rates", "rollout", "simulate", "start",
-]  # fmt: skip
+    "Arrangement",
+    "Body",
+    "Contact",
+    "Coulomb",
+    "DCMotor",
+    "Drive",
+    "Fiala",
+    "Fidelity",
+    "Linear",
+    "Motor",
+    "Pacejka",
+    "Relaxing",
+    "Robot",
+    "RollingResistance",
+    "SpeedServo",
+    "Steering",
+    "TMeasy",
+    "TorqueSource",
+    "Tyre",
+    "TyreOnGround",
+    "Wheel",
+    "at",
+    "fidelities",
+    "kinds",
+    "rates",
+    "rollout",
+    "simulate",
+    "start",
+    "traction_along",
+    "with_trailers",
+]

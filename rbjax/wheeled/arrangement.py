@@ -38,12 +38,14 @@ class Leader:
 
 @dataclass(frozen=True)
 class Arrangement:
-    """mobility, steerability, leaders; trailing, the wheel that leads each trailer."""
+    """mobility, steerability, leaders; trailing, the wheel that leads each trailer; support, whether
+    the wheels of the chassis stand in a point (1), on a line (2) or around an area (3)."""
 
     mobility: int
     steerability: int
     leaders: tuple[Leader, ...]
     trailing: tuple[int, ...] = ()
+    support: int = 3
 
     @property
     def maneuverability(self) -> int:
@@ -89,7 +91,9 @@ def arrange(robot: Robot) -> Arrangement:
     if len(leaders) == 2 and len(steered) == 2:
         leaders.sort(key=lambda x: _place(robot, x)[0])  # the second is ahead
     trailing = tuple(_trailing(robot, k) for k in range(1, len(robot.bodies)))
-    return Arrangement(3 - len(leaders), len(steered), tuple(leaders), trailing)
+    places = np.array([np.asarray(w.position) for w in robot.wheels if w.body == 0])
+    support = 1 + int(np.linalg.matrix_rank(places - places[0], tol=1e-6))
+    return Arrangement(3 - len(leaders), len(steered), tuple(leaders), trailing, support)
 
 
 def _sources(robot: Robot) -> list[Leader]:

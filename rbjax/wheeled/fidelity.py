@@ -162,7 +162,7 @@ def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
     rates = w[2 + len(n.bodies) :]
     out: list[Lane] = [0.0] * len(n.shafts)
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
-        torque = drive.motor.torque(now.u[j], shaft_speed(n, drive.wheels, split, rates))
+        torque = n.motors[j].torque(now.u[j], shaft_speed(n, drive.wheels, split, rates))
         for i, share in zip(drive.wheels, split, strict=True):
             shaft = n.wheels[i].shaft
             out[shaft] = add(out[shaft], mul(share, torque))
@@ -197,11 +197,6 @@ def potential_energy(n: Numbers, now: Instant) -> Lane:
         fall = dot(n.downhill, origin)
         energy = sub(energy, add(mul(body.mass, fall), dot(n.downhill, moment)))
     return energy
-
-
-def zero_pull(n: Numbers) -> list[Twist]:
-    """No force on any body."""
-    return [Twist(0.0, 0.0, 0.0) for _ in n.bodies]
 
 
 def gravity_pull(n: Numbers, now: Instant, shape: Shape) -> list[Twist]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rbjax.lanes import Lane, add, is_zero, mul, sub, total
+import jax
+import jax.numpy as jnp
+
+from rbjax.lanes import Lane, add, is_zero, mul, total
 from rbjax.model.leaves import numbers as lanes
 from rbjax.model.leaves import scalar
-from rbjax.wheeled.planar import Pair, direction, dot, left, turned
+from rbjax.wheeled.planar import Pair, direction, dot
 
 if TYPE_CHECKING:
     from rbjax.wheeled.robot import Layout, Robot
@@ -61,11 +64,24 @@ class Numbers:
     #: gravity along the ground, in world axes, and across it
     downhill: Pair
     gravity: Lane
-    rolling_resistance: Lane
+    motors: tuple[Any, ...]
+    resistance: Any
 
     def lane(self, x: Any) -> Lane:
         """A number of a part."""
         return scalar(x, self.dtype)
+
+
+def with_lanes(part: Any, dtype: Any) -> Any:
+    """A motor or a tyre whose numbers are lanes."""
+    return jax.tree.map(lambda x: lane_of_leaf(x, dtype), part)
+
+
+def lane_of_leaf(x: Any, dtype: Any) -> Any:
+    """A number as a lane; an array of several as a tuple of lanes."""
+    if jnp.ndim(x) == 0:
+        return scalar(jnp.asarray(x), dtype)
+    return tuple(lanes(x, dtype))
 
 
 def numbers_of(robot: Robot, dtype: Any) -> Numbers:
@@ -119,5 +135,6 @@ def numbers_of(robot: Robot, dtype: Any) -> Numbers:
     return Numbers(
         robot, dtype, layout, tuple(bodies), tuple(wheels), tuple(shafts), splits,
         number(robot.turn_center), (mul(across, fall[0]), mul(across, fall[1])), across,
-        number(robot.rolling_resistance),
+        tuple(with_lanes(drive.motor, dtype) for drive in robot.drives),
+        with_lanes(robot.resistance, dtype),
     )  # fmt: skip

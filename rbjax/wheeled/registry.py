@@ -12,8 +12,9 @@ from rbjax.wheeled import kinds as made
 from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.rolling import Dynamical, Kinematic, Kinematical
+from rbjax.wheeled.slipping import Slipping
 
-_FIDELITIES: tuple[type[Fidelity], ...] = (Kinematic, Kinematical, Dynamical)
+_FIDELITIES: tuple[type[Fidelity], ...] = (Kinematic, Kinematical, Dynamical, Slipping)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_number, floats
 from rbjax.wheeled.arrangement import Arrangement, arrange
+from rbjax.wheeled.rolling_resistance import RollingResistance
 from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
 
 
@@ -52,7 +53,7 @@ class Robot(Record):
 
     Fields: bodies, the chassis first, each trailer behind the body that pulls it; wheels; drives;
     steerings; gravity, m/s^2; slope (2,), how steeply the ground falls along x and along y, as
-    tangents; rolling_resistance, the coefficient of all wheels; turn_center, m, the x of the axis
+    tangents; resistance, a `RollingResistance` of all wheels, or None; turn_center, m, the x of the axis
     on which a robot with skidding wheels turns. Static: arrangement, what its wheels allow.
 
     Controls u are one number a drive, then one a steering.
@@ -72,9 +73,7 @@ class Robot(Record):
     steerings: tuple[Steering, ...] = ()
     gravity: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(9.81))
     slope: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.zeros(2))
-    rolling_resistance: jax.Array = eqx.field(
-        converter=floats, default_factory=lambda: jnp.asarray(0.0)
-    )
+    resistance: RollingResistance | None = None
     turn_center: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
     arrangement: Arrangement | None = eqx.field(static=True, default=None)
 
@@ -84,7 +83,7 @@ class Robot(Record):
             self.arrangement = arrange(self)
 
     def __check_init__(self) -> None:
-        for name in ("gravity", "rolling_resistance", "turn_center"):
+        for name in ("gravity", "turn_center"):
             check_number(self, name)
         if jnp.shape(self.slope) != (2,):
             raise InputError(f"Robot: slope has shape {jnp.shape(self.slope)}, expected (2,)")

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rbjax.lanes import Lane, ldlt, mul, neg, sub, total
+from rbjax.lanes import Lane, add, ldlt, mul, neg, sub, total
 from rbjax.wheeled.equations import columns_of, project
 from rbjax.wheeled.fidelity import (
     Fidelity,
@@ -23,7 +23,7 @@ from rbjax.wheeled.fidelity import (
 )
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import Moving, Twist, rate_of, value_of
-from rbjax.wheeled.resistance import rolling_torques
+from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.velocities import (
     chassis_twist,
     free_velocities,
@@ -64,7 +64,7 @@ class Kinematic(Fidelity):
                     for drive, split in zip(n.robot.drives, n.splits, strict=True)
                 ]
             )
-        speeds = [drive.motor.free_speed(u) for drive, u in zip(n.robot.drives, now.u, strict=False)]
+        speeds = [motor.free_speed(u) for motor, u in zip(n.motors, now.u, strict=False)]
         M = [[total(mul(a, b) for a, b in zip(x, y, strict=True)) for y in columns] for x in columns]
         f = [total(mul(a, s) for a, s in zip(x, speeds, strict=True)) for x in columns]
         return ideal(n, shape, ldlt(M).solve(f))
@@ -90,8 +90,10 @@ class Rolling(Fidelity):
         return free_velocities(n, shape_of(n, angles_of(n, now)), Twist(*w[:3]))
 
     def _driven(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
-        resisting = rolling_torques(n, w)
-        return [sub(a, b) for a, b in zip(shaft_torques(n, now, w), resisting, strict=True)]
+        if n.resistance is None:
+            return shaft_torques(n, now, w)
+        loads = wheel_loads(n)
+        return added(shaft_torques(n, now, w), resisting_torques(n, w, loads))
 
 
 class Kinematical(Rolling):
@@ -140,12 +142,12 @@ class Dynamical(Rolling):
         moving = [Moving(a, r) for a, r in zip(angles, angle_rates(n, now, w), strict=True)]
         shape = shape_of(n, angles)
         M, f = project(
-            n, angles, [a.rate for a in moving], _as_they_are, w,
+            n, angles, [a.rate for a in moving], all_of, w,
             gravity_pull(n, now, shape), self._driven(n, now, w),
         )  # fmt: skip
         factors = ldlt(M)
         free = factors.solve(f)
-        units = columns_of(n, shape, _as_they_are, len(w))
+        units = columns_of(n, shape, all_of, len(w))
         A = [rows(n, shape, unit) for unit in units]  # by column
         size = len(A[0])
         bias = [rate_of(x) for x in rows(n, shape_of(n, moving), w)]
@@ -168,5 +170,10 @@ class Dynamical(Rolling):
         return [value_of(x) for x in free_velocities(n, shape, V)]
 
 
-def _as_they_are(n: Numbers, shape: object, w: list[Lane]) -> list[Lane]:
+def added(a: list[Lane], b: list[Lane]) -> list[Lane]:
+    """Entry by entry."""
+    return [add(x, y) for x, y in zip(a, b, strict=True)]
+
+
+def all_of(n: Numbers, shape: object, w: list[Lane]) -> list[Lane]:
     return list(w)

@@ -231,10 +231,9 @@ def motion(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Motion:
     twists = twists_of(n, shape, w)
     rates = w[2 + len(n.bodies) :]
     turns = list(zip(n.shafts, rates, strict=True))
-    for drive, split in zip(n.robot.drives, n.splits, strict=True):
-        inertia = drive.motor.reflected(n.dtype)
-        if not is_zero(inertia):
-            turns.append((inertia, shaft_speed(n, drive.wheels, split, rates)))
+    for drive, motor, split in zip(n.robot.drives, n.motors, n.splits, strict=True):
+        if not is_zero(motor.inertia):
+            turns.append((motor.inertia, shaft_speed(n, drive.wheels, split, rates)))
     casters = caster_rates(n, shape, twists)
     for i, rate in zip(n.layout.caster_wheels, casters, strict=True):
         wheel = n.wheels[i]

@@ -1,0 +1,169 @@
+"""Wheels that slip: the contact's force is a law of tyres, and all velocities are free.
+
+    M w' = f + sum J_i^T N_i mu_i(slip of wheel i),     shafts: - r N mu along the wheel
+
+A wheel with rollers passes only the force along their axis. A caster swivels without resistance,
+so only the force along it is passed. Loads are those of `loads`, with their transfer.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.lanes import Lane, add, ldlt, mul, neg
+from rbjax.wheeled.equations import project
+from rbjax.wheeled.fidelity import (
+    Fidelity,
+    Instant,
+    angle_rates,
+    angles_of,
+    gravity_pull,
+    shaft_torques,
+)
+from rbjax.wheeled.loads import resisting_torques, wheel_loads
+from rbjax.wheeled.numbers import Numbers, with_lanes
+from rbjax.wheeled.planar import Pair, Twist, cross, turned
+from rbjax.wheeled.rolling import added, all_of
+from rbjax.wheeled.tyres import Tyre
+from rbjax.wheeled.tyre_laws import Fiala
+from rbjax.wheeled.velocities import contact, shape_of, twists_of
+
+
+class Slipping(Fidelity):
+    """A robot whose wheels slip: v = w, all velocities; x, the states of tyres that relax.
+
+    Fields: robot; tyre, the law of all wheels, or a tuple of one law a wheel.
+
+    Example:
+        >>> import rbjax as rb
+        >>> robot = rb.wheeled.kinds()["omni_3"].make()
+        >>> vehicle = rb.wheeled.at(robot, "slipping", tyre=rb.wheeled.Fiala(20.0, 0.8))
+        >>> vehicle.nv, vehicle.nx
+        (6, 0)
+    """
+
+    name: ClassVar[str] = "slipping"
+    ideal: ClassVar[bool] = False
+    tyre: Any = None
+
+    def __post_init__(self) -> None:
+        if self.tyre is None:
+            self.tyre = Fiala(20.0, 0.9)
+
+    def __check_init__(self) -> None:
+        tyres = self.tyre if isinstance(self.tyre, tuple) else (self.tyre,)
+        if not all(isinstance(x, Tyre) or _relaxes(x) for x in tyres):
+            raise InputError(
+                f"Slipping: tyre is {type(self.tyre).__name__}, expected a law of tyres, such as "
+                "rbjax.wheeled.Fiala(20.0, 0.9), or a tuple of one for each wheel"
+            )
+        if isinstance(self.tyre, tuple) and len(self.tyre) != len(self.robot.wheels):
+            raise InputError(
+                f"Slipping: got {len(self.tyre)} tyres, expected one for each of the "
+                f"{len(self.robot.wheels)} wheels"
+            )
+        for i, (wheel, tyre) in enumerate(zip(self.robot.wheels, self.tyres, strict=True)):
+            if wheel.kind in ("rollers", "caster") and _relaxes(tyre):
+                raise InputError(
+                    f"Slipping: the tyre of wheels[{i}], which has {wheel.kind}, relaxes; expected "
+                    "a law without states there"
+                )
+            known = isinstance(wheel.inertia, (np.ndarray, jnp.ndarray)) and not _traced(wheel)
+            if known and not float(wheel.inertia) > 0 and wheel.shaft is None:
+                raise InputError(
+                    f"Slipping: wheels[{i}].inertia is {float(wheel.inertia)}, expected a number "
+                    "above zero: a wheel that slips turns by its own inertia"
+                )
+
+    @property
+    def tyres(self) -> tuple[Any, ...]:
+        """The law of each wheel."""
+        if isinstance(self.tyre, tuple):
+            return self.tyre
+        return (self.tyre,) * len(self.robot.wheels)
+
+    @property
+    def nv(self) -> int:
+        return self.robot.layout.nw
+
+    @property
+    def nx(self) -> int:
+        return sum(tyre.size for tyre in self.tyres)
+
+    def full(self, n: Numbers, now: Instant) -> list[Lane]:
+        return now.v
+
+    def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
+        return w
+
+    def contacts(self, n: Numbers, now: Instant) -> tuple[list[Pair], list[Lane]]:
+        """The traction of each wheel for each newton of load, along its heading and to its left;
+        the rates of the states of tyres."""
+        shape = shape_of(n, angles_of(n, now))
+        twists = twists_of(n, shape, now.v)
+        rates = now.v[2 + len(n.bodies) :]
+        out, states, taken = [], [], 0
+        for i, (wheel, law) in enumerate(zip(n.wheels, self.tyres, strict=True)):
+            tyre = with_lanes(law, n.dtype)
+            along, across = contact(n, shape, twists, i)
+            roll = mul(wheel.radius, rates[wheel.shaft])
+            if wheel.kind == "caster":
+                out.append((_one_way(tyre, along - roll, roll), 0.0))
+            elif wheel.kind == "rollers":
+                # (along - roll) e . a + across n . a, a the axis of the rollers
+                c = (1.0 + wheel.slant * wheel.slant) ** -0.5
+                slides = mul(c, add(along - roll, mul(wheel.slant, across)))
+                pull = _one_way(tyre, slides, roll)
+                out.append((mul(pull, c), mul(pull, mul(c, wheel.slant))))
+            else:
+                z = now.x[taken : taken + tyre.size]
+                taken += tyre.size
+                pull, rate = tyre.response(along, across, roll, z)
+                out.append(pull)
+                states.extend(rate)
+        return out, states
+
+    def forces(self, n: Numbers, now: Instant) -> tuple[list[Lane], list[Pair]]:
+        """The loads of wheels, N, and the forces on them, N, along x and y of their bodies."""
+        shape = shape_of(n, angles_of(n, now))
+        pulls, _ = self.contacts(n, now)
+        pulls = [turned(pull, e) for pull, e in zip(pulls, shape.wheels, strict=True)]
+        loads = wheel_loads(n, pulls)
+        return loads, [
+            (mul(load, x), mul(load, y)) for load, (x, y) in zip(loads, pulls, strict=True)
+        ]
+
+    def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        angles = angles_of(n, now)
+        shape = shape_of(n, angles)
+        loads, forces = self.forces(n, now)
+        pulls = gravity_pull(n, now, shape)
+        torques = shaft_torques(n, now, now.v)
+        if n.resistance is not None:
+            torques = added(torques, resisting_torques(n, now.v, loads))
+        for wheel, e, force in zip(n.wheels, shape.wheels, forces, strict=True):
+            pulls[wheel.body] = pulls[wheel.body] + Twist(*force, cross(wheel.position, force))
+            braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))
+            torques[wheel.shaft] = add(torques[wheel.shaft], braking)
+        M, f = project(n, angles, angle_rates(n, now, now.v), all_of, now.v, pulls, torques)
+        return ldlt(M).solve(f)
+
+    def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
+        return self.contacts(n, now)[1] if self.nx else []
+
+
+def _one_way(tyre: Any, slides: Lane, roll: Lane) -> Lane:
+    """The traction of a law along one axis."""
+    return tyre.traction(slides / tyre.reference_speed(roll), 0.0)[0]
+
+
+def _relaxes(tyre: Any) -> bool:
+    return getattr(tyre, "size", 0) > 0
+
+
+def _traced(wheel: Any) -> bool:
+    return not hasattr(wheel.inertia, "__array__") or "Tracer" in type(wheel.inertia).__name__
