@@ -10,9 +10,10 @@ Poses are (x, y, heading) in m and rad; leading axes are a batch.
 from rbjax.planning.controls import Controls
 from rbjax.planning.curves import Curve, dubins, reeds_shepp
 from rbjax.planning.footprint import Footprint, clear, clearance
-from rbjax.planning.grid_dijkstra import Plan, grid_dijkstra
+from rbjax.planning.grid_dijkstra import grid_dijkstra
 from rbjax.planning.many_searches import grid_dijkstra_many
 from rbjax.planning.occupancy import DistanceField, OccupancyGrid
+from rbjax.planning.paths import Path, Plan
 
 __all__ = [
     # shortest curves
