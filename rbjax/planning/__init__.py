@@ -11,9 +11,10 @@ from rbjax.planning.controls import Controls
 from rbjax.planning.curves import Curve, dubins, reeds_shepp
 from rbjax.planning.footprint import Footprint, clear, clearance
 from rbjax.planning.grid_dijkstra import grid_dijkstra
+from rbjax.planning.hybrid_a_star import hybrid_a_star
 from rbjax.planning.many_searches import grid_dijkstra_many
 from rbjax.planning.occupancy import DistanceField, OccupancyGrid
-from rbjax.planning.paths import Path, Plan
+from rbjax.planning.paths import Path, Plan, clear_along
 
 __all__ = [
     # shortest curves
@@ -26,10 +27,13 @@ __all__ = [
     # robots on maps
     "Footprint",
     "clear",
+    "clear_along",
     "clearance",
     # searches
     "Controls",
+    "Path",
     "Plan",
     "grid_dijkstra",
     "grid_dijkstra_many",
+    "hybrid_a_star",
 ]

@@ -12,7 +12,7 @@ headings stay on a ring of n values. Then all motions there are make a table by 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -120,6 +120,12 @@ class Controls:
         bent = ~np.isclose(bend[:, None], bend, rtol=1e-9, atol=0)
         after = self.costs + self.reversal * reversed_ + self.steering * bent
         return np.vstack([after, self.costs])
+
+    def in_reverse(self) -> Controls:
+        """The same motions backwards in time, at the same costs."""
+        return replace(
+            self, speeds=-self.speeds, turn_rates=-self.turn_rates, sideways=-self.sideways
+        )
 
     def path(self, start: np.ndarray, controls: np.ndarray) -> Path:
         """The motion by numbers (n,) of controls, from a pose (3,)."""

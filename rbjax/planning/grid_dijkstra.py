@@ -244,21 +244,27 @@ class _Search:
 
     def _path(self, cost: int, last: _Nodes, count: int) -> Plan:
         """The way back to the start from a node in the goal set."""
-        firsts = np.cumsum([0, *(len(wave.age) for wave in self.visited)])
-        places, used = [], []
-        node = last
-        while True:
-            places.append((node.x[0], node.y[0]))
-            parent = int(node.parent[0])
-            if parent < 0:
-                break
-            used.append(int(node.control[0]))
-            wave = int(np.searchsorted(firsts, parent, "right")) - 1
-            node = self.visited[wave].those(np.array([parent - firsts[wave]]))
-        chosen = np.array(used[::-1], int)
-        heading = self.table.along(self.start[2], chosen)
-        poses = np.column_stack([places[::-1], heading])
+        places, chosen = way_back(self.visited, last)
+        poses = np.column_stack([places, self.table.along(self.start[2], chosen)])
         return Plan("found", cost, poses, chosen, count, self.controls.path(self.start, chosen))
+
+
+def way_back(visited: list, last: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n + 1, 2) and controls (n,) from the start to a node.
+
+    visited: nodes of each wave, with the fields x, y, parent and control. last: one such node.
+    """
+    firsts = np.cumsum([0, *(len(wave.x) for wave in visited)])
+    places, used = [], []
+    node = last
+    while True:
+        places.append((node.x[0], node.y[0]))
+        parent = int(node.parent[0])
+        if parent < 0:
+            return np.array(places[::-1]), np.array(used[::-1], int)
+        used.append(int(node.control[0]))
+        wave = int(np.searchsorted(firsts, parent, "right")) - 1
+        node = visited[wave].those(np.array([parent - firsts[wave]]))
 
 
 def check_poses(where: str, start: Any, goal: Any, axes: int = 1) -> tuple[np.ndarray, np.ndarray]:

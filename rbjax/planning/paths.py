@@ -35,6 +35,16 @@ def moved(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
     return chord * (c * a - s * b), chord * (s * a + c * b)
 
 
+def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
+    """Poses (..., n + 1, 3) before and after each of the steps (..., n, 3) from a pose (..., 3)."""
+    turned = xp.cumsum(steps[..., 2], -1)
+    turned = xp.concatenate([xp.zeros_like(start[..., 2:]), turned], -1)
+    headings = start[..., 2:] + turned
+    way = xp.stack(moved(headings[..., :-1], steps, xp), -1)
+    xy = xp.cumsum(xp.concatenate([start[..., None, :2], way], -2), -2)
+    return xp.concatenate([xy, headings[..., None]], -1)
+
+
 class Path(Record):
     """A chain of twists; leading axes are a batch.
 
@@ -64,12 +74,7 @@ class Path(Record):
     @property
     def poses(self) -> jax.Array:
         """Poses (..., n + 1, 3) before and after each step."""
-        turned = jnp.cumsum(self.steps[..., 2], -1)
-        headings = jnp.concatenate([jnp.zeros_like(turned[..., :1]), turned], -1)
-        headings = self.start[..., 2:] + headings
-        way = jnp.stack(moved(headings[..., :-1], self.steps), -1)
-        xy = jnp.concatenate([self.start[..., None, :2], way], -2).cumsum(-2)
-        return jnp.concatenate([xy, headings[..., None]], -1)
+        return chain(self.start, self.steps)
 
     @property
     def lengths(self) -> jax.Array:
