@@ -10,6 +10,7 @@ Poses are (x, y, heading) in m and rad; leading axes are a batch.
 from rbjax.planning.controls import Controls
 from rbjax.planning.curves import Curve, dubins, reeds_shepp
 from rbjax.planning.footprint import Footprint, clear, clearance
+from rbjax.planning.grid_a_star import grid_a_star
 from rbjax.planning.grid_dijkstra import grid_dijkstra
 from rbjax.planning.hybrid_a_star import hybrid_a_star
 from rbjax.planning.many_searches import grid_dijkstra_many
@@ -33,6 +34,7 @@ __all__ = [
     "Controls",
     "Path",
     "Plan",
+    "grid_a_star",
     "grid_dijkstra",
     "grid_dijkstra_many",
     "hybrid_a_star",

@@ -1,4 +1,6 @@
-"""Motions that connect two poses exactly and know no obstacles: bounds and ends of a search.
+"""How a search ends at its target: bounds of the price from there on, and the last motions.
+
+`GoalSet`: it is near enough. `Direct`: a motion that knows no obstacles leads exactly to it.
 
     a car                    Reeds and Shepp's curve; Dubins', if it drives in one gear
     a robot that can turn    turn towards the goal, drive, turn: with the front or the back ahead
@@ -43,6 +45,32 @@ def _of_a_car(gears: int, start: jax.Array, goal: jax.Array, radius: jax.Array) 
 _car_steps = compiled(_of_a_car, options=wide_vectors, static_argnums=0)
 
 
+class GoalSet:
+    """Poses near the target, within m and rad."""
+
+    def __init__(self, where: str, controls: Controls, tolerance: tuple[float, float]):
+        self.near, self.turn = tolerance
+        self.rate = cheapest_way(where, controls)
+
+    def __call__(
+        self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As `Direct`, with connections (m, 0, 3) that are empty."""
+        off = poses - goal
+        there = np.hypot(off[:, 0], off[:, 1]) <= self.near
+        there &= np.abs(_half_turn(off[:, 2])) <= self.turn
+        m = len(poses)
+        return np.zeros(m), np.zeros((m, 0, 3)), np.where(there, 0.0, np.inf)
+
+
+def cheapest_way(where: str, controls: Controls) -> float:
+    """The least price of a m."""
+    way = np.hypot(controls.speeds, controls.sideways) * controls.dt
+    if not way.any():
+        raise InputError(f"{where}: these controls cannot drive; add one that can")
+    return float((controls.costs[way > 0] / way[way > 0]).min())
+
+
 class Direct:
     """Direct connections of a robot with some controls."""
 
@@ -52,12 +80,9 @@ class Direct:
         self.spot = turns & ~drives & ~slides
         self.kind = "omni" if slides.any() else "spot" if self.spot.any() else "car"
         way = np.hypot(steps[:, 0], steps[:, 1])
-        if not way.any() or not turns.any():
-            raise InputError(
-                f"{where}: these controls cannot {'turn' if way.any() else 'drive'}, so they reach "
-                "few poses; add one that can"
-            )
-        self.rate = float((controls.costs[way > 0] / way[way > 0]).min())
+        self.rate = cheapest_way(where, controls)
+        if not turns.any():
+            raise InputError(f"{where}: these controls cannot turn; add one that can")
         self.turning = float((controls.costs[turns] / np.abs(steps[turns, 2])).min())
         self.apart = not (turns & (way > 0)).any()  # no control does both
         self.radius = self._radius(where) if self.kind == "car" else 0.0
@@ -85,8 +110,18 @@ class Direct:
                 rates[at] = min(rates[at], cost / way)
         return rates
 
-    def __call__(self, poses: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lower bounds (m,) of the price from poses (m, 3) to a goal; connections (m, 5, 3)."""
+    near = 0.0
+
+    def __call__(
+        self, poses: np.ndarray, goal: np.ndarray, after: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lower bounds (m,) of the price from poses (m, 3) to a goal; connections (m, 5, 3), and
+        their prices (m,) after controls (m,)."""
+        bound, steps = self.connections(poses, goal)
+        return bound, steps, self.price(steps, after)
+
+    def connections(self, poses: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lower bounds (m,) and connections (m, 5, 3) from poses (m, 3) to a goal."""
         if self.kind == "car":
             steps = self._curves(poses, goal)
             return self.rate * np.abs(steps[..., 0]).sum(1), steps
