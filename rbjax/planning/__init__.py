@@ -4,7 +4,8 @@
     shortest curves       dubins, reeds_shepp -> Curve
     maps                  OccupancyGrid, its DistanceField
     robots on maps        Footprint, clear, clearance, clear_along
-    searches              hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many, with Controls
+    searches              hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many
+                          with Controls -> Plan
     refinement            smooth -> Smoothed
 Poses are (x, y, heading) in m and rad; leading axes are a batch.
 """

@@ -81,7 +81,8 @@ class Search:
         self.open: dict[int, list[_Nodes]] = {}
         self.visited: list[_Nodes] = []
         self.count = 0
-        self.best, self.end = math.inf, None  # the price of the best path; its node, its connection
+        self.best = math.inf  # the price of the best path
+        self.end: tuple[_Nodes, np.ndarray] | None = None  # its last node, and its connection
         self.untested: list[tuple[_Nodes, np.ndarray, np.ndarray]] = []
 
     def run(self, max_count: int | None) -> tuple[Plan, np.ndarray]:
@@ -92,7 +93,10 @@ class Search:
         cell, _ = self._cells(x, y, zero)
         first = _Nodes(x, y, cell, zero - 1, zero - 1, zero, np.zeros(1, bool))
         self.least[cell] = 0
-        self._put(first, self.weight * self._around(x, y))
+        far = self._around(x, y)
+        if not np.isfinite(far).all():
+            return Plan("no path"), np.zeros((0, 3))
+        self._put(first, self.weight * far)
         exhausted = False
         while self.open and not exhausted:
             if min(self.open) * self.width >= self.best:

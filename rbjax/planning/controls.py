@@ -4,8 +4,9 @@ A control is a speed v and a turning rate w that are held for a time dt:
 
     x' = v cos(theta),  y' = v sin(theta),  theta' = w
 
-A robot that slides sideways has a speed u to the left too. The motion is an arc, integrated exactly. If w dt is a multiple of the width of a heading's cell,
-headings stay on a ring of n values. Then all motions there are make a table by heading and control.
+A robot that slides sideways has a speed u to the left too. The motion is an arc, integrated
+exactly. If w dt is a multiple of the width of a heading's cell, headings stay on a ring of n
+values. Then all motions there are make a table by heading and control.
 (Lynch & Park, *Modern Robotics*, 10.4.2, figure 10.14)
 """
 
@@ -15,6 +16,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
@@ -129,7 +131,7 @@ class Controls:
 
     def path(self, start: np.ndarray, controls: np.ndarray) -> Path:
         """The motion by numbers (n,) of controls, from a pose (3,)."""
-        return Path(start, self.steps[controls].reshape(-1, 3))
+        return Path(jnp.asarray(start), jnp.asarray(self.steps[controls].reshape(-1, 3)))
 
     def turns(self, headings: int) -> np.ndarray:
         """w dt (n,) as numbers of heading cells."""

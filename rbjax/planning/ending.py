@@ -133,16 +133,15 @@ class Direct:
 
     def price(self, steps: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Prices (m,) of connections (m, n, 3) after controls (m,), -1 for none."""
-        way = np.hypot(steps[..., 0], steps[..., 1])
-        turn = np.where(np.abs(steps[..., 2]) > 0, steps[..., 2], 0.0)
-        least = 1e-12 * (1 + way.max(initial=0.0))
-        gear = np.where(np.abs(steps[..., 0]) > least, np.sign(steps[..., 0]), 0).astype(int)
-        bend = np.where(way > least, turn / np.where(way > least, steps[..., 0] + (gear == 0), 1), 0)
-        there = (way > least) | (np.abs(turn) > 1e-12)
-        rates = np.where(
-            way > least, self._rate(gear, np.sign(np.round(bend, 9)).astype(int)), 0.0
-        )
-        total = (np.where(way > least, rates * way, self.turning * np.abs(turn)) * there).sum(1)
+        way, turn = np.hypot(steps[..., 0], steps[..., 1]), steps[..., 2]
+        drives = way > 1e-12 * (1 + way.max(initial=0.0))
+        there = drives | (np.abs(turn) > 1e-12)
+        ahead = np.where(drives, steps[..., 0], 0.0)
+        gear = np.sign(ahead).astype(int)
+        bend = turn * drives * gear / np.where(gear == 0, 1.0, np.abs(ahead))
+        rates = self._rate(gear, np.where(np.abs(bend) > 1e-9, np.sign(bend), 0).astype(int))
+        each = np.where(drives, np.where(drives, rates, 0) * way, self.turning * np.abs(turn))
+        total = np.where(there, each, 0.0).sum(1)
         known = after >= 0
         last = np.where(known, np.sign(self.controls.speeds[after]), 0)
         bent = np.where(known, self.controls.curvatures[after], np.nan)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
@@ -181,7 +182,7 @@ def _refined(
     if n < 2:
         return replace(found, refinement="as it was")
     rest = np.zeros((-n % ROW, 3), path.steps.dtype)
-    padded = Path(path.start, np.concatenate([path.steps, rest]))
+    padded = Path(path.start, jnp.concatenate([path.steps, rest]))
     better = smooth(padded, grid.distance_field(), footprint, radius, margin)
     if better.status != "smoothed":
         return replace(found, refinement=better.status)

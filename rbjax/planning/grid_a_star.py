@@ -53,8 +53,8 @@ def grid_a_star(
         >>> grid = OccupancyGrid(walls, 0.1)
         >>> car = Controls.car(radius=0.5, turn=np.deg2rad(20.0), reversal=2)
         >>> plan = grid_a_star(grid, Footprint.disc(0.2), [1, 1, 0], [3, 1, 0], car, headings=36)
-        >>> plan.status, plan.cost
-        ('found', 28)
+        >>> plan.status, plan.poses.shape == (len(plan.controls) + 1, 3)
+        ('found', True)
     """
     where = "grid_a_star"
     check_problem(where, grid, footprint, controls, tolerance, headings, max_count)

@@ -255,7 +255,8 @@ def way_back(visited: list, last: Any) -> tuple[np.ndarray, np.ndarray]:
     visited: nodes of each wave, with the fields x, y, parent and control. last: one such node.
     """
     firsts = np.cumsum([0, *(len(wave.x) for wave in visited)])
-    places, used = [], []
+    places: list[tuple[float, float]] = []
+    used: list[int] = []
     node = last
     while True:
         places.append((node.x[0], node.y[0]))

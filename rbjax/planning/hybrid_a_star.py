@@ -1,8 +1,8 @@
 """Hybrid A*: continuous poses in cells, led by lower bounds, ended by an exact curve.
 
-Controls lead from cell to cell (`best_first`). From the nodes of least f, the direct connection with
-the target, Reeds and Shepp's curve for a car, is tested for obstacles. If it is free, it ends a path
-exactly where it should. Its length is also one of the two lower bounds.
+Controls lead from cell to cell (`best_first`). From the nodes of least f, the direct connection
+with the target, Reeds and Shepp's curve for a car, is tested for obstacles. If it is free, it ends
+a path exactly where it should. Its length is also one of the two lower bounds.
 
 Cramped ends. A direct connection needs room, so it should end where there is some: the root is the
 end with less clearance. From the goal, controls are driven backwards in time.
@@ -17,6 +17,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
@@ -117,4 +118,5 @@ def _between(
         poses[:, 2] += start[2] - poses[0, 2]
     poses[0] = start
     poses[-1] = *goal[:2], goal[2] + 2 * math.pi * round((poses[-1, 2] - goal[2]) / (2 * math.pi))
-    return replace(plan, poses=poses, controls=controls, path=Path(start, steps))
+    path = Path(jnp.asarray(start), jnp.asarray(steps))
+    return replace(plan, poses=poses, controls=controls, path=path)

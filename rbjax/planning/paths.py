@@ -54,7 +54,7 @@ class Path(Record):
     Example:
         >>> quarter = Path([0.0, 0.0, 0.0], [[np.pi / 2, 0.0, np.pi / 2], [-1.0, 0.0, 0.0]])
         >>> quarter.poses.round(6).tolist()[-1]
-        [1.0, 0.0, 1.570796]
+        [1.0, 0.0, 1.57079...]
         >>> quarter.gears.tolist(), quarter.curvatures.tolist(), round(float(quarter.length), 4)
         ([1.0, -1.0], [1.0, 0.0], 2.5708)
     """
@@ -124,7 +124,7 @@ class Path(Record):
         runs = _joined(np.asarray(self.steps))
         size = np.maximum(np.hypot(runs[:, 0], runs[:, 1]), np.abs(runs[:, 2]))
         parts = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12))).astype(int)
-        return Path(self.start, np.repeat(runs / parts[:, None], parts, 0))
+        return Path(self.start, jnp.asarray(np.repeat(runs / parts[:, None], parts, 0)))
 
 
 def _joined(steps: np.ndarray) -> np.ndarray:

@@ -60,8 +60,8 @@ class Smoothed(Record):
 
 
 class _Problem(NamedTuple):
-    """Fields: path; field; footprint; radius; margin; arcs (n,), which steps are; unit (n,) m, their
-    lengths; same (n - 1,), whether two neighbours are arcs in one gear; goal (3,)."""
+    """Fields: path; field; footprint; radius; margin; arcs (n,), which steps are; unit (n,) m,
+    their lengths; same (n - 1,), whether two neighbours are arcs in one gear; goal (3,)."""
 
     path: Path
     field: DistanceField
@@ -230,13 +230,13 @@ def smooth(
             raise InputError(f"smooth: {name} is {n!r}, expected a positive integer")
     dtype = jnp.result_type(path.steps, field.values)
     margin = 4 * field.resolution if margin is None else margin
-    lengths = []
+    sizes = []
     for name, x in (("radius", radius), ("margin", margin)):
         if not isinstance(x, jax.core.Tracer) and not (
             np.ndim(x) == 0 and np.isfinite(x) and x > 0
         ):
             raise InputError(f"smooth: {name} is {x!r}, expected a length above zero")
-        lengths.append(jnp.asarray(x, dtype))
+        sizes.append(jnp.asarray(x, dtype))
     path = Path(path.start.astype(dtype), path.steps.astype(dtype))
     run = _program if alone() else _smooth
-    return run(path, field, footprint, *lengths, iterations=iterations, parts=parts)
+    return run(path, field, footprint, sizes[0], sizes[1], iterations=iterations, parts=parts)

@@ -46,7 +46,9 @@ class SweptMap:
         free[test] = (self.below(a, b) > self.radii[motion]).all(1)
         return free
 
-    def free_chains(self, starts: np.ndarray, steps: np.ndarray, footprint: Footprint) -> np.ndarray:
+    def free_chains(
+        self, starts: np.ndarray, steps: np.ndarray, footprint: Footprint
+    ) -> np.ndarray:
         """Whether chains of steps (m, n, 3) from poses (m, 3) are free, as `clear_along` says."""
         centers, radii = np.asarray(footprint.centers, float), np.asarray(footprint.radii, float)
         way = np.hypot(steps[..., 0], steps[..., 1])[..., None] + np.abs(steps[..., 2:]) * np.hypot(
