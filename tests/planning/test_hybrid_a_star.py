@@ -14,9 +14,7 @@ SIZE = dict(ahead=0.7, behind=0.2, width=0.4)
 CAR = Footprint.rectangle(**SIZE)
 RADIUS = 0.8
 TURN = 2 * math.pi / 72 * 3
-STEER = Controls.car(
-    RADIUS, TURN, costs=[11, 10, 11, 13, 12, 13], reversal=10, steering=1
-)
+STEER = Controls.car(RADIUS, TURN, costs=[11, 10, 11, 13, 12, 13], reversal=10, steering=1)
 AHEAD = Controls([1.0] * 3, np.array([1.0, 0.0, -1.0]) / RADIUS, TURN * RADIUS)
 SCENES = {
     # a gap of 1.5 m between parked cars

@@ -1,4 +1,4 @@
-"""Smoother paths: same ends and gears, bounded curvature, free, cheaper; one for one and for many."""
+"""Smoother paths: same ends and gears, bounded curvature, free, cheaper; for one and for many."""
 
 import math
 
@@ -23,8 +23,11 @@ def found(scene: str, n: int = 96):
     return grid, Path(path.start, jnp.concatenate([path.steps, jnp.zeros((rest, 3))]))
 
 
-def test_better_and_as_allowed() -> None:
-    names = list(SCENES)
+@pytest.mark.parametrize(
+    "names",
+    [["narrow gap"], pytest.param(["parallel parking", "dead end"], marks=pytest.mark.slow)],
+)
+def test_better_and_as_allowed(names: list[str]) -> None:
     for name in names:
         grid, path = found(name)
         field = grid.distance_field()
