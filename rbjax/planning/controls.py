@@ -77,9 +77,7 @@ class Controls:
         for name in ("reversal", "steering"):
             x = getattr(self, name)
             if not isinstance(x, (int, np.integer)) or x < 0:
-                raise InputError(
-                    f"Controls: {name} is {x!r}, expected an integer of at least zero"
-                )
+                raise InputError(f"Controls: {name} is {x!r}, expected an integer of at least zero")
         for name, value in (
             ("speeds", speeds), ("turn_rates", rates), ("costs", costs),
             ("sideways", slides.astype(float)),
