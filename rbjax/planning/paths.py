@@ -100,7 +100,7 @@ class Path(Record):
         signed = jnp.where(self.steps[..., 0] < 0, -length, length)
         still = length == 0
         spot = jnp.where(turn == 0, 0.0, jnp.copysign(jnp.inf, turn))
-        return jnp.where(still, spot, turn / jnp.where(still, 1.0, signed))
+        return jnp.where(still, spot, turn / jnp.where(still, 1.0, signed) + 0.0)  # no -0
 
     @property
     def cusps(self) -> jax.Array:
