@@ -1,20 +1,34 @@
-"""Planning in the plane: shortest curves of a car, maps of obstacles, and searches among them.
+"""Planning in the plane: a path on a map, and what it is made of.
 
+    from map to path      plan -> Plan, with its Path
     shortest curves       dubins, reeds_shepp -> Curve
     maps                  OccupancyGrid, its DistanceField
-    robots on maps        Footprint, clear, clearance
-    searches              grid_dijkstra, grid_dijkstra_many, with Controls -> Plan
+    robots on maps        Footprint, clear, clearance, clear_along
+    searches              hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many
+                          with Controls -> Plan
+    refinement            smooth -> Smoothed
 Poses are (x, y, heading) in m and rad; leading axes are a batch.
 """
 
 from rbjax.planning.controls import Controls
 from rbjax.planning.curves import Curve, dubins, reeds_shepp
 from rbjax.planning.footprint import Footprint, clear, clearance
-from rbjax.planning.grid_dijkstra import Plan, grid_dijkstra
+from rbjax.planning.front_door import drives, methods, plan
+from rbjax.planning.grid_a_star import grid_a_star
+from rbjax.planning.grid_dijkstra import grid_dijkstra
+from rbjax.planning.hybrid_a_star import hybrid_a_star
 from rbjax.planning.many_searches import grid_dijkstra_many
 from rbjax.planning.occupancy import DistanceField, OccupancyGrid
+from rbjax.planning.paths import Path, Plan, clear_along
+from rbjax.planning.smoothing import Smoothed, smooth
 
 __all__ = [
+    # from map to path
+    "Path",
+    "Plan",
+    "drives",
+    "methods",
+    "plan",
     # shortest curves
     "Curve",
     "dubins",
@@ -25,10 +39,15 @@ __all__ = [
     # robots on maps
     "Footprint",
     "clear",
+    "clear_along",
     "clearance",
     # searches
     "Controls",
-    "Plan",
+    "grid_a_star",
     "grid_dijkstra",
     "grid_dijkstra_many",
+    "hybrid_a_star",
+    # refinement
+    "Smoothed",
+    "smooth",
 ]

@@ -4,21 +4,24 @@ A control is a speed v and a turning rate w that are held for a time dt:
 
     x' = v cos(theta),  y' = v sin(theta),  theta' = w
 
-Its motion is an arc, integrated exactly. If w dt is a multiple of the width of a heading's cell,
-headings stay on a ring of n values. Then all motions there are make a table by heading and control.
+A robot that slides sideways has a speed u to the left too. The motion is an arc, integrated
+exactly. If w dt is a multiple of the width of a heading's cell, headings stay on a ring of n
+values. Then all motions there are make a table by heading and control.
 (Lynch & Park, *Modern Robotics*, 10.4.2, figure 10.14)
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.planning.footprint import Footprint
+from rbjax.planning.paths import Path, moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +30,8 @@ class Controls:
 
     Fields: speeds (n,) m/s; turn_rates (n,) rad/s; dt s; costs (n,), positive integers, None for 1
     each; reversal, a non-negative integer, what a change from driving ahead to driving backwards
-    costs, or back.
+    costs, or back; steering, another, what a change of the curvature costs; sideways (n,) m/s to
+    the left, None for 0 each.
 
     Example:
         >>> car = Controls.car(radius=1.0, turn=np.deg2rad(15.0), reversal=2)
@@ -40,6 +44,8 @@ class Controls:
     dt: float
     costs: Any = None
     reversal: int = 0
+    steering: int = 0
+    sideways: Any = None
 
     def __post_init__(self) -> None:
         speeds, rates = (
@@ -50,6 +56,12 @@ class Controls:
             raise InputError(
                 f"Controls: got speeds, turn_rates and costs of shapes {speeds.shape}, "
                 f"{rates.shape} and {costs.shape}, expected (n,) each"
+            )
+        slides = np.zeros_like(speeds) if self.sideways is None else np.asarray(self.sideways)
+        if slides.shape != speeds.shape or not np.isfinite(slides).all():
+            raise InputError(
+                f"Controls: sideways is {self.sideways!r}, expected {len(speeds)} finite speeds "
+                "in m/s"
             )
         if not (np.isfinite(speeds).all() and np.isfinite(rates).all()):
             raise InputError(
@@ -62,17 +74,21 @@ class Controls:
                 f"Controls: costs are {costs.tolist()}, expected positive integers: choose a unit "
                 "so small that every cost is a multiple of it"
             )
-        if not isinstance(self.reversal, (int, np.integer)) or self.reversal < 0:
-            raise InputError(
-                f"Controls: reversal is {self.reversal!r}, expected an integer of at least zero"
-            )
-        for name, value in (("speeds", speeds), ("turn_rates", rates), ("costs", costs)):
+        for name in ("reversal", "steering"):
+            x = getattr(self, name)
+            if not isinstance(x, (int, np.integer)) or x < 0:
+                raise InputError(f"Controls: {name} is {x!r}, expected an integer of at least zero")
+        for name, value in (
+            ("speeds", speeds), ("turn_rates", rates), ("costs", costs),
+            ("sideways", slides.astype(float)),
+        ):  # fmt: skip
             object.__setattr__(self, name, value)
 
     @classmethod
     def car(
-        cls, radius: float, turn: float, speed: float = 1.0, costs: Any = None, reversal: int = 0
-    ) -> Controls:
+        cls, radius: float, turn: float, speed: float = 1.0, costs: Any = None, reversal: int = 0,
+        steering: int = 0,
+    ) -> Controls:  # fmt: skip
         """Six controls: ahead and backwards; to the left, straight, and to the right.
 
         radius: turning radius, m. turn: the angle of an arc, rad. speed: m/s. costs: (6,), ahead
@@ -83,7 +99,37 @@ class Controls:
                 raise InputError(f"Controls.car: {name} is {x}, expected a number above zero")
         speeds = speed * np.repeat([1.0, -1.0], 3)
         bend = np.tile([1.0, 0.0, -1.0], 2) / radius
-        return cls(speeds, speeds * bend, float(radius * turn / speed), costs, reversal)
+        return cls(speeds, speeds * bend, float(radius * turn / speed), costs, reversal, steering)
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Twists (n, 3) of the motions: m ahead, m to the left, rad."""
+        return self.dt * np.column_stack([self.speeds, self.sideways, self.turn_rates])
+
+    @property
+    def curvatures(self) -> np.ndarray:
+        """w / v (n,) in 1/m; zero for controls that do not drive."""
+        still = self.speeds == 0
+        return np.where(still, 0.0, self.turn_rates / np.where(still, 1.0, self.speeds))
+
+    @property
+    def prices(self) -> np.ndarray:
+        """What control j costs after control i (n + 1, n); the last row is for the first one."""
+        v, bend = self.speeds, self.curvatures
+        reversed_ = v[:, None] * v < 0
+        bent = ~np.isclose(bend[:, None], bend, rtol=1e-9, atol=0)
+        after = self.costs + self.reversal * reversed_ + self.steering * bent
+        return np.vstack([after, self.costs])
+
+    def in_reverse(self) -> Controls:
+        """The same motions backwards in time, at the same costs."""
+        return replace(
+            self, speeds=-self.speeds, turn_rates=-self.turn_rates, sideways=-self.sideways
+        )
+
+    def path(self, start: np.ndarray, controls: np.ndarray) -> Path:
+        """The motion by numbers (n,) of controls, from a pose (3,)."""
+        return Path(jnp.asarray(start), jnp.asarray(self.steps[controls].reshape(-1, 3)))
 
     def turns(self, headings: int) -> np.ndarray:
         """w dt (n,) as numbers of heading cells."""
@@ -99,10 +145,9 @@ class Controls:
 
     def moved(self, heading: Any, t: Any) -> tuple[np.ndarray, np.ndarray]:
         """Displacements (..., n) m by all controls from a heading (...), after a time t (...)."""
-        heading, t = (np.asarray(x)[..., None] for x in (heading, t))
-        turn = self.turn_rates * t
-        chord = self.speeds * t * np.sinc(turn / (2 * math.pi))
-        return chord * np.cos(heading + turn / 2), chord * np.sin(heading + turn / 2)
+        heading, t = np.broadcast_arrays(heading, t)
+        steps = t[..., None, None] / self.dt * self.steps
+        return moved(heading[..., None], steps, np)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +181,8 @@ class MotionTable:
         # how far a disc moves, at most: the origin's way, and the turn about it
         far = np.hypot(*centers.T)
         way = controls.dt * (
-            np.abs(controls.speeds)[:, None] + np.abs(controls.turn_rates)[:, None] * far
+            np.hypot(controls.speeds, controls.sideways)[:, None]
+            + np.abs(controls.turn_rates)[:, None] * far
         )
         moments = max(1, math.ceil(way.max() / spacing))
         times = controls.dt * (np.arange(moments) + 0.5) / moments

@@ -124,7 +124,7 @@ def dubins(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Curve:
         >>> curve.word, round(float(curve.length), 4)
         ('L+S+L+', 5.8134)
     """
-    return _shortest(words.DUBINS, words.forwards, start, goal, radius)
+    return shortest(words.DUBINS, words.forwards, start, goal, radius)
 
 
 @takes(start="planar_pose", goal="planar_pose", radius="positive")
@@ -152,10 +152,11 @@ def reeds_shepp(start: jax.Array, goal: jax.Array, radius: jax.Array) -> Curve:
         >>> curve.word, round(float(curve.length), 6)
         ('L+R-L+', 3.141593)
     """
-    return _shortest(words.REEDS_SHEPP, words.either_way, start, goal, radius)
+    return shortest(words.REEDS_SHEPP, words.either_way, start, goal, radius)
 
 
-def _shortest(table: Any, wrap: Any, start: jax.Array, goal: jax.Array, radius: jax.Array) -> Curve:
+def shortest(table: Any, wrap: Any, start: jax.Array, goal: jax.Array, radius: jax.Array) -> Curve:
+    """The best of a table of `words`, for use in traced code."""
     dx, dy = (goal[..., i] - start[..., i] for i in (0, 1))
     heading, phi = start[..., 2], goal[..., 2] - start[..., 2]
     c, s = jnp.cos(heading), jnp.sin(heading)

@@ -145,7 +145,7 @@ def _of_a_field(f: Callable) -> Callable:
     return call
 
 
-def _placed(poses: jax.Array, footprint: Footprint) -> jax.Array:
+def placed(poses: jax.Array, footprint: Footprint) -> jax.Array:
     """The centres of discs (..., n, 2) m in the world."""
     x, y, heading = (poses[..., k, None] for k in range(3))
     c, s = jnp.cos(heading), jnp.sin(heading)
@@ -177,7 +177,7 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
         >>> round(float(clearance(field, [1.0, 0.5, 0.0], Footprint.disc(0.2))), 6)
         0.3
     """
-    centers = _placed(poses, footprint)
+    centers = placed(poses, footprint)
     return (field.at(centers) - footprint.radii).min(-1)
 
 
@@ -204,5 +204,5 @@ def clear(field: DistanceField, poses: jax.Array, footprint: Footprint) -> jax.A
         >>> clear(field, [[1.0, 1.0, 0.0], [1.0, 0.1, 0.0]], Footprint.disc(0.2)).tolist()
         [True, False]
     """
-    centers = _placed(poses, footprint)
+    centers = placed(poses, footprint)
     return (field.below(centers) > footprint.radii).all(-1)

@@ -39,7 +39,6 @@ Source: Lynch & Park, *Modern Robotics*, 10.4.2; Dial, Comm. ACM 12 (1969) 632, 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,28 +47,10 @@ from rbjax.errors import InputError
 from rbjax.planning.controls import Controls, MotionTable
 from rbjax.planning.footprint import Footprint, clear
 from rbjax.planning.occupancy import DistanceField, OccupancyGrid
+from rbjax.planning.paths import Plan
+from rbjax.planning.swept_map import SweptMap
 
 NEVER, VISITED = np.iinfo(np.int64).max, -1
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What a search found.
-
-    Fields: status, "found", "no path", "start in collision", "goal in collision" or "count
-    exhausted"; cost, in the controls' unit, or None; poses (n + 1, 3), from the start to the goal
-    set, at intervals of dt; controls (n,), their numbers; expanded, how many cells were visited.
-    """
-
-    status: str
-    cost: int | None = None
-    poses: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    controls: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
-    expanded: int = 0
-
-    @property
-    def found(self) -> bool:
-        return self.status == "found"
 
 
 def grid_dijkstra(
@@ -151,20 +132,15 @@ class _Search:
         self, distances: DistanceField, controls: Controls, table: MotionTable,
         start: np.ndarray, goal: np.ndarray, tolerance: tuple[float, float],
     ):  # fmt: skip
-        self.values = np.asarray(distances.values)
-        self.h, self.origin = float(distances.resolution), np.asarray(distances.origin, float)
-        nx, ny = self.values.shape  # with a ring around the map
+        self.map = SweptMap(distances, table)
+        self.h, self.origin = self.map.h, self.map.origin
+        nx, ny = self.map.values.shape  # with a ring around the map
         self.shape = (nx - 2, ny - 2, len(table.headings))
         self.controls, self.table, self.start, self.goal = controls, table, start, goal
+        self.prices = controls.prices
         self.near = tolerance[0]
         turn = np.abs(np.remainder(self.table.headings - goal[2] + math.pi, 2 * math.pi) - math.pi)
         self.towards = turn <= tolerance[1]
-        motions = len(table.headings) * len(table.turns)
-        self.discs = self.table.discs.reshape(2, motions, -1)
-        self.radii = self.table.radii.reshape(motions, -1)
-        far = np.hypot(*self.discs) + self.radii
-        # `below` is less than the distance by a diagonal at most
-        self.safe = far.max() + self.h * math.sqrt(2) * (1 + 1e-9)
         size = math.prod(self.shape)
         self.best = np.full(size, NEVER)  # the least cost of a cell's nodes in OPEN
         self.first = np.empty(size, np.int32)
@@ -222,9 +198,7 @@ class _Search:
         )  # fmt: skip
         self.age += x.size
         goal = self._is_goal(x, y, heading).ravel()
-        before = np.where(wave.control < 0, 0.0, self.controls.speeds[wave.control])
-        turned = before[:, None] * self.controls.speeds < 0
-        to = (cost + self.controls.costs + self.controls.reversal * turned).ravel()
+        to = (cost + self.prices[wave.control]).ravel()
         wanted = np.flatnonzero(inside.ravel() & (goal | (self.best[new.cell] > to)))
         wanted = wanted[np.argsort(to[wanted], kind="stable")]  # by cost, and then by age
         self._admit(wave, new.those(wanted), goal[wanted], to[wanted], count)
@@ -238,7 +212,9 @@ class _Search:
         tests = goal | self._first_of(new.cell)
         for _ in range(2):  # the first of each cell; then the others, where that was not free
             some = np.flatnonzero(tests)
-            free[some] = self._free(wave, new.parent[some] - count, new.control[some])
+            parent = new.parent[some] - count
+            k = wave.cell[parent] % self.shape[2]
+            free[some] = self.map.free(wave.x[parent], wave.y[parent], k, new.control[some])
             kept = np.flatnonzero(free & better)
             kept = kept[self._first_of(new.cell[kept])]
             self.best[new.cell[kept]] = cost[kept]
@@ -255,27 +231,6 @@ class _Search:
         self.first[cell[::-1]] = number[::-1]  # the last of several that are assigned stays
         return self.first[cell] == number
 
-    def _free(self, wave: _Nodes, parent: np.ndarray, control: np.ndarray) -> np.ndarray:
-        """Whether motions from nodes of a wave are free of obstacles."""
-        x, y = wave.x[parent], wave.y[parent]
-        free = self._below(x, y) > self.safe
-        test = np.flatnonzero(~free)
-        motion = wave.cell[parent[test]] % self.shape[2] * len(self.table.turns) + control[test]
-        a, b = x[test, None] + self.discs[0][motion], y[test, None] + self.discs[1][motion]
-        free[test] = (self._below(a, b) > self.radii[motion]).all(1)
-        return free
-
-    def _below(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """`DistanceField.below`, where that is positive."""
-        u = (x - self.origin[0]) * (1 / self.h) + 0.5
-        v = (y - self.origin[1]) * (1 / self.h) + 0.5
-        nx, ny = self.values.shape
-        i = np.minimum(np.maximum(np.rint(u), 0), nx - 1)
-        j = np.minimum(np.maximum(np.rint(v), 0), ny - 1)
-        u -= i
-        v -= j
-        return self.values.ravel()[(i * ny + j).astype(np.intp)] - self.h * np.sqrt(u * u + v * v)
-
     def _cells(self, x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of cells (0 beyond the map), and whether they are on the map."""
         i, j = np.floor((x - self.origin[0]) / self.h), np.floor((y - self.origin[1]) / self.h)
@@ -289,20 +244,28 @@ class _Search:
 
     def _path(self, cost: int, last: _Nodes, count: int) -> Plan:
         """The way back to the start from a node in the goal set."""
-        firsts = np.cumsum([0, *(len(wave.age) for wave in self.visited)])
-        places, used = [], []
-        node = last
-        while True:
-            places.append((node.x[0], node.y[0]))
-            parent = int(node.parent[0])
-            if parent < 0:
-                break
-            used.append(int(node.control[0]))
-            wave = int(np.searchsorted(firsts, parent, "right")) - 1
-            node = self.visited[wave].those(np.array([parent - firsts[wave]]))
-        chosen = np.array(used[::-1], int)
-        heading = self.table.along(self.start[2], chosen)
-        return Plan("found", cost, np.column_stack([places[::-1], heading]), chosen, count)
+        places, chosen = way_back(self.visited, last)
+        poses = np.column_stack([places, self.table.along(self.start[2], chosen)])
+        return Plan("found", cost, poses, chosen, count, self.controls.path(self.start, chosen))
+
+
+def way_back(visited: list, last: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n + 1, 2) and controls (n,) from the start to a node.
+
+    visited: nodes of each wave, with the fields x, y, parent and control. last: one such node.
+    """
+    firsts = np.cumsum([0, *(len(wave.x) for wave in visited)])
+    places: list[tuple[float, float]] = []
+    used: list[int] = []
+    node = last
+    while True:
+        places.append((node.x[0], node.y[0]))
+        parent = int(node.parent[0])
+        if parent < 0:
+            return np.array(places[::-1]), np.array(used[::-1], int)
+        used.append(int(node.control[0]))
+        wave = int(np.searchsorted(firsts, parent, "right")) - 1
+        node = visited[wave].those(np.array([parent - firsts[wave]]))
 
 
 def check_poses(where: str, start: Any, goal: Any, axes: int = 1) -> tuple[np.ndarray, np.ndarray]:

@@ -21,8 +21,9 @@ from rbjax.compiling import wide_vectors
 from rbjax.model.record import Record
 from rbjax.planning.controls import Controls, MotionTable
 from rbjax.planning.footprint import Footprint, clear
-from rbjax.planning.grid_dijkstra import Plan, check_poses, check_problem
+from rbjax.planning.grid_dijkstra import check_poses, check_problem
 from rbjax.planning.occupancy import DistanceField, OccupancyGrid
+from rbjax.planning.paths import Plan
 
 NEVER = np.iinfo(np.int32).max
 SEARCHING, FOUND, EXHAUSTED = range(3)
@@ -39,9 +40,7 @@ class _Problem(Record):
     discs: jax.Array  # (2, K * n, m)
     radii: jax.Array  # (K * n, m)
     turns: jax.Array  # (n,)
-    speeds: jax.Array  # (n,)
-    costs: jax.Array  # (n,)
-    reversal: jax.Array
+    prices: jax.Array  # (n + 1, n)
     tolerance: jax.Array  # (2,)
     max_count: jax.Array
 
@@ -112,8 +111,7 @@ def _children(p: _Problem, s: _Searches, at: jax.Array) -> tuple[_Nodes, jax.Arr
     dx, dy = _turned(angle, p.step[:, motion])
     x, y = old.x[:, None] + dx, old.y[:, None] + dy
     cell, inside = p.cells(x, y, (k[:, None] + p.turns) % p.headings)
-    before = jnp.where(old.control < 0, 0.0, p.speeds[old.control])[:, None]
-    cost = s.cost + p.costs + p.reversal * (before * p.speeds < 0)
+    cost = s.cost + p.prices[old.control]
     rest = jnp.broadcast_arrays(old.search[:, None], cell, at[:, None], jnp.arange(n), cost)
     a, b = _turned(angle[..., None], p.discs[:, motion])
     centers = jnp.stack([old.x[:, None, None] + a, old.y[:, None, None] + b], -1)
@@ -253,16 +251,15 @@ def grid_dijkstra_many(
         jnp.asarray(table.step.reshape(2, motions), real),
         jnp.asarray(table.discs.reshape(2, motions, -1), real),
         jnp.asarray(table.radii.reshape(motions, -1), real),
-        jnp.asarray(table.turns, jnp.int32), jnp.asarray(controls.speeds, real),
-        jnp.asarray(controls.costs, jnp.int32), jnp.int32(controls.reversal),
+        jnp.asarray(table.turns, jnp.int32), jnp.asarray(controls.prices, jnp.int32),
         jnp.asarray(tolerance, real), jnp.int32(NEVER if max_count is None else max_count),
     )  # fmt: skip
-    dearest = int(controls.costs.max()) + controls.reversal
+    dearest = int(controls.prices.max())
     width = min(MOST, max(LEAST, 64 * len(starts)), 2**30 // (len(table.turns) * dearest))
     room = grid.occupied.size * headings * len(starts) // 4 if nodes is None else nodes
     searches = _begun(problem, bad[0] | bad[1], min(room, NEVER), dearest)
     run = jax.jit(_run, compiler_options=wide_vectors(), static_argnums=2, donate_argnums=1)
-    return _plans(run(problem, searches, width), bad, table, starts)
+    return _plans(run(problem, searches, width), bad, table, starts, controls)
 
 
 def _begun(p: _Problem, bad: np.ndarray, room: int, dearest: int) -> _Searches:
@@ -285,8 +282,9 @@ def _begun(p: _Problem, bad: np.ndarray, room: int, dearest: int) -> _Searches:
 
 
 def _plans(
-    s: _Searches, bad: list[np.ndarray], table: MotionTable, starts: np.ndarray
-) -> list[Plan]:
+    s: _Searches, bad: list[np.ndarray], table: MotionTable, starts: np.ndarray,
+    controls: Controls,
+) -> list[Plan]:  # fmt: skip
     status, visited, cost = (np.asarray(a) for a in (s.status, s.visited, s.at))
     found = status == FOUND
     node = jnp.where(found, s.reached, -1)
@@ -307,5 +305,6 @@ def _plans(
             some = slice(int(on[:, i].sum()) - 1, None, -1)
             chosen = control[some, i][1:].astype(int)
             poses = np.column_stack([x[some, i], y[some, i], table.along(start[2], chosen)])
-            plans.append(Plan("found", int(cost[i]), poses, chosen, int(visited[i])))
+            path = controls.path(start, chosen)
+            plans.append(Plan("found", int(cost[i]), poses, chosen, int(visited[i]), path))
     return plans

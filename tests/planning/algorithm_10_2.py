@@ -103,6 +103,10 @@ def plan(grid, field, footprint, start, goal, controls, tolerance, headings, max
             after = integrated(current, v, w, controls.dt)
             before = 0.0 if current.parent is None else controls.speeds[current.control]
             cost = current.cost + int(controls.costs[c]) + controls.reversal * int(before * v < 0)
+            if current.parent is not None:
+                last = controls.speeds[current.control], controls.turn_rates[current.control]
+                bends = [w / v if v else 0.0 for v, w in (last, (v, w))]
+                cost += controls.steering * int(not math.isclose(*bends))
             new = Node(*after, cost, c, current)
             if cell(new) is None:
                 continue
