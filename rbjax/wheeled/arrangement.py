@@ -38,8 +38,11 @@ class Leader:
 
 @dataclass(frozen=True)
 class Arrangement:
-    """mobility, steerability, leaders; trailing, the wheel that leads each trailer; support, whether
-    the wheels of the chassis stand in a point (1), on a line (2) or around an area (3)."""
+    """What `arrange` finds.
+
+    Fields: mobility, steerability, leaders; trailing, the wheel that leads each trailer; support,
+    whether the wheels of the chassis stand in a point (1), on a line (2) or around an area (3).
+    """
 
     mobility: int
     steerability: int
@@ -111,9 +114,7 @@ def _sources(robot: Robot) -> list[Leader]:
 def _place(robot: Robot, source: Leader) -> np.ndarray:
     if source.what == "skidding":
         return np.array([float(robot.turn_center), 0.0])
-    numbers = (
-        (source.number,) if source.what == "wheel" else robot.steerings[source.number].wheels
-    )
+    numbers = (source.number,) if source.what == "wheel" else robot.steerings[source.number].wheels
     return np.mean([np.asarray(robot.wheels[i].position) for i in numbers], 0)
 
 

@@ -151,7 +151,8 @@ def _steering_torques(
         Moving(Moving(a, r), Moving(r, 0.0)) for a, r in zip(angles, angle_rates, strict=True)
     ]
     for steering in n.robot.steerings:
-        if len(steering.wheels) == 1 or all(is_zero(n.wheels[i].yaw_inertia) for i in steering.wheels):
+        heavy = any(not is_zero(n.wheels[i].yaw_inertia) for i in steering.wheels)
+        if len(steering.wheels) == 1 or not heavy:
             continue
         shape = shape_of(n, second)
         for i in steering.wheels:

@@ -16,11 +16,15 @@ from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
 from rbjax.wheeled.robot import Robot
 
 
-def _body(mass: float, inertia: float, com: Any = (0.0, 0.0), height: float = 0.1, **k: Any) -> Body:
+def _body(mass: Any, inertia: Any, com: Any = (0.0, 0.0), height: Any = 0.1, **k: Any) -> Body:
     return Body(mass, inertia, com, height, **k)
 
 
-def _tyred(radius: float, mass: float, inertia: float | None = None) -> dict[str, float]:
+def _wheel(position: Any, heading: Any = 0.0, **numbers: Any) -> Wheel:
+    return Wheel(position, heading, **numbers)
+
+
+def _tyred(radius: float, mass: float, inertia: float | None = None) -> dict[str, Any]:
     """Numbers of a wheel: a disc, unless its inertia is given."""
     spin = mass * radius**2 / 2 if inertia is None else inertia
     return {"radius": radius, "mass": mass, "inertia": spin, "yaw_inertia": mass * radius**2 / 4}
@@ -32,10 +36,10 @@ def differential_drive(
     height: float = 0.12, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
     """Two driven wheels on one axle, and a caster `caster` ahead of it, or none."""
-    wheels = [Wheel([0.0, y], **_tyred(radius, wheel_mass)) for y in (-track / 2, track / 2)]
+    wheels = [_wheel([0.0, y], **_tyred(radius, wheel_mass)) for y in (-track / 2, track / 2)]
     if caster is not None:
         small = _tyred(radius / 2, wheel_mass / 5)
-        wheels.append(Wheel([caster, 0.0], trail=radius / 4, kind="caster", **small))
+        wheels.append(_wheel([caster, 0.0], trail=radius / 4, kind="caster", **small))
     return Robot.of(_body(mass, inertia, com, height), wheels, _each(2, motor))
 
 
@@ -45,8 +49,8 @@ def unicycle(
 ) -> Robot:  # fmt: skip
     """One driven wheel, and a small omnidirectional wheel behind it that is driven sideways."""
     wheels = [
-        Wheel([0.0, 0.0], **_tyred(radius, wheel_mass)),
-        Wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_tyred(radius / 4, wheel_mass / 10)),
+        _wheel([0.0, 0.0], **_tyred(radius, wheel_mass)),
+        _wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_tyred(radius / 4, wheel_mass / 10)),
     ]
     drives = [Drive((0,), motor or TorqueSource()), Drive((1,), yaw or motor or TorqueSource())]
     return Robot.of(_body(mass, inertia, height=radius), wheels, drives)
@@ -64,7 +68,7 @@ def omnidirectional(
         [2 * math.pi * i / wheels for i in range(wheels)] if isinstance(wheels, int) else wheels
     )
     made = [
-        Wheel([arm * math.cos(a), arm * math.sin(a)], a + math.pi / 2, kind="rollers",
+        _wheel([arm * math.cos(a), arm * math.sin(a)], a + math.pi / 2, kind="rollers",
               **_tyred(radius, wheel_mass))
         for a in angles
     ]  # fmt: skip
@@ -81,7 +85,7 @@ def mecanum(
     """
     places = [(1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1)]
     made = [
-        Wheel([x * length / 2, y * track / 2], roller=side * math.pi / 4, kind="rollers",
+        _wheel([x * length / 2, y * track / 2], roller=side * math.pi / 4, kind="rollers",
               **_tyred(radius, wheel_mass))
         for x, y, side in places
     ]  # fmt: skip
@@ -96,8 +100,8 @@ def car(
     """Four wheels, the front ones steered with Ackermann's geometry, rear or front ones driven
     through a differential, or all by two."""
     disc = _tyred(radius, wheel_mass)
-    wheels = [Wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
-    wheels += [Wheel([wheelbase, y], kind="steered", **disc) for y in (track / 2, -track / 2)]
+    wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
+    wheels += [_wheel([wheelbase, y], kind="steered", **disc) for y in (track / 2, -track / 2)]
     drives = _driven({"rear": [(0, 1)], "front": [(2, 3)], "all": [(0, 1), (2, 3)]}, drive, motor)
     body = _body(mass, inertia, com, height)
     return Robot.of(body, wheels, drives, [Steering((2, 3), lag)])
@@ -110,7 +114,7 @@ def bicycle(
 ) -> Robot:  # fmt: skip
     """A car reduced to one wheel an axle."""
     disc = _tyred(radius, wheel_mass)
-    wheels = [Wheel([0.0, 0.0], **disc), Wheel([wheelbase, 0.0], kind="steered", **disc)]
+    wheels = [_wheel([0.0, 0.0], **disc), _wheel([wheelbase, 0.0], kind="steered", **disc)]
     drives = _driven({"rear": [(0,)], "front": [(1,)], "all": [(0,), (1,)]}, drive, motor)
     body = _body(mass, inertia, com, height)
     return Robot.of(body, wheels, drives, [Steering((1,), lag)])
@@ -123,8 +127,8 @@ def tricycle(
 ) -> Robot:  # fmt: skip
     """A driven and steered front wheel, and two fixed wheels behind it."""
     disc = _tyred(radius, wheel_mass)
-    wheels = [Wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
-    wheels.append(Wheel([wheelbase, 0.0], kind="steered", **disc))
+    wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
+    wheels.append(_wheel([wheelbase, 0.0], kind="steered", **disc))
     drives = [Drive((2,), motor or TorqueSource())]
     return Robot.of(_body(mass, inertia, com, height), wheels, drives, [Steering((2,), lag)])
 
@@ -140,7 +144,7 @@ def skid_steer(
     """
     disc = _tyred(radius, wheel_mass)
     wheels = [
-        Wheel([x, y * track / 2], shaft=side, skids=True, **disc)
+        _wheel([x, y * track / 2], shaft=side, skids=True, **disc)
         for y, side in ((-1, "right"), (1, "left"))
         for x in (length / 2, -length / 2)
     ]
@@ -164,7 +168,7 @@ def with_trailers(
         ahead = len(bodies)
         bodies.append(_body(mass, inertia, com, height, **behind))
         disc = _tyred(radius, wheel_mass)
-        wheels += [Wheel([0.0, y], body=ahead, **disc) for y in (track / 2, -track / 2)]
+        wheels += [_wheel([0.0, y], body=ahead, **disc) for y in (track / 2, -track / 2)]
     return robot.replace(bodies=tuple(bodies), wheels=tuple(wheels), arrangement=None)
 
 
@@ -172,7 +176,9 @@ def _each(n: int, motor: Motor | None) -> list[Drive]:
     return [Drive((i,), motor or TorqueSource()) for i in range(n)]
 
 
-def _driven(axles: dict[str, list[tuple[int, ...]]], drive: str, motor: Motor | None) -> list[Drive]:
+def _driven(
+    axles: dict[str, list[tuple[int, ...]]], drive: str, motor: Motor | None
+) -> list[Drive]:
     """A motor with a differential for each driven axle."""
     if drive not in axles:
         raise UnknownName("drive", drive, axles)

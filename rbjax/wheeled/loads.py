@@ -68,13 +68,13 @@ def wheel_loads(n: Numbers, tractions: Sequence[Pair] | None = None) -> list[Lan
     return out
 
 
-def _on_a_line(
-    places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: Lane
-) -> list[Lane]:
+def _on_a_line(places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: Lane) -> list[Lane]:
     first, last = places[0], places[-1]
     line = sub(last[0], first[0]), sub(last[1], first[1])
     along = [dot(line, p) for p in places]
-    arms = [sub(add(s, dot(line, pull)), dot(line, at)) for s, pull in zip(along, pulls, strict=True)]
+    arms = [
+        sub(add(s, dot(line, pull)), dot(line, at)) for s, pull in zip(along, pulls, strict=True)
+    ]
     count, s1 = float(len(along)), total(along)
     m0, m1 = total(arms), total(mul(s, m) for s, m in zip(along, arms, strict=True))
     scale = mul(whole, inverse(sub(mul(count, m1), mul(s1, m0))))
@@ -82,9 +82,7 @@ def _on_a_line(
     return [add(a, mul(b, s)) for s in along]
 
 
-def _on_an_area(
-    places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: Lane
-) -> list[Lane]:
+def _on_an_area(places: Sequence[Pair], pulls: Sequence[Pair], at: Pair, whole: Lane) -> list[Lane]:
     rows = [
         [sub(add(p[k], pull[k]), at[k]) for p, pull in zip(places, pulls, strict=True)]
         for k in (0, 1)
@@ -109,7 +107,5 @@ def resisting_torques(n: Numbers, w: Sequence[Lane], loads: Sequence[Lane]) -> l
     out: list[Lane] = [0.0] * len(n.shafts)
     for wheel, load in zip(n.wheels, loads, strict=True):
         speed = mul(wheel.radius, rates[wheel.shaft])
-        out[wheel.shaft] = add(
-            out[wheel.shaft], n.resistance.torque(load, wheel.radius, speed)
-        )
+        out[wheel.shaft] = add(out[wheel.shaft], n.resistance.torque(load, wheel.radius, speed))
     return out

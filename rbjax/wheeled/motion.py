@@ -48,9 +48,7 @@ def _moved(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane]) -> Lists:
     return vehicle.rates(n, Instant(*y, u))
 
 
-def _semi_implicit_euler(
-    vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane
-) -> Lists:
+def _semi_implicit_euler(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:
     """v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
     q, v, x = y
     now = Instant(q, v, x, u)
@@ -316,4 +314,5 @@ class _Field(eqx.Module):
         vehicle, controls = args
         u = controls(self.start + t, state) if callable(controls) else controls
         n, now = vehicle.instant(state, jnp.asarray(u, state.q.dtype))
-        return as_state(*vehicle.rates(n, now), state.q.dtype)
+        q, v, x = vehicle.rates(n, now)
+        return as_state(q, v, x, state.q.dtype)

@@ -32,7 +32,7 @@ class BodyNumbers:
 
 @dataclass(frozen=True)
 class WheelNumbers:
-    """A wheel. heading: its direction at zero steering; slant: the tangent of its rollers' angle."""
+    """A wheel. heading: its direction at zero steering; slant: the tangent of `roller`."""
 
     kind: str
     body: int

@@ -59,10 +59,10 @@ class Wheel(Record):
     """A wheel on the ground under a body.
 
     Kinds: "fixed", its axle fixed in the body; "steered", it turns about the vertical through its
-    centre; "caster", it turns freely about a vertical ahead of its centre; "rollers", on its rim are
-    free rollers, as on omnidirectional and mecanum wheels.
+    centre; "caster", it turns freely about a vertical ahead of its centre; "rollers", its rim has
+    free rollers, as that of omnidirectional and mecanum wheels.
 
-    Fields: position (2,) m, of the centre, of a caster's pivot; heading, rad, the direction in which
+    Fields: position (2,) m, of the centre, of a caster's pivot; heading, rad, the direction where
     it rolls, from x to the left (of a steered wheel at zero steering; not used by a caster); radius
     m; inertia, kg m^2, about the axle, with all that turns with it; mass kg; yaw_inertia, kg m^2,
     about the vertical; roller, rad, the angle of the rollers' axes from the heading to the left
@@ -106,8 +106,8 @@ class Drive(Record):
 
     u is the control, W the speed of the differential's cage, phi' that of the wheels.
 
-    Fields: motor, a `Motor`; split (k,), shares of the torque, 1 in sum. Static: wheels, the numbers
-    of k wheels.
+    Fields: motor, a `Motor`; split (k,), shares of the torque, 1 in sum. Static: wheels, their k
+    numbers.
 
     Example:
         >>> import rbjax as rb

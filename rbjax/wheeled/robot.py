@@ -1,9 +1,9 @@
 """A wheeled robot: its parts, its coordinates, and what its wheels allow.
 
 Coordinates q: the pose (x, y, heading) of the chassis, the angle of each trailer against the body
-ahead, of each steering, of each caster, of each shaft. Full velocities w: the twist (vx, vy, turning
-rate) of the chassis in its own axes, and the rates of trailers and of shafts; those of casters
-follow from the others, those of steerings are given.
+ahead, of each steering, of each caster, of each shaft. Full velocities w: the twist (vx, vy and the
+turning rate) of the chassis in its own axes, and the rates of trailers and of shafts. Those of
+casters follow from the others, those of steerings are given.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import jax.numpy as jnp
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_number, floats
 from rbjax.wheeled.arrangement import Arrangement, arrange
-from rbjax.wheeled.rolling_resistance import RollingResistance
 from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
+from rbjax.wheeled.rolling_resistance import RollingResistance
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Robot(Record):
 
     Fields: bodies, the chassis first, each trailer behind the body that pulls it; wheels; drives;
     steerings; gravity, m/s^2; slope (2,), how steeply the ground falls along x and along y, as
-    tangents; resistance, a `RollingResistance` of all wheels, or None; turn_center, m, the x of the axis
-    on which a robot with skidding wheels turns. Static: arrangement, what its wheels allow.
+    tangents; resistance, a `RollingResistance` of all wheels, or None; turn_center, m, the x of the
+    axis on which a robot with skidding wheels turns. Static: arrangement, what its wheels allow.
 
     Controls u are one number a drive, then one a steering.
 
@@ -75,12 +75,12 @@ class Robot(Record):
     slope: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.zeros(2))
     resistance: RollingResistance | None = None
     turn_center: jax.Array = eqx.field(converter=floats, default_factory=lambda: jnp.asarray(0.0))
-    arrangement: Arrangement | None = eqx.field(static=True, default=None)
+    arrangement: Arrangement = eqx.field(static=True, default=None)
 
     def __post_init__(self) -> None:
         _check_numbers_of_parts(self)
-        if self.arrangement is None:
-            self.arrangement = arrange(self)
+        given: Any = self.arrangement
+        self.arrangement = arrange(self) if given is None else given
 
     def __check_init__(self) -> None:
         for name in ("gravity", "turn_center"):
@@ -104,20 +104,20 @@ class Robot(Record):
     @property
     def layout(self) -> Layout:
         """Where coordinates and velocities are."""
-        shaft, setters, named = [], [], {}
+        shaft: list[int] = []
+        setters: list[int] = []
+        named: dict[str | int, int] = {}
         for i, wheel in enumerate(self.wheels):
-            if wheel.shaft not in named:
-                if wheel.shaft is not None:
-                    named[wheel.shaft] = len(setters)
-                shaft.append(len(setters))
+            name = i if wheel.shaft is None else wheel.shaft
+            if name not in named:
+                named[name] = len(setters)
                 setters.append(i)
-            else:
-                shaft.append(named[wheel.shaft])
+            shaft.append(named[name])
         casters = tuple(i for i, wheel in enumerate(self.wheels) if wheel.kind == "caster")
-        at, slices = 3, []
-        for n in (len(self.bodies) - 1, len(self.steerings), len(casters), len(setters)):
-            slices.append(slice(at, at + n))
-            at += n
+        a = 3 + len(self.bodies) - 1
+        b = a + len(self.steerings)
+        c = b + len(casters)
+        slices = slice(3, a), slice(a, b), slice(b, c), slice(c, c + len(setters))
         return Layout(*slices, tuple(shaft), tuple(setters), casters)
 
     @property

@@ -3,15 +3,15 @@
     kinematic          v is empty: wheel speeds say all
     kinematical        v = nu, the free velocities: twists are separated, w = S nu
     dynamical          v = nu: multipliers are eliminated from the equations of all velocities
-    quasi_velocities   v = nu: the Boltzmann-Hamel equations
-The last three are equal. The second is the cheapest.
+The last two are equal. The second is the cheapest.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
-from rbjax.lanes import Lane, add, ldlt, mul, neg, sub, total
+from rbjax.lanes import Lane, add, inner, ldlt, mul, neg, sub, total
 from rbjax.wheeled.equations import columns_of, project
 from rbjax.wheeled.fidelity import (
     Fidelity,
@@ -21,10 +21,11 @@ from rbjax.wheeled.fidelity import (
     gravity_pull,
     shaft_torques,
 )
+from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import Moving, Twist, rate_of, value_of
-from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.velocities import (
+    Shape,
     chassis_twist,
     free_velocities,
     ideal,
@@ -65,8 +66,8 @@ class Kinematic(Fidelity):
                 ]
             )
         speeds = [motor.free_speed(u) for motor, u in zip(n.motors, now.u, strict=False)]
-        M = [[total(mul(a, b) for a, b in zip(x, y, strict=True)) for y in columns] for x in columns]
-        f = [total(mul(a, s) for a, s in zip(x, speeds, strict=True)) for x in columns]
+        M = [[inner(x, y) for y in columns] for x in columns]
+        f = [inner(x, speeds) for x in columns]
         return ideal(n, shape, ldlt(M).solve(f))
 
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
@@ -175,5 +176,5 @@ def added(a: list[Lane], b: list[Lane]) -> list[Lane]:
     return [add(x, y) for x, y in zip(a, b, strict=True)]
 
 
-def all_of(n: Numbers, shape: object, w: list[Lane]) -> list[Lane]:
+def all_of(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
     return list(w)

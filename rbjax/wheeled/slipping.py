@@ -3,15 +3,21 @@
     M w' = f + sum J_i^T N_i mu_i(slip of wheel i),     shafts: - r N mu along the wheel
 
 A wheel with rollers passes only the force along their axis. A caster swivels without resistance,
-so only the force along it is passed. Loads are those of `loads`, with their transfer.
+so only the force along it is passed. Loads are those of `loads`, with their transfer. The ground
+holds a wheel that would lift: a load below zero says that the motion is not that of a robot on all
+wheels (`forces`).
+
+Where wheels are light, contacts are stiff: a wheel's slip decays at about (N C / v) (1 / m +
+r^2 / I), with C the slope of the law and v the speed, or `smooth_speed` near rest. An explicit step
+must be shorter than two of these times; `simulate` finds it.
 """
 
 from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, ldlt, mul, neg
@@ -28,8 +34,8 @@ from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers, with_lanes
 from rbjax.wheeled.planar import Pair, Twist, cross, turned
 from rbjax.wheeled.rolling import added, all_of
-from rbjax.wheeled.tyres import Tyre
 from rbjax.wheeled.tyre_laws import Fiala
+from rbjax.wheeled.tyres import Tyre
 from rbjax.wheeled.velocities import contact, shape_of, twists_of
 
 
@@ -52,7 +58,7 @@ class Slipping(Fidelity):
 
     def __post_init__(self) -> None:
         if self.tyre is None:
-            self.tyre = Fiala(20.0, 0.9)
+            self.tyre = Fiala(jnp.asarray(20.0), jnp.asarray(0.9))
 
     def __check_init__(self) -> None:
         tyres = self.tyre if isinstance(self.tyre, tuple) else (self.tyre,)
@@ -72,7 +78,7 @@ class Slipping(Fidelity):
                     f"Slipping: the tyre of wheels[{i}], which has {wheel.kind}, relaxes; expected "
                     "a law without states there"
                 )
-            known = isinstance(wheel.inertia, (np.ndarray, jnp.ndarray)) and not _traced(wheel)
+            known = not isinstance(wheel.inertia, jax.core.Tracer)
             if known and not float(wheel.inertia) > 0 and wheel.shaft is None:
                 raise InputError(
                     f"Slipping: wheels[{i}].inertia is {float(wheel.inertia)}, expected a number "
@@ -163,7 +169,3 @@ def _one_way(tyre: Any, slides: Lane, roll: Lane) -> Lane:
 
 def _relaxes(tyre: Any) -> bool:
     return getattr(tyre, "size", 0) > 0
-
-
-def _traced(wheel: Any) -> bool:
-    return not hasattr(wheel.inertia, "__array__") or "Tracer" in type(wheel.inertia).__name__

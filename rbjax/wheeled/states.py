@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
@@ -25,9 +26,7 @@ def check_vehicle(where: str, vehicle: Any) -> None:
         )
 
 
-def check_state(
-    where: str, vehicle: Fidelity, state: Any, batch: tuple[int, ...] = ()
-) -> State:
+def check_state(where: str, vehicle: Fidelity, state: Any, batch: tuple[int, ...] = ()) -> State:
     """A state with floating arrays of the vehicle's sizes, in one dtype."""
     if not isinstance(state, State):
         raise InputError(
@@ -121,4 +120,5 @@ def rates(vehicle: Fidelity, state: State, controls: Any) -> State:
 @compiled
 def _rates(vehicle: Fidelity, state: State, u: jax.Array) -> State:
     n, now = vehicle.instant(state, u)
-    return as_state(*vehicle.rates(n, now), state.q.dtype)
+    q, v, x = vehicle.rates(n, now)
+    return as_state(q, v, x, state.q.dtype)

@@ -141,7 +141,7 @@ def traction_along(
 # ------------------------------------------------------------------------- for the laws
 
 
-def pair(x: jax.Array) -> Pair:
+def pair(x: Any) -> Pair:
     """A coefficient along and across."""
     return (x[0], x[1]) if isinstance(x, tuple) or jnp.ndim(x) else (x, x)
 

@@ -21,7 +21,6 @@ from rbjax.lanes import Lane, add, is_zero, mul, neg, sub, total
 from rbjax.wheeled.arrangement import Leader
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import (
-    Moving,
     Pair,
     Twist,
     cross,
@@ -30,10 +29,8 @@ from rbjax.wheeled.planar import (
     inverse,
     inverse_root,
     left,
-    rate_of,
     turned,
     turned_back,
-    value_of,
 )
 
 
@@ -60,14 +57,13 @@ def shape_of(n: Numbers, angles: Sequence[Lane]) -> Shape:
         wheels.update(_steered(n, steering.wheels, e))
     leaders = []
     for leader in n.robot.arrangement.leaders:
-        place = place_of(n, leader)
-        e: Pair = (1.0, 0.0)
+        ahead: Pair = (1.0, 0.0)
         if leader.what == "wheel":
-            e = n.wheels[leader.number].heading
+            ahead = n.wheels[leader.number].heading
         elif leader.what == "steering":
             first = n.robot.steerings[leader.number].wheels[0]
-            e = turned(steerings[leader.number], n.wheels[first].heading)
-        leaders.append((place, e))
+            ahead = turned(steerings[leader.number], n.wheels[first].heading)
+        leaders.append((place_of(n, leader), ahead))
     return Shape(trailers, tuple(wheels[i] for i in range(len(n.wheels))), tuple(leaders))
 
 
@@ -143,7 +139,8 @@ def _about_one_center(n: Numbers, shape: Shape) -> Twist:
         scale = inverse_root(dot(apart, apart))
     else:
         scale = inverse(dot(e, apart))
-    return Twist(sub(mul(e[0], j), mul(f[0], i)), sub(mul(e[1], j), mul(f[1], i)), cross(e, f)) * scale
+    x, y = (sub(mul(e[k], j), mul(f[k], i)) for k in (0, 1))
+    return Twist(x, y, cross(e, f)) * scale
 
 
 def free_velocities(n: Numbers, shape: Shape, V: Twist) -> list[Lane]:
@@ -262,18 +259,3 @@ def rows(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Lane]:
         r = n.wheels[i].radius
         out.append(sub(mul(r, rolling(n, shape, twists, i)), mul(r, rates[shaft])))
     return out
-
-
-def values(lanes: Sequence[Lane]) -> list[Lane]:
-    """Lanes without their rates."""
-    return [value_of(x) for x in lanes]
-
-
-def rates(lanes: Sequence[Lane]) -> list[Lane]:
-    """The rates of lanes."""
-    return [rate_of(x) for x in lanes]
-
-
-def moving(angles: Sequence[Lane], angle_rates: Sequence[Lane]) -> list[Moving]:
-    """Angles with their rates."""
-    return [Moving(a, b) for a, b in zip(angles, angle_rates, strict=True)]
