@@ -40,8 +40,8 @@ class Constrained(Fidelity):
 
         M a + b = tau + G^T l,   G a = -(G' v + ...)
 
-    Rates are taken where the velocities obey the rows: `full` puts them there by the least change in
-    the norm of the mass matrix, and `settled` does so to the state after a step.
+    Rates are taken where the velocities obey the rows: `full` puts them there by the least change
+    in the norm of the mass matrix, and `settled` does so to the state after a step.
 
     Fields: robot. Static: formulation, one of `rbjax.constraints.formulations`.
 
@@ -113,7 +113,7 @@ class Constrained(Fidelity):
         return out
 
     def skidding_force(self, n: Numbers, now: Instant) -> Lane:
-        """The force to the left on the axis on which skidding wheels turn, in N; 0 if none skids."""
+        """The force to the left on the axis on which skidding wheels turn, N; 0 if none skids."""
         if not any(leader.what == "skidding" for leader in n.robot.arrangement.leaders):
             return 0.0
         return self._multipliers(n, now)[sum(len(contact_ways(n, i)) for i in range(len(n.wheels)))]
@@ -166,7 +166,7 @@ def full_velocities(n: Numbers, now: Instant, model: Model, v: Any) -> list[Lane
 
 
 def torques(n: Numbers, now: Instant, model: Model, w: Sequence[Lane]) -> jax.Array:
-    """Generalized forces (nv,) of drives and of rolling resistance, at the axles that set shafts."""
+    """Generalized forces (nv,) of drives and of rolling resistance, at the axles of shafts."""
     out: list[Lane] = [0.0] * model.nv
     on_shafts = zip(shaft_torques(n, now, w), rolling_torques(n, w), strict=True)
     for i, (driving, resisting) in zip(n.layout.setters, on_shafts, strict=True):

@@ -201,7 +201,7 @@ def _rows(n: Numbers, base: str, steering_rates: Sequence[Lane]) -> list[Constra
     """What holds the wheels: contacts first, one a wheel."""
     ground = Place(np.zeros(3), np.array(STRAIGHT))
     out: list[Constraint] = []
-    for i, wheel in enumerate(n.wheels):
+    for i in range(len(n.wheels)):
         hub = Place(np.zeros(3), np.array(STRAIGHT), body=f"wheel_{i}")
         given = n.robot.wheels[i]
         ways = contact_ways(n, i)

@@ -91,8 +91,10 @@ class Tree:
             "armature": [[x] for x in armature],
             "gravity": [[x] for x in gravity],
         }
-        shapes = {name: (len(rows), *([] if len(rows[0]) == 1 else [len(rows[0])]))
-                  for name, rows in given.items()} | {"inertia": (len(self.bodies), 3, 3)}  # fmt: skip
+        shapes = {
+            name: (len(rows), len(rows[0])) if len(rows[0]) > 1 else (len(rows),)
+            for name, rows in given.items()
+        } | {"inertia": (len(self.bodies), 3, 3)}
         leaf = {k: _array(x, self.dtype).reshape(shapes[k]) for k, x in given.items()}
         none, endless = np.zeros(0), np.tile([-np.inf, np.inf], (nj, 1))
         nu = len(motors)
@@ -101,7 +103,7 @@ class Tree:
             Bodies(*(leaf[k] for k in ("mass", "com", "inertia", "position", "orientation"))),
             Joints(
                 leaf["placement"], leaf["axis"], leaf["reference"], leaf["armature"], np.zeros(nv),
-                np.zeros(nj), np.zeros(nq), endless, endless, none,
+                np.zeros(nj), leaf["reference"], endless, endless, none,
             ),
             Actuators(
                 one, one[:, :3], np.zeros((nu, 3)), *[np.tile([-np.inf, np.inf], (nu, 1))] * 2,

@@ -14,6 +14,7 @@ With the axle's direction y, to the left, and the ground's normal n, the ways s 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,12 +26,12 @@ from rbjax.constraints.place import check_places
 from rbjax.constraints.rolling import slip
 from rbjax.errors import UnknownName
 from rbjax.forces.instant import Frame, Instant
-from rbjax.lanes import Vec3, add, mul, neg, sub
+from rbjax.lanes import Lane, Vec3, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
 from rbjax.wheeled.fidelity import Instant as RobotInstant
 from rbjax.wheeled.fidelity import angles_of
-from rbjax.wheeled.numbers import numbers_of
+from rbjax.wheeled.numbers import Numbers, numbers_of
 from rbjax.wheeled.planar import Moving, cross, direction, rate_of, value_of
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.velocities import shape_of
@@ -46,10 +47,10 @@ class WheelContact(Constraint):
     The multiplier of a row is the force of the ground on the wheel along that way, in N; of the
     height, the load. The axle is level.
 
-    Fields: a, a `Place`, its origin on the ground and its z the normal; b, a `Place`, its origin the
-    wheel's centre and its y the axle, to the left; radius, m; roller, rad, the angle of the rollers'
-    axes from ahead to the left. Static: ways, of "ahead", "left" and "roller"; touches, whether the
-    first row is the height of the lowest point.
+    Fields: a, a `Place`, its origin on the ground and its z the normal; b, a `Place`, its origin
+    the wheel's centre and its y the axle, to the left; radius, m; roller, rad, the angle of the
+    rollers' axes from ahead to the left. Static: ways, of "ahead", "left" and "roller"; touches,
+    whether the first row is the height of the lowest point.
 
     Example:
         >>> import rbjax as rb
@@ -130,7 +131,7 @@ class SteeringRate(Constraint):
 class Linkage(Constraint):
     """Ackermann's geometry: the angle of a steered wheel is a function of that of the column.
 
-    Fields: robot. Static: steering, its number; wheel, its number; joint, the wheel's hinge; column,
+    Fields: robot. Static: steering and wheel, their numbers; joint, the hinge of the wheel; column,
     that of the steering.
     """
 
@@ -150,11 +151,11 @@ class Linkage(Constraint):
         return [coordinate(now, self.joint) - wanted]
 
 
-def linked(n, steering: int, wheel: int, b):
+def linked(n: Numbers, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, Lane]:
     """The first two derivatives by b, and the value, of a wheel's angle against its direction at
     zero steering."""
     layout = n.layout
-    q = [0.0] * layout.nq
+    q: list[Any] = [0.0] * layout.nq
     q[layout.steerings.start + steering] = Moving(Moving(b, 1.0), Moving(1.0, 0.0))
     e = shape_of(n, angles_of(n, RobotInstant(q, [], [], []))).wheels[wheel]
     now = tuple(value_of(value_of(x)) for x in e)
