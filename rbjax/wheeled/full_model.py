@@ -22,6 +22,7 @@ of 1 kg m^2, which the rows prescribe: it acts on nothing else.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -158,14 +159,14 @@ def _wheel(n: Numbers, tree: Tree, bodies: list[int], i: int) -> None:
     tree.joint(wheel_joint(i), "hinge", hub, LEFT, armature=armature)
 
 
-def _turned(heading: Lane) -> tuple[Lane, ...]:
+def _turned(heading: Lane) -> Sequence[Lane]:
     """The quaternion of a turn about the vertical."""
     c, s = direction(mul(0.5, heading))
     return c, 0.0, 0.0, s
 
 
 def _least(a: Lane, b: Lane) -> Lane:
-    return min(a, b) if is_literal(a) and is_literal(b) else jnp.minimum(a, b)  # type: ignore[type-var]
+    return min(a, b) if is_literal(a) and is_literal(b) else jnp.minimum(a, b)
 
 
 def _geared(n: Numbers, i: int) -> Lane:
@@ -190,7 +191,7 @@ def _motors(n: Numbers) -> list[str]:
 
 
 def _needs_inertia(what: str, x: Lane) -> None:
-    if is_literal(x) and not x > 0:  # type: ignore[operator]
+    if is_literal(x) and not x > 0:
         raise InputError(
             f"full_model: {what} is {x}, expected above zero, for each body moves by itself here; "
             "give it an inertia, or use a reduced fidelity, such as 'kinematical'"
@@ -199,22 +200,24 @@ def _needs_inertia(what: str, x: Lane) -> None:
 
 def _rows(n: Numbers, base: str, steering_rates: Sequence[Lane]) -> list[Constraint]:
     """What holds the wheels: contacts first, one a wheel."""
-    ground = Place(np.zeros(3), np.array(STRAIGHT))
+    origin: Any = np.zeros(3)
+    straight: Any = np.array(STRAIGHT)
+    ground = Place(origin, straight)
     out: list[Constraint] = []
     for i in range(len(n.wheels)):
-        hub = Place(np.zeros(3), np.array(STRAIGHT), body=f"wheel_{i}")
+        hub = Place(origin, straight, body=f"wheel_{i}")
         given = n.robot.wheels[i]
         ways = contact_ways(n, i)
         out.append(WheelContact(ground, hub, given.radius, given.roller, ways, base == "free"))
     for leader in n.robot.arrangement.leaders:
         if leader.what == "skidding":
             point = jnp.stack([n.robot.turn_center, *jnp.zeros(2)])
-            ahead = np.array([0.5**0.5, 0.0, 0.5**0.5, 0.0])  # takes z to x
+            ahead: Any = np.array([0.5**0.5, 0.0, 0.5**0.5, 0.0])  # takes z to x
             out.append(KnifeEdge(ground, Place(point, ahead, body="chassis")))
     for i, shaft in enumerate(n.layout.shaft):
         setter = n.layout.setters[shaft]
         if setter != i:
-            out.append(Gear(wheel_joint(i), wheel_joint(setter), 1.0))
+            out.append(Gear(wheel_joint(i), wheel_joint(setter), jnp.asarray(1.0)))
     rates = steering_rates or [0.0] * len(n.robot.steerings)
     for j, (steering, rate) in enumerate(zip(n.robot.steerings, rates, strict=True)):
         column = f"steering_{j}"

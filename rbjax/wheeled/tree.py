@@ -79,7 +79,7 @@ class Tree:
             armature += [joint.armature] * kind.nv
         squares = [[(m[i] if i == j else 0.0) for i in range(3) for j in range(3)]
                    for m in (b.moments for b in self.bodies)]  # fmt: skip
-        given = {
+        given: dict[str, Any] = {
             "mass": [[b.mass] for b in self.bodies],
             "com": [b.com for b in self.bodies],
             "inertia": squares,
@@ -96,21 +96,26 @@ class Tree:
             for name, rows in given.items()
         } | {"inertia": (len(self.bodies), 3, 3)}
         leaf = {k: _array(x, self.dtype).reshape(shapes[k]) for k, x in given.items()}
-        none, endless = np.zeros(0), np.tile([-np.inf, np.inf], (nj, 1))
         nu = len(motors)
-        one = np.eye(6)[[0] * nu]
+        one: Any = np.eye(6)[[0] * nu]
+        endless: Any = np.tile([-np.inf, np.inf], (nj, 1))
+        unlimited: Any = np.tile([-np.inf, np.inf], (nu, 1))
+
+        def zeros(*shape: int) -> Any:
+            return np.zeros(shape)
+
         model = Model(
             Bodies(*(leaf[k] for k in ("mass", "com", "inertia", "position", "orientation"))),
             Joints(
-                leaf["placement"], leaf["axis"], leaf["reference"], leaf["armature"], np.zeros(nv),
-                np.zeros(nj), leaf["reference"], endless, endless, none,
+                leaf["placement"], leaf["axis"], leaf["reference"], leaf["armature"], zeros(nv),
+                zeros(nj), leaf["reference"], endless, endless, zeros(0),
             ),
             Actuators(
-                one, one[:, :3], np.zeros((nu, 3)), *[np.tile([-np.inf, np.inf], (nu, 1))] * 2,
+                one, one[:, :3], zeros(nu, 3), unlimited, unlimited,
                 joints=tuple(map(names.index, motors)), sites=(-1,) * nu,
             ),
-            Sites(np.zeros((0, 3)), np.zeros((0, 4))),
-            Keyframes(np.zeros((0, nq)), np.zeros((0, nv)), np.zeros((0, nu))),
+            Sites(zeros(0, 3), zeros(0, 4)),
+            Keyframes(zeros(0, nq), zeros(0, nv), zeros(0, nu)),
             leaf["gravity"],
             Topology(
                 tuple(b.parent for b in self.bodies), tuple(j.kind for j in self.joints),
