@@ -1,0 +1,145 @@
+"""A tree of bodies in the making, its numbers lanes: what is known stays known in the `Model`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.joints import kind as kind_of
+from rbjax.lanes import Lane, is_literal
+from rbjax.model import WORLD, Model
+from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
+from rbjax.model.topology import Topology
+
+Numbers = Sequence[Lane]
+ORIGIN: Numbers = (0.0, 0.0, 0.0)
+STRAIGHT: Numbers = (1.0, 0.0, 0.0, 0.0)
+UP: Numbers = (0.0, 0.0, 1.0)
+LEFT: Numbers = (0.0, 1.0, 0.0)
+TIMESTEP = 0.002
+
+
+class _Body(NamedTuple):
+    name: str
+    parent: int
+    position: Numbers
+    orientation: Numbers
+    mass: Lane
+    com: Numbers
+    moments: Numbers
+
+
+class _Joint(NamedTuple):
+    name: str
+    kind: str
+    body: int
+    axis: Numbers
+    placement: Numbers
+    armature: Lane
+
+
+@dataclass
+class Tree:
+    """Bodies and joints, parents first; the joints of a body follow it."""
+
+    dtype: Any
+    bodies: list[_Body] = field(default_factory=list)
+    joints: list[_Joint] = field(default_factory=list)
+
+    def body(
+        self, name: str, parent: int = WORLD, position: Numbers = ORIGIN,
+        orientation: Numbers = STRAIGHT, mass: Lane = 0.0, com: Numbers = ORIGIN,
+        moments: Numbers = ORIGIN,
+    ) -> int:  # fmt: skip
+        """A body, its moments about its com along its own axes. Returns its index."""
+        self.bodies.append(_Body(name, parent, position, orientation, mass, com, moments))
+        return len(self.bodies) - 1
+
+    def joint(
+        self, name: str, kind: str, body: int, axis: Numbers = UP, placement: Numbers = ORIGIN,
+        armature: Lane = 0.0,
+    ) -> None:  # fmt: skip
+        """A joint of the body that was made last."""
+        self.joints.append(_Joint(name, kind, body, axis, placement, armature))
+
+    def model(self, gravity: Numbers, motors: Sequence[str]) -> Model:
+        """The model, with a motor of gear 1 on each of some hinges."""
+        kinds = [kind_of(joint.kind) for joint in self.joints]
+        nv, nq, nj = sum(k.nv for k in kinds), sum(k.nq for k in kinds), len(kinds)
+        names = tuple(joint.name for joint in self.joints)
+        at_rest: list[Lane] = []
+        armature: list[Lane] = []
+        for kind, joint in zip(kinds, self.joints, strict=True):
+            at_rest += [0.0] * (kind.nq - 4) + [*STRAIGHT] if kind.quaternion else [0.0] * kind.nq
+            armature += [joint.armature] * kind.nv
+        squares = [[(m[i] if i == j else 0.0) for i in range(3) for j in range(3)]
+                   for m in (b.moments for b in self.bodies)]  # fmt: skip
+        given: dict[str, Any] = {
+            "mass": [[b.mass] for b in self.bodies],
+            "com": [b.com for b in self.bodies],
+            "inertia": squares,
+            "position": [b.position for b in self.bodies],
+            "orientation": [b.orientation for b in self.bodies],
+            "placement": [j.placement for j in self.joints],
+            "axis": [j.axis for j in self.joints],
+            "reference": [[x] for x in at_rest],
+            "armature": [[x] for x in armature],
+            "gravity": [[x] for x in gravity],
+        }
+        shapes = {
+            name: (len(rows), len(rows[0])) if len(rows[0]) > 1 else (len(rows),)
+            for name, rows in given.items()
+        } | {"inertia": (len(self.bodies), 3, 3)}
+        leaf = {k: _array(x, self.dtype).reshape(shapes[k]) for k, x in given.items()}
+        nu = len(motors)
+        one: Any = np.eye(6)[[0] * nu]
+        endless: Any = np.tile([-np.inf, np.inf], (nj, 1))
+        unlimited: Any = np.tile([-np.inf, np.inf], (nu, 1))
+
+        def zeros(*shape: int) -> Any:
+            return np.zeros(shape)
+
+        model = Model(
+            Bodies(*(leaf[k] for k in ("mass", "com", "inertia", "position", "orientation"))),
+            Joints(
+                leaf["placement"], leaf["axis"], leaf["reference"], leaf["armature"], zeros(nv),
+                zeros(nj), leaf["reference"], endless, endless, zeros(0),
+            ),
+            Actuators(
+                one, one[:, :3], zeros(nu, 3), unlimited, unlimited,
+                joints=tuple(map(names.index, motors)), sites=(-1,) * nu,
+            ),
+            Sites(zeros(0, 3), zeros(0, 4)),
+            Keyframes(zeros(0, nq), zeros(0, nv), zeros(0, nu)),
+            leaf["gravity"],
+            Topology(
+                tuple(b.parent for b in self.bodies), tuple(j.kind for j in self.joints),
+                tuple(j.body for j in self.joints), tuple(b.name for b in self.bodies), names,
+                tuple(motors),
+            ),
+            TIMESTEP,
+            (),
+        )  # fmt: skip
+        if any(isinstance(x, jax.core.Tracer) for x in leaf.values()):
+            known = {k: _known(x, k in ("axis", "orientation")) for k, x in given.items()}
+            return model.replace(zeros=tuple((known | {"numbers": ()}).items()))
+        return model
+
+
+def _array(rows: Sequence[Numbers], dtype: Any) -> Any:
+    """Rows of lanes as an array: numpy's where all are known."""
+    lanes = [x for row in rows for x in row]
+    if all(map(is_literal, lanes)):
+        return np.array(lanes)
+    return jnp.stack([jnp.asarray(x, dtype) for x in lanes])
+
+
+def _known(rows: Sequence[Numbers], units: bool) -> tuple:
+    """As `rbjax.model.cells.literals`, of lanes."""
+    known = (0.0, 1.0, -1.0) if units else (0.0,)
+    return tuple(x if is_literal(x) and x in known else None for row in rows for x in row)
