@@ -3,6 +3,7 @@
     parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
     robots         kinds, with_trailers
     fidelities     at(robot, name) -> a vehicle; fidelities
+    as a Model     full_model, with rolling rows
     motion         start, rates, rollout, simulate
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
@@ -11,6 +12,7 @@
 
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.fidelity import Fidelity
+from rbjax.wheeled.full_model import full_model
 from rbjax.wheeled.kinds import with_trailers
 from rbjax.wheeled.motion import rollout, simulate
 from rbjax.wheeled.motors import DCMotor, Motor, SpeedServo, TorqueSource
@@ -48,6 +50,7 @@ __all__ = [
     "Wheel",
     "at",
     "fidelities",
+    "full_model",
     "kinds",
     "rates",
     "rollout",

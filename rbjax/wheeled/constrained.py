@@ -24,13 +24,12 @@ from rbjax.wheeled.fidelity import (
     Fidelity,
     Instant,
     coordinate_rates,
-    shaft_torques,
     steering_rates,
+    torques_at_rest_loads,
 )
 from rbjax.wheeled.full_model import contact_ways, knuckle_joint, model_of, wheel_joint
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import Pair, direction, turned_back
-from rbjax.wheeled.resistance import rolling_torques
 from rbjax.wheeled.velocities import shaft_speed
 from rbjax.wheeled.wheel_rows import linked
 
@@ -168,9 +167,8 @@ def full_velocities(n: Numbers, now: Instant, model: Model, v: Any) -> list[Lane
 def torques(n: Numbers, now: Instant, model: Model, w: Sequence[Lane]) -> jax.Array:
     """Generalized forces (nv,) of drives and of rolling resistance, at the axles of shafts."""
     out: list[Lane] = [0.0] * model.nv
-    on_shafts = zip(shaft_torques(n, now, w), rolling_torques(n, w), strict=True)
-    for i, (driving, resisting) in zip(n.layout.setters, on_shafts, strict=True):
-        out[model.v_slice(wheel_joint(i)).start] = sub(driving, resisting)
+    for i, torque in zip(n.layout.setters, torques_at_rest_loads(n, now, w), strict=True):
+        out[model.v_slice(wheel_joint(i)).start] = torque
     return _array(out, n.dtype)
 
 

@@ -18,6 +18,7 @@ from rbjax.lanes import Lane, add, inner, mul, sub, total
 from rbjax.model import State
 from rbjax.model.record import Record
 from rbjax.wheeled.equations import momentum, weights
+from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers, numbers_of
 from rbjax.wheeled.planar import Twist, direction, dot, turned
 from rbjax.wheeled.robot import Robot
@@ -97,6 +98,10 @@ class Fidelity(Record):
         """x'."""
         return []
 
+    def settled(self, n: Numbers, now: Instant) -> list[Lane]:
+        """v after a step, put back on what it must satisfy."""
+        return now.v
+
     def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
         """v by full velocities that the fidelity allows."""
         raise NotImplementedError(f"{type(self).__name__} has no method start_velocities")
@@ -167,6 +172,15 @@ def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
             shaft = n.wheels[i].shaft
             out[shaft] = add(out[shaft], mul(share, torque))
     return out
+
+
+def torques_at_rest_loads(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
+    """The torques of drives and of rolling resistance on each shaft, with the loads at rest."""
+    driving = shaft_torques(n, now, w)
+    if n.resistance is None:
+        return driving
+    resisting = resisting_torques(n, w, wheel_loads(n))
+    return [add(a, b) for a, b in zip(driving, resisting, strict=True)]
 
 
 def kinetic_energy(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Lane:

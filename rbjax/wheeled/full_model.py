@@ -172,16 +172,16 @@ def _least(a: Lane, b: Lane) -> Lane:
 def _geared(n: Numbers, i: int) -> Lane:
     """The inertia, at a wheel, of the motor that drives it alone."""
     out: Lane = 0.0
-    for drive, split in zip(n.robot.drives, n.splits, strict=True):
+    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         if drive.wheels == (i,):
-            out = add(out, mul(drive.motor.reflected(n.dtype), mul(split[0], split[0])))
+            out = add(out, mul(n.motors[j].inertia, mul(split[0], split[0])))
     return out
 
 
 def _rotor(n: Numbers, j: int) -> Lane:
     """The inertia of a motor that drives several wheels."""
     drive = n.robot.drives[j]
-    return drive.motor.reflected(n.dtype) if len(drive.wheels) > 1 else 0.0
+    return n.motors[j].inertia if len(drive.wheels) > 1 else 0.0
 
 
 def _motors(n: Numbers) -> list[str]:

@@ -199,7 +199,9 @@ def _march(vehicle: Fidelity, state: State, controls: Any, dt: Any, how: _How) -
             u = jnp.asarray(controls(i * dt, as_state(*y, dtype)), dtype)
         else:
             u = controls[i]
-        out = step(vehicle, n, y, [u[k] for k in range(vehicle.nu)], dt)
+        given = [u[k] for k in range(vehicle.nu)]
+        out = step(vehicle, n, y, given, dt)
+        out = out[0], vehicle.settled(n, Instant(*out, given)), out[2]
         q, v, x = ([jnp.asarray(a, dtype) for a in part] for part in out)
         return (q, v, x), None
 

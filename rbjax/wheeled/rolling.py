@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-from rbjax.lanes import Lane, add, inner, ldlt, mul, neg, sub, total
+from rbjax.lanes import Lane, inner, ldlt, mul, neg, sub, total
 from rbjax.wheeled.equations import columns_of, project
 from rbjax.wheeled.fidelity import (
     Fidelity,
@@ -19,9 +19,8 @@ from rbjax.wheeled.fidelity import (
     angle_rates,
     angles_of,
     gravity_pull,
-    shaft_torques,
+    torques_at_rest_loads,
 )
-from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import Moving, Twist, rate_of, value_of
 from rbjax.wheeled.velocities import (
@@ -90,12 +89,6 @@ class Rolling(Fidelity):
     def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
         return free_velocities(n, shape_of(n, angles_of(n, now)), Twist(*w[:3]))
 
-    def _driven(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
-        if n.resistance is None:
-            return shaft_torques(n, now, w)
-        loads = wheel_loads(n)
-        return added(shaft_torques(n, now, w), resisting_torques(n, w, loads))
-
 
 class Kinematical(Rolling):
     """Dynamics reduced by the kinematical approach: twists and wrenches are separated.
@@ -117,7 +110,7 @@ class Kinematical(Rolling):
         angles, w = angles_of(n, now), self.full(n, now)
         M, f = project(
             n, angles, angle_rates(n, now, w), ideal, now.v,
-            gravity_pull(n, now, shape_of(n, angles)), self._driven(n, now, w),
+            gravity_pull(n, now, shape_of(n, angles)), torques_at_rest_loads(n, now, w),
         )  # fmt: skip
         return ldlt(M).solve(f)
 
@@ -144,7 +137,7 @@ class Dynamical(Rolling):
         shape = shape_of(n, angles)
         M, f = project(
             n, angles, [a.rate for a in moving], all_of, w,
-            gravity_pull(n, now, shape), self._driven(n, now, w),
+            gravity_pull(n, now, shape), torques_at_rest_loads(n, now, w),
         )  # fmt: skip
         factors = ldlt(M)
         free = factors.solve(f)
@@ -169,11 +162,6 @@ class Dynamical(Rolling):
         turning = chassis_twist(n, shape_of(n, moving), now.v)
         V = Twist(*(sub(a, rate_of(b)) for a, b in zip(rate[:3], turning, strict=True)))
         return [value_of(x) for x in free_velocities(n, shape, V)]
-
-
-def added(a: list[Lane], b: list[Lane]) -> list[Lane]:
-    """Entry by entry."""
-    return [add(x, y) for x, y in zip(a, b, strict=True)]
 
 
 def all_of(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Lane]:

@@ -33,7 +33,7 @@ from rbjax.wheeled.fidelity import (
 from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers, with_lanes
 from rbjax.wheeled.planar import Pair, Twist, cross, turned
-from rbjax.wheeled.rolling import added, all_of
+from rbjax.wheeled.rolling import all_of
 from rbjax.wheeled.tyre_laws import Fiala
 from rbjax.wheeled.tyres import Tyre
 from rbjax.wheeled.velocities import contact, shape_of, twists_of
@@ -150,7 +150,8 @@ class Slipping(Fidelity):
         pulls = gravity_pull(n, now, shape)
         torques = shaft_torques(n, now, now.v)
         if n.resistance is not None:
-            torques = added(torques, resisting_torques(n, now.v, loads))
+            resisting = resisting_torques(n, now.v, loads)
+            torques = [add(a, b) for a, b in zip(torques, resisting, strict=True)]
         for wheel, e, force in zip(n.wheels, shape.wheels, forces, strict=True):
             pulls[wheel.body] = pulls[wheel.body] + Twist(*force, cross(wheel.position, force))
             braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))

@@ -21,7 +21,8 @@ from rbjax.wheeled.fidelity import (
     kinetic_energy,
 )
 from rbjax.wheeled.full_model import full_model
-from rbjax.wheeled.velocities import Moving, ideal, moving, rates, shape_of
+from rbjax.wheeled.planar import Moving, rate_of
+from rbjax.wheeled.velocities import ideal, rows, shape_of
 from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
@@ -31,6 +32,14 @@ SAMPLES = 5
 every_kind = pytest.mark.parametrize(
     "name", [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in KINDS]
 )
+
+
+def moving(angles, angle_rates):
+    return [Moving(a, b) for a, b in zip(angles, angle_rates, strict=True)]
+
+
+def rates(lanes):
+    return [rate_of(x) for x in lanes]
 
 
 def on_a_slope(name):
@@ -228,3 +237,22 @@ def test_what_is_refused():
         full_model(light)
     with pytest.raises(InputError, match="formulation"):
         Constrained(robot, "kkt")
+
+
+@pytest.mark.slow
+def test_rows_hold_over_a_long_rollout() -> None:
+    """The full model's velocities are put back on the rows: 20,000 steps leave them at rounding,
+    and the motion stays that of the reduced model to the order of the method."""
+    robot = wheeled.kinds()["differential_drive"].make(caster=None)
+    u = jnp.array([0.02, -0.02])
+    full, reduced = (wheeled.at(robot, f) for f in ("constrained", "kinematical"))
+    ends = []
+    for vehicle in (full, reduced):
+        start = wheeled.start(vehicle, twist=[0.5, 0.0, 0.4])
+        path = wheeled.rollout(vehicle, start, lambda t, s: u, 0.001, steps=20_000, save_every=2000)
+        assert path.ok
+        ends.append(path)
+    n, now = full.instant(State(ends[0].q[-1], ends[0].v[-1]))
+    found = rows(n, shape_of(n, angles_of(n, now)), now.v)
+    np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-12)
+    np.testing.assert_allclose(ends[0].q[-1], ends[1].q[-1], rtol=0, atol=1e-8)
