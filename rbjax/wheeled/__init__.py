@@ -5,6 +5,7 @@
     fidelities     at(robot, name) -> a vehicle; fidelities
     as a Model     full_model, with rolling rows
     motion         start, rates, rollout, simulate
+    following      commands, pure_pursuit, stanley, tracking_gains
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
     on any model   TyreOnGround, a force element
@@ -12,6 +13,13 @@
 
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.fidelity import Fidelity
+from rbjax.wheeled.following import (
+    Commands,
+    commands,
+    pure_pursuit,
+    stanley,
+    tracking_gains,
+)
 from rbjax.wheeled.full_model import full_model
 from rbjax.wheeled.kinds import with_trailers
 from rbjax.wheeled.motion import rollout, simulate
@@ -29,6 +37,7 @@ from rbjax.wheeled.tyres import Tyre, traction_along
 __all__ = [
     "Arrangement",
     "Body",
+    "Commands",
     "Contact",
     "Coulomb",
     "DCMotor",
@@ -49,13 +58,17 @@ __all__ = [
     "TyreOnGround",
     "Wheel",
     "at",
+    "commands",
     "fidelities",
     "full_model",
     "kinds",
+    "pure_pursuit",
     "rates",
     "rollout",
     "simulate",
+    "stanley",
     "start",
+    "tracking_gains",
     "traction_along",
     "with_trailers",
 ]

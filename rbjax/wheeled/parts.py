@@ -156,7 +156,7 @@ class Steering(Record):
     """
 
     wheels: tuple[int, ...] = eqx.field(static=True)
-    lag: Any = None
+    lag: Any = eqx.field(default=None, converter=lambda x: None if x is None else floats(x))
 
     def __check_init__(self) -> None:
         check_fields(self)

@@ -11,11 +11,19 @@ from rbjax.errors import UnknownName
 from rbjax.wheeled import kinds as made
 from rbjax.wheeled.constrained import Constrained
 from rbjax.wheeled.fidelity import Fidelity
+from rbjax.wheeled.quasi_velocities import QuasiVelocities
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.rolling import Dynamical, Kinematic, Kinematical
 from rbjax.wheeled.slipping import Slipping
 
-_FIDELITIES: tuple[type[Fidelity], ...] = (Kinematic, Kinematical, Dynamical, Constrained, Slipping)
+_FIDELITIES: tuple[type[Fidelity], ...] = (
+    Kinematic,
+    Kinematical,
+    Dynamical,
+    QuasiVelocities,
+    Constrained,
+    Slipping,
+)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
     kinematic          v is empty: wheel speeds say all
     kinematical        v = nu, the free velocities: twists are separated, w = S nu
     dynamical          v = nu: multipliers are eliminated from the equations of all velocities
-The last two are equal. The second is the cheapest.
+    quasi_velocities   v = nu: the Boltzmann-Hamel equations (quasi_velocities.py)
+The last three are equal. The second is the cheapest.
 """
 
 from __future__ import annotations
