@@ -25,6 +25,7 @@ from rbjax.plotting.style import (
     STYLE,
     TEAL,
 )
+from rbjax.plotting.top_view import top_view
 
 __all__ = [
     "BLUE",
@@ -49,4 +50,5 @@ __all__ = [
     "solids",
     "strobe",
     "time_plot",
+    "top_view",
 ]

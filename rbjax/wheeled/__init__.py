@@ -4,7 +4,7 @@
     robots         kinds, with_trailers
     fidelities     at(robot, name) -> a vehicle; fidelities
     as a Model     full_model, with rolling rows
-    motion         start, rates, rollout, simulate
+    motion         start, rates, rollout, simulate, contacts
     following      commands, pure_pursuit, stanley, tracking_gains
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
@@ -12,6 +12,7 @@
 """
 
 from rbjax.wheeled.arrangement import Arrangement
+from rbjax.wheeled.contacts import Contacts, contacts
 from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.following import (
     Commands,
@@ -39,6 +40,7 @@ __all__ = [
     "Body",
     "Commands",
     "Contact",
+    "Contacts",
     "Coulomb",
     "DCMotor",
     "Drive",
@@ -59,6 +61,7 @@ __all__ = [
     "Wheel",
     "at",
     "commands",
+    "contacts",
     "fidelities",
     "full_model",
     "kinds",

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from rbjax.lanes import Lane, add, inner, is_zero, mul, neg, sub, total
+from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, neg, sub, total
 from rbjax.wheeled.numbers import BodyNumbers, Numbers
 from rbjax.wheeled.planar import Moving, Twist, cross, rate_of, turned_back, value_of
 from rbjax.wheeled.velocities import Motion, Shape, motion, shape_of
@@ -115,7 +115,7 @@ def project(
         )
         for part in parts
     ]
-    return Equations(M, f)
+    return Equations(*fusion_barrier((M, f)))
 
 
 def _with_rates(

@@ -20,7 +20,7 @@ from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape
 from rbjax.dynamics.batching import in_chunks
 from rbjax.dynamics.tracing import split_tracers
 from rbjax.errors import InputError, UnknownName
-from rbjax.lanes import Lane, add, mul
+from rbjax.lanes import Lane, add, fusion_barrier, mul
 from rbjax.model import State
 from rbjax.motion.captured import with_captured
 from rbjax.motion.trajectory import Trajectory, all_finite
@@ -45,7 +45,8 @@ def _plus(a: Sequence[Lane], b: Sequence[Lane], h: Lane) -> list[Lane]:
 
 
 def _moved(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane]) -> Lists:
-    return vehicle.rates(n, Instant(*y, u))
+    # XLA's CPU compiler would compute a stage anew wherever a later one uses it
+    return fusion_barrier(vehicle.rates(n, Instant(*y, u)))
 
 
 def _semi_implicit_euler(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rbjax.lanes import Lane, add, is_zero, mul, neg, sub, total
+from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, neg, sub, total
 from rbjax.wheeled.arrangement import Leader
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import (
@@ -64,7 +64,8 @@ def shape_of(n: Numbers, angles: Sequence[Lane]) -> Shape:
             first = n.robot.steerings[leader.number].wheels[0]
             ahead = turned(steerings[leader.number], n.wheels[first].heading)
         leaders.append((place_of(n, leader), ahead))
-    return Shape(trailers, tuple(wheels[i] for i in range(len(n.wheels))), tuple(leaders))
+    of_wheels = tuple(wheels[i] for i in range(len(n.wheels)))
+    return fusion_barrier(Shape(trailers, of_wheels, tuple(leaders)))
 
 
 def _range(s: slice) -> range:
