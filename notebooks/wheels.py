@@ -114,8 +114,8 @@ print("loads of the wheels [N]:", np.round(found.loads))
 # %% [markdown]
 # ## Gradients
 #
-# Everything is differentiable, with respect to any number of the robot: here, where the coasting cart
-# of above ends, by the place of its centre of mass and by a radius.
+# Everything is differentiable, with respect to any number of the robot: here, where the coasting
+# cart of above ends, by the place of its centre of mass and by a radius.
 
 # %%
 

@@ -17,7 +17,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
-LONG = "choosing_a_solver gpu_threads loops tumbling_body".split()  # noqa: SIM905
+LONG = "choosing_a_solver gpu_threads loops tumbling_body wheels".split()  # noqa: SIM905
 RUNS = [
     pytest.param(path, marks=pytest.mark.slow) if path.stem in LONG else path for path in SOURCES
 ]

@@ -57,7 +57,7 @@ def top_view(
         reach = max(float(np.hypot(*np.asarray(w.position))) for w in vehicle.robot.wheels)
         ax.quiver(
             *at.T, *(force * (2 * reach / max(largest, 1e-12))).T, angles="xy", scale_units="xy",
-            scale=1, color=BLUE, width=0.003, zorder=4,
+            scale=1, color=BLUE, width=0.006, zorder=4,
         )  # fmt: skip
     ax.set_aspect("equal")
     ax.set(xlabel="x [m]", ylabel="y [m]")
