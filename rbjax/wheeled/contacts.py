@@ -56,8 +56,8 @@ def contacts(vehicle: Fidelity, state: State, controls: Any) -> Contacts:
         >>> from rbjax import wheeled
         >>> car = wheeled.at(wheeled.kinds()["car"].make(), "slipping")
         >>> found = wheeled.contacts(car, wheeled.start(car), jnp.zeros(2))
-        >>> round(float(found.loads.sum()) / 9.81, 6), bool(found.lifts.any())
-        (1180.0, False)
+        >>> round(float(found.loads.sum()) / 9.81), bool(found.lifts.any())
+        (1180, False)
     """
     check_vehicle("contacts", vehicle)
     if not isinstance(vehicle, (Slipping, Constrained)):

@@ -69,7 +69,7 @@ def start(vehicle: Fidelity, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0
         >>> import rbjax as rb
         >>> from rbjax import wheeled
         >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
-        >>> wheeled.start(cart, twist=[0.5, 0.0, 0.2]).v.tolist()
+        >>> [round(x, 6) for x in wheeled.start(cart, twist=[0.5, 0.0, 0.2]).v.tolist()]
         [0.5, 0.2]
     """
     check_vehicle("start", vehicle)
