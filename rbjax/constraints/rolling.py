@@ -41,8 +41,8 @@ from rbjax.model.record import check_number, floats
 Moving = tuple[Vec3, Vec3]  # a vector in world axes, and its rate
 
 
-def _fixed(F: Frame, u: Vec3) -> Moving:
-    """A direction fixed in a frame."""
+def swept(F: Frame, u: Vec3) -> Moving:
+    """A direction fixed in a frame, in world axes, with its rate."""
     u = F.rotation @ u
     return u, F.angular_velocity.cross(u)
 
@@ -87,7 +87,7 @@ class Rolling(Constraint):
     def rows(self, now: Instant) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
         height, arm = self.contact(A, B, scalar(self.radius, now.q.dtype))
-        return [height, *slip(A, B, arm, [_fixed(A, X), _fixed(A, Y)])]
+        return [height, *slip(A, B, arm, [swept(A, X), swept(A, Y)])]
 
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
         """The height of the lowest point, and its arm from the centre."""
@@ -109,7 +109,7 @@ class RollingSphere(Rolling):
     """
 
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
-        n, dn = _fixed(A, Z)
+        n, dn = swept(A, Z)
         return along(A, Z, B) + (-radius), (n * (-radius), dn * (-radius))
 
 
@@ -129,7 +129,7 @@ class RollingDisc(Rolling):
     def contact(self, A: Frame, B: Frame, radius: Lane) -> tuple[Row, Moving]:
         lean = cosine(A, Z, B, Z)
         sine = lean.applied(lambda c: jnp.sqrt(1 - c * c))
-        (n, dn), (e, de), c = _fixed(A, Z), _fixed(B, Z), lean.value
+        (n, dn), (e, de), c = swept(A, Z), swept(B, Z), lean.value
         # m sin = c e - n, with the rate m' sin + m sin'
         scale: Any = 1.0 / sine.value  # type: ignore[operator]
         m = (e * c - n) * scale
@@ -164,6 +164,6 @@ class KnifeEdge(Constraint):
 
     def rows(self, now: Instant) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
-        (n, dn), (d, dd) = _fixed(A, Z), _fixed(B, Z)
+        (n, dn), (d, dd) = swept(A, Z), swept(B, Z)
         still = Vec3.zero(), Vec3.zero()
         return slip(A, B, still, [(n.cross(d), dn.cross(d) + n.cross(dd))])

@@ -1,7 +1,7 @@
 """The fidelity of all bodies and all wheels' rows: nothing is reduced, multipliers are solved for.
 
     M a + b = tau + G^T l,     G a = -(...),     of `full_model`
-It stands on the multibody dynamics and the constraints of this package alone, so it checks the
+It uses only the multibody dynamics and the constraints of this package, so it checks the
 reduced fidelities (`rolling`), and its multipliers are the forces of the ground on the wheels.
 """
 
@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 
 from rbjax.constraints import Formulation, Multipliers
 from rbjax.constraints.law import constrained_motion
@@ -28,7 +27,7 @@ from rbjax.wheeled.fidelity import (
     torques_at_rest_loads,
 )
 from rbjax.wheeled.full_model import contact_ways, knuckle_joint, model_of, wheel_joint
-from rbjax.wheeled.numbers import Numbers
+from rbjax.wheeled.numbers import Numbers, indices, stacked
 from rbjax.wheeled.planar import Pair, direction, turned_back
 from rbjax.wheeled.velocities import shaft_speed
 from rbjax.wheeled.wheel_rows import linked
@@ -62,7 +61,6 @@ class Constrained(Fidelity):
     name: ClassVar[str] = "constrained"
 
     def __check_init__(self) -> None:
-        super().__check_init__()
         if not isinstance(self.formulation, Formulation):
             raise InputError(
                 f"Constrained: formulation is {type(self.formulation).__name__}, expected one of "
@@ -128,11 +126,11 @@ def full_state(n: Numbers, now: Instant, w: Sequence[Lane]) -> tuple[Model, Stat
     layout, rates = n.layout, coordinate_rates(n, now, w)
     steering = steering_rates(n, now)
     model = model_of(n, steering_rates=steering)
-    names = {f"hitch_{k}": at for k, at in enumerate(_range(layout.trailers), start=1)}
-    names |= {f"steering_{j}": at for j, at in enumerate(_range(layout.steerings))}
+    names = {f"hitch_{k}": at for k, at in enumerate(indices(layout.trailers), start=1)}
+    names |= {f"steering_{j}": at for j, at in enumerate(indices(layout.steerings))}
     names |= {
         f"caster_{i}": at
-        for i, at in zip(layout.caster_wheels, _range(layout.casters), strict=True)
+        for i, at in zip(layout.caster_wheels, indices(layout.casters), strict=True)
     }
     names |= {wheel_joint(i): layout.shafts.start + x.shaft for i, x in enumerate(n.wheels)}
     q, v = (
@@ -151,8 +149,8 @@ def full_state(n: Numbers, now: Instant, w: Sequence[Lane]) -> tuple[Model, Stat
         q[f"motor_{j}"], v[f"motor_{j}"] = turned_by
     others = model.joint_names[1:]
     return model, State(
-        _array([*now.q[:3], *(q[name] for name in others)], n.dtype),
-        _array([*rates[:3], *(v[name] for name in others)], n.dtype),
+        stacked([*now.q[:3], *(q[name] for name in others)], n.dtype),
+        stacked([*rates[:3], *(v[name] for name in others)], n.dtype),
     )
 
 
@@ -169,12 +167,4 @@ def torques(n: Numbers, now: Instant, model: Model, w: Sequence[Lane]) -> jax.Ar
     out: list[Lane] = [0.0] * model.nv
     for i, torque in zip(n.layout.setters, torques_at_rest_loads(n, now, w), strict=True):
         out[model.v_slice(wheel_joint(i)).start] = torque
-    return _array(out, n.dtype)
-
-
-def _range(s: slice) -> range:
-    return range(s.start, s.stop)
-
-
-def _array(lanes: Sequence[Lane], dtype: Any) -> jax.Array:
-    return jnp.stack([jnp.asarray(x, dtype) for x in lanes])
+    return stacked(out, n.dtype)

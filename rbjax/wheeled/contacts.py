@@ -14,6 +14,7 @@ from rbjax.model import State
 from rbjax.wheeled.constrained import Constrained
 from rbjax.wheeled.fidelity import Fidelity, angles_of
 from rbjax.wheeled.loads import wheel_loads
+from rbjax.wheeled.numbers import stacked
 from rbjax.wheeled.planar import turned
 from rbjax.wheeled.slipping import Slipping
 from rbjax.wheeled.states import check_state, check_vehicle
@@ -89,9 +90,5 @@ def _contacts(vehicle: Slipping | Constrained, state: State, u: jax.Array) -> Co
         sliding.append((along - wheel.radius * rates[wheel.shaft], 0.0 if free else across))
     dtype = state.q.dtype
 
-    def array(x: Any) -> jax.Array:
-        return jnp.stack([jnp.asarray(a, dtype) for a in x])
-
-    return Contacts(
-        array(loads), jnp.stack(list(map(array, forces))), jnp.stack(list(map(array, sliding)))
-    )
+    pairs = (jnp.stack([stacked(x, dtype) for x in rows]) for rows in (forces, sliding))
+    return Contacts(stacked(loads, dtype), *pairs)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, neg, sub, total
 from rbjax.wheeled.numbers import BodyNumbers, Numbers
-from rbjax.wheeled.planar import Moving, Twist, cross, rate_of, turned_back, value_of
+from rbjax.wheeled.planar import Moving, Twist, cross, moving, rate_of, turned_back, value_of
 from rbjax.wheeled.velocities import Motion, Shape, motion, shape_of
 
 #: nu and a shape to full velocities
@@ -55,9 +55,7 @@ def weights(n: Numbers, pose: tuple[Lane, ...], shape: Shape) -> list[Twist]:
         return [Twist(0.0, 0.0, 0.0)] * len(n.bodies)
     falls = [turned_back(n.downhill, pose)]
     for k in range(1, len(n.bodies)):
-        ahead = n.bodies[k].ahead
-        assert ahead is not None
-        falls.append(turned_back(falls[ahead], shape.trailers[k - 1]))
+        falls.append(turned_back(falls[n.ahead(k)], shape.trailers[k - 1]))
     return [
         Twist(mul(body.mass, x), mul(body.mass, y), cross(body.moment, (x, y)))
         for body, (x, y) in zip(n.bodies, falls, strict=True)
@@ -65,7 +63,7 @@ def weights(n: Numbers, pose: tuple[Lane, ...], shape: Shape) -> list[Twist]:
 
 
 def columns_of(n: Numbers, shape: Shape, velocities: Velocities, size: int) -> list[list[Lane]]:
-    """Full velocities by each velocity nu alone: the columns of the basis."""
+    """Full velocities of unit velocities nu: the columns of the basis."""
     units = [[1.0 if i == j else 0.0 for i in range(size)] for j in range(size)]
     return [velocities(n, shape, unit) for unit in units]
 
@@ -126,7 +124,7 @@ def _with_rates(
     nu: Sequence[Lane],
 ) -> tuple[Motion, Motion]:
     """The motion at nu, and its rate at nu' = 0."""
-    shape = shape_of(n, [Moving(a, r) for a, r in zip(angles, angle_rates, strict=True)])
+    shape = shape_of(n, moving(angles, angle_rates))
     both = motion(n, shape, velocities(n, shape, nu))
     now = Motion(
         [Twist(*map(value_of, V)) for V in both.twists],

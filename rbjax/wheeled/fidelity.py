@@ -10,17 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, inner, mul, sub, total
 from rbjax.model import State
 from rbjax.model.record import Record
-from rbjax.wheeled.equations import momentum, weights
+from rbjax.wheeled.equations import momentum
 from rbjax.wheeled.loads import resisting_torques, wheel_loads
-from rbjax.wheeled.numbers import Numbers, numbers_of
-from rbjax.wheeled.planar import Twist, direction, dot, turned
+from rbjax.wheeled.numbers import Numbers, numbers_of, stacked
+from rbjax.wheeled.planar import direction, dot, turned
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.velocities import (
     Shape,
@@ -54,8 +53,6 @@ class Fidelity(Record):
 
     robot: Robot
     name: ClassVar[str] = ""
-    #: whether wheels roll without sliding, so that their torques or speeds say all
-    ideal: ClassVar[bool] = True
 
     def __check_init__(self) -> None:
         if not isinstance(self.robot, Robot):
@@ -152,8 +149,10 @@ def coordinate_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
     """q' by the full velocities."""
     x, y = turned((w[0], w[1]), now.pose)
     trailers = list(w[3 : 2 + len(n.bodies)])
-    shape = shape_of(n, angles_of(n, now))
-    casters = caster_rates(n, shape, twists_of(n, shape, w)) if n.layout.caster_wheels else []
+    casters = []
+    if n.layout.caster_wheels:
+        shape = shape_of(n, angles_of(n, now))
+        casters = caster_rates(n, shape, twists_of(n, shape, w))
     return [x, y, w[2], *trailers, *steering_rates(n, now), *casters, *w[2 + len(n.bodies) :]]
 
 
@@ -213,15 +212,6 @@ def potential_energy(n: Numbers, now: Instant) -> Lane:
     return energy
 
 
-def gravity_pull(n: Numbers, now: Instant, shape: Shape) -> list[Twist]:
-    """Gravity along the slope on each body."""
-    return weights(n, now.pose, shape)
-
-
 def as_state(q: Sequence[Lane], v: Sequence[Lane], x: Sequence[Lane], dtype: Any) -> State:
     """Lanes as arrays."""
-
-    def array(lanes: Sequence[Lane]) -> jax.Array:
-        return jnp.stack([jnp.asarray(a, dtype) for a in lanes]) if lanes else jnp.zeros(0, dtype)
-
-    return State(array(q), array(v), array(x) if len(x) else None)
+    return State(stacked(q, dtype), stacked(v, dtype), stacked(x, dtype) if len(x) else None)

@@ -19,6 +19,7 @@ from rbjax.lanes.products import matmat, matrix_transpose
 from rbjax.model import State
 from rbjax.wheeled.fidelity import Fidelity, angles_of
 from rbjax.wheeled.motion import rollout
+from rbjax.wheeled.numbers import stacked
 from rbjax.wheeled.planar import Twist, dot, left
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.rolling import Kinematical
@@ -99,11 +100,7 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
         shaft_speed(n, drive.wheels, split, rates)
         for drive, split in zip(robot.drives, n.splits, strict=True)
     ]
-
-    def array(xs: list) -> jax.Array:
-        return jnp.stack([jnp.asarray(x, dtype) for x in xs]) if xs else jnp.zeros(0, dtype)
-
-    return Commands(array(speeds), array(angles))
+    return Commands(stacked(speeds, dtype), stacked(angles, dtype))
 
 
 def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:

@@ -14,8 +14,8 @@ shaft turn as it does. All rows of wheels on one axle stay in, so rows may be re
 Inertia. A wheel is a body of its mass, at its centre, with yaw_inertia about all axes across the
 axle. Of its inertia about the axle as much is the body's as a rigid body can have (2 yaw_inertia);
 the rest is armature of its joint. A caster has its mass and yaw_inertia in the fork, at the pivot,
-and its inertia as armature. A chassis or trailer has its inertia about all three axes: the
-vertical one alone counts while wheels hold it level. Steering columns and knuckles have an armature
+and its inertia as armature. A chassis or trailer has its inertia about all three axes: while wheels
+hold it level, only that about the vertical counts. Steering columns and knuckles have an armature
 of 1 kg m^2, which the rows prescribe: it acts on nothing else.
 """
 
@@ -170,7 +170,7 @@ def _least(a: Lane, b: Lane) -> Lane:
 
 
 def _geared(n: Numbers, i: int) -> Lane:
-    """The inertia, at a wheel, of the motor that drives it alone."""
+    """The inertia, at a wheel, of a motor that drives no other."""
     out: Lane = 0.0
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         if drive.wheels == (i,):

@@ -40,8 +40,7 @@ def wheel_loads(n: Numbers, tractions: Sequence[Pair] | None = None) -> list[Lan
         axle = mul(moment, inverse(arm))
         for i in mine:
             out[i] = mul(share, axle)
-        assert body.ahead is not None
-        down[body.ahead].append((sub(add(weight, hung), axle), body.hitch))
+        down[n.ahead(k)].append((sub(add(weight, hung), axle), body.hitch))
     chassis, mine = n.bodies[0], [i for i, wheel in enumerate(n.wheels) if wheel.body == 0]
     weight = mul(chassis.mass, n.gravity)
     whole = add(weight, total(force for force, _ in down[0]))

@@ -45,7 +45,7 @@ def _plus(a: Sequence[Lane], b: Sequence[Lane], h: Lane) -> list[Lane]:
 
 
 def _moved(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane]) -> Lists:
-    # XLA's CPU compiler would compute a stage anew wherever a later one uses it
+    # XLA's CPU compiler would compute a stage again wherever a later one uses it
     return fusion_barrier(vehicle.rates(n, Instant(*y, u)))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -56,7 +57,7 @@ class Numbers:
     layout: Layout
     bodies: tuple[BodyNumbers, ...]
     wheels: tuple[WheelNumbers, ...]
-    #: inertias of shafts, with those of motors
+    #: inertias of shafts, without those of motors
     shafts: tuple[Lane, ...]
     #: of each drive, the shares of its wheels
     splits: tuple[tuple[Lane, ...], ...]
@@ -67,9 +68,25 @@ class Numbers:
     motors: tuple[Any, ...]
     resistance: Any
 
+    def ahead(self, k: int) -> int:
+        """The body that pulls trailer k."""
+        ahead = self.bodies[k].ahead
+        assert ahead is not None
+        return ahead
+
     def lane(self, x: Any) -> Lane:
         """A number of a part."""
         return scalar(x, self.dtype)
+
+
+def stacked(lanes: Sequence[Lane], dtype: Any) -> jax.Array:
+    """Lanes as an array (n,)."""
+    return jnp.stack([jnp.asarray(x, dtype) for x in lanes]) if len(lanes) else jnp.zeros(0, dtype)
+
+
+def indices(s: slice) -> range:
+    """The numbers of coordinates of a slice of `Layout`."""
+    return range(s.start, s.stop)
 
 
 def with_lanes(part: Any, dtype: Any) -> Any:

@@ -7,6 +7,7 @@ rate in rad/s. A point and a direction are pairs of lanes in the body's axes.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -92,6 +93,11 @@ class Moving:
 
     def __rtruediv__(self, other: Any) -> Moving:
         return inverse(self) * other
+
+
+def moving(values: Sequence[Lane], rates: Sequence[Lane]) -> list[Moving]:
+    """Lanes with their rates."""
+    return [Moving(a, b) for a, b in zip(values, rates, strict=True)]
 
 
 def value_of(a: Lane) -> Lane:

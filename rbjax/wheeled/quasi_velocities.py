@@ -16,7 +16,7 @@ of Rigid Bodies*, ch. 7, 8)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +30,8 @@ from rbjax.wheeled.fidelity import (
     potential_energy,
     torques_at_rest_loads,
 )
-from rbjax.wheeled.numbers import Numbers
-from rbjax.wheeled.planar import Moving, cross, rate_of, value_of
+from rbjax.wheeled.numbers import Numbers, stacked
+from rbjax.wheeled.planar import cross, moving, rate_of, value_of
 from rbjax.wheeled.rolling import Rolling
 from rbjax.wheeled.velocities import caster_rates, ideal, shaft_speed, shape_of, twists_of
 
@@ -51,14 +51,14 @@ class QuasiVelocities(Rolling):
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
         dtype = n.dtype
         free = self.full(n, now)
-        s, ds = (_array(x, dtype) for x in (angles_of(n, now), angle_rates(n, now, free)))
-        nu = _array(now.v, dtype)
+        s, ds = (stacked(x, dtype) for x in (angles_of(n, now), angle_rates(n, now, free)))
+        nu = stacked(now.v, dtype)
         steering = ds  # only its part of the steerings is used
 
         def quasi(s: jax.Array, nu: jax.Array) -> jax.Array:
             shape = shape_of(n, list(s))
             w = ideal(n, shape, list(nu))
-            return _array([*w, *caster_rates(n, shape, twists_of(n, shape, w))], dtype)
+            return stacked([*w, *caster_rates(n, shape, twists_of(n, shape, w))], dtype)
 
         def energy(s: jax.Array, w: jax.Array) -> jax.Array:
             return jnp.asarray(_kinetic(n, list(s), list(steering), list(w)), dtype)
@@ -72,7 +72,7 @@ class QuasiVelocities(Rolling):
             return jax.jvp(impulse, (s, w), (ds, rate))[1]
 
         carried = jnp.stack([-w[2] * p[1], w[2] * p[0], w[0] * p[1] - w[1] * p[0]])
-        due = self._loads(n, now, s, dtype).at[:3].add(-carried)
+        due = self._loads(n, now, s, free).at[:3].add(-carried)
         k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
         due = due.at[3 : 3 + k].add(pull[:k])
         due = due.at[len(w) - casters :].add(pull[len(s) - casters :])
@@ -89,9 +89,10 @@ class QuasiVelocities(Rolling):
         M = [[columns[j][i] for j in range(len(nu))] for i in range(len(nu))]
         return ldlt(M).solve([f[i] for i in range(len(nu))])
 
-    def _loads(self, n: Numbers, now: Instant, s: jax.Array, dtype: Any) -> jax.Array:
+    def _loads(self, n: Numbers, now: Instant, s: jax.Array, free: Sequence[Lane]) -> jax.Array:
         """Q: the gradient of the potential energy, and the torques on shafts."""
-        pose = _array(now.q[:3], dtype)
+        dtype = n.dtype
+        pose = stacked(now.q[:3], dtype)
 
         def potential(pose: jax.Array, s: jax.Array) -> jax.Array:
             q = [*pose, *s, *now.q[n.layout.shafts.start :]]
@@ -100,13 +101,13 @@ class QuasiVelocities(Rolling):
         by_pose, by_angles = jax.grad(potential, (0, 1))(pose, s)
         c, si = now.pose
         x, y = c * by_pose[0] + si * by_pose[1], c * by_pose[1] - si * by_pose[0]
-        torques = torques_at_rest_loads(n, now, self.full(n, now))
+        torques = torques_at_rest_loads(n, now, free)
         k, casters = len(n.bodies) - 1, len(n.layout.caster_wheels)
         return jnp.concatenate(
             [
                 -jnp.stack([x, y, by_pose[2]]),
                 -by_angles[:k],
-                _array(torques, dtype),
+                stacked(torques, dtype),
                 jnp.zeros(casters, dtype),
             ]
         )
@@ -129,19 +130,13 @@ def _kinetic(
     for i, rate in zip(casters, w[len(w) - len(casters) :], strict=True):
         whole = add(rate, twists[n.wheels[i].body][2])
         twice.append(mul(n.wheels[i].yaw_inertia, mul(whole, whole)))
-    moving = shape_of(n, [Moving(a, b) for a, b in zip(angles, turning, strict=True)])
+    moved = shape_of(n, moving(angles, turning))
     for steering in n.robot.steerings:
         for i in steering.wheels:
-            e = moving.wheels[i]
+            e = moved.wheels[i]
             rate = cross((value_of(e[0]), value_of(e[1])), (rate_of(e[0]), rate_of(e[1])))
             yaw = twists[n.wheels[i].body][2]
             # the body's own inertia has that of the wheel, which turns with it
             more = add(mul(2.0, mul(yaw, rate)), mul(rate, rate))
             twice.append(mul(n.wheels[i].yaw_inertia, more))
     return mul(0.5, total(twice))
-
-
-def _array(lanes: Sequence[Lane], dtype: Any) -> jax.Array:
-    if not len(lanes):
-        return jnp.zeros(0, dtype)
-    return jnp.stack([jnp.asarray(x, dtype) for x in lanes])

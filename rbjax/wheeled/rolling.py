@@ -13,17 +13,16 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from rbjax.lanes import Lane, inner, ldlt, mul, neg, sub, total
-from rbjax.wheeled.equations import columns_of, project
+from rbjax.wheeled.equations import columns_of, project, weights
 from rbjax.wheeled.fidelity import (
     Fidelity,
     Instant,
     angle_rates,
     angles_of,
-    gravity_pull,
     torques_at_rest_loads,
 )
 from rbjax.wheeled.numbers import Numbers
-from rbjax.wheeled.planar import Moving, Twist, rate_of, value_of
+from rbjax.wheeled.planar import Twist, moving, rate_of
 from rbjax.wheeled.velocities import (
     Shape,
     chassis_twist,
@@ -111,7 +110,7 @@ class Kinematical(Rolling):
         angles, w = angles_of(n, now), self.full(n, now)
         M, f = project(
             n, angles, angle_rates(n, now, w), ideal, now.v,
-            gravity_pull(n, now, shape_of(n, angles)), torques_at_rest_loads(n, now, w),
+            weights(n, now.pose, shape_of(n, angles)), torques_at_rest_loads(n, now, w),
         )  # fmt: skip
         return ldlt(M).solve(f)
 
@@ -134,18 +133,18 @@ class Dynamical(Rolling):
 
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
         angles, w = angles_of(n, now), self.full(n, now)
-        moving = [Moving(a, r) for a, r in zip(angles, angle_rates(n, now, w), strict=True)]
-        shape = shape_of(n, angles)
+        turning = angle_rates(n, now, w)
+        shape, moved = shape_of(n, angles), shape_of(n, moving(angles, turning))
         M, f = project(
-            n, angles, [a.rate for a in moving], all_of, w,
-            gravity_pull(n, now, shape), torques_at_rest_loads(n, now, w),
+            n, angles, turning, all_of, w,
+            weights(n, now.pose, shape), torques_at_rest_loads(n, now, w),
         )  # fmt: skip
         factors = ldlt(M)
         free = factors.solve(f)
         units = columns_of(n, shape, all_of, len(w))
         A = [rows(n, shape, unit) for unit in units]  # by column
         size = len(A[0])
-        bias = [rate_of(x) for x in rows(n, shape_of(n, moving), w)]
+        bias = [rate_of(x) for x in rows(n, moved, w)]
         lifted = [factors.solve([column[i] for column in A]) for i in range(size)]  # M^-1 A^T
         K = [
             [total(mul(c[i], x) for c, x in zip(A, lifted[j], strict=True)) for j in range(size)]
@@ -160,9 +159,9 @@ class Dynamical(Rolling):
             total([x, *(mul(lifted[i][k], l[i]) for i in range(size))]) for k, x in enumerate(free)
         ]
         # nu' = S^+ (w' - S' nu)
-        turning = chassis_twist(n, shape_of(n, moving), now.v)
-        V = Twist(*(sub(a, rate_of(b)) for a, b in zip(rate[:3], turning, strict=True)))
-        return [value_of(x) for x in free_velocities(n, shape, V)]
+        given = chassis_twist(n, moved, now.v)
+        V = Twist(*(sub(a, rate_of(b)) for a, b in zip(rate[:3], given, strict=True)))
+        return free_velocities(n, shape, V)
 
 
 def all_of(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Lane]:

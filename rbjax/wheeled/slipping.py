@@ -21,13 +21,12 @@ import jax.numpy as jnp
 
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, ldlt, mul, neg
-from rbjax.wheeled.equations import project
+from rbjax.wheeled.equations import project, weights
 from rbjax.wheeled.fidelity import (
     Fidelity,
     Instant,
     angle_rates,
     angles_of,
-    gravity_pull,
     shaft_torques,
 )
 from rbjax.wheeled.loads import resisting_torques, wheel_loads
@@ -53,7 +52,6 @@ class Slipping(Fidelity):
     """
 
     name: ClassVar[str] = "slipping"
-    ideal: ClassVar[bool] = False
     tyre: Any = None
 
     def __post_init__(self) -> None:
@@ -147,7 +145,7 @@ class Slipping(Fidelity):
         angles = angles_of(n, now)
         shape = shape_of(n, angles)
         loads, forces = self.forces(n, now)
-        pulls = gravity_pull(n, now, shape)
+        pulls = weights(n, now.pose, shape)
         torques = shaft_torques(n, now, now.v)
         if n.resistance is not None:
             resisting = resisting_torques(n, now.v, loads)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from rbjax.lanes import Lane, add, fusion_barrier, is_zero, mul, neg, sub, total
 from rbjax.wheeled.arrangement import Leader
-from rbjax.wheeled.numbers import Numbers
+from rbjax.wheeled.numbers import Numbers, indices
 from rbjax.wheeled.planar import (
     Pair,
     Twist,
@@ -47,9 +47,9 @@ def shape_of(n: Numbers, angles: Sequence[Lane]) -> Shape:
     """The shape at the angles of trailers, steerings and casters."""
     layout = n.layout
     of = dict(enumerate(angles, start=3))
-    trailers = tuple(direction(of[i]) for i in _range(layout.trailers))
-    steerings = [direction(of[i]) for i in _range(layout.steerings)]
-    casters = dict(zip(layout.caster_wheels, _range(layout.casters), strict=True))
+    trailers = tuple(direction(of[i]) for i in indices(layout.trailers))
+    steerings = [direction(of[i]) for i in indices(layout.steerings)]
+    casters = dict(zip(layout.caster_wheels, indices(layout.casters), strict=True))
     wheels = {i: wheel.heading for i, wheel in enumerate(n.wheels)}
     for i, at in casters.items():
         wheels[i] = direction(of[at])
@@ -66,10 +66,6 @@ def shape_of(n: Numbers, angles: Sequence[Lane]) -> Shape:
         leaders.append((place_of(n, leader), ahead))
     of_wheels = tuple(wheels[i] for i in range(len(n.wheels)))
     return fusion_barrier(Shape(trailers, of_wheels, tuple(leaders)))
-
-
-def _range(s: slice) -> range:
-    return range(s.start, s.stop)
 
 
 def place_of(n: Numbers, leader: Leader) -> Pair:
@@ -161,19 +157,13 @@ def ideal(n: Numbers, shape: Shape, free: Sequence[Lane]) -> list[Lane]:
     twists, rates = [V], []
     for k, wheel in enumerate(n.robot.arrangement.trailing, start=1):
         body = n.bodies[k]
-        v = turned_back(twists[_ahead(n, k)].at(body.hitch), shape.trailers[k - 1])
+        v = turned_back(twists[n.ahead(k)].at(body.hitch), shape.trailers[k - 1])
         e, p = shape.wheels[wheel], n.wheels[wheel].position
         arm = dot(e, (sub(p[0], body.drawbar), p[1]))
         w = neg(mul(dot(left(e), v), inverse(arm)))
-        rates.append(sub(w, twists[_ahead(n, k)][2]))
+        rates.append(sub(w, twists[n.ahead(k)][2]))
         twists.append(_behind(n, k, v, w))
     return [*V, *rates, *(rolling(n, shape, twists, i) for i in n.layout.setters)]
-
-
-def _ahead(n: Numbers, k: int) -> int:
-    ahead = n.bodies[k].ahead
-    assert ahead is not None
-    return ahead
 
 
 def _behind(n: Numbers, k: int, v: Pair, w: Lane) -> Twist:
@@ -185,7 +175,7 @@ def twists_of(n: Numbers, shape: Shape, w: Sequence[Lane]) -> list[Twist]:
     """The twists of all bodies by the full velocities."""
     twists = [Twist(*w[:3])]
     for k in range(1, len(n.bodies)):
-        ahead = twists[_ahead(n, k)]
+        ahead = twists[n.ahead(k)]
         v = turned_back(ahead.at(n.bodies[k].hitch), shape.trailers[k - 1])
         twists.append(_behind(n, k, v, add(ahead[2], w[2 + k])))
     return twists

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from rbjax.constraints import Constraint, Place, Row, along, coordinate
 from rbjax.constraints.geometry import Y, Z
 from rbjax.constraints.place import check_places
-from rbjax.constraints.rolling import slip
+from rbjax.constraints.rolling import slip, swept
 from rbjax.errors import UnknownName
 from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Lane, Vec3, add, mul, neg, sub
@@ -83,7 +83,7 @@ class WheelContact(Constraint):
     def rows(self, now: Instant) -> Sequence[Row]:
         A, B = self.a.frame(now), self.b.frame(now)
         radius, dtype = scalar(self.radius, now.q.dtype), now.q.dtype
-        n, dn = _fixed(A, Z)
+        n, dn = swept(A, Z)
         ways = _ways(A, B)
         if "roller" in self.ways:
             c, s = direction(scalar(self.roller, dtype))
@@ -94,14 +94,9 @@ class WheelContact(Constraint):
         return [along(A, Z, B) - radius, *rows] if self.touches else rows
 
 
-def _fixed(F: Frame, u: Vec3) -> Swept:
-    u = F.rotation @ u
-    return u, F.angular_velocity.cross(u)
-
-
 def _ways(A: Frame, B: Frame) -> dict[str, Swept]:
     """The directions ahead and to the left, on the ground."""
-    (n, dn), (y, dy) = _fixed(A, Z), _fixed(B, Y)
+    (n, dn), (y, dy) = swept(A, Z), swept(B, Y)
     ahead, d_ahead = y.cross(n), dy.cross(n) + y.cross(dn)
     return {
         "ahead": (ahead, d_ahead),

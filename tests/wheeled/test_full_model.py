@@ -12,16 +12,15 @@ from rbjax.constraints import KKT, jacobian, mobility
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled.constrained import Constrained, full_state
-from rbjax.wheeled.equations import project
+from rbjax.wheeled.equations import project, weights
 from rbjax.wheeled.fidelity import (
     angle_rates,
     angles_of,
     coordinate_rates,
-    gravity_pull,
     kinetic_energy,
 )
 from rbjax.wheeled.full_model import full_model
-from rbjax.wheeled.planar import Moving, rate_of
+from rbjax.wheeled.planar import Moving, moving, rate_of
 from rbjax.wheeled.velocities import ideal, rows, shape_of
 from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
@@ -32,10 +31,6 @@ SAMPLES = 5
 every_kind = pytest.mark.parametrize(
     "name", [k if k in QUICK else pytest.param(k, marks=pytest.mark.slow) for k in KINDS]
 )
-
-
-def moving(angles, angle_rates):
-    return [Moving(a, b) for a, b in zip(angles, angle_rates, strict=True)]
 
 
 def rates(lanes):
@@ -128,7 +123,7 @@ def test_separation_of_wrenches_term_by_term(name):
         w = reduced.full(n, now)
         book = project(
             n, angles_of(n, now), angle_rates(n, now, w), ideal, now.v,
-            gravity_pull(n, now, shape), [0.0] * len(n.shafts),
+            weights(n, now.pose, shape), [0.0] * len(n.shafts),
         )  # fmt: skip
         return {
             "rows": rows @ S,
