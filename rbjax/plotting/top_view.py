@@ -13,8 +13,7 @@ from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.style import BLUE, GRID, INK, ORANGE
 from rbjax.wheeled.contacts import contacts
-from rbjax.wheeled.fidelity import Fidelity, angles_of
-from rbjax.wheeled.velocities import shape_of
+from rbjax.wheeled.fidelity import Fidelity
 
 
 def top_view(
@@ -66,8 +65,8 @@ def top_view(
 def _robot(ax: Axes, vehicle: Fidelity, state: State, controls: Any) -> list:
     """Draws bodies and wheels. Returns places and forces of wheels."""
     robot = vehicle.robot
-    n, now = vehicle.instant(state)
-    shape = shape_of(n, angles_of(n, now))
+    _, now = vehicle.instant(state)
+    shape = now.shape
     frames: list[tuple[np.ndarray, np.ndarray]] = []
     for k, body in enumerate(robot.bodies):
         if body.ahead is None:

@@ -19,14 +19,9 @@ from rbjax.constraints.projection import projected
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul, sub
 from rbjax.model import Model, State
-from rbjax.wheeled.fidelity import (
-    Fidelity,
-    Instant,
-    coordinate_rates,
-    steering_rates,
-    torques_at_rest_loads,
-)
+from rbjax.wheeled.fidelity import Fidelity, torques_at_rest_loads
 from rbjax.wheeled.full_model import contact_ways, knuckle_joint, model_of, wheel_joint
+from rbjax.wheeled.instant import Instant, coordinate_rates, steering_rates
 from rbjax.wheeled.numbers import Numbers, indices, stacked
 from rbjax.wheeled.planar import Pair, direction, turned_back
 from rbjax.wheeled.velocities import shaft_speed

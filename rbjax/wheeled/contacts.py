@@ -12,13 +12,13 @@ from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled.constrained import Constrained
-from rbjax.wheeled.fidelity import Fidelity, angles_of
+from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.loads import wheel_loads
 from rbjax.wheeled.numbers import stacked
 from rbjax.wheeled.planar import turned
 from rbjax.wheeled.slipping import Slipping
 from rbjax.wheeled.states import check_state, check_vehicle
-from rbjax.wheeled.velocities import contact, shape_of, twists_of
+from rbjax.wheeled.velocities import contact, twists_of
 
 
 class Contacts(NamedTuple):
@@ -74,7 +74,7 @@ def contacts(vehicle: Fidelity, state: State, controls: Any) -> Contacts:
 @compiled
 def _contacts(vehicle: Slipping | Constrained, state: State, u: jax.Array) -> Contacts:
     n, now = vehicle.instant(state, u)
-    shape = shape_of(n, angles_of(n, now))
+    shape = now.shape
     if isinstance(vehicle, Slipping):
         loads, forces = vehicle.forces(n, now)
     else:

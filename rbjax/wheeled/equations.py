@@ -18,9 +18,10 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, neg, sub, total
+from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.numbers import BodyNumbers, Numbers
-from rbjax.wheeled.planar import Moving, Twist, cross, moving, rate_of, turned_back, value_of
-from rbjax.wheeled.velocities import Motion, Shape, motion, shape_of
+from rbjax.wheeled.planar import Twist, cross, rate_of, turned_back, value_of
+from rbjax.wheeled.velocities import Motion, Shape, motion
 
 #: nu and a shape to full velocities
 Velocities = Callable[[Numbers, Shape, Sequence[Lane]], list[Lane]]
@@ -70,8 +71,8 @@ def columns_of(n: Numbers, shape: Shape, velocities: Velocities, size: int) -> l
 
 def project(
     n: Numbers,
-    angles: Sequence[Lane],
-    angle_rates: Sequence[Lane],
+    now: Instant,
+    w: Sequence[Lane],
     velocities: Velocities,
     nu: Sequence[Lane],
     forces: Sequence[Twist],
@@ -80,23 +81,23 @@ def project(
     """M and f for velocities nu.
 
     Args:
-        angles, angle_rates: of trailers, steerings and casters.
+        w: the full velocities, at which trailers, steerings and casters turn.
         velocities: full velocities by nu.
         forces: on each body, in its axes, the moment about its origin.
         torques: on each shaft.
     """
-    shape = shape_of(n, angles)
-    parts = [motion(n, shape, w) for w in columns_of(n, shape, velocities, len(nu))]
-    now, then = _with_rates(n, angles, angle_rates, velocities, nu)
+    columns = columns_of(n, now.shape, velocities, len(nu))
+    parts = [motion(n, now.shape, column) for column in columns]
+    moves, gains = _with_rates(n, now.turning(w), velocities, nu)
     loads = [
         F - momentum(body, A) - _gyroscopic(body, V)
-        for body, F, V, A in zip(n.bodies, forces, now.twists, then.twists, strict=True)
+        for body, F, V, A in zip(n.bodies, forces, moves.twists, gains.twists, strict=True)
     ]
-    for body, moment in _steering_torques(n, angles, angle_rates):
+    for body, moment in _steering_torques(n, now, w):
         loads[body] = loads[body] - Twist(0.0, 0.0, moment)
-    driving = [*torques, *([0.0] * (len(now.turns) - len(torques)))]
+    driving = [*torques, *([0.0] * (len(gains.turns) - len(torques)))]
     turning = [
-        sub(t, mul(inertia, rate)) for t, (inertia, rate) in zip(driving, then.turns, strict=True)
+        sub(t, mul(inertia, rate)) for t, (inertia, rate) in zip(driving, gains.turns, strict=True)
     ]
     pushed = [[momentum(b, V) for b, V in zip(n.bodies, p.twists, strict=True)] for p in parts]
     M: list[list[Lane]] = [[0.0] * len(nu) for _ in nu]
@@ -117,14 +118,9 @@ def project(
 
 
 def _with_rates(
-    n: Numbers,
-    angles: Sequence[Lane],
-    angle_rates: Sequence[Lane],
-    velocities: Velocities,
-    nu: Sequence[Lane],
+    n: Numbers, shape: Shape, velocities: Velocities, nu: Sequence[Lane]
 ) -> tuple[Motion, Motion]:
-    """The motion at nu, and its rate at nu' = 0."""
-    shape = shape_of(n, moving(angles, angle_rates))
+    """The motion at nu, and its rate at nu' = 0, by the shape with its rate."""
     both = motion(n, shape, velocities(n, shape, nu))
     now = Motion(
         [Twist(*map(value_of, V)) for V in both.twists],
@@ -137,25 +133,20 @@ def _with_rates(
     return now, then
 
 
-def _steering_torques(
-    n: Numbers, angles: Sequence[Lane], angle_rates: Sequence[Lane]
-) -> list[tuple[int, Lane]]:
+def _steering_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[int, Lane]]:
     """What bodies feel as their steered wheels turn faster about the vertical, at b'' = 0.
 
     Wheels that turn by the angle b itself turn evenly; those of Ackermann's geometry do not.
     """
     out = []
-    second = [
-        Moving(Moving(a, r), Moving(r, 0.0)) for a, r in zip(angles, angle_rates, strict=True)
-    ]
     for steering in n.robot.steerings:
         heavy = any(not is_zero(n.wheels[i].yaw_inertia) for i in steering.wheels)
         if len(steering.wheels) == 1 or not heavy:
             continue
-        shape = shape_of(n, second)
+        shape = now.turning_twice(w)
         for i in steering.wheels:
             e = shape.wheels[i]
-            now = tuple(value_of(value_of(x)) for x in e)
+            here = tuple(value_of(value_of(x)) for x in e)
             twice = tuple(rate_of(rate_of(x)) for x in e)
-            out.append((n.wheels[i].body, mul(n.wheels[i].yaw_inertia, cross(now, twice))))
+            out.append((n.wheels[i].body, mul(n.wheels[i].yaw_inertia, cross(here, twice))))
     return out

@@ -8,7 +8,7 @@ or all velocities; and in x, states of tyres.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
@@ -17,32 +17,12 @@ from rbjax.lanes import Lane, add, inner, mul, sub, total
 from rbjax.model import State
 from rbjax.model.record import Record
 from rbjax.wheeled.equations import momentum
+from rbjax.wheeled.instant import Instant, coordinate_rates
 from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers, numbers_of, stacked
-from rbjax.wheeled.planar import direction, dot, turned
+from rbjax.wheeled.planar import dot, turned
 from rbjax.wheeled.robot import Robot
-from rbjax.wheeled.velocities import (
-    Shape,
-    caster_rates,
-    motion,
-    shaft_speed,
-    shape_of,
-    twists_of,
-)
-
-
-class Instant(NamedTuple):
-    """Coordinates, velocities, tyre states and controls as lanes."""
-
-    q: list[Lane]
-    v: list[Lane]
-    x: list[Lane]
-    u: list[Lane]
-
-    @property
-    def pose(self) -> tuple[Lane, Lane]:
-        """The direction of the chassis."""
-        return direction(self.q[2])
+from rbjax.wheeled.velocities import Shape, motion, shaft_speed
 
 
 class Fidelity(Record):
@@ -119,46 +99,14 @@ class Fidelity(Record):
         dtype = state.q.dtype
         given = jnp.zeros(self.nu, dtype) if u is None else u
         x = state.x if self.nx else None
-        return numbers_of(self.robot, dtype), Instant(
+        n = numbers_of(self.robot, dtype)
+        return n, Instant(
+            n,
             [state.q[i] for i in range(self.nq)],
             [state.v[i] for i in range(self.nv)],
             [] if x is None else [x[i] for i in range(self.nx)],
             [given[i] for i in range(self.nu)],
         )
-
-
-def angles_of(n: Numbers, now: Instant) -> list[Lane]:
-    """The angles on which the shape depends."""
-    return now.q[3 : n.layout.casters.stop]
-
-
-def steering_rates(n: Numbers, now: Instant) -> list[Lane]:
-    """b' of each steering."""
-    out = []
-    first = len(n.robot.drives)
-    for j, steering in enumerate(n.robot.steerings):
-        u = now.u[first + j]
-        if steering.lag is None:
-            out.append(u)
-        else:
-            out.append((u - now.q[n.layout.steerings.start + j]) / n.lane(steering.lag))
-    return out
-
-
-def coordinate_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
-    """q' by the full velocities."""
-    x, y = turned((w[0], w[1]), now.pose)
-    trailers = list(w[3 : 2 + len(n.bodies)])
-    casters = []
-    if n.layout.caster_wheels:
-        shape = shape_of(n, angles_of(n, now))
-        casters = caster_rates(n, shape, twists_of(n, shape, w))
-    return [x, y, w[2], *trailers, *steering_rates(n, now), *casters, *w[2 + len(n.bodies) :]]
-
-
-def angle_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
-    """The rates of the angles on which the shape depends."""
-    return coordinate_rates(n, now, w)[3 : n.layout.casters.stop]
 
 
 def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
@@ -193,7 +141,7 @@ def kinetic_energy(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Lane:
 
 def potential_energy(n: Numbers, now: Instant) -> Lane:
     """The energy of the centres of mass on the slope."""
-    shape = shape_of(n, angles_of(n, now))
+    shape = now.shape
     e, origin = now.pose, (now.q[0], now.q[1])
     directions, origins, energy = [e], [origin], 0.0
     for k, body in enumerate(n.bodies):

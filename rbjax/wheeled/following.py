@@ -7,6 +7,7 @@ twist of any robot. The third gives gains for all controls of a vehicle.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -17,20 +18,14 @@ from rbjax.dynamics.arguments import check_array, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.lanes.products import matmat, matrix_transpose
 from rbjax.model import State
-from rbjax.wheeled.fidelity import Fidelity, angles_of
+from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.motion import rollout
 from rbjax.wheeled.numbers import stacked
 from rbjax.wheeled.planar import Twist, dot, left
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.rolling import Kinematical
 from rbjax.wheeled.states import check_vehicle
-from rbjax.wheeled.velocities import (
-    free_velocities,
-    ideal,
-    place_of,
-    shaft_speed,
-)
-from rbjax.wheeled.velocities import shape_of as shape_at
+from rbjax.wheeled.velocities import free_velocities, ideal, place_of, shaft_speed
 
 
 class Commands(NamedTuple):
@@ -93,7 +88,7 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
         angle = jnp.arctan2(sign * side, jnp.where(still, 1.0, sign * ahead))
         angles.append(angle)
         q[n.layout.steerings.start + j] = angle
-    shape = shape_at(n, angles_of(n, now._replace(q=q)))
+    shape = replace(now, q=q).shape
     w = ideal(n, shape, free_velocities(n, shape, V))
     rates = w[2 + len(n.bodies) :]
     speeds = [

@@ -25,7 +25,8 @@ from rbjax.model import State
 from rbjax.motion.captured import with_captured
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.threads import threaded, wanted
-from rbjax.wheeled.fidelity import Fidelity, Instant, as_state
+from rbjax.wheeled.fidelity import Fidelity, as_state
+from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.states import check_state, check_vehicle
 
@@ -46,16 +47,16 @@ def _plus(a: Sequence[Lane], b: Sequence[Lane], h: Lane) -> list[Lane]:
 
 def _moved(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane]) -> Lists:
     # XLA's CPU compiler would compute a stage again wherever a later one uses it
-    return fusion_barrier(vehicle.rates(n, Instant(*y, u)))
+    return fusion_barrier(vehicle.rates(n, Instant(n, *y, u)))
 
 
 def _semi_implicit_euler(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:
     """v+ = v + h v'(q, v),  q+ = q + h q'(q, v+)."""
     q, v, x = y
-    now = Instant(q, v, x, u)
+    now = Instant(n, q, v, x, u)
     v = _plus(v, vehicle.accelerations(n, now), h)
     x = _plus(x, vehicle.relaxation(n, now), h)
-    return _plus(q, vehicle.coordinate_rates(n, Instant(q, v, x, u)), h), v, x
+    return _plus(q, vehicle.coordinate_rates(n, now.with_velocities(v, x)), h), v, x
 
 
 def _rk4(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:
@@ -202,7 +203,7 @@ def _march(vehicle: Fidelity, state: State, controls: Any, dt: Any, how: _How) -
             u = controls[i]
         given = [u[k] for k in range(vehicle.nu)]
         out = step(vehicle, n, y, given, dt)
-        out = out[0], vehicle.settled(n, Instant(*out, given)), out[2]
+        out = out[0], vehicle.settled(n, Instant(n, *out, given)), out[2]
         q, v, x = ([jnp.asarray(a, dtype) for a in part] for part in out)
         return (q, v, x), None
 

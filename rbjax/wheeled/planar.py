@@ -129,9 +129,13 @@ def inverse_root(a: Lane) -> Lane:
 def direction(angle: Lane) -> Pair:
     """The cosine and sine of an angle."""
     if isinstance(angle, Moving):
-        c, s = direction(angle.value)
-        return Moving(c, neg(mul(s, angle.rate))), Moving(s, mul(c, angle.rate))
+        return turning(direction(angle.value), angle.rate)
     if is_literal(angle):
         c, s = math.cos(angle), math.sin(angle)
         return c if abs(c) > SNAP else 0.0, s if abs(s) > SNAP else 0.0
     return sincos(angle)
+
+
+def turning(e: Pair, rate: Lane) -> Pair:
+    """A direction with its rate, where its angle has this one."""
+    return Moving(e[0], neg(mul(e[1], rate))), Moving(e[1], mul(e[0], rate))

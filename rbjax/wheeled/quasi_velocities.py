@@ -16,6 +16,7 @@ of Rigid Bodies*, ch. 7, 8)
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import jax
@@ -23,13 +24,8 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Lane, add, inner, ldlt, mul, total
 from rbjax.wheeled.equations import momentum
-from rbjax.wheeled.fidelity import (
-    Instant,
-    angle_rates,
-    angles_of,
-    potential_energy,
-    torques_at_rest_loads,
-)
+from rbjax.wheeled.fidelity import potential_energy, torques_at_rest_loads
+from rbjax.wheeled.instant import Instant, angle_rates, angles_of
 from rbjax.wheeled.numbers import Numbers, stacked
 from rbjax.wheeled.planar import cross, moving, rate_of, value_of
 from rbjax.wheeled.rolling import Rolling
@@ -96,7 +92,7 @@ class QuasiVelocities(Rolling):
 
         def potential(pose: jax.Array, s: jax.Array) -> jax.Array:
             q = [*pose, *s, *now.q[n.layout.shafts.start :]]
-            return jnp.asarray(potential_energy(n, now._replace(q=q)), dtype)
+            return jnp.asarray(potential_energy(n, replace(now, q=q)), dtype)
 
         by_pose, by_angles = jax.grad(potential, (0, 1))(pose, s)
         c, si = now.pose

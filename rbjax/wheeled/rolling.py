@@ -14,24 +14,11 @@ from typing import ClassVar
 
 from rbjax.lanes import Lane, inner, ldlt, mul, neg, sub, total
 from rbjax.wheeled.equations import columns_of, project, weights
-from rbjax.wheeled.fidelity import (
-    Fidelity,
-    Instant,
-    angle_rates,
-    angles_of,
-    torques_at_rest_loads,
-)
+from rbjax.wheeled.fidelity import Fidelity, torques_at_rest_loads
+from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.numbers import Numbers
-from rbjax.wheeled.planar import Twist, moving, rate_of
-from rbjax.wheeled.velocities import (
-    Shape,
-    chassis_twist,
-    free_velocities,
-    ideal,
-    rows,
-    shaft_speed,
-    shape_of,
-)
+from rbjax.wheeled.planar import Twist, rate_of
+from rbjax.wheeled.velocities import Shape, chassis_twist, free_velocities, ideal, rows, shaft_speed
 
 
 class Kinematic(Fidelity):
@@ -53,7 +40,7 @@ class Kinematic(Fidelity):
         return 0
 
     def full(self, n: Numbers, now: Instant) -> list[Lane]:
-        shape = shape_of(n, angles_of(n, now))
+        shape = now.shape
         size = n.robot.arrangement.mobility
         columns = []
         for w in columns_of(n, shape, ideal, size):
@@ -84,10 +71,10 @@ class Rolling(Fidelity):
         return self.robot.arrangement.mobility
 
     def full(self, n: Numbers, now: Instant) -> list[Lane]:
-        return ideal(n, shape_of(n, angles_of(n, now)), now.v)
+        return ideal(n, now.shape, now.v)
 
     def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
-        return free_velocities(n, shape_of(n, angles_of(n, now)), Twist(*w[:3]))
+        return free_velocities(n, now.shape, Twist(*w[:3]))
 
 
 class Kinematical(Rolling):
@@ -107,10 +94,10 @@ class Kinematical(Rolling):
     name: ClassVar[str] = "kinematical"
 
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
-        angles, w = angles_of(n, now), self.full(n, now)
+        w = self.full(n, now)
         M, f = project(
-            n, angles, angle_rates(n, now, w), ideal, now.v,
-            weights(n, now.pose, shape_of(n, angles)), torques_at_rest_loads(n, now, w),
+            n, now, w, ideal, now.v,
+            weights(n, now.pose, now.shape), torques_at_rest_loads(n, now, w),
         )  # fmt: skip
         return ldlt(M).solve(f)
 
@@ -132,11 +119,10 @@ class Dynamical(Rolling):
     name: ClassVar[str] = "dynamical"
 
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
-        angles, w = angles_of(n, now), self.full(n, now)
-        turning = angle_rates(n, now, w)
-        shape, moved = shape_of(n, angles), shape_of(n, moving(angles, turning))
+        w = self.full(n, now)
+        shape, moved = now.shape, now.turning(w)
         M, f = project(
-            n, angles, turning, all_of, w,
+            n, now, w, all_of, w,
             weights(n, now.pose, shape), torques_at_rest_loads(n, now, w),
         )  # fmt: skip
         factors = ldlt(M)

@@ -22,20 +22,15 @@ import jax.numpy as jnp
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, ldlt, mul, neg
 from rbjax.wheeled.equations import project, weights
-from rbjax.wheeled.fidelity import (
-    Fidelity,
-    Instant,
-    angle_rates,
-    angles_of,
-    shaft_torques,
-)
+from rbjax.wheeled.fidelity import Fidelity, shaft_torques
+from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers, with_lanes
 from rbjax.wheeled.planar import Pair, Twist, cross, turned
 from rbjax.wheeled.rolling import all_of
 from rbjax.wheeled.tyre_laws import Fiala
 from rbjax.wheeled.tyres import Tyre
-from rbjax.wheeled.velocities import contact, shape_of, twists_of
+from rbjax.wheeled.velocities import contact, twists_of
 
 
 class Slipping(Fidelity):
@@ -107,7 +102,7 @@ class Slipping(Fidelity):
     def contacts(self, n: Numbers, now: Instant) -> tuple[list[Pair], list[Lane]]:
         """The traction of each wheel for each newton of load, along its heading and to its left;
         the rates of the states of tyres."""
-        shape = shape_of(n, angles_of(n, now))
+        shape = now.shape
         twists = twists_of(n, shape, now.v)
         rates = now.v[2 + len(n.bodies) :]
         out, states, taken = [], [], 0
@@ -133,7 +128,7 @@ class Slipping(Fidelity):
 
     def forces(self, n: Numbers, now: Instant) -> tuple[list[Lane], list[Pair]]:
         """The loads of wheels, N, and the forces on them, N, along x and y of their bodies."""
-        shape = shape_of(n, angles_of(n, now))
+        shape = now.shape
         pulls, _ = self.contacts(n, now)
         pulls = [turned(pull, e) for pull, e in zip(pulls, shape.wheels, strict=True)]
         loads = wheel_loads(n, pulls)
@@ -142,8 +137,7 @@ class Slipping(Fidelity):
         ]
 
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
-        angles = angles_of(n, now)
-        shape = shape_of(n, angles)
+        shape = now.shape
         loads, forces = self.forces(n, now)
         pulls = weights(n, now.pose, shape)
         torques = shaft_torques(n, now, now.v)
@@ -154,7 +148,7 @@ class Slipping(Fidelity):
             pulls[wheel.body] = pulls[wheel.body] + Twist(*force, cross(wheel.position, force))
             braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))
             torques[wheel.shaft] = add(torques[wheel.shaft], braking)
-        M, f = project(n, angles, angle_rates(n, now, now.v), all_of, now.v, pulls, torques)
+        M, f = project(n, now, now.v, all_of, now.v, pulls, torques)
         return ldlt(M).solve(f)
 
     def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:

@@ -11,10 +11,9 @@ from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled.fidelity import Fidelity, angles_of, as_state
+from rbjax.wheeled.fidelity import Fidelity, as_state
 from rbjax.wheeled.planar import Twist
 from rbjax.wheeled.velocities import free_velocities, ideal
-from rbjax.wheeled.velocities import shape_of as shape_at
 
 
 def check_vehicle(where: str, vehicle: Any) -> None:
@@ -84,7 +83,7 @@ def with_twist(vehicle: Fidelity, q: jax.Array, twist: jax.Array) -> State:
     """The state at coordinates q (nq,) whose chassis has the allowed part of a twist (3,)."""
     bare = State(q, jnp.zeros(vehicle.nv, q.dtype), jnp.zeros(vehicle.nx, q.dtype))
     n, now = vehicle.instant(bare)
-    shape = shape_at(n, angles_of(n, now))
+    shape = now.shape
     w = ideal(n, shape, free_velocities(n, shape, Twist(*(twist[i] for i in range(3)))))
     return as_state(now.q, vehicle.start_velocities(n, now, w), now.x, q.dtype)
 

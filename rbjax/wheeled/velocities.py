@@ -45,14 +45,19 @@ class Shape(NamedTuple):
 
 def shape_of(n: Numbers, angles: Sequence[Lane]) -> Shape:
     """The shape at the angles of trailers, steerings and casters."""
+    return shape_along(n, [direction(angle) for angle in angles])
+
+
+def shape_along(n: Numbers, directions: Sequence[Pair]) -> Shape:
+    """The shape at the directions of trailers, steerings and casters."""
     layout = n.layout
-    of = dict(enumerate(angles, start=3))
-    trailers = tuple(direction(of[i]) for i in indices(layout.trailers))
-    steerings = [direction(of[i]) for i in indices(layout.steerings)]
+    of = dict(enumerate(directions, start=3))
+    trailers = tuple(of[i] for i in indices(layout.trailers))
+    steerings = [of[i] for i in indices(layout.steerings)]
     casters = dict(zip(layout.caster_wheels, indices(layout.casters), strict=True))
     wheels = {i: wheel.heading for i, wheel in enumerate(n.wheels)}
     for i, at in casters.items():
-        wheels[i] = direction(of[at])
+        wheels[i] = of[at]
     for steering, e in zip(n.robot.steerings, steerings, strict=True):
         wheels.update(_steered(n, steering.wheels, e))
     leaders = []

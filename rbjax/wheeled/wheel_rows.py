@@ -29,12 +29,10 @@ from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Lane, Vec3, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
-from rbjax.wheeled.fidelity import Instant as RobotInstant
-from rbjax.wheeled.fidelity import angles_of
+from rbjax.wheeled.instant import Instant as RobotInstant
 from rbjax.wheeled.numbers import Numbers, numbers_of
 from rbjax.wheeled.planar import Moving, cross, direction, rate_of, value_of
 from rbjax.wheeled.robot import Robot
-from rbjax.wheeled.velocities import shape_of
 
 WAYS = ("ahead", "left", "roller")
 
@@ -152,7 +150,7 @@ def linked(n: Numbers, steering: int, wheel: int, b: Lane) -> tuple[Lane, Lane, 
     layout = n.layout
     q: list[Any] = [0.0] * layout.nq
     q[layout.steerings.start + steering] = Moving(Moving(b, 1.0), Moving(1.0, 0.0))
-    e = shape_of(n, angles_of(n, RobotInstant(q, [], [], []))).wheels[wheel]
+    e = RobotInstant(n, q, [], [], []).shape.wheels[wheel]
     now = tuple(value_of(value_of(x)) for x in e)
     once = tuple(rate_of(value_of(x)) for x in e)
     twice = tuple(rate_of(rate_of(x)) for x in e)

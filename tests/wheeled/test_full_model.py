@@ -1,6 +1,8 @@
 """The multibody model of wheeled robots against the reduced equations, which it shares no dynamics
 with, and against momentum and the book's separation of wrenches."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,15 +15,11 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled.constrained import Constrained, full_state
 from rbjax.wheeled.equations import project, weights
-from rbjax.wheeled.fidelity import (
-    angle_rates,
-    angles_of,
-    coordinate_rates,
-    kinetic_energy,
-)
+from rbjax.wheeled.fidelity import kinetic_energy
 from rbjax.wheeled.full_model import full_model
-from rbjax.wheeled.planar import Moving, moving, rate_of
-from rbjax.wheeled.velocities import ideal, rows, shape_of
+from rbjax.wheeled.instant import coordinate_rates
+from rbjax.wheeled.planar import Moving, rate_of
+from rbjax.wheeled.velocities import ideal, rows
 from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
@@ -55,8 +53,7 @@ def samples(fidelity, seed=0):
 
 def full_rates(n, now, w, change):
     """w' by that of the free velocities."""
-    angles = angles_of(n, now)
-    shape = shape_of(n, moving(angles, angle_rates(n, now, w)))
+    shape = now.turning(w)
     return rates(ideal(n, shape, [Moving(a, b) for a, b in zip(now.v, change, strict=True)]))
 
 
@@ -69,8 +66,8 @@ def test_accelerations_and_energy(name):
     def found(q, v, u):
         n, now = reduced.instant(State(q, v), u)
         w = reduced.full(n, now)
-        then = now._replace(v=w)
-        resting = now._replace(u=now.u[: len(robot.drives)] + [0.0] * len(robot.steerings))
+        then = replace(now, v=w)
+        resting = replace(now, u=now.u[: len(robot.drives)] + [0.0] * len(robot.steerings))
         model, state = full_state(n, resting, w)
         T = rb.kinetic_energy(model, state.q, state.v)
         return {
@@ -79,7 +76,7 @@ def test_accelerations_and_energy(name):
             "by twists": stacked(full_rates(n, now, w, reduced.accelerations(n, now))),
             "by multipliers": stacked(full_rates(n, now, w, eliminated.accelerations(n, now))),
             "constrained": stacked(full.accelerations(n, then)),
-            "T": jnp.stack([T, kinetic_energy(n, shape_of(n, angles_of(n, now)), w)]),
+            "T": jnp.stack([T, kinetic_energy(n, now.shape, w)]),
         }
 
     run = quick_jit(found)
@@ -102,7 +99,7 @@ def test_separation_of_wrenches_term_by_term(name):
         n, now = reduced.instant(State(q, nu), u)
 
         def lifted(nu):
-            moved = now._replace(v=[nu[i] for i in range(reduced.nv)])
+            moved = replace(now, v=[nu[i] for i in range(reduced.nv)])
             return full_state(n, moved, reduced.full(n, moved))[1].v
 
         model, state = full_state(n, now, reduced.full(n, now))
@@ -113,16 +110,16 @@ def test_separation_of_wrenches_term_by_term(name):
         def ahead(s):
             w = reduced.full(n, now)
             dq = stacked(coordinate_rates(n, now, w))
-            there = now._replace(q=[a + s * b for a, b in zip(now.q, dq, strict=True)])
+            there = replace(now, q=[a + s * b for a, b in zip(now.q, dq, strict=True)])
             return full_state(n, there, reduced.full(n, there))[1].v
 
         bias = rb.bias_forces(model, state.q, state.v)
         _, dS = jax.jvp(ahead, (0.0,), (1.0,))
         rows = jacobian(model, state.q)
-        shape = shape_of(n, angles_of(n, now))
+        shape = now.shape
         w = reduced.full(n, now)
         book = project(
-            n, angles_of(n, now), angle_rates(n, now, w), ideal, now.v,
+            n, now, w, ideal, now.v,
             weights(n, now.pose, shape), [0.0] * len(n.shafts),
         )  # fmt: skip
         return {
@@ -146,7 +143,7 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
     def found(q, nu, u):
         n, now = reduced.instant(State(q, nu), u)
         w = reduced.full(n, now)
-        now = now._replace(v=w)
+        now = replace(now, v=w)
         model, state = full_state(n, now, w)
         a = full.accelerations(n, now)
         # p' in the chassis' axes, from V and V'
@@ -157,7 +154,7 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
         ax = a[0] - w[2] * w[1] - a[2] * y - w[2] ** 2 * x
         ay = a[1] + w[2] * w[0] + a[2] * x - w[2] ** 2 * y
         fx, fy = 0.0, 0.0
-        shape = shape_of(n, angles_of(n, now))
+        shape = now.shape
         for (ahead, left), way in zip(full.wheel_forces(n, now), shape.wheels, strict=True):
             fx, fy = fx + ahead * way[0] - left * way[1], fy + ahead * way[1] + left * way[0]
         gx, gy = n.downhill
@@ -248,6 +245,6 @@ def test_rows_hold_over_a_long_rollout() -> None:
         assert path.ok
         ends.append(path)
     n, now = full.instant(State(ends[0].q[-1], ends[0].v[-1]))
-    found = rows(n, shape_of(n, angles_of(n, now)), now.v)
+    found = rows(n, now.shape, now.v)
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-12)
     np.testing.assert_allclose(ends[0].q[-1], ends[1].q[-1], rtol=0, atol=1e-8)

@@ -9,8 +9,8 @@ from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled import Body, Drive, Robot, SpeedServo, Steering, Wheel
-from rbjax.wheeled.fidelity import angles_of, kinetic_energy, potential_energy
-from rbjax.wheeled.velocities import rows, shape_of
+from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
+from rbjax.wheeled.velocities import rows
 from tests.oracles import wheeled as oracle
 
 KINDS = list(wheeled.kinds())
@@ -124,7 +124,7 @@ def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
         n, now = vehicle.instant(State(q, v), u)
         w = vehicle.full(n, now)
         return jnp.asarray(
-            kinetic_energy(n, shape_of(n, angles_of(n, now)), w) + potential_energy(n, now)
+            kinetic_energy(n, now.shape, w) + potential_energy(n, now)
         )
 
     rate = wheeled.rates(vehicle, state, u)
@@ -141,7 +141,7 @@ def test_velocities_satisfy_the_rows_of_all_wheels(kind) -> None:
     vehicle = wheeled.at(wheeled.kinds()[kind].make(), "kinematical")
     state, u = random_state(vehicle, 3)
     n, now = vehicle.instant(state, u)
-    found = rows(n, shape_of(n, angles_of(n, now)), vehicle.full(n, now))
+    found = rows(n, now.shape, vehicle.full(n, now))
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-14)
 
 
@@ -175,7 +175,7 @@ def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:
     state = wheeled.start(vehicle, twist=[3.0, 0.0, 0.0])
     state = State(state.q.at[3].set(0.5), state.v)
     n, now = vehicle.instant(state)
-    shape = shape_of(n, angles_of(n, now))
+    shape = now.shape
     twists = twists_of(n, shape, vehicle.full(n, now))
     for i in range(4):
         assert abs(contact(n, shape, twists, i)[1]) < 1e-14

@@ -9,9 +9,9 @@ from rbjax import wheeled
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance
-from rbjax.wheeled.fidelity import angles_of, kinetic_energy, potential_energy
+from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
 from rbjax.wheeled.loads import wheel_loads
-from rbjax.wheeled.velocities import contact, shape_of, twists_of
+from rbjax.wheeled.velocities import contact, twists_of
 
 KINDS = wheeled.kinds()
 SOME = ["differential_drive", "car_trailer"]
@@ -50,13 +50,13 @@ def test_power_is_balanced(kind) -> None:
     def energy(q, v):
         n, now = vehicle.instant(State(q, v), u)
         return jnp.asarray(
-            kinetic_energy(n, shape_of(n, angles_of(n, now)), v) + potential_energy(n, now)
+            kinetic_energy(n, now.shape, v) + potential_energy(n, now)
         )
 
     rate = wheeled.rates(vehicle, State(q, v), u)
     _, change = jax.jvp(energy, (q, v), (rate.q, rate.v))
     n, now = vehicle.instant(State(q, v), u)
-    shape = shape_of(n, angles_of(n, now))
+    shape = now.shape
     twists = twists_of(n, shape, now.v)
     loads, forces = vehicle.forces(n, now)
     shafts = v[2 + len(robot.bodies) :]
