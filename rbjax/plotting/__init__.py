@@ -2,6 +2,7 @@
 
 `draw` shows one posture, `strobe` a motion in one picture; `animate` writes a GIF, an MP4 or a
 page. Each draws a model from its numbers (rods and ellipsoids of inertia) or from its file (geoms).
+`top_view` and `animate_top_view` show wheeled robots from above.
 """
 
 from rbjax.plotting.animation import animate
@@ -25,7 +26,7 @@ from rbjax.plotting.style import (
     STYLE,
     TEAL,
 )
-from rbjax.plotting.top_view import top_view
+from rbjax.plotting.top_view import animate_top_view, top_view
 
 __all__ = [
     "BLUE",
@@ -42,6 +43,7 @@ __all__ = [
     "Camera",
     "Solid",
     "animate",
+    "animate_top_view",
     "bare",
     "draw",
     "draw_solids",

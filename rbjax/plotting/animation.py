@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -98,34 +96,13 @@ def animate(
         rendered = offscreen.render(source, floating_base, q[0], shown, size)
         if rendered is not None:
             pictures = _labelled(rendered, shown, title, speed, size)
-    write = movie_files.gif if path.suffix == ".gif" else movie_files.mp4
-    if progress is not None:
-        write(path, _counted(pictures, len(ts), progress), fps)
-        return path
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    console = Console(stderr=True, force_jupyter=False)
-    quiet = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
-        task = bar.add_task(f"drawing {path.name}", total=len(ts))
-        say = lambda done, total: bar.update(task, completed=done)  # noqa: E731
-        write(path, _counted(pictures, len(ts), say), fps)
+    movie_files.write(path, pictures, len(ts), fps, progress)
     return path
 
 
 def writable(path: Path) -> None:
     """Raise InputError where `animate` cannot write such a file, before anything is computed."""
-    if path.suffix not in SUFFIXES:
-        raise InputError(
-            f"animate: got the file name {path.name!r}, expected one that ends in "
-            f"{', '.join(SUFFIXES)}"
-        )
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"animate: no such folder: {path.parent}; make it first")
-    if path.suffix == ".mp4" and movie_files.ffmpeg() is None:
-        raise InputError(
-            f"animate: {path.name} needs ffmpeg, which is not installed here: "
-            f"write {path.stem}.gif or {path.stem}.html instead"
-        )
+    movie_files.check("animate", path, SUFFIXES)
 
 
 def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -> None:
@@ -136,14 +113,6 @@ def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -
         raise InputError(f"animate: renderer {renderer!r}, expected one of {', '.join(RENDERERS)}")
     if renderer == "mujoco" and source is None:
         raise InputError("animate: renderer 'mujoco' draws a robot file: give it as source=")
-
-
-def _counted(
-    pictures: Iterable[np.ndarray], total: int, progress: Callable[[int, int], None]
-) -> Iterator[np.ndarray]:
-    for done, picture in enumerate(pictures, 1):
-        yield picture
-        progress(done, total)
 
 
 def _figure(film: Film, title: str, speed: float, size: tuple[int, int]) -> tuple[Any, Any, Any]:

@@ -5,16 +5,64 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from rbjax.errors import RbjaxError
+from rbjax.errors import InputError, RbjaxError
 
 #: colours of a GIF; drawn robots have few
 _COLORS = 128
+
+
+def check(where: str, path: Path, suffixes: Sequence[str]) -> None:
+    """Raise InputError where no such file can be written."""
+    if path.suffix not in suffixes:
+        raise InputError(
+            f"{where}: got the file name {path.name!r}, expected one that ends in "
+            f"{', '.join(suffixes)}"
+        )
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{where}: no such folder: {path.parent}; make it first")
+    if path.suffix == ".mp4" and ffmpeg() is None:
+        others = " or ".join(path.stem + suffix for suffix in suffixes if suffix != ".mp4")
+        raise InputError(
+            f"{where}: {path.name} needs ffmpeg, which is not installed here: write {others} "
+            "instead"
+        )
+
+
+def write(
+    path: Path,
+    pictures: Iterable[np.ndarray],
+    total: int,
+    fps: float,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Write so many pictures as a GIF or an MP4. Progress: a bar in a terminal, or a function."""
+    into = gif if path.suffix == ".gif" else mp4
+    if progress is not None:
+        into(path, _counted(pictures, total, progress), fps)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    console = Console(stderr=True, force_jupyter=False)
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task(f"drawing {path.name}", total=total)
+        say = lambda done, total: bar.update(task, completed=done)  # noqa: E731
+        into(path, _counted(pictures, total, say), fps)
+
+
+def _counted(
+    pictures: Iterable[np.ndarray], total: int, progress: Callable[[int, int], None]
+) -> Iterator[np.ndarray]:
+    for done, picture in enumerate(pictures, 1):
+        yield picture
+        progress(done, total)
 
 
 def gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:

@@ -1,0 +1,168 @@
+"""Where the parts of a wheeled robot are, seen from above, and what acts on its wheels."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.quiver import Quiver
+
+from rbjax.compiling import compiled
+from rbjax.lanes import add, sub
+from rbjax.model import State
+from rbjax.plotting.style import BLUE, GRID, INK, RED
+from rbjax.wheeled.contacts import contacts
+from rbjax.wheeled.fidelity import Fidelity
+from rbjax.wheeled.numbers import stacked
+from rbjax.wheeled.planar import turned
+
+SQUARE = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+THICK = 0.3  # of a wheel, over its radius
+FORCES, SLIDING = BLUE, RED
+
+
+class Places(NamedTuple):
+    """Of all bodies: origins (..., n, 2) m and directions (..., n, 2); of all wheels: directions
+    (..., m, 2). All on the ground."""
+
+    origins: np.ndarray
+    bodies: np.ndarray
+    wheels: np.ndarray
+
+    def at(self, k: int) -> Places:
+        """Those of one of the times."""
+        return Places(*(x[k] for x in self))
+
+    def points(self, body: int, p: Any) -> np.ndarray:
+        """Points (n, 2) of a body, on the ground."""
+        return self.origins[body] + vectors(p, self.bodies[body])
+
+
+def vectors(p: Any, e: np.ndarray) -> np.ndarray:
+    """Vectors (n, 2), turned by the angle of the direction e."""
+    x, y = np.moveaxis(np.asarray(p, float), -1, 0)
+    return np.stack([x * e[0] - y * e[1], x * e[1] + y * e[0]], -1)
+
+
+def places(vehicle: Fidelity, q: Any) -> Places:
+    """Where bodies and wheels are, at coordinates q (..., nq)."""
+    found = _places(vehicle, jnp.asarray(q).reshape(-1, vehicle.nq))
+    lead = np.shape(q)[:-1]
+    return Places(*(np.asarray(x, float).reshape(*lead, *x.shape[1:]) for x in found))
+
+
+@compiled
+def _places(vehicle: Fidelity, q: jax.Array) -> tuple[jax.Array, ...]:
+    def one(q: jax.Array) -> tuple[jax.Array, ...]:
+        n, now = vehicle.instant(State(q, jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx)))
+        origins, bodies = [(now.q[0], now.q[1])], [now.pose]
+        for k, body in enumerate(n.bodies[1:], start=1):
+            ahead = n.ahead(k)
+            e = turned(now.shape.trailers[k - 1], bodies[ahead])
+            hitch, bar = turned(body.hitch, bodies[ahead]), turned((body.drawbar, 0.0), e)
+            x, y = (add(a, sub(b, c)) for a, b, c in zip(origins[ahead], hitch, bar, strict=True))
+            origins.append((x, y))
+            bodies.append(e)
+        wheels = [
+            turned(e, bodies[w.body]) for w, e in zip(n.wheels, now.shape.wheels, strict=True)
+        ]
+        tables = ([stacked(x, q.dtype) for x in rows] for rows in (origins, bodies, wheels))
+        return tuple(jnp.stack(x) for x in tables)
+
+    return jax.vmap(one)(q)
+
+
+def centers(robot: Any, at: Places) -> np.ndarray:
+    """The centres (m, 2) of wheels."""
+    out = []
+    for wheel, e in zip(robot.wheels, at.wheels, strict=True):
+        trail = float(wheel.trail) if wheel.kind == "caster" else 0.0
+        out.append(at.points(wheel.body, wheel.position) - trail * e)
+    return np.array(out)
+
+
+def acting(
+    vehicle: Fidelity, state: State, controls: Any, at: Places
+) -> tuple[np.ndarray, np.ndarray]:
+    """The forces (m, 2) N on wheels, and the velocities (m, 2) m/s at which they slide, both on the
+    ground."""
+    found = contacts(vehicle, state, controls)
+    forces, sliding = np.asarray(found.forces), np.asarray(found.sliding)
+    turn = [at.bodies[wheel.body] for wheel in vehicle.robot.wheels]
+    return (
+        np.array([vectors(f, e) for f, e in zip(forces, turn, strict=True)]),
+        np.array([vectors(s, e) for s, e in zip(sliding, at.wheels, strict=True)]),
+    )
+
+
+def reach(robot: Any) -> float:
+    """The longest arrow that suits a robot, m."""
+    return 2 * max(float(np.hypot(*np.asarray(w.position))) for w in robot.wheels)
+
+
+class Drawing:
+    """A robot on an axis. It can be drawn again elsewhere."""
+
+    def __init__(self, ax: Axes, robot: Any, zorder: float = 2):
+        self.robot = robot
+        faces = [GRID if w.kind == "caster" else INK for w in robot.wheels]
+        self.bodies = PolyCollection([], facecolors="none", edgecolors=INK, lw=1, zorder=zorder)
+        self.lines = LineCollection([], colors=INK, lw=0.8, zorder=zorder)
+        self.wheels = PolyCollection([], facecolors=faces, edgecolors=INK, zorder=zorder + 1)
+        self.rollers = LineCollection([], colors=GRID, lw=1, zorder=zorder + 2)
+        for collection in (self.bodies, self.lines, self.wheels, self.rollers):
+            ax.add_collection(collection)
+
+    def show(self, at: Places) -> np.ndarray:
+        """Draw it here. Returns the corners of its bodies (n, 2)."""
+        outlines, lines = [], []
+        for k, body in enumerate(self.robot.bodies):
+            box, nose = _outline(self.robot, k)
+            outlines.append(at.points(k, box))
+            if k == 0:
+                lines.append(at.points(0, nose))
+            else:
+                joint = at.points(body.ahead, body.hitch)
+                lines.append(np.stack([at.origins[body.ahead], joint, at.origins[k]]))
+        wheels, rollers = [], []
+        for wheel, center, e in zip(
+            self.robot.wheels, centers(self.robot, at), at.wheels, strict=True
+        ):
+            r = float(wheel.radius)
+            wheels.append(center + vectors(SQUARE * r * [1.0, THICK], e))
+            if wheel.kind == "rollers":
+                angle = float(wheel.roller)
+                axis = vectors([np.cos(angle), np.sin(angle)], e)
+                rollers.append(np.stack([center - 0.5 * r * axis, center + 0.5 * r * axis]))
+        self.bodies.set_verts(outlines)
+        self.lines.set_segments(lines)
+        self.wheels.set_verts(wheels)
+        self.rollers.set_segments(rollers)
+        return np.concatenate(outlines)
+
+
+def _outline(robot: Any, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """A box around the wheels of a body, and a mark where it is ahead."""
+    wheels = [w for w in robot.wheels if w.body == k]
+    at = np.array([np.asarray(w.position) for w in wheels]).reshape(-1, 2)
+    at = at if len(at) else np.zeros((1, 2))
+    margin = max((float(w.radius) for w in wheels), default=0.1)
+    low, high = at.min(0) - margin, at.max(0) + margin
+    box = np.array([[high[0], high[1]], [high[0], low[1]], [low[0], low[1]], [low[0], high[1]]])
+    back = high[0] - 0.5 * margin
+    return box, np.array([[back, high[1]], [high[0], 0.5 * (low[1] + high[1])], [back, low[1]]])
+
+
+def quiver(ax: Axes, at: Any, arrows: Any, color: str, zorder: float = 5) -> Quiver:
+    """Arrows (n, 2) in the axis' unit at places (n, 2)."""
+    at, arrows = np.reshape(at, (-1, 2)), np.reshape(arrows, (-1, 2))
+    return ax.quiver(
+        *at.T, *arrows.T, angles="xy", scale_units="xy", scale=1, color=color, width=0.006,
+        zorder=zorder,
+    )  # fmt: skip
+
+
