@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, mul, neg, sub, total
+from rbjax.lanes import Lane, add, fusion_barrier, inner, is_zero, ldlt, mul, neg, sub, total
 from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.numbers import BodyNumbers, Numbers
 from rbjax.wheeled.planar import Twist, cross, rate_of, turned_back, value_of
@@ -27,11 +27,31 @@ from rbjax.wheeled.velocities import Motion, Shape, motion
 Velocities = Callable[[Numbers, Shape, Sequence[Lane]], list[Lane]]
 
 
+#: a coefficient c, N s/m or N m s/rad, and a row d over the full velocities, with force - c d d^T w
+Damper = tuple[Lane, Sequence[Lane]]
+
+
 class Equations(NamedTuple):
-    """M (rows of lanes) and f (lanes)."""
+    """M (rows of lanes) and f (lanes); the full velocities of unit velocities nu, by column."""
 
     M: list[list[Lane]]
     f: list[Lane]
+    columns: list[list[Lane]]
+
+    @property
+    def accelerations(self) -> list[Lane]:
+        """nu' of M nu' = f."""
+        return ldlt(self.M).solve(self.f)
+
+    def damped(self, dampers: Sequence[Damper], h: Lane) -> list[Lane]:
+        """nu' of (M + h D) nu' = f, where D = sum c d d^T of the dampers."""
+        M = [list(row) for row in self.M]
+        for c, d in dampers:
+            moved = [inner(d, column) for column in self.columns]
+            for a, x in enumerate(moved):
+                for b in range(a + 1):
+                    M[a][b] = M[b][a] = add(M[a][b], mul(mul(h, c), mul(x, moved[b])))
+        return ldlt(M).solve(self.f)
 
 
 def momentum(body: BodyNumbers, V: Twist) -> Twist:
@@ -114,7 +134,8 @@ def project(
         )
         for part in parts
     ]
-    return Equations(*fusion_barrier((M, f)))
+    M, f = fusion_barrier((M, f))
+    return Equations(M, f, columns)
 
 
 def _with_rates(

@@ -16,7 +16,7 @@ from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, inner, mul, sub, total
 from rbjax.model import State
 from rbjax.model.record import Record
-from rbjax.wheeled.equations import momentum
+from rbjax.wheeled.equations import Damper, momentum
 from rbjax.wheeled.instant import Instant, coordinate_rates
 from rbjax.wheeled.loads import resisting_torques, wheel_loads
 from rbjax.wheeled.numbers import Numbers, numbers_of, stacked
@@ -71,6 +71,10 @@ class Fidelity(Record):
         """v'."""
         raise NotImplementedError(f"{type(self).__name__} has no method accelerations")
 
+    def damped_accelerations(self, n: Numbers, now: Instant, h: Lane) -> list[Lane]:
+        """The mean of v' over a step h that takes what damps at its end; v' where nothing does."""
+        return self.accelerations(n, now)
+
     def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
         """x'."""
         return []
@@ -118,6 +122,20 @@ def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
         for i, share in zip(drive.wheels, split, strict=True):
             shaft = n.wheels[i].shaft
             out[shaft] = add(out[shaft], mul(share, torque))
+    return out
+
+
+def motor_dampers(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Damper]:
+    """How the torques of drives oppose their speeds."""
+    rates = w[2 + len(n.bodies) :]
+    out: list[Damper] = []
+    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
+        c = n.motors[j].damping(now.u[j], shaft_speed(n, drive.wheels, split, rates))
+        row: list[Lane] = [0.0] * len(w)
+        for i, share in zip(drive.wheels, split, strict=True):
+            at = 2 + len(n.bodies) + n.wheels[i].shaft
+            row[at] = add(row[at], share)
+        out.append((c, row))
     return out
 
 

@@ -59,6 +59,17 @@ def _semi_implicit_euler(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane],
     return _plus(q, vehicle.coordinate_rates(n, now.with_velocities(v, x)), h), v, x
 
 
+def _linearly_implicit_euler(
+    vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane
+) -> Lists:
+    """v+ = v + h v'(q, v, v+),  x+ = x + h x'(q, v+),  q+ = q + h q'(q, v+)."""
+    q, v, x = y
+    now = Instant(n, q, v, x, u)
+    then = now.with_velocities(_plus(v, vehicle.damped_accelerations(n, now, h), h), x)
+    x = _plus(x, vehicle.relaxation(n, then), h)
+    return _plus(q, vehicle.coordinate_rates(n, then), h), then.v, x
+
+
 def _rk4(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lists:
     def beyond(k: Lists, c: float) -> Lists:
         q, v, x = (_plus(a, b, c * h) for a, b in zip(y, k, strict=True))
@@ -77,6 +88,7 @@ def _rk4(vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane) -> Lis
 
 METHODS: dict[str, Callable[..., Lists]] = {
     "semi_implicit_euler": _semi_implicit_euler,
+    "linearly_implicit_euler": _linearly_implicit_euler,
     "rk4": _rk4,
 }
 
@@ -94,7 +106,10 @@ def rollout(
     """Fixed steps of one vehicle or of a batch of states.
 
     "rk4": order 4, four evaluations. "semi_implicit_euler": order 1, one evaluation; velocities
-    first, then coordinates with the new velocities. Controls are constant over a step.
+    first, then coordinates with the new velocities. "linearly_implicit_euler": the same, with the
+    sliding of contacts and the speeds of motors at the end of the step, as linear dampers of their
+    laws' secants; it is stable where wheels are light, tyres stiff and speeds low. Controls are
+    constant over a step.
 
     On a GPU a sample is a thread. A number of the robot can change with no recompilation. If the
     robot is closed over inside `jit`, its zeros vanish from the program.
@@ -105,7 +120,7 @@ def rollout(
         controls: (steps, nu), or (B, steps, nu) for a batch; or a function (t, state) -> (nu,),
             which needs `steps`.
         dt: the step, s.
-        method: "rk4" or "semi_implicit_euler".
+        method: "rk4", "semi_implicit_euler" or "linearly_implicit_euler".
         steps: the number of steps where the controls do not give it.
         save_every: keep every so many states; it must divide the number of steps.
 
@@ -117,7 +132,8 @@ def rollout(
         InputError: wrong types or shapes, values that are not finite, a step that is not positive.
         UnknownName: no such method.
 
-    Source: Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.1.
+    Source: Hairer, Norsett & Wanner, *Solving Ordinary Differential Equations I*, II.1; Hairer &
+    Wanner, *II*, IV.9, of linearly implicit methods.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp

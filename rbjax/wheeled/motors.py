@@ -48,6 +48,11 @@ class Motor(Record):
     def free_speed(self, u: Lane) -> Lane:
         """The speed without load, rad/s: where `torque` is zero."""
 
+    def damping(self, u: Lane, speed: Lane) -> Lane:
+        """By how much the torque falls for each rad/s towards the free speed, N m s/rad: the secant
+        torque / (free speed - speed)."""
+        return 0.0
+
     def heat(self, u: Lane, speed: Lane) -> Lane:
         """The power that is lost in the motor and its gear, W."""
         return 0.0
@@ -101,6 +106,11 @@ class SpeedServo(Motor):
     def torque(self, u: Lane, speed: Lane) -> Lane:
         return limited(self.gain * (u - speed), self.limit)
 
+    def damping(self, u: Lane, speed: Lane) -> Lane:
+        short = u - speed
+        some = jnp.abs(short) > 1e-6
+        return jnp.where(some, self.torque(u, speed) / jnp.where(some, short, 1.0), self.gain)
+
     def free_speed(self, u: Lane) -> Lane:
         return u
 
@@ -153,6 +163,9 @@ class DCMotor(Motor):
 
     def torque(self, u: Lane, speed: Lane) -> Lane:
         return self._constant * self.current(u, speed) - self.friction * speed
+
+    def damping(self, u: Lane, speed: Lane) -> Lane:
+        return self._constant * self._constant / self.resistance + self.friction
 
     def free_speed(self, u: Lane) -> Lane:
         k = self._constant

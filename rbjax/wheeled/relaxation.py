@@ -108,6 +108,17 @@ class Relaxing(Record):
         """The second part of `response`."""
         return self.response(ux, uy, roll_speed, z)[1]
 
+    def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
+        """c (h + t_d) G / (G + c v t_d), s/m: by how much more the traction at the end of a step h
+        opposes the sliding velocity, which the carcass then has taken up."""
+        v = self.law.reference_speed(roll_speed)
+        secants = self.law.secants(vx / v, vy / v)
+        along, across = (
+            c * (h + self.damping_time) * G / (G + c * v * self.damping_time)
+            for c, G in zip(self.carcass, secants, strict=True)
+        )
+        return along, across
+
     def stored(self, z: Any) -> Lane:
         """(c_x zeta_x^2 + c_y zeta_y^2) / 2, in metres: the energy for each newton of load."""
         (cx, cy), (x, y) = self.carcass, z

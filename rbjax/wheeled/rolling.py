@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from rbjax.lanes import Lane, inner, ldlt, mul, neg, sub, total
-from rbjax.wheeled.equations import columns_of, project, weights
-from rbjax.wheeled.fidelity import Fidelity, torques_at_rest_loads
+from rbjax.wheeled.equations import Equations, columns_of, project, weights
+from rbjax.wheeled.fidelity import Fidelity, motor_dampers, torques_at_rest_loads
 from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import Twist, rate_of
@@ -94,12 +94,17 @@ class Kinematical(Rolling):
     name: ClassVar[str] = "kinematical"
 
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        return self._equations(n, now, self.full(n, now)).accelerations
+
+    def damped_accelerations(self, n: Numbers, now: Instant, h: Lane) -> list[Lane]:
         w = self.full(n, now)
-        M, f = project(
+        return self._equations(n, now, w).damped(motor_dampers(n, now, w), h)
+
+    def _equations(self, n: Numbers, now: Instant, w: list[Lane]) -> Equations:
+        return project(
             n, now, w, ideal, now.v,
             weights(n, now.pose, now.shape), torques_at_rest_loads(n, now, w),
         )  # fmt: skip
-        return ldlt(M).solve(f)
 
 
 class Dynamical(Rolling):
@@ -121,7 +126,7 @@ class Dynamical(Rolling):
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
         w = self.full(n, now)
         shape, moved = now.shape, now.turning(w)
-        M, f = project(
+        M, f, _ = project(
             n, now, w, all_of, w,
             weights(n, now.pose, shape), torques_at_rest_loads(n, now, w),
         )  # fmt: skip

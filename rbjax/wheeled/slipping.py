@@ -9,23 +9,25 @@ wheels (`forces`).
 
 Where wheels are light, contacts are stiff: a wheel's slip decays at about (N C / v) (1 / m +
 r^2 / I), with C the slope of the law and v the speed, or `smooth_speed` near rest. An explicit step
-must be shorter than two of these times; `simulate` finds it.
+must be shorter than two of these times; `simulate` finds it. "linearly_implicit_euler" of `rollout`
+has no such limit: it takes the contacts as dampers, of the secant of their law.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.lanes import Lane, add, ldlt, mul, neg
-from rbjax.wheeled.equations import project, weights
-from rbjax.wheeled.fidelity import Fidelity, shaft_torques
+from rbjax.lanes import Lane, add, mul, neg, sub
+from rbjax.wheeled.equations import Damper, Equations, columns_of, project, weights
+from rbjax.wheeled.fidelity import Fidelity, motor_dampers, shaft_torques
 from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.loads import resisting_torques, wheel_loads
-from rbjax.wheeled.numbers import Numbers, with_lanes
+from rbjax.wheeled.numbers import Numbers, WheelNumbers, with_lanes
 from rbjax.wheeled.planar import Pair, Twist, cross, turned
 from rbjax.wheeled.rolling import all_of
 from rbjax.wheeled.tyre_laws import Fiala
@@ -113,8 +115,7 @@ class Slipping(Fidelity):
             if wheel.kind == "caster":
                 out.append((_one_way(tyre, along - roll, roll), 0.0))
             elif wheel.kind == "rollers":
-                # (along - roll) e . a + across n . a, a the axis of the rollers
-                c = (1.0 + wheel.slant * wheel.slant) ** -0.5
+                c = _cosine(wheel)
                 slides = mul(c, add(along - roll, mul(wheel.slant, across)))
                 pull = _one_way(tyre, slides, roll)
                 out.append((mul(pull, c), mul(pull, mul(c, wheel.slant))))
@@ -137,6 +138,15 @@ class Slipping(Fidelity):
         ]
 
     def accelerations(self, n: Numbers, now: Instant) -> list[Lane]:
+        return self._equations(n, now)[0].accelerations
+
+    def damped_accelerations(self, n: Numbers, now: Instant, h: Lane) -> list[Lane]:
+        equations, loads = self._equations(n, now)
+        dampers = self._contact_dampers(n, now, loads, h) + motor_dampers(n, now, now.v)
+        return equations.damped(dampers, h)
+
+    def _equations(self, n: Numbers, now: Instant) -> tuple[Equations, list[Lane]]:
+        """The equations, and the loads of wheels."""
         shape = now.shape
         loads, forces = self.forces(n, now)
         pulls = weights(n, now.pose, shape)
@@ -148,11 +158,49 @@ class Slipping(Fidelity):
             pulls[wheel.body] = pulls[wheel.body] + Twist(*force, cross(wheel.position, force))
             braking = neg(mul(wheel.radius, add(mul(force[0], e[0]), mul(force[1], e[1]))))
             torques[wheel.shaft] = add(torques[wheel.shaft], braking)
-        M, f = project(n, now, now.v, all_of, now.v, pulls, torques)
-        return ldlt(M).solve(f)
+        return project(n, now, now.v, all_of, now.v, pulls, torques), loads
+
+    def _contact_dampers(
+        self, n: Numbers, now: Instant, loads: Sequence[Lane], h: Lane
+    ) -> list[Damper]:
+        """How the forces of the ground oppose the velocities at which contacts slide."""
+        units = columns_of(n, now.shape, all_of, self.nv)
+        columns = [self._slides(n, now, unit) for unit in units]
+        out: list[Damper] = []
+        for i, slides in enumerate(self._slides(n, now, now.v)):
+            wheel = n.wheels[i]
+            roll = mul(wheel.radius, now.v[2 + len(n.bodies) + wheel.shaft])
+            across = slides[1] if len(slides) > 1 else 0.0
+            found = with_lanes(self.tyres[i], n.dtype).damping(slides[0], across, roll, h)
+            load = jnp.maximum(loads[i], 0.0)
+            for k in range(len(slides)):
+                out.append((mul(load, found[k]), [column[i][k] for column in columns]))
+        return out
+
+    def _slides(self, n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
+        """The velocities at which each contact slides, in the directions in which it has a force:
+        along the wheel, and across unless it is a caster; along the rollers."""
+        twists, rates = twists_of(n, now.shape, w), w[2 + len(n.bodies) :]
+        out: list[tuple[Lane, ...]] = []
+        for i, wheel in enumerate(n.wheels):
+            along, across = contact(n, now.shape, twists, i)
+            along = sub(along, mul(wheel.radius, rates[wheel.shaft]))
+            if wheel.kind == "caster":
+                out.append((along,))
+            elif wheel.kind == "rollers":
+                # along e . a + across n . a, a the axis of the rollers
+                out.append((mul(_cosine(wheel), add(along, mul(wheel.slant, across))),))
+            else:
+                out.append((along, across))
+        return out
 
     def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
         return self.contacts(n, now)[1] if self.nx else []
+
+
+def _cosine(wheel: WheelNumbers) -> Lane:
+    """Of the angle of the rollers' axes."""
+    return (1.0 + wheel.slant * wheel.slant) ** -0.5
 
 
 def _one_way(tyre: Any, slides: Lane, roll: Lane) -> Lane:

@@ -105,6 +105,15 @@ class Tyre(Record):
         """The traction of a motion, and the rate of the state z, which is empty here."""
         return self.traction(*self.slip(ux, uy, roll_speed)), ()
 
+    def damping(self, vx: Lane, vy: Lane, roll_speed: Lane, h: Lane) -> Pair:
+        """G_i / sqrt((r phi')^2 + v_n^2), s/m: how the traction opposes the sliding velocity v_s.
+
+        h: of the step, s, which laws with a state need.
+        """
+        inverse = 1 / self.reference_speed(roll_speed)
+        along, across = self.secants(vx * inverse, vy * inverse)
+        return along * inverse, across * inverse
+
     def stored(self, z: Any = ()) -> Lane:
         """The energy that its state stores for each newton of load, in metres: none."""
         return 0.0
