@@ -18,6 +18,7 @@ from rbjax.demo.report import Section
 from rbjax.demo.swing_up import swing_up
 from rbjax.demo.threads import threads
 from rbjax.demo.validate import validate
+from rbjax.demo.wheels import wheels
 
 
 @pytest.fixture(autouse=True)
@@ -101,14 +102,23 @@ def test_forces_act(tmp_path: Path) -> None:
 
 def test_the_report_holds_all(tmp_path: Path) -> None:
     parts: dict = dict.fromkeys(
-        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "loops", "planning",
-         "threads")
+        ("motion", "identify", "swing_up", "integrators", "forces", "joints", "loops", "wheels",
+         "planning", "threads")
     )  # fmt: skip
     parts["validate"] = {"scenes": {"pendulum": False}}
     page = demo(tmp_path, say=quiet, options=parts)
     assert "<table>" in page.read_text()
     assert "| scene |" in (tmp_path / "report.md").read_text()
     assert jnp.ones(1).dtype == jnp.float64  # the caller's choice, as before
+
+
+def test_wheels_lose_their_grip(tmp_path: Path) -> None:
+    section = wheels(tmp_path, quiet, steps=200)
+    check(section, tmp_path)
+    speed = [float(row[1]) for row in section.rows]
+    slides = [float(row[-1]) for row in section.rows]
+    assert abs(speed[0] - 0.8) < 0.05 and speed == sorted(speed, reverse=True)
+    assert slides == sorted(slides) and slides[0] < 0.1 < slides[-1]
 
 
 def test_a_car_parks(tmp_path: Path) -> None:

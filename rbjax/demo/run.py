@@ -1,4 +1,4 @@
-"""The whole demo: ten sections, in f64, and their report."""
+"""The whole demo: eleven sections, in f64, and their report."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from rbjax.demo.report import Section, write
 from rbjax.demo.swing_up import swing_up
 from rbjax.demo.threads import threads
 from rbjax.demo.validate import validate
+from rbjax.demo.wheels import wheels
 
 #: section -> its function and, as a guide for progress bars, its share of the time
 PARTS: dict[str, tuple[Callable[..., Section], float]] = {
@@ -37,6 +38,7 @@ PARTS: dict[str, tuple[Callable[..., Section], float]] = {
     "forces": (forces, 5),
     "joints": (joints, 5),
     "loops": (loops, 6),
+    "wheels": (wheels, 5),
     "planning": (planning, 2),
     "threads": (threads, 2),
 }
@@ -62,8 +64,8 @@ def demo(
         say: called with the name of each stage before it starts.
         done: called with a part's name and share after it ends.
         options: keyword arguments by part (motion, validate, identify, swing_up, integrators,
-            forces, joints, loops, planning, threads), for smaller runs; a part given as None is
-            skipped.
+            forces, joints, loops, wheels, planning, threads), for smaller runs; a part given as
+            None is skipped.
 
     Returns:
         The path of report.html.
