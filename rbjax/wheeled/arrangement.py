@@ -22,6 +22,7 @@ import numpy as np
 from rbjax.errors import InputError
 
 if TYPE_CHECKING:
+    from rbjax.wheeled.parts import Wheel
     from rbjax.wheeled.robot import Robot
 
 #: relative singular values below this are zero
@@ -30,10 +31,15 @@ RANK = 1e-9
 
 @dataclass(frozen=True)
 class Leader:
-    """A row that leads: of a fixed wheel, of a steering, or of the axis on which wheels skid."""
+    """A row that leads: of a fixed wheel, of a steering, or of the axis on which wheels skid.
+
+    backward: whether its wheel has its heading backward, so that it turns by negative rates as the
+    chassis moves ahead.
+    """
 
     what: str  # "wheel", "steering", "skidding"
     number: int = 0
+    backward: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,13 +108,19 @@ def arrange(robot: Robot) -> Arrangement:
 def _sources(robot: Robot) -> list[Leader]:
     """All rows of the chassis; fixed wheels first."""
     out = [
-        Leader("wheel", i)
+        Leader("wheel", i, _is_backward(wheel))
         for i, wheel in enumerate(robot.wheels)
         if wheel.body == 0 and wheel.kind == "fixed" and not wheel.skids
     ]
     if any(wheel.body == 0 and wheel.skids for wheel in robot.wheels):
         out.append(Leader("skidding"))
-    return out + [Leader("steering", j) for j in range(len(robot.steerings))]
+    firsts = [robot.wheels[steering.wheels[0]] for steering in robot.steerings]
+    return out + [Leader("steering", j, _is_backward(wheel)) for j, wheel in enumerate(firsts)]
+
+
+def _is_backward(wheel: Wheel) -> bool:
+    """Whether a wheel's heading is behind its left and right."""
+    return bool(np.cos(float(wheel.heading)) < -RANK)
 
 
 def _place(robot: Robot, source: Leader) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.lanes import Lane, add, inner, mul, sub, total
+from rbjax.lanes import Lane, add, inner, mul, neg, sub, total
 from rbjax.model import State
 from rbjax.model.record import Record
 from rbjax.wheeled.equations import momentum
@@ -162,9 +162,9 @@ def angle_rates(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
 
 
 def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
-    """The torques of the drives on each shaft."""
+    """The torques of the drives and of damping on each shaft."""
     rates = w[2 + len(n.bodies) :]
-    out: list[Lane] = [0.0] * len(n.shafts)
+    out = [neg(mul(c, rate)) for c, rate in zip(n.damping, rates, strict=True)]
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         torque = n.motors[j].torque(now.u[j], shaft_speed(n, drive.wheels, split, rates))
         for i, share in zip(drive.wheels, split, strict=True):

@@ -57,8 +57,9 @@ class Numbers:
     layout: Layout
     bodies: tuple[BodyNumbers, ...]
     wheels: tuple[WheelNumbers, ...]
-    #: inertias of shafts, without those of motors
+    #: inertias of shafts, without those of motors, and their damping
     shafts: tuple[Lane, ...]
+    damping: tuple[Lane, ...]
     #: of each drive, the shares of its wheels
     splits: tuple[tuple[Lane, ...], ...]
     turn_center: Lane
@@ -142,16 +143,18 @@ def numbers_of(robot: Robot, dtype: Any) -> Numbers:
             )
         )  # fmt: skip
     shafts: list[Lane] = [0.0] * len(layout.setters)
-    for n in wheels:
+    damping: list[Lane] = [0.0] * len(layout.setters)
+    for wheel, n in zip(robot.wheels, wheels, strict=True):
         shafts[n.shaft] = add(shafts[n.shaft], n.inertia)
+        damping[n.shaft] = add(damping[n.shaft], number(wheel.damping))
     splits = tuple(tuple(lanes(drive.split, dtype)) for drive in robot.drives)
     fall = pair(robot.slope)
     across = number(robot.gravity)
     if not (is_zero(fall[0]) and is_zero(fall[1])):
         across = across * (1.0 + dot(fall, fall)) ** -0.5
     return Numbers(
-        robot, dtype, layout, tuple(bodies), tuple(wheels), tuple(shafts), splits,
-        number(robot.turn_center), (mul(across, fall[0]), mul(across, fall[1])), across,
+        robot, dtype, layout, tuple(bodies), tuple(wheels), tuple(shafts), tuple(damping),
+        splits, number(robot.turn_center), (mul(across, fall[0]), mul(across, fall[1])), across,
         tuple(with_lanes(drive.motor, dtype) for drive in robot.drives),
         with_lanes(robot.resistance, dtype),
     )  # fmt: skip

@@ -63,6 +63,8 @@ def shape_of(n: Numbers, angles: Sequence[Lane]) -> Shape:
         elif leader.what == "steering":
             first = n.robot.steerings[leader.number].wheels[0]
             ahead = turned(steerings[leader.number], n.wheels[first].heading)
+        if leader.backward:
+            ahead = neg(ahead[0]), neg(ahead[1])
         leaders.append((place_of(n, leader), ahead))
     of_wheels = tuple(wheels[i] for i in range(len(n.wheels)))
     return fusion_barrier(Shape(trailers, of_wheels, tuple(leaders)))
@@ -98,7 +100,8 @@ def _steered(n: Numbers, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
         along = dot(ahead, (sub(p[0], base[0]), sub(p[1], base[1])))
         d = sub(e[0], mul(mul(far, e[1]), inverse(length))), mul(mul(along, e[1]), inverse(length))
         scale = inverse_root(dot(d, d))
-        out[i] = turned((mul(d[0], scale), mul(d[1], scale)), ahead)
+        # its own heading may be the opposite of the first one's
+        out[i] = turned((mul(d[0], scale), mul(d[1], scale)), n.wheels[i].heading)
     return out
 
 

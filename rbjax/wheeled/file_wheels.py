@@ -1,0 +1,201 @@
+"""The numbers of a robot's wheels as a file has them: places, radii, inertias.
+
+A wheel's axle points along a; up is z. The wheel rolls towards its heading at a positive rate of
+its joint:
+
+    heading = a x z,    radius: the farthest point of its shapes from the axle
+    inertia about the axle, with armature;    yaw_inertia about the vertical through its place
+A steered wheel has its place on the axis of its steering, and the mass of all that turns with it; a
+caster has its pivot's, and the mass of its fork.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.loading.at_rest import AtRest, Composite
+from rbjax.wheeled.file_joints import Roles, check_upright
+
+UP = np.array([0.0, 0.0, 1.0])
+#: relative differences below this are rounding of the file's numbers
+ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class FileWheel:
+    """A wheel in world axes, in m and kg.
+
+    Fields: joint; kind; place (3,), on the axle's height; ahead (3,), its heading, of a caster
+    where it rolls; radius, inertia, mass, yaw_inertia, trail, damping, as `Wheel` has them; com
+    (3,), of that mass.
+    """
+
+    joint: int
+    kind: str
+    place: np.ndarray
+    ahead: np.ndarray
+    radius: float
+    inertia: float
+    mass: float
+    yaw_inertia: float
+    com: np.ndarray
+    damping: float
+    trail: float = 0.05
+
+    @property
+    def bottom(self) -> float:
+        return float(self.place[2]) - self.radius
+
+
+@dataclass
+class LeftOut:
+    """What a file holds and the robot does not, in words."""
+
+    found: list[str] = field(default_factory=list)
+
+    def add(self, what: str, size: float, scale: float, unit: str = "mm") -> None:
+        """Note a size that is more than rounding."""
+        if abs(size) > ROUNDING * scale:
+            factor = {"mm": 1e3, "": 1.0, "degrees": np.degrees(1.0)}[unit]
+            self.found.append(f"{what} {abs(size) * factor:.3g} {unit}".rstrip())
+
+
+def file_wheels(
+    roles: Roles, radius: Any, rollers: Mapping[int, float], tolerance: float, out: LeftOut
+) -> list[FileWheel]:
+    """All wheels; `radius` a number, or numbers by joint; `rollers` by joint.
+
+    Raises:
+        InputError: a wheel that has no shape, stands on no plane with the others, or leans.
+    """
+    wheels = [_wheel(roles, j, radius, rollers, tolerance, out) for j in roles.wheels]
+    lowest = min(w.bottom for w in wheels)
+    height = max(w.bottom for w in wheels) - lowest
+    largest = max(w.radius for w in wheels)
+    if height > tolerance * largest:
+        above = ", ".join(
+            f"{roles.name(w.joint)} {1e3 * (w.bottom - lowest):.3g} mm" for w in wheels
+        )
+        raise InputError(
+            f"from_file: the wheels do not stand on one level ground: their lowest points are "
+            f"above the lowest by {above}, expected at most {1e3 * tolerance * largest:.3g} mm; "
+            "hold other joints with q, give radius, or raise the tolerance"
+        )
+    out.add("wheels that stand at heights that differ by", height, largest)
+    return wheels
+
+
+def _wheel(
+    roles: Roles, j: int, radius: Any, rollers: Mapping[int, float], tolerance: float, out: LeftOut
+) -> FileWheel:
+    rest, name = roles.rest, roles.name(j)
+    axle = rest.axis(j)
+    if abs(axle[2]) > tolerance:
+        raise InputError(
+            f"from_file: the axle of wheel {name!r} leans {np.degrees(np.arcsin(abs(axle[2]))):.3g}"
+            f" degrees from the horizontal, expected at most {np.degrees(tolerance):.3g}; hold the "
+            "robot upright with q, or raise the tolerance"
+        )
+    out.add(f"{name}: an axle that leans by", axle[2], 1.0, "degrees")
+    ahead = np.cross(axle, UP)
+    ahead /= np.linalg.norm(ahead)
+    bodies = rest.behind(j)
+    size, centre = _shape(roles, j, bodies, radius)
+    own = rest.composite(bodies)
+    _note_unbalance(name, own, rest, j, size, out)
+    for what in rest.resisting(j):
+        out.found.append(f"{name}: {what}")
+    inertia = own.about(axle, rest.anchor(j)) + rest.armature(j)
+    numbers = {"radius": size, "inertia": inertia, "damping": rest.damping(j)}
+    table = roles.turntable(j)
+    if table is None:
+        kind = "rollers" if j in rollers else "fixed"
+        return FileWheel(j, kind, centre, ahead, mass=own.mass, com=own.com,
+                         yaw_inertia=own.about(UP, centre), **numbers)  # fmt: skip
+    caster = table in roles.casters
+    if j in rollers:
+        raise InputError(f"from_file: wheel {name!r} has rollers and is steered, expected one")
+    check_upright(roles, table, "caster" if caster else "steering", tolerance)
+    out.add(f"{roles.name(table)}: an axis that leans by", _lean(rest.axis(table)), 1.0, "degrees")
+    all_of_it = rest.composite(rest.behind(table))
+    place = rest.anchor(table)
+    place[2] = centre[2]
+    yaw = all_of_it.about(UP, place)
+    numbers |= {"mass": all_of_it.mass, "yaw_inertia": yaw, "com": all_of_it.com}
+    away = centre - place
+    if caster:
+        for what in ("damping", *rest.resisting(table)):
+            if what != "damping" or rest.damping(table):
+                out.found.append(f"{roles.name(table)}: {what}")
+        ahead, trail = _trailing(roles, table, ahead, away, size, tolerance, out)
+        return FileWheel(j, "caster", place, ahead, trail=trail, **numbers)
+    out.add(f"{name}: a centre off the axis of {roles.name(table)} by", np.hypot(*away[:2]), size)
+    com = _off(all_of_it.com, place, UP)
+    out.add(f"{roles.name(table)}: a centre of mass off its axis by", com, size)
+    return FileWheel(j, "steered", place, ahead, **numbers)
+
+
+def _shape(roles: Roles, j: int, bodies: tuple[int, ...], radius: Any) -> tuple[float, np.ndarray]:
+    """The radius of a wheel, and its centre on the axle."""
+    found = roles.rest.round_shape(bodies, j)
+    given = radius.get(j) if isinstance(radius, Mapping) else radius
+    if given is None and found is None:
+        name = roles.name(j)
+        raise InputError(
+            f"from_file: wheel {name!r} has no shape in the file that shows its radius: no "
+            f"cylinder, sphere, capsule, ellipsoid or readable mesh; give radius={{{name!r}: ...}}"
+        )
+    centre = roles.rest.anchor(j) if found is None else found.centre
+    return float(found.radius if given is None and found is not None else given), centre
+
+
+def _trailing(
+    roles: Roles, table: int, ahead: np.ndarray, away: np.ndarray, size: float, tolerance: float,
+    out: LeftOut,
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    """Where a caster's wheel rolls, and how far its centre is behind the pivot."""
+    if ahead @ away > 0:
+        ahead = -ahead  # its axle points to the right
+    trail, aside = float(-ahead @ away), float(np.cross(UP, ahead) @ away)
+    name = roles.name(table)
+    if trail <= ROUNDING * size:
+        raise InputError(
+            f"from_file: the wheel of caster {name!r} has its centre {1e3 * trail:.3g} mm behind "
+            "the pivot, expected above zero; is it a steering?"
+        )
+    if abs(aside) > tolerance * size:
+        raise InputError(
+            f"from_file: the wheel of caster {name!r} is {1e3 * abs(aside):.3g} mm beside its "
+            f"pivot, expected at most {1e3 * tolerance * size:.3g} mm; raise the tolerance"
+        )
+    out.add(f"{name}: a wheel beside its pivot by", aside, size)
+    return ahead, trail
+
+
+def _note_unbalance(
+    name: str, own: Composite, rest: AtRest, j: int, size: float, out: LeftOut
+) -> None:
+    axle = rest.axis(j)
+    out.add(f"{name}: a centre of mass off the axle by", _off(own.com, rest.anchor(j), axle), size)
+    along = float(axle @ own.inertia @ axle)
+    across = 0.5 * (np.trace(own.inertia) - along)
+    # a body of revolution about the axle has this inertia
+    even = across * np.eye(3) + (along - across) * np.outer(axle, axle)
+    uneven = np.abs(own.inertia - even).max()
+    scale = max(np.abs(own.inertia).max(), 1e-300)
+    out.add(f"{name}: an inertia that is not even about the axle, by a part of", uneven / scale,
+            1.0, "")  # fmt: skip
+
+
+def _off(point: np.ndarray, anchor: np.ndarray, axis: np.ndarray) -> float:
+    """The distance of a point from a line."""
+    return float(np.linalg.norm(np.cross(axis, point - anchor)))
+
+
+def _lean(axis: np.ndarray) -> float:
+    return float(np.hypot(*axis[:2]))
