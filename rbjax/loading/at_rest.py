@@ -6,7 +6,7 @@ joint carries the bodies behind it; the chain of a body is the joints between th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,21 +158,24 @@ class AtRest:
         }
         return tuple(name for name, x in found.items() if x > 0)
 
-    def round_shape(self, bodies: Collection[int], j: int) -> Round | None:
-        """The extents of the shapes of bodies about the axis of a joint; None if they have none.
+    def round_shapes(self, joints: Sequence[int]) -> list[Round | None]:
+        """Of each joint, the extents about its axis of the shapes that it carries, or None.
 
-        Of a URDF their links are compiled with shapes for this.
+        The links of a URDF are compiled with their shapes for this.
         """
-        m, names = self.m, [self.body_name(b) for b in bodies]
-        if not np.isin(m.geom_bodyid, list(bodies)).any():
-            if isinstance(self.source, (mujoco.MjModel, mujoco.MjSpec)):
-                return None
+        carried = [self.behind(j) for j in joints]
+        m, names = self.m, {self.body_name(b) for bodies in carried for b in bodies}
+        bare = not np.isin(m.geom_bodyid, [b for bodies in carried for b in bodies]).any()
+        if bare and not isinstance(self.source, (mujoco.MjModel, mujoco.MjSpec)):
             m = compile_model(self.source, floating_base=None, shapes=names)
-        frames = {
-            m.body(name).id: (self.d.xpos[b], self.d.xmat[b].reshape(3, 3))
-            for b, name in zip(bodies, names, strict=True)
-        }
-        return round_shape(m, frames, self.anchor(j), self.axis(j))
+        out = []
+        for j, bodies in zip(joints, carried, strict=True):
+            frames = {
+                m.body(self.body_name(b)).id: (self.d.xpos[b], self.d.xmat[b].reshape(3, 3))
+                for b in bodies
+            }
+            out.append(round_shape(m, frames, self.anchor(j), self.axis(j)))
+        return out
 
     def actuators(self) -> tuple[FileActuator, ...]:
         """Those that act on joints of one coordinate."""
@@ -244,9 +247,7 @@ def _actuator(m: mujoco.MjModel, i: int) -> FileActuator:
             if m.wrap_type[k] == Wrap.JOINT:
                 arms[int(m.wrap_objid[k])] = gear * float(m.wrap_prm[k])
     affine = m.actuator_biastype[i] == Bias.AFFINE
-    known = m.actuator_gaintype[i] == Gain.FIXED and (
-        affine or m.actuator_biastype[i] == Bias.NONE
-    )
+    known = m.actuator_gaintype[i] == Gain.FIXED and (affine or m.actuator_biastype[i] == Bias.NONE)
     odd = left_out_of(m, i)
     if not odd and m.actuator_dyntype[i] != Dyn.NONE:
         odd = "it has a state"

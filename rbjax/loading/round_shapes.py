@@ -20,7 +20,13 @@ DIRECTIONS = 360
 #: shapes that reach this much of the farthest make the rim
 RIM = 1.0 - 1e-6
 
+#: vertices of a mesh that reach this much of the farthest are its rim, without hub and spokes
+TREAD = 0.99
+#: the sine of an angle up to which a cylinder lies along the axle: that of a file with pi/2 = 1.57
+ALIGNED = 1e-3
+
 _GEOM = mujoco.mjtGeom
+_LONG = (int(_GEOM.mjGEOM_CYLINDER), int(_GEOM.mjGEOM_CAPSULE))
 Frame = tuple[np.ndarray, np.ndarray]
 
 
@@ -54,7 +60,7 @@ def round_shape(
 def _extents(
     m: mujoco.MjModel, g: int, frame: Frame, anchor: np.ndarray, axis: np.ndarray
 ) -> tuple[float, float, float] | None:
-    """The farthest point from the axis, and both ends along it."""
+    """The farthest point from the axis, and both ends along it; of a mesh, those of its rim."""
     origin, turn = frame
     place = origin + turn @ m.geom_pos[g]
     own = np.empty(9)
@@ -66,8 +72,11 @@ def _extents(
         at, count = int(m.mesh_vertadr[mesh]), int(m.mesh_vertnum[mesh])
         points = away + m.mesh_vert[at : at + count] @ turn.T
         along = points @ axis
-        radius = np.linalg.norm(points - np.outer(along, axis), axis=1).max()
-        return float(radius), float(along.min()), float(along.max())
+        reach = np.linalg.norm(points - np.outer(along, axis), axis=1)
+        rim = along[reach >= TREAD * reach.max()]
+        return float(reach.max()), float(rim.min()), float(rim.max())
+    if m.geom_type[g] in _LONG and np.linalg.norm(np.cross(axis, turn[:, 2])) < ALIGNED:
+        turn = np.stack([*np.linalg.svd(axis[None])[2][1:], axis], 1)
     across = _directions(axis, away)
     reach = _support(int(m.geom_type[g]), m.geom_size[g], np.vstack([across, axis, -axis]) @ turn)
     if reach is None:

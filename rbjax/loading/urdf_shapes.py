@@ -15,16 +15,19 @@ READ = (".stl", ".obj", ".msh")
 
 
 def take_shapes(link: ET.Element, folder: Path | None) -> None:
-    """Remove a link's shapes; with the folder of the file only those that MuJoCo cannot read.
+    """Remove a link's shapes; with the folder of the file only those that MuJoCo cannot read, and
+    those that are only seen if others stay.
 
     Names of meshes that stay are absolute paths afterwards.
     """
-    for shape in (*link.findall("visual"), *link.findall("collision")):
-        if folder is None or not _stays(shape, folder):
+    stay = False
+    for shape in (*link.findall("collision"), *link.findall("visual")):
+        if folder is None or (stay and shape.tag == "visual") or not _stays(shape, folder):
             link.remove(shape)
         else:
             for material in shape.findall("material"):
                 shape.remove(material)
+            stay = True
 
 
 def _stays(shape: ET.Element, folder: Path) -> bool:

@@ -186,7 +186,7 @@ def kinetic_energy(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Lane:
     """T of all bodies, wheels and motors."""
     parts = motion(n, shape, w)
     bodies = total(
-        inner(V, momentum(body, V)) for body, V in zip(n.bodies, parts.twists, strict=True)
+        inner(V, momentum(body, V)) for body, V in zip(n.rigid, parts.twists, strict=True)
     )
     return 0.5 * add(bodies, total(mul(i, mul(rate, rate)) for i, rate in parts.turns))
 
@@ -209,6 +209,9 @@ def potential_energy(n: Numbers, now: Instant) -> Lane:
         moment = turned(body.moment, e)
         fall = dot(n.downhill, origin)
         energy = sub(energy, add(mul(body.mass, fall), dot(n.downhill, moment)))
+    for i, fork in zip(n.layout.caster_wheels, n.forks, strict=True):
+        moment = turned(fork.moment, turned(shape.wheels[i], directions[n.wheels[i].body]))
+        energy = sub(energy, dot(n.downhill, moment))
     return energy
 
 

@@ -4,7 +4,7 @@ An actuator on hinges has arms r, gain k and bias b (MuJoCo, *Computation*, actu
 
     tau_j = r_j f,   f = k u + b_0 + b_1 l + b_2 l',   l' = sum r_j v_j
     b = 0              a `TorqueSource` with the split k r
-    b = (0, 0, -k)     a `SpeedServo` of gain k with the split r; its limit is the file's force range
+    b = (0, 0, -k)     a `SpeedServo` of gain k with the split r, its limit the force range
 so a control means what it means in the file.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.loading.at_rest import FileActuator
-from rbjax.wheeled.file_joints import Roles, hinges
+from rbjax.wheeled.file_joints import Roles
 from rbjax.wheeled.file_wheels import FileWheel, LeftOut
 from rbjax.wheeled.motors import Motor, SpeedServo, TorqueSource
 from rbjax.wheeled.parts import Drive
@@ -40,7 +40,7 @@ def drives_of(
     """
     if given is None:
         made = [
-            _of_actuator(roles, x, out)
+            _of_actuator(roles, wheels, x, out)
             for x in roles.rest.actuators()
             if any(j in roles.wheels for j in x.arms)
         ]
@@ -58,7 +58,9 @@ def drives_of(
     return tuple(made)
 
 
-def _of_actuator(roles: Roles, given: FileActuator, out: LeftOut) -> Drive:
+def _of_actuator(
+    roles: Roles, found: Sequence[FileWheel], given: FileActuator, out: LeftOut
+) -> Drive:
     where = f"from_file: the actuator {given.name!r}"
     others = [roles.name(j) for j in given.arms if j not in roles.wheels]
     if others:
@@ -68,29 +70,31 @@ def _of_actuator(roles: Roles, given: FileActuator, out: LeftOut) -> Drive:
     if given.odd:
         raise InputError(f"{where} has no motor here: {given.odd}; {_FIX}")
     wheels = tuple(roles.wheels.index(j) for j in given.arms)
-    arms, low, high = np.array(list(given.arms.values())), *given.force
+    arms = np.array(
+        [arm * found[i].sense for i, arm in zip(wheels, given.arms.values(), strict=True)]
+    )
+    low, high = given.force
     if not any(given.bias):
         if math.isfinite(low) or math.isfinite(high):
             out.found.append(f"{given.name}: limits of its force")
         return Drive(wheels, TorqueSource(), given.gain * arms)
     if given.gain > 0 and given.bias == (0.0, 0.0, -given.gain):
-        limit = min(-low, high)
+        gain: Any = given.gain
+        limit: Any = min(-low, high)
         if limit <= 0:
             raise InputError(
                 f"{where} has forces from {low:g} to {high:g}, expected both signs; {_FIX}"
             )
         if math.isfinite(limit) and -low != high:
             out.found.append(f"{given.name}: the larger one of the limits of its force")
-        return Drive(wheels, SpeedServo(given.gain, limit), arms)
+        return Drive(wheels, SpeedServo(gain, limit), arms)
     raise InputError(
         f"{where} has the gain {given.gain:g} and the bias {given.bias}, expected a torque (no "
         f"bias) or a servo of the speed (bias 0, 0, {-given.gain:g}); {_FIX}"
     )
 
 
-def _of_user(
-    roles: Roles, wheels: Sequence[FileWheel], given: Any
-) -> list[Drive]:
+def _of_user(roles: Roles, wheels: Sequence[FileWheel], given: Any) -> list[Drive]:
     """A drive for each wheel that a name or pattern stands for, and one for each tuple."""
     pairs: Iterable[tuple[Any, Motor]]
     if isinstance(given, Mapping):
@@ -99,21 +103,12 @@ def _of_user(
         pairs = [(x, TorqueSource()) for x in ([given] if isinstance(given, str) else given)]
     made = []
     for names, motor in pairs:
-        numbers = [_wheel(roles, j) for j in hinges(roles.rest, "drives", names)]
+        numbers = [roles.wheels.index(j) for j in roles.wheels_named("drives", names)]
         if isinstance(names, str):
-            made += [Drive((i,), motor) for i in numbers]
+            made += [Drive((i,), motor, [wheels[i].sense]) for i in numbers]
         else:
             # all turn the robot the way in which the first does
             first = wheels[numbers[0]].ahead
             signs = [math.copysign(1.0, wheels[i].ahead @ first) for i in numbers]
             made.append(Drive(tuple(numbers), motor, np.array(signs) / len(signs)))
     return made
-
-
-def _wheel(roles: Roles, j: int) -> int:
-    if j not in roles.wheels:
-        named = ", ".join(repr(roles.name(w)) for w in roles.wheels)
-        raise InputError(
-            f"from_file: drives name {roles.name(j)!r}, expected one of the wheels {named}"
-        )
-    return roles.wheels.index(j)

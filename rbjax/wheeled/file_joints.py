@@ -51,6 +51,20 @@ class Roles:
         """The number of the wheel that a steering or caster carries."""
         return next(i for i, wheel in enumerate(self.wheels) if j in self.rest.above(wheel))
 
+    def wheels_named(self, what: str, patterns: Patterns) -> list[int]:
+        """The joints of wheels by names or patterns; of patterns, those that are wheels."""
+        found: list[int] = []
+        for pattern in [patterns] if isinstance(patterns, str) else patterns:
+            meant = hinges(self.rest, what, pattern)
+            wheels = [j for j in meant if j in self.wheels]
+            if not wheels:
+                named = ", ".join(repr(self.name(j)) for j in self.wheels)
+                raise InputError(
+                    f"from_file: {what} name {pattern!r}, expected one of the wheels {named}"
+                )
+            found += [j for j in wheels if j not in found]
+        return found
+
     def bodies(self, k: int) -> set[int]:
         """The file's bodies of the chassis or of trailer k, with all on it but further trailers."""
         root = self.rest.tree(self.rest.root(self.wheels[0]))

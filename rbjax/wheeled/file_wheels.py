@@ -19,6 +19,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.loading.at_rest import AtRest, Composite
+from rbjax.loading.round_shapes import Round
 from rbjax.wheeled.file_joints import Roles, check_upright
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -31,8 +32,8 @@ class FileWheel:
     """A wheel in world axes, in m and kg.
 
     Fields: joint; kind; place (3,), on the axle's height; ahead (3,), its heading, of a caster
-    where it rolls; radius, inertia, mass, yaw_inertia, trail, damping, as `Wheel` has them; com
-    (3,), of that mass.
+    where it rolls; radius, inertia, mass, yaw_inertia, trail, behind, damping, as `Wheel` has
+    them; sense, -1 of a caster that rolls ahead of its pivot at negative rates of its joint.
     """
 
     joint: int
@@ -43,9 +44,10 @@ class FileWheel:
     inertia: float
     mass: float
     yaw_inertia: float
-    com: np.ndarray
     damping: float
     trail: float = 0.05
+    behind: float = 0.0
+    sense: float = 1.0
 
     @property
     def bottom(self) -> float:
@@ -64,6 +66,12 @@ class LeftOut:
             factor = {"mm": 1e3, "": 1.0, "degrees": np.degrees(1.0)}[unit]
             self.found.append(f"{what} {abs(size) * factor:.3g} {unit}".rstrip())
 
+    def resisting(self, roles: Roles, j: int, *, damps: bool = False) -> None:
+        """Note what resists the motion of a hinge, but damping where the robot has it."""
+        if roles.rest.damping(j) and not damps:
+            self.found.append(f"{roles.name(j)}: damping")
+        self.found += [f"{roles.name(j)}: {what}" for what in roles.rest.resisting(j)]
+
 
 def file_wheels(
     roles: Roles, radius: Any, rollers: Mapping[int, float], tolerance: float, out: LeftOut
@@ -73,7 +81,11 @@ def file_wheels(
     Raises:
         InputError: a wheel that has no shape, stands on no plane with the others, or leans.
     """
-    wheels = [_wheel(roles, j, radius, rollers, tolerance, out) for j in roles.wheels]
+    shapes = roles.rest.round_shapes(roles.wheels)
+    wheels = [
+        _wheel(roles, j, _size(roles, j, shape, radius), rollers, tolerance, out)
+        for j, shape in zip(roles.wheels, shapes, strict=True)
+    ]
     lowest = min(w.bottom for w in wheels)
     height = max(w.bottom for w in wheels) - lowest
     largest = max(w.radius for w in wheels)
@@ -91,9 +103,10 @@ def file_wheels(
 
 
 def _wheel(
-    roles: Roles, j: int, radius: Any, rollers: Mapping[int, float], tolerance: float, out: LeftOut
-) -> FileWheel:
-    rest, name = roles.rest, roles.name(j)
+    roles: Roles, j: int, shape: Round, rollers: Mapping[int, float], tolerance: float,
+    out: LeftOut,
+) -> FileWheel:  # fmt: skip
+    rest, name, (size, centre) = roles.rest, roles.name(j), shape
     axle = rest.axis(j)
     if abs(axle[2]) > tolerance:
         raise InputError(
@@ -104,18 +117,15 @@ def _wheel(
     out.add(f"{name}: an axle that leans by", axle[2], 1.0, "degrees")
     ahead = np.cross(axle, UP)
     ahead /= np.linalg.norm(ahead)
-    bodies = rest.behind(j)
-    size, centre = _shape(roles, j, bodies, radius)
-    own = rest.composite(bodies)
+    own = rest.composite(rest.behind(j))
     _note_unbalance(name, own, rest, j, size, out)
-    for what in rest.resisting(j):
-        out.found.append(f"{name}: {what}")
+    out.resisting(roles, j, damps=True)
     inertia = own.about(axle, rest.anchor(j)) + rest.armature(j)
     numbers = {"radius": size, "inertia": inertia, "damping": rest.damping(j)}
     table = roles.turntable(j)
     if table is None:
         kind = "rollers" if j in rollers else "fixed"
-        return FileWheel(j, kind, centre, ahead, mass=own.mass, com=own.com,
+        return FileWheel(j, kind, centre, ahead, mass=own.mass,
                          yaw_inertia=own.about(UP, centre), **numbers)  # fmt: skip
     caster = table in roles.casters
     if j in rollers:
@@ -126,41 +136,46 @@ def _wheel(
     place = rest.anchor(table)
     place[2] = centre[2]
     yaw = all_of_it.about(UP, place)
-    numbers |= {"mass": all_of_it.mass, "yaw_inertia": yaw, "com": all_of_it.com}
+    numbers |= {"mass": all_of_it.mass, "yaw_inertia": yaw}
     away = centre - place
     if caster:
-        for what in ("damping", *rest.resisting(table)):
-            if what != "damping" or rest.damping(table):
-                out.found.append(f"{roles.name(table)}: {what}")
-        ahead, trail = _trailing(roles, table, ahead, away, size, tolerance, out)
-        return FileWheel(j, "caster", place, ahead, trail=trail, **numbers)
+        out.resisting(roles, table)
+        sense = -1.0 if ahead @ away > 0 else 1.0
+        ahead = sense * ahead
+        trail = _trail(roles, table, ahead, away, size, tolerance, out)
+        away = all_of_it.com - place
+        beside = float(np.cross(UP, ahead) @ away)
+        out.add(f"{roles.name(table)}: a centre of mass beside its pivot by", beside, size)
+        behind = -float(ahead @ away)
+        return FileWheel(j, "caster", place, ahead, trail=trail, behind=behind, sense=sense,
+                         **numbers)  # fmt: skip
     out.add(f"{name}: a centre off the axis of {roles.name(table)} by", np.hypot(*away[:2]), size)
     com = _off(all_of_it.com, place, UP)
     out.add(f"{roles.name(table)}: a centre of mass off its axis by", com, size)
     return FileWheel(j, "steered", place, ahead, **numbers)
 
 
-def _shape(roles: Roles, j: int, bodies: tuple[int, ...], radius: Any) -> tuple[float, np.ndarray]:
-    """The radius of a wheel, and its centre on the axle."""
-    found = roles.rest.round_shape(bodies, j)
+def _size(roles: Roles, j: int, found: Round | None, radius: Any) -> Round:
+    """The radius of a wheel, as found or as given, and its centre on the axle."""
     given = radius.get(j) if isinstance(radius, Mapping) else radius
-    if given is None and found is None:
+    if given is not None:
+        if not (isinstance(given, (int, float)) and 0 < given < np.inf):
+            raise InputError(f"from_file: radius is {given!r}, expected a length above zero, m")
+        return Round(float(given), roles.rest.anchor(j) if found is None else found.centre)
+    if found is None:
         name = roles.name(j)
         raise InputError(
             f"from_file: wheel {name!r} has no shape in the file that shows its radius: no "
             f"cylinder, sphere, capsule, ellipsoid or readable mesh; give radius={{{name!r}: ...}}"
         )
-    centre = roles.rest.anchor(j) if found is None else found.centre
-    return float(found.radius if given is None and found is not None else given), centre
+    return found
 
 
-def _trailing(
+def _trail(
     roles: Roles, table: int, ahead: np.ndarray, away: np.ndarray, size: float, tolerance: float,
     out: LeftOut,
-) -> tuple[np.ndarray, float]:  # fmt: skip
-    """Where a caster's wheel rolls, and how far its centre is behind the pivot."""
-    if ahead @ away > 0:
-        ahead = -ahead  # its axle points to the right
+) -> float:  # fmt: skip
+    """How far the centre of a caster's wheel is behind the pivot."""
     trail, aside = float(-ahead @ away), float(np.cross(UP, ahead) @ away)
     name = roles.name(table)
     if trail <= ROUNDING * size:
@@ -174,7 +189,7 @@ def _trailing(
             f"pivot, expected at most {1e3 * tolerance * size:.3g} mm; raise the tolerance"
         )
     out.add(f"{name}: a wheel beside its pivot by", aside, size)
-    return ahead, trail
+    return trail
 
 
 def _note_unbalance(

@@ -211,7 +211,8 @@ def caster_rates(n: Numbers, shape: Shape, twists: Sequence[Twist]) -> list[Lane
 
 @dataclass(frozen=True)
 class Motion:
-    """What carries inertia: twists of bodies, and rates with the inertias that turn at them."""
+    """What carries inertia: twists of bodies and forks, and rates with the inertias that turn at
+    them."""
 
     twists: list[Twist]
     turns: list[tuple[Lane, Lane]]  # inertia, rate
@@ -225,12 +226,22 @@ def motion(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Motion:
     for drive, motor, split in zip(n.robot.drives, n.motors, n.splits, strict=True):
         if not is_zero(motor.inertia):
             turns.append((motor.inertia, shaft_speed(n, drive.wheels, split, rates)))
-    casters = caster_rates(n, shape, twists)
-    for i, rate in zip(n.layout.caster_wheels, casters, strict=True):
-        wheel = n.wheels[i]
-        if not is_zero(wheel.yaw_inertia):
-            turns.append((wheel.yaw_inertia, add(rate, twists[wheel.body][2])))
-    return Motion(twists, turns)
+    forks = fork_twists(n, shape, twists, caster_rates(n, shape, twists))
+    for i, fork in zip(n.layout.caster_wheels, forks, strict=True):
+        if not is_zero(n.wheels[i].yaw_inertia):
+            turns.append((n.wheels[i].yaw_inertia, fork[2]))
+    return Motion([*twists, *forks], turns)
+
+
+def fork_twists(
+    n: Numbers, shape: Shape, twists: Sequence[Twist], rates: Sequence[Lane]
+) -> list[Twist]:
+    """The twists of casters' forks at their pivots, in their own axes, by the rates of casters."""
+    out = []
+    for i, rate in zip(n.layout.caster_wheels, rates, strict=True):
+        along, across = contact(n, shape, twists, i)
+        out.append(Twist(along, across, add(rate, twists[n.wheels[i].body][2])))
+    return out
 
 
 def shaft_speed(
