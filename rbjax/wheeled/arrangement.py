@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from rbjax.wheeled.parts import Wheel
     from rbjax.wheeled.robot import Robot
 
-#: relative singular values below this are zero
-RANK = 1e-9
+#: relative singular values below this are zero, or below so many roundings of the robot's numbers
+RANK, ROUNDINGS = 1e-9, 16
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def _sources(robot: Robot) -> list[Leader]:
 
 def _is_backward(wheel: Wheel) -> bool:
     """Whether a wheel's heading is behind its left and right."""
-    return bool(np.cos(float(wheel.heading)) < -RANK)
+    return bool(np.cos(float(wheel.heading)) < -1e-6)
 
 
 def _place(robot: Robot, source: Leader) -> np.ndarray:
@@ -146,7 +147,13 @@ def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
     rows = np.array([_row(robot, source, angles) for source in sources])
     reach = max(1e-3, max(float(np.hypot(*np.asarray(w.position))) for w in robot.wheels))
     values: Any = np.linalg.svd(rows / [1, 1, reach], compute_uv=False)
-    return int((values > RANK * values.max()).sum())
+    return int((values > _zero(robot) * values.max()).sum())
+
+
+def _zero(robot: Robot) -> float:
+    """What is zero beside 1: a heading of pi is off by 1e-7 in f32."""
+    dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
+    return max(RANK, ROUNDINGS * float(jnp.finfo(dtype).eps))
 
 
 def _trailing(robot: Robot, k: int) -> int:
@@ -166,12 +173,12 @@ def _trailing(robot: Robot, k: int) -> int:
         # lateral rates for the velocity of the coupling, and for turning about it
         axles.append([-e[1], e[0], e @ (p - [float(body.drawbar), 0.0])])
     rows = np.array(axles)
-    if abs(rows[0, 2]) < RANK * (1 + np.abs(rows).max()):
+    if abs(rows[0, 2]) < _zero(robot) * (1 + np.abs(rows).max()):
         raise InputError(
             f"Robot: the axle of wheels[{wheels[0]}] goes through the coupling of bodies[{k}], "
             "which leaves the angle of the trailer open; give a `drawbar`"
         )
-    if np.linalg.matrix_rank(rows, tol=RANK) > 1:
+    if np.linalg.matrix_rank(rows, tol=_zero(robot)) > 1:
         raise InputError(
             f"Robot: the axles of bodies[{k}] contradict each other; set skids=True on the wheels "
             "of all but one"
