@@ -99,8 +99,10 @@ def _of_user(roles: Roles, wheels: Sequence[FileWheel], given: Any) -> list[Driv
     pairs: Iterable[tuple[Any, Motor]]
     if isinstance(given, Mapping):
         pairs = given.items()
-    else:
+    elif isinstance(given, Iterable):
         pairs = [(x, TorqueSource()) for x in ([given] if isinstance(given, str) else given)]
+    else:
+        raise InputError(f"from_file: drives is {given!r}, expected names of wheels; {_FIX}")
     made = []
     for names, motor in pairs:
         numbers = [roles.wheels.index(j) for j in roles.wheels_named("drives", names)]

@@ -53,16 +53,12 @@ class Roles:
 
     def wheels_named(self, what: str, patterns: Patterns) -> list[int]:
         """The joints of wheels by names or patterns; of patterns, those that are wheels."""
-        found: list[int] = []
-        for pattern in [patterns] if isinstance(patterns, str) else patterns:
-            meant = hinges(self.rest, what, pattern)
-            wheels = [j for j in meant if j in self.wheels]
-            if not wheels:
-                named = ", ".join(repr(self.name(j)) for j in self.wheels)
-                raise InputError(
-                    f"from_file: {what} name {pattern!r}, expected one of the wheels {named}"
-                )
-            found += [j for j in wheels if j not in found]
+        found = [j for j in hinges(self.rest, what, patterns) if j in self.wheels]
+        if patterns and not found:
+            named = ", ".join(repr(self.name(j)) for j in self.wheels)
+            raise InputError(
+                f"from_file: {what} name {patterns!r}, expected some of the wheels {named}"
+            )
         return found
 
     def bodies(self, k: int) -> set[int]:
@@ -114,13 +110,19 @@ def roles(
 def hinges(rest: AtRest, what: str, patterns: Patterns) -> list[int]:
     """The numbers of hinges by names or glob patterns, in the order in which they are given."""
     names = rest.joint_names
+    given = [patterns] if isinstance(patterns, str) else patterns
+    if not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
+        raise InputError(
+            f"from_file: {what} is {patterns!r}, expected names or glob patterns of hinges, of "
+            f"{_listed(rest)}"
+        )
     out: list[int] = []
-    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+    for pattern in given:
         exact = [j for j, name in enumerate(names) if name == pattern]
         found = exact or [
             j
             for j, name in enumerate(names)
-            if fnmatchcase(name, str(pattern)) and rest.kind(j) == "hinge"
+            if fnmatchcase(name, pattern) and rest.kind(j) == "hinge"
         ]
         if not found:
             valid = [name for j, name in enumerate(names) if rest.kind(j) == "hinge"]
@@ -164,16 +166,14 @@ def _check_tree(roles: Roles) -> None:
                 f"from_file: the wheel {roles.name(wheel)!r} hangs below {names}, expected at most "
                 "one steering or caster, and no wheel"
             )
-    for what, joints in (("steering", roles.turntables[: -len(roles.casters) or None]),
-                         ("caster", roles.casters)):  # fmt: skip
-        for j in joints:
-            below = [w for w in roles.wheels if j in rest.above(w)]
-            if len(below) != 1:
-                raise InputError(
-                    f"from_file: {what} {roles.name(j)!r} carries {len(below)} of the wheels"
-                    f"{''.join(' ' + roles.name(w) for w in below)}, expected one; below it are "
-                    f"the hinges {_listed(rest, j)}"
-                )
+    for j in roles.turntables:
+        below = [w for w in roles.wheels if j in rest.above(w)]
+        if len(below) != 1:
+            raise InputError(
+                f"from_file: {'caster' if j in roles.casters else 'steering'} {roles.name(j)!r} "
+                f"carries {len(below)} of the wheels{''.join(' ' + roles.name(w) for w in below)}, "
+                f"expected one; below it are the hinges {_listed(rest, j)}"
+            )
 
 
 def _listed(rest: AtRest, above: int | None = None) -> str:

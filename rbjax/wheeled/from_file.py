@@ -68,7 +68,7 @@ def from_file(
         casters: vertical hinges of casters.
         trailers: vertical hinges at which trailers are coupled.
         skids: wheels that may slide sideways, or True for all of a skid-steer robot. It turns on
-            the axis through their middle.
+            the axis through their middle. Steered wheels, casters and rollers among them do not.
         rollers: wheels of free rollers, with the angle of the rollers' axes from the heading to the
             left, rad.
         drives: what turns the wheels: names; a tuple of names for wheels behind one differential;
@@ -112,6 +112,8 @@ def from_file(
         >>> cart.arrangement.mobility, round(float(cart.wheels[0].radius), 3)
         (2, 0.1)
     """
+    if not (isinstance(tolerance, (int, float)) and 0 < tolerance < 1):
+        raise InputError(f"from_file: tolerance is {tolerance!r}, expected a number from 0 to 1")
     rest = at_rest(source, q)
     named = roles(rest, wheels, steerings, casters, trailers)
     out = LeftOut()
@@ -119,7 +121,8 @@ def from_file(
     sizes = _by_wheel(named, "radius", radius) if isinstance(radius, Mapping) else radius
     found = file_wheels(named, sizes, slanted, tolerance, out)
     skidding = named.wheels_named("skids", "*" if skids is True else skids or ())
-    on = {j: x for x, group in (shafts or {}).items() for j in named.wheels_named("shafts", group)}
+    groups = _mapping("shafts", shafts or {})
+    on = {j: x for x, group in groups.items() for j in named.wheels_named("shafts", group)}
     view = view_of(named, found, frame, tolerance)
     bodies = bodies_of(view, found, out)
     made = [
@@ -149,7 +152,14 @@ def from_file(
 
 def _by_wheel(named: Roles, what: str, given: Mapping[str, float]) -> dict[int, float]:
     """Numbers by joints, of numbers by names."""
-    return {j: value for name, value in given.items() for j in named.wheels_named(what, name)}
+    pairs = _mapping(what, given).items()
+    return {j: value for name, value in pairs for j in named.wheels_named(what, name)}
+
+
+def _mapping(what: str, given: Any) -> Mapping[str, Any]:
+    if not isinstance(given, Mapping):
+        raise InputError(f"from_file: {what} is {given!r}, expected a mapping by names or patterns")
+    return given
 
 
 def _wheel(view: View, w: FileWheel, roller: float, skids: bool, shaft: str) -> Wheel:
@@ -159,7 +169,7 @@ def _wheel(view: View, w: FileWheel, roller: float, skids: bool, shaft: str) -> 
     numbers |= {"position": clean(view.seen(w.place, k)[:2]), "roller": roller}
     if w.kind != "caster":
         numbers["heading"] = view.angle(w.ahead)
-    skids = skids and w.kind == "fixed"
+    skids = skids and w.kind == "fixed"  # steered wheels and rollers hold it as they do
     return Wheel(**numbers, kind=w.kind, body=k, shaft=shaft, skids=skids)
 
 

@@ -93,6 +93,17 @@ CASES = {
 every_case = pytest.mark.parametrize("name", CASES)
 
 
+def racecar(*changes: tuple[str, str]) -> str:
+    text = RACECAR.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+KEYS = (re.search("<keyframe>.*</keyframe>", RACECAR.read_text(), re.S)[0], "")
+
+
 @functools.cache
 def made(name: str) -> wheeled.Robot:
     case = CASES[name]
@@ -232,15 +243,29 @@ def test_mass_and_places_are_those_of_mujoco(name) -> None:
         np.testing.assert_allclose(wheel.inertia, M[at, at], rtol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:from_file")
 def test_the_chassis_frame_is_where_the_file_has_it_at_any_pose() -> None:
     given = CASES["car"].given
     for other in (
         wheeled.from_file(RACECAR, **given, q="elsewhere"),
         wheeled.from_file(RACECAR, **given, frame="chassis"),
         wheeled.from_file(compile_model(RACECAR), **given),
+        wheeled.from_file(mujoco.MjSpec.from_file(str(RACECAR)), **given),
+        wheeled.from_file(racecar(('<freejoint name="base"/>', ""), KEYS), **given),
     ):
         for a, b in zip(jax.tree.leaves(made("car")), jax.tree.leaves(other), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-14)
+    # steering and wheel on one body
+    knuckle = re.search(r'<body name="left_hinge".*?</body>\s*</body>', racecar(), re.S)[0]
+    merged = re.sub(r'<body name="left_front">\s*<inertial.*?/>', "", knuckle)
+    merged = re.sub(r"</body>\s*</body>", "</body>", merged)
+    merged = re.sub(r"<inertial.*?/>", '<inertial pos="0 0 0.002269889910339349" mass="0.44055" '
+                    'diaginertia="0.0002782 0.0004300 0.00028046"/>', merged)  # fmt: skip
+    one = wheeled.from_file(racecar((knuckle, merged), KEYS), **given, tolerance=0.02)
+    assert [w.kind for w in one.wheels] == [w.kind for w in made("car").wheels]
+    for wheel, same in zip(one.wheels, made("car").wheels, strict=True):
+        np.testing.assert_allclose(wheel.position, same.position, atol=1e-14)
+        np.testing.assert_allclose([wheel.mass, wheel.yaw_inertia], [same.mass, same.yaw_inertia])
     laser = wheeled.from_file(RACECAR, **given, frame="laser")
     for wheel, same in zip(laser.wheels, made("car").wheels, strict=True):
         np.testing.assert_allclose(wheel.position + np.array([0.265, 0.0]), same.position,
@@ -378,14 +403,6 @@ def test_shapes_that_are_only_seen_serve_where_there_are_no_others(tmp_path) -> 
     np.testing.assert_allclose(seen.wheels[0].position, [0.0, 0.1524], atol=2e-3)
 
 
-def racecar(*changes: tuple[str, str]) -> str:
-    text = RACECAR.read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    return text
-
-
 KNUCKLE = '<joint name="left_steering" class="steering"/>'
 CAR = CASES["car"].given
 WHEELS, DRIVEN = {"wheels": "*_wheel"}, {"wheels": ["left", "right"]}
@@ -426,8 +443,16 @@ BENT = {**POSE, "left_knee": -0.5}
         (CART, {**DRIVEN, "trailers": "hitch"}, InputError, ["none of the wheels"]),
         (CART, {**DRIVEN, "trailers": "arm"}, InputError, ["leans 90 degrees"]),
         ("<mujoco/>", WHEELS, UnknownName, ["there are none"]),
+        (UPKIE, {"wheels": 3}, InputError, ["wheels is 3, expected names", "'left_hip'"]),
+        (UPKIE, {"wheels": [["left_wheel"]]}, InputError, ["expected names or glob patterns"]),
+        (UPKIE, {**WHEELS, "rollers": 0.7}, InputError, ["rollers is 0.7, expected a mapping"]),
+        (UPKIE, {**WHEELS, "shafts": "left"}, InputError, ["shafts is 'left', expected a mapping"]),
+        (UPKIE, {**WHEELS, "drives": 2}, InputError, ["drives is 2", "drives="]),
+        (UPKIE, {**WHEELS, "drives": {"left_wheel": 2}}, InputError, ["motor is int"]),
+        (UPKIE, {**WHEELS, "tolerance": -1}, InputError, ["tolerance is -1"]),
+        (UPKIE, {**WHEELS, "skids": "left_knee"}, InputError, ["skids name 'left_knee'"]),
     ],
-    ids=range(23),
+    ids=range(31),
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:from_file")
 def test_bad_arguments_are_refused_in_a_sentence(source, given, error, words) -> None:
@@ -438,12 +463,11 @@ def test_bad_arguments_are_refused_in_a_sentence(source, given, error, words) ->
 
 
 def test_a_crowd_in_one_file_is_refused() -> None:
-    two = RACECAR.read_text().replace(
+    two = racecar(KEYS).replace(
         "</worldbody>", '<body name="other" pos="0 0 3"><freejoint/><geom size="0.1" mass="1"/>'
         '<body><joint name="spare_wheel" axis="0 1 0"/><geom size="0.1" mass="1"/></body></body>'
         "</worldbody>",
     )  # fmt: skip
-    two = re.sub("<keyframe>.*</keyframe>", "", two, flags=re.S)
     with pytest.raises(InputError, match="of 2 robots"):
         wheeled.from_file(two, **CAR)
 
