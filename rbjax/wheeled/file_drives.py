@@ -48,12 +48,12 @@ def drives_of(
         made = made or [Drive((i,)) for i in free]
     else:
         made = _of_user(roles, wheels, given)
-    named = [i for drive in made for i in drive.wheels]
+    named = [i for drive in made for i in drive.wheels if len(drive.wheels) == 1]
     twice = sorted({roles.name(roles.wheels[i]) for i in named if named.count(i) > 1})
     if twice:
         raise InputError(
-            f"from_file: several drives turn the wheels {', '.join(twice)}, expected one each; "
-            f"{_FIX}"
+            f"from_file: several drives turn only one of the wheels {', '.join(twice)}, expected "
+            f"one for each; {_FIX}"
         )
     return tuple(made)
 

@@ -340,6 +340,18 @@ def test_actuators_become_drives() -> None:
     assert [d.wheels for d in cart().drives] == [(0,), (1,)]
 
 
+def test_tendons_that_share_wheels_add_their_torques() -> None:
+    """As MuJoCo's own car has them: one actuator goes ahead, one turns."""
+    both = cart('<motor tendon="sum" gear="2"/>', '<motor tendon="turn"/>')
+    each = cart('<motor joint="left"/>', '<motor joint="right"/>')
+    found = []
+    for robot, u in ((both, [0.3, 0.1]), (each, [0.3 - 0.05, -0.3 - 0.05])):
+        vehicle = wheeled.at(robot, "kinematical")
+        state = wheeled.start(vehicle, twist=[0.4, 0.0, 0.2])
+        found.append(wheeled.rates(vehicle, state, u).v)
+    np.testing.assert_allclose(*found, rtol=1e-12)
+
+
 def test_drives_of_a_user() -> None:
     motor = DCMotor(2.0, 0.05, gear=20.0)
     (one,) = cart(drives={("left", "right"): motor}).drives
@@ -355,7 +367,6 @@ def test_drives_of_a_user() -> None:
     ("actuators", "words"),
     [
         (['<position joint="left" kp="3"/>'], ["position servo|bias", "drives="]),
-        (['<motor tendon="sum"/>', '<motor tendon="turn"/>'], ["several drives", "left, right"]),
         (['<motor joint="left"/>', '<motor joint="left"/>'], ["several drives"]),
         (['<intvelocity joint="left" actrange="-1 1"/>'], ["state", "drives="]),
         (['<velocity joint="left" kv="1" forcerange="0 1"/>'], ["both signs"]),
