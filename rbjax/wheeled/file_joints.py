@@ -137,8 +137,8 @@ def hinges(rest: AtRest, what: str, patterns: Patterns) -> list[int]:
     return out
 
 
-def check_upright(roles: Roles, j: int, what: str, tolerance: float) -> None:
-    """Refuse a steering, caster or hitch whose axis is not vertical."""
+def check_upright(roles: Roles, j: int, what: str, tolerance: float) -> float:
+    """The sine of the angle at which a steering, caster or hitch leans, which must be small."""
     tilt = float(np.hypot(*roles.rest.axis(j)[:2]))
     if tilt > tolerance:
         raise InputError(
@@ -146,6 +146,7 @@ def check_upright(roles: Roles, j: int, what: str, tolerance: float) -> None:
             f" degrees from the vertical, expected at most {np.degrees(tolerance):.3g}; hold the "
             "robot upright with q, or raise the tolerance"
         )
+    return tilt
 
 
 def _check_tree(roles: Roles) -> None:

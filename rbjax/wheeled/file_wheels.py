@@ -127,32 +127,66 @@ def _wheel(
         kind = "rollers" if j in rollers else "fixed"
         return FileWheel(j, kind, centre, ahead, mass=own.mass,
                          yaw_inertia=own.about(UP, centre), **numbers)  # fmt: skip
-    caster = table in roles.casters
     if j in rollers:
         raise InputError(f"from_file: wheel {name!r} has rollers and is steered, expected one")
-    check_upright(roles, table, "caster" if caster else "steering", tolerance)
-    out.add(f"{roles.name(table)}: an axis that leans by", _lean(rest.axis(table)), 1.0, "degrees")
-    all_of_it = rest.composite(rest.behind(table))
-    place = rest.anchor(table)
+    if table in roles.casters:
+        return _caster(roles, j, table, ahead, centre, numbers, tolerance, out)
+    return _steered(roles, j, table, ahead, centre, numbers, tolerance, out)
+
+
+def _steered(
+    roles: Roles, j: int, table: int, ahead: np.ndarray, centre: np.ndarray,
+    numbers: dict[str, float], tolerance: float, out: LeftOut,
+) -> FileWheel:  # fmt: skip
+    """A wheel on the axis of its steering, with all that is steered."""
+    place, whole = _pivot(roles, table, "steering", centre, tolerance, out)
+    size, name = numbers["radius"], roles.name(table)
+    off = _off(centre, place, UP)
+    out.add(f"{roles.name(j)}: a centre off the axis of {name} by", off, size)
+    out.add(f"{name}: a centre of mass off its axis by", _off(whole.com, place, UP), size)
+    return FileWheel(j, "steered", place, ahead, mass=whole.mass,
+                     yaw_inertia=whole.about(UP, place), **numbers)  # fmt: skip
+
+
+def _caster(
+    roles: Roles, j: int, table: int, ahead: np.ndarray, centre: np.ndarray,
+    numbers: dict[str, float], tolerance: float, out: LeftOut,
+) -> FileWheel:  # fmt: skip
+    """A wheel behind its pivot, with its fork."""
+    place, whole = _pivot(roles, table, "caster", centre, tolerance, out)
+    size, name = numbers["radius"], roles.name(table)
+    out.resisting(roles, table)
+    sense = -1.0 if ahead @ (centre - place) > 0 else 1.0
+    ahead = sense * ahead
+    side = np.cross(UP, ahead)
+    trail, aside = float(ahead @ (place - centre)), float(side @ (centre - place))
+    if trail <= ROUNDING * size:
+        raise InputError(
+            f"from_file: the wheel of caster {name!r} has its centre {1e3 * trail:.3g} mm behind "
+            "the pivot, expected above zero; is it a steering?"
+        )
+    if abs(aside) > tolerance * size:
+        raise InputError(
+            f"from_file: the wheel of caster {name!r} is {1e3 * abs(aside):.3g} mm beside its "
+            f"pivot, expected at most {1e3 * tolerance * size:.3g} mm; raise the tolerance"
+        )
+    out.add(f"{name}: a wheel beside its pivot by", aside, size)
+    out.add(f"{name}: a centre of mass beside its pivot by", side @ (whole.com - place), size)
+    return FileWheel(j, "caster", place, ahead, mass=whole.mass,
+                     yaw_inertia=whole.about(UP, place), trail=trail,
+                     behind=float(ahead @ (place - whole.com)), sense=sense, **numbers)  # fmt: skip
+
+
+def _pivot(
+    roles: Roles, table: int, what: str, centre: np.ndarray, tolerance: float, out: LeftOut
+) -> tuple[np.ndarray, Composite]:
+    """The place of a steering or caster, at the height of its wheel's centre, and all that turns
+    with it."""
+    leaning = check_upright(roles, table, what, tolerance)
+    out.add(f"{roles.name(table)}: an axis that leans by", leaning, 1.0, "degrees")
+    place = roles.rest.anchor(table)
     place[2] = centre[2]
-    yaw = all_of_it.about(UP, place)
-    numbers |= {"mass": all_of_it.mass, "yaw_inertia": yaw}
-    away = centre - place
-    if caster:
-        out.resisting(roles, table)
-        sense = -1.0 if ahead @ away > 0 else 1.0
-        ahead = sense * ahead
-        trail = _trail(roles, table, ahead, away, size, tolerance, out)
-        away = all_of_it.com - place
-        beside = float(np.cross(UP, ahead) @ away)
-        out.add(f"{roles.name(table)}: a centre of mass beside its pivot by", beside, size)
-        behind = -float(ahead @ away)
-        return FileWheel(j, "caster", place, ahead, trail=trail, behind=behind, sense=sense,
-                         **numbers)  # fmt: skip
-    out.add(f"{name}: a centre off the axis of {roles.name(table)} by", np.hypot(*away[:2]), size)
-    com = _off(all_of_it.com, place, UP)
-    out.add(f"{roles.name(table)}: a centre of mass off its axis by", com, size)
-    return FileWheel(j, "steered", place, ahead, **numbers)
+    return place, roles.rest.composite(roles.rest.behind(table))
 
 
 def _size(roles: Roles, j: int, found: Round | None, radius: Any) -> Round:
@@ -169,27 +203,6 @@ def _size(roles: Roles, j: int, found: Round | None, radius: Any) -> Round:
             f"cylinder, sphere, capsule, ellipsoid or readable mesh; give radius={{{name!r}: ...}}"
         )
     return found
-
-
-def _trail(
-    roles: Roles, table: int, ahead: np.ndarray, away: np.ndarray, size: float, tolerance: float,
-    out: LeftOut,
-) -> float:  # fmt: skip
-    """How far the centre of a caster's wheel is behind the pivot."""
-    trail, aside = float(-ahead @ away), float(np.cross(UP, ahead) @ away)
-    name = roles.name(table)
-    if trail <= ROUNDING * size:
-        raise InputError(
-            f"from_file: the wheel of caster {name!r} has its centre {1e3 * trail:.3g} mm behind "
-            "the pivot, expected above zero; is it a steering?"
-        )
-    if abs(aside) > tolerance * size:
-        raise InputError(
-            f"from_file: the wheel of caster {name!r} is {1e3 * abs(aside):.3g} mm beside its "
-            f"pivot, expected at most {1e3 * tolerance * size:.3g} mm; raise the tolerance"
-        )
-    out.add(f"{name}: a wheel beside its pivot by", aside, size)
-    return trail
 
 
 def _note_unbalance(
@@ -210,7 +223,3 @@ def _note_unbalance(
 def _off(point: np.ndarray, anchor: np.ndarray, axis: np.ndarray) -> float:
     """The distance of a point from a line."""
     return float(np.linalg.norm(np.cross(axis, point - anchor)))
-
-
-def _lean(axis: np.ndarray) -> float:
-    return float(np.hypot(*axis[:2]))

@@ -90,7 +90,7 @@ def from_file(
         `Robot`. What it cannot have and approximates is listed in a warning: wheels that are not
         even about their axles; steered wheels whose centre, or centre of mass with the knuckle, is
         off the axis of the steering; friction losses and springs. Not taken: ranges of joints,
-        limits of controls, actuators of steerings.
+        limits of controls and of the forces on joints, actuators of steerings.
 
     Raises:
         ModelError: the source cannot be read.
