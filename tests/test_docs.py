@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-PAGES = ["docs/extending.md"]
+PAGES = ["docs/extending.md", "docs/wheeled.md"]
 
 
 @pytest.mark.parametrize("page", PAGES)

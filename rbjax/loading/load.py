@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
 from rbjax.loading.actuator_kinds import is_affine, is_off, reflected
+from rbjax.loading.complaints import fix_of, sentence
 from rbjax.loading.constraints import constraints_of, mimicking
 from rbjax.loading.dropped import dropped_features
 from rbjax.loading.force_actuators import key_states
@@ -122,12 +124,19 @@ def load(
     return with_motors(model) if motors else model
 
 
-def compile_model(source: Any, *, floating_base: bool = False) -> mujoco.MjModel:
-    """The `mujoco.MjModel` of any source that `load` takes (what `validate` runs beside ours)."""
-    return _compile_source(source, floating_base=floating_base)[0]
+def compile_model(
+    source: Any, *, floating_base: bool | None = False, shapes: Collection[str] = ()
+) -> mujoco.MjModel:
+    """The `mujoco.MjModel` of any source that `load` takes (what `validate` runs beside ours).
+
+    floating_base None: a URDF floats, MJCF is as it is. shapes: links of a URDF that keep theirs.
+    """
+    return _compile_source(source, floating_base=floating_base, shapes=shapes)[0]
 
 
-def _compile_source(source: Any, *, floating_base: bool) -> tuple[mujoco.MjModel, str, Mimics]:
+def _compile_source(
+    source: Any, *, floating_base: bool | None, shapes: Collection[str] = ()
+) -> tuple[mujoco.MjModel, str, Mimics]:
     """The compiled model; of a URDF also, in words, impossible inertials and joints that mimic."""
     if isinstance(source, mujoco.MjModel):
         return source, "", Mimics()
@@ -141,8 +150,10 @@ def _compile_source(source: Any, *, floating_base: bool) -> tuple[mujoco.MjModel
     text, path = _read(source)
     name, urdf = _describe(source), None
     if is_urdf(text, name):
-        urdf = prepare_urdf(text, name, floating_base=floating_base)
-        text, path = urdf.text, None  # nothing outside the file is left
+        folder = Path() if path is None else path.parent
+        floats = floating_base is not False
+        urdf = prepare_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
+        text, path = urdf.text, None  # what is outside the file has absolute paths
     elif floating_base:
         raise ModelError(
             f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
@@ -152,8 +163,8 @@ def _compile_source(source: Any, *, floating_base: bool) -> tuple[mujoco.MjModel
             mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(str(path))
         )
     except Exception as error:
-        message = _sentence(error)
-        raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{_fix(message)}") from error
+        message = sentence(error)
+        raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{fix_of(message)}") from error
     if urdf is not None:
         add_floats(spec, urdf.floats)
     compiled = _compile(spec, name)
@@ -206,33 +217,13 @@ def _compile(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
         try:
             return spec.compile()
         except Exception as error:
-            message = _sentence(error)
+            message = sentence(error)
             smaller = without_missing_mesh(spec, message)
             if smaller is None:
                 raise ModelError(
-                    f"{name}: MuJoCo cannot compile it: {message}{_fix(message)}"
+                    f"{name}: MuJoCo cannot compile it: {message}{fix_of(message)}"
                 ) from error
             spec = smaller
-
-
-def _sentence(error: Exception) -> str:
-    return " ".join(str(error).split())
-
-
-def _fix(message: str) -> str:
-    hints = {
-        "mass and inertia of moving bodies": "; give the body an <inertial> with positive mass and "
-        "inertia, or weld it (no joint, URDF type='fixed')",
-        "A + B >= C": "; correct the inertia, or let MuJoCo balance it: "
-        "<compiler balanceinertia='true'/>",
-        "repeated name": "; give each body, joint or other element a name of its own",
-        "opening file": "; put the file where the model names it, or remove the element",
-        "free joint can only be used on top": "; put the body into <worldbody>, or give it three "
-        "slides and a ball",
-        "joint found in world body": "; the world cannot move: put the joint into a <body>",
-        "inertia must have positive eigenvalues": "; give every principal moment a positive value",
-    }
-    return next((fix for key, fix in hints.items() if key in message), "")
 
 
 def from_compiled(

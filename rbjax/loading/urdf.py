@@ -2,20 +2,24 @@
 
 MuJoCo reads URDF with habits of its own: it fuses links joined by fixed joints and forgets their
 names, gives the root's mass to the world, and stops at meshes that it cannot find and at inertials
-that it does not like. Here shapes are removed (the dynamics does not need them), names are kept,
-inertials are taken out (`inertials`), and `floating_base` gives the root a joint.
+that it does not like. Here shapes are removed (the dynamics does not need them) but for those that
+are asked for (`urdf_shapes`), names are kept, inertials are taken out (`inertials`), and
+`floating_base` gives the root a joint.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 
 from rbjax.errors import ModelError
 from rbjax.loading.inertials import Inertial, take_inertials
 from rbjax.loading.mimics import Mimics, take_mimics
 from rbjax.loading.urdf_floating import float_root, free_name, take_floats
+from rbjax.loading.urdf_shapes import take_shapes
 
 #: settings of MuJoCo's compiler that change inertials; ours are the file's
 _TAMPERS = ("balanceinertia", "boundmass", "boundinertia", "settotalmass")
@@ -66,8 +70,12 @@ class Urdf:
     floats: dict[str, str]
 
 
-def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
-    """The URDF with shapes removed, fixed links kept, and a floating root if asked for."""
+def prepare_urdf(
+    text: str, name: str, *, floating_base: bool, shapes: Collection[str] = (),
+    folder: Path = Path(),
+) -> Urdf:  # fmt: skip
+    """The URDF with fixed links kept, a floating root if asked for, and no shapes but those of the
+    links named in `shapes`; `folder` is that of the file."""
     robot = ET.fromstring(text)
     there = robot.findall("link")
     if not there:
@@ -87,9 +95,8 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
         root = "world"
     floats = take_floats(robot, root)
     links = {link.get("name", ""): link for link in robot.findall("link")}
-    for link in links.values():
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            link.remove(shape)
+    for link_name, link in links.items():
+        take_shapes(link, folder if link_name in shapes else None)
     inertials = take_inertials(links, name)
     mimics = take_mimics(robot, name)
     for material in robot.findall("material"):
@@ -105,6 +112,8 @@ def prepare_urdf(text: str, name: str, *, floating_base: bool) -> Urdf:
         compiler.attrib.pop(attribute, None)
     compiler.set("fusestatic", "false")
     compiler.set("inertiafromgeom", "false")
+    compiler.set("strippath", "false")
+    compiler.set("discardvisual", "false")
     return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics, floats)
 
 

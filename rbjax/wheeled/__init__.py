@@ -1,7 +1,7 @@
 """Wheeled robots: rolling without slipping, and slipping when they must.
 
     parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
-    robots         kinds, with_trailers
+    robots         kinds, with_trailers; from_file, of MJCF and URDF
     fidelities     at(robot, name) -> a vehicle; fidelities
     as a Model     full_model, with rolling rows
     motion         start, rates, rollout, simulate, contacts
@@ -21,6 +21,7 @@ from rbjax.wheeled.following import (
     stanley,
     tracking_gains,
 )
+from rbjax.wheeled.from_file import from_file
 from rbjax.wheeled.full_model import full_model
 from rbjax.wheeled.kinds import with_trailers
 from rbjax.wheeled.motion import rollout, simulate
@@ -63,6 +64,7 @@ __all__ = [
     "commands",
     "contacts",
     "fidelities",
+    "from_file",
     "full_model",
     "kinds",
     "pure_pursuit",

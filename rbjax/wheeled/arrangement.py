@@ -17,23 +17,30 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
 
 if TYPE_CHECKING:
+    from rbjax.wheeled.parts import Wheel
     from rbjax.wheeled.robot import Robot
 
-#: relative singular values below this are zero
-RANK = 1e-9
+#: relative singular values below this are zero, or below so many roundings of the robot's numbers
+RANK, ROUNDINGS = 1e-9, 16
 
 
 @dataclass(frozen=True)
 class Leader:
-    """A row that leads: of a fixed wheel, of a steering, or of the axis on which wheels skid."""
+    """A row that leads: of a fixed wheel, of a steering, or of the axis on which wheels skid.
+
+    backward: whether its wheel has its heading backward, so that it turns by negative rates as the
+    chassis moves ahead.
+    """
 
     what: str  # "wheel", "steering", "skidding"
     number: int = 0
+    backward: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,13 +109,19 @@ def arrange(robot: Robot) -> Arrangement:
 def _sources(robot: Robot) -> list[Leader]:
     """All rows of the chassis; fixed wheels first."""
     out = [
-        Leader("wheel", i)
+        Leader("wheel", i, _is_backward(wheel))
         for i, wheel in enumerate(robot.wheels)
         if wheel.body == 0 and wheel.kind == "fixed" and not wheel.skids
     ]
     if any(wheel.body == 0 and wheel.skids for wheel in robot.wheels):
         out.append(Leader("skidding"))
-    return out + [Leader("steering", j) for j in range(len(robot.steerings))]
+    firsts = [robot.wheels[steering.wheels[0]] for steering in robot.steerings]
+    return out + [Leader("steering", j, _is_backward(wheel)) for j, wheel in enumerate(firsts)]
+
+
+def _is_backward(wheel: Wheel) -> bool:
+    """Whether a wheel's heading is behind its left and right."""
+    return bool(np.cos(float(wheel.heading)) < -1e-6)
 
 
 def _place(robot: Robot, source: Leader) -> np.ndarray:
@@ -134,7 +147,13 @@ def _rank(robot: Robot, sources: list[Leader], angles: np.ndarray) -> int:
     rows = np.array([_row(robot, source, angles) for source in sources])
     reach = max(1e-3, max(float(np.hypot(*np.asarray(w.position))) for w in robot.wheels))
     values: Any = np.linalg.svd(rows / [1, 1, reach], compute_uv=False)
-    return int((values > RANK * values.max()).sum())
+    return int((values > _zero(robot) * values.max()).sum())
+
+
+def _zero(robot: Robot) -> float:
+    """What is zero beside 1: a heading of pi is off by 1e-7 in f32."""
+    dtype = jnp.result_type(float, robot.wheels[0].heading.dtype)
+    return max(RANK, ROUNDINGS * float(jnp.finfo(dtype).eps))
 
 
 def _trailing(robot: Robot, k: int) -> int:
@@ -154,12 +173,12 @@ def _trailing(robot: Robot, k: int) -> int:
         # lateral rates for the velocity of the coupling, and for turning about it
         axles.append([-e[1], e[0], e @ (p - [float(body.drawbar), 0.0])])
     rows = np.array(axles)
-    if abs(rows[0, 2]) < RANK * (1 + np.abs(rows).max()):
+    if abs(rows[0, 2]) < _zero(robot) * (1 + np.abs(rows).max()):
         raise InputError(
             f"Robot: the axle of wheels[{wheels[0]}] goes through the coupling of bodies[{k}], "
             "which leaves the angle of the trailer open; give a `drawbar`"
         )
-    if np.linalg.matrix_rank(rows, tol=RANK) > 1:
+    if np.linalg.matrix_rank(rows, tol=_zero(robot)) > 1:
         raise InputError(
             f"Robot: the axles of bodies[{k}] contradict each other; set skids=True on the wheels "
             "of all but one"

@@ -71,15 +71,17 @@ def _gyroscopic(body: BodyNumbers, V: Twist) -> Twist:
 
 
 def weights(n: Numbers, pose: tuple[Lane, ...], shape: Shape) -> list[Twist]:
-    """Gravity along the ground on each body, in its axes."""
+    """Gravity along the ground on each body and fork, in its axes."""
     if is_zero(n.downhill[0]) and is_zero(n.downhill[1]):
-        return [Twist(0.0, 0.0, 0.0)] * len(n.bodies)
+        return [Twist(0.0, 0.0, 0.0)] * len(n.rigid)
     falls = [turned_back(n.downhill, pose)]
     for k in range(1, len(n.bodies)):
         falls.append(turned_back(falls[n.ahead(k)], shape.trailers[k - 1]))
+    for i in n.layout.caster_wheels:
+        falls.append(turned_back(falls[n.wheels[i].body], shape.wheels[i]))
     return [
         Twist(mul(body.mass, x), mul(body.mass, y), cross(body.moment, (x, y)))
-        for body, (x, y) in zip(n.bodies, falls, strict=True)
+        for body, (x, y) in zip(n.rigid, falls, strict=True)
     ]
 
 
@@ -103,7 +105,7 @@ def project(
     Args:
         w: the full velocities, at which trailers, steerings and casters turn.
         velocities: full velocities by nu.
-        forces: on each body, in its axes, the moment about its origin.
+        forces: on each body and fork, in its axes, the moment about its origin.
         torques: on each shaft.
     """
     columns = columns_of(n, now.shape, velocities, len(nu))
@@ -111,7 +113,7 @@ def project(
     moves, gains = _with_rates(n, now.turning(w), velocities, nu)
     loads = [
         F - momentum(body, A) - _gyroscopic(body, V)
-        for body, F, V, A in zip(n.bodies, forces, moves.twists, gains.twists, strict=True)
+        for body, F, V, A in zip(n.rigid, forces, moves.twists, gains.twists, strict=True)
     ]
     for body, moment in _steering_torques(n, now, w):
         loads[body] = loads[body] - Twist(0.0, 0.0, moment)
@@ -119,7 +121,7 @@ def project(
     turning = [
         sub(t, mul(inertia, rate)) for t, (inertia, rate) in zip(driving, gains.turns, strict=True)
     ]
-    pushed = [[momentum(b, V) for b, V in zip(n.bodies, p.twists, strict=True)] for p in parts]
+    pushed = [[momentum(b, V) for b, V in zip(n.rigid, p.twists, strict=True)] for p in parts]
     M: list[list[Lane]] = [[0.0] * len(nu) for _ in nu]
     for a, part in enumerate(parts):
         for b in range(a + 1):

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 
 from rbjax.errors import InputError
-from rbjax.lanes import Lane, add, inner, mul, sub, total
+from rbjax.lanes import Lane, add, inner, mul, neg, sub, total
 from rbjax.model import State
 from rbjax.model.record import Record
 from rbjax.wheeled.equations import Damper, momentum
@@ -114,9 +114,9 @@ class Fidelity(Record):
 
 
 def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
-    """The torques of the drives on each shaft."""
+    """The torques of the drives and of damping on each shaft."""
     rates = w[2 + len(n.bodies) :]
-    out: list[Lane] = [0.0] * len(n.shafts)
+    out = [neg(mul(c, rate)) for c, rate in zip(n.damping, rates, strict=True)]
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         torque = n.motors[j].torque(now.u[j], shaft_speed(n, drive.wheels, split, rates))
         for i, share in zip(drive.wheels, split, strict=True):
@@ -126,14 +126,15 @@ def shaft_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Lane]:
 
 
 def motor_dampers(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[Damper]:
-    """How the torques of drives oppose their speeds."""
-    rates = w[2 + len(n.bodies) :]
-    out: list[Damper] = []
+    """How the torques of drives and of damping oppose the speeds of shafts."""
+    first, rates = 2 + len(n.bodies), w[2 + len(n.bodies) :]
+    units = [[1.0 if k == first + i else 0.0 for k in range(len(w))] for i in range(len(rates))]
+    out: list[Damper] = list(zip(n.damping, units, strict=True))
     for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
         c = n.motors[j].damping(now.u[j], shaft_speed(n, drive.wheels, split, rates))
         row: list[Lane] = [0.0] * len(w)
         for i, share in zip(drive.wheels, split, strict=True):
-            at = 2 + len(n.bodies) + n.wheels[i].shaft
+            at = first + n.wheels[i].shaft
             row[at] = add(row[at], share)
         out.append((c, row))
     return out
@@ -152,7 +153,7 @@ def kinetic_energy(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Lane:
     """T of all bodies, wheels and motors."""
     parts = motion(n, shape, w)
     bodies = total(
-        inner(V, momentum(body, V)) for body, V in zip(n.bodies, parts.twists, strict=True)
+        inner(V, momentum(body, V)) for body, V in zip(n.rigid, parts.twists, strict=True)
     )
     return 0.5 * add(bodies, total(mul(i, mul(rate, rate)) for i, rate in parts.turns))
 
@@ -175,6 +176,9 @@ def potential_energy(n: Numbers, now: Instant) -> Lane:
         moment = turned(body.moment, e)
         fall = dot(n.downhill, origin)
         energy = sub(energy, add(mul(body.mass, fall), dot(n.downhill, moment)))
+    for i, fork in zip(n.layout.caster_wheels, n.forks, strict=True):
+        moment = turned(fork.moment, turned(shape.wheels[i], directions[n.wheels[i].body]))
+        energy = sub(energy, dot(n.downhill, moment))
     return energy
 
 

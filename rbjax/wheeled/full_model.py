@@ -13,8 +13,8 @@ shaft turn as it does. All rows of wheels on one axle stay in, so rows may be re
 
 Inertia. A wheel is a body of its mass, at its centre, with yaw_inertia about all axes across the
 axle. Of its inertia about the axle as much is the body's as a rigid body can have (2 yaw_inertia);
-the rest is armature of its joint. A caster has its mass and yaw_inertia in the fork, at the pivot,
-and its inertia as armature. A chassis or trailer has its inertia about all three axes: while wheels
+the rest is armature of its joint. A caster has its mass and yaw_inertia in the fork, and its
+inertia as armature. A chassis or trailer has its inertia about all three axes: while wheels
 hold it level, only that about the vertical counts. Steering columns and knuckles have an armature
 of 1 kg m^2, which the rows prescribe: it acts on nothing else.
 """
@@ -139,9 +139,11 @@ def _wheel(n: Numbers, tree: Tree, bodies: list[int], i: int) -> None:
     (x, y), turn = wheel.position, _turned(n.lane(given.heading))
     armature = _geared(n, i)
     if wheel.kind == "caster":
+        behind = n.lane(given.behind)
+        own = sub(yaw, mul(mass, mul(behind, behind)))
         fork = tree.body(f"fork_{i}", bodies[wheel.body], (x, y, 0.0), STRAIGHT, mass,
-                         (0.0, 0.0, wheel.radius), (yaw, yaw, yaw))  # fmt: skip
-        _needs_inertia(f"wheels[{i}].yaw_inertia", yaw)
+                         (neg(behind), 0.0, wheel.radius), (own, own, own))  # fmt: skip
+        _needs_inertia(f"wheels[{i}].yaw_inertia, less that of its mass off the pivot,", own)
         tree.joint(f"caster_{i}", "hinge", fork)
         hub = tree.body(f"wheel_{i}", fork, (neg(wheel.trail), 0.0, wheel.radius))
         armature = add(armature, spin)

@@ -10,7 +10,7 @@ one line or at one point leave the moments across it to supports that are not mo
 (Jazar, *Vehicle Dynamics*, ch. 2; Milliken & Milliken, *Race Car Vehicle Dynamics*, ch. 18)
 
 A trailer stands on its axle and on the coupling. Between bodies loads are those at rest: a coupling
-near the ground transfers little.
+near the ground transfers little. A caster loads the wheels as if its mass were at its pivot.
 """
 
 from __future__ import annotations

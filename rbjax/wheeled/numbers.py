@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.lanes import Lane, add, is_zero, mul, total
+from rbjax.lanes import Lane, add, is_zero, mul, neg, total
 from rbjax.model.leaves import numbers as lanes
 from rbjax.model.leaves import scalar
 from rbjax.wheeled.planar import Pair, direction, dot
@@ -56,9 +56,12 @@ class Numbers:
     dtype: Any
     layout: Layout
     bodies: tuple[BodyNumbers, ...]
+    #: of each caster, what its centre of mass off the pivot adds: a moment without mass or inertia
+    forks: tuple[BodyNumbers, ...]
     wheels: tuple[WheelNumbers, ...]
-    #: inertias of shafts, without those of motors
+    #: inertias of shafts, without those of motors, and their damping
     shafts: tuple[Lane, ...]
+    damping: tuple[Lane, ...]
     #: of each drive, the shares of its wheels
     splits: tuple[tuple[Lane, ...], ...]
     turn_center: Lane
@@ -73,6 +76,11 @@ class Numbers:
         ahead = self.bodies[k].ahead
         assert ahead is not None
         return ahead
+
+    @property
+    def rigid(self) -> tuple[BodyNumbers, ...]:
+        """Bodies and forks, in the order of twists of `velocities.motion`."""
+        return (*self.bodies, *self.forks)
 
     def lane(self, x: Any) -> Lane:
         """A number of a part."""
@@ -141,17 +149,24 @@ def numbers_of(robot: Robot, dtype: Any) -> Numbers:
                 inertia, number(body.height), pair(body.hitch), number(body.drawbar),
             )
         )  # fmt: skip
+    forks = []
+    for i in layout.caster_wheels:
+        moment = neg(mul(number(robot.wheels[i].mass), number(robot.wheels[i].behind)))
+        forks.append(BodyNumbers(None, 0.0, (moment, 0.0), 0.0, 0.0, (0.0, 0.0), 0.0))
     shafts: list[Lane] = [0.0] * len(layout.setters)
-    for n in wheels:
+    damping: list[Lane] = [0.0] * len(layout.setters)
+    for wheel, n in zip(robot.wheels, wheels, strict=True):
         shafts[n.shaft] = add(shafts[n.shaft], n.inertia)
+        damping[n.shaft] = add(damping[n.shaft], number(wheel.damping))
     splits = tuple(tuple(lanes(drive.split, dtype)) for drive in robot.drives)
     fall = pair(robot.slope)
     across = number(robot.gravity)
     if not (is_zero(fall[0]) and is_zero(fall[1])):
         across = across * (1.0 + dot(fall, fall)) ** -0.5
     return Numbers(
-        robot, dtype, layout, tuple(bodies), tuple(wheels), tuple(shafts), splits,
-        number(robot.turn_center), (mul(across, fall[0]), mul(across, fall[1])), across,
+        robot, dtype, layout, tuple(bodies), tuple(forks), tuple(wheels), tuple(shafts),
+        tuple(damping), splits, number(robot.turn_center),
+        (mul(across, fall[0]), mul(across, fall[1])), across,
         tuple(with_lanes(drive.motor, dtype) for drive in robot.drives),
         with_lanes(robot.resistance, dtype),
     )  # fmt: skip

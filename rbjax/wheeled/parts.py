@@ -63,10 +63,14 @@ class Wheel(Record):
     free rollers, as that of omnidirectional and mecanum wheels.
 
     Fields: position (2,) m, of the centre, of a caster's pivot; heading, rad, the direction where
-    it rolls, from x to the left (of a steered wheel at zero steering; not used by a caster); radius
-    m; inertia, kg m^2, about the axle, with all that turns with it; mass kg; yaw_inertia, kg m^2,
-    about the vertical; roller, rad, the angle of the rollers' axes from the heading to the left
-    (0 omnidirectional, +-pi/4 mecanum); trail, m, how far a caster's centre is behind its pivot.
+    it rolls at a positive rate, from x to the left (of a steered wheel at zero steering; not used
+    by a caster); radius m; inertia, kg m^2, about the axle, with all that turns with it; mass kg;
+    yaw_inertia, kg m^2, about the vertical; roller, rad, the angle of the rollers' axes from the
+    heading to the left (0 omnidirectional, +-pi/4 mecanum); trail, m, how far a caster's centre is
+    behind its pivot;
+    behind, m, how far its centre of mass with the fork is; damping, N m s/rad, of its axle, a
+    torque against its rate. mass and yaw_inertia of a caster are those with its fork, the inertia
+    about its pivot.
     Static: kind; body, the number of its body; shaft, a name that wheels which turn together share;
     skids, whether it may slide sideways where the others may not, as those of a skid-steer robot.
 
@@ -84,6 +88,8 @@ class Wheel(Record):
     yaw_inertia: jax.Array = _number()
     roller: jax.Array = _number()
     trail: jax.Array = _number(0.05)
+    behind: jax.Array = _number()
+    damping: jax.Array = _number()
     kind: str = eqx.field(static=True, default="fixed")
     body: int = eqx.field(static=True, default=0)
     shaft: str | None = eqx.field(static=True, default=None)
@@ -91,7 +97,7 @@ class Wheel(Record):
 
     def __check_init__(self) -> None:
         _pairs(self, "position")
-        for name in ("heading", "inertia", "mass", "yaw_inertia", "roller"):
+        for name in ("heading", "inertia", "mass", "yaw_inertia", "roller", "behind", "damping"):
             check_number(self, name)
         check_number(self, "radius", positive=True)
         check_number(self, "trail", positive=True)
@@ -106,8 +112,9 @@ class Drive(Record):
 
     u is the control, W the speed of the differential's cage, phi' that of the wheels.
 
-    Fields: motor, a `Motor`; split (k,), shares of the torque, 1 in sum. Static: wheels, their k
-    numbers.
+    Fields: motor, a `Motor`; split (k,), shares of the torque, 1 in sum behind a differential; of
+    one wheel a gear ratio, negative where motor and wheel turn in opposite directions. Static:
+    wheels, their k numbers.
 
     Example:
         >>> import rbjax as rb

@@ -29,7 +29,14 @@ from rbjax.wheeled.instant import Instant, angle_rates, angles_of
 from rbjax.wheeled.numbers import Numbers, stacked
 from rbjax.wheeled.planar import cross, moving, rate_of, value_of
 from rbjax.wheeled.rolling import Rolling
-from rbjax.wheeled.velocities import caster_rates, ideal, shaft_speed, shape_of, twists_of
+from rbjax.wheeled.velocities import (
+    caster_rates,
+    fork_twists,
+    ideal,
+    shaft_speed,
+    shape_of,
+    twists_of,
+)
 
 
 class QuasiVelocities(Rolling):
@@ -104,7 +111,7 @@ class QuasiVelocities(Rolling):
                 -jnp.stack([x, y, by_pose[2]]),
                 -by_angles[:k],
                 stacked(torques, dtype),
-                jnp.zeros(casters, dtype),
+                -by_angles[len(s) - casters :],
             ]
         )
 
@@ -123,9 +130,10 @@ def _kinetic(
     for drive, motor, split in zip(n.robot.drives, n.motors, n.splits, strict=True):
         speed = shaft_speed(n, drive.wheels, split, shafts)
         twice.append(mul(motor.inertia, mul(speed, speed)))
-    for i, rate in zip(casters, w[len(w) - len(casters) :], strict=True):
-        whole = add(rate, twists[n.wheels[i].body][2])
-        twice.append(mul(n.wheels[i].yaw_inertia, mul(whole, whole)))
+    forks = fork_twists(n, shape, twists, w[len(w) - len(casters) :])
+    for i, fork, V in zip(casters, n.forks, forks, strict=True):
+        twice.append(mul(n.wheels[i].yaw_inertia, mul(V[2], V[2])))
+        twice.append(inner(V, momentum(fork, V)))
     moved = shape_of(n, moving(angles, turning))
     for steering in n.robot.steerings:
         for i in steering.wheels:

@@ -148,7 +148,8 @@ def _check_numbers_of_parts(robot: Robot) -> None:
         for part in group:
             if not all(0 <= i < n for i in part.wheels):
                 raise InputError(f"Robot: {name} name wheels {part.wheels}, expected 0 to {n - 1}")
-            taken.extend(part.wheels)
+            # several differentials may share wheels: one to drive ahead, one to turn
+            taken.extend(part.wheels if name == "steerings" or len(part.wheels) == 1 else ())
         twice = sorted({i for i in taken if taken.count(i) > 1})
         if twice:
             raise InputError(f"Robot: {name} name wheels {twice} twice, expected once")

@@ -68,6 +68,8 @@ def shape_along(n: Numbers, directions: Sequence[Pair]) -> Shape:
         elif leader.what == "steering":
             first = n.robot.steerings[leader.number].wheels[0]
             ahead = turned(steerings[leader.number], n.wheels[first].heading)
+        if leader.backward:
+            ahead = neg(ahead[0]), neg(ahead[1])
         leaders.append((place_of(n, leader), ahead))
     of_wheels = tuple(wheels[i] for i in range(len(n.wheels)))
     return fusion_barrier(Shape(trailers, of_wheels, tuple(leaders)))
@@ -103,7 +105,8 @@ def _steered(n: Numbers, wheels: Sequence[int], e: Pair) -> dict[int, Pair]:
         along = dot(ahead, (sub(p[0], base[0]), sub(p[1], base[1])))
         d = sub(e[0], mul(mul(far, e[1]), inverse(length))), mul(mul(along, e[1]), inverse(length))
         scale = inverse_root(dot(d, d))
-        out[i] = turned((mul(d[0], scale), mul(d[1], scale)), ahead)
+        # its own heading may be the opposite of the first one's
+        out[i] = turned((mul(d[0], scale), mul(d[1], scale)), n.wheels[i].heading)
     return out
 
 
@@ -213,7 +216,8 @@ def caster_rates(n: Numbers, shape: Shape, twists: Sequence[Twist]) -> list[Lane
 
 @dataclass(frozen=True)
 class Motion:
-    """What carries inertia: twists of bodies, and rates with the inertias that turn at them."""
+    """What carries inertia: twists of bodies and forks, and rates with the inertias that turn at
+    them."""
 
     twists: list[Twist]
     turns: list[tuple[Lane, Lane]]  # inertia, rate
@@ -227,12 +231,22 @@ def motion(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Motion:
     for drive, motor, split in zip(n.robot.drives, n.motors, n.splits, strict=True):
         if not is_zero(motor.inertia):
             turns.append((motor.inertia, shaft_speed(n, drive.wheels, split, rates)))
-    casters = caster_rates(n, shape, twists)
-    for i, rate in zip(n.layout.caster_wheels, casters, strict=True):
-        wheel = n.wheels[i]
-        if not is_zero(wheel.yaw_inertia):
-            turns.append((wheel.yaw_inertia, add(rate, twists[wheel.body][2])))
-    return Motion(twists, turns)
+    forks = fork_twists(n, shape, twists, caster_rates(n, shape, twists))
+    for i, fork in zip(n.layout.caster_wheels, forks, strict=True):
+        if not is_zero(n.wheels[i].yaw_inertia):
+            turns.append((n.wheels[i].yaw_inertia, fork[2]))
+    return Motion([*twists, *forks], turns)
+
+
+def fork_twists(
+    n: Numbers, shape: Shape, twists: Sequence[Twist], rates: Sequence[Lane]
+) -> list[Twist]:
+    """The twists of casters' forks at their pivots, in their own axes, by the rates of casters."""
+    out = []
+    for i, rate in zip(n.layout.caster_wheels, rates, strict=True):
+        along, across = contact(n, shape, twists, i)
+        out.append(Twist(along, across, add(rate, twists[n.wheels[i].body][2])))
+    return out
 
 
 def shaft_speed(

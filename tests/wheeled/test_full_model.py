@@ -35,8 +35,10 @@ def rates(lanes):
     return [rate_of(x) for x in lanes]
 
 
-def on_a_slope(name):
-    return KINDS[name].make().replace(slope=jnp.array([0.1, -0.05]))
+def on_a_slope(name, behind=0.0):
+    """Of casters, the centre of mass is a part `behind` of the trail behind the pivot."""
+    robot = KINDS[name].make().replace(slope=jnp.array([0.1, -0.05]))
+    return robot.replace(wheels=tuple(w.replace(behind=behind * w.trail) for w in robot.wheels))
 
 
 def stacked(lanes):
@@ -59,7 +61,7 @@ def full_rates(n, now, w, change):
 
 @every_kind
 def test_accelerations_and_energy(name):
-    robot = on_a_slope(name)
+    robot = on_a_slope(name, behind=0.6)
     reduced, full = wheeled.at(robot, "kinematical"), Constrained(robot)
     eliminated = wheeled.at(robot, "dynamical")
 
@@ -92,7 +94,7 @@ def test_accelerations_and_energy(name):
 def test_separation_of_wrenches_term_by_term(name):
     """S^T M S and S^T (f - M S' nu) of the reduction are those of the multibody model's own mass
     matrix and bias forces, on the null space of its own rows."""
-    robot = on_a_slope(name)
+    robot = on_a_slope(name, behind=0.6)
     reduced = wheeled.at(robot, "kinematical")
 
     def found(q, nu, u):

@@ -12,6 +12,7 @@ from rbjax.wheeled import Body, Drive, Robot, SpeedServo, Steering, Wheel
 from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
 from rbjax.wheeled.velocities import rows
 from tests.oracles import wheeled as oracle
+from tests.wheeled.test_full_model import on_a_slope
 
 KINDS = list(wheeled.kinds())
 SOME = ["differential_drive", "car", "mecanum", "tractor_trailers"]
@@ -99,7 +100,7 @@ def random_state(vehicle, seed: int) -> tuple[State, jax.Array]:
 )
 def test_all_reductions_agree(kind) -> None:
     """Newton-Euler projected, multipliers eliminated, and energies by Boltzmann and Hamel."""
-    robot = wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05])
+    robot = on_a_slope(kind, behind=0.6)
     ours = wheeled.at(robot, "kinematical")
     for seed in range(3):
         state, u = random_state(ours, seed)
@@ -115,7 +116,7 @@ def test_all_reductions_agree(kind) -> None:
 def test_power_of_the_drives_is_the_rate_of_energy(kind) -> None:
     """T' + U' = sum of torque times speed, with casters, trailers and Ackermann's geometry; the
     steering stands, as what turns it would add power."""
-    robot = wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05])
+    robot = on_a_slope(kind, behind=0.6)
     vehicle = wheeled.at(robot, "kinematical")
     state, u = random_state(vehicle, 7)
     u = u.at[len(robot.drives) :].set(0.0)
@@ -165,6 +166,33 @@ def test_classes_of_arrangements() -> None:
         Robot.of(body, wheels, [], [Steering((i,)) for i in range(3)])
     with pytest.raises(InputError, match=r"lock the chassis|contradicts"):
         Robot.of(body, [Wheel([0.0, 0.3]), Wheel([0.4, 0.3]), Wheel([0.4, 0.0], 1.0)])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_wheels_whose_headings_are_backward_roll_by_negative_rates(dtype) -> None:
+    """Free velocities are ahead all the same; in f32, too, pi is the direction opposite to 0."""
+    back = dtype(np.pi)
+    wheels = [Wheel([0.0, 0.2], back), Wheel([0.0, -0.2], dtype(0.0))]
+    cart = wheeled.at(Robot.of(Body(1.0, 1.0), wheels), "kinematical")
+    assert cart.robot.arrangement.mobility == 2
+    state = wheeled.start(cart, twist=[0.5, 0.0, 0.5])
+    np.testing.assert_allclose(state.v, [0.5, 0.5], rtol=1e-6)
+    rates = wheeled.rates(cart, state, jnp.zeros(0)).q
+    np.testing.assert_allclose(rates, [0.5, 0.0, 0.5, -4.0, 6.0], atol=1e-6)
+    front = [Wheel([2.0, y], h, kind="steered") for y, h in ((0.5, back), (-0.5, dtype(0.0)))]
+    car = Robot.of(Body(1.0, 1.0), [*wheels, *front], [], [Steering((2, 3))])
+    found = wheeled.commands(car, [1.0, 0.0, 0.3])
+    np.testing.assert_allclose(found.angles, np.arctan(0.6), rtol=1e-6)
+    vehicle = wheeled.at(car, "kinematical")
+    state = wheeled.start(vehicle)
+    state = state.replace(q=state.q.at[3].set(np.arctan(0.6)), v=jnp.ones(1))
+    _, now = vehicle.instant(state)
+    shape = now.shape
+    centre = np.array([0.0, 2.0 / 0.6])
+    for wheel, e, sign in zip(front, shape.wheels[2:], (-1, 1), strict=True):
+        arm = np.asarray(wheel.position) - centre
+        due = sign * np.array([-arm[1], arm[0]]) / np.hypot(*arm)
+        np.testing.assert_allclose(np.array(e, float), due, atol=1e-6)
 
 
 def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:

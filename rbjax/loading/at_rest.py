@@ -1,0 +1,259 @@
+"""A robot file at one configuration: where its joints and bodies are, and what they weigh.
+
+MuJoCo computes this at load time, in f64; nothing of it is traced. Vectors are in world axes. A
+joint carries the bodies behind it; the chain of a body is the joints between the world and it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.loading.actuator_kinds import Bias, Dyn, Gain, Trn, Wrap, is_off, reflected
+from rbjax.loading.actuator_kinds import what_is_left_out as left_out_of
+from rbjax.loading.load import compile_model
+from rbjax.loading.round_shapes import Round, round_shape
+
+_OBJ = mujoco.mjtObj
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+@dataclass(frozen=True)
+class Composite:
+    """Several bodies as one: mass, com (3,), inertia (3, 3) about com."""
+
+    mass: float
+    com: np.ndarray
+    inertia: np.ndarray
+
+    def about(self, axis: np.ndarray, point: np.ndarray) -> float:
+        """The moment of inertia about a line."""
+        away = self.com - point
+        away = away - (away @ axis) * axis
+        return float(axis @ self.inertia @ axis + self.mass * away @ away)
+
+
+@dataclass(frozen=True)
+class FileActuator:
+    """An actuator on hinges: tau_j = arm_j f,  f = gain u + b0 + b1 l + b2 l',  l' = sum arm_j v_j.
+
+    arms: joint -> arm; odd: why it has no such law, in words, or empty.
+    """
+
+    name: str
+    arms: Mapping[int, float]
+    gain: float
+    bias: tuple[float, ...]
+    force: tuple[float, float]
+    odd: str
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """A file at the configuration q (nq,) of its own compiled model."""
+
+    source: Any
+    m: mujoco.MjModel
+    d: mujoco.MjData
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """All joints; one without a name is called joint0, joint1, ... by its number."""
+        return _names(self.m, _OBJ.mjOBJ_JOINT, self.m.njnt)
+
+    def kind(self, j: int) -> str:
+        """free, ball, slide or hinge."""
+        return mujoco.mjtJoint(int(self.m.jnt_type[j])).name[6:].lower()
+
+    def anchor(self, j: int) -> np.ndarray:
+        """A point of the axis of a joint."""
+        return self.d.xanchor[j].copy()
+
+    def axis(self, j: int) -> np.ndarray:
+        """The direction of the axis of a joint."""
+        return self.d.xaxis[j].copy()
+
+    def chain(self, body: int) -> tuple[int, ...]:
+        """The joints between the world and a body, first to last."""
+        up: list[int] = []
+        while body:
+            first, count = int(self.m.body_jntadr[body]), int(self.m.body_jntnum[body])
+            up += range(first + count - 1, first - 1, -1)
+            body = int(self.m.body_parentid[body])
+        return tuple(reversed(up))
+
+    def above(self, j: int) -> tuple[int, ...]:
+        """The joints between the world and a joint."""
+        chain = self.chain(int(self.m.jnt_bodyid[j]))
+        return chain[: chain.index(j)]
+
+    def behind(self, j: int) -> tuple[int, ...]:
+        """The bodies that a joint carries."""
+        return tuple(b for b in range(1, self.m.nbody) if j in self.chain(b))
+
+    def root(self, j: int) -> int:
+        """The body on the world from which a joint hangs."""
+        return int(self.m.body_rootid[self.m.jnt_bodyid[j]])
+
+    def tree(self, root: int) -> tuple[int, ...]:
+        """All bodies that hang from a body on the world, with it."""
+        return tuple(int(b) for b in np.flatnonzero(self.m.body_rootid == root))
+
+    def body_name(self, body: int) -> str:
+        return self.m.body(body).name
+
+    def composite(self, bodies: Iterable[int]) -> Composite:
+        """Bodies as one that is rigid."""
+        rows = list(bodies)
+        mass = self.m.body_mass[rows]
+        whole = float(mass.sum())
+        com = mass @ self.d.xipos[rows] / whole if whole > 0 else self.d.xpos[rows[0]].copy()
+        turn = self.d.ximat[rows].reshape(-1, 3, 3)
+        inertia = np.einsum("bij,bj,bkj->ik", turn, self.m.body_inertia[rows], turn)
+        away = self.d.xipos[rows] - com
+        inertia += np.einsum("b,bi,bi->", mass, away, away) * np.eye(3)
+        inertia -= np.einsum("b,bi,bj->ij", mass, away, away)
+        return Composite(whole, com, inertia)
+
+    def frame(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """The origin and the rotation (3, 3) of a body or, where none has the name, of a site."""
+        bodies = _names(self.m, _OBJ.mjOBJ_BODY, self.m.nbody)[1:]
+        sites = _names(self.m, _OBJ.mjOBJ_SITE, self.m.nsite)
+        if name in bodies:
+            i = bodies.index(name) + 1
+            return self.d.xpos[i].copy(), self.d.xmat[i].reshape(3, 3).copy()
+        if name in sites:
+            i = sites.index(name)
+            return self.d.site_xpos[i].copy(), self.d.site_xmat[i].reshape(3, 3).copy()
+        raise UnknownName("body or site", name, (*bodies, *sites))
+
+    @property
+    def gravity(self) -> np.ndarray:
+        off = self.m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        return np.zeros(3) if off else self.m.opt.gravity.copy()
+
+    def armature(self, j: int) -> float:
+        """What the file adds to the inertia of a hinge, with that of its actuators."""
+        at = self.m.jnt_dofadr[j]
+        return float(self.m.dof_armature[at] + reflected(self.m)[0][at])
+
+    def damping(self, j: int) -> float:
+        """N m s/rad, with that of its actuators."""
+        at = self.m.jnt_dofadr[j]
+        off = self.m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        return 0.0 if off else float(self.m.dof_damping[at] + reflected(self.m)[1][at])
+
+    def resisting(self, j: int) -> tuple[str, ...]:
+        """What else resists the motion of a hinge, in words."""
+        at = self.m.jnt_dofadr[j]
+        found = {
+            "friction loss": self.m.dof_frictionloss[at],
+            "a spring": np.abs(self.m.jnt_stiffness[j]),
+            "damping by powers of its rate": np.abs(self.m.dof_dampingpoly[at]).sum(),
+        }
+        return tuple(name for name, x in found.items() if x > 0)
+
+    def round_shapes(self, joints: Sequence[int]) -> list[Round | None]:
+        """Of each joint, the extents about its axis of the shapes that it carries, or None.
+
+        The links of a URDF are compiled with their shapes for this.
+        """
+        carried = [self.behind(j) for j in joints]
+        m, names = self.m, {self.body_name(b) for bodies in carried for b in bodies}
+        bare = not np.isin(m.geom_bodyid, [b for bodies in carried for b in bodies]).any()
+        if bare and not isinstance(self.source, (mujoco.MjModel, mujoco.MjSpec)):
+            m = compile_model(self.source, floating_base=None, shapes=names)
+        out = []
+        for j, bodies in zip(joints, carried, strict=True):
+            frames = {
+                m.body(self.body_name(b)).id: (self.d.xpos[b], self.d.xmat[b].reshape(3, 3))
+                for b in bodies
+            }
+            out.append(round_shape(m, frames, self.anchor(j), self.axis(j)))
+        return out
+
+    def actuators(self) -> tuple[FileActuator, ...]:
+        """Those that act on joints of one coordinate."""
+        found = (_actuator(self.m, i) for i in range(self.m.nactuator) if not is_off(self.m, i))
+        return tuple(x for x in found if x.arms)
+
+
+def at_rest(source: Any, q: Any = None) -> AtRest:
+    """A file, at its reference configuration or at q.
+
+    Args:
+        source: what `rbjax.load` takes; a URDF gets a floating base.
+        q: None, the name of a keyframe, values by names of hinges and slides, or (nq,).
+
+    Raises:
+        ModelError: the source cannot be read. UnknownName, InputError: q is none of these.
+    """
+    m = compile_model(source, floating_base=None)
+    d = mujoco.MjData(m)
+    names = _names(m, _OBJ.mjOBJ_JOINT, m.njnt)
+    if isinstance(q, str):
+        keys = _names(m, _OBJ.mjOBJ_KEY, m.nkey)
+        if q not in keys:
+            raise UnknownName("keyframe", q, keys)
+        d.qpos[:] = m.key_qpos[keys.index(q)]
+    elif isinstance(q, Mapping):
+        scalar = {n: int(m.jnt_qposadr[j]) for j, n in enumerate(names) if m.jnt_type[j] in _SCALAR}
+        for name, value in q.items():
+            if name not in scalar:
+                raise UnknownName("joint", name, scalar)
+            d.qpos[scalar[name]] = _finite(f"q[{name!r}]", value, ())
+    elif q is not None:
+        d.qpos[:] = _finite("q", q, (m.nq,))
+    mujoco.mj_kinematics(m, d)
+    mujoco.mj_comPos(m, d)
+    return AtRest(source, m, d)
+
+
+def _finite(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        x = np.asarray(value, float)
+    except (TypeError, ValueError):
+        x = np.full((), np.nan)
+    if x.shape != shape or not np.isfinite(x).all():
+        raise InputError(
+            f"{what}: got {value!r}, expected {'a finite number' if not shape else f'{shape[0]} '}"
+            f"{'' if not shape else 'finite numbers, as model.default_state().q has them, a '}"
+            f"{'' if not shape else 'mapping of joints to values, or the name of a keyframe'}"
+        )
+    return x
+
+
+def _names(m: mujoco.MjModel, kind: Any, count: int) -> tuple[str, ...]:
+    return tuple(
+        mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
+    )
+
+
+def _actuator(m: mujoco.MjModel, i: int) -> FileActuator:
+    name = mujoco.mj_id2name(m, _OBJ.mjOBJ_ACTUATOR, i) or f"actuator{i}"
+    gear, target = float(m.actuator_gear[m.actuator_outadr[i], 0]), int(m.actuator_trnid[i, 0])
+    arms: dict[int, float] = {}
+    if m.actuator_trntype[i] in (Trn.JOINT, Trn.JOINTINPARENT):
+        if m.jnt_type[target] in _SCALAR:
+            arms[target] = gear
+    elif m.actuator_trntype[i] == Trn.TENDON:
+        at, count = int(m.tendon_adr[target]), int(m.tendon_num[target])
+        for k in range(at, at + count):
+            if m.wrap_type[k] == Wrap.JOINT:
+                arms[int(m.wrap_objid[k])] = gear * float(m.wrap_prm[k])
+    affine = m.actuator_biastype[i] == Bias.AFFINE
+    known = m.actuator_gaintype[i] == Gain.FIXED and (affine or m.actuator_biastype[i] == Bias.NONE)
+    odd = left_out_of(m, i)
+    if not odd and m.actuator_dyntype[i] != Dyn.NONE:
+        odd = "it has a state"
+    elif not odd and not known:
+        odd = "its force is not affine in control and speed"
+    force = m.actuator_forcerange[i] if m.actuator_forcelimited[i] else (-np.inf, np.inf)
+    bias = tuple(float(x) for x in m.actuator_biasprm[i, :3]) if affine else (0.0, 0.0, 0.0)
+    gain, (low, high) = float(m.actuator_gainprm[i, 0]), force
+    return FileActuator(name, arms, gain, bias, (float(low), float(high)), odd)
