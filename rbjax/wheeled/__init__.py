@@ -9,7 +9,11 @@
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
     on any model   TyreOnGround, a force element
+    recommend      the cheapest fidelity that is accurate enough for a manoeuvre
 """
+
+from collections.abc import Callable
+from typing import Any
 
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.contacts import Contacts, contacts
@@ -35,6 +39,17 @@ from rbjax.wheeled.tyre_element import Contact, TyreOnGround
 from rbjax.wheeled.tyre_laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
 from rbjax.wheeled.tyres import Tyre, traction_along
 
+#: names offered here whose module imports this package; `rbjax` fills this table
+FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+
+
+def __getattr__(name: str) -> Any:
+    """`recommend` runs manoeuvres, so its module imports this package; it is loaded on use."""
+    if name in FROM_ABOVE:
+        return FROM_ABOVE[name]()
+    raise AttributeError(f"module 'rbjax.wheeled' has no attribute {name!r}")
+
+
 __all__ = [
     "Arrangement",
     "Body",
@@ -49,6 +64,7 @@ __all__ = [
     "Linear",
     "Motor",
     "Pacejka",
+    "Recommendation",
     "Relaxing",
     "Robot",
     "RollingResistance",
@@ -67,6 +83,7 @@ __all__ = [
     "kinds",
     "pure_pursuit",
     "rates",
+    "recommend",
     "rollout",
     "simulate",
     "stanley",

@@ -89,6 +89,19 @@ class Rolling(Fidelity):
     def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
         return free_velocities(n, shape_of(n, angles_of(n, now)), Twist(*w[:3]))
 
+    def holding(self, n: Numbers, now: Instant) -> list[Lane]:
+        """What the ground must do so that wheels roll, M w' - f: by the full velocities, the force
+        (2,) on the robot in the chassis' axes, N, moments, and torques on shafts, N m."""
+        angles, w = angles_of(n, now), self.full(n, now)
+        turning = angle_rates(n, now, w)
+        both = shape_of(n, moving(angles, turning))
+        rate = [rate_of(x) for x in ideal(n, both, moving(now.v, self.accelerations(n, now)))]
+        M, f = project(
+            n, angles, turning, all_of, w,
+            weights(n, now.pose, shape_of(n, angles)), torques_at_rest_loads(n, now, w),
+        )  # fmt: skip
+        return [sub(inner(row, rate), x) for row, x in zip(M, f, strict=True)]
+
 
 class Kinematical(Rolling):
     """Dynamics reduced by the kinematical approach: twists and wrenches are separated.

@@ -10,7 +10,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled import Body, Drive, Robot, SpeedServo, Steering, Wheel
 from rbjax.wheeled.fidelity import angles_of, kinetic_energy, potential_energy
-from rbjax.wheeled.velocities import rows, shape_of
+from rbjax.wheeled.velocities import ideal, rows, shape_of
 from tests.oracles import wheeled as oracle
 
 KINDS = list(wheeled.kinds())
@@ -143,6 +143,24 @@ def test_velocities_satisfy_the_rows_of_all_wheels(kind) -> None:
     n, now = vehicle.instant(state, u)
     found = rows(n, shape_of(n, angles_of(n, now)), vehicle.full(n, now))
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["differential_drive", "mecanum", "car", "tractor_trailers"])
+def test_what_holds_the_wheels_does_no_work(kind) -> None:
+    """On any motion that wheels allow; and of a turn at constant speed it is m v w, to the left."""
+    vehicle = wheeled.at(wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05]), "kinematical")
+    state, u = random_state(vehicle, 5)
+    n, now = vehicle.instant(state, u)
+    shape = shape_of(n, angles_of(n, now))
+    held = np.array(vehicle.holding(n, now), float)
+    for unit in np.eye(vehicle.nv):
+        basis = np.array(ideal(n, shape, list(unit)), float)
+        scale = np.abs(held * basis).max()
+        assert abs(held @ basis) <= 1e-13 * max(1.0, scale)
+    cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None, com=(0.0, 0.0)),
+                      "kinematical")  # fmt: skip
+    n, now = cart.instant(wheeled.start(cart, twist=[2.0, 0.0, 0.5]))
+    np.testing.assert_allclose(cart.holding(n, now)[:2], [0.0, 11.0 * 2.0 * 0.5], atol=1e-12)
 
 
 def test_classes_of_arrangements() -> None:
