@@ -185,6 +185,15 @@ def test_classes_of_arrangements() -> None:
         Robot.of(body, [Wheel([0.0, 0.3]), Wheel([0.4, 0.3]), Wheel([0.4, 0.0], 1.0)])
 
 
+def test_every_kind_has_every_fidelity_and_trailers_can_be_added() -> None:
+    for kind in wheeled.kinds().values():
+        assert kind.fidelities == tuple(wheeled.fidelities())
+    robot = wheeled.with_trailers(differential(), 2, drawbar=0.7)
+    for name, fidelity in wheeled.fidelities().items():
+        vehicle = wheeled.at(robot, name)
+        assert type(vehicle) is fidelity and vehicle.nq == 5 + 2 + 4
+
+
 def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:
     """Ackermann: each front wheel is across the line from the centre of the turn to its hub."""
     from rbjax.wheeled.velocities import contact, twists_of
