@@ -2,7 +2,7 @@
 
     1. the manoeuvre at the finest fidelity, "slipping", with steps that are halved until they agree
     2. each coarser one, likewise: how far the next finer one is from it
-    3. the largest step at which each is as near to the finest motion as requested
+    3. the largest stable step at which each is as near to the finest motion as requested
     4. the cheapest of these per second of motion
 All fidelities take the same controls, in the units of the robot's motors. "kinematic" moves at the
 free speeds of the motors, as if they were ideal servos, so a torque says nothing to it. Those that
@@ -91,9 +91,9 @@ def recommend(
 ) -> Recommendation:
     """The cheapest fidelity, with its step, whose motion is accurate enough, and why.
 
-    Of the fidelities with steps dt, dt/2, dt/4, ... (rk4) whose chassis stays within the accuracy
-    of the motion at the finest fidelity: the one that is cheapest per second of motion, by this
-    machine's clock.
+    Of the fidelities with stable steps dt, dt/2, dt/4, ... (rk4) whose chassis stays within the
+    accuracy of the motion at the finest fidelity: the one that is cheapest per second of motion, by
+    this machine's clock.
 
     Args:
         robot: `Robot`.
@@ -118,7 +118,8 @@ def recommend(
             motion that does not converge with 1,000,000 steps.
         UnknownName: no such fidelity.
 
-    It compiles a program for each fidelity (three to five), and computes in f64.
+    It compiles a program for each fidelity (three to five) and a few for its linearisation and its
+    contacts, and computes in f64.
 
     Example:
         >>> import rbjax as rb
@@ -212,6 +213,7 @@ class _Choice:
         # one for each kind of motion, the finest first
         self.vehicles = [x for x in reversed(vehicles) if x not in self.equals]
         self._paths: dict[tuple[str, int], State] = {}
+        self._least: dict[str, int] = {}  # halvings with which steps are stable
 
     def made(self) -> Recommendation:
         ends = [self._converged(vehicle) for vehicle in self.vehicles]
@@ -219,13 +221,14 @@ class _Choice:
         trials: list[Trial] = []
         for i, (vehicle, most) in enumerate(zip(self.vehicles, ends, strict=True)):
             gap = apart(paths[i], paths[i - 1]) if i else 0.0
-            trials.append(self._trial(vehicle, most, gap, paths[0]))
+            least = self._least[vehicle.name]
+            trials.append(self._trial(vehicle, least, most, gap, paths[0]))
         best = min((x for x in trials if x.ok), key=lambda x: x.cost)
         vehicle = self.vehicles[trials.index(best)]
         if isinstance(vehicle, Rolling) or vehicle.name in ASKED_FOR:
             equal = {x.name: x for x in (vehicle, *self.equals)}
-            most = ends[self.vehicles.index(vehicle)]
-            others = [self._trial(x, most, best.gap, paths[0]) for x in self.equals]
+            ways = self._least[vehicle.name], ends[self.vehicles.index(vehicle)]
+            others = [self._trial(x, *ways, best.gap, paths[0]) for x in self.equals]
             trials += others
             best = min((x for x in (best, *others) if x.ok), key=lambda x: x.cost)
             vehicle = equal[best.name]
@@ -244,20 +247,25 @@ class _Choice:
 
     def _converged(self, vehicle: Fidelity) -> int:
         """The halvings after which the motion changes by far less than the accuracy."""
-        k = 0
+        start = jax.tree.map(lambda x: x[None], self.run.start(vehicle))
+        k = self.run.stable_halvings(vehicle, start)
         while self.run.steps(k + 1) <= MOST_STEPS:
             k += 1
-            if apart(self._path(vehicle, k), self._path(vehicle, k - 1)) < AGREE * self.accuracy:
-                return k
+            path = self._path(vehicle, k)
+            if apart(path, self._path(vehicle, k - 1)) < AGREE * self.accuracy:
+                self._least[vehicle.name] = least = self.run.stable_halvings(vehicle, path)
+                if least < k:
+                    return k
+                k = least
         raise InputError(
             f"recommend: the motion at {vehicle.name!r} over {self.run.times[-1]:.3g} s does not "
             f"converge to {self.accuracy:.1e} with steps down to {self.run.dt(k):.1e} s; give a "
             "larger accuracy, a shorter manoeuvre, or tyres with a larger smooth_speed"
         )
 
-    def _trial(self, vehicle: Fidelity, most: int, gap: float, truth: State) -> Trial:
+    def _trial(self, vehicle: Fidelity, least: int, most: int, gap: float, truth: State) -> Trial:
         """With the largest step that is good enough; else with the smallest that was tried."""
-        for k in range(most + 1):
+        for k in range(least, most + 1):
             error = apart(self._path(vehicle, k), truth)
             if error <= self.accuracy:
                 cost = self.run.step_us(vehicle, k)
