@@ -64,18 +64,19 @@ def soft(*laws):
 COULOMB = wheeled.Coulomb([0.8, 0.6], [0.08, 0.1])
 TWO = {name: LAWS[f"{name}, two"] for name in ("linear", "saturated", "fiala", "pacejka", "tmeasy")}
 RELAXING = Relaxing(soft(TWO["fiala"])[0], [0.3, 0.4], 0.01)
+# steps are stable: where wheels chatter, a slope is rounding that has grown
 GRADIENTS = {
     "car, rolling": ("car", "kinematical", None, 0.01),
     "omni_3, rolling": ("omni_3", "kinematical", None, 0.01),
     "car, four laws": (
         "car", "slipping",
-        soft(TWO["saturated"], TWO["fiala"], TWO["pacejka"], TWO["tmeasy"]), 0.004,
+        soft(TWO["saturated"], TWO["fiala"], TWO["pacejka"], TWO["tmeasy"]), 0.002,
     ),
     "car, relaxing": (
         "car", "slipping", (RELAXING, RELAXING, *soft(COULOMB, TWO["linear"])), 0.004,
     ),
     "omni_3, three laws": (
-        "omni_3", "slipping", soft(COULOMB, TWO["pacejka"], TWO["tmeasy"]), 0.002,
+        "omni_3", "slipping", soft(COULOMB, TWO["pacejka"], TWO["tmeasy"]), 0.001,
     ),
 }  # fmt: skip
 
@@ -96,12 +97,12 @@ def test_gradients_of_ten_seconds_by_every_number(case) -> None:
     due = run(lambda x: by_complex_step(end, x))
     largest = np.abs(due).max(1, keepdims=True)
     assert np.isfinite(due).all() and (largest > 1).all()
-    # below this a slope is rounding of what cancels, as of the caster's numbers that do nothing
+    # below this a slope is rounding of what cancels, or of a number that does nothing
     counts = np.abs(due) > 1e-7 * largest
     for found in (run(jax.jacfwd(end)), run(jax.jacrev(end))):
-        print(case, np.abs(found - due)[counts].max(), np.abs(found / due - 1)[counts].max())
-        assert np.abs(found / due - 1)[counts].max() < 1e-7
-        assert np.abs((found - due) / largest).max() < 1e-12
+        off = np.abs(found - due)
+        assert (off[counts] / np.abs(due)[counts]).max() < 1e-7
+        assert (off / largest).max() < 1e-11
 
 
 # ---------------------------------------------------------------- balance of energy
@@ -200,7 +201,6 @@ def test_energy_along_a_motion(kind, fidelity, motor) -> None:
     before, after, (work, lost) = balance(vehicle, control, 2.0, [0.5, 0.0, 0.1])
     assert lost > 1e-3 * abs(after) and abs(after - before) > 1e-2 * abs(after)
     scale = max(abs(before), abs(after), lost)
-    print(kind, fidelity, motor, (after - before - work) / scale)
     assert abs(after - before - work) < 1e-9 * scale
 
 
@@ -219,7 +219,12 @@ def test_rows_hold_over_a_million_steps(fidelity) -> None:
     """Reduced velocities cannot leave the rows; those of all bodies are put back on them."""
     vehicle = wheeled.at(KINDS["differential_drive"].make(caster=None), fidelity)
     start = wheeled.start(vehicle, twist=[0.5, 0.0, 0.4])
-    path = wheeled.rollout(vehicle, start, to_and_fro, 1e-3, **A_MILLION)
+    # closed over, so that the robot's zeros vanish: a tenth of the time
+    run = jax.jit(
+        lambda x: wheeled.rollout(vehicle, x, to_and_fro, 1e-3, **A_MILLION),
+        compiler_options=compiler_options(),
+    )
+    path = run(start)
     assert path.ok and np.abs(np.diff(path.q[:, :2], axis=0)).max() > 1.0
     off = 0.0
     for state in map(path.state, range(11)):
@@ -229,7 +234,6 @@ def test_rows_hold_over_a_million_steps(fidelity) -> None:
         if fidelity == "constrained":  # v as it is kept
             found = rows(n, shape_of(n, angles_of(n, now)), now.v)
             off = max(off, np.abs(np.array(found, float)).max())
-    print(fidelity, off)
     assert off < (1e-15 if fidelity == "kinematical" else 1e-12)
 
 
@@ -241,5 +245,4 @@ def test_rows_of_the_model_hold_over_a_million_steps() -> None:
     path = rb.rollout(model, start, to_and_fro, 1e-3, integrator="rk4", **A_MILLION)
     assert path.ok
     off = [rb.constraints.residual(model, path.state(i))[1] for i in range(11)]
-    print(np.abs(off).max())
     assert np.abs(off).max() < 1e-12
