@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.arguments import check_array, check_takes, shape_of
 from rbjax.errors import InputError, UnknownName
@@ -27,6 +28,7 @@ from rbjax.recommend.request import Say, check_request, double, telling
 from rbjax.wheeled import Fidelity, Robot, at, fidelities
 from rbjax.wheeled.rolling import Rolling
 from rbjax.wheeled.slipping import Slipping
+from rbjax.wheeled.states import with_twist
 
 AGREE = 1 / 8  # of the accuracy: two runs whose poses differ by less have converged
 #: compiles for a minute and costs ten times what its equals do
@@ -138,16 +140,20 @@ def recommend(
     for name in names:
         if name not in fidelities():
             raise UnknownName("fidelity", name, fidelities())
+    names, why_not = _possible(robot, names)
+    given = [at(robot, x, **({"tyre": tyre} if x == "slipping" else {})) for x in names]
     with jax.enable_x64(True):
         start = jnp.zeros(robot.layout.nq) if q is None else q
         start = check_array("recommend", "q", start, (robot.layout.nq,)).astype(jnp.float64)
         twist = check_array("recommend", "twist", twist, (3,)).astype(jnp.float64)
         run = Manoeuvre(start, twist, *_controls(robot, controls, horizon, float(dt)))
-        names, why_not = _possible(robot, names)
-        given = [at(robot, x, **({"tyre": tyre} if x == "slipping" else {})) for x in names]
         vehicles = [jax.tree.map(double, x) for x in given]
         with telling(progress) as say:
-            return _Choice(run, vehicles, float(accuracy), why_not, say).made()
+            found = _Choice(run, vehicles, float(accuracy), why_not, say).made()
+    # as given, and in the caller's dtype
+    vehicle, dtype = given[names.index(found.name)], jnp.result_type(float)
+    state = with_twist(vehicle, *(jnp.asarray(np.asarray(x), dtype) for x in (start, twist)))
+    return replace(found, vehicle=vehicle, state=state)
 
 
 def _controls(
@@ -155,7 +161,7 @@ def _controls(
 ) -> tuple[Any, float, int]:
     """Controls as a table or a function, a step, and the number of steps."""
     seconds = 1.0 if horizon is None else float(horizon)
-    steps = max(1, round(seconds / dt))
+    steps = max(1, math.ceil(seconds / dt * (1 - 1e-9)))
     if callable(controls):
         check_takes("recommend", "controls", controls, "t", "state")
         return controls, seconds / steps, steps
@@ -165,7 +171,7 @@ def _controls(
             f"recommend: horizon is {horizon} and controls are a table of {shape[0]} steps of dt; "
             "leave out the horizon, or give a function (t, state) -> (nu,)"
         )
-    lead = shape[:1] if len(shape) == 2 else ()
+    lead = (max(1, shape[0]),) if len(shape) == 2 else ()  # at least one step
     table = check_array("recommend", "controls", controls, (*lead, robot.nu)).astype(jnp.float64)
     if len(shape) == 2:
         return table, dt, shape[0]
@@ -211,7 +217,8 @@ class _Choice:
         equal = [x for x in vehicles if not isinstance(x, Slipping) and x.nv]
         self.equals = equal[1:]
         # one for each kind of motion, the finest first
-        self.vehicles = [x for x in reversed(vehicles) if x not in self.equals]
+        again = {x.name for x in self.equals}
+        self.vehicles = [x for x in reversed(vehicles) if x.name not in again]
         self._paths: dict[tuple[str, int], State] = {}
         self._least: dict[str, int] = {}  # halvings with which steps are stable
 
@@ -300,7 +307,9 @@ class _Choice:
         failed = [x for x in trials if not x.ok and order.index(x.name) < order.index(best.name)]
         if failed:
             other = max(failed, key=lambda x: order.index(x.name))
-            what = "inertia" if other.name == "kinematic" else "slip"
+            what = "slip"
+            if other.name == "kinematic":
+                what = "accuracy" if best.name == "slipping" else "inertia"
             short = f"{what} decides: {other.name} is off by {other.error:.1e}"
             if what == "slip" and math.isfinite(needed.share):
                 return f"{short}, rolling needs {needed.share:.2g} of the traction of all tyres"

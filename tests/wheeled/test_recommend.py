@@ -162,6 +162,7 @@ def test_controls_of_a_function_and_motors_with_a_free_speed() -> None:
         ({"accuracy": 1e-12}, "accuracy is 1e-12, expected at least 1e-10"),
         ({"horizon": -1.0}, "horizon is -1.0, expected a positive time"),
         ({"controls": np.zeros((5, 2)), "horizon": 1.0}, "leave out the horizon"),
+        ({"controls": np.zeros((0, 2))}, r"controls has shape \(0, 2\), expected \(1, 2\)"),
         ({"controls": np.zeros(3)}, r"controls has shape \(3,\)"),
         ({"controls": lambda t: None}, "controls"),
         ({"q": np.zeros(3)}, r"q has shape \(3,\), expected \(5,\)"),
