@@ -68,8 +68,9 @@ def _of(module: str, name: str) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-# `rb.solvers` and `rb.constraints` offer these names too, although their modules import them.
+# These rooms offer these names too, although the modules of the names import them.
 for _name in ("recommend", "Recommendation"):
+    wheeled.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.fidelity", _name)
     solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.solver", _name)
     constraints.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.formulation", _name)
 

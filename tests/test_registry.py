@@ -1,10 +1,9 @@
 """Every public function of a model and arrays, under jit, vmap, jvp and vjp, on one small robot.
 
-Three calls at the door, outside any transformation, are what the rest is compared with: the same
-function inside one compiled program, with the model closed over, mapped over a batch, and its
-derivatives. A public function that is missing here fails the last test.
+The model is closed over (`check_composes`). A public function that is missing here fails a test.
 """
 
+import functools
 import inspect
 import re
 from collections.abc import Callable
@@ -18,11 +17,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from tests.composing import STEP, check_axes, check_composes
 from tests.quickly import quick_jit
 from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
-
-STEP = 6e-6  # of central differences: the cube root of the rounding unit
 
 # public functions that are not functions of a model and arrays: files of their own test them
 ELSEWHERE = {
@@ -129,11 +127,6 @@ def samples(names: tuple[str, ...], of: str = "small", n: int = 3) -> list[np.nd
     return [drawn[name] for name in names]
 
 
-def flat(tree: Any) -> jax.Array:
-    """All numbers of a result in a row."""
-    return jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(tree)])
-
-
 # of every kind of joint, these are the derivative of a derivative
 LARGE = [n for n, entry in REGISTRY.items() if entry.robot != "small"]
 CASES = [(n, entry.robot) for n, entry in REGISTRY.items()]
@@ -143,45 +136,16 @@ CASES += [pytest.param(n, "small", marks=pytest.mark.slow) for n in LARGE]
 @pytest.mark.parametrize(("name", "of"), CASES)
 def test_composes(name: str, of: str) -> None:
     entry, model = REGISTRY[name], MODEL if of == "small" else robot(of).model
-    xs = samples(entry.arrays, of)
-    rng = np.random.default_rng(1)
-    tangents = [rng.normal(size=x.shape[1:]) for x in xs]
-
-    def f(*arrays):
-        return flat(entry.function(model, *arrays, **entry.rest))
-
-    def everything(tangents, weight, *batch):
-        mapped, rates = jax.vmap(lambda *x: jax.jvp(f, x, tuple(tangents)))(*batch)
-        return mapped, rates[0], jax.vjp(f, *(x[0] for x in batch))[1](weight)
-
-    door = [np.asarray(f(*(x[k] for x in xs))) for k in range(3)]  # a loop, and not compiled by us
-    weight = rng.normal(size=door[0].shape)
-    mapped, rate, gradient = quick_jit(everything)(tangents, weight, *xs)
-    assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
-    ends = [
-        np.asarray(f(*(x[0] + side * STEP * t for x, t in zip(xs, tangents, strict=True))))
-        for side in (-1, 1)
-    ]
-    assert relative_error(rate, (ends[1] - ends[0]) / (2 * STEP), floor=1.0) <= GRADIENT, "jvp"
-    by_reverse = sum((g * t).sum() for g, t in zip(gradient, tangents, strict=True))
-    scale = max(1.0, np.abs(weight * rate).max())
-    assert abs(by_reverse - weight @ rate) <= F64_IDENTITY * scale, "vjp"
+    function = functools.partial(entry.function, model, **entry.rest)
+    check_composes(function, samples(entry.arrays, of))
 
 
 @pytest.mark.parametrize(("name", "of"), CASES)
 def test_a_compiled_function_mapped_and_differentiated(name: str, of: str) -> None:
     """jvp of vmap of jit: results of a custom rule keep their axes (JAX trusts the rule)."""
     entry, model = REGISTRY[name], robot(of, "unrolled").model
-    xs = samples(entry.arrays, of)
-
-    @jax.jit
-    def f(*arrays):
-        return entry.function(model, *arrays, **entry.rest)
-
-    one = jax.eval_shape(f, *(x[0] for x in xs))
-    value, rate = jax.eval_shape(lambda *x: jax.jvp(jax.vmap(f), x, x), *xs)
-    want = jax.tree.map(lambda x: (3, *x.shape), one)
-    assert jax.tree.map(jnp.shape, value) == jax.tree.map(jnp.shape, rate) == want
+    function = functools.partial(entry.function, model, **entry.rest)
+    check_axes(function, samples(entry.arrays, of))
 
 
 def test_a_batch_as_large_as_the_robot() -> None:

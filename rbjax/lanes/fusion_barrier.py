@@ -53,7 +53,7 @@ def _on_cpu(*xs):
         groups.setdefault((x.shape, x.dtype), []).append(i)
     out = list(xs)
     for (shape, dtype), where in groups.items():
-        if not jnp.issubdtype(dtype, jnp.floating):
+        if not jnp.issubdtype(dtype, jnp.inexact):
             continue
         twice = tuple(jnp.broadcast_to(xs[i][None], (2, *shape)) for i in where)
         start = (jnp.zeros((), dtype),) * len(where)

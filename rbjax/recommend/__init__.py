@@ -1,6 +1,8 @@
-"""Which solver, step and formulation fit a motion: measured on it, with a sentence that says why.
+"""Which solver, step, formulation or fidelity fits a motion: measured on it, with a sentence that
+says why.
 
-`rb.solvers.recommend` and `rb.constraints.recommend` are the names for users.
+`rb.solvers.recommend`, `rb.constraints.recommend` and `rb.wheeled.recommend` are the names for
+users.
 """
 
 from rbjax.recommend.solver import Recommendation, recommend

@@ -9,7 +9,11 @@
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
     on any model   TyreOnGround, a force element
+    recommend      the cheapest fidelity that is accurate enough for a manoeuvre
 """
+
+from collections.abc import Callable
+from typing import Any
 
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.contacts import Contacts, contacts
@@ -36,6 +40,17 @@ from rbjax.wheeled.tyre_element import Contact, TyreOnGround
 from rbjax.wheeled.tyre_laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
 from rbjax.wheeled.tyres import Tyre, traction_along
 
+#: names offered here whose module imports this package; `rbjax` fills this table
+FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+
+
+def __getattr__(name: str) -> Any:
+    """`recommend` runs manoeuvres, so its module imports this package; it is loaded on use."""
+    if name in FROM_ABOVE:
+        return FROM_ABOVE[name]()
+    raise AttributeError(f"module 'rbjax.wheeled' has no attribute {name!r}")
+
+
 __all__ = [
     "Arrangement",
     "Body",
@@ -50,6 +65,7 @@ __all__ = [
     "Linear",
     "Motor",
     "Pacejka",
+    "Recommendation",
     "Relaxing",
     "Robot",
     "RollingResistance",
@@ -69,6 +85,7 @@ __all__ = [
     "kinds",
     "pure_pursuit",
     "rates",
+    "recommend",
     "rollout",
     "simulate",
     "stanley",

@@ -93,6 +93,16 @@ METHODS: dict[str, Callable[..., Lists]] = {
 }
 
 
+def advanced(
+    vehicle: Fidelity, n: Numbers, y: Lists, u: list[Lane], h: Lane, method: str
+) -> Lists:
+    """The lists after a step, their velocities put back on what they must satisfy."""
+    q, v, x = METHODS[method](vehicle, n, y, u, h)
+    v = vehicle.settled(n, Instant(n, q, v, x, u))
+    q, v, x = ([jnp.asarray(a, n.dtype) for a in part] for part in (q, v, x))
+    return q, v, x
+
+
 def rollout(
     vehicle: Fidelity,
     state: State,
@@ -210,18 +220,13 @@ def _march(vehicle: Fidelity, state: State, controls: Any, dt: Any, how: _How) -
     """The states (T, nq), (T, nv), (T, nx) of one sample."""
     n, now = vehicle.instant(state)
     dtype = state.q.dtype
-    step = METHODS[how.method]
 
     def once(y: Lists, i: Any) -> tuple[Lists, None]:
         if callable(controls):
             u = jnp.asarray(controls(i * dt, as_state(*y, dtype)), dtype)
         else:
             u = controls[i]
-        given = [u[k] for k in range(vehicle.nu)]
-        out = step(vehicle, n, y, given, dt)
-        out = out[0], vehicle.settled(n, Instant(n, *out, given)), out[2]
-        q, v, x = ([jnp.asarray(a, dtype) for a in part] for part in out)
-        return (q, v, x), None
+        return advanced(vehicle, n, y, [u[k] for k in range(vehicle.nu)], dt, how.method), None
 
     def segment(y: Lists, first: Any) -> tuple[Lists, Lists]:
         if how.save_every == 1:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
 from rbjax.model.leaves import numbers as lanes
-from rbjax.model.leaves import scalar
+from rbjax.model.leaves import scalar, table
 from rbjax.wheeled.planar import Pair, direction, dot
 
 if TYPE_CHECKING:
@@ -103,10 +103,8 @@ def with_lanes(part: Any, dtype: Any) -> Any:
 
 
 def lane_of_leaf(x: Any, dtype: Any) -> Any:
-    """A number as a lane; an array of several as a tuple of lanes."""
-    if jnp.ndim(x) == 0:
-        return scalar(jnp.asarray(x), dtype)
-    return tuple(lanes(x, dtype))
+    """A number as a lane; an array of several as it is, for tyre laws compute with both axes."""
+    return table(x, dtype) if jnp.ndim(x) else scalar(jnp.asarray(x), dtype)
 
 
 def numbers_of(robot: Robot, dtype: Any) -> Numbers:

@@ -125,6 +125,11 @@ class Relaxing(Record):
         return (cx * x * x + cy * y * y) / 2
 
     @property
+    def limits(self) -> Pair:
+        """Those of the law."""
+        return self.law.limits
+
+    @property
     def carcass(self) -> Pair:
         """c = C / sigma along and across, 1/m."""
         (ax, ay), (sx, sy) = self.law.slopes, pair(self.length)

@@ -17,7 +17,7 @@ from rbjax.wheeled.equations import Equations, columns_of, project, weights
 from rbjax.wheeled.fidelity import Fidelity, motor_dampers, torques_at_rest_loads
 from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.numbers import Numbers
-from rbjax.wheeled.planar import Twist, rate_of
+from rbjax.wheeled.planar import Twist, moving, rate_of
 from rbjax.wheeled.velocities import Shape, chassis_twist, free_velocities, ideal, rows, shaft_speed
 
 
@@ -75,6 +75,18 @@ class Rolling(Fidelity):
 
     def start_velocities(self, n: Numbers, now: Instant, w: list[Lane]) -> list[Lane]:
         return free_velocities(n, now.shape, Twist(*w[:3]))
+
+    def holding(self, n: Numbers, now: Instant) -> list[Lane]:
+        """What the ground must do so that wheels roll, M w' - f: by the full velocities, the force
+        (2,) on the robot in the chassis' axes, N, moments, and torques on shafts, N m."""
+        w = self.full(n, now)
+        turning = now.turning(w)
+        rate = [rate_of(x) for x in ideal(n, turning, moving(now.v, self.accelerations(n, now)))]
+        M, f, _ = project(
+            n, now, w, all_of, w,
+            weights(n, now.pose, now.shape), torques_at_rest_loads(n, now, w),
+        )  # fmt: skip
+        return [sub(inner(row, rate), x) for row, x in zip(M, f, strict=True)]
 
 
 class Kinematical(Rolling):

@@ -52,6 +52,10 @@ class Linear(Tyre):
     def slopes(self) -> Pair:
         return pair(self.stiffness)
 
+    @property
+    def limits(self) -> Pair:
+        return super().limits if self.friction is None else pair(self.friction)
+
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         if self.friction is None:
             return self.slopes
@@ -82,6 +86,10 @@ class Coulomb(Tyre):
     @property
     def slopes(self) -> Pair:
         return pair(self.friction / self.width)
+
+    @property
+    def limits(self) -> Pair:
+        return pair(self.friction)
 
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         return _saturated(self.slopes, pair(self.friction), sx, sy)
@@ -127,6 +135,10 @@ class Fiala(Tyre):
     def slopes(self) -> Pair:
         return pair(self.stiffness)
 
+    @property
+    def limits(self) -> Pair:
+        return pair(self.friction)
+
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         cx, cy = self.slopes
         third = self.stiffness / (3 * self.friction)
@@ -170,6 +182,10 @@ class Pacejka(Tyre):
     @property
     def slopes(self) -> Pair:
         return pair(self.stiffness_factor * self.shape * self.peak)
+
+    @property
+    def limits(self) -> Pair:
+        return pair(self.peak)
 
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         bx, by = pair(self.stiffness_factor)
@@ -232,6 +248,10 @@ class TMeasy(Tyre):
     @property
     def slopes(self) -> Pair:
         return pair(self.slope)
+
+    @property
+    def limits(self) -> Pair:
+        return pair(self.peak)
 
     def secants(self, sx: Lane, sy: Lane) -> Pair:
         ix, iy = pair(1 / self.peak_slip)

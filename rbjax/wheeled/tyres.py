@@ -28,6 +28,7 @@ be complex, for derivatives by complex steps.
 # no `from __future__ import annotations`: equinox reads AbstractVar from the annotation itself
 
 import abc
+import math
 from typing import Any
 
 import equinox as eqx
@@ -82,6 +83,11 @@ class Tyre(Record):
     @abc.abstractmethod
     def slopes(self) -> Pair:
         """The secants where nothing slips."""
+
+    @property
+    def limits(self) -> Pair:
+        """The most traction along and across; infinite where there is no limit."""
+        return math.inf, math.inf
 
     @abc.abstractmethod
     def secants(self, sx: Lane, sy: Lane) -> Pair:
@@ -151,8 +157,10 @@ def traction_along(
 
 
 def pair(x: Any) -> Pair:
-    """A coefficient along and across."""
-    return (x[0], x[1]) if isinstance(x, tuple) or jnp.ndim(x) else (x, x)
+    """A coefficient along and across; literals if it is known while tracing."""
+    if not jnp.ndim(x):
+        return x, x
+    return (float(x[0]), float(x[1])) if isinstance(x, np.ndarray) else (x[0], x[1])
 
 
 def check_coefficients(record: Record) -> None:

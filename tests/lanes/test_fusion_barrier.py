@@ -54,6 +54,13 @@ def test_literals_and_integers_pass() -> None:
     assert fusion_barrier({}) == {}
 
 
+def test_complex_values_are_held_too() -> None:
+    x = jnp.asarray([1.0 + 2.0j, -3.0j])
+    held = jax.jit(lambda x: fusion_barrier((x * x,))[0])
+    np.testing.assert_allclose(held(x), x * x, rtol=F64_ROUNDING)
+    assert "stablehlo.reduce" in held.lower(x).as_text()
+
+
 def test_half_of_the_arguments_constant_under_differentiation() -> None:
     def f(x):
         a, b = fusion_barrier((x * x, jnp.ones(())))

@@ -2,7 +2,7 @@
 
 import functools
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -164,7 +164,7 @@ def laws(robot: wheeled.Robot, fidelity: str):
         n, now = reduced.instant(State(q, v), u)
         w = reduced.full(n, now)
         if fidelity == "constrained":
-            rates = stacked(law.accelerations(n, now._replace(v=w)))
+            rates = stacked(law.accelerations(n, replace(now, v=w)))
         else:
             rates = stacked(full_rates(n, now, w, law.accelerations(n, now)))
         return stacked(reduced.coordinate_rates(n, now)), rates

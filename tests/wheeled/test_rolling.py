@@ -10,7 +10,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
 from rbjax.wheeled import Body, Drive, Robot, SpeedServo, Steering, Wheel
 from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
-from rbjax.wheeled.velocities import rows
+from rbjax.wheeled.velocities import ideal, rows
 from tests.oracles import wheeled as oracle
 from tests.wheeled.test_full_model import on_a_slope
 
@@ -146,6 +146,24 @@ def test_velocities_satisfy_the_rows_of_all_wheels(kind) -> None:
     np.testing.assert_allclose(np.array(found, float), 0.0, atol=1e-14)
 
 
+@pytest.mark.parametrize("kind", ["differential_drive", "mecanum", "car", "tractor_trailers"])
+def test_what_holds_the_wheels_does_no_work(kind) -> None:
+    """On any motion that wheels allow; and of a turn at constant speed it is m v w, to the left."""
+    vehicle = wheeled.at(wheeled.kinds()[kind].make().replace(slope=[0.1, -0.05]), "kinematical")
+    state, u = random_state(vehicle, 5)
+    n, now = vehicle.instant(state, u)
+    shape = now.shape
+    held = np.array(vehicle.holding(n, now), float)
+    for unit in np.eye(vehicle.nv):
+        basis = np.array(ideal(n, shape, list(unit)), float)
+        scale = np.abs(held * basis).max()
+        assert abs(held @ basis) <= 1e-13 * max(1.0, scale)
+    cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None, com=(0.0, 0.0)),
+                      "kinematical")  # fmt: skip
+    n, now = cart.instant(wheeled.start(cart, twist=[2.0, 0.0, 0.5]))
+    np.testing.assert_allclose(cart.holding(n, now)[:2], [0.0, 11.0 * 2.0 * 0.5], atol=1e-12)
+
+
 def test_classes_of_arrangements() -> None:
     """Campion, Bastin & D'Andrea-Novel 1996, the five classes (d_m, d_s), and two that lock."""
     kinds = wheeled.kinds()
@@ -193,6 +211,15 @@ def test_wheels_whose_headings_are_backward_roll_by_negative_rates(dtype) -> Non
         arm = np.asarray(wheel.position) - centre
         due = sign * np.array([-arm[1], arm[0]]) / np.hypot(*arm)
         np.testing.assert_allclose(np.array(e, float), due, atol=1e-6)
+
+
+def test_every_kind_has_every_fidelity_and_trailers_can_be_added() -> None:
+    for kind in wheeled.kinds().values():
+        assert kind.fidelities == tuple(wheeled.fidelities())
+    robot = wheeled.with_trailers(differential(), 2, drawbar=0.7)
+    for name, fidelity in wheeled.fidelities().items():
+        vehicle = wheeled.at(robot, name)
+        assert type(vehicle) is fidelity and vehicle.nq == 5 + 2 + 4
 
 
 def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:

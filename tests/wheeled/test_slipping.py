@@ -8,10 +8,11 @@ import pytest
 from rbjax import wheeled
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance
+from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance, TMeasy
 from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
 from rbjax.wheeled.loads import wheel_loads
 from rbjax.wheeled.velocities import contact, twists_of
+from tests.quickly import quick_jit
 
 KINDS = wheeled.kinds()
 SOME = ["differential_drive", "car_trailer"]
@@ -137,6 +138,33 @@ def test_gradients_with_respect_to_tyres_and_wheels() -> None:
         h = 1e-6 * at[k]
         due = (end(at.at[k].add(h)) - end(at.at[k].add(-h))) / (2 * h)
         np.testing.assert_allclose(slope[k], due, rtol=1e-5, atol=1e-8)
+
+
+def test_numbers_along_and_across() -> None:
+    """Two equal numbers are one number, closed over or as arguments; across counts by itself."""
+    robot = KINDS["bicycle"].make()
+    tyres = [
+        Fiala(12.0, 0.8),
+        Fiala([12.0, 12.0], [0.8, 0.8]),
+        TMeasy(25.0, 0.1, 1.0, 0.4, 0.8),
+        TMeasy([25.0, 25.0], 0.1, [1.0, 1.0], 0.4, [0.8, 0.8]),
+    ]
+
+    @quick_jit
+    def closed(q, v):
+        vehicles = [wheeled.at(robot, "slipping", tyre=x) for x in tyres]
+        return [wheeled.rates(x, State(q, v), jnp.ones(2)).v for x in vehicles]
+
+    v = jnp.array([8.0, 0.3, 0.1, 27.0, 26.0])
+    found = closed(jnp.full(6, 0.1), v)
+    for one, two in (found[:2], found[2:]):
+        np.testing.assert_allclose(two, one, rtol=1e-13)
+    given = wheeled.at(robot, "slipping", tyre=Fiala([12.0, 12.0], [0.8, 0.8]))
+    rate = wheeled.rates(given, State(jnp.full(6, 0.1), v), jnp.ones(2)).v
+    np.testing.assert_allclose(rate, found[0], rtol=1e-12)
+    slick = wheeled.at(robot, "slipping", tyre=Fiala([12.0, 6.0], [0.8, 0.4]))
+    less = wheeled.rates(slick, State(jnp.full(6, 0.1), v), jnp.ones(2)).v
+    assert abs(less[1] - rate[1]) > 0.1
 
 
 def test_what_cannot_slip_is_refused() -> None:

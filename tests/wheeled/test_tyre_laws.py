@@ -117,7 +117,9 @@ def test_traction_opposes_sliding_within_the_ellipse(law):
     assert np.all(mu[0] * sx < 0) and np.all(mu[1] * sy < 0)
     back = law.traction(-sx, -sy)
     np.testing.assert_array_equal(np.negative(mu), back)
+    assert np.all(np.isinf(law.limits)) == (limits(law) is None)
     if limits(law) is not None:
+        np.testing.assert_array_equal(law.limits, limits(law))
         (a, b), (x, y) = limits(law), mu
         assert np.max((x / a) ** 2 + (y / b) ** 2) <= 1 + 1e-12
 
