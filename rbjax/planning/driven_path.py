@@ -81,7 +81,8 @@ def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
     """One path, as the robot drives it from where it stands straight. Steps of zeros stay."""
     robot, steps = vehicle.robot, path.steps
     steerings, dtype = robot.layout.steerings, path.steps.dtype
-    unit = jnp.stack([jnp.ones((), dtype), jnp.ones((), dtype), _reach(vehicle, dtype)])
+    one = jnp.ones((), dtype)
+    unit = jnp.stack([one, one, reach_of(vehicle, dtype)])
     size = _norm(steps * unit)
     moves = size > 0
     twist = steps / jnp.where(moves, size, 1.0)[:, None]
@@ -127,7 +128,7 @@ def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
     return DrivenPath(size, stops, turns, bends, *both)
 
 
-def _reach(vehicle: Fidelity, dtype) -> jax.Array:
+def reach_of(vehicle: Fidelity, dtype) -> jax.Array:
     """The largest distance of a wheel of the chassis from its origin, m."""
     places = [jnp.asarray(w.position, dtype) for w in vehicle.robot.wheels if w.body == 0]
     return jnp.maximum(_norm(jnp.stack(places)).max(), 1e-2)

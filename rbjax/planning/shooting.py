@@ -30,16 +30,15 @@ from rbjax.planning.occupancy import DistanceField
 from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.numbers import stacked
 
-
 #: where each stage is taken, along the slope before it, and its weight
 RK4 = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0])
 
 
 class Shooting(NamedTuple):
     """Fields: vehicle; limits, of finite steering; units (nu,), the largest controls; duration (),
-    the unit of durations, s; length () m and speed () m/s and reach () m, units of deviations;
-    start (nz,); goal (3,); field and footprint, or None; due (n parts, discs) m, clearances.
-    Static: parts, the steps of an interval.
+    the unit of durations, s; length () m, reach () m, which makes m of rad, and speeds (nv,), units
+    of deviations; start (nz,); goal (3,); field and footprint, or None; due (n parts, discs) m,
+    clearances. Static: parts, the steps of an interval.
 
     Unknown is w (n, nu + 1): controls and a duration, in these units.
     """
@@ -49,8 +48,8 @@ class Shooting(NamedTuple):
     units: jax.Array
     duration: jax.Array
     length: jax.Array
-    speed: jax.Array
     reach: jax.Array
+    speeds: jax.Array
     start: jax.Array
     goal: jax.Array
     field: DistanceField | None
@@ -105,21 +104,20 @@ class Shooting(NamedTuple):
         off = z[:3] - self.goal
         return jnp.concatenate(
             [off[:2] / self.length, off[2:3] * self.reach / self.length,
-             z[self.tracked :] / self.speed]
+             z[self.tracked :] / self.speeds]
         )  # fmt: skip
 
     def below(self, z: jax.Array, due: jax.Array | None) -> jax.Array:
         """What is at most zero in a state."""
-        twist = self.twist(z)
-        rows = [
-            (twist[0] ** 2 + twist[1] ** 2) / self.limits.speed**2 - 1,
-            (twist[2] / self.limits.turn_rate) ** 2 - 1,
-        ]
-        at = self.vehicle.robot.layout.steerings
-        rows += [*((z[at] / self.limits.steering) ** 2 - 1)]
+        x, y, turn = self.twist(z)
+        square = x * x + y * y
+        speed = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+        both = jnp.append(z[self.vehicle.robot.layout.steerings] / self.limits.steering,
+                          turn / self.limits.turn_rate)  # fmt: skip
+        rows = [(speed / self.limits.speed)[None] - 1, both - 1, -both - 1]
         if self.field is None:
-            return jnp.stack(rows)
-        return jnp.concatenate([jnp.stack(rows), (due - self.clearances(z)) / self.length])
+            return jnp.concatenate(rows)
+        return jnp.concatenate([*rows, (due - self.clearances(z)) / self.length])
 
     def twist(self, z: jax.Array) -> jax.Array:
         """Of the chassis (3,)."""
@@ -155,8 +153,9 @@ class Shooting(NamedTuple):
         S = S.reshape(n * parts, nz, -1)
         flat = z.reshape(-1, nz)
         end, by_end = self.equal(flat[-1]), jax.jacfwd(self.equal)(flat[-1])
-        low, by_z = jax.vmap(self.below)(flat, self.due), jax.vmap(jax.jacfwd(self.below))(
-            flat, self.due
+        low, by_z = (
+            jax.vmap(self.below)(flat, self.due),
+            jax.vmap(jax.jacfwd(self.below))(flat, self.due),
         )
         G = jnp.einsum("krz,kzw->krw", by_z, S)
         return (end, by_end @ S[-1]), (low.ravel(), G.reshape(-1, G.shape[-1]))

@@ -186,9 +186,7 @@ def _timed(vehicle: Fidelity, p: DrivenPath, limits: Limits, x: jax.Array) -> Ti
         s.A * u[:, None] + s.B * y[:, None] + s.C for s, y in ((p.first, x[:-1]), (p.last, x[1:]))
     ]
     driving = jnp.concatenate([(tau[0] + tau[1]) / 2, p.bends * (both / 2)[:, None]], -1)
-    standing = jnp.concatenate(
-        [p.first.C, p.turns / jnp.where(stand > 0, stand, 1.0)[:, None]], -1
-    )
+    standing = jnp.concatenate([p.first.C, p.turns / jnp.where(stand > 0, stand, 1.0)[:, None]], -1)
 
     def in_turn(a, b):
         return jnp.stack([a, b], 1).reshape(2 * n, *a.shape[1:])
