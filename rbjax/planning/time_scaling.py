@@ -106,13 +106,16 @@ def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
     cap = jnp.minimum(caps[0], jnp.concatenate([zero[None], caps[1, :-1]]))
     cap = jnp.where(p.stops, 0.0, cap)
 
+    flat = jnp.sqrt(jnp.finfo(dtype).eps)
+
     def rows(k, low, high):
         """Half-planes a u + b x <= c of step k, whose end is in [low, high]."""
         step, (A0, B0, C0), (A1, B1, C1) = k
         A, B = jnp.stack([A0, A1 + 2 * step * B1]) / most, jnp.stack([B0, B1]) / most
         C, one = jnp.stack([C0, C1]) / most, jnp.ones(1, dtype)
-        a, b = jnp.ravel(A), jnp.ravel(B)
-        c = jnp.ravel(C)
+        a, b, c = (jnp.ravel(x) for x in (A, B, C))
+        # where a torque hardly depends on u, rounding is all that it says of u
+        a = jnp.where(jnp.abs(a) > flat * jnp.abs(a).max(), a, 0.0)
         return (
             jnp.concatenate([a, -a, 2 * step * one, -2 * step * one]),
             jnp.concatenate([b, -b, one, -one]),
