@@ -40,7 +40,7 @@ def solve(
     H: jax.Array, c: jax.Array, G: jax.Array, g: jax.Array, price: jax.Array,
     low: jax.Array, high: jax.Array, iterations: int,
 ) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """d (n,), strictly within the box, and the multipliers (m,) of the rows.
+    """d (n,), within the box, and the multipliers (m,) of the rows.
 
     H: (n, n), positive semidefinite. price: (m,), above zero. low < high. Every iteration factors
     one matrix (n, n).

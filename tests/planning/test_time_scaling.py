@@ -89,7 +89,11 @@ def test_a_linear_program_finds_no_faster_motion() -> None:
                 row[at] += by_x[i]
                 rows += [row, -row]
                 most += [torque, torque]
-    caps = [0.0] + [1 / max(a[0], b[0]) ** 2 for a, b in zip(ends[1], ends[0][1:])] + [0.0]
+    caps = (
+        [0.0]
+        + [1 / max(a[0], b[0]) ** 2 for a, b in zip(ends[1][:-1], ends[0][1:], strict=True)]
+        + [0.0]
+    )
     best = linprog(-np.ones(n + 1), rows, most, bounds=[(0, c) for c in caps])
     assert best.status == 0
     speed = np.sqrt(np.maximum(best.x, 0.0))
