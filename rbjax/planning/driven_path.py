@@ -18,10 +18,12 @@ Source: Bobrov, Dubowsky & Gibson, IJRR 4 (1985) 3, section 2; Lynch & Park, *Mo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.model import State
 from rbjax.planning.limits import Limits
@@ -33,6 +35,8 @@ from rbjax.wheeled.states import with_twist
 
 TURN = 0.5  # the cosine of the largest change of direction that is rounded: 60 degrees
 PARTS = 4  # steps of the fourth order that integrate the coordinates over one of the path
+#: when each stage is, how far along the slope before it, and its weight
+RK4 = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0]) / 6
 
 
 class Sides(NamedTuple):
@@ -58,6 +62,20 @@ class DrivenPath(NamedTuple):
     bends: jax.Array
     first: Sides
     last: Sides
+
+
+def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
+    """A step of the classical Runge-Kutta method; slope is a function of y and of the part of the
+    step that is done. Its stages are a loop, which makes a quarter of the program."""
+
+    def stage(carry, weights):
+        k, total = carry
+        part, weight = weights
+        k = slope(y + h * part * k, part)
+        return (k, total + weight * k), None
+
+    zero = jnp.zeros_like(y)
+    return y + h * jax.lax.scan(stage, (zero, zero), RK4)[0][1]
 
 
 def torques_for(vehicle: Fidelity, limits: Limits, q, v, rates, turning) -> jax.Array:
@@ -91,14 +109,16 @@ def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
     before, after = jnp.roll(twist, 1, 0), jnp.roll(twist, -1, 0)
     cosine = (before * twist * unit**2).sum(-1)
     stops = (cosine < TURN).at[0].set(True)
-    stops_after = jnp.roll(stops, -1)
-    ends = (
-        jnp.where(stops[:, None], twist, (before + twist) / 2),
-        jnp.where(stops_after[:, None], twist, (twist + after) / 2),
+    # at the begins and at the ends of steps: two rows
+    ends = jnp.stack(
+        [
+            jnp.where(stops[:, None], twist, (before + twist) / 2),
+            jnp.where(jnp.roll(stops, -1)[:, None], twist, (twist + after) / 2),
+        ]
     )
-    angles = [_angles(vehicle, x) for x in ends]
-    straight = jnp.zeros_like(angles[0][:1])
-    turns = angles[0] - jnp.concatenate([straight, angles[1][:-1]])
+    angles = _angles(vehicle, ends)
+    straight = jnp.zeros_like(angles[0, :1])
+    turns = angles[0] - jnp.concatenate([straight, angles[1, :-1]])
     turns = jnp.where(stops[:, None], turns, 0.0)
     width = jnp.where(moves, size, 1.0)[:, None]
     bends = jnp.where(moves[:, None], (angles[1] - angles[0]) / width, 0.0)
@@ -107,7 +127,7 @@ def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
         q = jnp.zeros(vehicle.nq, dtype).at[steerings].set(angle)
         return with_twist(vehicle, q, twist).v
 
-    nu = [jax.vmap(velocities)(*x) for x in zip(ends, angles, strict=True)]
+    nu = jax.vmap(jax.vmap(velocities))(ends, angles)
     start = jnp.zeros(vehicle.nq, dtype).at[:3].set(path.start.astype(dtype))
     q = _coordinates(vehicle, start, size, turns, bends, nu)
     slope = (nu[1] - nu[0]) / width
@@ -118,14 +138,13 @@ def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
             rates = nu * rate + slope * x
             return torques_for(vehicle, limits, q, nu * root, rates, bend * root)
 
-        zero, one = jnp.zeros((), dtype), jnp.ones((), dtype)
-        C = torques(zero, zero)
-        return torques(one, zero) - C, torques(zero, one) - C, C
+        units = jnp.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], dtype)
+        C, A, B = jax.vmap(torques)(*units)
+        return A - C, B - C, C
 
-    both = [
-        Sides(q[i], nu[i], ends[i], *jax.vmap(linear)(q[i], nu[i], slope, bends)) for i in (0, 1)
-    ]
-    return DrivenPath(size, stops, turns, bends, *both)
+    both = jax.vmap(jax.vmap(linear), (0, 0, None, None))(q, nu, slope, bends)
+    sides = [Sides(*(x[i] for x in (q, nu, ends, *both))) for i in (0, 1)]
+    return DrivenPath(size, stops, turns, bends, *sides)
 
 
 def reach_of(vehicle: Fidelity, dtype) -> jax.Array:
@@ -148,12 +167,12 @@ def _held(rows: jax.Array, known: jax.Array) -> jax.Array:
 
 def _angles(vehicle: Fidelity, twists: jax.Array) -> jax.Array:
     if not vehicle.robot.steerings:
-        return jnp.zeros((len(twists), 0), twists.dtype)
-    return jax.vmap(lambda x: commands(vehicle.robot, x).angles)(twists)
+        return jnp.zeros((*twists.shape[:-1], 0), twists.dtype)
+    return jax.vmap(jax.vmap(lambda x: commands(vehicle.robot, x).angles))(twists)
 
 
-def _coordinates(vehicle: Fidelity, start, size, turns, bends, nu) -> list[jax.Array]:
-    """Coordinates (n, nq) at the begin and at the end of each step, integrated along it."""
+def _coordinates(vehicle: Fidelity, start, size, turns, bends, nu) -> jax.Array:
+    """Coordinates (2, n, nq) at the begin and at the end of each step, integrated along it."""
     at = vehicle.robot.layout.steerings
     drives = jnp.zeros(len(vehicle.robot.drives), start.dtype)
 
@@ -164,17 +183,15 @@ def _coordinates(vehicle: Fidelity, start, size, turns, bends, nu) -> list[jax.A
     def over(q, step):
         size, turn, bend, nu0, nu1 = step
         q = first = q.at[at].add(turn)
-        h = size / PARTS
 
         def part(q, i):
-            v0, v1, v2 = (nu0 + (nu1 - nu0) * (i + c) / PARTS for c in (0.0, 0.5, 1.0))
-            k1 = slope(q, v0, bend)
-            k2 = slope(q + h / 2 * k1, v1, bend)
-            k3 = slope(q + h / 2 * k2, v1, bend)
-            k4 = slope(q + h * k3, v2, bend)
-            return q + h / 6 * (k1 + 2 * (k2 + k3) + k4), None
+            def rates(q, part):
+                return slope(q, nu0 + (nu1 - nu0) * (i + part) / PARTS, bend)
+
+            return rk4(rates, q, size / PARTS), None
 
         q, _ = jax.lax.scan(part, q, jnp.arange(PARTS, dtype=q.dtype))
-        return q, (first, q)
+        return q, jnp.stack([first, q])
 
-    return list(jax.lax.scan(over, start, (size, turns, bends, *nu))[1])
+    q = jax.lax.scan(over, start, (size, turns, bends, *nu))[1]
+    return jnp.swapaxes(q, 0, 1)

@@ -51,7 +51,7 @@ def solve(
         return [(p.y, p.l), (p.s, price - p.l), (p.d - low, p.zl), (high - p.d, p.zu)]
 
     def gap(p: _Point) -> jax.Array:
-        return sum((a * b).sum() for a, b in pairs(p)) / (2 * (n + m))
+        return jnp.stack([(a * b).sum() for a, b in pairs(p)]).sum() / (2 * (n + m))
 
     def moved(p: _Point, step: _Point, a: jax.Array, b: jax.Array) -> _Point:
         d, y, s = (x + a * dx for x, dx in zip(p[:3], step[:3], strict=True))

@@ -148,7 +148,7 @@ def refine(
         >>> robot = rb.wheeled.kinds()["differential_drive"].make(caster=None)
         >>> cart = rb.wheeled.at(robot, "kinematical")
         >>> corner = Path([0.0, 0.0, 0.0], [[1.0, 0, 0], [0, 0, 1.5], [1.0, 0, 0]]).split(0.1)
-        >>> quick = refine(cart, corner, Limits(torque=0.4, speed=1.0), intervals=30, iterations=15)
+        >>> quick = refine(cart, corner, Limits(torque=0.4, speed=1.0), intervals=20, iterations=9)
         >>> quick.status, bool(quick.motion.time < 0.6 * quick.start_time)
         ('refined', True)
     """
@@ -193,20 +193,20 @@ def _refine(
     s = Shooting(
         vehicle, limits, units, dt, length, reach,
         _speed_units(vehicle.nv, length / motion.time, reach),
-        begin, path.poses[-1].astype(dtype), field, footprint, None, parts,
+        begin, path.poses[-1].astype(dtype), field, footprint,
+        jnp.zeros((intervals * parts, 0), dtype), parts,
     )  # fmt: skip
     w = jnp.column_stack([controls / units, jnp.ones(intervals, dtype)])
     w = jnp.clip(w, -1.0, 1.0)  # rounding
-    flat = s.states(w).reshape(intervals * parts, -1)
-    if field is None:
-        s = s._replace(due=jnp.zeros((len(flat), 0), dtype))
-    else:
+    if field is not None:
         sure = field.resolution / math.sqrt(2)
+        flat = s.states(w).reshape(intervals * parts, -1)
         due = jnp.clip(jax.vmap(s.clearances)(flat), sure, jnp.maximum(margin, sure))
         s = s._replace(due=due)
     found = optimised(s, w, iterations)
+    z = jnp.concatenate([s.start[None], s.states(found.w)[:, -1]])
     return Refined(
-        _as_motion(s, found.w), _residuals(s, found.w), motion.time, found.taken, first.ok
+        _as_motion(s, found.w, z), _residuals(s, found.w, z[-1]), motion.time, found.taken, first.ok
     )
 
 
@@ -216,17 +216,17 @@ def _speed_units(nv: int, speed: jax.Array, reach: jax.Array) -> jax.Array:
     return units.at[-1].divide(reach) if nv > 1 else units
 
 
-def _as_motion(s: Shooting, w: jax.Array) -> Timed:
-    z = jnp.concatenate([s.start[None], s.states(w)[:, -1]])
+def _as_motion(s: Shooting, w: jax.Array, z: jax.Array) -> Timed:
     states = jax.vmap(s.state)(z)
     ts = jnp.concatenate([jnp.zeros(1, w.dtype), jnp.cumsum(w[:, -1] * s.duration)])
     return Timed(ts, states.q, states.v, w[:, :-1] * s.units)
 
 
-def _residuals(s: Shooting, w: jax.Array) -> Residuals:
-    fine = s._replace(parts=FINER * s.parts).states(w)
-    z = fine.reshape(-1, fine.shape[-1])
-    end, other = z[-1], s.states(w)[-1, -1]
+def _residuals(s: Shooting, w: jax.Array, coarse: jax.Array) -> Residuals:
+    """coarse: the last state, in the steps of the search."""
+    z = s._replace(parts=FINER * s.parts).states(w)
+    z = z.reshape(-1, z.shape[-1])
+    end = z[-1]
     off = end[:3] - s.goal
     none = jnp.zeros((len(z), 0), w.dtype)
     over = 1 + jax.vmap(s._replace(field=None).below)(z, none)
@@ -243,7 +243,7 @@ def _residuals(s: Shooting, w: jax.Array) -> Residuals:
     return Residuals(
         jnp.hypot(off[0], off[1]), jnp.abs(off[2]), jnp.abs(end[s.tracked :] / s.speeds).max(),
         jnp.abs(w[:, :drives]).max(), jnp.abs(rates).max(), jnp.abs(angles).max(initial=0.0),
-        clearance, free, jnp.abs(end[:2] - other[:2]).max(),
+        clearance, free, jnp.abs(end[:2] - coarse[:2]).max(),
     )  # fmt: skip
 
 

@@ -21,24 +21,21 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from rbjax.model import State
+from rbjax.planning.driven_path import rk4
 from rbjax.planning.footprint import Footprint, placed
 from rbjax.planning.limits import Limits
 from rbjax.planning.occupancy import DistanceField
 from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.numbers import stacked
 
-#: where each stage is taken, along the slope before it, and its weight
-RK4 = np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 2.0, 2.0, 1.0])
-
 
 class Shooting(NamedTuple):
     """Fields: vehicle; limits, of finite steering; units (nu,), the largest controls; duration (),
     the unit of durations, s; length () m, reach () m, which makes m of rad, and speeds (nv,), units
     of deviations; start (nz,); goal (3,); field and footprint, or None; due (n parts, discs) m,
-    clearances. Static: parts, the steps of an interval.
+    clearances; none without a map. Static: parts, the steps of an interval.
 
     Unknown is w (n, nu + 1): controls and a duration, in these units.
     """
@@ -54,7 +51,7 @@ class Shooting(NamedTuple):
     goal: jax.Array
     field: DistanceField | None
     footprint: Footprint | None
-    due: jax.Array | None
+    due: jax.Array
     parts: int
 
     @property
@@ -75,17 +72,8 @@ class Shooting(NamedTuple):
         """The states (parts, nz) in an interval, the last at its end."""
         u, h = w[:-1] * self.units, w[-1] * self.duration / self.parts
 
-        def stage(carry, ab):
-            z, k, total = carry
-            a, b = ab
-            k = self.rates(z + h * a * k, u)
-            return (z, k, total + b * k), None
-
         def step(z, _):
-            # the stages as a loop: a quarter of the program
-            zero = jnp.zeros_like(z)
-            total = jax.lax.scan(stage, (z, zero, zero), RK4)[0][2]
-            z = z + h / 6 * total
+            z = rk4(lambda z, c: self.rates(z, u), z, h)
             return z, z
 
         return jax.lax.scan(step, z, length=self.parts)[1]
@@ -107,7 +95,7 @@ class Shooting(NamedTuple):
              z[self.tracked :] / self.speeds]
         )  # fmt: skip
 
-    def below(self, z: jax.Array, due: jax.Array | None) -> jax.Array:
+    def below(self, z: jax.Array, due: jax.Array) -> jax.Array:
         """What is at most zero in a state."""
         x, y, turn = self.twist(z)
         square = x * x + y * y

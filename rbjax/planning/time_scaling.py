@@ -124,7 +124,8 @@ def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
 
     def back(next, k):
         step, cap = k
-        low, high = _eliminated(*rows(step, *next), cap)
+        a, b, c = rows(step, *next)
+        low, high = _eliminated(a, b, c, cap)
         return (low, high), (low, high)
 
     steps = p.size, p.first[3:], p.last[3:]
