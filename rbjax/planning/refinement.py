@@ -10,6 +10,13 @@ Each turn linearises e and b, solves the program of the step in a box, the trust
 (`elastic_program`), and corrects its end by e at the new controls (a correction of second order).
 It takes the step if the sum falls, and widens or narrows the box by how well it was foreseen.
 
+What it gains on plans of `plan` (tests/planning/test_refinement.py; seconds of motion):
+
+                                       along the path    refined
+    a small car through a gap                    13.2       10.1
+    a differential drive around a wall           14.6        5.8
+    three omnidirectional wheels, there          11.8        5.6
+
 Source: Fletcher, *Practical Methods of Optimization*, 14.4 (the Sl1QP method); Nocedal & Wright,
 *Numerical Optimization*, 18.5, 18.8.
 """
@@ -116,8 +123,10 @@ def refine(
     """A faster motion than any along a path, with the same ends, within limits and off obstacles.
 
     It begins with `time_scaling`, and changes controls and durations by gradients through the
-    robot's dynamics. The motion may leave the path: it cuts corners where the map lets it. It is a
-    local optimum near the path, or on the way to one.
+    robot's dynamics. The motion may leave the path: it cuts corners where the map lets it, and may
+    reverse elsewhere. It is a local optimum near the path, or on the way to one.
+
+    The time can be differentiated by limits and by numbers of the robot, in forward mode.
 
     Args:
         vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
@@ -131,7 +140,8 @@ def refine(
             one cell.
         intervals: of constant controls.
         iterations: how many steps are tried.
-        parts: Runge-Kutta steps of an interval.
+        parts: Runge-Kutta steps of an interval. A caster turns within its trail, and needs steps
+            as short: 10 or so. `residuals.defect` says whether they are.
 
     Returns:
         `Refined`; its motion in `intervals` intervals. Replay `motion.sampled(steps)` by

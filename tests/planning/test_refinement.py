@@ -114,6 +114,46 @@ def test_many_at_once_and_another_fidelity() -> None:
 
 
 @pytest.mark.slow
+def test_a_trailer_and_a_caster_come_along() -> None:
+    """Their angles are states of the motion; a caster takes short steps."""
+    trailer = rb.wheeled.at(KINDS["car_trailer"].make(), "kinematical")
+    bends = Path(np.zeros(3), [[10.0, 0.0, 1.5], [8.0, 0.0, -1.0]]).split(0.5)
+    caster = rb.wheeled.at(KINDS["differential_drive"].make(), "kinematical")
+    corner = Path(np.zeros(3), [[0.5, 0, 0], [0, 0, 1.2], [0.5, 0, 0]]).split(0.1)
+    cases = [
+        (trailer, bends, Limits(600.0, 5.0, steering_rate=0.5), 2),
+        (caster, corner, Limits(TORQUE, 1.0, 2.0), 10),
+    ]
+    for vehicle, path, limits, parts in cases:
+        got = refine(vehicle, path, limits, intervals=40, iterations=25, parts=parts)
+        assert got.status == "refined", got.residuals
+        assert float(got.motion.time) < 0.8 * float(got.start_time)
+        u, dt = got.motion.sampled(8000)
+        begin = rb.wheeled.start(vehicle, path.start)
+        run = rb.wheeled.rollout(vehicle, begin, u, dt, save_every=8000)
+        off = np.asarray(run.q[-1] - got.motion.q[-1])[: vehicle.robot.layout.casters.start]
+        assert np.abs(off).max() < 0.005
+        assert np.abs(np.asarray(run.q[-1, :3] - path.poses[-1])).max() < 0.01
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_time() -> None:
+    """By torque and by speed, through the whole search, against differences."""
+    vehicle = cart(0.05)
+    corner = Path(np.zeros(3), [[1.0, 0, 0], [0, 0, 1.5], [1.0, 0, 0]]).split(0.2)
+
+    def time(x):
+        limits = Limits(x[0], speed=x[1])
+        return refine(vehicle, corner, limits, intervals=20, iterations=60).motion.time
+
+    at, h = jnp.array([0.4, 1.0]), 1e-3
+    slopes, value = jax.jit(jax.jacfwd(time))(at), jax.jit(time)
+    for i, step in enumerate(h * np.eye(2)):
+        want = float(value(at + step) - value(at - step)) / (2 * h)
+        assert float(slopes[i]) == pytest.approx(want, rel=2e-3)  # it is an optimum to 1e-3
+
+
+@pytest.mark.slow
 def test_failures_are_results() -> None:
     """No motion holds the limits on a steep slope; a wall across the path is never crossed."""
     steep = rb.wheeled.at(cart().robot.replace(slope=jnp.array([0.5, 0.0])), "kinematical")
