@@ -8,7 +8,8 @@ leaves the path where that saves time. Unknown are the controls and the duration
 
 Each turn linearises e and b, solves the program of the step in a box, the trust region
 (`elastic_program`), and corrects its end by e at the new controls (a correction of second order).
-It takes the step if the sum falls, and widens or narrows the box by how well it was foreseen.
+It takes the step if the sum falls, and widens or narrows the box by how well it was foreseen. The
+last turns leave T out, so what is left of e and b goes.
 
 What it gains on plans of `plan` (tests/planning/test_refinement.py; seconds of motion):
 
@@ -49,6 +50,7 @@ INNER = 12  # iterations of a program
 CORRECTIONS = 3  # looks at a step, each corrected by the one before
 PROXIMAL = 0.3
 FIRST, LEAST = 0.3, 1e-6  # half a side of the trust region, of the ranges
+LAST, SMALL = 6, 1e-5  # turns at the end that only lower |e| + |b|, down to this
 NEAR = 2e-3  # deviations in m, rad and of a limit that a feasible motion may have
 FINER = 4  # steps of the replay for one of the search
 PLAIN = 0.05  # rad, that a robot may steer on any path
@@ -273,13 +275,14 @@ def optimised(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
     lowest = (-one).at[:, -1].set(SHORTEST)
     highest = one.at[:, -1].set(LONGEST)
     H = PROXIMAL / n * jnp.eye(w.size, dtype=w.dtype)
-    cost = jnp.zeros_like(w).at[:, -1].set(1 / n)
+    by_time = jnp.zeros_like(w).at[:, -1].set(1 / n)
 
     def penalty(equal, below):
         return PRICE * (jnp.abs(equal).sum() + jnp.maximum(below, 0.0).sum())
 
     def turn(now: Iterate) -> Iterate:
-        w = now.w
+        w, first = now.w, now.turns < iterations
+        cost = first * by_time
         (e, E), (b, B) = s.linear(w)
         low = jnp.maximum(lowest - w, -now.radius).ravel()
         high = jnp.minimum(highest - w, now.radius).ravel()
@@ -305,15 +308,16 @@ def optimised(s: Shooting, w: jax.Array, iterations: int) -> Iterate:
         _, (steps, merits) = jax.lax.scan(corrected, d, length=CORRECTIONS)
         k = jnp.nanargmin(merits)
         share = (merit - merits[k]) / jnp.maximum(merit - foreseen, jnp.finfo(w.dtype).tiny)
-        good = merits[k] < merit
+        good = (merits[k] < merit) & (first | (merit > SMALL))
         radius = jnp.where(share > 0.75, 2 * now.radius, now.radius)
         radius = jnp.where(good & (share > 0.25), radius, now.radius / 3)
-        return Iterate(
-            jnp.where(good, steps[k], w), jnp.minimum(radius, 1.0), now.turns + 1, now.taken + good
-        )
+        radius = jnp.minimum(radius, 1.0)
+        turns = jnp.where(first & (radius < LEAST), iterations, now.turns + 1)
+        radius = jnp.where(turns == iterations, FIRST, radius)
+        return Iterate(jnp.where(good, steps[k], w), radius, turns, now.taken + good)
 
     def goes_on(now: Iterate):
-        return (now.turns < iterations) & (now.radius > LEAST)
+        return (now.turns < iterations + LAST) & (now.radius > LEAST)
 
     zero = jnp.zeros((), int)
     w = jnp.clip(w, lowest, highest)
