@@ -138,6 +138,10 @@ def test_the_robot_drives_there_with_these_torques() -> None:
             rb.wheeled.at(KINDS["omni_3"].make(), "kinematical"),
             [[0.6, 0, 0], [0.3, 0.3, 0], [0, 0, 1.0]], Limits([0.2, 0.3, 0.2], 1.0), 0.03,
         ),
+        (
+            rb.wheeled.at(KINDS["mecanum"].make(), "kinematical"),  # 4 drives, 3 velocities
+            [[0.6, 0, 0], [0, 0.4, 0]], Limits(0.3, 1.0), 0.03,
+        ),
     ]  # fmt: skip
     for vehicle, steps, limits, spacing in cases:
         path = Path([0.3, -0.2, 0.4], steps).split(spacing)
