@@ -7,6 +7,7 @@
     searches              hybrid_a_star, grid_a_star, grid_dijkstra, grid_dijkstra_many
                           with Controls -> Plan
     refinement            smooth -> Smoothed
+    motions in time       time_scaling -> TimeScaled, refine -> Refined, within Limits; Timed
 Poses are (x, y, heading) in m and rad; leading axes are a batch.
 """
 
@@ -17,10 +18,13 @@ from rbjax.planning.front_door import drives, methods, plan
 from rbjax.planning.grid_a_star import grid_a_star
 from rbjax.planning.grid_dijkstra import grid_dijkstra
 from rbjax.planning.hybrid_a_star import hybrid_a_star
+from rbjax.planning.limits import Limits, Timed
 from rbjax.planning.many_searches import grid_dijkstra_many
 from rbjax.planning.occupancy import DistanceField, OccupancyGrid
 from rbjax.planning.paths import Path, Plan, clear_along
+from rbjax.planning.refinement import Refined, Residuals, refine
 from rbjax.planning.smoothing import Smoothed, smooth
+from rbjax.planning.time_scaling import TimeScaled, time_scaling
 
 __all__ = [
     # from map to path
@@ -50,4 +54,12 @@ __all__ = [
     # refinement
     "Smoothed",
     "smooth",
+    # motions in time
+    "Limits",
+    "Refined",
+    "Residuals",
+    "TimeScaled",
+    "Timed",
+    "refine",
+    "time_scaling",
 ]
