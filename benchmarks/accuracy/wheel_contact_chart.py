@@ -122,5 +122,6 @@ def timestep(axis: Any, rows: list[dict[str, Any]], about: dict[str, Any]) -> No
     for (sweep, integrator), (label, colour, marker, way) in STEPS.items():
         at = points(rows, lambda r: 1e3 * r["dt"], sweep=sweep, integrator=integrator)
         line(axis, at, label, colour, marker, way)
-    axis.axhline(max(about["bound"], 1e-13), color=INK, lw=0.8, ls="--")
+    axis.axhline(max(about["bound"], 1e-13), color=INK, lw=0.8, ls="--",
+                 label="bound of the reference's error")  # fmt: skip
     axis.set_xlabel("timestep [ms]")

@@ -5,11 +5,12 @@ The bodies and joints are those of `full_model(robot, "free")`, in the same orde
     wheel i      a shape about its centre that touches the plane "ground" and nothing else
     drive j      an actuator: its motor's law, on the axle of its wheel, or on the fixed tendon
                  W = sum split_i phi'_i of a differential
-    steering j   an actuator: a servo of the rate, with the gain k = I / T,
+    steering j   an actuator: a servo of the rate, with the gain k = inertia / steering_time,
                      k (u - b')             without a lag
                      k ((u - b) / lag - b') with one
     linkage      Ackermann's geometry as MuJoCo's polynomial of degree 4
     shafts       wheels on one shaft, and the rotor of a differential, by equalities
+    resistance   of rolling, as friction loss of axles, under the loads at rest
 
 so ctrl is the robot's u. Where our wheels roll, MuJoCo's contacts yield. With solref = (T, 1) and
 solimp = d, and b = 2 / (d T), a wheel
@@ -82,8 +83,8 @@ def write_mjcf(
         solref, solimp: MuJoCo's softness of contacts, and of equalities.
         steering_range: rad, the stop of a steering with Ackermann's linkage, to which the
             polynomial is fitted; a comment in the file says how well.
-        steering_time: s, T of the servos of steerings; with the explicit integrators "Euler" and
-            "RK4" no less than the timestep.
+        steering_time: s, in which the servos of steerings follow; with the explicit integrators
+            "Euler" and "RK4" no less than the timestep.
         option: attributes of MJCF's <option>, such as timestep, integrator, cone, impratio.
 
     Returns:
