@@ -186,7 +186,7 @@ def _write_ground(
     ground = {"name": "ground", "type": "plane", "size": "0 0 1", "rgba": "0.8 0.8 0.8 1"}
     ET.SubElement(draft.world, "geom", ground | {"contype": "0", "conaffinity": "1"})
     for i, given in enumerate(n.robot.wheels):
-        r = float(given.radius)
+        r = _own(given.radius)
         half = width * r / 2
         size = {"ellipsoid": (r, half, r), "cylinder": (r, half), "sphere": (r,)}[shape]
         body = draft.model.body(f"wheel_{i}")
@@ -195,7 +195,7 @@ def _write_ground(
         mine = [w for w in n.robot.wheels if w.body == k]
         places = np.array([[0.0, 0.0], *(np.asarray(w.position) for w in mine)])
         if k:
-            places = np.vstack([places, [float(body.drawbar), 0.0]])
+            places = np.vstack([places, [body.drawbar, 0.0]])
         low, high = places.min(0), places.max(0)
         thick = max(float(w.radius) for w in mine) / 4
         middle, half = (low + high) / 2, np.maximum((high - low) / 2, thick)
@@ -207,23 +207,24 @@ def _write_ground(
 def _write_drives(draft: Draft, n: Numbers) -> None:
     """One actuator a drive, in the place of those of the full model."""
     draft.actuator.clear()
-    for j, (drive, split) in enumerate(zip(n.robot.drives, n.splits, strict=True)):
+    for j, drive in enumerate(n.robot.drives):
         name, axles = f"drive_{j}", [wheel_joint(i) for i in drive.wheels]
+        split = np.asarray(drive.split)
         law = _law(draft, drive.motor, f"motor of {name}")
         if len(axles) == 1:
-            ends = {"joint": axles[0], "gear": text(float(split[0]))}
+            ends = {"joint": axles[0], "gear": text(split[0])}
         else:
             ends = {"tendon": name}
-            _write_cage(draft, name, axles, [float(x) for x in split])
+            _write_cage(draft, name, axles, split)
             rotor = f"motor_{j}"
             if rotor in draft.model.joint_names:
-                _write_cage(draft, rotor, [rotor], [1.0])
+                _write_cage(draft, rotor, [rotor], np.ones(1))
                 turns = {"tendon1": rotor, "tendon2": name, "polycoef": "0 1 0 0 0"}
                 ET.SubElement(draft.equality, "tendon", turns)
         ET.SubElement(draft.actuator, "general", {"name": name} | ends | law)
 
 
-def _write_cage(draft: Draft, name: str, axles: list[str], split: list[float]) -> None:
+def _write_cage(draft: Draft, name: str, axles: list[str], split: np.ndarray) -> None:
     """The tendon sum split_i phi_i."""
     cage = ET.SubElement(draft.tendon, "fixed", name=name)
     for axle, share in zip(axles, split, strict=True):
@@ -240,28 +241,33 @@ def _law(draft: Draft, motor: Motor, name: str) -> dict[str, str]:
         )
     limited = {"limit": "forcerange", "battery": "ctrlrange"}
     for field, attribute in limited.items():
-        end = float(getattr(motor, field, np.inf))
+        end = _own(getattr(motor, field, np.inf))
         if np.isfinite(end):
-            limits[attribute] = text([-end, end])
+            limits[attribute] = f"{text(-end)} {text(end)}"
             draft.note(f"{name}: it saturates at a corner, not as tanh")
     given: Any = motor
     if isinstance(motor, SpeedServo):
-        gain, bias = float(given.gain), -float(given.gain)
+        gain, bias = _own(given.gain), -_own(given.gain)
     elif isinstance(motor, DCMotor):
-        k = float(given.gear * given.torque_constant)
-        R = float(given.resistance)
-        gain, bias = k / R, -(k * k / R + float(given.friction))
+        k, R = _own(given.gear * given.torque_constant), _own(given.resistance)
+        gain, bias = k / R, -(k * k / R + _own(given.friction))
     else:
         gain, bias = 1.0, 0.0
     return _affine(gain, 0.0, bias) | limits
 
 
-def _affine(gain: float, by_length: float, by_rate: float) -> dict[str, str]:
+def _affine(gain: Any, by_length: Any, by_rate: Any) -> dict[str, str]:
     """The force gain u + by_length l + by_rate l'."""
     law = {"gainprm": text(gain)}
     if by_length or by_rate:
-        law |= {"biastype": "affine", "biasprm": text([0.0, by_length, by_rate])}
+        terms = " ".join(map(text, (0.0, by_length, by_rate)))
+        law |= {"biastype": "affine", "biasprm": terms}
     return law
+
+
+def _own(x: Any) -> Any:
+    """A number in its own precision, of which the file has the shortest decimals."""
+    return np.asarray(x)[()]
 
 
 def _write_steerings(draft: Draft, n: Numbers, reach: float, time: float) -> None:
@@ -274,7 +280,7 @@ def _write_steerings(draft: Draft, n: Numbers, reach: float, time: float) -> Non
         gain, stiffness = inertia / time, 0.0
         damping = gain
         if steering.lag is not None:
-            gain = stiffness = gain / float(steering.lag)
+            gain = stiffness = gain / _own(steering.lag)
         law = _affine(gain, 0.0 - stiffness, -damping)
         ET.SubElement(draft.actuator, "general", {"name": name, "joint": name} | law)
         if len(turned) > 1:
@@ -285,7 +291,7 @@ def _write_resistance(draft: Draft, n: Numbers) -> None:
     """Rolling resistance as friction of axles under the loads at rest."""
     if n.robot.resistance is None:
         return
-    c = float(n.robot.resistance.coefficient)
+    c = _own(n.robot.resistance.coefficient)
     for i, (given, load) in enumerate(zip(n.robot.wheels, wheel_loads(n), strict=True)):
-        torque = c * max(float(load), 0.0) * float(given.radius)
+        torque = c * np.maximum(_own(load), 0) * _own(given.radius)
         draft.joints[draft.model.joint(wheel_joint(i))].set("frictionloss", text(torque))
