@@ -88,7 +88,7 @@ def sweeps(
             yield row, rolling.steps(dt, method)
 
 
-def rows_of(name: str, of: Manoeuvre, small: bool) -> list[dict[str, Any]]:
+def sweep_rows(name: str, of: Manoeuvre, small: bool) -> list[dict[str, Any]]:
     rolling, slipping = Rolling(of), Slipping(of)
     about = {"robot": name, "title": of.title}
     found = [
@@ -109,16 +109,17 @@ def measured(rolling: Rolling, run: Run | None) -> dict[str, Any]:
             "sliding": run.sliding, "seconds": run.seconds}  # fmt: skip
 
 
-def mjx_rows(name: str, of: Manoeuvre) -> list[dict[str, Any]]:
+def mjx_rows(name: str, of: Manoeuvre, small: bool) -> list[dict[str, Any]]:
     """MJX against MuJoCo C with the same numbers, at the end, and against rolling."""
+    points = MJX_POINTS[:1] if small else MJX_POINTS
     rolling = Rolling(of)
     touching, found = Touching(rolling), []
     models = [
         touching.model(T, MJX_DT, friction=mu, impratio=ratio, integrator="implicitfast")
-        for T, mu, ratio in MJX_POINTS
+        for T, mu, ratio in points
     ]
     ends, times = mjx_poses(touching, models)
-    for m, point, q in zip(models, MJX_POINTS, ends, strict=True):
+    for m, point, q in zip(models, points, ends, strict=True):
         d = mujoco.MjData(m)
         d.qpos[:], d.qvel[:] = touching.settled(m), touching.v
         for u in of.controls((np.arange(round(4.0 / MJX_DT)) + 0.5) * MJX_DT, np):
@@ -129,7 +130,6 @@ def mjx_rows(name: str, of: Manoeuvre) -> list[dict[str, Any]]:
         apart = float(np.abs(q - d.qpos).max())
         distance = float(np.hypot(*(q[:2] - rolling.poses[-1, :2])))
         found.append(row | {"from_mujoco": apart, "at_the_end": distance} | times)
-    jax.clear_caches()
     return found
 
 
@@ -189,13 +189,11 @@ def main() -> None:
         parser.error(f"no such robot: {', '.join(sorted(unknown))}")
     rows: list[dict[str, Any]] = []
     for name in given.robots or every:
-        if "sweeps" in given.parts:
-            rows += rows_of(name, every[name], given.small)
-        if "mjx" in given.parts:
-            rows += mjx_rows(name, every[name])
-        jax.clear_caches()
-        if not given.small:
-            save(NAME, with_others(rows, [*every]))
+        for part in given.parts:
+            rows += {"sweeps": sweep_rows, "mjx": mjx_rows}[part](name, every[name], given.small)
+            jax.clear_caches()
+            if not given.small:
+                save(NAME, with_others(rows, [*every]))
     if not given.small:
         rows = with_others(rows, [*every])
         print(draw(rows))

@@ -286,8 +286,13 @@ def mjx_poses(touching: Touching, models: list[mujoco.MjModel]) -> tuple[np.ndar
         model = common.replace(**{name: x[name] for name in names})
         model = model.replace(opt=model.opt.replace(impratio=x["impratio"]))
         data = mjx.make_data(common).replace(qpos=x["qpos"], qvel=jnp.asarray(touching.v))
-        last, _ = jax.lax.scan(lambda d, u: (mjx.step(model, d.replace(ctrl=u)), None), data, u)
-        return last.qpos
+
+        def step(d: mjx.Data, u: jax.Array) -> tuple[mjx.Data, None]:
+            moved = mjx.step(model, d.replace(ctrl=u))
+            # with tendons MJX makes some of its int32 int64
+            return jax.tree.map(lambda new, old: new.astype(old.dtype), moved, d), None
+
+        return jax.lax.scan(step, data, u)[0].qpos
 
     # the fusion emitters of XLA's CPU compiler slow MJX down by a thousand
     options = {"xla_cpu_use_fusion_emitters": False}
