@@ -29,6 +29,7 @@ from rich.table import Table
 
 from benchmarks.accuracy.wheel_contact_chart import draw
 from benchmarks.accuracy.wheel_runs import (
+    SECONDS,
     Manoeuvre,
     Rolling,
     Run,
@@ -122,7 +123,7 @@ def mjx_rows(name: str, of: Manoeuvre, small: bool) -> list[dict[str, Any]]:
     for m, point, q in zip(models, points, ends, strict=True):
         d = mujoco.MjData(m)
         d.qpos[:], d.qvel[:] = touching.settled(m), touching.v
-        for u in of.controls((np.arange(round(4.0 / MJX_DT)) + 0.5) * MJX_DT, np):
+        for u in of.controls((np.arange(round(SECONDS / MJX_DT)) + 0.5) * MJX_DT, np):
             d.ctrl[:] = u
             mujoco.mj_step(m, d)
         row = {"robot": name, "title": of.title, "engine": "MJX", "sweep": "MJX", "dt": MJX_DT}

@@ -251,3 +251,22 @@ def test_what_is_refused(tmp_path):
         warnings.simplefilter("ignore")  # contacts are left out
         again = rb.load(path)
     assert again.joint_names == full_model(robot, "free").joint_names
+
+
+@pytest.mark.slow
+def test_in_a_curve_wheels_slide_outwards_at_the_rate_that_mujoco_leaves_out():
+    """J v' = -b J v without J' v: across the rear axle, speed * turning rate * d T / 2."""
+    robot, T, d_w = KINDS["car"].make(), 0.01, 0.95
+    vehicle = wheeled.at(robot, "kinematical")
+    start = wheeled.start(vehicle)
+    start = wheeled.states.with_twist(vehicle, start.q.at[3].set(0.1), jnp.array([3.0, 0.0, 0.0]))
+    full = wheeled.full_model_state(vehicle, start, base="free")
+    m = opened(robot, timestep=T / 10, solref=(T, 1.0), solimp=(d_w, d_w, 0.001), impratio=1e3)
+    d = mujoco.MjData(m)
+    d.qpos[:], d.qvel[:] = full.q, full.v
+    mujoco.mj_step(m, d, 1000)
+    turning = np.empty(3)
+    mujoco.mju_rotVecQuat(turning, d.qvel[:3], d.qpos[3:7] * [1, -1, -1, -1])
+    slides = -turning[0] * d.qvel[5] * d_w * T / 2
+    assert abs(slides) > 1e-3
+    np.testing.assert_allclose(turning[1], slides, rtol=0.01)
