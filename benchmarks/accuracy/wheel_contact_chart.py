@@ -25,7 +25,7 @@ SLIPS = "rbjax slipping"
 
 def draw(rows: list[dict[str, Any]], path: Path = PICTURE) -> Path:
     """Four panels a robot: friction, stiffness, sliding speed, timestep."""
-    robots = {row["robot"]: row["title"] for row in rows}
+    robots = {row["robot"]: row["title"] for row in rows if row["sweep"] == "reference"}
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
             len(robots), 4, figsize=(17, 3.9 * len(robots) + 0.6), layout="constrained",
@@ -76,7 +76,8 @@ def orders(axis: Any, at: tuple[list, list]) -> None:
     x, y = np.log(at[0]), np.log(at[1])
     for k in (1, len(x) - 2):
         order = -2 * (y[k + 1] - y[k - 1]) / (x[k + 1] - x[k - 1])
-        axis.annotate(f"T$^{{{order:.1f}}}$", (at[0][k], at[1][k]), (2, 6), fontsize=9,
+        place = (4, 5) if order > 1.5 else (-8, -14)
+        axis.annotate(f"T$^{{{order:.1f}}}$", (at[0][k], at[1][k]), place, fontsize=9,
                       textcoords="offset points")  # fmt: skip
 
 
