@@ -20,7 +20,9 @@ solimp = d, and b = 2 / (d T), a wheel
     slides        at J' v / b: the rows ask for J v' = -b J v and leave out J' v; in a curve this is
                   speed * turning rate / b across the wheel, whatever the friction and the impratio
 
-All three go to zero with T, which must be at least twice the timestep.
+All three go to zero with T, which must be at least twice the timestep. A trailer's hinge carries
+moments of pitch and roll, so its axles' loads are those of one stiff body on soft ground; `loads`
+has a coupling without moments.
 """
 
 from __future__ import annotations
