@@ -13,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test test-gpu test-all lint types demo bench failure-map bench-work-precision notebooks clean
+.PHONY: help setup test test-gpu test-all lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -60,6 +60,9 @@ bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
 
 failure-map: $(STAMP) ## every solver on scenes built to break it; docs/failure_map.png
 	$(BIN)/python -m benchmarks.maps.failure_map
+
+wheel-contact: $(STAMP) ## wheels that roll beside MuJoCo's and slipping ones, 15 minutes; docs/wheel_contact.png
+	$(BIN)/python -m benchmarks.accuracy.wheel_contact
 
 bench-work-precision: $(STAMP) ## error against time, here, hours; tables, and pictures in docs/
 	$(BIN)/python -m benchmarks.work.precision

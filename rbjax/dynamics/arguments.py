@@ -152,7 +152,7 @@ def check_arrays(
     if step is not None:
         out["dt"] = check_step(where, "dt", step, dtype)
     if stated:
-        x = out.pop("x", None)
+        x = out.pop("x", None) if model.nx else None  # one form of no states
         start = model.start(dtype) if x is None else None
         if start is not None:
             x = jnp.broadcast_to(start, (*batch, model.nx))

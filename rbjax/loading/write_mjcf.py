@@ -64,6 +64,24 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
         >>> (again.bodies.mass / model.bodies.mass).tolist()
         [2.0]
     """
+    draft = drafted(model)
+    out = serialised(draft)
+    if draft.notes:
+        message = f"write_mjcf: not in the file as in the model: {'; '.join(draft.notes)}"
+        if strict:
+            raise UnsupportedFeature(f"{message}. Write with strict=False to go without.")
+        warnings.warn(message, stacklevel=2)
+    if path is not None:
+        Path(path).write_text(out, encoding="utf-8")
+    return out
+
+
+def drafted(model: Model) -> Draft:
+    """The file of a model before it is text, for those who add to it; its notes say what it lacks.
+
+    Raises:
+        As `write_mjcf`.
+    """
     model = _known(model)
     draft = Draft.of(model)
     draft.option.set("timestep", text(model.timestep))
@@ -74,18 +92,10 @@ def write_mjcf(model: Model, path: str | Path | None = None, *, strict: bool = F
     written = [*write_forces(draft), *write_actuators(draft)]
     constraints = write_constraints(draft)
     _write_keyframes(draft)
-    again = jax.tree.map(np.asarray, from_compiled(_compiled(_serialised(draft))))
+    again = jax.tree.map(np.asarray, from_compiled(compiled(serialised(draft))))
     for what, names in differences(draft, again, written, constraints):
         draft.note(what, names)
-    out = _serialised(draft)
-    if draft.notes:
-        message = f"write_mjcf: not in the file as in the model: {'; '.join(draft.notes)}"
-        if strict:
-            raise UnsupportedFeature(f"{message}. Write with strict=False to go without.")
-        warnings.warn(message, stacklevel=2)
-    if path is not None:
-        Path(path).write_text(out, encoding="utf-8")
-    return out
+    return draft
 
 
 def _known(model: Model) -> Model:
@@ -261,7 +271,7 @@ def _write_keyframes(draft: Draft) -> None:
         ET.SubElement(section, "key", {"name": name} | some)
 
 
-def _serialised(draft: Draft) -> str:
+def serialised(draft: Draft) -> str:
     """The text of the file, its notes first."""
     root = ET.Element(draft.root.tag, draft.root.attrib)
     for note in draft.notes:
@@ -275,7 +285,8 @@ def _serialised(draft: Draft) -> str:
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _compiled(mjcf: str) -> mujoco.MjModel:
+def compiled(mjcf: str) -> mujoco.MjModel:
+    """MuJoCo's model of a file that is written here."""
     try:
         return mujoco.MjModel.from_xml_string(mjcf)
     except ValueError as error:

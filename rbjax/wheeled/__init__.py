@@ -3,7 +3,8 @@
     parts          Body, Wheel, Drive, Steering -> Robot; its Arrangement
     robots         kinds, with_trailers; from_file, of MJCF and URDF
     fidelities     at(robot, name) -> a vehicle; fidelities
-    as a Model     full_model, with rolling rows
+    as a Model     full_model, with rolling rows; full_model_state
+    as a file      write_mjcf, with wheels that touch a plane
     motion         start, rates, rollout, simulate, contacts
     following      commands, pure_pursuit, stanley, tracking_gains
     motors         TorqueSource, SpeedServo, DCMotor
@@ -16,6 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rbjax.wheeled.arrangement import Arrangement
+from rbjax.wheeled.constrained import full_model_state
 from rbjax.wheeled.contacts import Contacts, contacts
 from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.following import (
@@ -39,6 +41,7 @@ from rbjax.wheeled.states import rates, start
 from rbjax.wheeled.tyre_element import Contact, TyreOnGround
 from rbjax.wheeled.tyre_laws import Coulomb, Fiala, Linear, Pacejka, TMeasy
 from rbjax.wheeled.tyres import Tyre, traction_along
+from rbjax.wheeled.write_mjcf import write_mjcf
 
 #: names offered here whose module imports this package; `rbjax` fills this table
 FROM_ABOVE: dict[str, Callable[[], Any]] = {}
@@ -82,6 +85,7 @@ __all__ = [
     "fidelities",
     "from_file",
     "full_model",
+    "full_model_state",
     "kinds",
     "pure_pursuit",
     "rates",
@@ -93,4 +97,5 @@ __all__ = [
     "tracking_gains",
     "traction_along",
     "with_trailers",
+    "write_mjcf",
 ]

@@ -12,18 +12,21 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from rbjax.constraints import Formulation, Multipliers
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
-from rbjax.errors import InputError
+from rbjax.dynamics.arguments import check_array
+from rbjax.errors import InputError, UnknownName
 from rbjax.lanes import Lane, add, mul, sub
 from rbjax.model import Model, State
 from rbjax.wheeled.fidelity import Fidelity, torques_at_rest_loads
-from rbjax.wheeled.full_model import contact_ways, knuckle_joint, model_of, wheel_joint
+from rbjax.wheeled.full_model import BASES, contact_ways, knuckle_joint, model_of, wheel_joint
 from rbjax.wheeled.instant import Instant, coordinate_rates, steering_rates
 from rbjax.wheeled.numbers import Numbers, indices, stacked
 from rbjax.wheeled.planar import Pair, direction, turned_back
+from rbjax.wheeled.states import check_state, check_vehicle
 from rbjax.wheeled.velocities import shaft_speed
 from rbjax.wheeled.wheel_rows import linked
 
@@ -146,6 +149,51 @@ def full_state(n: Numbers, now: Instant, w: Sequence[Lane]) -> tuple[Model, Stat
     return model, State(
         stacked([*now.q[:3], *(q[name] for name in others)], n.dtype),
         stacked([*rates[:3], *(v[name] for name in others)], n.dtype),
+    )
+
+
+def full_model_state(
+    vehicle: Fidelity, state: State, controls: Any = None, base: str = "planar"
+) -> State:
+    """The state of `full_model(robot, base)` in which a vehicle moves as it does.
+
+    Args:
+        vehicle: `at(robot, fidelity)`.
+        state: q (nq,), v (nv,).
+        controls: (nu,); those of steerings say how fast these turn. None: zeros.
+        base: "planar", "free" or "slides".
+
+    Returns:
+        `State` of the multibody model; of a free base at the height at which its wheels just touch.
+
+    Raises:
+        InputError: wrong types or shapes, values that are not finite. UnknownName: no such base.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax import wheeled
+        >>> cart = wheeled.at(wheeled.kinds()["differential_drive"].make(), "kinematical")
+        >>> state = wheeled.start(cart, twist=[0.4, 0.0, 0.0])
+        >>> full = wheeled.full_model_state(cart, state, base="free")
+        >>> full.q.shape, [round(x, 3) for x in full.v[6:8].tolist()]
+        ((11,), [5.0, 5.0])
+    """
+    check_vehicle("full_model_state", vehicle)
+    if base not in BASES:
+        raise UnknownName("base", base, BASES)
+    state = check_state("full_model_state", vehicle, state)
+    given = jnp.zeros(vehicle.nu) if controls is None else controls
+    u = check_array("full_model_state", "controls", given, (vehicle.nu,)).astype(state.q.dtype)
+    n, now = vehicle.instant(state, u)
+    full = full_state(n, now, vehicle.full(n, now))[1]
+    if base != "free":
+        return full
+    turn = direction(0.5 * full.q[2])
+    pose = [full.q[0], full.q[1], 0.0, turn[0], 0.0, 0.0, turn[1]]
+    twist = [full.v[0], full.v[1], 0.0, 0.0, 0.0, full.v[2]]
+    return State(
+        jnp.concatenate([stacked(pose, n.dtype), full.q[3:]]),
+        jnp.concatenate([stacked(twist, n.dtype), full.v[3:]]),
     )
 
 

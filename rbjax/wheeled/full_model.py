@@ -57,6 +57,7 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
     Returns:
         A `Model`. Its controls are torques in N m, one for each shaft that a drive is on, named
         after the wheel that sets it. Its steerings keep their rates: those of `SteeringRate`.
+        Motors, damping of axles and rolling resistance are not in it.
 
     Raises:
         UnknownName: no such base. InputError: a wheel or caster without inertia.
@@ -79,18 +80,11 @@ def model_of(n: Numbers, base: str = "planar", steering_rates: Sequence[Lane] = 
     if base not in BASES:
         raise UnknownName("base", base, BASES)
     tree = Tree(n.dtype)
-    bodies = _bodies(n, tree, base)
-    for j, steering in enumerate(n.robot.steerings):
-        if len(steering.wheels) > 1:
-            x, y = place_of(n, Leader("steering", j))
-            tree.joint(f"steering_{j}", "hinge", tree.body(f"steering_{j}", bodies[0], (x, y, 0.0)),
-                       armature=PRESCRIBED)  # fmt: skip
-    for i in range(len(n.wheels)):
-        _wheel(n, tree, bodies, i)
+    chassis = _branch(n, tree, base)
     for j in range(len(n.robot.drives)):
         inertia = _rotor(n, j)
         if not is_zero(inertia):
-            rotor = tree.body(f"motor_{j}", bodies[0])
+            rotor = tree.body(f"motor_{j}", chassis)
             tree.joint(f"motor_{j}", "hinge", rotor, LEFT, armature=inertia)
     model = tree.model((*n.downhill, neg(n.gravity)), _motors(n))
     return model.with_constraints(*_rows(n, base, steering_rates))
@@ -107,32 +101,44 @@ def knuckle_joint(n: Numbers, i: int) -> tuple[str, int]:
     return (f"knuckle_{i}" if len(n.robot.steerings[j].wheels) > 1 else f"steering_{j}"), j
 
 
-def _bodies(n: Numbers, tree: Tree, base: str) -> list[int]:
-    """The chassis and the trailers."""
-    out: list[int] = []
-    for k, (body, numbers) in enumerate(zip(n.robot.bodies, n.bodies, strict=True)):
-        parent, at = WORLD, (0.0, 0.0, 0.0)
-        if numbers.ahead is not None:
-            parent = out[numbers.ahead]
-            at = sub(numbers.hitch[0], numbers.drawbar), numbers.hitch[1], 0.0
-        com = [n.lane(x) for x in body.com]
-        name = f"trailer_{k}" if k else "chassis"
-        moments = [n.lane(body.inertia)] * 3
-        out.append(tree.body(name, parent, at, STRAIGHT, n.lane(body.mass),
-                             (*com, numbers.height), moments))  # fmt: skip
-        if k:
-            coupling = numbers.drawbar, 0.0, 0.0
-            tree.joint(f"hitch_{k}", "hinge", out[k], placement=coupling)
-        elif base == "slides":
-            tree.joint("base_x", "slide", out[k], (1.0, 0.0, 0.0))
-            tree.joint("base_y", "slide", out[k], (0.0, 1.0, 0.0))
-            tree.joint("base_turn", "hinge", out[k])
-        else:
-            tree.joint("base", base, out[k])
+def _branch(n: Numbers, tree: Tree, base: str, k: int = 0, parent: int = WORLD) -> int:
+    """A body, its wheels, and then the trailers behind it: depth first, as MuJoCo counts."""
+    out = _body(n, tree, base, k, parent)
+    for j, steering in enumerate(n.robot.steerings if k == 0 else ()):
+        if len(steering.wheels) > 1:
+            x, y = place_of(n, Leader("steering", j))
+            tree.joint(f"steering_{j}", "hinge", tree.body(f"steering_{j}", out, (x, y, 0.0)),
+                       armature=PRESCRIBED)  # fmt: skip
+    for i, wheel in enumerate(n.wheels):
+        if wheel.body == k:
+            _wheel(n, tree, out, i)
+    for behind, numbers in enumerate(n.bodies):
+        if numbers.ahead == k:
+            _branch(n, tree, base, behind, out)
     return out
 
 
-def _wheel(n: Numbers, tree: Tree, bodies: list[int], i: int) -> None:
+def _body(n: Numbers, tree: Tree, base: str, k: int, parent: int) -> int:
+    """The chassis, or a trailer."""
+    body, numbers = n.robot.bodies[k], n.bodies[k]
+    at: Sequence[Lane] = (0.0, 0.0, 0.0)
+    if k:
+        at = sub(numbers.hitch[0], numbers.drawbar), numbers.hitch[1], 0.0
+    com, moments = [n.lane(x) for x in body.com], [n.lane(body.inertia)] * 3
+    name = f"trailer_{k}" if k else "chassis"
+    out = tree.body(name, parent, at, STRAIGHT, n.lane(body.mass), (*com, numbers.height), moments)
+    if k:
+        tree.joint(f"hitch_{k}", "hinge", out, placement=(numbers.drawbar, 0.0, 0.0))
+    elif base == "slides":
+        tree.joint("base_x", "slide", out, (1.0, 0.0, 0.0))
+        tree.joint("base_y", "slide", out, (0.0, 1.0, 0.0))
+        tree.joint("base_turn", "hinge", out)
+    else:
+        tree.joint("base", base, out)
+    return out
+
+
+def _wheel(n: Numbers, tree: Tree, body: int, i: int) -> None:
     """A wheel, with the knuckle or fork that turns it."""
     given, wheel = n.robot.wheels[i], n.wheels[i]
     mass, yaw, spin = n.lane(given.mass), wheel.yaw_inertia, wheel.inertia
@@ -141,14 +147,14 @@ def _wheel(n: Numbers, tree: Tree, bodies: list[int], i: int) -> None:
     if wheel.kind == "caster":
         behind = n.lane(given.behind)
         own = sub(yaw, mul(mass, mul(behind, behind)))
-        fork = tree.body(f"fork_{i}", bodies[wheel.body], (x, y, 0.0), STRAIGHT, mass,
+        fork = tree.body(f"fork_{i}", body, (x, y, 0.0), STRAIGHT, mass,
                          (neg(behind), 0.0, wheel.radius), (own, own, own))  # fmt: skip
         _needs_inertia(f"wheels[{i}].yaw_inertia, less that of its mass off the pivot,", own)
         tree.joint(f"caster_{i}", "hinge", fork)
         hub = tree.body(f"wheel_{i}", fork, (neg(wheel.trail), 0.0, wheel.radius))
         armature = add(armature, spin)
     else:
-        held, at, turn_here = bodies[wheel.body], (x, y, wheel.radius), turn
+        held, at, turn_here = body, (x, y, wheel.radius), turn
         if wheel.kind == "steered":
             name, _ = knuckle_joint(n, i)
             held = tree.body(f"knuckle_{i}", held, (x, y, 0.0), turn)

@@ -268,6 +268,20 @@ def test_a_model_that_cannot_move_is_told():
         rb.rollout(still, still.default_state(), None, 0.01, steps=2)
 
 
+def test_an_empty_x_is_none():
+    """x (0,) says what None does of a model without element states."""
+    model = rb.load("pendulum")
+    plain = model.default_state().replace(q=jnp.array([0.3]))
+    empty = plain.replace(x=jnp.zeros(0))
+    a, b = (rb.rollout(model, s, None, 0.01, steps=3) for s in (plain, empty))
+    assert b.x is None
+    np.testing.assert_array_equal(a.q, b.q)
+    ts = jnp.array([0.0, 0.1])
+    a, b = (rb.simulate(model, s, ts) for s in (plain, empty))
+    assert b.x is None
+    np.testing.assert_array_equal(a.q, b.q)
+
+
 def test_a_motion_that_blows_up_is_a_value():
     model = rb.load("cart_pole")
     state = rb.State(jnp.ones(2), 1e200 * jnp.ones(2))

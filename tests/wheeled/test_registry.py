@@ -21,7 +21,8 @@ from tests.wheeled.laws import LAWS, numbers
 
 # those that take no arrays, or only known ones (an arrangement of wheels depends on them), and the
 # adaptive solution, whose steps are no smooth function
-ELSEWHERE = {"at", "fidelities", "kinds", "recommend", "simulate", "with_trailers"}
+ELSEWHERE = {"at", "fidelities", "from_file", "kinds", "recommend", "simulate", "with_trailers",
+             "write_mjcf"}  # fmt: skip
 
 CART = wheeled.kinds()["differential_drive"].make(caster=None)
 TRICYCLE = wheeled.kinds()["tricycle"].make(motor=SpeedServo(5.0, 20.0), lag=0.2)
@@ -65,6 +66,10 @@ def contacts(q, v, u, tyre):
 def full_model(mass, radius):
     model = wheeled.full_model(changed(CART, mass, radius))
     return floats((model.bodies, model.constraints))
+
+
+def full_model_state(q, v, u):
+    return wheeled.full_model_state(wheeled.at(TRICYCLE, "kinematical"), State(q, v), u, "free")
 
 
 def commands(twist, mass, radius):
@@ -150,6 +155,7 @@ REGISTRY: dict[str, tuple[Callable, list[np.ndarray]]] = {
         contacts, drawn(q=5, v=5, u=2, tyre=np.array([12.0, 10.0, 0.8, 0.7, 0.5])),
     ),
     "full_model": (full_model, drawn(**robot(CART))),
+    "full_model_state": (full_model_state, drawn(q=7, v=1, u=2)),
     "commands": (commands, drawn(twist=3, **robot(TRICYCLE))),
     "pure_pursuit": (
         wheeled.pure_pursuit, drawn(path=PATH, pose=3, speed=ONE, lookahead=ONE),
