@@ -30,11 +30,11 @@ import numpy as np
 
 from rbjax.constraints import Constraint, Gear, KnifeEdge, Place
 from rbjax.errors import InputError, UnknownName
-from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub
+from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub, total
 from rbjax.model import WORLD, Model
 from rbjax.wheeled.arrangement import Leader
 from rbjax.wheeled.numbers import Numbers, numbers_of
-from rbjax.wheeled.planar import direction
+from rbjax.wheeled.planar import direction, inverse
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.tree import LEFT, STRAIGHT, Tree
 from rbjax.wheeled.velocities import place_of
@@ -118,6 +118,19 @@ def _branch(n: Numbers, tree: Tree, base: str, k: int = 0, parent: int = WORLD) 
     return out
 
 
+def _own_height(n: Numbers, k: int) -> Lane:
+    """The height of a body's own centre of mass: that of the body with its wheels is given."""
+    own, whole = n.lane(n.robot.bodies[k].mass), n.bodies[k]
+    if is_zero(own):
+        return whole.height
+    of_wheels = total(
+        mul(n.lane(given.mass), wheel.radius)
+        for given, wheel in zip(n.robot.wheels, n.wheels, strict=True)
+        if wheel.body == k
+    )
+    return mul(sub(mul(whole.mass, whole.height), of_wheels), inverse(own))
+
+
 def _body(n: Numbers, tree: Tree, base: str, k: int, parent: int) -> int:
     """The chassis, or a trailer."""
     body, numbers = n.robot.bodies[k], n.bodies[k]
@@ -126,7 +139,8 @@ def _body(n: Numbers, tree: Tree, base: str, k: int, parent: int) -> int:
         at = sub(numbers.hitch[0], numbers.drawbar), numbers.hitch[1], 0.0
     com, moments = [n.lane(x) for x in body.com], [n.lane(body.inertia)] * 3
     name = f"trailer_{k}" if k else "chassis"
-    out = tree.body(name, parent, at, STRAIGHT, n.lane(body.mass), (*com, numbers.height), moments)
+    place = (*com, _own_height(n, k))
+    out = tree.body(name, parent, at, STRAIGHT, n.lane(body.mass), place, moments)
     if k:
         tree.joint(f"hitch_{k}", "hinge", out, placement=(numbers.drawbar, 0.0, 0.0))
     elif base == "slides":

@@ -253,6 +253,29 @@ def test_what_is_refused(tmp_path):
     assert again.joint_names == full_model(robot, "free").joint_names
 
 
+@pytest.mark.parametrize(
+    ("name", "roles"),
+    [
+        ("differential_drive", {"wheels": "wheel_*", "casters": ["caster_2"]}),
+        ("car", {"wheels": "wheel_*", "steerings": [["knuckle_2", "knuckle_3"]]}),
+    ],
+)
+def test_a_robot_read_from_its_own_file_is_that_robot(name, roles):
+    robot = KINDS[name].make()
+    damped = [
+        w if w.kind == "caster" else w.replace(damping=jnp.asarray(0.1)) for w in robot.wheels
+    ]
+    robot = robot.replace(wheels=tuple(damped))
+    again = wheeled.from_file(wheeled.write_mjcf(robot), **roles)
+    names = ("radius", "inertia", "mass", "yaw_inertia", "damping", "trail", "position", "heading")
+    for wheel, found in zip(robot.wheels, again.wheels, strict=True):
+        for name in names:
+            np.testing.assert_allclose(getattr(found, name), getattr(wheel, name), atol=1e-12)
+    for name in ("mass", "inertia", "com", "height"):
+        due = getattr(robot.bodies[0], name)
+        np.testing.assert_allclose(getattr(again.bodies[0], name), due, atol=1e-12, rtol=1e-12)
+
+
 @pytest.mark.slow
 def test_in_a_curve_wheels_slide_outwards_at_the_rate_that_mujoco_leaves_out():
     """J v' = -b J v without J' v: across the rear axle, speed * turning rate * d T / 2."""
