@@ -112,3 +112,37 @@ rb.planning.grid_dijkstra(
 # %% [markdown]
 # `grid_dijkstra_many` runs many searches on one map at once, as one compiled program, for an
 # accelerator.
+
+# %% [markdown]
+# ## As fast as torques allow
+#
+# A path has no time. `time_scaling` gives the fastest motion along it within the torques of the
+# drives, by the robot's dynamics. `refine` then changes the path, too: by gradients through the
+# dynamics, clear of obstacles. It returns controls that drive the robot.
+
+# %%
+from rbjax import wheeled
+from rbjax.planning import Limits, plan, refine, time_scaling
+from rbjax.plotting import top_view
+
+cells = np.zeros((100, 80), bool)
+cells[40:46, :40] = True
+room = OccupancyGrid(cells, 0.05)
+shape = Footprint.rectangle(ahead=0.3, behind=0.2, width=0.3)
+way = plan(room, shape, [1.0, 0.8, 0.5], [4.0, 0.8, -0.5], drive="differential").path.split(0.1)
+cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None), "kinematical")
+limits = Limits(torque=0.4, speed=1.0, turn_rate=2.0)
+along = time_scaling(cart, way, limits)
+quick = refine(cart, way, limits, room.distance_field(), shape)
+print(f"along the path {along.motion.time:.2f} s; {quick.status}: {quick.motion.time:.2f} s")
+
+# %%
+figure, axes = plt.subplots(1, 2, figsize=(10, 4), sharex=True, sharey=True)
+for ax, (name, motion) in zip(
+    axes, {"along the path": along.motion, "refined": quick.motion}.items(), strict=True
+):
+    torques, dt = motion.sampled(2000)
+    start = wheeled.start(cart, pose=[1.0, 0.8, 0.5])
+    driven = wheeled.rollout(cart, start, torques, dt, save_every=20)
+    top_view(ax, cart, driven, robots=8, grid=room)
+    ax.set_title(f"{name}, {float(driven.ts[-1]):.1f} s")

@@ -112,6 +112,22 @@ found = wheeled.contacts(vehicle, path.state(-1), control(0.0, path.state(-1)))
 print("loads of the wheels [N]:", np.round(found.loads))
 
 # %% [markdown]
+# ## How much to model
+#
+# Servos drive a cart along a curve. Must its tyres be modelled, or its inertia? `recommend` runs
+# the manoeuvre at each fidelity, with steps that are halved until they agree, and names the
+# cheapest whose error is below what is asked for.
+
+# %%
+servo = wheeled.SpeedServo(5.0)
+driven = wheeled.kinds()["differential_drive"].make(caster=None, motor=servo)
+for accuracy in (0.1, 1e-2, 1e-4):
+    found = wheeled.recommend(
+        driven, [20.0, 22.0], accuracy, horizon=2.0, progress=False, tyre=wheeled.Fiala(20.0, 0.9)
+    )
+    print(f"{accuracy:g} m: {found.reason}", end="\n\n")
+
+# %% [markdown]
 # ## Gradients
 #
 # Everything is differentiable, with respect to any number of the robot: here, where the coasting
