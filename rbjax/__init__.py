@@ -58,7 +58,7 @@ from rbjax.motion.linearise import Linear, linearise, step
 from rbjax.motion.rollout import rollout
 from rbjax.motion.simulate import simulate
 from rbjax.motion.trajectory import Trajectory
-from rbjax.threads import threads
+from rbjax.threads import compile, threads
 
 __version__ = "0.1.0"
 
@@ -101,6 +101,7 @@ __all__ = [
     "body_velocities",
     "center_of_mass",
     "centroidal_momentum",
+    "compile",
     "compiler_options",
     "constraints",
     "coriolis_matrix",

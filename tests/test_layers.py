@@ -37,7 +37,7 @@ TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" i
 GUESTS = {  # packages that only some files may import
     "mujoco": ("loading/", "validation/", "plotting", "cli"),
     "optax": ("sysid", "control", "demo"),
-    "jax.config": ("threads/nvrtc",),  # the caller's; read to keep kernels beside JAX's cache
+    "jax.config": ("threads/disk_cache",),  # the caller's; read to keep kernels beside JAX's cache
 }
 
 

@@ -24,6 +24,7 @@ from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_err
 
 # public functions that are not functions of a model and arrays: files of their own test them
 ELSEWHERE = {
+    "compile",
     "compiler_options",
     "load",
     "on_each",

@@ -1,4 +1,5 @@
-"""Any function of one sample as one GPU thread: `threads`, and `threads.explain`."""
+"""Any function of one sample as one GPU thread: `threads`, and `threads.explain`; and as machine
+code of this processor: `compile`."""
 
 from typing import Any
 
@@ -9,8 +10,9 @@ from rbjax.threads.function import threaded as threaded
 from rbjax.threads.function import threads as _threads
 from rbjax.threads.function import wanted as wanted
 from rbjax.threads.lowering import Unsupported as Unsupported
+from rbjax.threads.native import compile as compile
 
 threads: Any = _threads
 threads.explain = explain  # in `rbjax` the function hides this package's name
 
-__all__ = ["Explanation", "Unsupported", "explain", "threads"]
+__all__ = ["Explanation", "Unsupported", "compile", "explain", "threads"]

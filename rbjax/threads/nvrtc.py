@@ -11,12 +11,8 @@ import functools
 import glob
 import hashlib
 import importlib.util
-import os
-import tempfile
-from pathlib import Path
-from typing import Any
 
-import jax
+from rbjax.threads.disk_cache import cached
 
 OPTIONS = ("--std=c++17", "--restrict", "-default-device")
 
@@ -45,24 +41,7 @@ def ptx(source: str, capability: str) -> str:
     """The PTX of a CUDA C source for a device of this compute capability ("9.0")."""
     arch = f"compute_{capability.replace('.', '')}"
     key = hashlib.sha256("\n".join((source, arch, *OPTIONS, version())).encode()).hexdigest()
-    kept = _folder()
-    if kept is not None and (kept / f"{key}.ptx").exists():
-        return (kept / f"{key}.ptx").read_text()
-    text = _compile(source, arch)
-    if kept is not None:
-        kept.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=kept, delete=False) as file:
-            file.write(text)
-        os.replace(file.name, kept / f"{key}.ptx")  # atomic
-    return text
-
-
-def _folder() -> Path | None:
-    config: Any = jax.config  # its type does not list all names
-    folder = config.jax_compilation_cache_dir
-    if not folder or "://" in folder or not config.jax_enable_compilation_cache:
-        return None
-    return Path(folder) / "rbjax-threads"
+    return cached(f"{key}.ptx", lambda: _compile(source, arch).encode()).decode()
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""Emitted programs compiled by the host's C++ compiler and run on numpy arrays.
+"""Emitted programs compiled by the host's C++ compiler, and by LLVM, and run on numpy arrays.
 
 Where JAX has a GPU beside the CPU (`make test-gpu`), they run as its kernels.
 """
@@ -20,6 +20,7 @@ import numpy as np
 from rbjax.threads.c_source import PREAMBLE
 from rbjax.threads.frame import HOST_HEAD, Written, batch_first, host_source, write_program
 from rbjax.threads.function import threaded
+from rbjax.threads.native import compile
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 FLAGS = ("-O1", "-ffp-contract=off")
@@ -98,6 +99,23 @@ def by_xla(cases: Sequence[Case]) -> list:
         compiler_options={"xla_backend_optimization_level": 0},
     )
     return jax.tree.map(np.asarray, every(*(args for _, args in cases)))
+
+
+def by_llvm(cases: Sequence[Case]) -> list:
+    """The same by `rb.compile`, sample by sample."""
+    out = []
+    for f, args in cases:
+        samples = [jax.tree.map(lambda x, k=k: x[k], args) for k in range(size(args))]
+        run = compile(f, *samples[0])
+        assert run.native
+        every = [run(*sample) for sample in samples]
+        out.append(jax.tree.map(lambda *ys: np.stack(ys), *every))
+    return out
+
+
+def size(args: tuple) -> int:
+    """The samples of a batch."""
+    return jax.tree.leaves(args)[0].shape[0]
 
 
 def on_host(f: Callable, *args: Any) -> Any:

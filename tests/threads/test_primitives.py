@@ -1,4 +1,5 @@
-"""Every primitive that threads support, by the emitted C against XLA, edge values included."""
+"""Every primitive that threads support, by the emitted C and LLVM IR against XLA, edge values
+included."""
 
 from __future__ import annotations
 
@@ -17,7 +18,16 @@ from jax.lax import ScatterDimensionNumbers as Scatter
 
 from rbjax.lanes import sincos
 from rbjax.threads.lowering import Unsupported
-from tests.threads.host import COMPILER, GPU_ASKED, Case, by_xla, many_on_host, on_host, written
+from tests.threads.host import (
+    COMPILER,
+    GPU_ASKED,
+    Case,
+    by_llvm,
+    by_xla,
+    many_on_host,
+    on_host,
+    written,
+)
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 host_alone = pytest.mark.skipif(GPU_ASKED, reason="is more than a GPU's thread takes")
@@ -35,18 +45,30 @@ def mostly_slow(quick: tuple, slow: tuple) -> list:
 
 
 def compare(cases: dict[str, Case], ulps: float = 4, absolute: float = 0.0) -> None:
-    """The emitted C of each case agrees with XLA: integers exactly, floats to rounding."""
-    results = many_on_host(list(cases.values()), ("-O0", "-ffp-contract=off"))
-    wrong = []
-    wants = by_xla(list(cases.values()))
-    for name, got, want in zip(cases, results, wants, strict=True):
-        for g, w in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
-            assert g.dtype == w.dtype and g.shape == w.shape, name
-            bad = ~close(g, w, ulps, absolute)
-            if bad.any():
-                wrong.append(f"{name}, {np.argwhere(bad)[:3].tolist()}: {g[bad][:3]}, "
-                             f"XLA: {w[bad][:3]}")  # fmt: skip
+    """The emitted C and LLVM IR of each case agree with XLA: integers exactly, floats to
+    rounding."""
+    every = list(cases.values())
+    wants = by_xla(every)
+    found = {"C": many_on_host(every, ("-O0", "-ffp-contract=off"))}
+    if not GPU_ASKED:
+        found["LLVM"] = by_llvm(every)
+    wrong = [
+        f"{name} by {how}, {bad}"
+        for how, results in found.items()
+        for name, got, want in zip(cases, results, wants, strict=True)
+        for g, w in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True)
+        for bad in differences(g, w, ulps, absolute)
+    ]
     assert not wrong, "\n".join(["", *wrong])
+
+
+def differences(g: np.ndarray, w: np.ndarray, ulps: float, absolute: float) -> list[str]:
+    """Shapes, types or entries that do not agree."""
+    if (g.dtype, g.shape) != (w.dtype, w.shape):
+        return [f"{g.dtype} {g.shape}, XLA: {w.dtype} {w.shape}"]
+    bad = ~close(g, w, ulps, absolute)
+    places = np.argwhere(bad)[:3].tolist()
+    return [f"{places}: {g[bad][:3]}, XLA: {w[bad][:3]}"] if bad.any() else []
 
 
 def close(got: np.ndarray, want: np.ndarray, ulps: float, absolute: float) -> np.ndarray:

@@ -1,0 +1,99 @@
+"""LLVM IR to machine code of this processor, by llvmlite, which carries LLVM in its wheel.
+
+The code is cached on disk next to JAX's own compilation cache, if the caller has enabled that.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import functools
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+from rbjax.threads.disk_cache import cached
+from rbjax.threads.llvm_ir import Module
+
+#: of the instruction selection; 2 takes longer and the code is no faster
+CODE_LEVEL = 1
+#: of the passes on the IR
+PASS_LEVEL = 1
+
+
+class NoCompiler(RuntimeError):
+    """llvmlite is missing, or does not run on this machine."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """A compiled function; the engine owns its memory."""
+
+    address: int
+    engine: Any
+
+
+@functools.cache
+def _llvm() -> Any:
+    try:
+        from llvmlite import binding
+    except (ImportError, OSError) as error:
+        raise NoCompiler('llvmlite is missing; pip install "rbjax[cpu]"') from error
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    return binding
+
+
+@functools.cache
+def _libm() -> ctypes.CDLL:
+    return ctypes.CDLL(ctypes.util.find_library("m"))
+
+
+@functools.cache
+def _processor() -> tuple[str, str, str]:
+    """The triple, the name and the features of this processor."""
+    llvm = _llvm()
+    features = llvm.get_host_cpu_features().flatten()
+    return llvm.get_process_triple(), llvm.get_host_cpu_name(), features
+
+
+def _machine() -> Any:
+    """A target machine; the engine that is given one destroys it."""
+    triple, cpu, features = _processor()
+    return _llvm().Target.from_triple(triple).create_target_machine(
+        cpu=cpu, features=features, opt=CODE_LEVEL, jit=True, reloc="pic", codemodel="jitdefault"
+    )
+
+
+@functools.lru_cache(128)
+def compiled(module: Module) -> Code:
+    """The machine code of a module's function `run`; equal programs share it.
+
+    Raises:
+        NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
+    """
+    llvm = _llvm()
+    try:
+        how = (*_processor(), str((llvm.llvm_version_info, CODE_LEVEL, PASS_LEVEL)))
+        key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
+        code = cached(f"{key}.o", lambda: _object(module))
+        for function in module.libm:
+            address = ctypes.cast(getattr(_libm(), function), ctypes.c_void_p).value
+            llvm.add_symbol(function, address)
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        engine.finalize_object()
+        return Code(engine.get_function_address("run"), engine)
+    except (RuntimeError, OSError, AttributeError) as error:
+        raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
+
+
+def _object(module: Module) -> bytes:
+    """The object file of a module."""
+    llvm, machine = _llvm(), _machine()
+    parsed = llvm.parse_assembly(module.text)
+    options = llvm.create_pipeline_tuning_options(speed_level=PASS_LEVEL)
+    options.loop_unrolling = False
+    passes = llvm.create_pass_builder(machine, options)
+    passes.getModulePassManager().run(parsed, passes)
+    return machine.emit_object(parsed)
