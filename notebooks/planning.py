@@ -128,12 +128,12 @@ from rbjax.plotting import top_view
 cells = np.zeros((100, 80), bool)
 cells[40:46, :40] = True
 room = OccupancyGrid(cells, 0.05)
-shape = Footprint.rectangle(ahead=0.3, behind=0.2, width=0.3)
-way = plan(room, shape, [1.0, 0.8, 0.5], [4.0, 0.8, -0.5], drive="differential").path.split(0.1)
+shape = Footprint.rectangle(ahead=0.15, behind=0.15, width=0.5)
+way = plan(room, shape, [1.0, 0.8, 0.5], [4.0, 0.8, -0.5], drive="differential").path
 cart = wheeled.at(wheeled.kinds()["differential_drive"].make(caster=None), "kinematical")
 limits = Limits(torque=0.4, speed=1.0, turn_rate=2.0)
-along = time_scaling(cart, way, limits)
-quick = refine(cart, way, limits, room.distance_field(), shape)
+along = time_scaling(cart, way.split(0.02), limits)
+quick = refine(cart, way.split(0.1), limits, room.distance_field(), shape)
 print(f"along the path {along.motion.time:.2f} s; {quick.status}: {quick.motion.time:.2f} s")
 
 # %%

@@ -119,13 +119,14 @@ print("loads of the wheels [N]:", np.round(found.loads))
 # cheapest whose error is below what is asked for.
 
 # %%
-servo = wheeled.SpeedServo(5.0)
+servo = wheeled.SpeedServo(0.2)
 driven = wheeled.kinds()["differential_drive"].make(caster=None, motor=servo)
-for accuracy in (0.1, 1e-2, 1e-4):
+tyre = wheeled.Fiala(20.0, 0.9, smooth_speed=0.3)
+for accuracy in (0.1, 0.02, 1e-4):
     found = wheeled.recommend(
-        driven, [20.0, 22.0], accuracy, horizon=2.0, progress=False, tyre=wheeled.Fiala(20.0, 0.9)
+        driven, [5.0, 6.0], accuracy, twist=[0.4, 0.0, 0.0], horizon=2.0, tyre=tyre, progress=False
     )
-    print(f"{accuracy:g} m: {found.reason}", end="\n\n")
+    print(f"{found.name}: {found.reason}", end="\n\n")
 
 # %% [markdown]
 # ## Gradients

@@ -63,7 +63,9 @@ def time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
 
     Returns:
         `TimeScaled`. Its coordinates are those that the robot has on the path with its rounded
-        corners; so the end may be a little off. Of trailers, none is asked for obstacles here.
+        corners. Its controls, replayed without feedback, end off in proportion to the steps' length
+        (a cart after 16 s: 0.3 m with steps of 0.1 m, 4 cm with 0.02 m); `refine` ends at the goal.
+        Of trailers, none is asked for obstacles here.
 
     Raises:
         InputError: wrong types, a batch, a robot whose drives give no torques for a path.
