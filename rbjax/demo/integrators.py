@@ -32,7 +32,6 @@ from rbjax.validation.reference import smooth
 SCENES = {
     "double_pendulum": ("swing", 0.1, 1.0, 100),
     "arm7": ("home", 0.3, 0.5, 200),
-    "spinning_top": ("spinning", 0.05, 0.5, 200),
 }
 CHUNK = 50  # steps in one compiled rollout
 REFINED = (1, 2, 4)
