@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,16 +71,13 @@ def gallery(
         figure, axes = plt.subplots(
             *shape, figsize=(11, 6.4), layout="constrained", squeeze=False
         )
-        for ax, scene in zip(axes.flat, scenes, strict=False):
+        say(f"motion: compiling {batch} x {', '.join(scenes)}")
+        with ThreadPoolExecutor(2) as pool:  # XLA compiles one while Python traces another
+            flights = list(pool.map(lambda scene: Flight.of(scene, batch), reversed(scenes)))[::-1]
+        for ax, scene, flight in zip(axes.flat, scenes, flights, strict=False):
             say(f"motion: {batch} x {scene}")
-            show, model = SHOWS[scene], load(scene)
-            if model.nv > 4:
-                model = model.replace(driver="rolled")
-            state = launched(model, show, batch)
-            steps = round(show.seconds / show.dt)
-            ctrl = model.keyframes.ctrl[model.keyframe_names.index(show.keyframe)]
-            ctrls = jnp.broadcast_to(ctrl, (steps, model.nu))
-            path, rate = timed(model, state, ctrls, show.dt)
+            show, model, steps = SHOWS[scene], flight.model, flight.steps
+            path, rate = flight.timed()
             moments = np.linspace(0, steps, show.drawn).astype(int)
             q = np.asarray(path.q[0])[moments]
             strobe(ax, scene, model, q, camera=show.camera, trace=show.trace, shadow=model.nv > 2)
@@ -92,13 +90,35 @@ def gallery(
     return tuple(rows)
 
 
-def timed(model: Model, state: State, ctrls: Any, dt: float) -> tuple[Trajectory, float]:
-    """A rollout, and its steps a second when compiled."""
-    run = jax.jit(lambda state: rollout(model, state, ctrls, dt))
-    path = jax.block_until_ready(run(state))
-    begin = time.perf_counter()
-    jax.block_until_ready(run(state))
-    return path, path.q.shape[0] * len(ctrls) / (time.perf_counter() - begin)
+@dataclass(frozen=True)
+class Flight:
+    """A compiled rollout of a scene's batch."""
+
+    model: Model
+    state: State
+    steps: int
+    program: Callable[[State], Trajectory]
+
+    @classmethod
+    def of(cls, scene: str, batch: int) -> Flight:
+        """In f32."""
+        with jax.enable_x64(False):  # which is a thread's own
+            show, model = SHOWS[scene], load(scene)
+            if model.nv > 4:
+                model = model.replace(driver="rolled")
+            state = launched(model, show, batch)
+            steps = round(show.seconds / show.dt)
+            ctrl = model.keyframes.ctrl[model.keyframe_names.index(show.keyframe)]
+            ctrls = jnp.broadcast_to(ctrl, (steps, model.nu))
+            run = jax.jit(lambda state: rollout(model, state, ctrls, show.dt))
+            return cls(model, state, steps, run.lower(state).compile())
+
+    def timed(self) -> tuple[Trajectory, float]:
+        """The motion, and its steps a second."""
+        path = jax.block_until_ready(self.program(self.state))
+        begin = time.perf_counter()
+        jax.block_until_ready(self.program(self.state))
+        return path, path.q.shape[0] * self.steps / (time.perf_counter() - begin)
 
 
 def chaos(folder: Path, say: Callable[[str], None], *, batch: int, seconds: float = 10.0) -> str:
