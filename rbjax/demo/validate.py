@@ -1,4 +1,4 @@
-"""Every bundled scene against MuJoCo C, in one table."""
+"""Bundled scenes against MuJoCo C, in one table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ SCENES = {
     "spinning_top": True,
     "quadrotor": False,
     "arm7": False,
-    "quadruped": False,
     "humanoid": False,
 }
 
