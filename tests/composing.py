@@ -19,8 +19,8 @@ def flat(tree: Any) -> jax.Array:
 
 
 def check_composes(function: Callable[..., Any], xs: list[np.ndarray]) -> None:
-    """Three calls at the door, outside any transformation, are what the rest is compared with: the
-    same function inside one compiled program, mapped over a batch, and its derivatives.
+    """Compares three calls outside any transformation with the same function inside one compiled
+    program, mapped over a batch, and with its derivatives.
 
     Args:
         function: of arrays.

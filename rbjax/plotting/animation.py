@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -17,11 +15,11 @@ from rbjax.plotting import movie_files, offscreen, page
 from rbjax.plotting.camera import Camera
 from rbjax.plotting.drawing import Stage, shapes_of
 from rbjax.plotting.film import Film, film, frames
+from rbjax.plotting.moving import canvas_of, check_positive, clock, picture
 from rbjax.plotting.style import INK
 
 SUFFIXES = (".gif", ".mp4", ".html")
 RENDERERS = ("drawing", "mujoco")
-_DPI = 100
 
 
 def animate(
@@ -106,9 +104,7 @@ def writable(path: Path) -> None:
 
 
 def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -> None:
-    for name, value in {"fps": fps, "speed": speed, "samples": samples}.items():
-        if not value > 0:
-            raise InputError(f"animate: {name} is {value}, expected more than 0")
+    check_positive("animate", fps=fps, speed=speed, samples=samples)
     if renderer not in RENDERERS:
         raise InputError(f"animate: renderer {renderer!r}, expected one of {', '.join(RENDERERS)}")
     if renderer == "mujoco" and source is None:
@@ -117,23 +113,12 @@ def _check(fps: float, speed: float, samples: int, renderer: str, source: Any) -
 
 def _figure(film: Film, title: str, speed: float, size: tuple[int, int]) -> tuple[Any, Any, Any]:
     """A canvas, its one axis, and the text of the time."""
-    figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
-    canvas = FigureCanvasAgg(figure)
+    canvas, figure = canvas_of(size)
     ax = figure.add_axes((0, 0, 1, 1))
     height = 12 * min(1.0, size[0] / 600)
     figure.text(0.025, 0.965, title, size=height, weight="bold", color=INK, va="top")
     label = figure.text(0.025, 0.03, "", size=height, color=INK, family="monospace")
     return canvas, ax, label
-
-
-def _time(film: Film, frame: int, speed: float) -> str:
-    rate = "" if speed == 1 else f"   {speed:g} x real time"
-    return f"t = {film.ts[frame]:.2f} s{rate}"
-
-
-def _picture(canvas: Any) -> np.ndarray:
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3]
 
 
 def _drawn(film: Film, title: str, speed: float, size: tuple[int, int]) -> Iterator[np.ndarray]:
@@ -142,8 +127,8 @@ def _drawn(film: Film, title: str, speed: float, size: tuple[int, int]) -> Itera
     stage = Stage(ax, film)
     for frame in range(len(film.ts)):
         stage.show(frame)
-        label.set_text(_time(film, frame, speed))
-        yield _picture(canvas)
+        label.set_text(clock(film.ts[frame], speed))
+        yield picture(canvas)
 
 
 def _labelled(
@@ -156,9 +141,9 @@ def _labelled(
     for text in canvas.figure.texts:
         text.set_bbox({"facecolor": "white", "alpha": 0.75, "lw": 0, "pad": 3})
     canvas.figure.texts[0].set_visible(bool(title))
-    for frame, picture in enumerate(rendered):
+    for frame, image in enumerate(rendered):
         if shown is None:
-            shown = ax.imshow(picture, aspect="auto")
-        shown.set_data(picture)
-        label.set_text(_time(film, frame, speed))
-        yield _picture(canvas)
+            shown = ax.imshow(image, aspect="auto")
+        shown.set_data(image)
+        label.set_text(clock(film.ts[frame], speed))
+        yield picture(canvas)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,7 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting.camera import Camera, facing
+from rbjax.plotting.moving import schedule
 from rbjax.plotting.solids import Solid
 
 Array = np.ndarray
@@ -69,18 +69,8 @@ def frames(
             f"({len(ts)}, {model.nq}) or (B, {len(ts)}, {model.nq}) for this model and its "
             f"{len(ts)} times: give the model that made the trajectory"
         )
-    whole = np.isfinite(q).all((0, 2)) & np.isfinite(ts)
-    kept = len(ts) if whole.all() else int(whole.argmin())
-    if not kept:
-        raise InputError("animate: the first state is not finite, expected numbers to draw")
-    if kept < len(ts):
-        warnings.warn(
-            f"the motion is not finite after t = {ts[kept - 1]:.4g} s; what follows is left out",
-            stacklevel=3,
-        )
-        ts, q = ts[:kept], q[:, :kept]
-    count = 1 + int(np.floor((ts[-1] - ts[0]) * fps / speed + 1e-6))
-    wanted = ts[0] + np.arange(count) * speed / fps
+    kept, wanted = schedule("animate", ts, q, fps, speed)
+    ts, q = ts[:kept], q[:, :kept]
     if kept == 1:
         return wanted, q[:, :1]
     before = np.clip(np.searchsorted(ts, wanted, side="right") - 1, 0, kept - 2)

@@ -12,7 +12,6 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.quiver import Quiver
 
 from rbjax.compiling import compiled
-from rbjax.lanes import add, sub
 from rbjax.model import State
 from rbjax.plotting.style import BLUE, GRID, INK, RED
 from rbjax.wheeled.contacts import contacts
@@ -59,14 +58,7 @@ def places(vehicle: Fidelity, q: Any) -> Places:
 def _places(vehicle: Fidelity, q: jax.Array) -> tuple[jax.Array, ...]:
     def one(q: jax.Array) -> tuple[jax.Array, ...]:
         n, now = vehicle.instant(State(q, jnp.zeros(vehicle.nv), jnp.zeros(vehicle.nx)))
-        origins, bodies = [(now.q[0], now.q[1])], [now.pose]
-        for k, body in enumerate(n.bodies[1:], start=1):
-            ahead = n.ahead(k)
-            e = turned(now.shape.trailers[k - 1], bodies[ahead])
-            hitch, bar = turned(body.hitch, bodies[ahead]), turned((body.drawbar, 0.0), e)
-            x, y = (add(a, sub(b, c)) for a, b, c in zip(origins[ahead], hitch, bar, strict=True))
-            origins.append((x, y))
-            bodies.append(e)
+        origins, bodies = zip(*now.bodies(), strict=True)
         wheels = [
             turned(e, bodies[w.body]) for w, e in zip(n.wheels, now.shape.wheels, strict=True)
         ]

@@ -9,9 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
-from matplotlib.figure import Figure
 
 from rbjax.errors import InputError
 from rbjax.model import State
@@ -28,10 +26,9 @@ from rbjax.plotting.from_above import (
     quiver,
     reach,
 )
+from rbjax.plotting.moving import canvas_of, check_positive, clock, picture, schedule
 from rbjax.plotting.style import GRID, INK, ORANGE
 from rbjax.wheeled.fidelity import Fidelity
-
-_DPI = 100
 
 
 def top_view(
@@ -138,9 +135,7 @@ def animate_top_view(
     file = Path(file)
     movie_files.check("animate_top_view", file, (".gif", ".mp4"))
     _check("animate_top_view", path, controls, vehicle)
-    for name, value in {"fps": fps, "speed": speed}.items():
-        if not value > 0:
-            raise InputError(f"animate_top_view: {name} is {value}, expected more than 0")
+    check_positive("animate_top_view", fps=fps, speed=speed)
     film = _Film(vehicle, path, controls, fps, speed)
     pictures = film.pictures(grid, footprint, title, speed, size)
     movie_files.write(file, pictures, len(film.ts), fps, progress)
@@ -154,8 +149,8 @@ class _Film:
         self, vehicle: Fidelity, path: Trajectory, controls: Any, fps: float, speed: float
     ):
         ts = np.asarray(path.ts, float)
-        count = max(2, round((ts[-1] - ts[0]) * fps / speed) + 1)
-        self.vehicle, self.ts = vehicle, np.linspace(ts[0], ts[-1], count)
+        kept, self.ts = schedule("animate_top_view", ts, np.asarray(path.q), fps, speed)
+        ts, count, self.vehicle = ts[:kept], len(self.ts), vehicle
         self.q, v, x = (_between(self.ts, ts, table) for table in (path.q, path.v, path.x))
         self.places = places(vehicle, self.q)
         self.at = np.array([centers(vehicle.robot, self.places.at(k)) for k in range(count)])
@@ -174,9 +169,8 @@ class _Film:
     def pictures(
         self, grid: Any, footprint: Any, title: str, speed: float, size: tuple[int, int]
     ) -> Iterator[np.ndarray]:
-        figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI)
+        canvas, figure = canvas_of(size)
         left, below = (min(0.3, 60 / pixels) for pixels in size)
-        canvas = FigureCanvasAgg(figure)
         ax = figure.add_axes((left, below, 0.96 - left, 0.92 - below))
         _ground(ax, grid)
         ax.set(xlabel="x [m]", ylabel="y [m]", title=title)
@@ -193,8 +187,7 @@ class _Film:
             for table, color in ((self.forces, FORCES), (self.sliding, SLIDING))
             if table is not None
         ]
-        clock = ax.text(0.02, 0.02, "", transform=ax.transAxes, family="monospace", color=INK)
-        rate = "" if speed == 1 else f"   {speed:g} x real time"
+        label = ax.text(0.02, 0.02, "", transform=ax.transAxes, family="monospace", color=INK)
         for k, t in enumerate(self.ts):
             here = self.places.at(k)
             way.set_data(*self.q[: k + 1, :2].T)
@@ -204,9 +197,8 @@ class _Film:
             for shown, table in arrows:
                 shown.set_offsets(self.at[k])
                 shown.set_UVC(*table[k].T)
-            clock.set_text(f"t = {t:.2f} s{rate}")
-            canvas.draw()
-            yield np.asarray(canvas.buffer_rgba())[..., :3]
+            label.set_text(clock(t, speed))
+            yield picture(canvas)
 
 
 class _Discs:
@@ -246,7 +238,7 @@ def _between(t: np.ndarray, ts: np.ndarray, table: Any) -> Any:
     """A table (T, n) at other times."""
     if table is None:
         return None
-    columns = [np.interp(t, ts, column) for column in np.asarray(table, float).T]
+    columns = [np.interp(t, ts, column) for column in np.asarray(table, float)[: len(ts)].T]
     return np.stack(columns, -1) if columns else np.zeros((len(t), 0))
 
 

@@ -161,15 +161,19 @@ def _steering_torques(n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple
 
     Wheels that turn by the angle b itself turn evenly; those of Ackermann's geometry do not.
     """
-    out = []
-    for steering in n.robot.steerings:
-        heavy = any(not is_zero(n.wheels[i].yaw_inertia) for i in steering.wheels)
-        if len(steering.wheels) == 1 or not heavy:
-            continue
-        shape = now.turning_twice(w)
-        for i in steering.wheels:
-            e = shape.wheels[i]
-            here = tuple(value_of(value_of(x)) for x in e)
-            twice = tuple(rate_of(rate_of(x)) for x in e)
-            out.append((n.wheels[i].body, mul(n.wheels[i].yaw_inertia, cross(here, twice))))
+    uneven = [
+        i
+        for steering in n.robot.steerings
+        if len(steering.wheels) > 1
+        for i in steering.wheels
+        if not is_zero(n.wheels[i].yaw_inertia)
+    ]
+    if not uneven:
+        return []
+    shape, out = now.turning_twice(w), []
+    for i in uneven:
+        e = shape.wheels[i]
+        here = tuple(value_of(value_of(x)) for x in e)
+        twice = tuple(rate_of(rate_of(x)) for x in e)
+        out.append((n.wheels[i].body, mul(n.wheels[i].yaw_inertia, cross(here, twice))))
     return out

@@ -160,24 +160,14 @@ def kinetic_energy(n: Numbers, shape: Shape, w: Sequence[Lane]) -> Lane:
 
 def potential_energy(n: Numbers, now: Instant) -> Lane:
     """The energy of the centres of mass on the slope."""
-    shape = now.shape
-    e, origin = now.pose, (now.q[0], now.q[1])
-    directions, origins, energy = [e], [origin], 0.0
-    for k, body in enumerate(n.bodies):
-        if body.ahead is not None:
-            ahead = directions[body.ahead]
-            e = turned(shape.trailers[k - 1], ahead)
-            hitch = turned(body.hitch, ahead)
-            bar = turned((body.drawbar, 0.0), e)
-            at = origins[body.ahead]
-            origin = tuple(sub(add(a, b), c) for a, b, c in zip(at, hitch, bar, strict=True))
-            directions.append(e)
-            origins.append(origin)
+    poses, energy = now.bodies(), 0.0
+    for body, (origin, e) in zip(n.bodies, poses, strict=True):
         moment = turned(body.moment, e)
         fall = dot(n.downhill, origin)
         energy = sub(energy, add(mul(body.mass, fall), dot(n.downhill, moment)))
     for i, fork in zip(n.layout.caster_wheels, n.forks, strict=True):
-        moment = turned(fork.moment, turned(shape.wheels[i], directions[n.wheels[i].body]))
+        _, e = poses[n.wheels[i].body]
+        moment = turned(fork.moment, turned(now.shape.wheels[i], e))
         energy = sub(energy, dot(n.downhill, moment))
     return energy
 

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from rbjax.lanes import Lane, fusion_barrier
+from rbjax.lanes import Lane, add, fusion_barrier, sub
 from rbjax.wheeled.numbers import Numbers
 from rbjax.wheeled.planar import Moving, Pair, direction, turned, turning
 from rbjax.wheeled.velocities import Shape, caster_rates, shape_along, twists_of
@@ -46,6 +46,18 @@ class Instant:
     def shape(self) -> Shape:
         """The shape at the angles of trailers, steerings and casters."""
         return shape_along(self.n, self.directions)
+
+    def bodies(self) -> list[tuple[Pair, Pair]]:
+        """Of each body its origin, on the ground, and its direction."""
+        n = self.n
+        out = [((self.q[0], self.q[1]), self.pose)]
+        for k, body in enumerate(n.bodies[1:], start=1):
+            at, ahead = out[n.ahead(k)]
+            e = turned(self.shape.trailers[k - 1], ahead)
+            hitch, bar = turned(body.hitch, ahead), turned((body.drawbar, 0.0), e)
+            x, y = (sub(add(a, b), c) for a, b, c in zip(at, hitch, bar, strict=True))
+            out.append(((x, y), e))
+        return out
 
     def turning(self, w: Sequence[Lane]) -> Shape:
         """The shape with its rate at full velocities w."""

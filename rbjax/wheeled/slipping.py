@@ -112,12 +112,11 @@ class Slipping(Fidelity):
             tyre = with_lanes(law, n.dtype)
             along, across = contact(n, shape, twists, i)
             roll = mul(wheel.radius, rates[wheel.shaft])
+            slides = _slides(wheel, along, across, roll)
             if wheel.kind == "caster":
-                out.append((_one_way(tyre, along - roll, roll), 0.0))
+                out.append((_one_way(tyre, slides[0], roll), 0.0))
             elif wheel.kind == "rollers":
-                c = _cosine(wheel)
-                slides = mul(c, add(along - roll, mul(wheel.slant, across)))
-                pull = _one_way(tyre, slides, roll)
+                pull, c = _one_way(tyre, slides[0], roll), _cosine(wheel)
                 out.append((mul(pull, c), mul(pull, mul(c, wheel.slant))))
             else:
                 z = now.x[taken : taken + tyre.size]
@@ -165,9 +164,9 @@ class Slipping(Fidelity):
     ) -> list[Damper]:
         """How the forces of the ground oppose the velocities at which contacts slide."""
         units = columns_of(n, now.shape, all_of, self.nv)
-        columns = [self._slides(n, now, unit) for unit in units]
+        columns = [self._all_slides(n, now, unit) for unit in units]
         out: list[Damper] = []
-        for i, slides in enumerate(self._slides(n, now, now.v)):
+        for i, slides in enumerate(self._all_slides(n, now, now.v)):
             wheel = n.wheels[i]
             roll = mul(wheel.radius, now.v[2 + len(n.bodies) + wheel.shaft])
             across = slides[1] if len(slides) > 1 else 0.0
@@ -177,25 +176,30 @@ class Slipping(Fidelity):
                 out.append((mul(load, found[k]), [column[i][k] for column in columns]))
         return out
 
-    def _slides(self, n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
-        """The velocities at which each contact slides, in the directions in which it has a force:
-        along the wheel, and across unless it is a caster; along the rollers."""
+    def _all_slides(self, n: Numbers, now: Instant, w: Sequence[Lane]) -> list[tuple[Lane, ...]]:
+        """The velocities at which each contact slides, at full velocities w."""
         twists, rates = twists_of(n, now.shape, w), w[2 + len(n.bodies) :]
-        out: list[tuple[Lane, ...]] = []
-        for i, wheel in enumerate(n.wheels):
-            along, across = contact(n, now.shape, twists, i)
-            along = sub(along, mul(wheel.radius, rates[wheel.shaft]))
-            if wheel.kind == "caster":
-                out.append((along,))
-            elif wheel.kind == "rollers":
-                # along e . a + across n . a, a the axis of the rollers
-                out.append((mul(_cosine(wheel), add(along, mul(wheel.slant, across))),))
-            else:
-                out.append((along, across))
-        return out
+        return [
+            _slides(
+                wheel, *contact(n, now.shape, twists, i), mul(wheel.radius, rates[wheel.shaft])
+            )
+            for i, wheel in enumerate(n.wheels)
+        ]
 
     def relaxation(self, n: Numbers, now: Instant) -> list[Lane]:
         return self.contacts(n, now)[1] if self.nx else []
+
+
+def _slides(wheel: WheelNumbers, along: Lane, across: Lane, roll: Lane) -> tuple[Lane, ...]:
+    """The velocity at which a contact slides, in the directions in which it has a force: along the
+    wheel, and across unless it is a caster; along the rollers."""
+    along = sub(along, roll)
+    if wheel.kind == "caster":
+        return (along,)
+    if wheel.kind == "rollers":
+        # along e . a + across n . a, a the axis of the rollers
+        return (mul(_cosine(wheel), add(along, mul(wheel.slant, across))),)
+    return along, across
 
 
 def _cosine(wheel: WheelNumbers) -> Lane:

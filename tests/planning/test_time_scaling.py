@@ -104,7 +104,7 @@ def test_a_linear_program_finds_no_faster_motion() -> None:
 
 
 def test_a_car_on_an_arc_is_bang_bang_with_its_kinetic_energy() -> None:
-    """On an arc the speed alone changes: t = 2 sqrt(d m / F), m of the energy at unit speed."""
+    """On an arc only the speed changes: t = 2 sqrt(d m / F), m of the energy at unit speed."""
     base, track, radius, mass, inertia, com, wheel = 0.5, 0.36, 0.1, 20.0, 1.5, 0.25, 0.6
     robot = KINDS["car"].make(
         wheelbase=base, track=track, radius=radius, mass=mass, inertia=inertia, com=(com, 0.0),

@@ -1,5 +1,7 @@
 """Wheeled robots from above: where their parts are, and what the files and axes hold."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -106,3 +108,13 @@ def test_bad_arguments(car, motion, tmp_path, how, says):
     file = tmp_path / how.pop("file", "car.gif")
     with pytest.raises(InputError, match=says):
         animate_top_view(car, motion, file, **how)
+
+
+def test_a_motion_that_blows_up_is_shown_until_then(car, motion, tmp_path):
+    bad = replace(motion, q=motion.q.at[3:].set(jnp.nan))
+    with pytest.warns(UserWarning, match="not finite after t = 0.05 s"):
+        file = animate_top_view(car, bad, tmp_path / "car.gif", size=(200, 160), speed=0.5)
+    with Image.open(file) as picture:
+        assert picture.n_frames == 3
+    with pytest.raises(InputError, match="the first state is not finite"):
+        animate_top_view(car, replace(motion, q=motion.q * jnp.nan), tmp_path / "car.gif")
