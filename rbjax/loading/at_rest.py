@@ -16,7 +16,7 @@ import numpy as np
 from rbjax.errors import InputError, UnknownName
 from rbjax.loading.actuator_kinds import Bias, Dyn, Gain, Trn, Wrap, is_off, reflected
 from rbjax.loading.actuator_kinds import what_is_left_out as left_out_of
-from rbjax.loading.load import compile_model
+from rbjax.loading.load import compile_model, names_of
 from rbjax.loading.round_shapes import Round, round_shape
 
 _OBJ = mujoco.mjtObj
@@ -64,7 +64,7 @@ class AtRest:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """All joints; one without a name is called joint0, joint1, ... by its number."""
-        return _names(self.m, _OBJ.mjOBJ_JOINT, self.m.njnt)
+        return names_of(self.m, _OBJ.mjOBJ_JOINT, self.m.njnt)
 
     def kind(self, j: int) -> str:
         """free, ball, slide or hinge."""
@@ -122,8 +122,8 @@ class AtRest:
 
     def frame(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """The origin and the rotation (3, 3) of a body or, where none has the name, of a site."""
-        bodies = _names(self.m, _OBJ.mjOBJ_BODY, self.m.nbody)[1:]
-        sites = _names(self.m, _OBJ.mjOBJ_SITE, self.m.nsite)
+        bodies = names_of(self.m, _OBJ.mjOBJ_BODY, self.m.nbody)[1:]
+        sites = names_of(self.m, _OBJ.mjOBJ_SITE, self.m.nsite)
         if name in bodies:
             i = bodies.index(name) + 1
             return self.d.xpos[i].copy(), self.d.xmat[i].reshape(3, 3).copy()
@@ -195,9 +195,9 @@ def at_rest(source: Any, q: Any = None) -> AtRest:
     """
     m = compile_model(source, floating_base=None)
     d = mujoco.MjData(m)
-    names = _names(m, _OBJ.mjOBJ_JOINT, m.njnt)
+    names = names_of(m, _OBJ.mjOBJ_JOINT, m.njnt)
     if isinstance(q, str):
-        keys = _names(m, _OBJ.mjOBJ_KEY, m.nkey)
+        keys = names_of(m, _OBJ.mjOBJ_KEY, m.nkey)
         if q not in keys:
             raise UnknownName("keyframe", q, keys)
         d.qpos[:] = m.key_qpos[keys.index(q)]
@@ -226,12 +226,6 @@ def _finite(what: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
             f"{'' if not shape else 'mapping of joints to values, or the name of a keyframe'}"
         )
     return x
-
-
-def _names(m: mujoco.MjModel, kind: Any, count: int) -> tuple[str, ...]:
-    return tuple(
-        mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
-    )
 
 
 def _actuator(m: mujoco.MjModel, i: int) -> FileActuator:

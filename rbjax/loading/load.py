@@ -241,11 +241,6 @@ def from_compiled(
     def array(x):
         return jnp.asarray(np.asarray(x, np.float64))
 
-    def names(kind, count):
-        return tuple(
-            mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
-        )
-
     off = m.opt.disableflags
     bit = mujoco.mjtDisableBit
 
@@ -257,12 +252,12 @@ def from_compiled(
         body_parents=tuple(int(p) - 1 for p in m.body_parentid[1:]),
         joint_kinds=tuple(_KINDS[int(t)] for t in m.jnt_type),
         joint_bodies=tuple(int(b) - 1 for b in m.jnt_bodyid),
-        body_names=names(obj.mjOBJ_BODY, m.nbody)[1:],
-        joint_names=names(obj.mjOBJ_JOINT, m.njnt),
+        body_names=names_of(m, obj.mjOBJ_BODY, m.nbody)[1:],
+        joint_names=names_of(m, obj.mjOBJ_JOINT, m.njnt),
         actuator_names=_control_names(m),
-        site_names=names(obj.mjOBJ_SITE, m.nsite),
+        site_names=names_of(m, obj.mjOBJ_SITE, m.nsite),
         site_bodies=tuple(int(b) - 1 for b in m.site_bodyid),
-        keyframe_names=names(obj.mjOBJ_KEY, m.nkey),
+        keyframe_names=names_of(m, obj.mjOBJ_KEY, m.nkey),
     )
     # MuJoCo computes with frames that coincide within 1e-6 as one frame; so then do we
     same = m.body_sameframe[:, None]
@@ -332,6 +327,13 @@ def _refuse_nan(m: mujoco.MjModel) -> None:
             )
     if not np.isfinite(m.opt.gravity).all():
         raise ModelError(f"gravity is {m.opt.gravity}, which is not finite; correct the file")
+
+
+def names_of(m: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> tuple[str, ...]:
+    """The names of joints, bodies, ...; one without a name is called by its number, as joint0."""
+    return tuple(
+        mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
+    )
 
 
 def _control_names(m: mujoco.MjModel) -> tuple[str, ...]:

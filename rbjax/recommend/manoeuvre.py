@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import math
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from rbjax.compiling import compiler_options
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import State
+from rbjax.recommend.request import fastest
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.wheeled.fidelity import Fidelity, as_state
 from rbjax.wheeled.loads import wheel_loads
@@ -25,7 +26,7 @@ from rbjax.wheeled.states import with_twist
 
 MOST_LOOKS = 64  # times at which poses are compared and contacts looked at
 MOST_STEPS = 1_000_000
-ROUNDS, SECONDS = 5, 0.05  # of the clock: at least so many, and so long
+SECONDS = 0.05  # of the clock, at least
 
 
 class Manoeuvre:
@@ -94,12 +95,8 @@ class Manoeuvre:
 
     def step_us(self, vehicle: Fidelity, halvings: int) -> float:
         """Microseconds of a step, of the fastest run."""
-        taken: list[float] = []
-        while len(taken) < ROUNDS or sum(taken) < SECONDS:
-            begin = time.perf_counter()
-            self.path(vehicle, halvings)
-            taken.append(time.perf_counter() - begin)
-        return 1e6 * min(taken) / self.steps(halvings)
+        run = functools.partial(self.path, vehicle, halvings)
+        return 1e6 * fastest(run, SECONDS) / self.steps(halvings)
 
     def along(self, path: State, look: Callable[[State, jax.Array], Any]) -> np.ndarray:
         """`look` of the states of a path, or of its first states, and their controls."""

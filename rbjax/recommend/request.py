@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 
+ROUNDS = 5  # of the clock
 FINEST = 1e-10  # accuracy at which the reference's own error matters
 
 Say = Callable[[str], None]
@@ -44,6 +46,16 @@ def telling(progress: bool) -> Iterator[Say]:
     with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
         task = bar.add_task("")
         yield lambda text: bar.update(task, description=text)
+
+
+def fastest(run: Callable[[], object], seconds: float = 0.0) -> float:
+    """Seconds of the fastest of at least five runs, which take at least so many seconds."""
+    taken: list[float] = []
+    while len(taken) < ROUNDS or sum(taken) < seconds:
+        begin = time.perf_counter()
+        run()
+        taken.append(time.perf_counter() - begin)
+    return min(taken)
 
 
 def double(x: Any) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -18,10 +17,10 @@ from rbjax.dynamics.crba import mass_matrix
 from rbjax.dynamics.manifold import difference
 from rbjax.model import Model, State
 from rbjax.motion.linearise import step
+from rbjax.recommend.request import fastest
 
 MOST_SECONDS = 2.0
 MOST_LOOKS = 64  # times at which motions are compared, gaps measured, ranks counted
-ROUNDS = 5  # of the clock
 INDEPENDENT = 1e-7  # a singular value of scaled rows above this counts
 #: a position is singular where the least one is below this, against its median on the run
 SINGULAR = 0.05
@@ -118,12 +117,7 @@ class Runs:
 
     def step_us(self, name: str, halvings: int) -> float:
         """Microseconds of a step, of the fastest run."""
-        best = math.inf
-        for _ in range(ROUNDS):
-            begin = time.perf_counter()
-            self.path(name, halvings)
-            best = min(best, time.perf_counter() - begin)
-        return 1e6 * best / self.steps(halvings)
+        return 1e6 * fastest(lambda: self.path(name, halvings)) / self.steps(halvings)
 
     @functools.cached_property
     def _residual(self) -> Callable:
