@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 
 from benchmarks.shared.gpu_timing import timed
-from benchmarks.shared.timing import markdown_table, save
+from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.shared.wheeled_rollouts import SCENES, STEPS, cases
 from rbjax.threads import device
 
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=list(SCENES))
     chosen = parser.parse_args().scenes
     found = [row for scene in chosen for batch in BATCHES for row in rows(scene, batch)]
-    save("gpu-wheeled", found)
+    save("gpu-wheeled", found + others("gpu-wheeled", found, COLUMNS[:4]))
     print(markdown_table(found, COLUMNS))
 
 
