@@ -3,12 +3,12 @@ code of this processor: `compile`."""
 
 from typing import Any
 
+from rbjax.threads.backend import wanted as wanted
 from rbjax.threads.explain import Explanation as Explanation
 from rbjax.threads.explain import explain as explain
 from rbjax.threads.function import side_by_side as side_by_side
 from rbjax.threads.function import threaded as threaded
 from rbjax.threads.function import threads as _threads
-from rbjax.threads.function import wanted as wanted
 from rbjax.threads.lowering import Unsupported as Unsupported
 from rbjax.threads.native import compile as compile
 

@@ -11,10 +11,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.threads import device
+from rbjax.threads import backend, device
 from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Written, batch_first, write_program
-from rbjax.threads.function import flattened, threaded, wanted
+from rbjax.threads.function import flattened, threaded
 from rbjax.threads.launch import capability, works
 from rbjax.threads.nvrtc import ptx
 from rbjax.threads.program import Block, If, Loop, Op, While
@@ -96,7 +96,7 @@ def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
         "moved_bytes": _moved(program),
         "batch": batch,
     }
-    if not (wanted() and works()):
+    if not (backend.gpu() and works()):
         return Explanation(**found)
     code = kernel(program)
     used = device.resources(ptx(code.source, capability()), code.name)

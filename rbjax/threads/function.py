@@ -13,18 +13,10 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from rbjax.compiling import inside_jit
 from rbjax.meshes import automatic
+from rbjax.threads.backend import wanted
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
 from rbjax.threads.uniform import unnamed
-
-
-@functools.cache
-def wanted() -> bool:
-    """Whether there is a GPU that can run kernels."""
-    try:
-        return bool(jax.devices("cuda"))
-    except RuntimeError:
-        return False
 
 
 def threads(f: Callable) -> Callable:

@@ -80,13 +80,13 @@ def parts(program: Written) -> Parts:
         "br i1 %more, label %turn, label %done", "done:",
         *(["call void @free(ptr %space)"] if room else []), "ret i32 0",
     ]  # fmt: skip
+    own = (*MALLOC, "declare i64 @llvm.smin.i64(i64, i64)",
+           "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")  # fmt: skip
     text = [
-        *MALLOC, "declare i64 @llvm.smin.i64(i64, i64)",
-        "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)", *sample.outside, sample.text,
+        *dict.fromkeys((*own, *sample.outside)), sample.text,
         "define i32 @part(ptr %buffers, i64 %index) nounwind {", *lines, "}",
     ]  # fmt: skip
-    return Parts("\n".join(dict.fromkeys(text[:4])) + "\n" + "\n".join(text[4:]), sample.libm,
-                 -(-size // each))  # fmt: skip
+    return Parts("\n".join(text), sample.libm, -(-size // each))
 
 
 def _samples_a_part(program: Written, size: int) -> int:

@@ -19,10 +19,10 @@ from rbjax.threads.llvm_statements import one_sample
 
 @dataclass(frozen=True)
 class Module:
-    """LLVM IR with a function `run`, and the functions of C's mathematics that it calls."""
+    """LLVM IR with a function `run`, and the functions outside of it that it calls."""
 
     text: str
-    libm: tuple[str, ...]
+    symbols: tuple[str, ...]
 
 
 

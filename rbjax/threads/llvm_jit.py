@@ -27,10 +27,11 @@ class NoCompiler(RuntimeError):
 
 @dataclass(frozen=True)
 class Code:
-    """A compiled function; the engine owns its memory."""
+    """A compiled function; the engine owns its memory. key: a hash of the IR and the compiler."""
 
     address: int
     engine: Any
+    key: str
 
 
 @functools.cache
@@ -47,6 +48,12 @@ def _llvm() -> Any:
 @functools.cache
 def _libm() -> ctypes.CDLL:
     return ctypes.CDLL(ctypes.util.find_library("m"))
+
+
+def _address(function: str) -> int | None:
+    """Of a function of C's mathematics, or of the system."""
+    library = _libm() if hasattr(_libm(), function) else ctypes.CDLL(None)
+    return ctypes.cast(getattr(library, function), ctypes.c_void_p).value
 
 
 @functools.cache
@@ -77,13 +84,12 @@ def compiled(module: Module) -> Code:
         how = (*_processor(), str((llvm.llvm_version_info, CODE_LEVEL, PASS_LEVEL)))
         key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
         code = cached(f"{key}.o", lambda: _object(module))
-        for function in module.libm:
-            address = ctypes.cast(getattr(_libm(), function), ctypes.c_void_p).value
-            llvm.add_symbol(function, address)
+        for function in module.symbols:
+            llvm.add_symbol(function, _address(function))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
-        return Code(engine.get_function_address("run"), engine)
+        return Code(engine.get_function_address("run"), engine, key)
     except (RuntimeError, OSError, AttributeError) as error:
         raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
 

@@ -22,9 +22,8 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import NamedSharding, PartitionSpec
 
-from rbjax.threads.cuda import kernel
+from rbjax.threads import backend, cuda, host_call, launch
 from rbjax.threads.frame import Layout, write_program
-from rbjax.threads.launch import launch, works
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
 from rbjax.threads.sharding import knows_devices, spread
@@ -122,16 +121,14 @@ def placed(x: Any, axes: Axes) -> Any:
     return jnp.moveaxis(x, range(len(there)), there)
 
 
-def on_gpu(*operands, program, batch, ins, outs):
-    """The same by one or more kernels; under XLA if the compiler does not support a primitive."""
+def as_kernel(kernel, launch, *operands, program, batch, ins, outs):
+    """The same by a kernel; under XLA if the compiler does not support a primitive."""
     if 0 in batch:
         return [jnp.zeros(a.shape, a.dtype) for a in threads_p.abstract_eval(
             *operands, program=program, batch=batch, ins=ins, outs=outs)[0]]  # fmt: skip
-    if program.apart is not None:
-        return under_xla(*operands, program=program.apart, batch=batch, ins=ins, outs=outs)
     summed = tuple(bool(batch) and all(a is None for a in axes) for axes in outs)
     try:
-        code = _kernel(program, batch, ins, outs, tuple(x.shape for x in operands), summed)
+        code = _kernel(kernel, program, batch, ins, outs, tuple(x.shape for x in operands), summed)
     except Unsupported as reason:
         _say(str(reason))
         return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
@@ -143,8 +140,21 @@ def on_gpu(*operands, program, batch, ins, outs):
     return [x.sum(0) if s else x for x, s in zip(found, summed, strict=True)]
 
 
+def on_gpu(*operands, program, batch, ins, outs):
+    """The same by one or more kernels of a GPU."""
+    how = {"batch": batch, "ins": ins, "outs": outs}
+    if program.apart is not None and 0 not in batch:
+        return under_xla(*operands, program=program.apart, **how)
+    return as_kernel(cuda.kernel, launch.launch, *operands, program=program, **how)
+
+
+def on_cpu(*operands, **how):
+    """The same by machine code."""
+    return as_kernel(host_call.host_kernel, host_call.launch, *operands, **how)
+
+
 @functools.lru_cache(maxsize=256)
-def _kernel(program, batch, ins, outs, shapes, summed):
+def _kernel(kernel, program, batch, ins, outs, shapes, summed):
     operands = [Layout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
     results = [
         Layout(a.shape, ()) if s else Layout(_shape(a.shape, batch, axes), axes)
@@ -183,11 +193,16 @@ def _is_manual(ctx):
 
 
 def _lower_for_gpu(ctx, *operands, **how):
-    return _lower(on_gpu if works() else under_xla, ctx, *operands, **how)
+    return _lower(on_gpu if launch.works() else under_xla, ctx, *operands, **how)
+
+
+def _lower_for_cpu(ctx, *operands, **how):
+    return _lower(on_cpu if backend.on_cpu() else under_xla, ctx, *operands, **how)
 
 
 mlir.register_lowering(threads_p, functools.partial(_lower, under_xla))
 knows_devices(threads_p)
+mlir.register_lowering(threads_p, _lower_for_cpu, platform="cpu")
 mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
 
