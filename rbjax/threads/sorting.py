@@ -108,6 +108,18 @@ def _top_k(low: Lowering, eqn: Any, ins: list) -> list:
     ]
 
 
+@rule("eq_to", "le_to", "lt_to")
+def _total_order(low: Lowering, eqn: Any, ins: list) -> list:
+    """Comparisons in IEEE 754's total order, in which -0 < 0 and nan is the largest."""
+    name = eqn.primitive.name.removesuffix("_to")
+    turned = {"lt": "gt", "le": "ge"}.get(name, name)  # the ranks descend
+
+    def compared(x: Value, y: Value) -> Value:
+        return low.b.op(turned, BOOL, _descending(low.b, x), _descending(low.b, y))
+
+    return [entrywise(low, BOOL, eqn.outvars[0].aval.shape, compared, *ins)]
+
+
 def _descending(b: Builder, x: Value) -> Value:
     """An integer that decreases as x grows, in IEEE 754's total order."""
     if x.dtype.kind != "f":

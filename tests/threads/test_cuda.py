@@ -43,7 +43,7 @@ def gpu(monkeypatch):
     """A process that assumes that kernels work."""
     monkeypatch.setattr(launch, "ptx", lambda source, capability: "PTX")
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
-    monkeypatch.setattr(primitive, "works", lambda: True)
+    monkeypatch.setattr(launch, "works", lambda: True)
     primitive._say.cache_clear()
 
 
@@ -127,7 +127,7 @@ def test_what_no_thread_knows_is_said_once(gpu, name):
 
 
 def test_without_kernels_xla(monkeypatch):
-    monkeypatch.setattr(primitive, "works", lambda: False)
+    monkeypatch.setattr(launch, "works", lambda: False)
     assert calls(jax.vmap(threaded(f)), X) == 0
 
 

@@ -443,6 +443,16 @@ def test_sort(dtype, n):
     compare(cases)
 
 
+def test_places_in_a_sorted_array():
+    x = np.array([[-np.inf, -1.5, -0.0, 0.0, 2.0, np.nan]])
+    y = np.array([[-1.5, 0.0, -0.0, 1.0, np.nan, np.inf]])
+    cases: dict[str, Case] = {
+        side: (lambda x, y, side=side: jnp.searchsorted(x, y, side=side), (x, y))
+        for side in ("left", "right")
+    }
+    compare(cases)
+
+
 @pytest.mark.parametrize("n", [5, 20], ids=lambda n: f"{n} entries")
 @pytest.mark.parametrize("dtype", mostly_slow((F64, I32), (F32, np.dtype("u4"))), ids=str)
 def test_top_k(dtype, n):
