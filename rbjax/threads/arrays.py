@@ -103,6 +103,8 @@ class View:
     def reshaped(self, shape: Sequence[int]) -> View | None:
         """The same entries with another shape, or None if they would have to move."""
         shape = tuple(shape)
+        if 0 in shape:
+            return replace(self, strides=(0,) * len(shape), shape=shape)
         kept = [(n, s) for n, s in zip(self.shape, self.strides, strict=True) if n != 1]
         groups: list[tuple[int, int]] = []  # axes that one stride covers: (entries, stride)
         for n, s in kept:
