@@ -1,0 +1,184 @@
+"""Machine code that XLA calls: batches, parts on several threads, derivatives, where it fails."""
+
+import functools
+import os
+import subprocess
+import sys
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import NamedSharding, PartitionSpec
+
+import rbjax as rb
+from rbjax.threads import backend, host_call, llvm_batch, llvm_jit, primitive
+from rbjax.threads.function import threaded
+from tests.tolerances import F64_TRANSFORM, relative_error
+
+pytestmark = pytest.mark.usefixtures("by_llvm", "by_xla")
+RNG = np.random.default_rng(0)
+W, X = RNG.normal(size=(5, 3)), RNG.normal(size=(6, 3))
+
+
+@pytest.fixture
+def by_llvm(monkeypatch):
+    """A process whose functions of one sample run as machine code."""
+    monkeypatch.setattr(backend, "on_cpu", lambda: True)
+
+
+def f(x, w):
+    return jnp.tanh(w @ x), x[0] > 0
+
+
+def texts(g, *args) -> str:
+    return jax.jit(g).lower(*args).as_text()
+
+
+def same(g, h, *args) -> None:
+    """g by machine code, h by XLA."""
+    assert "@rbjax_" in texts(g, *args) and "@rbjax_" not in texts(h, *args)
+    found, wanted = jax.jit(g)(*args), jax.jit(h)(*args)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        assert a.dtype == b.dtype and a.shape == b.shape
+        assert relative_error(np.asarray(a, float), np.asarray(b, float)) <= F64_TRANSFORM
+
+
+def test_one_sample_and_batches():
+    g, flip = threaded(f), functools.partial(jax.vmap, in_axes=(1, None), out_axes=(1, 0))
+    same(g, f, X[0], W)
+    same(jax.vmap(g, (0, None)), jax.vmap(f, (0, None)), X, W)
+    same(flip(g), flip(f), X.T, W)
+    many = np.stack([W, -W])
+    pairs = [jax.vmap(jax.vmap(h, (0, None)), (None, 0)) for h in (g, f)]
+    same(*pairs, X, many)
+    assert jax.jit(jax.vmap(g, (0, None)))(X[:0], W)[0].shape == (0, 5)
+
+
+@pytest.mark.parametrize("samples", [1, 7, 5000])
+def test_parts_on_several_threads(monkeypatch, samples):
+    """The sum over the batch, too, whose parts keep a row each."""
+    monkeypatch.setattr(llvm_batch, "OPERATIONS_A_PART", 100)
+    primitive._kernel.cache_clear()
+    x = RNG.normal(size=(samples, 3))
+
+    def total(g, w):
+        return (jax.vmap(g, (0, None))(x, w)[0] ** 2).sum()
+
+    for _ in range(3):
+        same(*(jax.value_and_grad(functools.partial(total, g)) for g in (threaded(f), f)), W)
+    primitive._kernel.cache_clear()
+
+
+def test_derivatives_and_loops():
+    """Inside of XLA's own loop; a gradient in f32; a hessian."""
+    step = threaded(lambda x, w: jnp.sin(w @ x)[:3])
+
+    def march(step, w):
+        return jax.lax.scan(lambda x, _: (step(x, w), x), jnp.asarray(X[0]), None, 4)[1]
+
+    plain = lambda x, w: jnp.sin(w @ x)[:3]  # noqa: E731
+    same(functools.partial(march, step), functools.partial(march, plain), W)
+    same(*(jax.jacrev(functools.partial(march, g)) for g in (step, plain)), W)
+    same(*(jax.hessian(lambda x, g=g: g(x, jnp.asarray(W)).sum()) for g in (step, plain)), X[0])
+
+
+def test_rollouts_and_gradients_are_those_of_xla(monkeypatch):
+    model = rb.load("cart_pole")
+    state = rb.State(jnp.asarray(X[:, :2]), jnp.asarray(X[:, 1:]))
+    u = jnp.asarray(RNG.normal(size=(10, 1)))
+
+    def end(kernel, mass, state, u):
+        m = model.replace(bodies=model.bodies.replace(mass=mass))
+        out = rb.rollout(m, state, u, 0.01, save_every=5, kernel=kernel)
+        return (out.q**2).sum(), out.q
+
+    one, other = (
+        jax.value_and_grad(functools.partial(end, kernel), (0, 2), has_aux=True)
+        for kernel in (True, False)
+    )
+    monkeypatch.setattr(backend, "on_cpu", lambda: True)
+    found = jax.jit(one)(model.bodies.mass, state, u)
+    monkeypatch.setattr(backend, "on_cpu", lambda: False)
+    wanted = jax.jit(other)(model.bodies.mass, state, u)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        assert relative_error(a, b) <= F64_TRANSFORM
+
+
+@pytest.mark.slow
+def test_a_program_of_another_process_is_found_again(tmp_path):
+    """JAX keeps the compiled program on disk; its machine code is registered by name."""
+    code = """
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+from rbjax.threads import threaded
+g = jax.jit(jax.vmap(threaded(lambda x: jnp.cos(x) * 3)))
+np.testing.assert_allclose(g(jnp.arange(4.0)), 3 * np.cos(np.arange(4.0)), rtol=1e-6)
+"""
+    env = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path), "RBJAX_CPU": "llvm"}
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    assert list(tmp_path.glob("jit*-cache")) and list((tmp_path / "rbjax-threads").glob("*.o"))
+
+
+def test_a_sharded_batch_stays_where_it_is():
+    mesh = jax.make_mesh((jax.device_count(),), ("data",))
+    x = jax.device_put(X, NamedSharding(mesh, PartitionSpec()))
+    found = jax.jit(jax.vmap(threaded(lambda x: x.sum())))(x)
+    np.testing.assert_allclose(found, X.sum(1), rtol=F64_TRANSFORM)
+
+
+def test_export_refuses_it():
+    """An exported program would call code that another process does not have."""
+    g = jax.jit(threaded(lambda x: jnp.sin(x)))
+    with pytest.raises(ValueError, match="custom call target|stable"):
+        jax.export.export(g)(1.0)
+
+
+# ------------------------------------------------------------------- failures
+
+
+def test_what_llvm_lacks_runs_under_xla():
+    def norm(x):
+        return jax.pure_callback(np.linalg.norm, jax.ShapeDtypeStruct((), x.dtype), x)
+
+    primitive._say.cache_clear()
+    with pytest.warns(UserWarning, match="no kernel for pure_callback"):
+        assert jax.jit(threaded(norm))(jnp.array([3.0, 4.0])) == 5
+
+
+def test_without_llvmlite_it_is_said_once(monkeypatch):
+    def missing():
+        raise llvm_jit.NoCompiler("llvmlite is missing")
+
+    monkeypatch.undo()
+    monkeypatch.setenv(backend.VARIABLE, "llvm")
+    monkeypatch.setattr(llvm_jit, "_llvm", missing)
+    caches = (backend.on_cpu, host_call.works, llvm_jit.compiled)
+    for cache in caches:
+        cache.cache_clear()
+    try:
+        with pytest.warns(UserWarning, match="llvmlite is missing.*run under XLA"):
+            assert not backend.on_cpu()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert not backend.on_cpu()
+            assert jax.jit(threaded(lambda x: x + 1))(1.0) == 2
+    finally:
+        monkeypatch.undo()
+        for cache in caches:
+            cache.cache_clear()
+
+
+def test_a_back_end_that_is_none(monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setenv(backend.VARIABLE, "fortran")
+    backend.on_cpu.cache_clear()
+    try:
+        with pytest.raises(rb.InputError, match="RBJAX_CPU: got 'fortran', expected one of"):
+            backend.on_cpu()
+    finally:
+        backend.on_cpu.cache_clear()
