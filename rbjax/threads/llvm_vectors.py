@@ -1,0 +1,298 @@
+"""The statements of a program as LLVM IR for several samples at once: a sample a lane of vectors.
+
+What is the same in every lane stays scalar (`divergence`). A local array that differs holds a
+vector an entry. Where a condition differs, a block runs if a lane wants it, under a mask: what
+outlives the block keeps its value in the other lanes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from rbjax.threads.divergence import divergence, part_of
+from rbjax.threads.frame import Written
+from rbjax.threads.llvm_mathematics import definitions
+from rbjax.threads.llvm_operations import Operations, llvm_type
+from rbjax.threads.llvm_statements import (
+    ALIGNMENT,
+    Function,
+    Writer,
+    stored,
+    written_function,
+)
+from rbjax.threads.program import Array, Block, Op, Value, Var
+
+Step = int | None  # entries from a lane's sample to the next; None if lanes lie anywhere
+
+
+def many_samples(
+    program: Written, lanes: int, steps: Sequence[Step], name: str = "samples"
+) -> Function:
+    """The function of as many samples of a program as there are lanes.
+
+    Args:
+        steps: for each operand and result, the entries from a sample to the next. With None, the
+            function takes a pointer to the pointers of the samples. Summed results are vectors.
+    """
+    return written_function(_Vectors(lanes, program, steps), program, name)
+
+
+class _Vectors(Writer):
+    """Writes statements for some samples. mask: the lanes that run, or None for all."""
+
+    def __init__(self, lanes: int, program: Written, steps: Sequence[Step]):
+        super().__init__()
+        self.lanes, self.mask, self.part = lanes, "", 0
+        self.vectors = Operations(self.lines.append, lanes, self.operations)
+        arrays = (*program.operands, *program.results)
+        summed = (*[False] * len(program.operands), *program.summed)
+        self.steps = {
+            a.id: step for a, step, s in zip(arrays, steps, summed, strict=True) if not s
+        }
+        differ = [a for a in program.operands if self.steps[a.id] != 0]
+        self.found = divergence(program.builder.block, [*differ, *program.results])
+        self.splats: list[dict[int, str]] = []
+
+    def begin(self, program: Written) -> None:
+        counts = [f"i64 {k}" for k in range(self.lanes)]
+        self.count = f"<{', '.join(counts)}>"
+        self.nowhere = "%nowhere"
+        self.entry.append("%nowhere = alloca i64")  # where lanes that do not run read and write
+        self.each: dict[int, str] = {}
+        for array in (*program.operands, *program.results):
+            step = self.steps.get(array.id, 0)
+            place, name = self.pointers[array.id], f"%each{array.id}"
+            if step is None:
+                self.entry.append(f"{name} = load {self.many('ptr')}, ptr {place}")
+            elif step:
+                far = ", ".join(f"i64 {k * step}" for k in range(self.lanes))
+                t = stored(array.dtype)
+                self.entry.append(
+                    f"{name} = getelementptr {t}, ptr {place}, {self.many('i64')} <{far}>"
+                )
+            self.each[array.id] = name
+
+    def functions(self) -> list[str]:
+        return definitions(self.vectors)
+
+    def many(self, t: str) -> str:
+        """The vector of a type."""
+        return f"<{self.lanes} x {t}>"
+
+    # ---------------------------------------------------------------- values
+
+    def block(self, block: Block) -> None:
+        self.splats.append({})
+        super().block(block)
+        self.splats.pop()
+
+    def vector(self, x: Value) -> str:
+        """A value in every lane."""
+        if not isinstance(x, Var):
+            return self.vectors.number(x)
+        if self.found.of(x):
+            if x.id not in self.places:
+                return f"%t{x.id}"
+            return self.made(f"load {self.vectors.type(x.dtype)}, ptr {self.places[x.id]}")
+        for known in self.splats:
+            if x.id in known:
+                return known[x.id]
+        name = self.spread(llvm_type(x.dtype), self.value(x))
+        if x.id not in self.places:
+            self.splats[-1][x.id] = name
+        return name
+
+    def spread(self, t: str, x: str) -> str:
+        """A scalar in every lane."""
+        one = self.made(f"insertelement {self.many(t)} poison, {t} {x}, i64 0")
+        where = f"{self.many('i32')} zeroinitializer"
+        return self.made(f"shufflevector {self.many(t)} {one}, {self.many(t)} poison, {where}")
+
+    def place(self, var: Var) -> str:
+        if not self.found.of(var):
+            return super().place(var)
+        name = self.places[var.id] = f"%m{var.id}"
+        self.entry.append(f"{name} = alloca {self.vectors.type(var.dtype)}")
+        return name
+
+    def put(self, var: Var, value: Value) -> None:
+        if not self.found.of(var):
+            return super().put(var, value)
+        text, t, place = self.vector(value), self.vectors.type(var.dtype), self.places[var.id]
+        if self.mask and self.found.outlives(var, self.part):
+            text = self.blended(t, text, self.made(f"load {t}, ptr {place}"))
+        self.lines.append(f"store {t} {text}, ptr {place}")
+        return None
+
+    def blended(self, t: str, new: str, old: str) -> str:
+        """The new value in the lanes that run."""
+        return self.made(f"select {self.many('i1')} {self.mask}, {t} {new}, {t} {old}")
+
+    def statement(self, statement: Any) -> None:
+        if isinstance(statement, Op) and self.found.of(statement.dest):
+            args = [self.vector(a) for a in statement.args]
+            self.vectors.write(statement, f"%t{statement.dest.id}", args)
+        else:
+            super().statement(statement)
+
+    # ---------------------------------------------------------------- memory
+
+    def reserve(self, array: Array, lanes: int = 1) -> None:
+        super().reserve(array, self.lanes if self.found.of(array) else 1)
+
+    def load(self, dest: Var, array: Array, base: Value | None, offset: int) -> None:
+        if not self.found.of(dest):
+            return super().load(dest, array, base, offset)
+        t = self.many(stored(dest.dtype))
+        if self.found.of(base):
+            x = self.gathered(self.running(self.pointers_at(array, base, offset)), dest.dtype)
+        elif self.side_by_side(array):
+            place, align = self.entry_of(array, base, offset)
+            x = f"load {t}, ptr {place}, align {align}"
+        else:
+            x = self.gathered(self.pointers_at(array, base, offset), dest.dtype)
+        if dest.dtype.kind == "b":
+            x = f"icmp ne {t} {self.made(x)}, zeroinitializer"
+        self.made(x, f"%t{dest.id}")
+        return None
+
+    def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
+        if not self.found.of(array):
+            return super().store(array, base, offset, value)
+        x, t = self.vector(value), self.many(stored(array.dtype))
+        if array.dtype.kind == "b":
+            x = self.made(f"zext {self.many('i1')} {x} to {t}")
+        some = bool(self.mask) and self.found.outlives(array, self.part)
+        if self.side_by_side(array) and not self.found.of(base):
+            place, align = self.entry_of(array, base, offset)
+            if some:
+                x = self.blended(t, x, self.made(f"load {t}, ptr {place}, align {align}"))
+            self.lines.append(f"store {t} {x}, ptr {place}, align {align}")
+            return None
+        pointers = self.pointers_at(array, base, offset)
+        one = stored(array.dtype)
+        for k, place in enumerate(self.lanes_of("ptr", self.running(pointers) if some else pointers)):
+            entry = self.made(f"extractelement {t} {x}, i64 {k}")
+            self.lines.append(f"store {one} {entry}, ptr {place}")
+        return None
+
+    def side_by_side(self, array: Array) -> bool:
+        """Whether an entry of all lanes is one piece of memory."""
+        return array.id not in self.steps or self.steps[array.id] == 1
+
+    def entry_of(self, array: Array, base: Value | None, offset: int) -> tuple[str, int]:
+        """The address of an entry of all lanes, and its alignment."""
+        t, size = stored(array.dtype), array.dtype.itemsize
+        if array.id in self.steps:
+            return self.address(array, base, offset), size
+        place = self.at(self.many(t), self.pointers[array.id], base, offset)
+        return place, min(ALIGNMENT, size * self.lanes)
+
+    def at(self, t: str, start: str, base: Value | None, offset: int) -> str:
+        """start + base + offset."""
+        if base is not None:
+            kind, index = llvm_type(base.dtype), self.value(base)
+            start = self.made(f"getelementptr {t}, ptr {start}, {kind} {index}")
+        return self.made(f"getelementptr {t}, ptr {start}, i64 {offset}") if offset else start
+
+    def pointers_at(self, array: Array, base: Value | None, offset: int) -> str:
+        """The addresses of an entry in each lane."""
+        t, places = stored(array.dtype), self.many("ptr")
+        whole = t
+        if not self.found.of(array):
+            start = self.spread("ptr", self.start(array))
+        elif array.id in self.steps:
+            start = self.each[array.id]
+        else:
+            whole = self.many(t)
+            start = self.spread("ptr", self.pointers[array.id])
+            start = self.made(f"getelementptr {t}, {places} {start}, {self.many('i64')} {self.count}")
+        if base is not None:
+            index = f"{self.vectors.type(base.dtype)} {self.vector(base)}"
+            start = self.made(f"getelementptr {whole}, {places} {start}, {index}")
+        if not offset:
+            return start
+        far = f"{self.many('i64')} splat (i64 {offset})"
+        return self.made(f"getelementptr {whole}, {places} {start}, {far}")
+
+    def running(self, pointers: str) -> str:
+        """These addresses in the lanes that run; others may be out of bounds."""
+        if not self.mask:
+            return pointers
+        return self.blended(self.many("ptr"), pointers, self.spread("ptr", self.nowhere))
+
+    def lanes_of(self, t: str, x: str) -> list[str]:
+        """The entries of a vector."""
+        return [self.made(f"extractelement {self.many(t)} {x}, i64 {k}") for k in range(self.lanes)]
+
+    def gathered(self, pointers: str, dtype: np.dtype) -> str:
+        """What lies at these addresses; the text of its last instruction."""
+        t = stored(dtype)
+        text = "poison"
+        for k, place in enumerate(self.lanes_of("ptr", pointers)):
+            x = self.made(f"load {t}, ptr {place}")
+            before = self.made(text) if k else text
+            text = f"insertelement {self.many(t)} {before}, {t} {x}, i64 {k}"
+        return text
+
+    # ---------------------------------------------------------------- control
+
+    @contextmanager
+    def among(self, mask: str, part: int) -> Iterator[None]:
+        """Statements that some lanes run."""
+        before = self.mask, self.part
+        self.mask, self.part = mask, part
+        yield
+        self.mask, self.part = before
+
+    def any_of(self, mask: str) -> str:
+        bits = self.made(f"bitcast {self.many('i1')} {mask} to i{self.lanes}")
+        return self.made(f"icmp ne i{self.lanes} {bits}, 0")
+
+    def within(self, condition: str) -> str:
+        """The lanes that run in which a condition holds."""
+        return self.made(f"and {self.many('i1')} {self.mask}, {condition}") if self.mask else condition
+
+    def while_(self, test: Block, condition: Value, body: Block) -> None:
+        if not self.found.of(condition):
+            return super().while_(test, condition, body)
+        top, turn, end = self.labels("while", "turn", "leave")
+        t = self.many("i1")
+        place = f"%run{next(self.numbers)}"
+        self.entry.append(f"{place} = alloca {t}")
+        self.lines.append(f"store {t} {self.mask or 'splat (i1 true)'}, ptr {place}")
+        self.start_of(top)
+        with self.among(self.made(f"load {t}, ptr {place}"), part_of(test, condition, self.part, self.found)):
+            self.block(test)
+            mask = self.within(self.vector(condition))
+        self.lines.append(f"store {t} {mask}, ptr {place}")
+        self.lines.append(f"br i1 {self.any_of(mask)}, label %{turn}, label %{end}")
+        self.start_of(turn, come=False)
+        with self.among(mask, part_of(body, condition, self.part, self.found)):
+            self.block(body)
+        self.lines.append(f"br label %{top}")
+        self.start_of(end, come=False)
+        return None
+
+    def if_(self, condition: Value, then: Block, otherwise: Block) -> None:
+        if not self.found.of(condition):
+            return super().if_(condition, then, otherwise)
+        yes = self.vector(condition)
+        self.some(self.within(yes), then, condition)
+        if otherwise.statements:
+            no = self.made(f"xor {self.many('i1')} {yes}, splat (i1 true)")
+            self.some(self.within(no), otherwise, condition)
+        return None
+
+    def some(self, mask: str, block: Block, condition: Value) -> None:
+        """A block for some lanes, if there are any."""
+        turn, end = self.labels("some", "all")
+        self.lines.append(f"br i1 {self.any_of(mask)}, label %{turn}, label %{end}")
+        self.start_of(turn, come=False)
+        with self.among(mask, part_of(block, condition, self.part, self.found)):
+            self.block(block)
+        self.start_of(end)
