@@ -12,18 +12,19 @@ import math
 from dataclasses import dataclass
 
 from rbjax.threads.frame import Layout, Written
-from rbjax.threads.llvm_statements import ALIGNMENT, one_sample, stored
+from rbjax.threads.llvm_jit import register_bytes
+from rbjax.threads.llvm_statements import ALIGNMENT, MALLOC, one_sample, stored
 from rbjax.threads.llvm_vectors import many_samples
-from rbjax.threads.program import Block, If, Loop, Op, While
+from rbjax.threads.program import Block, If, Loop, Op, While, walk
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000
 #: turns of a `while`, which are not known
 TURNS = 10
+#: local arrays of all lanes that a core's own cache holds
+ARRAY_BYTES = 512 * 1024
 #: each part keeps a row of its own of every summed result
 PARTS_UP_TO = 1024
-
-MALLOC = ("declare noalias ptr @malloc(i64)", "declare void @free(ptr)")
 
 
 @dataclass(frozen=True)
@@ -36,14 +37,15 @@ class Parts:
     count: int
 
 
-def parts(program: Written, lanes: int = 1) -> Parts:
+def parts(program: Written, lanes: int | None = None) -> Parts:
     """The function of one part of the program's batch.
 
     Args:
-        lanes: samples that run at once, as lanes of vectors, if the batch has so many. The last
-            ones of a part may run twice.
+        lanes: samples that run at once, as lanes of vectors, if the batch has so many; as many as
+            fit into a register by default. The last ones of a part may run twice.
     """
     size = math.prod(program.batch)
+    lanes = _lanes(program) if lanes is None else lanes
     lanes = lanes if size >= lanes else 1
     layouts = (*program.layouts[0], *program.layouts[1])
     arrays = (*program.operands, *program.results)
@@ -109,8 +111,20 @@ def parts(program: Written, lanes: int = 1) -> Parts:
     return Parts("\n".join([*dict.fromkeys(text), sample.text, *body]), sample.libm, count)
 
 
+def _lanes(program: Written) -> int:
+    """The samples whose numbers fit into a register; one if their local arrays need much memory."""
+    arrays = (*program.operands, *program.results)
+    values = [s.dest for s in walk(program.builder.block) if isinstance(s, Op)]
+    dtypes = {x.dtype for x in (*arrays, *values)}
+    floats = [t.itemsize for t in dtypes if t.kind == "f"] or [t.itemsize for t in dtypes]
+    lanes = register_bytes() // max(floats, default=8)
+    return lanes if lanes * program.array_bytes <= ARRAY_BYTES else 1
+
+
 def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None:
     """The entries from a sample to the next one within a vector, or None if they differ."""
+    if not layout.axes:  # shared, or a sum
+        return 0
     axes = [(n, step) for n, step in zip(batch, layout.steps, strict=True) if n > 1]
     if not axes:
         return 0

@@ -108,11 +108,10 @@ class Operations:
 
     def write(self, op: Op, name: str, x: list[str]) -> None:
         """name = op(x)."""
-        self.made(self._text(op, x), name)
+        self.made(self.text(op.name, op.dest.dtype, op.args[0].dtype, x), name)
 
-    def _text(self, op: Op, x: list[str]) -> str:
-        kind, what = op.dest.dtype, op.name
-        of = op.args[0].dtype
+    def text(self, what: str, kind: np.dtype, of: np.dtype, x: list[str]) -> str:
+        """The instruction of an operation; kind: of its result, of: of its first argument."""
         t, truth = self.type(kind), self.type(bool)
         if what in COMPARISONS:
             return f"{_comparison(what, of)} {self.type(of)} {x[0]}, {x[1]}"

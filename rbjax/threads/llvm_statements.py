@@ -36,6 +36,7 @@ STACK_ARRAY_BYTES = 2048
 #: bytes of all local arrays on the stack
 STACK_BYTES = 128 * 1024
 ALIGNMENT = 64
+MALLOC = ("declare noalias ptr @malloc(i64)", "declare void @free(ptr)")
 
 
 @dataclass(frozen=True)
