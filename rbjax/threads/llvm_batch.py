@@ -7,15 +7,17 @@ result that is summed over the batch has one row a part, which the caller adds u
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections import Counter
 from dataclasses import dataclass
 
+from rbjax.threads.arrays import row_major
 from rbjax.threads.frame import Layout, Written
 from rbjax.threads.llvm_jit import register_bytes
+from rbjax.threads.llvm_samples import Lines
 from rbjax.threads.llvm_statements import ALIGNMENT, MALLOC, one_sample, stored
-from rbjax.threads.llvm_vectors import many_samples
-from rbjax.threads.program import Block, If, Loop, Op, While, walk
+from rbjax.threads.llvm_vectors import TILE, Step, many_samples
+from rbjax.threads.program import Block, If, Load, Loop, Op, Store, While, walk
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000
@@ -49,16 +51,20 @@ def parts(program: Written, lanes: int | None = None) -> Parts:
     lanes = lanes if size >= lanes else 1
     layouts = (*program.layouts[0], *program.layouts[1])
     arrays = (*program.operands, *program.results)
-    steps = [_lane_step(layout, program.batch, lanes) for layout in layouts]
-    sample = one_sample(program) if lanes == 1 else many_samples(program, lanes, steps)
+    steps: list[Step] = [_lane_step(layout, program.batch, lanes) for layout in layouts]
+    sums = [k + len(program.operands) for k, s in enumerate(program.summed) if s]
+    tiles = _in_tiles(program, steps, sums) if lanes > 1 else []
+    how = [TILE if k in sums or k in tiles else step for k, step in enumerate(steps)]
+    sample = one_sample(program) if lanes == 1 else many_samples(program, lanes, how)
     each, count = _shares(program, size, lanes)
-    lines, names = _Lines(), []
-    sums = dict(_summed(program, sample.workspace, lanes))
-    room = max((start + n for start, n in sums.values()), default=sample.workspace)
+    lines, names = Lines(), []
+    room, places = sample.workspace, {}
+    for k in (*sums, *tiles):
+        places[k], room = room, room + lanes * _up(arrays[k].size * arrays[k].dtype.itemsize)
     for k in range(len(arrays)):
         place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")
         names.append(lines.made(f"load ptr, ptr {place}"))
-    tables = {k for k, step in enumerate(steps) if step is None and k not in sums}
+    tables = [k for k, step in enumerate(how) if step is None and lanes > 1]
     for k in tables:
         lines.append(f"%table{k} = alloca [{lanes} x ptr], align {ALIGNMENT}")
     lines += [
@@ -76,29 +82,35 @@ def parts(program: Written, lanes: int | None = None) -> Parts:
             f"%gap = and i64 %low, {ALIGNMENT - 1}",
             "%space = getelementptr i8, ptr %memory, i64 %gap",
         ]  # fmt: skip
-    for k, (_, n) in sums.items():
-        n //= lanes
+    for k in sums:
+        n = arrays[k].size * arrays[k].dtype.itemsize
         own = lines.made(f"mul i64 %index, {n}")
         names[k] = lines.made(f"getelementptr i8, ptr {names[k]}, i64 {own}")
         lines.append(f"call void @llvm.memset.p0.i64(ptr {names[k]}, i8 0, i64 {n}, i1 false)")
     lines += ["br label %ahead", "ahead:", "br label %turn", "turn:"]
     lines.append("%wanted = phi i64 [%first, %ahead], [%next, %after]")
     lines.append(f"%b = call i64 @llvm.smin.i64(i64 %wanted, i64 {size - lanes})")
-    pointers = []
+    pointers, after = [], Lines(lines)
     for k, (array, layout) in enumerate(zip(arrays, layouts, strict=True)):
-        t = stored(array.dtype)
-        if k in sums:
-            pointers.append(lines.made(f"getelementptr i8, ptr %space, i64 {sums[k][0]}"))
-        elif k in tables:
-            lines.fill(f"%table{k}", names[k], t, layout, program.batch, lanes)
+        t, step = stored(array.dtype), steps[k]
+        if k in places:
+            pointers.append(lines.made(f"getelementptr i8, ptr %space, i64 {places[k]}"))
+        if k in tiles or k in tables:
+            rows = lines.each(names[k], t, layout, program.batch, lanes, step)
+        if k in tables:
+            lines.fill(f"%table{k}", rows)
             pointers.append(f"%table{k}")
-        else:
+        elif k in tiles and k < len(program.operands):
+            lines.tile_of_rows(pointers[k], rows, t, array.size)
+        elif k in tiles:
+            after.rows_of_tile(rows, pointers[k], t, array.size)
+        elif k not in sums:
             pointers.append(lines.sample(names[k], t, layout, program.batch, "%b"))
     lines.append(sample.call(pointers, space))
     for k in sums:
         lines.add_up(names[k], pointers[k], stored(arrays[k].dtype), arrays[k].size, lanes)
     lines += [
-        "br label %after", "after:", f"%next = add i64 %wanted, {lanes}",
+        *after, "br label %after", "after:", f"%next = add i64 %wanted, {lanes}",
         "%more = icmp slt i64 %next, %stop",
         "br i1 %more, label %turn, label %done", "done:",
         *(["call void @free(ptr %memory)"] if room else []), "ret i32 0",
@@ -111,11 +123,29 @@ def parts(program: Written, lanes: int | None = None) -> Parts:
     return Parts("\n".join([*dict.fromkeys(text), sample.text, *body]), sample.libm, count)
 
 
+def _up(n: int) -> int:
+    """A multiple of the alignment."""
+    return -(-max(n, 1) // ALIGNMENT) * ALIGNMENT
+
+
+def _in_tiles(program: Written, steps: list[Step], sums: list[int]) -> list[int]:
+    """The arrays whose samples are rows that are turned into vectors, and back.
+
+    The program must name most of their entries; of others it reads and writes what it needs."""
+    named = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, Load | Store))
+    arrays = (*program.operands, *program.results)
+    layouts = (*program.layouts[0], *program.layouts[1])
+    return [
+        k for k, (array, layout, step) in enumerate(zip(arrays, layouts, steps, strict=True))
+        if step not in (0, 1) and k not in sums and 0 < array.size <= 2 * named[array.id]
+        and layout.strides == row_major(layout.sample)
+    ]  # fmt: skip
+
+
 def _lanes(program: Written) -> int:
     """The samples whose numbers fit into a register; one if their local arrays need much memory."""
-    arrays = (*program.operands, *program.results)
     values = [s.dest for s in walk(program.builder.block) if isinstance(s, Op)]
-    dtypes = {x.dtype for x in (*arrays, *values)}
+    dtypes = {x.dtype for x in values} | {x.dtype for x in (*program.operands, *program.results)}
     floats = [t.itemsize for t in dtypes if t.kind == "f"] or [t.itemsize for t in dtypes]
     lanes = register_bytes() // max(floats, default=8)
     return lanes if lanes * program.array_bytes <= ARRAY_BYTES else 1
@@ -158,92 +188,3 @@ def _operations(block: Block) -> int:
             case If(then=then, otherwise=otherwise):
                 total += max(_operations(then), _operations(otherwise))
     return total
-
-
-def _summed(program: Written, start: int, lanes: int) -> list[tuple[int, tuple[int, int]]]:
-    """The place in the workspace of each summed result of a sample, and its bytes."""
-    out = []
-    for k, (array, summed) in enumerate(zip(program.results, program.summed, strict=True)):
-        if summed:
-            n = lanes * array.size * array.dtype.itemsize
-            out.append((len(program.operands) + k, (start, n)))
-            start += -(-max(n, 1) // ALIGNMENT) * ALIGNMENT
-    return out
-
-
-class _Lines(list):
-    """Instructions with fresh names."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.names = itertools.count()
-        self.declared: list[str] = []
-
-    def made(self, text: str) -> str:
-        name = f"%v{next(self.names)}"
-        self.append(f"{name} = {text}")
-        return name
-
-    def sample(
-        self, base: str, t: str, layout: Layout, batch: tuple[int, ...], sample: str
-    ) -> str:
-        """The pointer to a sample of an array."""
-        rest, place = sample, base
-        for k in reversed(range(len(batch))):
-            index = rest
-            if k:
-                index = self.made(f"urem i64 {rest}, {batch[k]}")
-                rest = self.made(f"udiv i64 {rest}, {batch[k]}")
-            if layout.steps[k]:
-                far = self.made(f"mul i64 {index}, {layout.steps[k]}")
-                place = self.made(f"getelementptr {t}, ptr {place}, i64 {far}")
-        return place
-
-    def fill(
-        self, table: str, base: str, t: str, layout: Layout, batch: tuple[int, ...], lanes: int
-    ) -> None:
-        """The pointers to the samples from %b on, in a table."""
-        for k in range(lanes):
-            sample = self.made(f"add i64 %b, {k}")
-            place = self.sample(base, t, layout, batch, sample)
-            slot = self.made(f"getelementptr ptr, ptr {table}, i64 {k}")
-            self.append(f"store ptr {place}, ptr {slot}")
-
-    def add_up(self, total: str, term: str, t: str, count: int, lanes: int) -> None:
-        """total[i] += term[i]."""
-        if not count:
-            return
-        n = next(self.names)
-        add = "fadd" if t in ("float", "double") else "add"
-        of = t if lanes == 1 else f"<{lanes} x {t}>"
-        self += [
-            f"br label %before{n}", f"before{n}:", f"br label %adding{n}", f"adding{n}:",
-            f"%i{n} = phi i64 [0, %before{n}], [%j{n}, %adding{n}]",
-            f"%to{n} = getelementptr {t}, ptr {total}, i64 %i{n}",
-            f"%of{n} = getelementptr {of}, ptr {term}, i64 %i{n}",
-            f"%x{n} = load {t}, ptr %to{n}", f"%y{n} = load {of}, ptr %of{n}",
-        ]  # fmt: skip
-        y = f"%y{n}" if lanes == 1 else self.sum_of(f"%y{n}", t, lanes)
-        self += [
-            f"%z{n} = {add} {t} %x{n}, {y}", f"store {t} %z{n}, ptr %to{n}",
-            f"%j{n} = add i64 %i{n}, 1", f"%c{n} = icmp slt i64 %j{n}, {count}",
-            f"br i1 %c{n}, label %adding{n}, label %added{n}", f"added{n}:",
-        ]  # fmt: skip
-
-    def sum_of(self, x: str, t: str, lanes: int) -> str:
-        """The sum of the lanes whose samples have not run before."""
-        many, kind = f"<{lanes} x {t}>", {"float": "f32", "double": "f64"}.get(t, t)
-        counts = ", ".join(f"i64 {k}" for k in range(lanes))
-        again = self.made("sub i64 %wanted, %b")
-        one = self.made(f"insertelement <{lanes} x i64> poison, i64 {again}, i64 0")
-        where = f"<{lanes} x i32> zeroinitializer"
-        all_ = self.made(f"shufflevector <{lanes} x i64> {one}, <{lanes} x i64> poison, {where}")
-        first = self.made(f"icmp uge <{lanes} x i64> <{counts}>, {all_}")
-        y = self.made(f"select <{lanes} x i1> {first}, {many} {x}, {many} zeroinitializer")
-        if kind == t:
-            name = f"llvm.vector.reduce.add.v{lanes}{t}"
-            self.declared.append(f"declare {t} @{name}({many})")
-            return self.made(f"call {t} @{name}({many} {y})")
-        name = f"llvm.vector.reduce.fadd.v{lanes}{kind}"
-        self.declared.append(f"declare {t} @{name}({t}, {many})")
-        return self.made(f"call reassoc {t} @{name}({t} -0.0, {many} {y})")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -60,7 +60,7 @@ class Operations:
     ):
         self.emit, self.lanes = emit, lanes
         self.declared: dict[str, str] = like.declared if like else {}
-        self.names = like.names if like else itertools.count()
+        self.names: Iterator[int] = like.names if like else itertools.count()
         #: functions of mathematics that vectors call, by name and type
         self.functions: dict[tuple[str, np.dtype], None] = {}
 

@@ -127,11 +127,14 @@ class Writer:
         return f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
 
     def address(self, array: Array, base: Value | None, offset: int) -> str:
-        known, t = self.start(array), stored(array.dtype)
+        return self.at(stored(array.dtype), self.start(array), base, offset)
+
+    def at(self, t: str, start: str, base: Value | None, offset: int) -> str:
+        """start + base + offset, in entries of type t."""
         if base is not None:
             kind, index = llvm_type(base.dtype), self.value(base)
-            known = self.made(f"getelementptr {t}, ptr {known}, {kind} {index}")
-        return self.made(f"getelementptr {t}, ptr {known}, i64 {offset}") if offset else known
+            start = self.made(f"getelementptr {t}, ptr {start}, {kind} {index}")
+        return self.made(f"getelementptr {t}, ptr {start}, i64 {offset}") if offset else start
 
     # ---------------------------------------------------------------- values
 

@@ -26,7 +26,10 @@ from rbjax.threads.llvm_statements import (
 )
 from rbjax.threads.program import Array, Block, Op, Value, Var
 
-Step = int | None  # entries from a lane's sample to the next; None if lanes lie anywhere
+#: entries from a lane's sample to the next; None if lanes lie anywhere, TILE if each entry of the
+#: array is a vector
+Step = int | str | None
+TILE = "tile"
 
 
 def many_samples(
@@ -35,8 +38,8 @@ def many_samples(
     """The function of as many samples of a program as there are lanes.
 
     Args:
-        steps: for each operand and result, the entries from a sample to the next. With None, the
-            function takes a pointer to the pointers of the samples. Summed results are vectors.
+        steps: for each operand and result, how its samples lie. With None, the function takes a
+            pointer to the pointers of the samples.
     """
     return written_function(_Vectors(lanes, program, steps), program, name)
 
@@ -49,32 +52,28 @@ class _Vectors(Writer):
         self.lanes, self.mask, self.part = lanes, "", 0
         self.vectors = Operations(self.lines.append, lanes, self.operations)
         arrays = (*program.operands, *program.results)
-        summed = (*[False] * len(program.operands), *program.summed)
         self.steps = {
-            a.id: step for a, step, s in zip(arrays, steps, summed, strict=True) if not s
+            a.id: step for a, step in zip(arrays, steps, strict=True) if step != TILE
         }
-        differ = [a for a in program.operands if self.steps[a.id] != 0]
+        differ = [a for a in program.operands if self.steps.get(a.id) != 0]
         self.found = divergence(program.builder.block, [*differ, *program.results])
         self.splats: list[dict[int, str]] = []
 
     def begin(self, program: Written) -> None:
-        counts = [f"i64 {k}" for k in range(self.lanes)]
-        self.count = f"<{', '.join(counts)}>"
-        self.nowhere = "%nowhere"
-        self.entry.append("%nowhere = alloca i64")  # where lanes that do not run read and write
-        self.each: dict[int, str] = {}
+        # where lanes that do not run read and write
+        self.entry.append("%nowhere = alloca i64")
         for array in (*program.operands, *program.results):
             step = self.steps.get(array.id, 0)
             place, name = self.pointers[array.id], f"%each{array.id}"
             if step is None:
                 self.entry.append(f"{name} = load {self.many('ptr')}, ptr {place}")
             elif step:
-                far = ", ".join(f"i64 {k * step}" for k in range(self.lanes))
-                t = stored(array.dtype)
-                self.entry.append(
-                    f"{name} = getelementptr {t}, ptr {place}, {self.many('i64')} <{far}>"
-                )
-            self.each[array.id] = name
+                t = f"getelementptr {stored(array.dtype)}, ptr {place}"
+                self.entry.append(f"{name} = {t}, {self.counts(step)}")
+
+    def counts(self, step: int = 1) -> str:
+        """0, step, 2 step ... as indices."""
+        return f"{self.many('i64')} <{', '.join(f'i64 {k * step}' for k in range(self.lanes))}>"
 
     def functions(self) -> list[str]:
         return definitions(self.vectors)
@@ -163,7 +162,8 @@ class _Vectors(Writer):
     def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
         if not self.found.of(array):
             return super().store(array, base, offset, value)
-        x, t = self.vector(value), self.many(stored(array.dtype))
+        x, one = self.vector(value), stored(array.dtype)
+        t = self.many(one)
         if array.dtype.kind == "b":
             x = self.made(f"zext {self.many('i1')} {x} to {t}")
         some = bool(self.mask) and self.found.outlives(array, self.part)
@@ -174,8 +174,8 @@ class _Vectors(Writer):
             self.lines.append(f"store {t} {x}, ptr {place}, align {align}")
             return None
         pointers = self.pointers_at(array, base, offset)
-        one = stored(array.dtype)
-        for k, place in enumerate(self.lanes_of("ptr", self.running(pointers) if some else pointers)):
+        pointers = self.running(pointers) if some else pointers
+        for k, place in enumerate(self.lanes_of("ptr", pointers)):
             entry = self.made(f"extractelement {t} {x}, i64 {k}")
             self.lines.append(f"store {one} {entry}, ptr {place}")
         return None
@@ -189,15 +189,8 @@ class _Vectors(Writer):
         t, size = stored(array.dtype), array.dtype.itemsize
         if array.id in self.steps:
             return self.address(array, base, offset), size
-        place = self.at(self.many(t), self.pointers[array.id], base, offset)
+        place = self.at(self.many(t), self.start(array), base, offset)
         return place, min(ALIGNMENT, size * self.lanes)
-
-    def at(self, t: str, start: str, base: Value | None, offset: int) -> str:
-        """start + base + offset."""
-        if base is not None:
-            kind, index = llvm_type(base.dtype), self.value(base)
-            start = self.made(f"getelementptr {t}, ptr {start}, {kind} {index}")
-        return self.made(f"getelementptr {t}, ptr {start}, i64 {offset}") if offset else start
 
     def pointers_at(self, array: Array, base: Value | None, offset: int) -> str:
         """The addresses of an entry in each lane."""
@@ -206,11 +199,10 @@ class _Vectors(Writer):
         if not self.found.of(array):
             start = self.spread("ptr", self.start(array))
         elif array.id in self.steps:
-            start = self.each[array.id]
+            start = f"%each{array.id}"
         else:
             whole = self.many(t)
-            start = self.spread("ptr", self.pointers[array.id])
-            start = self.made(f"getelementptr {t}, {places} {start}, {self.many('i64')} {self.count}")
+            start = self.made(f"getelementptr {t}, ptr {self.start(array)}, {self.counts()}")
         if base is not None:
             index = f"{self.vectors.type(base.dtype)} {self.vector(base)}"
             start = self.made(f"getelementptr {whole}, {places} {start}, {index}")
@@ -223,7 +215,7 @@ class _Vectors(Writer):
         """These addresses in the lanes that run; others may be out of bounds."""
         if not self.mask:
             return pointers
-        return self.blended(self.many("ptr"), pointers, self.spread("ptr", self.nowhere))
+        return self.blended(self.many("ptr"), pointers, self.spread("ptr", "%nowhere"))
 
     def lanes_of(self, t: str, x: str) -> list[str]:
         """The entries of a vector."""
@@ -241,40 +233,41 @@ class _Vectors(Writer):
 
     # ---------------------------------------------------------------- control
 
-    @contextmanager
-    def among(self, mask: str, part: int) -> Iterator[None]:
-        """Statements that some lanes run."""
-        before = self.mask, self.part
-        self.mask, self.part = mask, part
-        yield
-        self.mask, self.part = before
-
     def any_of(self, mask: str) -> str:
+        """Whether there are such lanes."""
         bits = self.made(f"bitcast {self.many('i1')} {mask} to i{self.lanes}")
         return self.made(f"icmp ne i{self.lanes} {bits}, 0")
 
     def within(self, condition: str) -> str:
         """The lanes that run in which a condition holds."""
-        return self.made(f"and {self.many('i1')} {self.mask}, {condition}") if self.mask else condition
+        if not self.mask:
+            return condition
+        return self.made(f"and {self.many('i1')} {self.mask}, {condition}")
+
+    @contextmanager
+    def among(self, mask: str, block: Block, condition: Value) -> Iterator[None]:
+        """Some lanes run a block, and what follows within."""
+        before = self.mask, self.part
+        self.mask, self.part = mask, part_of(block, condition, self.part, self.found)
+        self.block(block)
+        yield
+        self.mask, self.part = before
 
     def while_(self, test: Block, condition: Value, body: Block) -> None:
         if not self.found.of(condition):
             return super().while_(test, condition, body)
         top, turn, end = self.labels("while", "turn", "leave")
-        t = self.many("i1")
-        place = f"%run{next(self.numbers)}"
+        t, place = self.many("i1"), f"%run{next(self.numbers)}"
         self.entry.append(f"{place} = alloca {t}")
         self.lines.append(f"store {t} {self.mask or 'splat (i1 true)'}, ptr {place}")
         self.start_of(top)
-        with self.among(self.made(f"load {t}, ptr {place}"), part_of(test, condition, self.part, self.found)):
-            self.block(test)
+        with self.among(self.made(f"load {t}, ptr {place}"), test, condition):
             mask = self.within(self.vector(condition))
         self.lines.append(f"store {t} {mask}, ptr {place}")
         self.lines.append(f"br i1 {self.any_of(mask)}, label %{turn}, label %{end}")
         self.start_of(turn, come=False)
-        with self.among(mask, part_of(body, condition, self.part, self.found)):
-            self.block(body)
-        self.lines.append(f"br label %{top}")
+        with self.among(mask, body, condition):
+            self.lines.append(f"br label %{top}")
         self.start_of(end, come=False)
         return None
 
@@ -282,17 +275,14 @@ class _Vectors(Writer):
         if not self.found.of(condition):
             return super().if_(condition, then, otherwise)
         yes = self.vector(condition)
-        self.some(self.within(yes), then, condition)
-        if otherwise.statements:
-            no = self.made(f"xor {self.many('i1')} {yes}, splat (i1 true)")
-            self.some(self.within(no), otherwise, condition)
+        no = self.made(f"xor {self.many('i1')} {yes}, splat (i1 true)")
+        for block, here in ((then, yes), (otherwise, no)):
+            if not block.statements:
+                continue
+            turn, end = self.labels("some", "all")
+            mask = self.within(here)
+            self.lines.append(f"br i1 {self.any_of(mask)}, label %{turn}, label %{end}")
+            self.start_of(turn, come=False)
+            with self.among(mask, block, condition):
+                self.start_of(end)
         return None
-
-    def some(self, mask: str, block: Block, condition: Value) -> None:
-        """A block for some lanes, if there are any."""
-        turn, end = self.labels("some", "all")
-        self.lines.append(f"br i1 {self.any_of(mask)}, label %{turn}, label %{end}")
-        self.start_of(turn, come=False)
-        with self.among(mask, part_of(block, condition, self.part, self.found)):
-            self.block(block)
-        self.start_of(end)

@@ -17,8 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.threads.c_source import PREAMBLE
 from rbjax.threads import llvm_jit
+from rbjax.threads.c_source import PREAMBLE
 from rbjax.threads.frame import (
     HOST_HEAD,
     Written,
