@@ -16,7 +16,7 @@ from rbjax.threads.frame import Layout, Written
 from rbjax.threads.llvm_jit import register_bytes
 from rbjax.threads.llvm_samples import Lines
 from rbjax.threads.llvm_statements import ALIGNMENT, MALLOC, one_sample, stored
-from rbjax.threads.llvm_vectors import TILE, Step, many_samples
+from rbjax.threads.llvm_vectors import Step, many_samples
 from rbjax.threads.program import Block, If, Load, Loop, Op, Store, While, walk
 
 #: operations that are worth a part of their own: some ten microseconds
@@ -54,8 +54,10 @@ def parts(program: Written, lanes: int | None = None) -> Parts:
     steps: list[Step] = [_lane_step(layout, program.batch, lanes) for layout in layouts]
     sums = [k + len(program.operands) for k, s in enumerate(program.summed) if s]
     tiles = _in_tiles(program, steps, sums) if lanes > 1 else []
-    how = [TILE if k in sums or k in tiles else step for k, step in enumerate(steps)]
-    sample = one_sample(program) if lanes == 1 else many_samples(program, lanes, how)
+    if lanes > 1:
+        sample = many_samples(program, lanes, steps, (*sums, *tiles))
+    else:
+        sample = one_sample(program)
     each, count = _shares(program, size, lanes)
     lines, names = Lines(), []
     room, places = sample.workspace, {}
@@ -64,7 +66,7 @@ def parts(program: Written, lanes: int | None = None) -> Parts:
     for k in range(len(arrays)):
         place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")
         names.append(lines.made(f"load ptr, ptr {place}"))
-    tables = [k for k, step in enumerate(how) if step is None and lanes > 1]
+    tables = [k for k, step in enumerate(steps) if step is None and k not in places]
     for k in tables:
         lines.append(f"%table{k} = alloca [{lanes} x ptr], align {ALIGNMENT}")
     lines += [
@@ -170,8 +172,8 @@ def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
     """The samples of a part, and the parts. The last one has the rest of the batch too."""
     work = max(_operations(program.builder.block), 1)
     wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)
-    each = min(-(-wanted // lanes) * lanes, size)
-    return each, max(size // each, 1)
+    each = max(min(-(-wanted // lanes) * lanes, size), 1)
+    return each, size // each
 
 
 def _operations(block: Block) -> int:

@@ -7,7 +7,7 @@ outlives the block keeps its value in the other lanes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -26,35 +26,39 @@ from rbjax.threads.llvm_statements import (
 )
 from rbjax.threads.program import Array, Block, Op, Value, Var
 
-#: entries from a lane's sample to the next; None if lanes lie anywhere, TILE if each entry of the
-#: array is a vector
-Step = int | str | None
-TILE = "tile"
+Step = int | None  # entries from a lane's sample to the next; None if lanes lie anywhere
 
 
 def many_samples(
-    program: Written, lanes: int, steps: Sequence[Step], name: str = "samples"
-) -> Function:
+    program: Written, lanes: int, steps: Sequence[Step], tiles: Collection[int] = (),
+    name: str = "samples",
+) -> Function:  # fmt: skip
     """The function of as many samples of a program as there are lanes.
 
     Args:
         steps: for each operand and result, how its samples lie. With None, the function takes a
             pointer to the pointers of the samples.
+        tiles: which of these are tiles instead: each entry is a vector.
     """
-    return written_function(_Vectors(lanes, program, steps), program, name)
+    apart = {
+        array.id: step
+        for k, (array, step) in enumerate(
+            zip((*program.operands, *program.results), steps, strict=True)
+        )
+        if k not in tiles
+    }
+    return written_function(_Vectors(lanes, program, apart), program, name)
 
 
 class _Vectors(Writer):
-    """Writes statements for some samples. mask: the lanes that run, or None for all."""
+    """Writes statements for some samples. steps: of arrays that are no tiles. mask: the lanes that
+    run, or "" for all; they run block `part` of those in which lanes have parted."""
 
-    def __init__(self, lanes: int, program: Written, steps: Sequence[Step]):
+    def __init__(self, lanes: int, program: Written, steps: dict[int, Step]):
         super().__init__()
-        self.lanes, self.mask, self.part = lanes, "", 0
+        self.lanes, self.steps = lanes, steps
+        self.mask, self.part = "", 0
         self.vectors = Operations(self.lines.append, lanes, self.operations)
-        arrays = (*program.operands, *program.results)
-        self.steps = {
-            a.id: step for a, step in zip(arrays, steps, strict=True) if step != TILE
-        }
         differ = [a for a in program.operands if self.steps.get(a.id) != 0]
         self.found = divergence(program.builder.block, [*differ, *program.results])
         self.splats: list[dict[int, str]] = []
