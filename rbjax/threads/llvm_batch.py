@@ -48,100 +48,130 @@ def parts(program: Written, lanes: int | None = None) -> Parts:
     """
     size = math.prod(program.batch)
     lanes = _lanes(program) if lanes is None else lanes
-    lanes = lanes if size >= lanes else 1
-    layouts = (*program.layouts[0], *program.layouts[1])
-    arrays = (*program.operands, *program.results)
-    steps: list[Step] = [_lane_step(layout, program.batch, lanes) for layout in layouts]
-    sums = [k + len(program.operands) for k, s in enumerate(program.summed) if s]
-    tiles = _in_tiles(program, steps, sums) if lanes > 1 else []
-    if lanes > 1:
-        sample = many_samples(program, lanes, steps, (*sums, *tiles))
-    else:
-        sample = one_sample(program)
-    each, count = _shares(program, size, lanes)
-    lines, names = Lines(), []
-    room, places = sample.workspace, {}
-    for k in (*sums, *tiles):
-        places[k], room = room, room + lanes * _up(arrays[k].size * arrays[k].dtype.itemsize)
-    for k in range(len(arrays)):
-        place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")
-        names.append(lines.made(f"load ptr, ptr {place}"))
-    tables = [k for k, step in enumerate(steps) if step is None and k not in places]
-    for k in tables:
-        lines.append(f"%table{k} = alloca [{lanes} x ptr], align {ALIGNMENT}")
-    lines += [
-        f"%first = mul i64 %index, {each}", f"%last = icmp eq i64 %index, {count - 1}",
-        f"%end = add i64 %first, {each}", f"%stop = select i1 %last, i64 {size}, i64 %end",
-    ]  # fmt: skip
-    space = "null"
-    if room:
-        space = "%space"
-        lines += [
-            f"%memory = call ptr @malloc(i64 {room + ALIGNMENT})",
-            "%nothing = icmp eq ptr %memory, null",
-            "br i1 %nothing, label %full, label %begin", "full:", "ret i32 1", "begin:",
-            "%address = ptrtoint ptr %memory to i64", "%low = sub i64 0, %address",
-            f"%gap = and i64 %low, {ALIGNMENT - 1}",
-            "%space = getelementptr i8, ptr %memory, i64 %gap",
+    return _Frame(program, lanes if size >= lanes else 1).parts()
+
+
+class _Frame:
+    """The function `part` around the function of one sample, or of as many as there are lanes.
+
+    Operands and results are numbered together. places: the bytes at %space where the function finds
+    a sum or a tile.
+    """
+
+    def __init__(self, program: Written, lanes: int):
+        self.program, self.lanes, self.size = program, lanes, math.prod(program.batch)
+        self.arrays = (*program.operands, *program.results)
+        self.layouts = (*program.layouts[0], *program.layouts[1])
+        self.steps: list[Step] = [_lane_step(x, program.batch, lanes) for x in self.layouts]
+        self.sums = [k + len(program.operands) for k, s in enumerate(program.summed) if s]
+        self.tiles = self.in_tiles() if lanes > 1 else []
+        if lanes > 1:
+            self.samples = many_samples(program, lanes, self.steps, (*self.sums, *self.tiles))
+        else:
+            self.samples = one_sample(program)
+        self.room, self.places = self.samples.workspace, {}
+        for k in (*self.sums, *self.tiles):
+            self.places[k] = self.room
+            self.room += lanes * -(-self.bytes_of(k) // ALIGNMENT) * ALIGNMENT
+        self.tables = [
+            k for k, step in enumerate(self.steps) if step is None and k not in self.places
+        ]
+        self.lines = Lines()
+
+    def bytes_of(self, k: int) -> int:
+        return self.arrays[k].size * self.arrays[k].dtype.itemsize
+
+    def in_tiles(self) -> list[int]:
+        """The arrays whose samples are rows that are turned into vectors, and back.
+
+        The program must name most of their entries; of others it reads and writes what it needs.
+        """
+        walked = walk(self.program.builder.block)
+        named = Counter(s.array.id for s in walked if isinstance(s, Load | Store))
+        every = zip(self.arrays, self.layouts, self.steps, strict=True)
+        return [
+            k for k, (array, layout, step) in enumerate(every)
+            if step not in (0, 1) and k not in self.sums
+            and 0 < array.size <= 2 * named[array.id]
+            and layout.strides == row_major(layout.sample)
         ]  # fmt: skip
-    for k in sums:
-        n = arrays[k].size * arrays[k].dtype.itemsize
-        own = lines.made(f"mul i64 %index, {n}")
-        names[k] = lines.made(f"getelementptr i8, ptr {names[k]}, i64 {own}")
-        lines.append(f"call void @llvm.memset.p0.i64(ptr {names[k]}, i8 0, i64 {n}, i1 false)")
-    lines += ["br label %ahead", "ahead:", "br label %turn", "turn:"]
-    lines.append("%wanted = phi i64 [%first, %ahead], [%next, %after]")
-    lines.append(f"%b = call i64 @llvm.smin.i64(i64 %wanted, i64 {size - lanes})")
-    pointers, after = [], Lines(lines)
-    for k, (array, layout) in enumerate(zip(arrays, layouts, strict=True)):
-        t, step = stored(array.dtype), steps[k]
-        if k in places:
-            pointers.append(lines.made(f"getelementptr i8, ptr %space, i64 {places[k]}"))
-        if k in tiles or k in tables:
-            rows = lines.each(names[k], t, layout, program.batch, lanes, step)
-        if k in tables:
-            lines.fill(f"%table{k}", rows)
-            pointers.append(f"%table{k}")
-        elif k in tiles and k < len(program.operands):
-            lines.tile_of_rows(pointers[k], rows, t, array.size)
-        elif k in tiles:
-            after.rows_of_tile(rows, pointers[k], t, array.size)
-        elif k not in sums:
-            pointers.append(lines.sample(names[k], t, layout, program.batch, "%b"))
-    lines.append(sample.call(pointers, space))
-    for k in sums:
-        lines.add_up(names[k], pointers[k], stored(arrays[k].dtype), arrays[k].size, lanes)
-    lines += [
-        *after, "br label %after", "after:", f"%next = add i64 %wanted, {lanes}",
-        "%more = icmp slt i64 %next, %stop",
-        "br i1 %more, label %turn, label %done", "done:",
-        *(["call void @free(ptr %memory)"] if room else []), "ret i32 0",
-    ]  # fmt: skip
-    text = [
-        *MALLOC, "declare i64 @llvm.smin.i64(i64, i64)",
-        "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)", *lines.declared, *sample.outside,
-    ]  # fmt: skip
-    body = ["define i32 @part(ptr %buffers, i64 %index) nounwind {", *lines, "}"]
-    return Parts("\n".join([*dict.fromkeys(text), sample.text, *body]), sample.libm, count)
 
+    def parts(self) -> Parts:
+        each, count = _shares(self.program, self.size, self.lanes)
+        lines, samples = self.lines, self.samples
+        names = self.begin(each, count)
+        lines += ["br label %ahead", "ahead:", "br label %turn", "turn:"]
+        lines.append("%wanted = phi i64 [%first, %ahead], [%next, %after]")
+        lines.append(f"%b = call i64 @llvm.smin.i64(i64 %wanted, i64 {self.size - self.lanes})")
+        pointers, after = self.pointers(names)
+        lines.append(samples.call(pointers, "%space" if self.room else "null"))
+        for k in self.sums:
+            t = stored(self.arrays[k].dtype)
+            lines.add_up(names[k], pointers[k], t, self.arrays[k].size, self.lanes)
+        lines += [
+            *after, "br label %after", "after:", f"%next = add i64 %wanted, {self.lanes}",
+            "%more = icmp slt i64 %next, %stop",
+            "br i1 %more, label %turn, label %done", "done:",
+            *(["call void @free(ptr %memory)"] if self.room else []), "ret i32 0",
+        ]  # fmt: skip
+        declared = [
+            *MALLOC, "declare i64 @llvm.smin.i64(i64, i64)",
+            "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)", *lines.declared,
+            *samples.outside,
+        ]  # fmt: skip
+        part = ["define i32 @part(ptr %buffers, i64 %index) nounwind {", *lines, "}"]
+        text = "\n".join([*dict.fromkeys(declared), samples.text, *part])
+        return Parts(text, samples.libm, count)
 
-def _up(n: int) -> int:
-    """A multiple of the alignment."""
-    return -(-max(n, 1) // ALIGNMENT) * ALIGNMENT
+    def begin(self, each: int, count: int) -> list[str]:
+        """The samples of the part, its memory, and the addresses of the arrays."""
+        lines, names = self.lines, []
+        for k in range(len(self.arrays)):
+            place = lines.made(f"getelementptr ptr, ptr %buffers, i64 {k}")
+            names.append(lines.made(f"load ptr, ptr {place}"))
+        for k in self.tables:
+            lines.append(f"%table{k} = alloca [{self.lanes} x ptr], align {ALIGNMENT}")
+        lines += [
+            f"%first = mul i64 %index, {each}", f"%last = icmp eq i64 %index, {count - 1}",
+            f"%end = add i64 %first, {each}",
+            f"%stop = select i1 %last, i64 {self.size}, i64 %end",
+        ]  # fmt: skip
+        if self.room:
+            lines += [
+                f"%memory = call ptr @malloc(i64 {self.room + ALIGNMENT})",
+                "%nothing = icmp eq ptr %memory, null",
+                "br i1 %nothing, label %full, label %begin", "full:", "ret i32 1", "begin:",
+                "%address = ptrtoint ptr %memory to i64", "%low = sub i64 0, %address",
+                f"%gap = and i64 %low, {ALIGNMENT - 1}",
+                "%space = getelementptr i8, ptr %memory, i64 %gap",
+            ]  # fmt: skip
+        for k in self.sums:
+            n = self.bytes_of(k)
+            own = lines.made(f"mul i64 %index, {n}")
+            names[k] = lines.made(f"getelementptr i8, ptr {names[k]}, i64 {own}")
+            lines.append(f"call void @llvm.memset.p0.i64(ptr {names[k]}, i8 0, i64 {n}, i1 false)")
+        return names
 
-
-def _in_tiles(program: Written, steps: list[Step], sums: list[int]) -> list[int]:
-    """The arrays whose samples are rows that are turned into vectors, and back.
-
-    The program must name most of their entries; of others it reads and writes what it needs."""
-    named = Counter(s.array.id for s in walk(program.builder.block) if isinstance(s, Load | Store))
-    arrays = (*program.operands, *program.results)
-    layouts = (*program.layouts[0], *program.layouts[1])
-    return [
-        k for k, (array, layout, step) in enumerate(zip(arrays, layouts, steps, strict=True))
-        if step not in (0, 1) and k not in sums and 0 < array.size <= 2 * named[array.id]
-        and layout.strides == row_major(layout.sample)
-    ]  # fmt: skip
+    def pointers(self, names: list[str]) -> tuple[list[str], Lines]:
+        """The arguments of the function of samples from %b on, and what follows its call."""
+        lines, batch, out = self.lines, self.program.batch, []
+        after = Lines(lines)
+        for k, (array, layout) in enumerate(zip(self.arrays, self.layouts, strict=True)):
+            t = stored(array.dtype)
+            if k in self.tiles or k in self.tables:
+                rows = lines.each(names[k], t, layout, batch, self.lanes, self.steps[k])
+            if k in self.places:
+                out.append(lines.made(f"getelementptr i8, ptr %space, i64 {self.places[k]}"))
+                if k in self.tiles and k < len(self.program.operands):
+                    lines.tile_of_rows(out[k], rows, t, array.size)
+                elif k in self.tiles:
+                    after.rows_of_tile(rows, out[k], t, array.size)
+            elif k in self.tables:
+                lines.fill(f"%table{k}", rows)
+                out.append(f"%table{k}")
+            else:
+                out.append(lines.sample(names[k], t, layout, batch, "%b"))
+        return out, after
 
 
 def _lanes(program: Written) -> int:
