@@ -32,7 +32,7 @@ def _native(x):
 
 # Pi / 2 in parts whose multiples are exact, and minimax polynomials on |r| <= pi / 4, of
 # (sin r - r) / r^3 and (cos r - 1 + r^2 / 2) / r^4 in r^2: fdlibm's, and Remez' to 0.06 ulp of f32.
-_SERIES = {
+SERIES = {
     jnp.dtype(jnp.float64): (
         (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
         (
@@ -54,9 +54,9 @@ _SERIES = {
 
 def polynomial_sincos(x: jax.Array) -> list:
     """cos x and sin x by polynomials of the angle reduced to |r| <= pi / 4."""
-    if x.dtype not in _SERIES:
+    if x.dtype not in SERIES:
         return _native(x)
-    (first, second, third), sines, cosines = _SERIES[x.dtype]
+    (first, second, third), sines, cosines = SERIES[x.dtype]
     turns = jnp.floor(x * (2 / jnp.pi) + 0.5)
     r = ((x - turns * first) - turns * second) - turns * third
     r = jnp.clip(r, -0.8, 0.8)  # for an x so large that its neighbours are turns away

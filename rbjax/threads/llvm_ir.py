@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 from rbjax.threads import numpy_abi
 from rbjax.threads.frame import Written
-from rbjax.threads.llvm_batch import MALLOC
-from rbjax.threads.llvm_statements import one_sample
+from rbjax.threads.llvm_statements import MALLOC, one_sample
 
 
 @dataclass(frozen=True)
@@ -23,9 +22,6 @@ class Module:
 
     text: str
     symbols: tuple[str, ...]
-
-
-
 
 
 def module(program: Written) -> Module:

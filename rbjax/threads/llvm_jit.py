@@ -64,6 +64,12 @@ def _processor() -> tuple[str, str, str]:
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features
 
 
+def register_bytes() -> int:
+    """The size of a vector register of this processor."""
+    features = _processor()[2].split(",")
+    return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
+
+
 def _machine() -> Any:
     """A target machine; the engine that is given one destroys it."""
     triple, cpu, features = _processor()

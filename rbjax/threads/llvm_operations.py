@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -50,17 +50,35 @@ def literal(x: Any) -> str:
 
 
 class Operations:
-    """Writes instructions with `emit` and notes the functions that they call."""
+    """Writes instructions with `emit` and notes the functions that they call.
 
-    def __init__(self, emit: Callable[[str], None]):
-        self.emit = emit
-        self.declared: dict[str, str] = {}
-        self.names = itertools.count()
+    lanes: entries of a value; with more than one, all values are vectors.
+    """
+
+    def __init__(
+        self, emit: Callable[[str], None], lanes: int = 1, like: Operations | None = None
+    ):
+        self.emit, self.lanes = emit, lanes
+        self.declared: dict[str, str] = like.declared if like else {}
+        self.names: Iterator[int] = like.names if like else itertools.count()
+        #: functions of mathematics that vectors call, by name and type
+        self.functions: dict[tuple[str, np.dtype], None] = {}
 
     @property
     def libm(self) -> list[str]:
         """The called functions of C's mathematics."""
         return sorted(name for name in self.declared if not name.startswith("llvm."))
+
+    def type(self, dtype: Any) -> str:
+        """The type of a value in a register."""
+        t = llvm_type(dtype)
+        return t if self.lanes == 1 else f"<{self.lanes} x {t}>"
+
+    def number(self, x: Any, dtype: Any = None) -> str:
+        """A known number, in every lane."""
+        x = x if dtype is None else np.dtype(dtype).type(x)
+        text = literal(x)
+        return text if self.lanes == 1 else f"splat ({llvm_type(x.dtype)} {text})"
 
     def made(self, text: str, name: str | None = None) -> str:
         """A new value."""
@@ -77,42 +95,48 @@ class Operations:
         self.declared[function] = f"declare {result} @{function}({types}){pure}"
         return f"call {result} @{function}({', '.join(f'{t} {x}' for t, x in args)})"
 
+    def intrinsic(self, name: str, of: list[Any], result: Any, x: list[str], *more: str) -> str:
+        """The text of a call of `llvm.name`, which is overloaded by the types of `of`."""
+        suffix = ".".join(self.short(dtype) for dtype in of)
+        args = [(self.type(of[-1]), a) for a in x] + [("i1", a) for a in more]
+        return self.call(f"llvm.{name}.{suffix}", self.type(result), args)
+
+    def short(self, dtype: Any) -> str:
+        dtype = np.dtype(dtype)
+        plain = f"f{8 * dtype.itemsize}" if dtype.kind == "f" else llvm_type(dtype)
+        return plain if self.lanes == 1 else f"v{self.lanes}{plain}"
+
     def write(self, op: Op, name: str, x: list[str]) -> None:
         """name = op(x)."""
-        self.made(self._text(op, x), name)
+        self.made(self.text(op.name, op.dest.dtype, op.args[0].dtype, x), name)
 
-    def _text(self, op: Op, x: list[str]) -> str:
-        kind, what = op.dest.dtype, op.name
-        of = op.args[0].dtype
-        t = llvm_type(kind)
+    def text(self, what: str, kind: np.dtype, of: np.dtype, x: list[str]) -> str:
+        """The instruction of an operation; kind: of its result, of: of its first argument."""
+        t, truth = self.type(kind), self.type(bool)
         if what in COMPARISONS:
-            return f"{_comparison(what, of)} {llvm_type(of)} {x[0]}, {x[1]}"
+            return f"{_comparison(what, of)} {self.type(of)} {x[0]}, {x[1]}"
         match what:
             case "select":
-                return f"select i1 {x[0]}, {t} {x[1]}, {t} {x[2]}"
+                return f"select {truth} {x[0]}, {t} {x[1]}, {t} {x[2]}"
             case "cast":
                 return self._cast(of, kind, x[0])
             case "not":
-                return f"xor {t} {x[0]}, {'true' if kind.kind == 'b' else -1}"
+                return f"xor {t} {x[0]}, {self.number(~kind.type(0))}"
             case "bitcast":
                 return self._bits(of, kind, x[0])
             case "isfinite":
-                size = self.made(self.intrinsic("fabs", of, x))
-                return f"fcmp olt {llvm_type(of)} {size}, {literal(of.type(np.inf))}"
+                size = self.made(self.intrinsic("fabs", [of], of, x))
+                return f"fcmp olt {self.type(of)} {size}, {self.number(np.inf, of)}"
         if kind.kind == "f":
             return self._float(what, kind, x)
         if kind.kind == "b" and what in LOGICAL:
-            return f"{LOGICAL[what]} i1 {x[0]}, {x[1]}"
+            return f"{LOGICAL[what]} {t} {x[0]}, {x[1]}"
         if what in INTEGER:
             return f"{INTEGER[what]} {t} {x[0]}, {x[1]}"
         return self._integer(what, kind, x)
 
-    def intrinsic(self, name: str, dtype: np.dtype, x: list[str]) -> str:
-        t = llvm_type(dtype)
-        return self.call(f"llvm.{name}.{_short(dtype)}", t, [(t, a) for a in x])
-
     def _float(self, what: str, kind: np.dtype, x: list[str]) -> str:
-        t = llvm_type(kind)
+        t, truth = self.type(kind), self.type(bool)
         if what in FLOAT:
             return f"{FLOAT[what]} {t} {x[0]}, {x[1]}"
         if what == "neg":
@@ -120,74 +144,83 @@ class Operations:
         if what in ("max", "min"):  # nan if one is nan
             first = self.made(f"fcmp {'ogt' if what == 'max' else 'olt'} {t} {x[0]}, {x[1]}")
             nan = self.made(f"fcmp uno {t} {x[0]}, {x[0]}")
-            either = self.made(f"or i1 {first}, {nan}")
-            return f"select i1 {either}, {t} {x[0]}, {t} {x[1]}"
+            either = self.made(f"or {truth} {first}, {nan}")
+            return f"select {truth} {either}, {t} {x[0]}, {t} {x[1]}"
         if what in INTRINSICS:
-            return self.intrinsic(INTRINSICS[what], kind, x)
+            return self.intrinsic(INTRINSICS[what], [kind], kind, x)
         if what == "rsqrt":
-            root = self.made(self.intrinsic("sqrt", kind, x))
-            return f"fdiv {t} {literal(kind.type(1))}, {root}"
+            root = self.made(self.intrinsic("sqrt", [kind], kind, x))
+            return f"fdiv {t} {self.number(1, kind)}, {root}"
         if what in LIBM:
-            return self.call(what + ("f" if t == "float" else ""), t, [(t, a) for a in x])
+            return self._function(what, kind, x)
         raise Unsupported(f"operation {what} of {kind}")
+
+    def _function(self, what: str, kind: np.dtype, x: list[str]) -> str:
+        t = self.type(kind)
+        if self.lanes == 1:
+            return self.call(of_c(what, kind), t, [(t, a) for a in x])
+        self.functions[what, kind] = None
+        return f"call {t} @{what}.{self.short(kind)}({', '.join(f'{t} {a}' for a in x)})"
 
     def _integer(self, what: str, kind: np.dtype, x: list[str]) -> str:
-        t, signed = llvm_type(kind), kind.kind == "i"
+        t, signed, truth = self.type(kind), kind.kind == "i", self.type(bool)
         match what:
             case "neg":
-                return f"sub {t} 0, {x[0]}"
+                return f"sub {t} {self.number(0, kind)}, {x[0]}"
             case "max" | "min":
-                name = f"llvm.{'s' if signed else 'u'}{what}.{t}"
-                return self.call(name, t, [(t, a) for a in x])
+                return self.intrinsic(f"{'s' if signed else 'u'}{what}", [kind], kind, x)
             case "abs":
                 if not signed:
-                    return f"add {t} {x[0]}, 0"
-                return self.call(f"llvm.abs.{t}", t, [(t, x[0]), ("i1", "false")])
+                    return f"add {t} {x[0]}, {self.number(0, kind)}"
+                return self.intrinsic("abs", [kind], kind, x, "false")
             case "popcount":
-                return self.call(f"llvm.ctpop.{t}", t, [(t, x[0])])
+                return self.intrinsic("ctpop", [kind], kind, x)
             case "clz":
-                return self.call(f"llvm.ctlz.{t}", t, [(t, x[0]), ("i1", "false")])
+                return self.intrinsic("ctlz", [kind], kind, x, "false")
             case "shl" | "shr":  # 0 for a shift by all bits or more
-                inside = self.made(f"icmp ult {t} {x[1]}, {8 * kind.itemsize}")
+                bits, zero = self.number(8 * kind.itemsize, kind), self.number(0, kind)
+                inside = self.made(f"icmp ult {t} {x[1]}, {bits}")
                 shifted = self.made(f"{'shl' if what == 'shl' else 'lshr'} {t} {x[0]}, {x[1]}")
-                return f"select i1 {inside}, {t} {shifted}, {t} 0"
+                return f"select {truth} {inside}, {t} {shifted}, {t} {zero}"
             case "sar":
-                most = 8 * kind.itemsize - 1
+                most = self.number(8 * kind.itemsize - 1, kind)
                 inside = self.made(f"icmp ult {t} {x[1]}, {most}")
-                count = self.made(f"select i1 {inside}, {t} {x[1]}, {t} {most}")
+                count = self.made(f"select {truth} {inside}, {t} {x[1]}, {t} {most}")
                 return f"ashr {t} {x[0]}, {count}"
             case "idiv" | "irem":
-                return self._division(what, t, signed, x)
+                return self._division(what, kind, x)
         raise Unsupported(f"operation {what} of {kind}")
 
-    def _division(self, what: str, t: str, signed: bool, x: list[str]) -> str:
+    def _division(self, what: str, kind: np.dtype, x: list[str]) -> str:
         """a / 0 = -1, a % 0 = a; the least integer by -1 is itself, remainder 0."""
-        zero = self.made(f"icmp eq {t} {x[1]}, 0")
+        t, signed, truth = self.type(kind), kind.kind == "i", self.type(bool)
+        none, one, ones = (self.number(k) for k in (kind.type(0), kind.type(1), ~kind.type(0)))
+        zero = self.made(f"icmp eq {t} {x[1]}, {none}")
         unsafe = zero
         if signed:
-            minus = self.made(f"icmp eq {t} {x[1]}, -1")
-            unsafe = self.made(f"or i1 {zero}, {minus}")
-        by = self.made(f"select i1 {unsafe}, {t} 1, {t} {x[1]}")
+            minus = self.made(f"icmp eq {t} {x[1]}, {ones}")
+            unsafe = self.made(f"or {truth} {zero}, {minus}")
+        by = self.made(f"select {truth} {unsafe}, {t} {one}, {t} {x[1]}")
         sign = "s" if signed else "u"
         if what == "irem":
             rest = self.made(f"{sign}rem {t} {x[0]}, {by}")
-            return f"select i1 {zero}, {t} {x[0]}, {t} {rest}"
+            return f"select {truth} {zero}, {t} {x[0]}, {t} {rest}"
         quotient = self.made(f"{sign}div {t} {x[0]}, {by}")
         if signed:
-            opposite = self.made(f"sub {t} 0, {x[0]}")
-            quotient = self.made(f"select i1 {minus}, {t} {opposite}, {t} {quotient}")
-        return f"select i1 {zero}, {t} -1, {t} {quotient}"
+            opposite = self.made(f"sub {t} {none}, {x[0]}")
+            quotient = self.made(f"select {truth} {minus}, {t} {opposite}, {t} {quotient}")
+        return f"select {truth} {zero}, {t} {ones}, {t} {quotient}"
 
     def _cast(self, of: np.dtype, to: np.dtype, x: str) -> str:
-        s, t = llvm_type(of), llvm_type(to)
+        s, t = self.type(of), self.type(to)
         if to.kind == "b":
             test = "fcmp une" if of.kind == "f" else "icmp ne"
-            return f"{test} {s} {x}, {literal(of.type(0))}"
+            return f"{test} {s} {x}, {self.number(0, of)}"
         if of.kind == "f" and to.kind == "f":
             word = "fpext" if to.itemsize > of.itemsize else "fptrunc"
         elif of.kind == "f":  # the nearest integer of the type, 0 for nan
-            sign = "s" if to.kind == "i" else "u"
-            return self.call(f"llvm.fpto{sign}i.sat.{t}.{_short(of)}", t, [(s, x)])
+            name = f"fpto{'s' if to.kind == 'i' else 'u'}i.sat"
+            return self.intrinsic(name, [to, of], to, [x])
         elif to.kind == "f":
             word = "sitofp" if of.kind == "i" else "uitofp"
         elif of.kind == "b" or to.itemsize > of.itemsize:
@@ -199,7 +232,12 @@ class Operations:
     def _bits(self, of: np.dtype, to: np.dtype, x: str) -> str:
         if of.kind == "b" or to.kind == "b":
             return self._cast(of, to, x)
-        return f"bitcast {llvm_type(of)} {x} to {llvm_type(to)}"
+        return f"bitcast {self.type(of)} {x} to {self.type(to)}"
+
+
+def of_c(what: str, kind: np.dtype) -> str:
+    """The name of a function of C's mathematics for a type."""
+    return what + ("f" if kind.itemsize == 4 else "")
 
 
 def _comparison(what: str, of: np.dtype) -> str:
@@ -208,7 +246,3 @@ def _comparison(what: str, of: np.dtype) -> str:
     if what in ("eq", "ne"):
         return f"icmp {what}"
     return f"icmp {'s' if of.kind == 'i' else 'u'}{what}"
-
-
-def _short(dtype: np.dtype) -> str:
-    return f"f{8 * dtype.itemsize}"

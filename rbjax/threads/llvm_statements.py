@@ -36,11 +36,13 @@ STACK_ARRAY_BYTES = 2048
 #: bytes of all local arrays on the stack
 STACK_BYTES = 128 * 1024
 ALIGNMENT = 64
+MALLOC = ("declare noalias ptr @malloc(i64)", "declare void @free(ptr)")
 
 
 @dataclass(frozen=True)
 class Function:
-    """The function of one sample, `void name(operands, results, space)`, all of them pointers.
+    """A function of one sample or some, `void name(operands, results, space)`, all of them
+    pointers.
 
     outside: the tables and declarations that it needs. libm: the functions of C's mathematics that
     it calls. workspace: bytes at `space`.
@@ -59,57 +61,80 @@ class Function:
 
 def one_sample(program: Written, name: str = "sample") -> Function:
     """The function of one sample of a program."""
-    writer = _Writer()
+    return written_function(Writer(), program, name)
+
+
+def written_function(writer: Writer, program: Written, name: str) -> Function:
+    """What a writer makes of a program."""
     xs = [f"%x{k}" for k in range(len(program.operands))]
     ys = [f"%y{k}" for k in range(len(program.results))]
     for array, place in zip((*program.operands, *program.results), (*xs, *ys), strict=True):
         writer.pointers[array.id] = place
+    writer.begin(program)
     writer.block(program.builder.block)
     takes = [f"ptr noalias readonly {x}" for x in xs] + [f"ptr noalias {y}" for y in ys]
     lines = [
         f"define internal void @{name}({', '.join((*takes, 'ptr noalias %space'))}) nounwind {{",
         "entry:", *writer.entry, "br label %start", "start:", *writer.lines, "ret void", "}",
     ]  # fmt: skip
-    outside = (*map(_table, program.builder.tables), *writer.operations.declared.values())
+    needed = writer.functions()
+    outside = (
+        *map(_table, program.builder.tables), *writer.operations.declared.values(), *needed
+    )  # fmt: skip
     libm = tuple(writer.operations.libm)
     return Function("\n".join(lines), name, outside, libm, writer.workspace)
 
 
-class _Writer:
-    """Writes statements; `entry` has the stack places, which LLVM wants in the first block."""
+class Writer:
+    """Writes statements for one sample; `entry` has the stack places, which LLVM wants in the first
+    block."""
 
     def __init__(self) -> None:
         self.entry: list[str] = []
         self.lines: list[str] = []
         self.operations = Operations(self.lines.append)
         self.made = self.operations.made
-        self.labels = itertools.count()
+        self.numbers = itertools.count()
         self.places: dict[int, str] = {}  # variables on the stack
         self.pointers: dict[int, str] = {}
         self.workspace = self.stack = 0
 
+    def begin(self, program: Written) -> None:
+        """What comes before the statements."""
+
+    def functions(self) -> list[str]:
+        """The functions of mathematics that the statements call, but for C's."""
+        return []
+
     # ---------------------------------------------------------------- memory
 
-    def reserve(self, array: Array) -> None:
+    def reserve(self, array: Array, lanes: int = 1) -> None:
         """A local array, on the stack or in the workspace."""
-        size = max(array.size, 1) * array.dtype.itemsize
-        if size <= STACK_ARRAY_BYTES and self.stack + size <= STACK_BYTES:
+        count = max(array.size, 1)
+        size = lanes * count * array.dtype.itemsize
+        if size <= lanes * STACK_ARRAY_BYTES and self.stack + size <= STACK_BYTES:
             self.stack += size
             name = self.pointers[array.id] = f"%a{array.id}"
-            count = max(array.size, 1)
-            self.entry.append(f"{name} = alloca [{count} x {stored(array.dtype)}], align 16")
+            t = f"[{lanes * count} x {stored(array.dtype)}]"
+            self.entry.append(f"{name} = alloca {t}, align {16 if lanes == 1 else ALIGNMENT}")
             return
         start, self.workspace = self.workspace, self.workspace + -(-size // ALIGNMENT) * ALIGNMENT
         text = f"getelementptr i8, ptr %space, i64 {start}"
         self.pointers[array.id] = self.made(text)
 
+    def start(self, array: Array) -> str:
+        """The address of an array."""
+        return f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
+
     def address(self, array: Array, base: Value | None, offset: int) -> str:
-        known = f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
-        t = stored(array.dtype)
+        return self.at(stored(array.dtype), self.start(array), base, offset)
+
+    def at(self, t: str, start: str, base: Value | None, offset: int) -> str:
+        """start + base + offset, in entries of type t."""
         if base is not None:
             kind, index = llvm_type(base.dtype), self.value(base)
-            known = self.made(f"getelementptr {t}, ptr {known}, {kind} {index}")
-        return self.made(f"getelementptr {t}, ptr {known}, i64 {offset}") if offset else known
+            start = self.made(f"getelementptr {t}, ptr {start}, {kind} {index}")
+        return self.made(f"getelementptr {t}, ptr {start}, i64 {offset}") if offset else start
 
     # ---------------------------------------------------------------- values
 
@@ -140,9 +165,9 @@ class _Writer:
             case Op(dest=dest, args=args):
                 self.operations.write(statement, f"%t{dest.id}", [self.value(a) for a in args])
             case Load(dest=dest, array=array, base=base, offset=offset):
-                self._load(dest, self.address(array, base, offset))
+                self.load(dest, array, base, offset)
             case Store(array=array, base=base, offset=offset, value=value):
-                self._store(array, self.value(value), self.address(array, base, offset))
+                self.store(array, base, offset, value)
             case Declare(var=var, value=value):
                 self.place(var)
                 if value is not None:
@@ -152,46 +177,50 @@ class _Writer:
             case Reserve(array=array):
                 self.reserve(array)
             case Loop():
-                self._loop(statement)
+                self.loop(statement)
             case While(test=test, condition=condition, body=body):
-                self._while(test, condition, body)
+                self.while_(test, condition, body)
             case If(condition=condition, then=then, otherwise=otherwise):
-                self._if(condition, then, otherwise)
+                self.if_(condition, then, otherwise)
             case _:
                 raise TypeError(f"no such statement: {statement}")
 
-    def _load(self, dest: Var, address: str) -> None:
+    def load(self, dest: Var, array: Array, base: Value | None, offset: int) -> None:
+        """dest = array[base + offset]."""
+        address = self.address(array, base, offset)
         if dest.dtype.kind == "b":
             byte = self.made(f"load i8, ptr {address}")
             self.made(f"icmp ne i8 {byte}, 0", f"%t{dest.id}")
         else:
             self.made(f"load {llvm_type(dest.dtype)}, ptr {address}", f"%t{dest.id}")
 
-    def _store(self, array: Array, value: str, address: str) -> None:
+    def store(self, array: Array, base: Value | None, offset: int, value: Value) -> None:
+        """array[base + offset] = value."""
+        text, address = self.value(value), self.address(array, base, offset)
         if array.dtype.kind == "b":
-            value = self.made(f"zext i1 {value} to i8")
-        self.lines.append(f"store {stored(array.dtype)} {value}, ptr {address}")
+            text = self.made(f"zext i1 {text} to i8")
+        self.lines.append(f"store {stored(array.dtype)} {text}, ptr {address}")
 
-    def _start(self, label: str, come: bool = True) -> None:
+    def start_of(self, label: str, come: bool = True) -> None:
         """A new block of instructions, to which the one before goes on."""
         if come:
             self.lines.append(f"br label %{label}")
         self.lines.append(f"{label}:")
 
-    def _labels(self, *names: str) -> Iterator[str]:
-        n = next(self.labels)
+    def labels(self, *names: str) -> Iterator[str]:
+        n = next(self.numbers)
         return (f"{name}{n}" for name in names)
 
-    def _loop(self, loop: Loop) -> None:
+    def loop(self, loop: Loop) -> None:
         if loop.count <= 0:
             return
-        (body,) = self._labels("loop")
-        (end,) = self._labels("end")
+        (body,) = self.labels("loop")
+        (end,) = self.labels("end")
         first, step = (loop.count - 1, -1) if loop.reverse else (0, 1)
         last = 0 if loop.reverse else loop.count - 1
         counter, place = loop.counter, self.place(loop.counter)
         self.lines.append(f"store i32 {first}, ptr {place}")
-        self._start(body)
+        self.start_of(body)
         # within a turn the counter is one value
         del self.places[counter.id]
         self.made(f"load i32, ptr {place}", f"%t{counter.id}")
@@ -200,27 +229,27 @@ class _Writer:
         self.lines.append(f"store i32 {after}, ptr {place}")
         done = self.made(f"icmp eq i32 %t{counter.id}, {last}")
         self.lines.append(f"br i1 {done}, label %{end}, label %{body}")
-        self._start(end, come=False)
+        self.start_of(end, come=False)
 
-    def _while(self, test: Block, condition: Value, body: Block) -> None:
-        top, turn, end = self._labels("while", "turn", "leave")
-        self._start(top)
+    def while_(self, test: Block, condition: Value, body: Block) -> None:
+        top, turn, end = self.labels("while", "turn", "leave")
+        self.start_of(top)
         self.block(test)
         self.lines.append(f"br i1 {self.value(condition)}, label %{turn}, label %{end}")
-        self._start(turn, come=False)
+        self.start_of(turn, come=False)
         self.block(body)
         self.lines.append(f"br label %{top}")
-        self._start(end, come=False)
+        self.start_of(end, come=False)
 
-    def _if(self, condition: Value, then: Block, otherwise: Block) -> None:
-        yes, no, end = self._labels("then", "else", "both")
+    def if_(self, condition: Value, then: Block, otherwise: Block) -> None:
+        yes, no, end = self.labels("then", "else", "both")
         self.lines.append(f"br i1 {self.value(condition)}, label %{yes}, label %{no}")
-        self._start(yes, come=False)
+        self.start_of(yes, come=False)
         self.block(then)
         self.lines.append(f"br label %{end}")
-        self._start(no, come=False)
+        self.start_of(no, come=False)
         self.block(otherwise)
-        self._start(end)
+        self.start_of(end)
 
 
 def stored(dtype: np.dtype) -> str:

@@ -17,9 +17,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.threads import llvm_jit
 from rbjax.threads.c_source import PREAMBLE
-from rbjax.threads.frame import HOST_HEAD, Written, batch_first, host_source, write_program
+from rbjax.threads.frame import (
+    HOST_HEAD,
+    Written,
+    batch_first,
+    batch_last,
+    host_source,
+    write_program,
+)
 from rbjax.threads.function import threaded
+from rbjax.threads.llvm_batch import Parts, parts
+from rbjax.threads.llvm_ir import Module
 from rbjax.threads.native import compile
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
@@ -44,7 +54,9 @@ def compiled(source: str, flags: Sequence[str] = FLAGS) -> Any:
     return library(source, flags).run
 
 
-def written(f: Callable, *args: Any) -> tuple[Written, Any, list]:
+def written(
+    f: Callable, *args: Any, layout: Callable = batch_first
+) -> tuple[Written, Any, list]:
     """The program of f, the tree of its results, and their shapes and types."""
     leaves, tree = jax.tree.flatten(args)
     leaves = [np.asarray(x) for x in leaves]
@@ -58,8 +70,8 @@ def written(f: Callable, *args: Any) -> tuple[Written, Any, list]:
         return [jnp.asarray(x) for x in out]
 
     closed = jax.make_jaxpr(flat)(*one)
-    ins = [batch_first(x.shape, (size,)) for x in one]
-    outs = [batch_first(v.aval.shape, (size,)) for v in closed.jaxpr.outvars]
+    ins = [layout(x.shape, (size,)) for x in one]
+    outs = [layout(v.aval.shape, (size,)) for v in closed.jaxpr.outvars]
     return write_program(closed, (size,), ins, outs), shape[0], closed.out_avals
 
 
@@ -123,3 +135,49 @@ def size(args: tuple) -> int:
 def on_host(f: Callable, *args: Any) -> Any:
     """f of each sample of a batch, batch first, by the emitted C."""
     return many_on_host([(f, args)])[0]
+
+
+# ------------------------------------------------------------------- vectors
+
+#: a part as the function that `llvm_jit` looks for
+RUN = """
+define i32 @run(ptr %buffers, i64 %index) {
+  %code = call i32 @part(ptr %buffers, i64 %index)
+  ret i32 %code
+}
+"""
+
+
+def part_function(parts: Parts) -> tuple[Callable[[Sequence[np.ndarray]], None], Any]:
+    """All parts of a batch as a function of the arrays of operands and results; and its code."""
+    code = llvm_jit.compiled(Module(parts.text + RUN, parts.libm))
+    part = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64)(code.address)
+
+    def run(arrays: Sequence[np.ndarray]) -> None:
+        buffers = (ctypes.c_void_p * len(arrays))(*(x.ctypes.data for x in arrays))
+        for k in range(parts.count):
+            assert part(buffers, k) == 0
+
+    return run, code
+
+
+def by_vectors(cases: Sequence[Case], lanes: int = 4, samples: int = 5) -> list:
+    """The same by vectors of samples. Few samples are repeated; the batch is first or last."""
+    return [_by_vectors(f, args, lanes, samples, bool(k % 2)) for k, (f, args) in enumerate(cases)]
+
+
+def _by_vectors(f: Callable, args: tuple, lanes: int, samples: int, last: bool) -> Any:
+    many = max(samples, size(args))
+    args = jax.tree.map(lambda x: np.resize(x, (many, *np.shape(x)[1:])), args)
+    program, tree, avals = written(f, *args, layout=batch_last if last else batch_first)
+    leaves = [np.asarray(x) for x in jax.tree.leaves(args)]
+    if last:
+        leaves = [np.moveaxis(x, 0, -1) for x in leaves]
+    shapes = [layout.shape for layout in program.layouts[1]]
+    # poisoned, so that an entry that is not written shows
+    results = [np.full(s, 77, a.dtype) for s, a in zip(shapes, avals, strict=True)]
+    run, _ = part_function(parts(program, lanes))
+    run([*map(np.ascontiguousarray, leaves), *results])
+    if last:
+        results = [np.moveaxis(x, -1, 0) for x in results]
+    return jax.tree.unflatten(tree, results)

@@ -18,11 +18,13 @@ from jax.lax import ScatterDimensionNumbers as Scatter
 
 from rbjax.lanes import sincos
 from rbjax.threads.lowering import Unsupported
+from tests import quickly
 from tests.threads.host import (
     COMPILER,
     GPU_ASKED,
     Case,
     by_llvm,
+    by_vectors,
     by_xla,
     many_on_host,
     on_host,
@@ -52,14 +54,21 @@ def compare(cases: dict[str, Case], ulps: float = 4, absolute: float = 0.0) -> N
     found = {"C": many_on_host(every, ("-O0", "-ffp-contract=off"))}
     if not GPU_ASKED:
         found["LLVM"] = by_llvm(every)
+        if quickly.by_xla:  # in the long run; test_vectors.py has some programs
+            found["vectors"] = by_vectors(every)
     wrong = [
         f"{name} by {how}, {bad}"
         for how, results in found.items()
         for name, got, want in zip(cases, results, wants, strict=True)
         for g, w in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True)
-        for bad in differences(g, w, ulps, absolute)
+        for bad in differences(g, repeated(w, g), ulps, absolute)
     ]
     assert not wrong, "\n".join(["", *wrong])
+
+
+def repeated(want: np.ndarray, got: np.ndarray) -> np.ndarray:
+    """What XLA finds, as often as a batch was repeated."""
+    return np.resize(want, (len(got), *want.shape[1:])) if len(got) > len(want) else want
 
 
 def differences(g: np.ndarray, w: np.ndarray, ulps: float, absolute: float) -> list[str]:
