@@ -10,8 +10,9 @@ import jax
 from rbjax.errors import InputError
 from rbjax.threads import host_call
 
+#: which of the choices runs functions of one sample on the CPU; the first if it is not set
 VARIABLE = "RBJAX_CPU"
-CHOICES = ("xla", "llvm")
+CHOICES = ("llvm", "xla")
 
 
 @functools.cache

@@ -39,7 +39,7 @@ def _llvm() -> Any:
     try:
         from llvmlite import binding
     except (ImportError, OSError) as error:
-        raise NoCompiler('llvmlite is missing; pip install "rbjax[cpu]"') from error
+        raise NoCompiler("llvmlite is missing; pip install llvmlite") from error
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     return binding
