@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
+from rbjax.threads.control import over_time
 from tests.robots import QUICK
 
 by_xla = True  # conftest.py says otherwise
@@ -365,9 +366,11 @@ def _while(eqn):
 
 @rule("scan")
 def _scan(eqn):
-    p = eqn.params
-    body, n, m = _closed(p["jaxpr"]), p["num_consts"], p["num_consts"] + p["num_carry"]
-    outs = [v.aval for v in eqn.outvars[p["num_carry"] :]]
+    p, inside = eqn.params, eqn.params["jaxpr"].jaxpr
+    carried = len(eqn.outvars) - over_time(eqn.outvars, inside.outvars)
+    m = len(eqn.invars) - over_time(eqn.invars, inside.invars)
+    body, n = _closed(p["jaxpr"]), m - carried
+    outs = [v.aval for v in eqn.outvars[carried:]]
     order: Iterable[int] = range(p["length"])
     order = reversed(order) if p["reverse"] else order
     order = list(order)
