@@ -39,6 +39,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
         quickly.by_xla = False
         compiling.outermost = quickly.quick_jit
+        quickly.everywhere()
 
 
 def pytest_collection_finish() -> None:
