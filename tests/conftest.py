@@ -34,12 +34,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if "not slow" in config.option.markexpr and not on_gpu:
         given = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = " ".join([*QUICK_FLAGS, given]).strip()
-        from rbjax import compiling
         from tests import quickly  # now that the flags are set: its imports compile something
 
-        quickly.by_xla = False
-        compiling.outermost = quickly.quick_jit
-        quickly.everywhere()
+        quickly.begin()
 
 
 def pytest_collection_finish() -> None:

@@ -23,6 +23,7 @@ from jax._src import pjit
 from jax._src.interpreters import pxla
 from jax.extend import core
 
+from rbjax import compiling
 from rbjax.threads.control import over_time
 from tests import numpy_indexing  # noqa: F401, for its rules
 from tests.numpy_rules import ALIKE, RULES, rule
@@ -57,7 +58,7 @@ def quick_jit(
         leaves = jax.tree.leaves(([x for i, x in enumerate(args) if i not in static], named))
         if any(isinstance(x, jax.core.Tracer) for x in leaves):  # within another program
             return f(*args, **kwargs)
-        if by_xla or jax.config.jax_disable_jit:
+        if by_xla or jax.config.jax_disable_jit or any(map(_is_placed, leaves)):
             return jitted(*args, **kwargs)
         traced = jitted.trace(*args, **kwargs)
         if _is_long(traced.jaxpr) or next(_calls(traced.jaxpr)) > CALLS:
@@ -67,10 +68,13 @@ def quick_jit(
     return call
 
 
-def everywhere() -> None:
-    """Programs that are not from `quick_jit`, too: operations outside of any `jit`, each of which
-    JAX compiles for each shape, and small programs of `jax.jit`. No option of JAX's leaves XLA out,
-    so this replaces the function that JAX calls for a program that is not compiled yet."""
+def begin() -> None:
+    """From now on numpy evaluates: `quick_jit`, what rbjax compiles outside of any `jit`, and what
+    JAX is about to compile, if it is small: programs of `jax.jit`, and operations outside of them,
+    each of which JAX compiles for each shape. JAX has no option for that, so this replaces the
+    function that it calls for programs that are not compiled yet."""
+    global by_xla
+    by_xla, compiling.outermost = False, quick_jit
     compile_and_run = pjit._pjit_call_impl_python
 
     def run(*args: Any, **how: Any) -> tuple:
@@ -89,7 +93,12 @@ def _is_plain(args: Sequence[Any], how: dict[str, Any]) -> bool:
         return False
     if any(type(s).__name__ != "UnspecifiedValue" for s in places):
         return False
-    return not any(isinstance(x, jax.Array) and x.committed for x in args)
+    return not any(map(_is_placed, args))
+
+
+def _is_placed(x: Any) -> bool:
+    """Whether an argument says on which devices it is."""
+    return isinstance(x, jax.Array) and x.committed
 
 
 @functools.lru_cache(maxsize=KEPT)
@@ -131,7 +140,7 @@ def _evaluated(closed: core.ClosedJaxpr, args: Sequence[Any]) -> list[jax.Array]
 
 def _array(x: Any, aval: Any) -> jax.Array:
     """JAX's array, as weakly typed as the program says: `jnp.asarray` cannot say so."""
-    if _is_key(aval.dtype):
+    if _is_key(aval.dtype) or aval.dtype == jax.dtypes.float0:
         return x
     device = jax.local_devices()[0]
     where = jax.sharding.SingleDeviceSharding(device)
