@@ -2,9 +2,9 @@
 
 Most tests run a program once, on a few numbers: XLA compiles for a second what then takes a
 millisecond. So a run without the slow tests records such a program as `jax.jit` does, and goes
-through its equations one by one with numpy. Equations that are not here are JAX's own, one by one;
-so are transcendental functions, whose last digits are XLA's then. A run with the slow tests
-compiles (conftest.py), and so does every test of what compilation does.
+through its equations one by one with numpy (numpy_rules.py, numpy_indexing.py); `begin` does so
+with every small program. Equations without a rule are JAX's own, one by one. A run with the slow
+tests compiles (conftest.py), and so does every test of what compilation does.
 """
 
 from __future__ import annotations
