@@ -214,9 +214,14 @@ def _dot(eqn):
 SIZES = (8, 64, 512, 4096)  # of the arrays that XLA computes transcendental functions of
 
 
-@rule("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh",
-      "atanh", "exp", "exp2", "log", "log1p", "expm1", "logistic", "erf", "erfc", "erf_inv",
-      "rsqrt", "cbrt", "atan2", "pow", "sincos")  # fmt: skip
+TRANSCENDENTAL = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh",
+    "atanh", "exp", "exp2", "log", "log1p", "expm1", "logistic", "erf", "erfc", "erf_inv",
+    "rsqrt", "cbrt", "atan2", "pow", "sincos",
+)  # fmt: skip
+
+
+@rule(*TRANSCENDENTAL)
 def _transcendental(eqn):
     """XLA's own function, of arrays of few sizes: each is compiled once for all shapes."""
     shape, p = shape_of(eqn), eqn.primitive

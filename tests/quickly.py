@@ -14,7 +14,7 @@ import functools
 import inspect
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +26,13 @@ from jax.extend import core
 from rbjax import compiling
 from rbjax.threads.control import over_time
 from tests import numpy_indexing  # noqa: F401, for its rules
-from tests.numpy_rules import ALIKE, RULES, rule
+from tests.numpy_rules import ALIKE, RULES, TRANSCENDENTAL, rule
 from tests.robots import QUICK
 
 by_xla = True  # conftest.py says otherwise
-# An equation takes XLA 0.3 ms to compile, and numpy 3 us each time.
-LOOPS, WHILE = 60, 1000  # a `while` is expected to take so many turns
-CALLS = 30  # of one program, after which it is compiled
+# An equation takes XLA 0.3 ms to compile, and numpy 3 us each time, one left to JAX 60 us.
+TIMES, LEFT, WHILE = 60, 20, 1000  # a `while` is expected to take so many turns
+TINY = 20  # equations: JAX takes as long to call what is compiled
 KEPT = 1024  # programs
 
 
@@ -61,7 +61,7 @@ def quick_jit(
         if by_xla or jax.config.jax_disable_jit or any(map(_is_placed, leaves)):
             return jitted(*args, **kwargs)
         traced = jitted.trace(*args, **kwargs)
-        if _is_long(traced.jaxpr) or next(_calls(traced.jaxpr)) > CALLS:
+        if next(_calls(traced.jaxpr)) > _length(traced.jaxpr).calls:
             return jitted(*args, **kwargs)
         return jax.tree.unflatten(traced.out_tree, _evaluated(traced.jaxpr, leaves))
 
@@ -81,6 +81,9 @@ def begin() -> None:
         closed = how["jaxpr"]
         if by_xla or not (_is_plain(args, how) and _is_for_numpy(closed)):
             return compile_and_run(*args, **how)
+        length = _length(closed)
+        if length.written > TINY and next(_calls(closed)) > length.calls:
+            return compile_and_run(*args, **how)
         return _evaluated(closed, args), None, None, []  # nothing compiled that JAX may keep
 
     pjit._pjit_call_impl_python = run
@@ -88,7 +91,7 @@ def begin() -> None:
 
 def let_go() -> None:
     """Keeps none of the programs, which hold their constants."""
-    for kept in (_is_for_numpy, _is_long, _calls, _evaluator):
+    for kept in (_is_for_numpy, _length, _calls, _evaluator):
         kept.cache_clear()
 
 
@@ -110,7 +113,7 @@ def _is_placed(x: Any) -> bool:
 @functools.lru_cache(maxsize=KEPT)
 def _is_for_numpy(closed: core.ClosedJaxpr) -> bool:
     """Whether numpy can evaluate nearly all of it in less time than XLA takes to compile it."""
-    if closed.effects or _is_long(closed):
+    if closed.effects or _length(closed).calls < 1:
         return False
     equations = list(_equations(closed.jaxpr))
     return len(equations) >= 10 * sum(_by_numpy(e) is None for e in equations)
@@ -122,10 +125,21 @@ def _equations(jaxpr: core.Jaxpr) -> Iterator[Any]:
         yield from itertools.chain.from_iterable(map(_equations, inside)) if inside else [eqn]
 
 
+class Length(NamedTuple):
+    """How many equations are written, and how many are done with all turns of loops."""
+
+    written: int
+    done: int
+
+    @property
+    def calls(self) -> float:
+        """So often numpy takes no longer than XLA does once."""
+        return TIMES * self.written / max(self.done, 1)
+
+
 @functools.lru_cache(maxsize=KEPT)
-def _is_long(closed: core.ClosedJaxpr) -> bool:
-    written, done = _length(closed.jaxpr)
-    return done > LOOPS * written
+def _length(closed: core.ClosedJaxpr) -> Length:
+    return _length_of(closed.jaxpr)
 
 
 @functools.lru_cache(maxsize=KEPT)
@@ -135,10 +149,7 @@ def _calls(closed: core.ClosedJaxpr) -> Iterator[int]:
 
 def _evaluated(closed: core.ClosedJaxpr, args: Sequence[Any]) -> list[jax.Array]:
     """The program's results, which its arguments share no memory with."""
-    values = [
-        np.array(x, aval.dtype) if isinstance(x, np.ndarray) else _number(x, aval.dtype)
-        for x, aval in zip(args, closed.in_avals, strict=True)
-    ]
+    values = [_own(x, aval.dtype) for x, aval in zip(args, closed.in_avals, strict=True)]
     with np.errstate(all="ignore"):  # XLA is silent, too
         out = _evaluator(closed)(*values)
     return [_array(x, aval) for x, aval in zip(out, closed.out_avals, strict=True)]
@@ -153,20 +164,26 @@ def _array(x: Any, aval: Any) -> jax.Array:
     return pxla.batched_device_put(aval, where, [np.asarray(x)], [device], committed=False)
 
 
-def _length(jaxpr: core.Jaxpr) -> tuple[int, int]:
-    """How many equations are written, and how many there are with all turns of loops."""
+def _length_of(jaxpr: core.Jaxpr) -> Length:
     written = done = 0
     for eqn in jaxpr.eqns:
-        turns = {"scan": eqn.params.get("length", 1), "while": WHILE}.get(eqn.primitive.name, 1)
-        inside = [_length(j) for j in core.jaxprs_in_params(eqn.params)]
-        written += sum(w for w, _ in inside) or 1
-        done += turns * sum(d for _, d in inside) or 1
-    return written, done
+        name = eqn.primitive.name
+        turns = {"scan": eqn.params.get("length", 1), "while": WHILE}.get(name, 1)
+        known = name in ALIKE or (name in RULES and name not in TRANSCENDENTAL)
+        inside = [_length_of(j) for j in core.jaxprs_in_params(eqn.params)]
+        written += sum(n.written for n in inside) or 1
+        done += turns * sum(n.done for n in inside) or (1 if known else LEFT)
+    return Length(written, done)
 
 
 def _number(x: Any, dtype: Any) -> Any:
     """An array of numpy; keys of random numbers stay JAX's."""
     return x if _is_key(dtype) else np.asarray(x, dtype)
+
+
+def _own(x: Any, dtype: Any) -> Any:
+    """One that nobody changes in place."""
+    return np.array(x, dtype) if isinstance(x, np.ndarray) else _number(x, dtype)
 
 
 def _is_key(dtype: Any) -> bool:
@@ -177,7 +194,7 @@ def _is_key(dtype: Any) -> bool:
 def _evaluator(closed: core.ClosedJaxpr) -> Callable[..., list]:
     """A closed jaxpr as a function of numpy's arrays."""
     pairs = zip(closed.consts, closed.jaxpr.constvars, strict=True)
-    consts = [_number(x, v.aval.dtype) for x, v in pairs]
+    consts = [_own(x, v.aval.dtype) for x, v in pairs]
     run = _steps(closed.jaxpr)
     return lambda *args: run(*consts, *args)
 
