@@ -34,11 +34,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if "not slow" in config.option.markexpr and not on_gpu:
         given = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = " ".join([*QUICK_FLAGS, given]).strip()
-        from rbjax import compiling
         from tests import quickly  # now that the flags are set: its imports compile something
 
-        quickly.by_xla = False
-        compiling.outermost = quickly.quick_jit
+        quickly.begin()
 
 
 def pytest_collection_finish() -> None:
@@ -50,9 +48,12 @@ def pytest_collection_finish() -> None:
 
 
 # Every compiled program keeps some memory mapped, and Linux allows a process 65,530 maps; beyond
-# that LLVM dies of "Cannot allocate memory". Linux takes 10 ms to list them.
+# that LLVM dies of "Cannot allocate memory". Linux takes 10 ms to list them. Recorded programs keep
+# memory, too.
 MAPS, MANY_MAPS, EVERY = Path("/proc/self/maps"), 25_000, 10
+PAGES, MANY_PAGES = Path("/proc/self/statm"), 2**19  # 2 GiB more than is there once all is let go
 tests_so_far = itertools.count(1)
+pages_that_stay = 0
 
 
 @pytest.fixture
@@ -69,8 +70,20 @@ def by_xla(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def _programs_are_let_go() -> Iterator[None]:
+    global pages_that_stay
     yield
     if next(tests_so_far) % EVERY or not MAPS.exists():
         return
-    if MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+    many_maps = MAPS.read_bytes().count(b"\n") > MANY_MAPS
+    if many_maps or _pages() > pages_that_stay + MANY_PAGES:
+        from tests import quickly
+
+        quickly.let_go()
         jax.clear_caches()
+        gc.collect()
+        pages_that_stay = _pages()
+
+
+def _pages() -> int:
+    """This process's memory."""
+    return int(PAGES.read_text().split()[1])

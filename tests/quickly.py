@@ -2,31 +2,38 @@
 
 Most tests run a program once, on a few numbers: XLA compiles for a second what then takes a
 millisecond. So a run without the slow tests records such a program as `jax.jit` does, and goes
-through its equations one by one with numpy. Equations that are not here are JAX's own, one by one;
-so are transcendental functions, whose last digits are XLA's then. A run with the slow tests
-compiles (conftest.py), and so does every test of what compilation does.
+through its equations one by one with numpy (numpy_rules.py, numpy_indexing.py); `begin` does so
+with every small program. Equations without a rule are JAX's own, one by one. A run with the slow
+tests compiles (conftest.py), and so does every test of what compilation does.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax._src import pjit
+from jax._src.interpreters import pxla
 from jax.extend import core
 
+from rbjax import compiling
 from rbjax.threads.control import over_time
+from tests import numpy_indexing  # noqa: F401, for its rules
+from tests.numpy_rules import ALIKE, RULES, TRANSCENDENTAL, rule
 from tests.robots import QUICK
 
 by_xla = True  # conftest.py says otherwise
-# An equation takes XLA 0.3 ms to compile, and numpy 3 us each time.
-LOOPS, WHILE = 60, 1000  # a `while` is expected to take so many turns
-CALLS = 30  # of one program, after which it is compiled
+# An equation takes XLA 0.3 ms to compile, and numpy 3 us each time, one left to JAX 60 us.
+TIMES, LEFT, WHILE = 60, 20, 1000  # a `while` is expected to take so many turns
+TINY = 20  # equations: JAX takes as long to call what is compiled
+KEPT = 1024  # programs
 
 
 def quick_jit(
@@ -51,52 +58,143 @@ def quick_jit(
         leaves = jax.tree.leaves(([x for i, x in enumerate(args) if i not in static], named))
         if any(isinstance(x, jax.core.Tracer) for x in leaves):  # within another program
             return f(*args, **kwargs)
-        if by_xla or jax.config.jax_disable_jit:
+        if by_xla or jax.config.jax_disable_jit or any(map(_is_placed, leaves)):
             return jitted(*args, **kwargs)
         traced = jitted.trace(*args, **kwargs)
-        if _is_long(traced.jaxpr) or next(_calls(traced.jaxpr)) > CALLS:
+        if next(_calls(traced.jaxpr)) > _length(traced.jaxpr).calls:
             return jitted(*args, **kwargs)
-        avals = traced.jaxpr.in_avals
-        values = [_number(x, aval.dtype) for x, aval in zip(leaves, avals, strict=True)]
-        with np.errstate(all="ignore"):  # XLA is silent, too
-            out = _evaluator(traced.jaxpr)(*values)
-        return jax.tree.unflatten(traced.out_tree, [jnp.asarray(x) for x in out])
+        return jax.tree.unflatten(traced.out_tree, _evaluated(traced.jaxpr, leaves))
 
     return call
 
 
-@functools.lru_cache(maxsize=64)
-def _is_long(closed: core.ClosedJaxpr) -> bool:
-    written, done = _length(closed.jaxpr)
-    return done > LOOPS * written
+def begin() -> None:
+    """From now on numpy evaluates: `quick_jit`, what rbjax compiles outside of any `jit`, and what
+    JAX is about to compile, if it is small: programs of `jax.jit`, and operations outside of them,
+    each of which JAX compiles for each shape. JAX has no option for that, so this replaces the
+    function that it calls for programs that are not compiled yet."""
+    global by_xla
+    by_xla, compiling.outermost = False, quick_jit
+    compile_and_run = pjit._pjit_call_impl_python  # of jax 0.10 and 0.11
+
+    def run(*args: Any, **how: Any) -> tuple:
+        closed = how["jaxpr"]
+        if by_xla or not (_is_plain(args, how) and _is_for_numpy(closed)):
+            return compile_and_run(*args, **how)
+        length = _length(closed)
+        if length.written > TINY and next(_calls(closed)) > length.calls:
+            return compile_and_run(*args, **how)
+        return _evaluated(closed, args), None, None, []  # nothing compiled that JAX may keep
+
+    pjit._pjit_call_impl_python = run
 
 
-@functools.lru_cache(maxsize=64)
+def let_go() -> None:
+    """Keeps none of the programs, which hold their constants."""
+    for kept in (_is_for_numpy, _length, _calls, _evaluator):
+        kept.cache_clear()
+
+
+def _is_plain(args: Sequence[Any], how: dict[str, Any]) -> bool:
+    """Whether a program says nothing about devices, memory or the compiler."""
+    places = itertools.chain(how["in_shardings"], how["out_shardings"])
+    if how["compiler_options_kvs"] or any(how["donated_invars"]) or jax.config.jax_default_device:
+        return False
+    if any(type(s).__name__ != "UnspecifiedValue" for s in places):
+        return False
+    return not any(map(_is_placed, args))
+
+
+def _is_placed(x: Any) -> bool:
+    """Whether an argument says on which devices it is."""
+    return isinstance(x, jax.Array) and x.committed
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _is_for_numpy(closed: core.ClosedJaxpr) -> bool:
+    """Whether numpy can evaluate nearly all of it in less time than XLA takes to compile it."""
+    if closed.effects or _length(closed).calls < 1:
+        return False
+    equations = list(_equations(closed.jaxpr))
+    return len(equations) >= 10 * sum(_by_numpy(e) is None for e in equations)
+
+
+def _equations(jaxpr: core.Jaxpr) -> Iterator[Any]:
+    for eqn in jaxpr.eqns:
+        inside = list(core.jaxprs_in_params(eqn.params)) if eqn.primitive.name in PROGRAMS else []
+        yield from itertools.chain.from_iterable(map(_equations, inside)) if inside else [eqn]
+
+
+class Length(NamedTuple):
+    """How many equations are written, and how many are done with all turns of loops."""
+
+    written: int
+    done: int
+
+    @property
+    def calls(self) -> float:
+        """So often numpy takes no longer than XLA does once."""
+        return TIMES * self.written / max(self.done, 1)
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _length(closed: core.ClosedJaxpr) -> Length:
+    return _length_of(closed.jaxpr)
+
+
+@functools.lru_cache(maxsize=KEPT)
 def _calls(closed: core.ClosedJaxpr) -> Iterator[int]:
     return itertools.count(1)
 
 
-def _length(jaxpr: core.Jaxpr) -> tuple[int, int]:
-    """How many equations are written, and how many there are with all turns of loops."""
+def _evaluated(closed: core.ClosedJaxpr, args: Sequence[Any]) -> list[jax.Array]:
+    """The program's results, which its arguments share no memory with."""
+    values = [_own(x, aval.dtype) for x, aval in zip(args, closed.in_avals, strict=True)]
+    with np.errstate(all="ignore"):  # XLA is silent, too
+        out = _evaluator(closed)(*values)
+    return [_array(x, aval) for x, aval in zip(out, closed.out_avals, strict=True)]
+
+
+def _array(x: Any, aval: Any) -> jax.Array:
+    """JAX's array, as weakly typed as the program says: `jnp.asarray` cannot say so."""
+    if _is_key(aval.dtype) or aval.dtype == jax.dtypes.float0:
+        return x
+    device = jax.local_devices()[0]
+    where = jax.sharding.SingleDeviceSharding(device)
+    return pxla.batched_device_put(aval, where, [np.asarray(x)], [device], committed=False)
+
+
+def _length_of(jaxpr: core.Jaxpr) -> Length:
     written = done = 0
     for eqn in jaxpr.eqns:
-        turns = {"scan": eqn.params.get("length", 1), "while": WHILE}.get(eqn.primitive.name, 1)
-        inside = [_length(j) for j in core.jaxprs_in_params(eqn.params)]
-        written += sum(w for w, _ in inside) or 1
-        done += turns * sum(d for _, d in inside) or 1
-    return written, done
+        name = eqn.primitive.name
+        turns = {"scan": eqn.params.get("length", 1), "while": WHILE}.get(name, 1)
+        known = name in ALIKE or (name in RULES and name not in TRANSCENDENTAL)
+        inside = [_length_of(j) for j in core.jaxprs_in_params(eqn.params)]
+        written += sum(n.written for n in inside) or 1
+        done += turns * sum(n.done for n in inside) or (1 if known else LEFT)
+    return Length(written, done)
 
 
 def _number(x: Any, dtype: Any) -> Any:
     """An array of numpy; keys of random numbers stay JAX's."""
-    return x if jnp.issubdtype(dtype, jax.dtypes.extended) else np.asarray(x, dtype)
+    return x if _is_key(dtype) else np.asarray(x, dtype)
 
 
-@functools.lru_cache(maxsize=64)
+def _own(x: Any, dtype: Any) -> Any:
+    """One that nobody changes in place."""
+    return np.array(x, dtype) if isinstance(x, np.ndarray) else _number(x, dtype)
+
+
+def _is_key(dtype: Any) -> bool:
+    return jnp.issubdtype(dtype, jax.dtypes.extended)
+
+
+@functools.lru_cache(maxsize=KEPT)
 def _evaluator(closed: core.ClosedJaxpr) -> Callable[..., list]:
     """A closed jaxpr as a function of numpy's arrays."""
     pairs = zip(closed.consts, closed.jaxpr.constvars, strict=True)
-    consts = [_number(x, v.aval.dtype) for x, v in pairs]
+    consts = [_own(x, v.aval.dtype) for x, v in pairs]
     run = _steps(closed.jaxpr)
     return lambda *args: run(*consts, *args)
 
@@ -141,191 +239,40 @@ def _steps(jaxpr: core.Jaxpr) -> Callable[..., list]:
 
 def _rule(eqn: Any) -> Callable:
     """What an equation does to numpy's arrays."""
+    return _by_numpy(eqn) or _by_jax(eqn)
+
+
+def _by_numpy(eqn: Any) -> Callable | None:
     name = eqn.primitive.name
+    inside = next(core.jaxprs_in_params(eqn.params), None) is not None
+    if not inside and any(_is_key(v.aval.dtype) for v in (*eqn.invars, *eqn.outvars)):
+        return None
     if name in ALIKE:
         return ALIKE[name]
-    found = RULES[name](eqn) if name in RULES else None
-    return _by_jax(eqn) if found is None else found
+    return RULES[name](eqn) if name in RULES else None
 
 
 def _by_jax(eqn: Any) -> Callable:
-    bind = functools.partial(eqn.primitive.bind, **eqn.params)
-    if eqn.primitive.multiple_results:
-        return lambda *xs: [_number(x, x.dtype) for x in bind(*xs)]
+    many = eqn.primitive.multiple_results
 
-    def one(*xs: Any) -> Any:
-        x = bind(*xs)
-        return _number(x, x.dtype)
+    def run(*xs: Any) -> Any:
+        with _compiled():
+            out = eqn.primitive.bind(*xs, **eqn.params)
+        out = [_number(x, x.dtype) for x in (out if many else [out])]
+        return out if many else out[0]
 
-    return one
-
-
-ALIKE: dict[str, Callable] = {
-    "add": np.add, "add_any": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative,
-    "max": np.maximum, "min": np.minimum, "abs": np.abs, "sqrt": np.sqrt, "floor": np.floor,
-    "ceil": np.ceil, "square": np.square, "is_finite": np.isfinite,
-    "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
-    "ge": np.greater_equal, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor,
-    "not": np.invert, "stop_gradient": lambda x: x, "name": lambda x: x, "copy": lambda x: x,
-    "copy_p": lambda x: x, "batch_first": lambda x: x, "batch_last": lambda x: x,
-    "fusion_barrier": lambda *xs: xs, "optimization_barrier": lambda *xs: xs,
-}  # fmt: skip
-RULES: dict[str, Callable[[Any], Callable | None]] = {}
+    return run
 
 
-def rule(*names: str) -> Callable:
-    return lambda f: RULES.update(dict.fromkeys(names, f)) or f
-
-
-def _shape(eqn: Any) -> tuple[int, ...]:
-    return eqn.outvars[0].aval.shape
-
-
-def _floats(eqn: Any) -> bool:
-    return all(np.issubdtype(v.aval.dtype, np.floating) for v in eqn.invars)
-
-
-@rule("div")
-def _div(eqn):
-    return np.divide if _floats(eqn) else None
-
-
-@rule("integer_pow")
-def _integer_pow(eqn):
-    return {2: lambda x: x * x, 3: lambda x: x * x * x}.get(eqn.params["y"])
-
-
-@rule("convert_element_type")
-def _convert(eqn):
-    dtype = eqn.params["new_dtype"]
-    if jnp.issubdtype(dtype, jax.dtypes.extended):
-        return None
-    return lambda x: x.astype(dtype)
-
-
-@rule("select_n")
-def _select(eqn):
-    if eqn.invars[0].aval.dtype != bool or len(eqn.invars) != 3:
-        return None
-    return lambda which, no, yes: np.where(which, yes, no)
-
-
-@rule("broadcast_in_dim")
-def _broadcast(eqn):
-    if len(eqn.invars) > 1:
-        return None
-    shape, dims = _shape(eqn), eqn.params["broadcast_dimensions"]
-    given = eqn.invars[0].aval
-    between = [1] * len(shape)
-    for size, d in zip(given.shape, dims, strict=True):
-        between[d] = size
-    if tuple(between) == shape:
-        return lambda x: np.reshape(x, shape)
-
-    def full(x: Any) -> Any:
-        out = np.empty(shape, given.dtype)
-        out[...] = np.reshape(x, between)
-        return out
-
-    return full
-
-
-@rule("reshape", "squeeze", "expand_dims")
-def _reshape(eqn):
-    if eqn.params.get("dimensions") and eqn.primitive.name == "reshape":
-        return None
-    shape = _shape(eqn)
-    return lambda x: np.reshape(x, shape)
-
-
-@rule("transpose")
-def _transpose(eqn):
-    order = eqn.params["permutation"]
-    return lambda x: np.transpose(x, order)
-
-
-@rule("slice")
-def _slice(eqn):
-    p = eqn.params
-    strides = p["strides"] or (1,) * len(p["start_indices"])
-    part = tuple(map(slice, p["start_indices"], p["limit_indices"], strides))
-    return lambda x: x[part]
-
-
-@rule("concatenate")
-def _concatenate(eqn):
-    axis = eqn.params["dimension"]
-    return lambda *xs: np.concatenate(xs, axis)
-
-
-@rule("stack")
-def _stack(eqn):
-    axis = eqn.params["axis"]
-    return lambda *xs: np.stack(xs, axis)
-
-
-@rule("unstack")
-def _unstack(eqn):
-    axis = eqn.params["axis"]
-    return lambda x: list(np.moveaxis(x, axis, 0))
-
-
-@rule("split")
-def _split(eqn):
-    at, axis = np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"]
-    return lambda x: np.split(x, at, axis)
-
-
-@rule("pad")
-def _pad(eqn):
-    config, shape = eqn.params["padding_config"], _shape(eqn)
-    if any(low < 0 or high < 0 for low, high, _ in config):
-        return None
-    sizes = eqn.invars[0].aval.shape
-    inside = tuple(
-        slice(low, low + max(0, (size - 1) * (between + 1) + 1), between + 1)
-        for (low, _, between), size in zip(config, sizes, strict=True)
-    )
-
-    def pad(x: Any, value: Any) -> Any:
-        out = np.full(shape, value)
-        out[inside] = x
-        return out
-
-    return pad
-
-
-@rule("iota")
-def _iota(eqn):
-    if eqn.invars:
-        return None
-    p = eqn.params
-    row = np.arange(p["shape"][p["dimension"]], dtype=p["dtype"])
-    sizes = [-1 if d == p["dimension"] else 1 for d in range(len(p["shape"]))]
-    full = np.broadcast_to(row.reshape(sizes), p["shape"])
-    return lambda: full
-
-
-REDUCTIONS = {"sum": np.sum, "max": np.max, "min": np.min, "or": np.any, "and": np.all}
-
-
-@rule(*(f"reduce_{name}" for name in REDUCTIONS))
-def _reduce(eqn):
-    f, axes = REDUCTIONS[eqn.primitive.name.removeprefix("reduce_")], eqn.params["axes"]
-    given = eqn.invars[0].aval
-    if (f in (np.any, np.all) and given.dtype != bool) or given.size == 0:
-        return None
-    if f is np.sum:
-        return lambda x: np.sum(x, axes, dtype=given.dtype)
-    return lambda x: f(x, axes)
-
-
-@rule("dot_general")
-def _dot(eqn):
-    (left, right), batch = eqn.params["dimension_numbers"]
-    if batch != ((), ()) or not _floats(eqn):
-        return None
-    return lambda a, b: np.tensordot(a, b, (left, right))
+@contextlib.contextmanager
+def _compiled() -> Iterator[None]:
+    """What numpy cannot evaluate does not come back from JAX to be evaluated."""
+    global by_xla
+    by_xla, before = True, by_xla
+    try:
+        yield
+    finally:
+        by_xla = before
 
 
 # ---------------------------------------------------------------- programs within the program
@@ -335,10 +282,15 @@ def _closed(jaxpr: Any) -> Callable[..., list]:
     return _evaluator(jaxpr) if isinstance(jaxpr, core.ClosedJaxpr) else _steps(jaxpr)
 
 
-@rule("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "remat2",
-      "checkpoint")  # fmt: skip
+CALLED = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call",
+          "remat2", "checkpoint", "custom_vmap_call")  # fmt: skip
+PROGRAMS = {*CALLED, "cond", "while", "scan"}
+
+
+@rule(*CALLED)
 def _call(eqn):
-    inside = eqn.params.get("jaxpr") or eqn.params.get("call_jaxpr")
+    names = ("jaxpr", "call_jaxpr", "call")
+    inside = next((eqn.params[name] for name in names if name in eqn.params), None)
     return None if inside is None else _closed(inside)
 
 

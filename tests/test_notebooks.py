@@ -17,7 +17,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "notebooks").glob("*.py"))
-QUICK = ("first_hour", "forces")
+QUICK = ("first_hour",)
 RUNS = [
     path if path.stem in QUICK else pytest.param(path, marks=pytest.mark.slow) for path in SOURCES
 ]

@@ -127,9 +127,8 @@ SLOWLY = pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
-        MINIMAL[1],
         "newton_euler",
-        *(pytest.param(n, marks=SLOWLY) for n in (MINIMAL[0], *SLOW, *ATTITUDE_FREE[1:])),
+        *(pytest.param(n, marks=SLOWLY) for n in (*MINIMAL, *SLOW, *ATTITUDE_FREE[1:])),
     ],
 )
 def test_trajectories_are_the_same(name: str) -> None:

@@ -99,29 +99,30 @@ def by_what_is_shared(name, f, *args):
 
 
 def child_rollouts():
-    model, (q, v, us), W, rolled, policy, loss = cart_poles()
-    mass, where = model.bodies.mass, NamedSharding(mesh(), BOTH)
+    model, (q, v, us), W, rolled, policy, _ = cart_poles()
+    where = NamedSharding(mesh(), BOTH)
     check("rollout", rolled, (q, v, us), sharding=where, sums=0)
     check("under a policy", lambda q, v, w: rolled(q, v, policy(w), steps=4), (q, v, W),
           sharding=where, sums=0)  # fmt: skip
-    check("by state and controls", jax.grad(lambda *x: loss(*x, W, mass), (0, 1)), (q, v, us),
-          sharding=where)  # fmt: skip
-    by_what_is_shared("controls", lambda u, m, q, v: rolled(q, v, u, m), us[0], mass, q, v)
     check("along a tangent", lambda q, v, us: jax.jvp(rolled, (q, v, us), (v, q, us)), (q, v, us),
           sharding=where, sums=0)  # fmt: skip
 
     out = rb.rollout(model, rb.State(q, v), us, 0.01)  # outside of any program
     assert out.q.sharding.is_equivalent_to(where, 3)
-    slope = jax.grad(lambda w: (rolled(q, v, policy(w), steps=4)[0] ** 2).sum())
-    assert relative_error(slope(W), jax.jit(slope)(W)) <= F64_TRANSFORM
 
     own = jax.shard_map(rolled, mesh=mesh(), in_specs=(BOTH, BOTH, BOTH), out_specs=BOTH)
     check("in shard_map", own, (q, v, us), rolled, where, 0)
 
 
-def child_more():
+def child_gradients():
+    """tests/test_meshes.py has quick ones."""
     model, (q, v, us), W, rolled, policy, loss = cart_poles()
-    mass = model.bodies.mass
+    mass, where = model.bodies.mass, NamedSharding(mesh(), BOTH)
+    check("by state and controls", jax.grad(lambda *x: loss(*x, W, mass), (0, 1)), (q, v, us),
+          sharding=where)  # fmt: skip
+    by_what_is_shared("controls", lambda u, m, q, v: rolled(q, v, u, m), us[0], mass, q, v)
+    slope = jax.grad(lambda w: (rolled(q, v, policy(w), steps=4)[0] ** 2).sum())
+    assert relative_error(slope(W), jax.jit(slope)(W)) <= F64_TRANSFORM
     ways = jax.vmap(lambda u: rolled(q, v, u))
     check("two axes", ways, (jax.device_put(us[:3], NamedSharding(mesh(), P())),), sums=0)
     parted = jax.shard_map(
@@ -146,8 +147,8 @@ def test_rollouts():
 
 
 @pytest.mark.slow
-def test_two_axes_and_gradients_in_shard_map():
-    on_eight_devices(child_more)
+def test_two_axes_and_gradients():
+    on_eight_devices(child_gradients)
 
 
 @pytest.mark.parametrize("size", [320, 12, 7, 1])

@@ -425,13 +425,13 @@ def test_a_kind_registered_anew_is_another_program() -> None:
 
     def rail(height):
         class Rail(rb.joints.Node):
-            name, coordinates = "rail of two cells", 1
+            name, coordinates = "tilted_rail", 1
 
             def pose(self, q, numbers):
                 return Transform(Mat3.identity(), Vec3(q[0], 0.0, height * q[0]))
 
         rb.joints.register(Rail())
-        return rb.load("cart_pole").with_joint("slider", Rail.name)
+        return rb.load("cart_pole").with_joint("slider", "tilted_rail")
 
     q = jnp.array([0.5, 0.0])
     flat = rail(0.0)

@@ -7,6 +7,7 @@ import importlib
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax.sharding import NamedSharding
 from jax.sharding import PartitionSpec as P
 
@@ -72,9 +73,9 @@ def child_functions():
           spread=1)  # fmt: skip
 
 
-def child_rollouts():
-    model, devices, both = rb.load("cart_pole"), mesh(), P(("a", "b"))
-    where = NamedSharding(devices, both)
+def rollouts():
+    """A batch of carts over eight devices, and a loss of rollouts, with its gradient."""
+    model, where = rb.load("cart_pole"), NamedSharding(mesh(), P(("a", "b")))
     state = jax.vmap(model.random_state)(jax.random.split(jax.random.key(0), 16))
     q, v = jax.device_put((state.q, state.v), where)
     masses, us = model.bodies.mass, jnp.zeros((4, 1))
@@ -93,7 +94,31 @@ def child_rollouts():
 
         return f
 
+    return model, (q, v), where, loss, rolled
+
+
+def child_rollouts():
+    model, (q, v), where, _, rolled = rollouts()
     check("rollout", rolled(True), (q, v), rolled(False), where, spread=2)
+
+    def by_weights(kernel):
+        def total(w, q, v):
+            def policy(t, x):
+                return jnp.tanh(w @ x.q)
+
+            out = rb.rollout(model, rb.State(q, v), policy, 0.01, steps=4, kernel=kernel)
+            return (out.q[:, -1] ** 2).sum()
+
+        return jax.grad(total)
+
+    threaded_rollout.POLICY_UP_TO = 0  # a network between the steps
+    check("by weights", by_weights(True), (jnp.ones((1, 2)), q, v), by_weights(False), sums=1)
+
+
+def child_in_shard_map():
+    model, (q, v), where, loss, rolled = rollouts()
+    devices, both = where.mesh, where.spec
+    masses, us = model.bodies.mass, jnp.zeros((4, 1))
 
     def rolled_there(q, v):
         def total(mass, q, v):
@@ -114,19 +139,6 @@ def child_rollouts():
     check("own masses in shard_map", own, (each, q, v), own_masses(False), where, 0)
     check("in shard_map", rolled_there, (q, v), lambda q, v: rolled(False)(q, v)[1:3], where,
           spread=1)  # fmt: skip
-
-    def by_weights(kernel):
-        def total(w, q, v):
-            def policy(t, x):
-                return jnp.tanh(w @ x.q)
-
-            out = rb.rollout(model, rb.State(q, v), policy, 0.01, steps=4, kernel=kernel)
-            return (out.q[:, -1] ** 2).sum()
-
-        return jax.grad(total)
-
-    threaded_rollout.POLICY_UP_TO = 0  # a network between the steps
-    check("by weights", by_weights(True), (jnp.ones((1, 2)), q, v), by_weights(False), sums=1)
 
 
 def test_memory_is_that_of_each_device(monkeypatch):
@@ -155,3 +167,8 @@ def child():
 
 def test_functions_and_rollouts():
     on_eight_devices(child)
+
+
+@pytest.mark.slow
+def test_rollouts_in_shard_map():
+    on_eight_devices(child_in_shard_map)
