@@ -301,5 +301,5 @@ def _versions(closed: ClosedJaxpr) -> list[int | None]:
 @rule("platform_index")
 def _platform(low: Lowering, eqn: Any, ins: list) -> list:
     groups = eqn.params["platforms"]
-    here = [k for k, group in enumerate(groups) if group is None or "cuda" in group]
+    here = [k for k, group in enumerate(groups) if group is None or low.b.platform in group]
     return [np.asarray(here[0] if here else len(groups) - 1, np.int32)]

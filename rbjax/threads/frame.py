@@ -119,9 +119,10 @@ def write_program(
     operands: Sequence[Layout],
     results: Sequence[Layout],
     summed: Sequence[bool] = (),
+    platform: str = "cuda",
 ) -> Written:
     """The program of one sample of a batch. Summed results are sums over the batch."""
-    b = Builder()
+    b = Builder(platform)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
     summed = tuple(summed) or (False,) * len(results)

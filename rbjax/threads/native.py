@@ -78,7 +78,8 @@ def compile(f: Callable, *example: Any) -> Callable:
     try:
         if not numpy_abi.holds():
             raise llvm_jit.NoCompiler("numpy's arrays have an unknown layout")
-        code = llvm_jit.compiled(llvm_ir.module(write_program(closed, (), ins, outs)))
+        program = write_program(closed, (), ins, outs, platform="cpu")
+        code = llvm_jit.compiled(llvm_ir.module(program))
     except (Unsupported, llvm_jit.NoCompiler) as error:
         warnings.warn(f"compile: {error}; {_name(f)} runs under XLA", stacklevel=2)
         code = None

@@ -121,14 +121,15 @@ def placed(x: Any, axes: Axes) -> Any:
     return jnp.moveaxis(x, range(len(there)), there)
 
 
-def as_kernel(kernel, launch, *operands, program, batch, ins, outs):
+def as_kernel(platform, *operands, program, batch, ins, outs):
     """The same by a kernel; under XLA if the compiler does not support a primitive."""
     if 0 in batch:
         return [jnp.zeros(a.shape, a.dtype) for a in threads_p.abstract_eval(
             *operands, program=program, batch=batch, ins=ins, outs=outs)[0]]  # fmt: skip
     summed = tuple(bool(batch) and all(a is None for a in axes) for axes in outs)
+    shapes = tuple(x.shape for x in operands)
     try:
-        code = _kernel(kernel, program, batch, ins, outs, tuple(x.shape for x in operands), summed)
+        code = _kernel(platform, program, batch, ins, outs, shapes, summed)
     except Unsupported as reason:
         _say(str(reason))
         return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
@@ -136,7 +137,8 @@ def as_kernel(kernel, launch, *operands, program, batch, ins, outs):
         ShapedArray((code.grid, *a.shape) if s else _shape(a.shape, batch, axes), a.dtype)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
-    found = launch(code, operands, results)
+    run = launch.launch if platform == "cuda" else host_call.launch
+    found = run(code, operands, results)
     return [x.sum(0) if s else x for x, s in zip(found, summed, strict=True)]
 
 
@@ -145,22 +147,23 @@ def on_gpu(*operands, program, batch, ins, outs):
     how = {"batch": batch, "ins": ins, "outs": outs}
     if program.apart is not None and 0 not in batch:
         return under_xla(*operands, program=program.apart, **how)
-    return as_kernel(cuda.kernel, launch.launch, *operands, program=program, **how)
+    return as_kernel("cuda", *operands, program=program, **how)
 
 
 def on_cpu(*operands, **how):
     """The same by machine code."""
-    return as_kernel(host_call.host_kernel, host_call.launch, *operands, **how)
+    return as_kernel("cpu", *operands, **how)
 
 
 @functools.lru_cache(maxsize=256)
-def _kernel(kernel, program, batch, ins, outs, shapes, summed):
+def _kernel(platform, program, batch, ins, outs, shapes, summed):
     operands = [Layout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
     results = [
         Layout(a.shape, ()) if s else Layout(_shape(a.shape, batch, axes), axes)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
-    return kernel(write_program(program.closed, batch, operands, results, summed))
+    written = write_program(program.closed, batch, operands, results, summed, platform)
+    return cuda.kernel(written) if platform == "cuda" else host_call.host_kernel(written)
 
 
 @functools.cache

@@ -159,9 +159,13 @@ def walk(block: Block) -> Iterator[Any]:
 
 
 class Builder:
-    """Writes statements. Equal expressions in scope of each other become one variable."""
+    """Writes statements. Equal expressions in scope of each other become one variable.
 
-    def __init__(self) -> None:
+    platform: where the program runs, "cuda" or "cpu", for functions that depend on it.
+    """
+
+    def __init__(self, platform: str = "cuda") -> None:
+        self.platform = platform
         self.block = Block()
         self.ids = itertools.count()
         self.time = 0  # advances whenever earlier loads may be out of date

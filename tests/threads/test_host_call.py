@@ -106,6 +106,13 @@ def test_rollouts_and_gradients_are_those_of_xla(monkeypatch):
         assert relative_error(a, b) <= F64_TRANSFORM
 
 
+def test_it_is_the_function_for_a_cpu():
+    def g(x):
+        return jax.lax.platform_dependent(x, cuda=lambda x: -x, default=lambda x: 2 * x)
+
+    assert jax.jit(threaded(g))(3.0) == 6.0 == rb.compile(g, 0.0)(3.0)
+
+
 @pytest.mark.slow
 def test_a_program_of_another_process_is_found_again(tmp_path):
     """JAX keeps the compiled program on disk; its machine code is registered by name."""
