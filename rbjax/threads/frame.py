@@ -22,6 +22,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
     factorise,
     gather,
     indexing,
+    inversion,
     linear,
     random,
     reductions,
