@@ -47,6 +47,8 @@ STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
 #: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
 #: how strongly, by bytes
 FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
+#: the most unknowns of all stages whose matrix a GPU thread has memory for
+COUPLED_UP_TO = 40
 
 
 @dataclass(frozen=True)
@@ -231,7 +233,11 @@ class System:
             return done, jnp.where(done, x, guess)
 
         done, x = found(chord, jnp.array(False), guess, MAX_STEPS)
-        done, x = found(newton, done, x, FREE + HELD)
+        done, x = where_it_fits(
+            guess.size,
+            lambda done, x: found(newton, done, x, FREE + HELD),
+            lambda done, x: (done, x),
+        )(done, x)
         return jnp.append(x, done.astype(y.dtype))
 
     def moved(self, x, change, h, t, y, weights, start: Point, usual, read) -> jax.Array:
@@ -258,12 +264,23 @@ class System:
                     exact = Factored(matrix, usual, proximal(b.dtype)[0]).solved(b)
                     return exact, jnp.array(True)
 
-                # a loop and not a branch: of a batch both branches would run
-                return jax.lax.while_loop(lambda at: ~at[1], directly, (found, done))[0]
+                return where_it_fits(
+                    x.size,
+                    # a loop and not a branch: of a batch both branches would run
+                    lambda *at: jax.lax.while_loop(lambda at: ~at[1], directly, at)[0],
+                    lambda found, done: jnp.where(done, found, jnp.nan),
+                )(found, done)
 
             return solved
 
         return jax.lax.custom_linear_solve(push, change, by(shared.solved, False), by(back, True))
+
+
+def where_it_fits(unknowns: int, f: Callable, otherwise: Callable) -> Callable:
+    """f, which needs a matrix of so many unknowns; what a GPU does where a thread has no room."""
+    if unknowns <= COUPLED_UP_TO:
+        return f
+    return lambda *args: jax.lax.platform_dependent(*args, cuda=otherwise, default=f)
 
 
 def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
