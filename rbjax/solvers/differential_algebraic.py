@@ -9,14 +9,17 @@ have no w and no y' in them; where y' is found from them after p integrations, t
     [M  -G^T]
     [G    0 ]       for constraints of index 2 (p = 1) and 3 (p = 2), up to terms in h.
 
-The iteration is Newton's with the matrix of the start of the step, factored once; where that does
-not converge, with the matrices of the stages, factored each time. Redundant rows leave w open: the
-matrix is regularized (`stage_matrix`), which changes steps of the iteration and not where they end;
-w stays where the guess put it in directions that do nothing. Of a step that passes a singular
-position rows vanish between its stages, and turn round: the matrix of the start is of no use, and
-what a stage right there asks of w has no bound. So after some iterations w is drawn to the last
-one, and not to its own value: the iteration settles, with what is left of a row that vanishes.
-The derivative of the solution is that of the implicit function, to all orders.
+The iteration is Newton's with the matrix of the start of the step, inverted once, in blocks of the
+size of one stage (`simplified`); where that does not converge, with the matrices of the stages,
+factored each time (`stage_matrix`). Redundant rows leave w open: both are regularized, which
+changes steps of the iteration and not where they end; w stays where the guess put it in directions
+that do nothing. Of a step that passes a singular position rows vanish between its stages, and turn
+round: the matrix of the start is of no use, and what a stage right there asks of w has no bound. So
+after some iterations w is drawn to the last one, and not to its own value: the iteration settles,
+with what is left of a row that vanishes.
+The derivative of the solution is that of the implicit function, to all orders, by the same two
+ways. A GPU thread has no room for the matrices of the stages of large mechanisms (`COUPLED_UP_TO`):
+there steps that the first iteration does not solve are not solved.
 (Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta
 Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.)
 """
@@ -88,7 +91,8 @@ def solve(
     """The stages at times t (s,), from base values y (s, n)."""
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
-    system = System(f, Sizes(n, equations.kinematic, equations.depth, equations.again))
+    # jitted, so that it is traced once for all that calls and differentiates it
+    system = System(jax.jit(f), Sizes(n, equations.kinematic, equations.depth, equations.again))
     start, usual = jax.lax.stop_gradient((start, equations.usual))
 
     @eqx.filter_custom_jvp
@@ -98,7 +102,6 @@ def solve(
     @root.def_jvp
     def _(primals, tangents):
         found = root(*primals)  # with its own derivative: this rule
-        h, t, y, weights, start, usual, read = primals
         x = found[:-1].reshape(s, -1)
 
         def off(h, t, y, weights, start, usual, read):

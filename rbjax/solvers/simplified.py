@@ -114,12 +114,14 @@ def simplified(
     usual (m,): the diagonals of S and S_mu where no row vanishes, 0 where that is not known."""
     n, k, depth, again = sizes
     dtype, m, rows = usual.dtype, len(depth), n + sizes.rows
-    zs = [(h * z,) for z in weights.spectrum.real]
+    zs: list[tuple] = [(h * z,) for z in weights.spectrum.real]
     zs += [(h * z[0], h * z[1]) for z in weights.spectrum.pairs]
     of_u = jnp.array([p > 1 for p in depth[: sizes.rows]])
 
     def along(at: jax.Array, some: Any = True) -> jax.Array:
         return (jnp.arange(2 * n + m) == at).astype(dtype) * some
+
+    push = jax.jit(push)
 
     def column(j: jax.Array) -> tuple:
         """Of all blocks, that of a velocity or of a state x."""

@@ -2,11 +2,11 @@
 
     A T = T diag(r_1, ...,  [ x  -y]
                             [ y   x], ...),      T real
-A matrix f(A (x) J) of all stages is then one matrix f(r J) for each real eigenvalue, and one complex
-matrix f((x + i y) J) for each pair of complex ones: of the coordinates p, q of a pair, p + i q is
-multiplied by x + i y. Radau IIA of three stages has one of each, so a step needs a fifth of the
-operations and a third of the memory. (Butcher, *BIT* 16, 1976; Hairer & Wanner, *Solving Ordinary
-Differential Equations II*, IV.8.)
+A matrix f(A (x) J) of all stages is then one matrix f(r J) for each real eigenvalue, and one
+complex matrix f((x + i y) J) for each pair of complex ones: of the coordinates p, q of a pair,
+p + i q is multiplied by x + i y. Radau IIA of three stages has one of each, so a step needs a fifth
+of the operations and a third of the memory. (Butcher, *BIT* 16, 1976; Hairer & Wanner, *Solving
+Ordinary Differential Equations II*, IV.8.)
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def spectrum(a: np.ndarray) -> Spectrum:
 class Weights(NamedTuple):
     """A (s, s) of a method, its inverse, and its eigenvalues."""
 
-    a: jax.Array
-    inverse: jax.Array
+    a: Any
+    inverse: Any
     spectrum: Spectrum
 
 

@@ -51,7 +51,7 @@ class _Elimination:
             p = self._pivot(k)
             put(b, self._rows, (k,), p)
             with b.loop(n) as j:
-                self._exchange((k, j), (p, j))
+                self._exchange(k, j, p, j)
             scale = self._reciprocal(self._get(k, k))
             one = self._dtype.type(1), self._dtype.type(0)
             self._put(k, k, one[: len(self._parts)])
@@ -66,7 +66,7 @@ class _Elimination:
         with b.loop(n, reverse=True) as k:
             p = get(b, self._rows, (k,))
             with b.loop(n) as i:
-                self._exchange((i, k), (i, p))
+                self._exchange(i, k, i, p)
 
     def _pivot(self, k: Value) -> Value:
         """The row, from k on, of the largest entry of column k."""
@@ -83,10 +83,10 @@ class _Elimination:
                 b.assign(at, i)
         return at
 
-    def _exchange(self, here: tuple, there: tuple) -> None:
-        a, c = self._get(*here), self._get(*there)
-        self._put(*here, c)
-        self._put(*there, a)
+    def _exchange(self, i: Value, j: Value, k: Value, l: Value) -> None:
+        a, c = self._get(i, j), self._get(k, l)
+        self._put(i, j, c)
+        self._put(k, l, a)
 
     def _get(self, i: Value, j: Value) -> Number:
         return tuple(get(self._b, x, (i, j)) for x in self._parts)
