@@ -47,6 +47,8 @@ ROUNDING = 4  # units in the last place, beside the size of y
 #: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
 #: those of index 3 carry the rounding of positions, some 50 / h times
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
+#: the same of a linear system, in units in the last place: nothing else is divided by h there
+LINEAR_NOISE = 100
 #: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
 #: how strongly, by bytes
 FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
@@ -289,6 +291,7 @@ def where_it_fits(unknowns: int, f: Callable, otherwise: Callable) -> Callable:
 def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
     """x of push(x) = b by corrections nearly(b - push(x)), and whether these have become rounding.
     The first n columns of x decide."""
+    eps = float(jnp.finfo(b.dtype).eps)
 
     def once(at: tuple) -> tuple:
         x, before, count, _ = at
@@ -296,7 +299,7 @@ def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
         x = x + dx
         size = jnp.abs(x[:, :n]).max()
         now = jnp.abs(dx[:, :n]).max() / jnp.where(size > 0, size, 1.0)
-        return x, now, count + 1, settled(now, before, count)
+        return x, now, count + 1, settled(now, before, count, LINEAR_NOISE * eps)
 
     def more(at: tuple) -> jax.Array:
         _, before, count, done = at
@@ -307,9 +310,12 @@ def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
     return x, done
 
 
-def settled(now: jax.Array, before: jax.Array, count: jax.Array) -> jax.Array:
-    """Whether corrections, relative to y, have become rounding."""
-    eps, noise = float(jnp.finfo(now.dtype).eps), STALLED_BELOW[now.dtype.itemsize]
+def settled(
+    now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
+) -> jax.Array:
+    """Whether corrections, relative to y, have become rounding; noise: what rounding is at most."""
+    eps = float(jnp.finfo(now.dtype).eps)
+    noise = STALLED_BELOW[now.dtype.itemsize] if noise is None else noise
     ratio = now / jnp.where(before > 0, before, 1.0)
     falling = (count > 0) & (ratio < STALLED)
     coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)
