@@ -34,8 +34,12 @@ def pytest_configure(config: pytest.Config) -> None:
     if "not slow" in config.option.markexpr and not on_gpu:
         given = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = " ".join([*QUICK_FLAGS, given]).strip()
+        from rbjax.threads import backend
         from tests import quickly  # now that the flags are set: its imports compile something
 
+        # With these flags XLA compiles a small program before LLVM does. `tests/threads` tests
+        # LLVM's; notebooks and the command line, which are processes, and slow tests run as users.
+        backend.usual = "xla"
         quickly.begin()
 
 

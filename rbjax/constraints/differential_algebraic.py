@@ -76,16 +76,19 @@ class DifferentialAlgebraic(Formulation):
         """The formulation whose equations an estimate of the error is damped by."""
         return self
 
-    def algebraic(self, model: Model, t: Any, state: State) -> tuple[tuple[int, ...], jax.Array]:
-        """After how many integrations each of the algebraic equations comes, and what a unit of its
-        multiplier does to it, of free bodies (`as_free_bodies`)."""
+    def algebraic(
+        self, model: Model, t: Any, state: State
+    ) -> tuple[tuple[int, ...], jax.Array, int]:
+        """After how many integrations each of the algebraic equations comes, what a unit of its
+        multiplier does to it, of free bodies (`as_free_bodies`), and how many of them mu holds."""
         d = driver(model, state.q.dtype)
         now = Instant.of(model, t, state, None, d=d)
         _ = now.links.joints  # a driver learns from them what its lanes are
         rows = rows_of(model, now)
         again = self.held_by_mu(rows)
         usual = [as_free_bodies(d, row) for row in (*rows, *again)]
-        return (*(self.held(row)[1] for row in rows), *[1] * len(again)), pack(usual, state.v)
+        depth = (*(self.held(row)[1] for row in rows), *[1] * len(again))
+        return depth, pack(usual, state.v), len(again)
 
     def equations(self, model: Model, q: jax.Array, forces: Forces) -> Callable[..., jax.Array]:
         """0 = f(t, y, y', w) of y = (u, v, x), w = (l, mu): the configuration is q (+) u."""

@@ -4,6 +4,7 @@
     products          stacks of matrices, without `dot`
     fusion_barrier    a point where XLA's CPU compiler computes values once and stores them
     ldlt              L D L^T of small symmetric matrices
+    inverse           inverses of small matrices, real or complex
     proximal          how singular systems are regularized
     sincos            cosine and sine by polynomials
     batch_axis        the position of a result's batch under `vmap`
@@ -31,6 +32,7 @@ from rbjax.lanes.algebra import (
 )
 from rbjax.lanes.batch_axis import batch_first, batch_last
 from rbjax.lanes.fusion_barrier import fusion_barrier
+from rbjax.lanes.inverse import inverse
 from rbjax.lanes.ldlt import LDLT, elimination_order, ldlt
 from rbjax.lanes.products import matmat, matrix_transpose, matvec, outer
 from rbjax.lanes.sincos import horner, polynomial_sincos, sincos
@@ -50,6 +52,7 @@ __all__ = [
     "fusion_barrier",
     "horner",
     "inner",
+    "inverse",
     "is_literal",
     "is_zero",
     "ldlt",

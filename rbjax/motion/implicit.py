@@ -25,10 +25,11 @@ from rbjax.model import Model, State
 from rbjax.motion.field import Field, of_samples
 from rbjax.solvers import all as solvers
 from rbjax.solvers import radau_iia
-from rbjax.solvers.differential_algebraic import Equations, Point, Weights, damped, solve
+from rbjax.solvers.differential_algebraic import Equations, Point, damped, solve
 from rbjax.solvers.groups import unwrapped
 from rbjax.solvers.implicit_rk import ImplicitRungeKutta
 from rbjax.solvers.newton import refused, verdict
+from rbjax.solvers.spectrum import weights
 from rbjax.solvers.steps import AbstractGroupSolver, mixed
 from rbjax.solvers.tableau import Tableau
 
@@ -68,10 +69,9 @@ def stages(
     """The stages of a Runge-Kutta step."""
     dtype = state.q.dtype
     equations, start = begun(law, model, forces, t, state)
-    a, c = np.array(tableau.a), jnp.asarray(tableau.c, jnp.result_type(h))
-    weights = Weights(*(jnp.asarray(x, dtype) for x in (a, np.linalg.inv(a))))
+    c = jnp.asarray(tableau.c, jnp.result_type(h))
     base = jnp.broadcast_to(start.y, (tableau.stages, start.y.size))
-    found = solve(equations, h, t + c * h, base, weights, start)
+    found = solve(equations, h, t + c * h, base, weights(np.array(tableau.a), dtype), start)
     return Stages(h * found.rates, found.w, found.ok, start)
 
 
@@ -117,7 +117,8 @@ def equations_of(
 ) -> Equations:
     """The equations from a state on."""
     f = law.equations(model, state.q, forces)
-    return Equations(f, *law.algebraic(model, t, state))
+    depth, usual, again = law.algebraic(model, t, state)
+    return Equations(f, depth, usual, model.nv, again)
 
 
 def increment(model: Model, u: jax.Array) -> State:

@@ -20,10 +20,11 @@ from rbjax.constraints.differential_algebraic import DifferentialAlgebraic
 from rbjax.model import State
 from rbjax.motion.implicit import begun, error_of, increment, seen, stages
 from rbjax.solvers import radau_iia
-from rbjax.solvers.differential_algebraic import Weights, solve
+from rbjax.solvers.differential_algebraic import solve
 from rbjax.solvers.groups import unwrapped
 from rbjax.solvers.lagrange import basis, slopes_at_one
 from rbjax.solvers.newton import refused, verdict
+from rbjax.solvers.spectrum import weight
 from rbjax.solvers.steps import AbstractGroupSolver, mixed
 
 
@@ -114,7 +115,7 @@ class BDFSolver(AbstractGroupSolver, diffrax.AbstractAdaptiveSolver):
         slopes = slopes_at_one(nodes).astype(past.dtype)
         known = mixed(slopes[2:], past)
         # h Q'(t1) = slopes_0 u1 + known
-        one = Weights(1 / slopes[None, :1], slopes[None, :1])
+        one = weight(1 / slopes[0])
         base = start.y - known / slopes[0]
         found = solve(equations, h, (first + t0 + h)[None], base[None], one, start)
         u = (h * found.rates[0] - known) / slopes[0]

@@ -9,14 +9,17 @@ have no w and no y' in them; where y' is found from them after p integrations, t
     [M  -G^T]
     [G    0 ]       for constraints of index 2 (p = 1) and 3 (p = 2), up to terms in h.
 
-The iteration is Newton's with the matrix of the start of the step, factored once; where that does
-not converge, with the matrices of the stages, factored each time. Redundant rows leave w open: the
-matrix is regularized (`stage_matrix`), which changes steps of the iteration and not where they end;
-w stays where the guess put it in directions that do nothing. Of a step that passes a singular
-position rows vanish between its stages, and turn round: the matrix of the start is of no use, and
-what a stage right there asks of w has no bound. So after some iterations w is drawn to the last
-one, and not to its own value: the iteration settles, with what is left of a row that vanishes.
-The derivative of the solution is that of the implicit function, to all orders.
+The iteration is Newton's with the matrix of the start of the step, inverted once, in blocks of the
+size of one stage (`simplified`); where that does not converge, with the matrices of the stages,
+factored each time (`stage_matrix`). Redundant rows leave w open: both are regularized, which
+changes steps of the iteration and not where they end; w stays where the guess put it in directions
+that do nothing. Of a step that passes a singular position rows vanish between its stages, and turn
+round: the matrix of the start is of no use, and what a stage right there asks of w has no bound. So
+after some iterations w is drawn to the last one, and not to its own value: the iteration settles,
+with what is left of a row that vanishes.
+The derivative of the solution is that of the implicit function, to all orders, by the same two
+ways. A GPU thread has no room for the matrices of the stages of large mechanisms (`COUPLED_UP_TO`):
+there steps that the first iteration does not solve are not solved.
 (Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta
 Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.)
 """
@@ -32,7 +35,10 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.lanes import batch_first, matvec
+from rbjax.lanes.each import each
 from rbjax.lanes.proximal import proximal
+from rbjax.solvers.simplified import Simplified, Sizes, simplified
+from rbjax.solvers.spectrum import Weights, weight
 from rbjax.solvers.stage_matrix import Factored, Matrix
 from rbjax.solvers.steps import mixed
 
@@ -41,27 +47,26 @@ ROUNDING = 4  # units in the last place, beside the size of y
 #: corrections that shrink by no more are rounding, where they are below so much of y, by bytes:
 #: those of index 3 carry the rounding of positions, some 50 / h times
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
+#: the same of a linear system, in units in the last place: nothing else is divided by h there
+LINEAR_NOISE = 100
 #: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
 #: how strongly, by bytes
 FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
+#: the most unknowns of all stages whose matrix a GPU thread has memory for
+COUPLED_UP_TO = 40
 
 
 @dataclass(frozen=True)
 class Equations:
     """f: (t, y (n,), y' (n,), w (m,)) -> (n + m,); depth: the p of each of the last m rows; usual
     (m,): what a unit of each w does to its row, integrated back, where no row vanishes; 0 where
-    that is not known."""
+    that is not known; kinematic, again: as in `rbjax.solvers.simplified.Sizes`."""
 
     f: Callable[..., jax.Array]
     depth: tuple[int, ...]
     usual: jax.Array
-
-
-class Weights(NamedTuple):
-    """A (s, s) of a method, and its inverse."""
-
-    a: jax.Array
-    inverse: jax.Array
+    kinematic: int
+    again: int = 0
 
 
 class Point(NamedTuple):
@@ -88,7 +93,8 @@ def solve(
     """The stages at times t (s,), from base values y (s, n)."""
     s, n = y.shape
     f, read = jax.closure_convert(equations.f, *start)
-    system = System(f, equations.depth, n)
+    # jitted, so that it is traced once for all that calls and differentiates it
+    system = System(jax.jit(f), Sizes(n, equations.kinematic, equations.depth, equations.again))
     start, usual = jax.lax.stop_gradient((start, equations.usual))
 
     @eqx.filter_custom_jvp
@@ -98,7 +104,6 @@ def solve(
     @root.def_jvp
     def _(primals, tangents):
         found = root(*primals)  # with its own derivative: this rule
-        h, t, y, weights, _, usual, read = primals
         x = found[:-1].reshape(s, -1)
 
         def off(h, t, y, weights, start, usual, read):
@@ -106,8 +111,7 @@ def solve(
             return system.residual(x, h, t, y, weights, read)
 
         _, change = eqx.filter_jvp(off, primals, tangents)
-        matrix = system.matrix(system.slopes(x, h, t, y, weights, read), h, weights)
-        moved = -Factored(matrix, usual, proximal(change.dtype)[0]).solved(change)
+        moved = -system.moved(x, change, *primals)
         return batch_first((found, jnp.append(moved, jnp.zeros_like(found[-1]))))
 
     found = root(h, t, y, weights, start, usual, tuple(read))
@@ -119,8 +123,8 @@ def damped(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> 
     """What an error raw (n,) of y leaves after an implicit Euler step of length gamma h of the
     linearized equations: without its stiff parts and those against the constraints."""
     start, usual = jax.lax.stop_gradient((start, equations.usual))
-    n, one = raw.size, Weights(*[jnp.ones((1, 1), raw.dtype)] * 2)
-    system = System(equations.f, equations.depth, n)
+    n, one = raw.size, weight(jnp.ones((), raw.dtype))
+    system = System(equations.f, Sizes(n, 0, equations.depth, 0))
     slopes = system.slope(*start, ())[None]
     off = system.weighted(matvec(slopes[0, :, :n], raw)[None], gamma_h, one)
     change = -Factored(system.matrix(slopes, gamma_h, one), usual).solved(off)
@@ -129,22 +133,25 @@ def damped(equations: Equations, gamma_h: Any, start: Point, raw: jax.Array) -> 
 
 @dataclass(frozen=True)
 class System:
-    """The stage equations, with what f reads as an argument; n rates."""
+    """The stage equations, with what f reads as an argument."""
 
     f: Callable[..., jax.Array]
-    depth: tuple[int, ...]
-    n: int
+    sizes: Sizes
+
+    @property
+    def n(self) -> int:
+        return self.sizes.n
 
     def residual(self, x, h, t, y, weights, read) -> jax.Array:
         """(s, n + m) at x = (rates, w), its last rows integrated back."""
         k, w = x[:, : self.n], x[:, self.n :]
-        out = jax.vmap(lambda *at: self.f(*at, *read))(t, y + h * mixed(weights.a, k), k, w)
+        out = each(lambda *at: self.f(*at, *read), t, y + h * mixed(weights.a, k), k, w)
         return self.weighted(out, h, weights)
 
     def weighted(self, rows: jax.Array, h: Any, weights: Weights) -> jax.Array:
         """Rows (s, n + m, ...): the last m by (h A)^-p."""
         back, parts, at = weights.inverse / h, [rows[:, : self.n]], self.n
-        for p in self.depth:
+        for p in self.sizes.depth:
             row = rows[:, at]
             for _ in range(p):
                 row = mixed(back, row)
@@ -154,13 +161,22 @@ class System:
 
     def slope(self, t, y, rate, w, read) -> jax.Array:
         """df / d(y, y', w) (n + m, 2 n + m) at a point."""
+        one = jnp.eye(2 * self.n + len(w), dtype=y.dtype)
+        return each(self.push(t, y, rate, w, read), one).T
+
+    def push(self, t, y, rate, w, read) -> Callable[[jax.Array], jax.Array]:
+        """df of d(y, y', w) (2 n + m,) at a point."""
         n = self.n
 
         def f(z):
             return self.f(t, z[:n], z[n : 2 * n], z[2 * n :], *read)
 
-        _, push = jax.linearize(f, jnp.concatenate([y, rate, w]))
-        return jax.vmap(push, out_axes=-1)(jnp.eye(2 * n + len(w), dtype=y.dtype))
+        at = jnp.concatenate([y, rate, w])
+        return lambda d: jax.jvp(f, (at,), (d,))[1]
+
+    def simplified(self, h, weights, start: Point, usual, read) -> Simplified:
+        """The matrix of the start, for all stages."""
+        return simplified(self.push(*start, read), self.sizes, h, weights, usual)
 
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:
         """The same at each stage."""
@@ -188,13 +204,11 @@ class System:
     def iterated(self, h, t, y, weights, start: Point, usual, read) -> jax.Array:
         """The root and 1, or the start and 0 where it was not found, in one array."""
         s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
-        slopes = self.slope(*start, read)
-        guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, slopes.shape[0]))
-        slopes = jnp.broadcast_to(slopes, (s, *slopes.shape))
-        shared = Factored(self.matrix(slopes, h, weights), usual)
+        guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, n + len(start.w)))
+        shared = self.simplified(h, weights, start, usual, read)
 
         def chord(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
-            return shared.once(self.residual(x, h, t, y, weights, read)), held
+            return shared.solved(self.residual(x, h, t, y, weights, read)), held
 
         def newton(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
             slopes = self.slopes(x, h, t, y, weights, read)
@@ -224,13 +238,84 @@ class System:
             return done, jnp.where(done, x, guess)
 
         done, x = found(chord, jnp.array(False), guess, MAX_STEPS)
-        done, x = found(newton, done, x, FREE + HELD)
+        done, x = where_it_fits(
+            guess.size,
+            lambda done, x: found(newton, done, x, FREE + HELD),
+            lambda done, x: (done, x),
+        )(done, x)
         return jnp.append(x, done.astype(y.dtype))
 
+    def moved(self, x, change, h, t, y, weights, start: Point, usual, read) -> jax.Array:
+        """The changes (s, n + m) of x at the root that make one of the residual.
 
-def settled(now: jax.Array, before: jax.Array, count: jax.Array) -> jax.Array:
-    """Whether corrections, relative to y, have become rounding."""
-    eps, noise = float(jnp.finfo(now.dtype).eps), STALLED_BELOW[now.dtype.itemsize]
+        By iteration with the matrix of the start; where that does not converge, with those of the
+        stages.
+        """
+        shared = self.simplified(h, weights, start, usual, read)
+
+        def push(d: jax.Array) -> jax.Array:
+            return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
+
+        def back(d: jax.Array) -> jax.Array:
+            return jax.linear_transpose(shared.solved, d)(d)[0]
+
+        def by(nearly: Callable, transposed: bool) -> Callable:
+            def solved(push: Callable, b: jax.Array) -> jax.Array:
+                found, done = refined(push, nearly, b, self.n)
+
+                def directly(_: tuple) -> tuple:
+                    matrix = self.matrix(self.slopes(x, h, t, y, weights, read), h, weights)
+                    matrix = matrix.transposed if transposed else matrix
+                    exact = Factored(matrix, usual, proximal(b.dtype)[0]).solved(b)
+                    return exact, jnp.array(True)
+
+                return where_it_fits(
+                    x.size,
+                    # a loop and not a branch: of a batch both branches would run
+                    lambda *at: jax.lax.while_loop(lambda at: ~at[1], directly, at)[0],
+                    lambda found, done: jnp.where(done, found, jnp.nan),
+                )(found, done)
+
+            return solved
+
+        return jax.lax.custom_linear_solve(push, change, by(shared.solved, False), by(back, True))
+
+
+def where_it_fits(unknowns: int, f: Callable, otherwise: Callable) -> Callable:
+    """f, which needs a matrix of so many unknowns; what a GPU does where a thread has no room."""
+    if unknowns <= COUPLED_UP_TO:
+        return f
+    return lambda *args: jax.lax.platform_dependent(*args, cuda=otherwise, default=f)
+
+
+def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
+    """x of push(x) = b by corrections nearly(b - push(x)), and whether these have become rounding.
+    The first n columns of x decide."""
+    eps = float(jnp.finfo(b.dtype).eps)
+
+    def once(at: tuple) -> tuple:
+        x, before, count, _ = at
+        dx = nearly(b - push(x))
+        x = x + dx
+        size = jnp.abs(x[:, :n]).max()
+        now = jnp.abs(dx[:, :n]).max() / jnp.where(size > 0, size, 1.0)
+        return x, now, count + 1, settled(now, before, count, LINEAR_NOISE * eps)
+
+    def more(at: tuple) -> jax.Array:
+        _, before, count, done = at
+        return ~done & (count < MAX_STEPS) & ((count == 0) | jnp.isfinite(before))
+
+    start = jnp.zeros_like(b), jnp.full((), jnp.inf, b.dtype), jnp.array(0), jnp.array(False)
+    x, _, _, done = jax.lax.while_loop(more, once, start)
+    return x, done
+
+
+def settled(
+    now: jax.Array, before: jax.Array, count: jax.Array, noise: float | None = None
+) -> jax.Array:
+    """Whether corrections, relative to y, have become rounding; noise: what rounding is at most."""
+    eps = float(jnp.finfo(now.dtype).eps)
+    noise = STALLED_BELOW[now.dtype.itemsize] if noise is None else noise
     ratio = now / jnp.where(before > 0, before, 1.0)
     falling = (count > 0) & (ratio < STALLED)
     coming = now * jnp.where(falling, ratio / (1 - jnp.where(falling, ratio, 0.0)), 1.0)

@@ -38,6 +38,10 @@ class Matrix(NamedTuple):
     row_rates: jax.Array
     row_w: jax.Array
 
+    @property
+    def transposed(self) -> Matrix:
+        return Matrix(self.rates.T, self.row_rates.T, self.w.T, self.row_w.T)
+
 
 class Factored:
     """Solves by the Schur complement of the w, regularized.

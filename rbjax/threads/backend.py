@@ -10,9 +10,10 @@ import jax
 from rbjax.errors import InputError
 from rbjax.threads import host_call
 
-#: which of the choices runs functions of one sample on the CPU; the first if it is not set
+#: which of the choices runs functions of one sample on the CPU; `usual` if it is not set
 VARIABLE = "RBJAX_CPU"
 CHOICES = ("llvm", "xla")
+usual = "llvm"
 
 
 @functools.cache
@@ -27,7 +28,7 @@ def gpu() -> bool:
 @functools.cache
 def on_cpu() -> bool:
     """Whether functions on the CPU run as machine code of LLVM, not under XLA."""
-    choice = os.environ.get(VARIABLE, CHOICES[0])
+    choice = os.environ.get(VARIABLE, usual)
     if choice not in CHOICES:
         raise InputError(f"{VARIABLE}: got {choice!r}, expected one of {', '.join(CHOICES)}")
     return choice == "llvm" and host_call.works()

@@ -22,6 +22,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
     factorise,
     gather,
     indexing,
+    inversion,
     linear,
     random,
     reductions,
@@ -35,6 +36,7 @@ from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
 from rbjax.threads.program import I32, I64, Array, Builder, Op, Reserve, walk
 from rbjax.threads.prune import prune
+from rbjax.threads.reuse import share_memory
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,7 @@ def write_program(
     with Lowering(b).held(args):
         Lowering(b).closed(closed, args, places)
     prune(b.block)
+    share_memory(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)
 

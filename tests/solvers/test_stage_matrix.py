@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rbjax.solvers import radau_iia
-from rbjax.solvers.differential_algebraic import Equations, Point, Weights, solve
+from rbjax.solvers.differential_algebraic import Equations, Point, solve
+from rbjax.solvers.spectrum import weights
 from rbjax.solvers.stage_matrix import Factored, Matrix
 from tests.quickly import quick_jit
 
@@ -26,15 +27,14 @@ def cross(index: int, redundant: bool) -> Equations:
         off = [dx - vx, dy - vy, ax - l * y, ay - (FORCE + l) * x]
         return jnp.stack([*off, *[row] * again])
 
-    return Equations(f, (index - 1,) * again, jnp.ones(again))
+    return Equations(f, (index - 1,) * again, jnp.ones(again), 2)
 
 
 @pytest.mark.parametrize("index, redundant", [(2, False), (3, False), (3, True)])
 def test_a_step_through_the_middle_of_a_cross(index: int, redundant: bool) -> None:
     """Along x at 1 m/s, from places where a stage is at the middle, near it, or on both sides."""
     h, equations = 0.1, cross(index, redundant)
-    a = np.array(TABLEAU.a)
-    weights = Weights(jnp.array(a), jnp.array(np.linalg.inv(a)))
+    of_stages = weights(np.array(TABLEAU.a), jnp.float64)
     m = len(equations.depth)
 
     @quick_jit
@@ -42,7 +42,7 @@ def test_a_step_through_the_middle_of_a_cross(index: int, redundant: bool) -> No
         y = jnp.stack([x, 0.0 * x, 1.0 + 0.0 * x, 0.0 * x])
         start = Point(0.0, y, jnp.array([1.0, 0, 0, 0]), jnp.zeros(m))
         base = jnp.broadcast_to(y, (3, 4))
-        found = solve(equations, h, h * jnp.array(TABLEAU.c), base, weights, start)
+        found = solve(equations, h, h * jnp.array(TABLEAU.c), base, of_stages, start)
         return found.ok, y + h * jnp.array(TABLEAU.b) @ found.rates, found.w
 
     places = -h * np.array([*TABLEAU.c, 0.5, 0.155, 0.99])

@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from tests.quickly import quick_jit
-from tests.threads.host import COMPILER, GPU_ASKED, many_on_host
+from tests.threads.host import COMPILER, many_on_host
 from tests.threads.test_algorithms import agree, by_xla
 from tests.tolerances import F64_PARITY
 
@@ -16,7 +16,6 @@ pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 
 DT = 1e-3
 slow = pytest.mark.slow
-large = slow, pytest.mark.skipif(GPU_ASKED, reason="is more than the 64 KiB of a GPU's thread")
 IMPLICIT = [name for name, one in rc.formulations().items() if one.index > 1]
 OTHERS = [name for name in rc.formulations() if name not in IMPLICIT]
 # one of each kind of algebra
@@ -51,10 +50,10 @@ def gradient_of(model: rb.Model, name: str):
     [
         ("four_bar", step_of, FEW),
         pytest.param("four_bar", step_of, [n for n in OTHERS if n not in FEW], marks=slow),
-        pytest.param("four_bar", step_of, ["index_2", "index_3"], marks=large),
-        pytest.param("four_bar", step_of, ["ggl"], marks=large),
+        pytest.param("four_bar", step_of, ["index_2", "index_3"], marks=slow),
+        pytest.param("four_bar", step_of, ["ggl"], marks=slow),
         pytest.param("four_bar", gradient_of, OTHERS, marks=slow),
-        pytest.param("four_bar", gradient_of, IMPLICIT, marks=large),
+        pytest.param("four_bar", gradient_of, IMPLICIT, marks=slow),
         pytest.param("gripper", step_of, OTHERS, marks=slow),
     ],
 )
