@@ -158,14 +158,18 @@ def child_rollouts_on_threads():
     child_rollouts(True)
 
 
-def child_on_lanes():
-    child_algorithms()
+def child_motions_on_lanes():
     child_simulate()
     child_rollouts(False)
 
 
-def test_algorithms_and_motions():
-    on_eight_devices(child_on_lanes)
+def test_algorithms():
+    on_eight_devices(child_algorithms)
+
+
+@pytest.mark.slow  # tests/threads/test_sharding.py has a rollout
+def test_motions():
+    on_eight_devices(child_motions_on_lanes)
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def crossed(n: int, seconds: float, joint: type) -> tuple[rb.Model, rb.Trajector
 @pytest.mark.parametrize(
     "n, seconds, joint",
     [
-        (2, 2.0, rc.Spherical),
+        pytest.param(2, 2.0, rc.Spherical, marks=pytest.mark.slow),  # test_singular.py is quick
         pytest.param(2, 10.0, rc.Spherical, marks=pytest.mark.slow),
         pytest.param(2, 10.0, rc.Revolute, marks=pytest.mark.slow),
     ],

@@ -142,6 +142,7 @@ def child_gradients():
     check("gradient in shard_map by what is shared", *shared)
 
 
+@pytest.mark.slow  # tests/test_meshes.py has some
 def test_rollouts():
     on_eight_devices(child_rollouts)
 

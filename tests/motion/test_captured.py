@@ -497,7 +497,7 @@ def solved(policy, **how):
     return rb.simulate(scene(), S, jnp.linspace(0.0, 0.02, 3), policy, dt0=0.01, **how).q[-1]
 
 
-@pytest.mark.parametrize("march", [rolled, solved])
+@pytest.mark.parametrize("march", [rolled, pytest.param(solved, marks=pytest.mark.slow)])
 @pytest.mark.usefixtures("by_xla")
 def test_twenty_lambdas_are_one_program(march):
     def end(k):

@@ -176,6 +176,7 @@ def test_a_late_start_costs_no_digits(start):
     assert late.stats["num_steps"] == now.stats["num_steps"] == 50
 
 
+@pytest.mark.slow
 def test_a_forward_derivative_takes_its_own_adjoint(key):
     model = rb.load("pendulum")
     state = model.random_state(key)

@@ -90,6 +90,7 @@ def test_energy_stays_where_semi_implicit_euler_loses_it():
     assert off[NAME].max() < 0.1 < 10 < off["semi_implicit_euler"].max()
 
 
+@pytest.mark.slow
 def test_momentum_of_a_free_robot_is_kept():
     """In no gravity the discrete Noether theorem holds whatever the step."""
     model = rb.load("free_body")

@@ -14,7 +14,7 @@ from tests.tolerances import F64_TRANSFORM, relative_error
 
 DERIVATIVE = 1e-8  # reverse, forward, and a difference of fourth order with h = 2e-3
 STEPS, H = 12, 2e-3
-QUICK = "radau_iia2 pece3 rkmk3".split()  # noqa: SIM905
+QUICK = "radau_iia2 pece3".split()  # noqa: SIM905
 NAMES = [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in SOLVERS]
 
 

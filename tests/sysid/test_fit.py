@@ -72,6 +72,7 @@ def test_another_measurement_compiles_nothing(seen):
     assert not compiled
 
 
+@pytest.mark.slow
 def test_too_few_steps_are_said(seen):
     assert not run(seen, max_steps=1).ok
 

@@ -27,6 +27,7 @@ LIMITED = """
 """
 
 
+@pytest.mark.slow  # MJX takes long to compile
 def test_pendulum_beside_mujoco_and_mjx() -> None:
     report = compare("pendulum", states=4, mjx=("f64",), seconds=0.2)
     assert report.ok

@@ -11,16 +11,22 @@ from tests.threads.host import by_xla, many_on_host
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 KINDS = wheeled.kinds()
-QUICK = ("differential_drive", "omni_3")
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=() if k in QUICK else pytest.mark.slow) for k in KINDS]
-)
+def test_reduced_rollouts():
+    beside_xla("omni_3", [f for f in KINDS["omni_3"].fidelities if f != "constrained"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
 def test_rollouts(kind):
+    beside_xla(kind, KINDS[kind].fidelities)
+
+
+def beside_xla(kind, fidelities):
     """By both Euler methods, of a batch of states and controls that differ."""
     cases, rng = [], np.random.default_rng(0)
-    for fidelity in KINDS[kind].fidelities:
+    for fidelity in fidelities:
         servo = wheeled.SpeedServo(1.0) if fidelity == "kinematic" else None
         robot = KINDS[kind].make(motor=servo)
         vehicle = wheeled.at(robot, fidelity)

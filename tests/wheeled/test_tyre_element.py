@@ -169,8 +169,8 @@ def test_a_relaxing_tyre_holds_on_a_slope():
 @pytest.mark.parametrize(
     "law",
     [
-        "relaxing",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("pacejka, two", "tmeasy, two")),
+        pytest.param(n, marks=pytest.mark.slow)  # test_tyre_laws.py, test_relaxation.py are quick
+        for n in ("relaxing", "pacejka, two", "tmeasy, two")
     ],
 )
 def test_gradients_of_a_motion(law):
