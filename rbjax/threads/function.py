@@ -20,11 +20,12 @@ from rbjax.threads.uniform import unnamed
 
 
 def threads(f: Callable) -> Callable:
-    """f of one sample, whose `vmap` on a GPU runs as one kernel, one thread a sample.
+    """f of one sample, whose `vmap` on a GPU is one kernel, one thread a sample; on a CPU it is
+    machine code, one sample a lane.
 
     g = threads(f); jax.vmap(g)(xs)[i] = f(xs[i])
 
-    Without a GPU this is f itself. Its derivatives (`jax.jvp`, `vjp`, `grad`, `jacfwd`, `hessian`)
+    Where neither runs this is f itself. Its derivatives (`jax.jvp`, `vjp`, `grad`, `jacfwd`, `hessian`)
     also run as kernels, each compiled from the derivative of f. Reverse mode recomputes the forward
     values. If f has a primitive that the compiler does not support, it runs under XLA, and a
     warning names the primitive.
