@@ -25,10 +25,10 @@ def threads(f: Callable) -> Callable:
 
     g = threads(f); jax.vmap(g)(xs)[i] = f(xs[i])
 
-    Where neither runs this is f itself. Its derivatives (`jax.jvp`, `vjp`, `grad`, `jacfwd`, `hessian`)
-    also run as kernels, each compiled from the derivative of f. Reverse mode recomputes the forward
-    values. If f has a primitive that the compiler does not support, it runs under XLA, and a
-    warning names the primitive.
+    Where neither runs this is f itself. Its derivatives (`jax.jvp`, `vjp`, `grad`, `jacfwd`,
+    `hessian`) also run as kernels, each compiled from the derivative of f. Reverse mode recomputes
+    the forward values. If f has a primitive that the compiler does not support, it runs under XLA,
+    and a warning names the primitive.
 
     Args:
         f: a function from arrays, or pytrees of them, to the same, for one sample and small. It may

@@ -589,7 +589,7 @@ def of_pivots(a: jax.Array) -> tuple:
     return p, jnp.abs(jnp.diagonal(r)), back, lax.linalg.qr(a, pivoting=True)[0].T[0] ** 2
 
 
-@pytest.mark.parametrize("n", mostly_slow((3,), (1, 2, 9, 14)), ids=lambda n: f"{n} rows")
+@pytest.mark.parametrize("n", mostly_slow((2,), (1, 3, 9, 14)), ids=lambda n: f"{n} rows")
 def test_spectra(n):
     """Eigenvalues and singular values of matrices full, short of rank, diagonal, zero, graded."""
     x, tall = normal(F64, 5, n, n, seed=1), normal(F64, 5, n + 2, n, seed=2)

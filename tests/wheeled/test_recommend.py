@@ -59,6 +59,7 @@ def test_inertia_decides_by_the_lag_of_the_servo(steady_clock) -> None:
     np.testing.assert_allclose(equal[0].error, equal[1].error, atol=1e-12)
 
 
+@slow
 def test_slip_decides_where_a_corner_needs_more_friction_than_there_is() -> None:
     speed, angle, friction = 15.0, 0.1, 0.8
     robot, tyre, controls = bicycle(), Fiala(15.0, friction), [speed / 0.3, angle]
