@@ -175,7 +175,9 @@ class System:
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
     def simplified(self, h, weights, start: Point, usual, read) -> Simplified:
-        """The matrix of the start, for all stages."""
+        """The matrix of the start, for all stages. It only draws iterations to where they end, so
+        it is constant where these are differentiated again."""
+        h, weights, start, usual, read = jax.lax.stop_gradient((h, weights, start, usual, read))
         return simplified(self.push(*start, read), self.sizes, h, weights, usual)
 
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:

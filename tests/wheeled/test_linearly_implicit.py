@@ -52,7 +52,7 @@ def test_order_one_where_explicit_steps_blow_up(name, tyre):
     decay = abs(float(rates(nudged).v[-1] - rates(moving).v[-1])) / 1e-4
     fine = end(vehicle, start, u, 1.0, 4000)
     errors = [float(jnp.abs(end(vehicle, start, u, 1.0, k) - fine)[:3].max()) for k in (100, 400)]
-    assert decay * 0.01 > 2.5 and errors[0] < 0.02 and 2.0 < errors[0] / errors[1] < 6.0
+    assert decay * 0.01 > 1.2 and errors[0] < 0.02 and 2.0 < errors[0] / errors[1] < 6.0
     explicit = end(vehicle, start, u, 1.0, 100, "semi_implicit_euler")
     assert not float(jnp.abs(explicit - fine)[:3].max()) < 0.1
 
