@@ -150,7 +150,7 @@ def child_registry():
                 out[name] = jax.vmap(f)(*arrays)
         return out
 
-    xs = placed(mesh, samples(tuple(names), SIZE))
+    xs = placed(mesh, samples(tuple(names), n=SIZE))
     check("algorithms", everything, xs, sharding=NamedSharding(mesh, BATCH), sums=0)
 
 

@@ -262,5 +262,6 @@ def _table(array: Array) -> str:
     t, data = stored(array.dtype), array.data
     assert data is not None
     plain = data.view(np.uint8) if data.dtype.kind == "b" else data
-    numbers = ", ".join(f"{t} {literal(x)}" for x in plain) or f"{t} 0"
-    return f"@a{array.id} = internal constant [{max(array.size, 1)} x {t}] [{numbers}], align 16"
+    numbers = ", ".join(f"{t} {literal(x)}" for x in plain)
+    held = f"[{numbers}]" if numbers else "zeroinitializer"
+    return f"@a{array.id} = internal constant [{max(array.size, 1)} x {t}] {held}, align 16"

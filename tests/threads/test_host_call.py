@@ -84,6 +84,15 @@ def test_derivatives_and_loops():
     same(*(jax.hessian(lambda x, g=g: g(x, jnp.asarray(W)).sum()) for g in (step, plain)), X[0])
 
 
+def test_rows_without_entries():
+    """Recorded rows of nothing: the derivative of a loop may keep such."""
+
+    def g(x):
+        return jax.lax.scan(lambda c, row: (c + row.sum() + x[0], None), x[1], np.zeros((3, 0)))[0]
+
+    same(jax.vmap(threaded(g)), jax.vmap(g), X)
+
+
 def test_rollouts_and_gradients_are_those_of_xla(monkeypatch):
     model = rb.load("cart_pole")
     state = rb.State(jnp.asarray(X[:, :2]), jnp.asarray(X[:, 1:]))
