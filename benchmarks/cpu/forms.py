@@ -1,4 +1,4 @@
-"""Every public function under plain jit, batch 1,024, against its fastest compiled form.
+"""Every public function under plain jit, batch 1,024, against its fastest form under XLA.
 
 `python -m benchmarks.cpu.forms`: one core, f64, Panda, default flags. Forms: plain
 `jit(vmap(f))` with the driver "auto" (what a user writes); the other driver; chunks of 240
@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import rbjax as rb
 from benchmarks.shared.robots import compiled, ours, states
 from benchmarks.shared.timing import markdown_table, measure, save
+from benchmarks.shared.under_xla import under_xla
 
 BATCH = 1024
 FUNCTIONS = {
@@ -75,4 +76,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with under_xla():
+        main()

@@ -1,4 +1,4 @@
-"""Measurements behind two thresholds on the CPU: when to roll, and the width of a chunk.
+"""Measurements behind two thresholds under XLA on the CPU: when to roll, and the width of a chunk.
 
 `python -m benchmarks.cpu.thresholds`, about three minutes: one core, f64. For serial chains of
 hinges, forward dynamics with both drivers: seconds to compile it and its gradient, and nanoseconds
@@ -19,6 +19,7 @@ import mujoco
 import rbjax as rb
 from benchmarks.shared.robots import compiled, ours, states
 from benchmarks.shared.timing import markdown_table, measure, save
+from benchmarks.shared.under_xla import under_xla
 
 BATCH = 1024
 LENGTHS = (4, 6, 8, 10, 12, 16)
@@ -101,4 +102,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with under_xla():
+        main()

@@ -14,6 +14,7 @@ import numpy as np
 import rbjax as rb
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, save
+from benchmarks.shared.under_xla import under_xla
 from rbjax.threads.frame import batch_first, batch_last, write_program
 from rbjax.threads.llvm_batch import parts
 from tests.threads.host import part_function
@@ -33,7 +34,8 @@ def robot(name: str, dtype: type) -> list[dict[str, Any]]:
 
     jitted = jax.jit(jax.vmap(f))
     start = time.process_time()
-    want = np.asarray(jitted(*args))
+    with under_xla():
+        want = np.asarray(jitted(*args))
     xla = {
         "compile_s": time.process_time() - start,
         "ns": fastest_ns(lambda: jitted(*args).block_until_ready(), BATCH, RUNS),

@@ -3,8 +3,9 @@
 Outside traced code an algorithm checks the values of its arguments and runs compiled. The model's
 numbers are arguments of the program, so changing one never recompiles. The same holds under a
 `vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
-is constant, and its zeros vanish from the program. On a CPU `batching` runs a batch. On a GPU a
-batch runs one sample a thread (`rbjax.threads`).
+is constant, and its zeros vanish from the program. A batch runs as a program of one sample: a
+thread on a GPU, a lane of machine code on a CPU (`rbjax.threads`). Under XLA on a CPU `batching`
+runs it.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ def algorithm(
         @automatic
         @functools.wraps(f)
         def inlined(*args: Any, **kwargs: Any) -> Any:
-            on_gpu = wanted()
-            moving, closed = split_tracers((suited(args) if on_gpu else args, kwargs))
+            by_threads = wanted()
+            moving, closed = split_tracers((suited(args) if by_threads else args, kwargs))
 
             def run(moving: list) -> Any:
                 args, kwargs = closed(moving)
@@ -81,7 +82,7 @@ def algorithm(
 
             if not moving:
                 return run(moving)
-            if not on_gpu:
+            if not by_threads:
                 return in_chunks(run)(moving)
             if apart is None or args[0].nv <= THREADS_APART_ABOVE:
                 return threaded(run)(moving)
@@ -111,7 +112,7 @@ def algorithm(
 
 
 def for_threads(args: tuple, **work: bool) -> tuple:
-    """The arguments, with the first of them, the model, on the driver that suits a GPU thread."""
+    """The arguments, whose first one, the model, has the driver that suits threads."""
     model, *rest = args
     arrays = [x for x in jax.tree.leaves(rest) if isinstance(x, jax.Array)]
     floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]

@@ -1,8 +1,8 @@
-"""Batches on the CPU, where lanes as long as the whole batch would be slow.
+"""Batches under XLA on the CPU, where lanes as long as the whole batch would be slow.
 
 A lane of the whole batch outgrows the cache, so a large batch runs in chunks
 (benchmarks/results/cpu-thresholds-*.json has the widths). Derivatives are those of the plain
-function. (On a GPU a batch runs one sample a thread: `rbjax.threads`.)
+function. (Programs of one sample need no chunks: `rbjax.threads`.)
 """
 
 from __future__ import annotations

@@ -66,9 +66,9 @@ def driver(model: Model, dtype: Any, *, values: bool = False) -> Driver:
 
 
 def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = True) -> Model:
-    """The model with the driver that suits a GPU thread, if the model names none. `pairs`: the
-    algorithm works on all pairs of links, which limbs do not shorten. `long`: it has as many
-    statements as ABA, twice those of the others."""
+    """The model with the driver that suits a thread of a GPU or a lane of machine code, if it names
+    none. `pairs`: the algorithm works on all pairs of links, which limbs do not shorten. `long`: it
+    has as many statements as ABA, twice those of the others."""
     if model.driver != "auto":
         return model
     most = THREADS_UNROLLED_UP_TO if pairs or long else SHORT_UNROLLED_UP_TO

@@ -1,10 +1,10 @@
 """`rollout`: fixed steps for throughput.
 
-On a GPU all steps of a sample are one thread (`march`). Elsewhere the batch is the last axis of
-everything inside, so that a lane is contiguous, and on the CPU time runs inside a chunk of the
-batch (`dynamics.batching`).
+All steps of a sample are one program (`march`): a thread on a GPU, a lane of machine code on a CPU.
+Under XLA the batch is the last axis of everything inside, so that a lane is contiguous, and on the
+CPU time runs inside a chunk of the batch (`dynamics.batching`).
 
-Memory of the reverse gradient elsewhere than on a GPU: the scan over saved states keeps one state
+Memory of the reverse gradient under XLA: the scan over saved states keeps one state
 each; between two saved states only the first is kept and the steps are run again. So a sample keeps
 (T / save_every + save_every) states and one step's intermediate values.
 """
@@ -99,7 +99,8 @@ def rollout(
             or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
         save_every: keep every so many states; it must divide the number of steps.
         steps: the number of steps, where ctrls does not give it.
-        kernel: whether a sample is a thread (False: a scan under XLA). None: where there is a GPU.
+        kernel: whether a sample is a thread of a GPU or a lane of machine code (False: a scan under
+            XLA). None: where either runs.
         memory: bytes in which a reverse gradient of threads may keep states, for the whole batch;
             the fewer, the more steps run twice. None: an eighth of the memory of the devices over
             which a batch can be spread. Without threads it is not used.

@@ -68,8 +68,9 @@ def simulate(
     long, and of 256 arms at once 1.14 times; a quadruped and a humanoid take about as long (CPU,
     f64).
 
-    On a GPU, inside `jit`, a sample is a thread. Its reverse gradient is one too where `max_steps`
-    or the adjoint's checkpoints are few; otherwise it runs under XLA (docs/threads.md).
+    Inside `jit` a sample is a thread on a GPU, and a lane of machine code on a CPU. So is its
+    reverse gradient where `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
+    XLA (docs/threads.md).
 
     A function (control, tau, wrenches, law) is known by what it reads, and not by which object it
     is (`rollout`).
@@ -143,15 +144,15 @@ def simulate(
         tolerance = 1e-8 if state.q.dtype == jnp.float64 else 1e-5
         adaptive = diffrax.PIDController(rtol=tolerance, atol=tolerance)
         stepsize_controller = adaptive if dt0 is None else diffrax.ConstantStepSize()
-    # one robot a GPU thread, each with its own steps; a thread cannot raise: that is done after it
-    on_gpu = wanted() and inside_jit() and not progress
+    # A program of one robot, which takes its own steps. It cannot raise: that is done after it.
+    by_threads = wanted() and inside_jit() and not progress
     solve = functools.partial(
-        diffrax.diffeqsolve if on_gpu else _diffeqsolve,
+        diffrax.diffeqsolve if by_threads else _diffeqsolve,
         dt0=dt0,
         stepsize_controller=stepsize_controller,
         adjoint=diffrax.RecursiveCheckpointAdjoint() if adjoint is None else adjoint,
         max_steps=max_steps,
-        throw=throw and not on_gpu,
+        throw=throw and not by_threads,
         progress_meter=diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter(),
     )
     def solved(*functions: Any) -> tuple:
@@ -171,7 +172,7 @@ def simulate(
             )
             return out.ys, out.result, out.stats
 
-        return (threaded if on_gpu else itself)(solved_from)(state, ts[0], elapsed, args)
+        return (threaded if by_threads else itself)(solved_from)(state, ts[0], elapsed, args)
 
     with _only_reverse():
         path, result, stats = with_captured(solved, *inputs, law)

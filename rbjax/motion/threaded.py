@@ -1,4 +1,4 @@
-"""A rollout with each sample a GPU thread: what the thread does, and what is done around it."""
+"""A rollout whose sample is one program: what the program does, and what is done around it."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.function import flattened, threaded
 from rbjax.threads.launch import capability, works
 from rbjax.threads.nvrtc import ptx
-from rbjax.threads.program import Block, If, Loop, Op, While
+from rbjax.threads.program import operations
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
     block = program.builder.block
     found = {
         "statements": program.statements,
-        "operations": _operations(block),
+        "operations": operations(block),
         "array_bytes": program.array_bytes,
         "moved_bytes": _moved(program),
         "batch": batch,
@@ -109,22 +109,6 @@ def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
         of_instructions=batch * found["operations"] / seconds / limits.instructions,
         of_bandwidth=batch * found["moved_bytes"] / seconds / limits.bandwidth,
     )  # fmt: skip
-
-
-def _operations(block: Block) -> int:
-    """Executed operations: the longer branch, a loop once per iteration, a `while` once."""
-    total = 0
-    for statement in block.statements:
-        match statement:
-            case Op():
-                total += 1
-            case Loop(count=count, body=body):
-                total += count * _operations(body)
-            case While(test=test, body=body):
-                total += _operations(test) + _operations(body)
-            case If(then=then, otherwise=otherwise):
-                total += max(_operations(then), _operations(otherwise))
-    return total
 
 
 def _moved(program: Written) -> int:

@@ -7,7 +7,6 @@ has cached on disk finds it again in another process, because lowering registers
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
-from rbjax.threads import llvm_jit
+from rbjax.threads import llvm_jit, self_test
 from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.llvm_xla import handler
 from rbjax.threads.lowering import Unsupported
@@ -29,8 +28,8 @@ _registered: dict[str, llvm_jit.Code] = {}
 
 @dataclass(frozen=True)
 class HostKernel:
-    """A registered handler. grid: the parts of the batch, which are rows of
-    each result that is summed over it."""
+    """A registered handler. grid: the parts of the batch, which are rows of each result that is
+    summed over it."""
 
     name: str
     grid: int
@@ -74,22 +73,17 @@ mlir.register_lowering(_kernel, _lower, platform="cpu")
 @functools.cache
 def works() -> bool:
     """Whether machine code runs inside of XLA here. Tested once; a failure warns."""
-    x = np.arange(3, dtype=np.float32)
-    try:
-        double = jax.make_jaxpr(lambda x: [x + x])(x)
-        places = [batch_first((3,), ())]
-        test = host_kernel(write_program(double, (), places, places))
+
+    def double(x: np.ndarray) -> jax.Array:
+        traced = jax.make_jaxpr(lambda x: [x + x])(x)
+        places = [batch_first(x.shape, ())]
+        test = host_kernel(write_program(traced, (), places, places))
         run = jax.jit(lambda x: launch(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
         with jax.ensure_compile_time_eval(), jax.default_device(jax.devices("cpu")[0]):
-            y = np.asarray(run(x))
-        if np.array_equal(y, 2 * x):
-            return True
-        problem = "the self-test's result is wrong"
-    except (Unsupported, RuntimeError) as error:  # JAX's runtime errors are RuntimeErrors
-        problem = str(error)[:300]
-    warnings.warn(
-        f"rbjax: machine code does not run inside of XLA here ({problem}), so functions on the CPU "
-        "run under XLA, which takes longer.",
-        stacklevel=2,
+            return run(x)
+
+    return self_test.passes(
+        double,
+        "rbjax: machine code does not run inside of XLA here ({}), so functions on the CPU run "
+        "under XLA, which takes longer.",
     )
-    return False

@@ -8,17 +8,18 @@ Rows that are exchanged for larger pivots are columns of the inverse, put back a
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from rbjax.threads.arrays import View, get, put
+from rbjax.threads.expressions import Number
 from rbjax.threads.indexing import changeable
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.program import BOOL, I32, Builder, Value
 
-Number = tuple[Value, ...]  # real, or real and imaginary parts
+Entry = tuple[Number, ...]  # real, or real and imaginary parts
 
 
 @rule("inverse")
@@ -52,17 +53,16 @@ class _Elimination:
             put(b, self._rows, (k,), p)
             with b.loop(n) as j:
                 self._exchange(k, j, p, j)
-            scale = self._reciprocal(self._get(k, k))
-            one = self._dtype.type(1), self._dtype.type(0)
-            self._put(k, k, one[: len(self._parts)])
+            scale = _reciprocal(self._get(k, k))
+            self._put(k, k, (self._known(1), self._known(0))[: len(self._parts)])
             with b.loop(n) as j:
-                self._put(k, j, self._product(self._get(k, j), scale))
+                self._put(k, j, _product(self._get(k, j), scale))
             with b.loop(n) as i, b.when(b.op("ne", BOOL, i, k)):
                 factor = self._get(i, k)
-                self._put(i, k, (self._dtype.type(0),) * len(self._parts))
+                self._put(i, k, (self._known(0),) * len(self._parts))
                 with b.loop(n) as j:
-                    taken = self._product(factor, self._get(k, j))
-                    self._put(i, j, self._each("sub", self._get(i, j), taken))
+                    taken = _product(factor, self._get(k, j))
+                    self._put(i, j, _difference(self._get(i, j), taken))
         with b.loop(n, reverse=True) as k:
             p = get(b, self._rows, (k,))
             with b.loop(n) as i:
@@ -73,13 +73,10 @@ class _Elimination:
         b = self._b
         best, at = b.declare(self._dtype, self._dtype.type(-1)), b.declare(I32, k)
         with b.loop(self._n) as i:
-            squares = [b.op("mul", self._dtype, x, x) for x in self._get(i, k)]
-            size = squares[0]
-            for x in squares[1:]:
-                size = b.op("add", self._dtype, size, x)
-            below, larger = b.op("ge", BOOL, i, k), b.op("gt", BOOL, size, best)
-            with b.when(b.op("and", BOOL, below, larger)):
-                b.assign(best, size)
+            size = functools.reduce(operator.add, [x * x for x in self._get(i, k)])
+            better = (Number(b, i) >= Number(b, k)) & (size > Number(b, best))
+            with b.when(better.value):
+                b.assign(best, size.value)
                 b.assign(at, i)
         return at
 
@@ -88,34 +85,31 @@ class _Elimination:
         self._put(i, j, c)
         self._put(k, l, a)
 
-    def _get(self, i: Value, j: Value) -> Number:
-        return tuple(get(self._b, x, (i, j)) for x in self._parts)
+    def _known(self, x: float) -> Number:
+        return Number(self._b, self._dtype.type(x))
 
-    def _put(self, i: Value, j: Value, number: Number) -> None:
-        for x, value in zip(self._parts, number, strict=True):
-            put(self._b, x, (i, j), value)
+    def _get(self, i: Value, j: Value) -> Entry:
+        return tuple(Number(self._b, get(self._b, x, (i, j))) for x in self._parts)
 
-    def _each(self, name: str, x: Number, y: Number) -> Number:
-        op = self._b.op
-        return tuple(op(name, self._dtype, a, c) for a, c in zip(x, y, strict=True))
+    def _put(self, i: Value, j: Value, entry: Entry) -> None:
+        for x, number in zip(self._parts, entry, strict=True):
+            put(self._b, x, (i, j), number.value)
 
-    def _product(self, x: Number, y: Number) -> Number:
-        def op(name: str, a: Value, c: Value) -> Value:
-            return self._b.op(name, self._dtype, a, c)
 
-        if len(x) == 1:
-            return (op("mul", x[0], y[0]),)
-        (a, b), (c, d) = x, y
-        real = op("sub", op("mul", a, c), op("mul", b, d))
-        return real, op("add", op("mul", a, d), op("mul", b, c))
+def _difference(x: Entry, y: Entry) -> Entry:
+    return tuple(a - b for a, b in zip(x, y, strict=True))
 
-    def _reciprocal(self, x: Number) -> Number:
-        def op(name: str, *args: Value) -> Value:
-            return self._b.op(name, self._dtype, *args)
 
-        one = self._dtype.type(np.float64(1))
-        if len(x) == 1:
-            return (op("div", one, x[0]),)
-        a, b = x
-        size = op("div", one, op("add", op("mul", a, a), op("mul", b, b)))
-        return op("mul", a, size), op("neg", op("mul", b, size))
+def _product(x: Entry, y: Entry) -> Entry:
+    if len(x) == 1:
+        return (x[0] * y[0],)
+    (a, b), (c, d) = x, y
+    return a * c - b * d, a * d + b * c
+
+
+def _reciprocal(x: Entry) -> Entry:
+    if len(x) == 1:
+        return (1 / x[0],)
+    a, b = x
+    scale = 1 / (a * a + b * b)
+    return a * scale, -(b * scale)

@@ -9,7 +9,6 @@ stream and calls `cuLaunchKernel` on a module that it has loaded once.
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,8 +18,9 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
+from rbjax.threads import self_test
 from rbjax.threads.cuda import Kernel
-from rbjax.threads.nvrtc import CompileError, ptx
+from rbjax.threads.nvrtc import ptx
 
 TARGET = "__gpu$xla.gpu.ptx"
 
@@ -65,19 +65,14 @@ extern "C" __global__ void self_test(const float* x, float* y) {
 @functools.cache
 def works() -> bool:
     """Whether kernels run here: NVRTC compiles, XLA launches. Tested once; a failure warns."""
-    x = np.arange(32, dtype=np.float32)
-    try:
-        test = Kernel(SELF_TEST, "self_test", 32, 1, (False,))
+
+    def double(x: np.ndarray) -> jax.Array:
+        test = Kernel(SELF_TEST, "self_test", x.size, 1, (False,))
         run = jax.jit(lambda x: launch(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
-        y = run(jax.device_put(x, jax.devices("cuda")[0]))
-        if np.array_equal(np.asarray(y), 2 * x):
-            return True
-        problem = "the self-test's result is wrong"
-    except (CompileError, RuntimeError) as error:  # JAX's runtime errors are RuntimeErrors
-        problem = str(error)[:300]
-    warnings.warn(
-        f"rbjax: kernels of threads do not run here ({problem}), so batches run under XLA, several "
-        'times slower. Install what they need with pip install "rbjax[cuda]", and a recent jax.',
-        stacklevel=2,
+        return run(jax.device_put(x, jax.devices("cuda")[0]))
+
+    return self_test.passes(
+        double,
+        "rbjax: kernels of threads do not run here ({}), so batches run under XLA, several times "
+        'slower. Install what they need with pip install "rbjax[cuda]", and a recent jax.',
     )
-    return False

@@ -17,7 +17,7 @@ from rbjax.threads.llvm_jit import register_bytes
 from rbjax.threads.llvm_samples import Lines
 from rbjax.threads.llvm_statements import ALIGNMENT, MALLOC, one_sample, stored
 from rbjax.threads.llvm_vectors import Step, many_samples
-from rbjax.threads.program import Block, If, Load, Loop, Op, Store, While, walk
+from rbjax.threads.program import Load, Op, Store, operations, walk
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000
@@ -200,23 +200,7 @@ def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None
 
 def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
     """The samples of a part, and the parts. The last one has the rest of the batch too."""
-    work = max(_operations(program.builder.block), 1)
+    work = max(operations(program.builder.block, TURNS), 1)
     wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)
     each = max(min(-(-wanted // lanes) * lanes, size), 1)
     return each, size // each
-
-
-def _operations(block: Block) -> int:
-    """About the operations that a sample runs."""
-    total = 0
-    for statement in block.statements:
-        match statement:
-            case Op():
-                total += 1
-            case Loop(count=count, body=body):
-                total += count * _operations(body)
-            case While(test=test, body=body):
-                total += TURNS * (_operations(test) + _operations(body))
-            case If(then=then, otherwise=otherwise):
-                total += max(_operations(then), _operations(otherwise))
-    return total

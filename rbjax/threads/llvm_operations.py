@@ -49,6 +49,13 @@ def literal(x: Any) -> str:
     return str(int(x))
 
 
+def splat(made: Callable[[str], str], lanes: int, t: str, x: str) -> str:
+    """A scalar in every lane; `made` names what an instruction gives."""
+    many = f"<{lanes} x {t}>"
+    one = made(f"insertelement {many} poison, {t} {x}, i64 0")
+    return made(f"shufflevector {many} {one}, {many} poison, <{lanes} x i32> zeroinitializer")
+
+
 class Operations:
     """Writes instructions with `emit` and notes the functions that they call.
 

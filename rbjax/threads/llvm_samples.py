@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 
 from rbjax.threads.frame import Layout
+from rbjax.threads.llvm_operations import splat
 
 
 class Lines(list):
@@ -151,10 +152,8 @@ class Lines(list):
         many, kind = f"<{lanes} x {t}>", {"float": "f32", "double": "f64"}.get(t, t)
         counts = ", ".join(f"i64 {k}" for k in range(lanes))
         again = self.made("sub i64 %wanted, %b")
-        one = self.made(f"insertelement <{lanes} x i64> poison, i64 {again}, i64 0")
-        where = f"<{lanes} x i32> zeroinitializer"
-        all_ = self.made(f"shufflevector <{lanes} x i64> {one}, <{lanes} x i64> poison, {where}")
-        first = self.made(f"icmp uge <{lanes} x i64> <{counts}>, {all_}")
+        run = splat(self.made, lanes, "i64", again)
+        first = self.made(f"icmp uge <{lanes} x i64> <{counts}>, {run}")
         y = self.made(f"select <{lanes} x i1> {first}, {many} {x}, {many} zeroinitializer")
         if kind == t:
             name = f"llvm.vector.reduce.add.v{lanes}{t}"

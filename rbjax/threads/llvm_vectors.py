@@ -16,7 +16,7 @@ import numpy as np
 from rbjax.threads.divergence import divergence, part_of
 from rbjax.threads.frame import Written
 from rbjax.threads.llvm_mathematics import definitions
-from rbjax.threads.llvm_operations import Operations, llvm_type
+from rbjax.threads.llvm_operations import Operations, llvm_type, splat
 from rbjax.threads.llvm_statements import (
     ALIGNMENT,
     Function,
@@ -111,9 +111,7 @@ class _Vectors(Writer):
 
     def spread(self, t: str, x: str) -> str:
         """A scalar in every lane."""
-        one = self.made(f"insertelement {self.many(t)} poison, {t} {x}, i64 0")
-        where = f"{self.many('i32')} zeroinitializer"
-        return self.made(f"shufflevector {self.many(t)} {one}, {self.many(t)} poison, {where}")
+        return splat(self.made, self.lanes, t, x)
 
     def place(self, var: Var) -> str:
         if not self.found.of(var):

@@ -158,6 +158,22 @@ def walk(block: Block) -> Iterator[Any]:
                 yield from walk(otherwise)
 
 
+def operations(block: Block, turns: int = 1) -> int:
+    """The operations that run: the longer branch, a loop's once a turn, a `while` `turns` times."""
+    total = 0
+    for statement in block.statements:
+        match statement:
+            case Op():
+                total += 1
+            case Loop(count=count, body=body):
+                total += count * operations(body, turns)
+            case While(test=test, body=body):
+                total += turns * (operations(test, turns) + operations(body, turns))
+            case If(then=then, otherwise=otherwise):
+                total += max(operations(then, turns), operations(otherwise, turns))
+    return total
+
+
 class Builder:
     """Writes statements. Equal expressions in scope of each other become one variable.
 

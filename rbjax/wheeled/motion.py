@@ -121,8 +121,9 @@ def rollout(
     laws' secants; it is stable where wheels are light, tyres stiff and speeds low. Controls are
     constant over a step.
 
-    On a GPU a sample is a thread. A number of the robot can change with no recompilation. If the
-    robot is closed over inside `jit`, its zeros vanish from the program.
+    A sample is a thread on a GPU, and a lane of machine code on a CPU. A number of the robot can
+    change with no recompilation. If the robot is closed over inside `jit`, its zeros vanish from
+    the program.
 
     Args:
         vehicle: `at(robot, fidelity)`.

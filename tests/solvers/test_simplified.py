@@ -51,17 +51,16 @@ class Linear:
     def dense(self, tableau: tables.Tableau) -> np.ndarray:
         """The matrix of all stages, with its rows integrated back."""
         a = np.array(tableau.a)
-        back, one, size = np.linalg.inv(H * a), np.eye(len(a)), len(self.slopes)
+        back, size = np.linalg.inv(H * a), len(self.slopes)
         out = np.zeros((len(a), size, len(a), size))
         y, rate, w = np.split(self.slopes, (N, 2 * N), 1)
-        for i, row in enumerate(np.concatenate([H * 0 * y, w], 1)):
+        for i in range(size):
             p = self.sizes.depth[i - N] if i >= N else 0
             to = np.linalg.matrix_power(back, p)
             out[:, i, :, :N] = np.einsum("ij,c->ijc", to @ (H * a), y[i])
-            out[:, i, :, :N] += np.einsum("ij,c->ijc", to @ one, rate[i])
-            out[:, i, :, N:] = np.einsum("ij,c->ijc", to @ one, row[N:])
+            out[:, i, :, :N] += np.einsum("ij,c->ijc", to, rate[i])
+            out[:, i, :, N:] = np.einsum("ij,c->ijc", to, w[i])
         return out.reshape(len(a) * size, -1)
-
 
 
 @functools.cache
