@@ -37,7 +37,7 @@ import jax.numpy as jnp
 from rbjax.lanes import batch_first, matvec
 from rbjax.lanes.each import each
 from rbjax.lanes.proximal import proximal
-from rbjax.solvers.simplified import Simplified, Sizes, simplified
+from rbjax.solvers.simplified import Blocks, Simplified, Sizes, simplified
 from rbjax.solvers.spectrum import Weights, weight
 from rbjax.solvers.stage_matrix import Factored, Matrix
 from rbjax.solvers.steps import mixed
@@ -99,11 +99,12 @@ def solve(
 
     @eqx.filter_custom_jvp
     def root(h, t, y, weights, start, usual, read):
-        return batch_first(system.iterated(h, t, y, weights, start, usual, read))
+        blocks = system.simplified(h, weights, start, usual, read)
+        return batch_first((system.iterated(blocks, h, t, y, weights, start, usual, read), blocks))
 
     @root.def_jvp
     def _(primals, tangents):
-        found = root(*primals)  # with its own derivative: this rule
+        found, blocks = root(*primals)  # with its own derivative: this rule
         x = found[:-1].reshape(s, -1)
 
         def off(h, t, y, weights, start, usual, read):
@@ -111,10 +112,13 @@ def solve(
             return system.residual(x, h, t, y, weights, read)
 
         _, change = eqx.filter_jvp(off, primals, tangents)
-        moved = -system.moved(x, change, *primals)
-        return batch_first((found, jnp.append(moved, jnp.zeros_like(found[-1]))))
+        moved = -system.moved(x, change, blocks, *primals)
+        moved = jnp.append(moved, jnp.zeros_like(found[-1]))
+        # the blocks draw iterations to where they end, and do not change that
+        still = jax.tree.map(jnp.zeros_like, blocks)
+        return (found, blocks), batch_first((moved, still))
 
-    found = root(h, t, y, weights, start, usual, tuple(read))
+    found, _ = root(h, t, y, weights, start, usual, tuple(read))
     x = found[:-1].reshape(s, -1)
     return Stages(x[:, :n], x[:, n:], found[-1] > 0)
 
@@ -174,10 +178,8 @@ class System:
         at = jnp.concatenate([y, rate, w])
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
-    def simplified(self, h, weights, start: Point, usual, read) -> Simplified:
-        """The matrix of the start, for all stages. It only draws iterations to where they end, so
-        it is constant where these are differentiated again."""
-        h, weights, start, usual, read = jax.lax.stop_gradient((h, weights, start, usual, read))
+    def simplified(self, h, weights, start: Point, usual, read) -> Blocks:
+        """The matrix of the start, for all stages."""
         return simplified(self.push(*start, read), self.sizes, h, weights, usual)
 
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:
@@ -203,11 +205,11 @@ class System:
             of_w[:, n:].reshape(s * m, s * m),
         )
 
-    def iterated(self, h, t, y, weights, start: Point, usual, read) -> jax.Array:
+    def iterated(self, blocks: Blocks, h, t, y, weights, start: Point, usual, read) -> jax.Array:
         """The root and 1, or the start and 0 where it was not found, in one array."""
         s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, n + len(start.w)))
-        shared = self.simplified(h, weights, start, usual, read)
+        shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
 
         def chord(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
             return shared.solved(self.residual(x, h, t, y, weights, read)), held
@@ -247,13 +249,13 @@ class System:
         )(done, x)
         return jnp.append(x, done.astype(y.dtype))
 
-    def moved(self, x, change, h, t, y, weights, start: Point, usual, read) -> jax.Array:
+    def moved(self, x, change, blocks: Blocks, h, t, y, weights, start: Point, usual, read) -> jax.Array:
         """The changes (s, n + m) of x at the root that make one of the residual.
 
         By iteration with the matrix of the start; where that does not converge, with those of the
         stages.
         """
-        shared = self.simplified(h, weights, start, usual, read)
+        shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
 
         def push(d: jax.Array) -> jax.Array:
             return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
