@@ -18,8 +18,9 @@ round: the matrix of the start is of no use, and what a stage right there asks o
 after some iterations w is drawn to the last one, and not to its own value: the iteration settles,
 with what is left of a row that vanishes.
 The derivative of the solution is that of the implicit function, to all orders, by the same two
-ways. A GPU thread has no room for the matrices of the stages of large mechanisms (`COUPLED_UP_TO`):
-there steps that the first iteration does not solve are not solved.
+ways. A GPU thread has no room for the matrices of the stages of mechanisms above `COUPLED_UP_TO`:
+there the second iteration keeps the complement of w only (`complement`), and above `SWEPT_UP_TO`
+steps that the first iteration does not solve are not solved.
 (Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta
 Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.)
 """
@@ -37,6 +38,7 @@ import jax.numpy as jnp
 from rbjax.lanes import batch_first, matvec
 from rbjax.lanes.each import each
 from rbjax.lanes.proximal import proximal
+from rbjax.solvers.complement import Complement, complement
 from rbjax.solvers.simplified import Blocks, Simplified, Sizes, simplified
 from rbjax.solvers.spectrum import Weights, weight
 from rbjax.solvers.stage_matrix import Factored, Matrix
@@ -52,8 +54,12 @@ LINEAR_NOISE = 100
 #: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
 #: how strongly, by bytes
 FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
+#: the same of a GPU thread, whose iteration converges less fast
+SWEEPS = 24
 #: the most unknowns of all stages whose matrix a GPU thread has memory for
 COUPLED_UP_TO = 40
+#: the most for which it has memory for the complement of their w, and for so long a program
+SWEPT_UP_TO = 200
 
 
 @dataclass(frozen=True)
@@ -182,6 +188,15 @@ class System:
         """The matrix of the start, for all stages."""
         return simplified(self.push(*start, read), self.sizes, h, weights, usual)
 
+    def complement(self, x, shared: Simplified, h, t, y, weights, usual, read) -> Complement:
+        """Of the w of all stages, at x."""
+
+        def push(d: jax.Array) -> jax.Array:
+            return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
+
+        near = NEAR[y.dtype.itemsize]
+        return complement(push, shared.free, usual, len(y), self.n, near)
+
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:
         """The same at each stage."""
         k, w = x[:, : self.n], x[:, self.n :]
@@ -222,6 +237,15 @@ class System:
             r = self.residual(x, h, t, y, weights, read)
             return matrix.once(r, x[:, n:] - held), held
 
+        def sweep(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            held = jnp.where(count < FREE, x[:, n:], held)
+            S = self.complement(x, shared, h, t, y, weights, usual, read)
+
+            def off(x: jax.Array) -> jax.Array:
+                return self.residual(x, h, t, y, weights, read)
+
+            return x - S.swept(off, shared.free, x, held), held
+
         def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
             """Whether x is settled, and x or the guess."""
 
@@ -245,11 +269,14 @@ class System:
         done, x = where_it_fits(
             guess.size,
             lambda done, x: found(newton, done, x, FREE + HELD),
+            lambda done, x: found(sweep, done, x, FREE + SWEEPS),
             lambda done, x: (done, x),
         )(done, x)
         return jnp.append(x, done.astype(y.dtype))
 
-    def moved(self, x, change, blocks: Blocks, h, t, y, weights, start: Point, usual, read) -> jax.Array:
+    def moved(
+        self, x, change, blocks: Blocks, h, t, y, weights, start: Point, usual, read
+    ) -> jax.Array:
         """The changes (s, n + m) of x at the root that make one of the residual.
 
         By iteration with the matrix of the start; where that does not converge, with those of the
@@ -263,6 +290,9 @@ class System:
         def back(d: jax.Array) -> jax.Array:
             return jax.linear_transpose(shared.solved, d)(d)[0]
 
+        def free_back(d: jax.Array) -> jax.Array:
+            return jax.linear_transpose(shared.free, d)(d)[0]
+
         def by(nearly: Callable, transposed: bool) -> Callable:
             def solved(push: Callable, b: jax.Array) -> jax.Array:
                 found, done = refined(push, nearly, b, self.n)
@@ -273,33 +303,54 @@ class System:
                     exact = Factored(matrix, usual, proximal(b.dtype)[0]).solved(b)
                     return exact, jnp.array(True)
 
-                return where_it_fits(
-                    x.size,
+                def by_sweeps(_: tuple) -> tuple:
+                    S = self.complement(x, shared, h, t, y, weights, usual, read)
+                    S = S._replace(transposed=transposed)
+                    exact, ok = swept(push, S, free_back if transposed else shared.free, b, self.n)
+                    return jnp.where(ok, exact, jnp.nan), jnp.array(True)
+
+                def once(f: Callable) -> Callable:
                     # a loop and not a branch: of a batch both branches would run
-                    lambda *at: jax.lax.while_loop(lambda at: ~at[1], directly, at)[0],
-                    lambda found, done: jnp.where(done, found, jnp.nan),
-                )(found, done)
+                    return lambda *at: jax.lax.while_loop(lambda at: ~at[1], f, at)[0]
+
+                def given_up(found: jax.Array, done: jax.Array) -> jax.Array:
+                    return jnp.where(done, found, jnp.nan)
+
+                fitting = where_it_fits(x.size, once(directly), once(by_sweeps), given_up)
+                return fitting(found, done)
 
             return solved
 
         return jax.lax.custom_linear_solve(push, change, by(shared.solved, False), by(back, True))
 
 
-def where_it_fits(unknowns: int, f: Callable, otherwise: Callable) -> Callable:
+def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Callable) -> Callable:
     """f, which needs a matrix of so many unknowns; what a GPU does where a thread has no room."""
     if unknowns <= COUPLED_UP_TO:
         return f
-    return lambda *args: jax.lax.platform_dependent(*args, cuda=otherwise, default=f)
+    on_gpu = smaller if unknowns <= SWEPT_UP_TO else otherwise
+    return lambda *args: jax.lax.platform_dependent(*args, cuda=on_gpu, default=f)
 
 
 def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
     """x of push(x) = b by corrections nearly(b - push(x)), and whether these have become rounding.
-    The first n columns of x decide."""
+    """
+    return corrected(lambda x: nearly(b - push(x)), b, n)
+
+
+def swept(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
+    """The same by sweeps."""
+    return corrected(lambda x: S.swept(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n)
+
+
+def corrected(correction: Callable, b: jax.Array, n: int) -> tuple:
+    """x of corrections correction(x), from 0, and whether these have become rounding. The first n
+    columns of x decide."""
     eps = float(jnp.finfo(b.dtype).eps)
 
     def once(at: tuple) -> tuple:
         x, before, count, _ = at
-        dx = nearly(b - push(x))
+        dx = correction(x)
         x = x + dx
         size = jnp.abs(x[:, :n]).max()
         now = jnp.abs(dx[:, :n]).max() / jnp.where(size > 0, size, 1.0)

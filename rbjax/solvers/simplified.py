@@ -100,6 +100,16 @@ class Simplified(NamedTuple):
         mu = _times(again.S, last - _times(again.G, du))
         return jnp.concatenate([du + _times(again.Y, mu), rates, w, mu], 1)
 
+    def free(self, r: jax.Array) -> jax.Array:
+        """Rates (s, n) of the equations without rows, with rest r (s, n), nearly."""
+        n, k, *_ = self.sizes
+        du, acting = r[:, :k], r[:, k:n]
+        if self.blocks.again:
+            du = _times(self.blocks.again.M, du)
+        to, back = self.weights.spectrum.to, self.weights.spectrum.back
+        rates = mixed(to, self._by_eigenvalue(self.blocks.K, mixed(back, acting)))
+        return jnp.concatenate([du + self.h * mixed(self.weights.a, rates[:, :k]), rates], 1)
+
     def _by_eigenvalue(self, blocks: list[Inverse], x: jax.Array) -> jax.Array:
         """Each block times its rows of x: one of a real eigenvalue, two of a complex one."""
         out, at = [], 0
