@@ -333,8 +333,7 @@ def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Call
 
 
 def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
-    """x of push(x) = b by corrections nearly(b - push(x)), and whether these have become rounding.
-    """
+    """x of push(x) = b by corrections nearly(b - push(x)), and whether these became rounding."""
     return corrected(lambda x: nearly(b - push(x)), b, n)
 
 

@@ -63,7 +63,6 @@ class Linear:
         return out.reshape(len(a) * size, -1)
 
 
-
 @functools.cache
 def solver(kind: str, method: str, redundant: bool = False) -> Callable:
     """From the slopes and the dense matrix of all stages: x of one application of the simplified

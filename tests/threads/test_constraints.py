@@ -80,7 +80,7 @@ def test_functions_of_rows():
 
 
 @slow
-@pytest.mark.parametrize("name", IMPLICIT)
+@pytest.mark.parametrize("name", ["index_2", "index_3"])
 def test_implicit_steps_across_flat_positions(name):
     """Two parallelograms, 48 unknowns of all stages and more: the second iteration of a thread
     beside that of the CPU, values and gradients."""
@@ -98,7 +98,8 @@ def test_implicit_steps_across_flat_positions(name):
         out, back = jax.vjp(step, q, v)
         return *out, *back(bars)
 
-    case = both, (q, v, *bars)
-    (got,), (want,) = many_on_host([case], ("-O0",)), by_xla([case])
+    args = q, v, *bars
+    (got,) = many_on_host([(both, args)], ("-O0",))
+    want = by_xla(both, args)
     for x, y in zip(got, want, strict=True):
         np.testing.assert_allclose(x, y, rtol=0, atol=1e-8 * np.abs(y).max())
