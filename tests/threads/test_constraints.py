@@ -7,6 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
+from tests.constraints.mechanisms import four_bars
 from tests.quickly import quick_jit
 from tests.threads.host import COMPILER, many_on_host
 from tests.threads.test_algorithms import agree, by_xla
@@ -76,3 +77,29 @@ def test_functions_of_rows():
     cases = [(f, (state.q, state.v)) for f in functions]
     for (f, args), got in zip(cases, many_on_host(cases, ("-O0",)), strict=True):
         agree(got, by_xla(f, args), F64_PARITY)
+
+
+@slow
+@pytest.mark.parametrize("name", ["index_2", "index_3"])
+def test_implicit_steps_across_flat_positions(name):
+    """Two parallelograms, 48 unknowns of all stages and more: the second iteration of a thread
+    beside that of the CPU, values and gradients."""
+    model, _ = four_bars(2)
+    angles = np.pi / 2 - np.array([0.03, 0.05, 0.3])  # two pass, one does not
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0])
+    q, v = angles[:, None] * signs, np.array([5.0, 4.9, 4.2])[:, None] * signs
+    bars = np.random.default_rng(0).normal(size=(2, *q.shape))
+
+    def both(q, v, *bars):
+        def step(q, v):
+            after = rb.step(model, rb.State(q, v), None, 0.01, constraints=name)
+            return after.q, after.v
+
+        out, back = jax.vjp(step, q, v)
+        return *out, *back(bars)
+
+    args = q, v, *bars
+    (got,) = many_on_host([(both, args)], ("-O0",))
+    want = by_xla(both, args)
+    for x, y in zip(got, want, strict=True):
+        np.testing.assert_allclose(x, y, rtol=0, atol=1e-8 * np.abs(y).max())
