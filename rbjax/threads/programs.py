@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from rbjax.threads.derivatives import Linearised, Transposed
+
 Moving = tuple[bool, ...]
 
 
@@ -74,9 +76,25 @@ class Program:
 
         return along, [x for m, x in zip(moving, args, strict=True) if m]
 
+    def transposed_equations(self, moving: Moving, weighed: Moving) -> Transposed | None:
+        """The equations of the cotangents of arguments that move; None where they have loops."""
+        if self.closed.effects or self.vjp is not None:
+            return None
+        return self._linearised(moving).transposed(weighed)
+
+    def _linearised(self, moving: Moving) -> Linearised:
+        """Its equations and those of its rates, cached."""
+        key = "linearised", moving
+        if key not in self.derived:
+            self.derived[key] = Linearised.of(self.closed, moving)
+        return self.derived[key]
+
     def tangent(self, moving: Moving) -> Program:
         """(args, kept, tangents of those that move) -> tangents of all results."""
         kept = self.kept(moving)
+        key = "tangent", moving
+        if key not in self.derived and not self.closed.effects:
+            self.derived[key] = Program(self._linearised(moving).tangent(kept))
 
         def f(*xs: Any) -> list[Any]:
             rates = list(xs[len(moving) + len(kept) :])
@@ -87,11 +105,16 @@ class Program:
             ]
 
         rates = [a for m, a in zip(moving, self.inputs, strict=True) if m]
-        return self.derive(("tangent", moving), f, *self.inputs, *kept, *rates)
+        return self.derive(key, f, *self.inputs, *kept, *rates)
 
     def transposed(self, moving: Moving, weighed: tuple[bool, ...]) -> Program:
         """(args, kept, cotangents of the weighed results) -> cotangents of those that move."""
         also = self.kept(moving)
+        key = "vjp", moving, weighed
+        if key not in self.derived and self.vjp is None:
+            back = self.transposed_equations(moving, weighed)
+            if back is not None:
+                self.derived[key] = Program(back.closed())
 
         def f(*xs: Any) -> list[Any]:
             n, end = len(moving), len(moving) + len(also)
@@ -108,7 +131,7 @@ class Program:
             return list(jax.vjp(wanted, *moved)[1](list(given)))
 
         bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
-        return self.derive(("vjp", moving, weighed), f, *self.inputs, *also, *bars)
+        return self.derive(key, f, *self.inputs, *also, *bars)
 
 
 def traced(f: Callable, *avals: Any) -> Program:

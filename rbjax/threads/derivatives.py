@@ -1,0 +1,393 @@
+"""Derivatives of a traced function, equation by equation, by JAX's own rules.
+
+JAX differentiates a program by calling the rule of each equation, and binds what the rule writes
+several times over: for a robot's step of 5,000 equations that takes seconds. Here JAX
+differentiates each kind of equation (primitive, parameters, shapes) once. The result, a jaxpr of a
+few equations, is written wherever an equation of that kind occurs.
+
+Reverse mode: of the equations of the tangent those that depend on a rate are linear in the rates;
+they are transposed from the last to the first. Programs with loops that compute values and rates
+together are left to JAX (`transposed` returns None).
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun, new_jaxpr_eqn
+
+Atom = Any  # a variable or a literal of a jaxpr
+
+#: equations that are their jaxpr
+INLINED = {"jit", "pjit", "closed_call", "core_call"}
+
+
+class Equations:
+    """A jaxpr that is being written: its equations, and the constants that they read."""
+
+    def __init__(self) -> None:
+        self.eqns: list[JaxprEqn] = []
+        self.consts: dict[Var, Any] = {}
+
+    def write(self, eqn: JaxprEqn, ins: list[Atom], at: JaxprEqn | None = None) -> list[Var]:
+        """An equation with other inputs, and new results, at the place of another in the source."""
+        at, outs = at or eqn, [Var(v.aval) for v in eqn.outvars]
+        self.eqns.append(
+            JaxprEqn(ins, outs, eqn.primitive, eqn.params, eqn.effects, at.source_info, at.ctx)
+        )
+        return outs
+
+    def inlined(self, closed: ClosedJaxpr, args: Sequence[Atom], at: JaxprEqn | None) -> list[Atom]:
+        """The results of a jaxpr."""
+        env = self.named(closed, args)
+        for eqn in closed.jaxpr.eqns:
+            ins = of(env, eqn.invars)
+            if eqn.primitive.name in INLINED:
+                outs = self.inlined(_called(eqn), ins, at)
+            else:
+                outs = self.write(eqn, ins, at)
+            env.update(zip(eqn.outvars, outs, strict=True))
+        return of(env, closed.jaxpr.outvars)
+
+    def named(self, closed: ClosedJaxpr, args: Sequence[Atom]) -> dict[Var, Atom]:
+        """The atoms of a jaxpr's constants and inputs."""
+        jaxpr = closed.jaxpr
+        self.consts.update(zip(jaxpr.constvars, closed.consts, strict=True))
+        env: dict[Var, Atom] = {v: v for v in jaxpr.constvars}
+        env.update(zip(jaxpr.invars, args, strict=True))
+        return env
+
+    def zeros(self, aval: Any) -> Atom:
+        return self.inlined(_zeros(aval), [], None)[0]
+
+    def closed(self, ins: Sequence[Var], outs: Sequence[Atom], notes: Any) -> ClosedJaxpr:
+        """The equations that the results need, as a function of `ins`."""
+        eqns = needed(self.eqns, outs, ins)
+        read = {a for eqn in eqns for a in eqn.invars if isinstance(a, Var)}
+        read.update(a for a in outs if isinstance(a, Var))
+        held = [v for v in self.consts if v in read]
+        effects = frozenset[Any]()
+        jaxpr = Jaxpr(held, list(ins), list(outs), eqns, effects, notes)
+        return ClosedJaxpr(jaxpr, [self.consts[v] for v in held])
+
+
+def of(env: dict[Var, Atom], atoms: Sequence[Atom]) -> list[Atom]:
+    return [a if isinstance(a, Literal) else env[a] for a in atoms]
+
+
+def needed(eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var]) -> list[JaxprEqn]:
+    """The equations that results need besides what is given."""
+    wanted, known, kept = {a for a in outs if isinstance(a, Var)}, set(given), []
+    for eqn in reversed(eqns):
+        if any(v in wanted and v not in known for v in eqn.outvars):
+            kept.append(eqn)
+            wanted.update(a for a in eqn.invars if isinstance(a, Var))
+    return kept[::-1]
+
+
+def reached(eqns: Sequence[JaxprEqn], start: Sequence[Atom]) -> set[Var]:
+    """The variables that depend on some of these."""
+    found = {a for a in start if isinstance(a, Var)}
+    for eqn in eqns:
+        if any(isinstance(a, Var) and a in found for a in eqn.invars):
+            found.update(eqn.outvars)
+    return found
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The equations of (args, rates of those that move) -> results and their rates (None: zero)."""
+
+    eqns: Equations
+    args: list[Var]
+    rates: list[Var]
+    results: list[Atom]
+    result_rates: list[Atom | None]
+    notes: Any
+
+    @classmethod
+    def of(cls, closed: ClosedJaxpr, moving: Sequence[bool]) -> Linearised:
+        eqns, jaxpr = Equations(), closed.jaxpr
+        args = [Var(v.aval) for v in jaxpr.invars]
+        rates = [Var(v.aval) for v, m in zip(args, moving, strict=True) if m]
+        rest = iter(rates)
+        out, rate = _along(eqns, closed, args, [next(rest) if m else None for m in moving])
+        notes = jaxpr.debug_info._replace(arg_names=None, result_paths=None)
+        return cls(eqns, args, rates, out, rate, notes)
+
+    def tangent(self, kept: Sequence[Any]) -> ClosedJaxpr:
+        """(args, kept, rates) -> the rates of all results. `kept` is not read."""
+        outs = [
+            self.eqns.zeros(x.aval) if rate is None else rate
+            for x, rate in zip(self.results, self.result_rates, strict=True)
+        ]
+        ins = [*self.args, *(Var(a) for a in kept), *self.rates]
+        return self.eqns.closed(ins, outs, self.notes)
+
+    def transposed(self, weighed: Sequence[bool]) -> Transposed | None:
+        """(args, cotangents of the weighed results) -> cotangents of the arguments that move; None
+        where an equation computes values and rates together."""
+        eqns = Equations()
+        eqns.consts.update(self.eqns.consts)
+        linear = reached(self.eqns.eqns, self.rates)
+        eqns.eqns = [e for e in self.eqns.eqns if not any(v in linear for v in e.outvars)]
+        before = list(eqns.eqns)
+        bars = [Var(x.aval) for x, w in zip(self.results, weighed, strict=True) if w]
+        sums: dict[Var, Atom] = {}
+
+        def give(to: Atom | None, bar: Atom | None) -> None:
+            if to is None or bar is None or isinstance(to, Literal) or to not in linear:
+                return
+            before = sums.get(to)
+            sums[to] = (
+                bar if before is None else eqns.inlined(_sum(to.aval), [before, bar], None)[0]
+            )
+
+        rates = itertools.compress(self.result_rates, weighed)
+        for rate, bar in zip(rates, bars, strict=True):
+            give(rate, bar)
+        for eqn in reversed(self.eqns.eqns):
+            if not any(v in linear for v in eqn.outvars):
+                continue
+            out = [sums.get(v) for v in eqn.outvars]
+            if all(bar is None for bar in out):
+                continue
+            moving = tuple(isinstance(a, Var) and a in linear for a in eqn.invars)
+            if eqn.primitive.name == "fusion_barrier":
+                some = [bar for bar in out if bar is not None]
+                new = iter(eqns.write(_barrier(eqn, some), some, eqn))
+                found = [None if bar is None else next(new) for bar in out]
+            elif _is_whole(eqn):
+                return None
+            else:
+                present = tuple(bar is not None for bar in out)
+                found = _written(eqns, eqn, moving, "transposed", present, [
+                    *(a for a, m in zip(eqn.invars, moving, strict=True) if not m),
+                    *(bar for bar in out if bar is not None),
+                ])  # fmt: skip
+            for to, bar in zip(itertools.compress(eqn.invars, moving), found, strict=True):
+                give(to, bar)
+        outs = [sums[v] if v in sums else eqns.zeros(v.aval) for v in self.rates]
+        return Transposed(eqns, before, self.args, bars, self.results, outs, self.notes)
+
+
+@dataclass(frozen=True)
+class Transposed:
+    """The equations of (args, bars) -> outs. forward: the equations of the results, which come
+    first."""
+
+    eqns: Equations
+    forward: list[JaxprEqn]
+    args: list[Var]
+    bars: list[Var]
+    results: list[Atom]
+    outs: list[Atom]
+    notes: Any
+
+    def closed(self, given: Sequence[Var] = ()) -> ClosedJaxpr:
+        """(args, given, bars) -> outs, where values that are given are not computed."""
+        return self.eqns.closed([*self.args, *given, *self.bars], self.outs, self.notes)
+
+    def values(self, more: Sequence[Var]) -> ClosedJaxpr:
+        """args -> the results, and more values of these equations."""
+        return self.eqns.closed(self.args, [*self.results, *more], self.notes)
+
+
+def _along(
+    eqns: Equations, closed: ClosedJaxpr, args: Sequence[Atom], rates: Sequence[Atom | None]
+) -> tuple[list[Atom], list[Atom | None]]:
+    """The results of a jaxpr and their rates."""
+    jaxpr = closed.jaxpr
+    env = eqns.named(closed, args)
+    along = {v: rate for v, rate in zip(jaxpr.invars, rates, strict=True) if rate is not None}
+
+    def rate_of(atom: Atom) -> Atom | None:
+        return None if isinstance(atom, Literal) else along.get(atom)
+
+    for eqn in jaxpr.eqns:
+        ins, rate = of(env, eqn.invars), list(map(rate_of, eqn.invars))
+        moving = tuple(r is not None for r in rate)
+        moved = [r for r in rate if r is not None]
+        found: list[Atom | None]
+        if not moved:
+            out: list[Atom] = list(eqns.write(eqn, ins))
+            found = [None] * len(out)
+        elif eqn.primitive.name in INLINED:
+            out, found = _along(eqns, _called(eqn), ins, rate)
+        elif eqn.primitive.name == "fusion_barrier":
+            out = list(eqns.write(eqn, ins))
+            new = iter(eqns.write(_barrier(eqn, moved), moved, eqn))
+            found = [next(new) if m else None for m in moving]
+        else:
+            both = _custom(eqn, moving) if eqn.primitive.name == "custom_jvp_call" else None
+            rule, present = both or _rule(eqn, moving, "tangent", ())
+            first = eqn.params["num_consts"] if both else 0
+            moved = [r for r in rate[first:] if r is not None]
+            new_atoms = eqns.inlined(rule, [*ins[first:], *moved], None if both else eqn)
+            n = len(eqn.outvars)
+            out, rest = new_atoms[:n], iter(new_atoms[n:])
+            found = [next(rest) if p else None for p in present]
+        for v, x, r in zip(eqn.outvars, out, found, strict=True):
+            env[v] = x
+            if r is not None:
+                along[v] = r
+    return of(env, jaxpr.outvars), [rate_of(a) for a in jaxpr.outvars]
+
+
+def _written(
+    eqns: Equations, eqn: JaxprEqn, moving: tuple, which: str, present: tuple, args: list[Atom]
+) -> list[Atom | None]:
+    closed, nonzero = _rule(eqn, moving, which, present)
+    rest = iter(eqns.inlined(closed, args, eqn))
+    return [next(rest) if p else None for p in nonzero]
+
+
+def _barrier(eqn: JaxprEqn, some: Sequence[Atom]) -> JaxprEqn:
+    """The barrier of some values."""
+    return eqn.replace(outvars=[Var(a.aval) for a in some])
+
+
+def _called(eqn: JaxprEqn) -> ClosedJaxpr:
+    inner = eqn.params.get("jaxpr", eqn.params.get("call_jaxpr"))
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+
+
+def _is_whole(eqn: JaxprEqn) -> bool:
+    """Whether an equation may compute values and rates together: a loop, a branch, a call."""
+    name = eqn.primitive.name
+    plain = name == "threads_tangent" or name.startswith("scatter")
+    return not plain and any(map(_calls, eqn.params.values()))
+
+
+def _calls(x: Any) -> bool:
+    if isinstance(x, tuple):
+        return any(map(_calls, x))
+    return callable(x) or isinstance(x, (Jaxpr, ClosedJaxpr))
+
+
+def _custom(eqn: JaxprEqn, moving: tuple[bool, ...]) -> tuple[ClosedJaxpr, list[bool]] | None:
+    """The rule of a custom derivative, which JAX has traced or traces now; None where JAX keeps it
+    otherwise."""
+    rule = eqn.params.get("jvp_jaxpr_fun")
+    if rule is None or not eqn.params["symbolic_zeros"]:
+        return None
+    jaxpr, consts, zeros = rule.call_wrapped(*(not m for m in moving[eqn.params["num_consts"] :]))
+    return ClosedJaxpr(jaxpr, consts), [not z for z in zeros]
+
+
+def _rule(
+    eqn: JaxprEqn, moving: tuple[bool, ...], which: str, present: tuple[bool, ...]
+) -> tuple[ClosedJaxpr, list[bool]]:
+    """The derivative of one equation, and which of its results are not zero."""
+    params = tuple(sorted(eqn.params.items()))
+    key = Key(eqn.primitive, params, _avals(eqn.invars), _avals(eqn.outvars), moving, present)
+    try:
+        hash(key)
+    except TypeError:
+        return RULES[which](key)
+    return (RULES[which] if _is_whole(eqn) else CACHED[which])(key)
+
+
+def _avals(atoms: Sequence[Atom]) -> tuple:
+    return tuple(a.aval for a in atoms)
+
+
+@dataclass(frozen=True)
+class Key:
+    """A kind of equation, with the inputs that move and the results that have cotangents."""
+
+    primitive: Any
+    params: tuple
+    ins: tuple
+    outs: tuple
+    moving: tuple[bool, ...]
+    present: tuple[bool, ...]
+
+    def call(self, args: Sequence[Any]) -> list[Any]:
+        ins, outs = [Var(a) for a in self.ins], [Var(a) for a in self.outs]
+        eqn = new_jaxpr_eqn(ins, outs, self.primitive, dict(self.params), frozenset[Any]())
+        one = Jaxpr([], ins, outs, [eqn], frozenset[Any](), _no_notes())
+        return jaxpr_as_fun(ClosedJaxpr(one, []))(*args)
+
+    def parted(self, atoms: Sequence[Any]) -> tuple[list, list]:
+        """The inputs that do not move, and those that do."""
+        still = [a for a, m in zip(atoms, self.moving, strict=True) if not m]
+        return still, list(itertools.compress(atoms, self.moving))
+
+    def merged(self, still: Sequence[Any], moved: Sequence[Any]) -> list[Any]:
+        still, moved = iter(still), iter(moved)
+        return [next(moved) if m else next(still) for m in self.moving]
+
+
+def _tangent(key: Key) -> tuple[ClosedJaxpr, list[bool]]:
+    """(args, rates) -> results and their rates that are not zero."""
+    n, floats = len(key.ins), [jnp.issubdtype(a.dtype, jnp.floating) for a in key.outs]
+    rates = key.parted(key.ins)[1]
+
+    def both(*xs: Any) -> list[Any]:
+        still, moved = key.parted(xs[:n])
+        out, along = jax.jvp(lambda *m: key.call(key.merged(still, m)), moved, list(xs[n:]))
+        return [*out, *itertools.compress(along, floats)]
+
+    return _reaching(both, [*key.ins, *rates], n, len(key.outs), floats)
+
+
+def _transposed(key: Key) -> tuple[ClosedJaxpr, list[bool]]:
+    """(inputs that do not move, cotangents that are present) -> cotangents that are not zero."""
+    still, moved = key.parted(key.ins)
+    bars = list(itertools.compress(key.outs, key.present))
+
+    def back(*xs: Any) -> list[Any]:
+        def linear(*m: Any) -> list[Any]:
+            return list(itertools.compress(key.call(key.merged(xs[: len(still)], m)), key.present))
+
+        return list(jax.linear_transpose(linear, *moved)(list(xs[len(still) :])))
+
+    return _reaching(back, [*still, *bars], len(still), 0, [True] * len(moved))
+
+
+def _reaching(
+    f: Callable, avals: Sequence[Any], first: int, plain: int, may: Sequence[bool]
+) -> tuple[ClosedJaxpr, list[bool]]:
+    """f traced, without those results after the first `plain` that depend on no input from `first`
+    on; and which of `may` are left."""
+    closed = jax.make_jaxpr(f)(*(
+        jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in avals
+    ))  # fmt: skip
+    jaxpr = closed.jaxpr
+    moved = reached(jaxpr.eqns, jaxpr.invars[first:])
+    kept = [isinstance(a, Var) and a in moved for a in jaxpr.outvars[plain:]]
+    rest = iter(kept)
+    outs = [*jaxpr.outvars[:plain], *itertools.compress(jaxpr.outvars[plain:], kept)]
+    eqns = needed(jaxpr.eqns, outs, jaxpr.invars)
+    notes = jaxpr.debug_info._replace(arg_names=None, result_paths=None)
+    short = Jaxpr(jaxpr.constvars, jaxpr.invars, outs, eqns, jaxpr.effects, notes)
+    return ClosedJaxpr(short, closed.consts), [m and next(rest) for m in may]
+
+
+RULES = {"tangent": _tangent, "transposed": _transposed}
+CACHED = {name: functools.lru_cache(4096)(f) for name, f in RULES.items()}
+
+
+@functools.cache
+def _no_notes() -> Any:
+    """The debug info of a jaxpr without names."""
+    notes = jax.make_jaxpr(lambda: ())().jaxpr.debug_info
+    return notes._replace(arg_names=None, result_paths=None)
+
+
+@functools.lru_cache(256)
+def _zeros(aval: Any) -> ClosedJaxpr:
+    return jax.make_jaxpr(lambda: jnp.zeros(aval.shape, aval.dtype))()
+
+
+@functools.lru_cache(256)
+def _sum(aval: Any) -> ClosedJaxpr:
+    one = jax.ShapeDtypeStruct(aval.shape, aval.dtype)
+    return jax.make_jaxpr(jax.lax.add)(one, one)
