@@ -81,11 +81,13 @@ def of(env: dict[Var, Atom], atoms: Sequence[Atom]) -> list[Atom]:
     return [a if isinstance(a, Literal) else env[a] for a in atoms]
 
 
-def needed(eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var]) -> list[JaxprEqn]:
-    """The equations that results need besides what is given."""
+def needed(
+    eqns: Sequence[JaxprEqn], outs: Sequence[Atom], given: Sequence[Var], effects: Any = ()
+) -> list[JaxprEqn]:
+    """The equations that results need besides what is given, and those with effects, if any."""
     wanted, known, kept = {a for a in outs if isinstance(a, Var)}, set(given), []
     for eqn in reversed(eqns):
-        if any(v in wanted and v not in known for v in eqn.outvars):
+        if (effects and eqn.effects) or any(v in wanted and v not in known for v in eqn.outvars):
             kept.append(eqn)
             wanted.update(a for a in eqn.invars if isinstance(a, Var))
     return kept[::-1]

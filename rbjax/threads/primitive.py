@@ -49,6 +49,15 @@ def run(
     return threads_p.bind(*_alike(operands), program=program, batch=batch, ins=ins, outs=outs)
 
 
+def divided(
+    program: Program, shared: Sequence[bool], operands: Sequence[Any]
+) -> tuple[Program, list[Any]]:
+    """A program of what depends on samples, and its new shared operands."""
+    rest, plain, short = split(program, shared)
+    given = [x for x, s in zip(operands, shared, strict=True) if s]
+    return rest, plain(*given) if short is None else run(short, given)
+
+
 def _varies(aval: Any) -> frozenset:
     """The axes of a mesh along which an array varies, if `shard_map` tracks them."""
     return aval.manual_axis_type.varying
@@ -163,7 +172,9 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
     written = write_program(program.closed, batch, operands, results, summed, platform)
-    return cuda.kernel(written) if platform == "cuda" else host_call.host_kernel(written)
+    return cuda.kernel(written) if platform == "cuda" else host_call.host_kernel(
+        written, program.once and not batch
+    )
 
 
 @functools.cache
@@ -242,7 +253,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     varying = any(_varies(jax.typeof(x)) for x in operands)
     own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are
     if any(known) and not varying and own_ways == (None, None, None):
-        program, more = split(program, known, operands)
+        program, more = divided(program, known, operands)
         operands = [x for x, k in zip(operands, known, strict=True) if not k] + more
         dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)
         nowhere = (None,) * len(batch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,6 +30,8 @@ class Program:
         arguments that move.
     apart: the same function as several kernels, for a batch on a GPU. Inside another program, and
         for derivatives, the traced one is used.
+    once: it runs once where others run many times, so that on a CPU its compile time matters more
+        than its run time. Its derivatives run once, too.
     """
 
     closed: ClosedJaxpr
@@ -37,8 +40,9 @@ class Program:
     reads: int = 0
     sized: Callable[[int, Moving], Program] | None = None
     apart: Callable | None = None
+    once: bool = False
     derived: dict[Any, Any] = field(default_factory=dict)
-    split: dict[Any, tuple[ClosedJaxpr, Program]] = field(default_factory=dict)
+    split: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def inputs(self) -> list[Any]:
@@ -58,11 +62,11 @@ class Program:
     def derive(self, key: Any, f: Callable, *avals: Any) -> Program:
         """Another program derived from this one, cached."""
         if key not in self.derived:
-            self.derived[key] = traced(f, *avals)
+            self.derived[key] = dataclasses.replace(traced(f, *avals), once=self.once)
         return self.derived[key]
 
-    def parts(self, shared: tuple[bool, ...], split: Callable) -> tuple[ClosedJaxpr, Program]:
-        """The part that depends only on shared operands, and the rest (`uniform`), cached."""
+    def parts(self, shared: tuple[bool, ...], split: Callable) -> Any:
+        """The rest, and the part that depends only on shared operands (`uniform`), cached."""
         if shared not in self.split:
             self.split[shared] = split(self, shared)
         return self.split[shared]
@@ -94,7 +98,7 @@ class Program:
         kept = self.kept(moving)
         key = "tangent", moving
         if key not in self.derived and not self.closed.effects:
-            self.derived[key] = Program(self._linearised(moving).tangent(kept))
+            self.derived[key] = Program(self._linearised(moving).tangent(kept), once=self.once)
 
         def f(*xs: Any) -> list[Any]:
             rates = list(xs[len(moving) + len(kept) :])
@@ -114,7 +118,7 @@ class Program:
         if key not in self.derived and self.vjp is None:
             back = self.transposed_equations(moving, weighed)
             if back is not None:
-                self.derived[key] = Program(back.closed())
+                self.derived[key] = Program(back.closed(), once=self.once)
 
         def f(*xs: Any) -> list[Any]:
             n, end = len(moving), len(moving) + len(also)
