@@ -22,7 +22,15 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun, new_jaxpr_eqn
 
+from rbjax.threads.uncollected import uncollected
+
 Atom = Any  # a variable or a literal of a jaxpr
+
+#: equations that are linear: the rate of the result is the same of the rate
+LINEAR = {
+    "neg", "slice", "squeeze", "reshape", "broadcast_in_dim", "expand_dims", "transpose", "rev",
+    "reduce_sum", "copy",
+}
 
 #: equations that are their jaxpr
 INLINED = {"jit", "pjit", "closed_call", "core_call"}
@@ -114,6 +122,7 @@ class Linearised:
     notes: Any
 
     @classmethod
+    @uncollected
     def of(cls, closed: ClosedJaxpr, moving: Sequence[bool]) -> Linearised:
         eqns, jaxpr = Equations(), closed.jaxpr
         args = [Var(v.aval) for v in jaxpr.invars]
@@ -132,6 +141,7 @@ class Linearised:
         ins = [*self.args, *(Var(a) for a in kept), *self.rates]
         return self.eqns.closed(ins, outs, self.notes)
 
+    @uncollected
     def transposed(self, weighed: Sequence[bool]) -> Transposed | None:
         """(args, cotangents of the weighed results) -> cotangents of the arguments that move; None
         where an equation computes values and rates together."""
@@ -226,6 +236,9 @@ def _along(
             out = list(eqns.write(eqn, ins))
             new = iter(eqns.write(_barrier(eqn, moved), moved, eqn))
             found = [next(new) if m else None for m in moving]
+        elif eqn.primitive.name in LINEAR and len(ins) == 1:
+            out = list(eqns.write(eqn, ins))
+            found = list(eqns.write(eqn, moved))
         else:
             both = _custom(eqn, moving) if eqn.primitive.name == "custom_jvp_call" else None
             rule, present = both or _rule(eqn, moving, "tangent", ())

@@ -27,6 +27,7 @@ from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
 from rbjax.threads.sharding import knows_devices, spread
+from rbjax.threads.uncollected import uncollected
 from rbjax.threads.uniform import split
 
 Axes = tuple[int | None, ...]
@@ -165,6 +166,7 @@ def on_cpu(*operands, **how):
 
 
 @functools.lru_cache(maxsize=256)
+@uncollected
 def _kernel(platform, program, batch, ins, outs, shapes, summed):
     operands = [Layout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
     results = [

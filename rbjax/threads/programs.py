@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from rbjax.threads.derivatives import Linearised, Transposed
+from rbjax.threads.uncollected import uncollected
 
 Moving = tuple[bool, ...]
 
@@ -138,6 +139,7 @@ class Program:
         return self.derive(key, f, *self.inputs, *also, *bars)
 
 
+@uncollected
 def traced(f: Callable, *avals: Any) -> Program:
     """The program of a function of flat arguments that closes over no traced values."""
     return Program(jax.make_jaxpr(f)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))
