@@ -64,6 +64,7 @@ def _straight(step: Program, moving: tuple[bool, ...]) -> tuple[Program, Callabl
     whole = back.closed(given=named)
     read = {a for eqn in whole.jaxpr.eqns for a in eqn.invars if isinstance(a, Var)}
     left = [v for v in named if v in read]
+    shapes: list[Any] = [v.aval for v in left]
     rest, n = Program(back.closed(given=left)), len(step.outputs)
     values = Program(back.values(left))
 
@@ -73,9 +74,9 @@ def _straight(step: Program, moving: tuple[bool, ...]) -> tuple[Program, Callabl
 
     def backward(args: Sequence[Any], vector: jax.Array, bars: Sequence[Any]) -> list[Any]:
         parts, start = [], 0
-        for v in left:
-            parts.append(vector[start : start + v.aval.size].reshape(v.aval.shape))
-            start += v.aval.size
+        for a in shapes:
+            parts.append(vector[start : start + a.size].reshape(a.shape))
+            start += a.size
         return run(rest, [*args, *parts, *bars])
 
     return traced(forward, *step.inputs), backward

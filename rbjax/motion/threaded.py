@@ -22,8 +22,9 @@ from rbjax.motion.integrators import Integrator, advanced
 from rbjax.motion.march import March, keep_every
 from rbjax.motion.sources import Sources
 from rbjax.threads.function import trace
-from rbjax.threads.primitive import divided, run
+from rbjax.threads.primitive import run
 from rbjax.threads.programs import Moving, Program
+from rbjax.threads.uniform import divided
 
 #: operations of a step from which on it is faster to keep what it leaves than to compute it again
 LEAVING_ABOVE = 4_000
@@ -77,7 +78,7 @@ def on_threads(
     step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
     own = 1 + size + driven
     known = [True] * len(shared) + [False] * own + [True] * len(moving)
-    step, shared = divided(step, known, [*shared, *[None] * own, *moving])
+    step, shared = divided(step, known, [*shared, *[None] * own, *moving], run)
     if between:
         return _between(model, step, shared, state, sources, dt, how, memory)
     march = functools.partial(March, step, size, steps, save_every, driven)

@@ -28,7 +28,7 @@ from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
 from rbjax.threads.sharding import knows_devices, spread
 from rbjax.threads.uncollected import uncollected
-from rbjax.threads.uniform import split
+from rbjax.threads.uniform import divided
 
 Axes = tuple[int | None, ...]
 
@@ -48,15 +48,6 @@ def run(
     ins = tuple(ins) if ins is not None else ((None,) * len(batch),) * len(operands)
     outs = tuple(outs) if outs is not None else (first,) * len(program.outputs)
     return threads_p.bind(*_alike(operands), program=program, batch=batch, ins=ins, outs=outs)
-
-
-def divided(
-    program: Program, shared: Sequence[bool], operands: Sequence[Any]
-) -> tuple[Program, list[Any]]:
-    """A program of what depends on samples, and its new shared operands."""
-    rest, plain, short = split(program, shared)
-    given = [x for x, s in zip(operands, shared, strict=True) if s]
-    return rest, plain(*given) if short is None else run(short, given)
 
 
 def _varies(aval: Any) -> frozenset:
@@ -255,7 +246,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     varying = any(_varies(jax.typeof(x)) for x in operands)
     own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are
     if any(known) and not varying and own_ways == (None, None, None):
-        program, more = divided(program, known, operands)
+        program, more = divided(program, known, operands, run)
         operands = [x for x, k in zip(operands, known, strict=True) if not k] + more
         dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)
         nowhere = (None,) * len(batch)

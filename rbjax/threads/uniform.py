@@ -10,7 +10,7 @@ from typing import Any
 
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-from rbjax.threads.derivatives import needed
+from rbjax.threads.equations import needed
 from rbjax.threads.programs import Program
 
 #: equations that only move entries, which cost a thread nothing
@@ -28,15 +28,19 @@ LIGHT = FREE | {
 LONG_ENOUGH, SHORT = 30, 50_000
 
 
-def split(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable, Program | None]:
+def divided(
+    program: Program, shared: Sequence[bool], operands: Sequence[Any], run: Callable
+) -> tuple[Program, list[Any]]:
     """The rest of a program, as a function of the operands that samples do not share and of new
-    shared operands; and these as a function of the shared operands, and as a program if it is
-    short: machine code compiles sooner than XLA."""
-    return program.parts(tuple(shared), _parts)
+    shared operands; and these, computed here. Work that is short is a program of its own, which
+    `run` evaluates: machine code compiles sooner than XLA."""
+    rest, plain, short = program.parts(tuple(shared), _parts)
+    given = [x for x, s in zip(operands, shared, strict=True) if s]
+    return rest, plain(*given) if short is None else run(short, given)
 
 
 def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable, Program | None]:
-    jaxpr, consts = program.closed.jaxpr, program.closed.consts
+    jaxpr = program.closed.jaxpr
     own = [v for v, s in zip(jaxpr.invars, shared, strict=True) if not s]
     alike = [v for v, s in zip(jaxpr.invars, shared, strict=True) if s]
     uniform = {*alike, *jaxpr.constvars}
@@ -73,7 +77,6 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
         need(v)
     frontier = list(needed)
     moved = [eqn for eqn in before if id(eqn) in moves]
-    notes = unnamed(jaxpr)
     first = _closed(before, alike, frontier, program)
     rest = Program(_closed([*moved, *after], [*own, *frontier], jaxpr.outvars, program))
     plain = jaxpr_as_fun(first)
@@ -95,17 +98,18 @@ def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> Clo
 def _is_short(jaxpr: Jaxpr) -> bool:
     """Whether a thread computes it in some microseconds, and XLA would compile it for longer."""
     size = _size(jaxpr)
-    return size is not None and LONG_ENOUGH <= len(jaxpr.eqns) and size <= SHORT
+    return size is not None and len(jaxpr.eqns) >= LONG_ENOUGH and size <= SHORT
 
 
 def _size(jaxpr: Jaxpr) -> int | None:
     """The entries that equations compute; None with a loop, a product of matrices or the like."""
     size = 0
     for eqn in jaxpr.eqns:
+        outs: list[Any] = eqn.outvars
         if eqn.primitive.name == "jit":
             inner = _size(eqn.params["jaxpr"].jaxpr)
         else:
-            inner = sum(v.aval.size for v in eqn.outvars) if eqn.primitive.name in LIGHT else None
+            inner = sum(v.aval.size for v in outs) if eqn.primitive.name in LIGHT else None
         if inner is None:
             return None
         size += inner
