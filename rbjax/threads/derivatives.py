@@ -154,11 +154,11 @@ class Linearised:
             if all(bar is None for bar in out):
                 continue
             moving = tuple(isinstance(a, Var) and a in linear for a in eqn.invars)
-            if eqn.primitive.name == "fusion_barrier":
+            if eqn.primitive.name == "fusion_barrier" and all(moving):
                 some = [bar for bar in out if bar is not None]
                 new = iter(eqns.write(_barrier(eqn, some), some, eqn))
                 found = [None if bar is None else next(new) for bar in out]
-            elif is_whole(eqn):
+            elif is_whole(eqn) or eqn.primitive.name == "fusion_barrier":
                 return None
             else:
                 present = tuple(bar is not None for bar in out)
