@@ -88,7 +88,8 @@ def on_threads(
     def sized(batch: int, moving: Moving) -> Program:
         left = march(1).pullback(moving).bytes
         fits = left and steps * batch * (each + left) <= memory
-        if fits and operation_count(step, *step.inputs).total > LEAVING_ABOVE:
+        whole = functools.partial(_run, step)  # one equation: nothing is traced again
+        if fits and operation_count(whole, *step.inputs).total > LEAVING_ABOVE:
             return march(1, leaving=True).program(plain)
         return march(keep_every(save_every, steps, batch * each, memory)).program(plain)
 
