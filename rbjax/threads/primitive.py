@@ -146,8 +146,9 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
 def on_gpu(*operands, program, batch, ins, outs):
     """The same by one or more kernels of a GPU."""
     how = {"batch": batch, "ins": ins, "outs": outs}
-    if program.apart is not None and 0 not in batch:
-        return under_xla(*operands, program=program.apart, **how)
+    apart = program if program.once else program.apart
+    if apart is not None and 0 not in batch:
+        return under_xla(*operands, program=apart, **how)
     return as_kernel("cuda", *operands, program=program, **how)
 
 

@@ -32,7 +32,7 @@ class Program:
     apart: the same function as several kernels, for a batch on a GPU. Inside another program, and
         for derivatives, the traced one is used.
     once: it runs once where others run many times, so that on a CPU its compile time matters more
-        than its run time. Its derivatives run once, too.
+        than its run time; on a GPU XLA runs it. Its derivatives run once, too.
     """
 
     closed: ClosedJaxpr

@@ -80,7 +80,7 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
     first = _closed(before, alike, frontier, program)
     rest = Program(_closed([*moved, *after], [*own, *frontier], jaxpr.outvars, program))
     plain = jaxpr_as_fun(first)
-    return rest, plain, Program(first, apart=plain, once=True) if _is_short(first.jaxpr) else None
+    return rest, plain, Program(first, once=True) if _is_short(first.jaxpr) else None
 
 
 def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> ClosedJaxpr:
