@@ -1,4 +1,4 @@
-"""Seconds from a call to machine code on one core, by stages: JAX's trace, our program, LLVM, XLA.
+"""CPU seconds from a call to machine code, by stages: JAX's trace, our program, LLVM, XLA.
 
     python -m benchmarks.cpu.compile_stages
 
@@ -94,9 +94,9 @@ def stages() -> Iterator[dict[str, float]]:
 
     def timed(f: Callable, stage: str) -> Callable:
         def call(*args: Any) -> Any:
-            start = time.perf_counter()
+            start = time.process_time()
             out = f(*args)
-            found[stage] += time.perf_counter() - start
+            found[stage] += time.process_time() - start
             found["statements"] += getattr(out, "statements", 0)
             return out
 
@@ -115,13 +115,13 @@ def row(what: str, robot: str) -> dict[str, Any]:
     f, args = case(what, robot)
     host_call.works()  # the self-test, once a process
     with stages() as found:
-        start = time.perf_counter()
+        start = time.process_time()
         traced = jax.jit(f).trace(*args)
-        lowering = time.perf_counter()
+        lowering = time.process_time()
         lowered = traced.lower()
-        compiling = time.perf_counter()
+        compiling = time.process_time()
         run = lowered.compile()
-        end = time.perf_counter()
+        end = time.process_time()
     out = {"what": what, "robot": robot, "seconds": end - start, "trace_s": lowering - start}
     out |= found | {"xla_s": end - compiling}
     # what a derivative traces while it is lowered, and JAX's own part
