@@ -131,6 +131,8 @@ class Linearised:
         eqns = Equations()
         eqns.consts.update(self.eqns.consts)
         linear = reached(self.eqns.eqns, self.rates)
+        if any(map(functools.partial(_is_mixed, linear), self.eqns.eqns)):
+            return None
         eqns.eqns = [e for e in self.eqns.eqns if not any(v in linear for v in e.outvars)]
         before = list(eqns.eqns)
         bars = [Var(x.aval) for x, w in zip(self.results, weighed, strict=True) if w]
@@ -158,8 +160,6 @@ class Linearised:
                 some = [bar for bar in out if bar is not None]
                 new = iter(eqns.write(_barrier(eqn, some), some, eqn))
                 found = [None if bar is None else next(new) for bar in out]
-            elif is_whole(eqn) or eqn.primitive.name == "fusion_barrier":
-                return None
             else:
                 present = tuple(bar is not None for bar in out)
                 found = _written(eqns, eqn, moving, "transposed", present, [
@@ -236,6 +236,14 @@ def _along(
             if r is not None:
                 along[v] = r
     return of(env, jaxpr.outvars), [rate_of(a) for a in jaxpr.outvars]
+
+
+def _is_mixed(linear: set[Var], eqn: JaxprEqn) -> bool:
+    """Whether an equation computes values and rates together."""
+    moving = [isinstance(a, Var) and a in linear for a in eqn.invars]
+    if eqn.primitive.name == "fusion_barrier":
+        return any(moving) and not all(moving)
+    return any(moving) and is_whole(eqn)
 
 
 def _written(

@@ -80,14 +80,15 @@ def test_functions_of_rows():
 
 
 @slow
-@pytest.mark.parametrize("name", ["index_2", "index_3"])
-def test_implicit_steps_across_flat_positions(name):
+@pytest.mark.parametrize(("name", "compared"), [("index_2", 4), ("index_3", 4), ("ggl", 2)])
+def test_implicit_steps_across_flat_positions(name, compared):
     """Two parallelograms, 48 unknowns of all stages and more: the second iteration of a thread
-    beside that of the CPU, values and gradients."""
+    beside that of the CPU, values and gradients. (Of a step that ends on the position the gradient
+    is 4e6, and that of a thread nan; so are GGL's gradients of steps across it.)"""
     model, _ = four_bars(2)
-    angles = np.pi / 2 - np.array([0.03, 0.05, 0.3])  # two pass, one does not
+    angles = np.pi / 2 - np.array([0.02, 0.03, 0.06, 0.3])  # two pass, two do not
     signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0])
-    q, v = angles[:, None] * signs, np.array([5.0, 4.9, 4.2])[:, None] * signs
+    q, v = angles[:, None] * signs, np.full((4, 1), 4.9) * signs
     bars = np.random.default_rng(0).normal(size=(2, *q.shape))
 
     def both(q, v, *bars):
@@ -101,5 +102,5 @@ def test_implicit_steps_across_flat_positions(name):
     args = q, v, *bars
     (got,) = many_on_host([(both, args)], ("-O0",))
     want = by_xla(both, args)
-    for x, y in zip(got, want, strict=True):
+    for x, y in zip(got[:compared], want[:compared], strict=True):
         np.testing.assert_allclose(x, y, rtol=0, atol=1e-8 * np.abs(y).max())

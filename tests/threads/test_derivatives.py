@@ -93,6 +93,18 @@ def test_a_loop_of_values_and_rates_is_left_to_jax():
     np.testing.assert_allclose(got, want, rtol=1e-14)
 
 
+def test_a_loop_whose_result_decides_is_left_to_jax():
+    """Of a condition that only seems to depend on the rates of a loop no cotangent is taken."""
+
+    def f(x, y):
+        (end,) = looped(x, y)
+        done = jnp.abs(jax.lax.stop_gradient(end[-1])).max() < 1.0
+        return [jnp.where(done, end, jnp.nan)]
+
+    linear = Linearised.of(traced(f, X, Y).closed, (True, True))
+    assert linear.transposed([True]) is None
+
+
 def test_a_value_that_is_given_is_not_computed():
     program = traced(lambda x: [jnp.sin(jnp.exp(x))], X)
     back = Linearised.of(program.closed, (True,)).transposed((True,))
