@@ -102,5 +102,6 @@ def test_implicit_steps_across_flat_positions(name, compared):
     args = q, v, *bars
     (got,) = many_on_host([(both, args)], ("-O0",))
     want = by_xla(both, args)
-    for x, y in zip(got[:compared], want[:compared], strict=True):
-        np.testing.assert_allclose(x, y, rtol=0, atol=1e-8 * np.abs(y).max())
+    tolerances = 1e-8, 1e-8, 1e-6, 1e-6  # near the position what is solved for is ill-conditioned
+    for x, y, atol in list(zip(got, want, tolerances, strict=True))[:compared]:
+        np.testing.assert_allclose(x, y, rtol=0, atol=atol * np.abs(y).max())
