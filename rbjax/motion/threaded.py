@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics import drivers
+from rbjax.dynamics.ahead import made_by_threads
 from rbjax.dynamics.devices import on_each_device
 from rbjax.dynamics.operations import operation_count
 from rbjax.dynamics.tracing import split_tracers
 from rbjax.forces.inputs import joined, shapes
-from rbjax.model import Model, State, known_zeros, made_ahead
+from rbjax.model import Model, State, known_zeros
 from rbjax.motion.field import Field, Law
 from rbjax.motion.integrators import Integrator, advanced
 from rbjax.motion.march import March, keep_every
@@ -23,7 +24,7 @@ from rbjax.motion.sources import Sources
 from rbjax.threads.function import trace
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Moving, Program
-from rbjax.threads.uniform import split
+from rbjax.threads.uniform import divided
 
 #: operations of a step from which on it is faster to keep what it leaves than to compute it again
 LEAVING_ABOVE = 4_000
@@ -52,7 +53,7 @@ def on_threads(
     between the steps, by XLA's matrix products.
     """
     dtype = state.q.dtype
-    model = made_ahead(known_zeros(drivers.on_threads(model, dtype)), dtype)
+    model = made_by_threads(known_zeros(drivers.on_threads(model, dtype)), dtype)
     batched, steps, save_every = how.batched, how.count, how.save_every
     given, treedef = jax.tree.flatten(state)
     one = [x[0] if batched else x for x in given]
@@ -77,7 +78,7 @@ def on_threads(
     step, shared = trace(once, [jnp.int32(0), *one, *control, *moving])
     own = 1 + size + driven
     known = [True] * len(shared) + [False] * own + [True] * len(moving)
-    step, shared = split(step, known, [*shared, *[None] * own, *moving])
+    step, shared = divided(step, known, [*shared, *[None] * own, *moving], run)
     if between:
         return _between(model, step, shared, state, sources, dt, how, memory)
     march = functools.partial(March, step, size, steps, save_every, driven)
@@ -87,7 +88,8 @@ def on_threads(
     def sized(batch: int, moving: Moving) -> Program:
         left = march(1).pullback(moving).bytes
         fits = left and steps * batch * (each + left) <= memory
-        if fits and operation_count(step, *step.inputs).total > LEAVING_ABOVE:
+        whole = functools.partial(_run, step)  # one equation: nothing is traced again
+        if fits and operation_count(whole, *step.inputs).total > LEAVING_ABOVE:
             return march(1, leaving=True).program(plain)
         return march(keep_every(save_every, steps, batch * each, memory)).program(plain)
 

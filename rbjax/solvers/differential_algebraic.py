@@ -18,8 +18,9 @@ round: the matrix of the start is of no use, and what a stage right there asks o
 after some iterations w is drawn to the last one, and not to its own value: the iteration settles,
 with what is left of a row that vanishes.
 The derivative of the solution is that of the implicit function, to all orders, by the same two
-ways. A GPU thread has no room for the matrices of the stages of large mechanisms (`COUPLED_UP_TO`):
-there steps that the first iteration does not solve are not solved.
+ways. A GPU thread has no room for the matrices of the stages of mechanisms above `COUPLED_UP_TO`:
+there the second iteration keeps the complement of w only (`complement`), and above `SWEPT_UP_TO`
+steps that the first iteration does not solve are not solved.
 (Hairer, Lubich & Roche, *The Numerical Solution of Differential-Algebraic Systems by Runge-Kutta
 Methods*, 1989; Hairer & Wanner, *Solving Ordinary Differential Equations II*, VI, VII.)
 """
@@ -37,7 +38,8 @@ import jax.numpy as jnp
 from rbjax.lanes import batch_first, matvec
 from rbjax.lanes.each import each
 from rbjax.lanes.proximal import proximal
-from rbjax.solvers.simplified import Simplified, Sizes, simplified
+from rbjax.solvers.complement import Complement, complement
+from rbjax.solvers.simplified import Blocks, Simplified, Sizes, simplified
 from rbjax.solvers.spectrum import Weights, weight
 from rbjax.solvers.stage_matrix import Factored, Matrix
 from rbjax.solvers.steps import mixed
@@ -52,8 +54,12 @@ LINEAR_NOISE = 100
 #: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
 #: how strongly, by bytes
 FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
+#: the same of a GPU thread, whose iteration converges less fast
+SWEEPS = 24
 #: the most unknowns of all stages whose matrix a GPU thread has memory for
 COUPLED_UP_TO = 40
+#: the most for which it has memory for the complement of their w, and for so long a program
+SWEPT_UP_TO = 200
 
 
 @dataclass(frozen=True)
@@ -99,11 +105,12 @@ def solve(
 
     @eqx.filter_custom_jvp
     def root(h, t, y, weights, start, usual, read):
-        return batch_first(system.iterated(h, t, y, weights, start, usual, read))
+        blocks = system.simplified(h, weights, start, usual, read)
+        return batch_first((system.iterated(blocks, h, t, y, weights, start, usual, read), blocks))
 
     @root.def_jvp
     def _(primals, tangents):
-        found = root(*primals)  # with its own derivative: this rule
+        found, blocks = root(*primals)  # with its own derivative: this rule
         x = found[:-1].reshape(s, -1)
 
         def off(h, t, y, weights, start, usual, read):
@@ -111,10 +118,13 @@ def solve(
             return system.residual(x, h, t, y, weights, read)
 
         _, change = eqx.filter_jvp(off, primals, tangents)
-        moved = -system.moved(x, change, *primals)
-        return batch_first((found, jnp.append(moved, jnp.zeros_like(found[-1]))))
+        moved = -system.moved(x, change, blocks, *primals)
+        moved = jnp.append(moved, jnp.zeros_like(found[-1]))
+        # the blocks draw iterations to where they end, and do not change that
+        still = jax.tree.map(jnp.zeros_like, blocks)
+        return (found, blocks), batch_first((moved, still))
 
-    found = root(h, t, y, weights, start, usual, tuple(read))
+    found, _ = root(h, t, y, weights, start, usual, tuple(read))
     x = found[:-1].reshape(s, -1)
     return Stages(x[:, :n], x[:, n:], found[-1] > 0)
 
@@ -174,11 +184,18 @@ class System:
         at = jnp.concatenate([y, rate, w])
         return lambda d: jax.jvp(f, (at,), (d,))[1]
 
-    def simplified(self, h, weights, start: Point, usual, read) -> Simplified:
-        """The matrix of the start, for all stages. It only draws iterations to where they end, so
-        it is constant where these are differentiated again."""
-        h, weights, start, usual, read = jax.lax.stop_gradient((h, weights, start, usual, read))
+    def simplified(self, h, weights, start: Point, usual, read) -> Blocks:
+        """The matrix of the start, for all stages."""
         return simplified(self.push(*start, read), self.sizes, h, weights, usual)
+
+    def complement(self, x, shared: Simplified, h, t, y, weights, usual, read) -> Complement:
+        """Of the w of all stages, at x."""
+
+        def push(d: jax.Array) -> jax.Array:
+            return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
+
+        near = NEAR[y.dtype.itemsize]
+        return complement(push, shared.free, usual, len(y), self.n, near)
 
     def slopes(self, x, h, t, y, weights, read) -> jax.Array:
         """The same at each stage."""
@@ -203,11 +220,11 @@ class System:
             of_w[:, n:].reshape(s * m, s * m),
         )
 
-    def iterated(self, h, t, y, weights, start: Point, usual, read) -> jax.Array:
+    def iterated(self, blocks: Blocks, h, t, y, weights, start: Point, usual, read) -> jax.Array:
         """The root and 1, or the start and 0 where it was not found, in one array."""
         s, n, size = len(y), self.n, jnp.maximum(1.0, jnp.abs(y).max())
         guess = jnp.broadcast_to(jnp.concatenate([start.rate, start.w]), (s, n + len(start.w)))
-        shared = self.simplified(h, weights, start, usual, read)
+        shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
 
         def chord(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
             return shared.solved(self.residual(x, h, t, y, weights, read)), held
@@ -219,6 +236,15 @@ class System:
             held = jnp.where(count < FREE, x[:, n:], held)
             r = self.residual(x, h, t, y, weights, read)
             return matrix.once(r, x[:, n:] - held), held
+
+        def sweep(x: jax.Array, held: jax.Array, count: jax.Array) -> tuple:
+            held = jnp.where(count < FREE, x[:, n:], held)
+            S = self.complement(x, shared, h, t, y, weights, usual, read)
+
+            def off(x: jax.Array) -> jax.Array:
+                return self.residual(x, h, t, y, weights, read)
+
+            return x - S.swept(off, shared.free, x, held), held
 
         def found(step: Callable, done: jax.Array, x: jax.Array, most: int) -> tuple:
             """Whether x is settled, and x or the guess."""
@@ -243,23 +269,29 @@ class System:
         done, x = where_it_fits(
             guess.size,
             lambda done, x: found(newton, done, x, FREE + HELD),
+            lambda done, x: found(sweep, done, x, FREE + SWEEPS),
             lambda done, x: (done, x),
         )(done, x)
         return jnp.append(x, done.astype(y.dtype))
 
-    def moved(self, x, change, h, t, y, weights, start: Point, usual, read) -> jax.Array:
+    def moved(
+        self, x, change, blocks: Blocks, h, t, y, weights, start: Point, usual, read
+    ) -> jax.Array:
         """The changes (s, n + m) of x at the root that make one of the residual.
 
         By iteration with the matrix of the start; where that does not converge, with those of the
         stages.
         """
-        shared = self.simplified(h, weights, start, usual, read)
+        shared = Simplified(self.sizes, *jax.lax.stop_gradient((h, weights, blocks)))
 
         def push(d: jax.Array) -> jax.Array:
             return jax.jvp(lambda x: self.residual(x, h, t, y, weights, read), (x,), (d,))[1]
 
         def back(d: jax.Array) -> jax.Array:
             return jax.linear_transpose(shared.solved, d)(d)[0]
+
+        def free_back(d: jax.Array) -> jax.Array:
+            return jax.linear_transpose(shared.free, d)(d)[0]
 
         def by(nearly: Callable, transposed: bool) -> Callable:
             def solved(push: Callable, b: jax.Array) -> jax.Array:
@@ -271,33 +303,53 @@ class System:
                     exact = Factored(matrix, usual, proximal(b.dtype)[0]).solved(b)
                     return exact, jnp.array(True)
 
-                return where_it_fits(
-                    x.size,
+                def by_sweeps(_: tuple) -> tuple:
+                    S = self.complement(x, shared, h, t, y, weights, usual, read)
+                    S = S._replace(transposed=transposed)
+                    exact, ok = swept(push, S, free_back if transposed else shared.free, b, self.n)
+                    return jnp.where(ok, exact, jnp.nan), jnp.array(True)
+
+                def once(f: Callable) -> Callable:
                     # a loop and not a branch: of a batch both branches would run
-                    lambda *at: jax.lax.while_loop(lambda at: ~at[1], directly, at)[0],
-                    lambda found, done: jnp.where(done, found, jnp.nan),
-                )(found, done)
+                    return lambda *at: jax.lax.while_loop(lambda at: ~at[1], f, at)[0]
+
+                def given_up(found: jax.Array, done: jax.Array) -> jax.Array:
+                    return jnp.where(done, found, jnp.nan)
+
+                fitting = where_it_fits(x.size, once(directly), once(by_sweeps), given_up)
+                return fitting(found, done)
 
             return solved
 
         return jax.lax.custom_linear_solve(push, change, by(shared.solved, False), by(back, True))
 
 
-def where_it_fits(unknowns: int, f: Callable, otherwise: Callable) -> Callable:
+def where_it_fits(unknowns: int, f: Callable, smaller: Callable, otherwise: Callable) -> Callable:
     """f, which needs a matrix of so many unknowns; what a GPU does where a thread has no room."""
     if unknowns <= COUPLED_UP_TO:
         return f
-    return lambda *args: jax.lax.platform_dependent(*args, cuda=otherwise, default=f)
+    on_gpu = smaller if unknowns <= SWEPT_UP_TO else otherwise
+    return lambda *args: jax.lax.platform_dependent(*args, cuda=on_gpu, default=f)
 
 
 def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
-    """x of push(x) = b by corrections nearly(b - push(x)), and whether these have become rounding.
-    The first n columns of x decide."""
+    """x of push(x) = b by corrections nearly(b - push(x)), and whether these became rounding."""
+    return corrected(lambda x: nearly(b - push(x)), b, n)
+
+
+def swept(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
+    """The same by sweeps."""
+    return corrected(lambda x: S.swept(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n)
+
+
+def corrected(correction: Callable, b: jax.Array, n: int) -> tuple:
+    """x of corrections correction(x), from 0, and whether these have become rounding. The first n
+    columns of x decide."""
     eps = float(jnp.finfo(b.dtype).eps)
 
     def once(at: tuple) -> tuple:
         x, before, count, _ = at
-        dx = nearly(b - push(x))
+        dx = correction(x)
         x = x + dx
         size = jnp.abs(x[:, :n]).max()
         now = jnp.abs(dx[:, :n]).max() / jnp.where(size > 0, size, 1.0)

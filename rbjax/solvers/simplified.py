@@ -1,16 +1,17 @@
 """The matrix of simplified Newton iterations of constrained motion, inverted block by block.
 
-    equations  kinematic  E (u' - v) - F mu = 0                 unknowns  u'
-               dynamic    f(u, v, x, v', x') - C w = 0                    v', x'
-               rows       one of u or v, held by w                        w
-               again      rows of u, held by mu (GGL), if any             mu
-All stages share one matrix, that of the start of the step. With the eigenvalues z / h of the
-method's matrix (`spectrum`) it comes apart into one for each, of the size of one stage. From
-these u' = (v' z + ...) is eliminated:
+    equations  kinematic  u' - v = 0                            unknowns  u'
+                or, GGL   M (u' - v) - G^T mu = 0
+               dynamic    f(u, v, x, v', x') - B^T w = 0                  v', x'
+               rows       one of u or v, with gradients B, held by w      w
+               again      rows of u, with gradients G, held by mu (GGL)   mu
+Multipliers act along the gradients of their rows, as d'Alembert says. All stages share one matrix,
+that of the start of the step. With the eigenvalues z / h of the method's matrix (`spectrum`) it
+comes apart into one for each, of the size of one stage. From these u' = (v' z + ...) is eliminated:
 
     K(z) = M + z D + z^2 K       of v', x': masses, dampings, stiffnesses
-    S(z) = B K(z)^-1 C           of w: B are the rows' gradients, which appear with z^-p z^p = 1
-    S_mu = G E^-1 F              of mu, after v' and w; no z is in it
+    S(z) = B K(z)^-1 B^T         of w: gradients of rows appear with z^-p z^p = 1
+    S_mu = G M^-1 G^T            of mu, after v' and w; no z is in it
 Left out is what is smaller by h times a rate of the motion: the matrix of the start leaves out as
 much. The products of gradients with velocities, attitudes that turn, and what mu does to v'.
 Where S is singular, E is added to it as in `stage_matrix`.
@@ -50,48 +51,64 @@ class Sizes(NamedTuple):
 
 
 class Again(NamedTuple):
-    """Of mu: the inverse of E; E^-1 F; G; the inverse of S_mu."""
+    """Of mu: the inverse of M; M^-1 G^T; G; the inverse of S_mu."""
 
-    E: jax.Array
+    M: jax.Array
     Y: jax.Array
     G: jax.Array
     S: jax.Array
 
 
+class Blocks(NamedTuple):
+    """The inverted blocks: of each eigenvalue, K^-1 and S^-1; B, and what belongs to mu."""
+
+    K: list[Inverse]
+    S: list[Inverse]
+    B: jax.Array
+    again: Again | None
+
+
 class Simplified(NamedTuple):
-    """The inverted blocks: of each eigenvalue, K^-1 and S^-1; B, C, and what belongs to mu."""
+    """Solves with the inverted blocks."""
 
     sizes: Sizes
     h: Any
     weights: Weights
-    K: list[Inverse]
-    S: list[Inverse]
-    B: jax.Array
-    C: jax.Array
-    again: Again | None
+    blocks: Blocks
 
     def solved(self, r: jax.Array) -> jax.Array:
         """x (s, n + m) of matrix x = r, nearly."""
         n, k, depth, _ = self.sizes
         m = n + self.sizes.rows
         du, acting, rows, last = r[:, :k], r[:, k:n], r[:, n:m], r[:, m:]
-        if self.again:
-            du = _times(self.again.E, du)
+        K, S, B, again = self.blocks
+        if again:
+            du = _times(again.M, du)
         twice = [i for i, p in enumerate(depth[: self.sizes.rows]) if p > 1]
         if twice:  # the gradient of a row of u, times u' / z
-            of_du = mixed(self.weights.inverse / self.h, _times(self.B[:, :k], du))
+            of_du = mixed(self.weights.inverse / self.h, _times(B[:, :k], du))
             of_u = jnp.array([float(p > 1) for p in depth[: self.sizes.rows]], r.dtype)
             rows = rows - of_u * of_du
         to, back = self.weights.spectrum.to, self.weights.spectrum.back
-        free = self._by_eigenvalue(self.K, mixed(back, acting))
-        w = self._by_eigenvalue(self.S, mixed(back, rows) - _times(self.B, free))
-        rates = free + self._by_eigenvalue(self.K, _times(self.C, w))
+        free = self._by_eigenvalue(K, mixed(back, acting))
+        w = self._by_eigenvalue(S, mixed(back, rows) - _times(B, free))
+        rates = free + self._by_eigenvalue(K, _times(B.T, w))
         rates, w = mixed(to, rates), mixed(to, w)
         du = du + self.h * mixed(self.weights.a, rates[:, :k])
-        if not self.again:
+        if not again:
             return jnp.concatenate([du, rates, w], 1)
-        mu = _times(self.again.S, last - _times(self.again.G, du))
-        return jnp.concatenate([du + _times(self.again.Y, mu), rates, w, mu], 1)
+        mu = _times(again.S, last - _times(again.G, du))
+        return jnp.concatenate([du + _times(again.Y, mu), rates, w, mu], 1)
+
+    def free(self, r: jax.Array) -> jax.Array:
+        """Rates (s, n) of the equations without rows, with rest r (s, n), nearly."""
+        n, k, *_ = self.sizes
+        du, acting = r[:, :k], r[:, k:n]
+        if self.blocks.again:
+            du = _times(self.blocks.again.M, du)
+        to, back = self.weights.spectrum.to, self.weights.spectrum.back
+        rates = mixed(to, self._by_eigenvalue(self.blocks.K, mixed(back, acting)))
+        return jnp.concatenate([du + self.h * mixed(self.weights.a, rates[:, :k]), rates], 1)
 
     def _by_eigenvalue(self, blocks: list[Inverse], x: jax.Array) -> jax.Array:
         """Each block times its rows of x: one of a real eigenvalue, two of a complex one."""
@@ -109,7 +126,7 @@ class Simplified(NamedTuple):
 def simplified(
     push: Callable[[jax.Array], jax.Array], sizes: Sizes, h: Any, weights: Weights,
     usual: jax.Array,
-) -> Simplified:  # fmt: skip
+) -> Blocks:  # fmt: skip
     """push: from changes of (y, y', w) (2 n + m,) at the start to that of the equations (n + m,);
     usual (m,): the diagonals of S and S_mu where no row vanishes, 0 where that is not known."""
     n, k, depth, again = sizes
@@ -121,8 +138,6 @@ def simplified(
     def along(at: jax.Array, some: Any = True) -> jax.Array:
         return (jnp.arange(2 * n + m) == at).astype(dtype) * some
 
-    push = jax.jit(push)
-
     def column(j: jax.Array) -> tuple:
         """Of all blocks, that of a velocity or of a state x."""
         ways = jnp.stack([along(n + k + j), along(k + j), along(j, j < k)])
@@ -133,24 +148,19 @@ def simplified(
             one, two = z[: len(z) // 2], z[len(z) // 2 :]
             parts = [d * D[k:n] + s * K[k:n] for d, s in zip(one, two, strict=True)]
             blocks.append([M[k:n] + parts[0], *parts[1:]])
-        return blocks, jnp.where(of_u, K[n:rows], D[n:rows]), K[rows:]
-
-    def effect(of: int, rows: slice) -> Callable[[jax.Array], jax.Array]:
-        return lambda j: push(along(of + j))[rows]
+        of_mu = (M[k : 2 * k], K[rows:]) if again else ()
+        return blocks, jnp.where(of_u, K[n:rows], D[n:rows]), of_mu
 
     # the columns of the blocks are the rows of these arrays
-    blocks, B, G = each(column, jnp.arange(n - k))
-    C = -each(effect(2 * n, slice(k, n)), jnp.arange(sizes.rows)).T
+    blocks, B, of_mu = each(column, jnp.arange(n - k))
     K = [[x.T for x in inverse(*block)] for block in blocks]
     own, others = usual[: sizes.rows], usual[sizes.rows :]
-    S = [_regular([_times(B.T, _times(x, C.T)).T for x in one], own) for one in K]
-    found = Simplified(sizes, h, weights, K, S, B.T, C, None)
+    S = [_regular([_times(B.T, _times(x, B.T)).T for x in one], own) for one in K]
     if not again:
-        return found
-    E = inverse(each(effect(n, slice(k)), jnp.arange(k)))[0].T
-    F = -each(effect(2 * n + sizes.rows, slice(k)), jnp.arange(again))
-    Y, G = _times(E, F).T, G[:k].T
-    return found._replace(again=Again(E, Y, G, _regular([_times(G, Y.T).T], others)[0]))
+        return Blocks(K, S, B.T, None)
+    M, G = inverse(of_mu[0][:k])[0].T, of_mu[1][:k].T
+    Y = _times(M, G).T
+    return Blocks(K, S, B.T, Again(M, Y, G, _regular([_times(G, Y.T).T], others)[0]))
 
 
 def _product(x: tuple, y: tuple) -> tuple:

@@ -42,6 +42,10 @@ def entrywise(
     low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
 ) -> Small:
     """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
+    if not shape:
+        out = np.empty((), object)
+        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalars(x)[()] for x in xs))
+        return out
     size = math.prod(shape)
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
     if size > LOOP_ABOVE or in_memory_now:
@@ -52,9 +56,6 @@ def entrywise(
         return view
     arrays = [low.scalars(x) for x in xs]
     out = np.empty(shape, object)
-    if not shape:
-        out[()] = f(*(x[()] for x in arrays))
-        return out
     arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
     for i in np.ndindex(shape):
         out[i] = f(*(x[i] for x in arrays))

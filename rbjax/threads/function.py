@@ -16,6 +16,7 @@ from rbjax.meshes import automatic
 from rbjax.threads.backend import wanted
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
+from rbjax.threads.uncollected import uncollected
 from rbjax.threads.uniform import unnamed
 
 
@@ -110,6 +111,7 @@ def side_by_side(f: Callable, xs: Sequence[jax.Array], axes: Sequence[int]) -> A
     return run(program, [*closed_over, *xs], (size,), ins, outs)
 
 
+@uncollected
 def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:
     """The program of a flat function, whose inputs are the traced values that it closes over and
     its arguments; and these values."""

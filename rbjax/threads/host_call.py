@@ -35,15 +35,15 @@ class HostKernel:
     grid: int
 
 
-def host_kernel(program: Written) -> HostKernel:
-    """The handler of a program.
+def host_kernel(program: Written, quickly: bool = False) -> HostKernel:
+    """The handler of a program. quickly: it shall compile fast, and need not run fast.
 
     Raises:
         Unsupported: the program has an operation that LLVM lacks, or LLVM refuses it.
     """
     module, rows = handler(program)
     try:
-        code = llvm_jit.compiled(module)
+        code = llvm_jit.compiled(module, quickly)
     except llvm_jit.NoCompiler as error:
         raise Unsupported(str(error)) from error
     name = f"rbjax_{code.key}"

@@ -15,10 +15,11 @@ from typing import Any
 from rbjax.threads.disk_cache import cached
 from rbjax.threads.llvm_ir import Module
 
-#: of the instruction selection; 2 takes longer and the code is no faster
-CODE_LEVEL = 1
-#: of the passes on the IR
-PASS_LEVEL = 1
+#: of the passes on the IR, and of the instruction selection; 2 takes longer and the code is no
+#: faster. Without passes the code of loops takes 1.2 times as long
+LEVELS = 1, 1
+#: where only the compile time matters: a tenth of the time, and code of three times the size
+QUICK_LEVELS = None, 0
 
 
 class NoCompiler(RuntimeError):
@@ -70,29 +71,30 @@ def register_bytes() -> int:
     return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
 
 
-def _machine() -> Any:
+def _machine(level: int) -> Any:
     """A target machine; the engine that is given one destroys it."""
     triple, cpu, features = _processor()
     return _llvm().Target.from_triple(triple).create_target_machine(
-        cpu=cpu, features=features, opt=CODE_LEVEL, jit=True, reloc="pic", codemodel="jitdefault"
+        cpu=cpu, features=features, opt=level, jit=True, reloc="pic", codemodel="jitdefault"
     )
 
 
 @functools.lru_cache(128)
-def compiled(module: Module) -> Code:
-    """The machine code of a module's function `run`; equal programs share it.
+def compiled(module: Module, quickly: bool = False) -> Code:
+    """The machine code of a module's function `run`; equal programs share it. quickly: it shall
+    compile fast, and need not run fast.
 
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
     """
-    llvm = _llvm()
+    llvm, levels = _llvm(), QUICK_LEVELS if quickly else LEVELS
     try:
-        how = (*_processor(), str((llvm.llvm_version_info, CODE_LEVEL, PASS_LEVEL)))
+        how = (*_processor(), str((llvm.llvm_version_info, levels)))
         key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
-        code = cached(f"{key}.o", lambda: _object(module))
+        code = cached(f"{key}.o", lambda: _object(module, *levels))
         for function in module.symbols:
             llvm.add_symbol(function, _address(function))
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(levels[1]))
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         return Code(engine.get_function_address("run"), engine, key)
@@ -100,12 +102,13 @@ def compiled(module: Module) -> Code:
         raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
 
 
-def _object(module: Module) -> bytes:
+def _object(module: Module, passes: int | None, level: int) -> bytes:
     """The object file of a module."""
-    llvm, machine = _llvm(), _machine()
+    llvm, machine = _llvm(), _machine(level)
     parsed = llvm.parse_assembly(module.text)
-    options = llvm.create_pipeline_tuning_options(speed_level=PASS_LEVEL)
-    options.loop_unrolling = False
-    passes = llvm.create_pass_builder(machine, options)
-    passes.getModulePassManager().run(parsed, passes)
+    if passes is not None:
+        options = llvm.create_pipeline_tuning_options(speed_level=passes)
+        options.loop_unrolling = False
+        builder = llvm.create_pass_builder(machine, options)
+        builder.getModulePassManager().run(parsed, builder)
     return machine.emit_object(parsed)

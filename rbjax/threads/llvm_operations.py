@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -34,6 +35,7 @@ LOGICAL = {**INTEGER, "add": "or", "mul": "and", "max": "or", "min": "and"}
 COMPARISONS = ("lt", "le", "gt", "ge", "eq", "ne")
 
 
+@functools.lru_cache(64)
 def llvm_type(dtype: Any) -> str:
     """The type of a value in a register."""
     dtype = np.dtype(dtype)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.threads.cutting import Cuts, Frame, cut
 from rbjax.threads.frame import Written
 from rbjax.threads.llvm_operations import Operations, literal, llvm_type
 from rbjax.threads.program import (
@@ -70,13 +71,12 @@ def written_function(writer: Writer, program: Written, name: str) -> Function:
     ys = [f"%y{k}" for k in range(len(program.results))]
     for array, place in zip((*program.operands, *program.results), (*xs, *ys), strict=True):
         writer.pointers[array.id] = place
+    takes = [f"ptr noalias readonly {x}" for x in xs] + [f"ptr noalias {y}" for y in ys]
+    takes.append("ptr noalias %space")
+    writer.parts(name, program, takes)
     writer.begin(program)
     writer.block(program.builder.block)
-    takes = [f"ptr noalias readonly {x}" for x in xs] + [f"ptr noalias {y}" for y in ys]
-    lines = [
-        f"define internal void @{name}({', '.join((*takes, 'ptr noalias %space'))}) nounwind {{",
-        "entry:", *writer.entry, "br label %start", "start:", *writer.lines, "ret void", "}",
-    ]  # fmt: skip
+    lines = [*writer.pieces, *writer.function(name, takes)]
     needed = writer.functions()
     outside = (
         *map(_table, program.builder.tables), *writer.operations.declared.values(), *needed
@@ -98,6 +98,10 @@ class Writer:
         self.places: dict[int, str] = {}  # variables on the stack
         self.pointers: dict[int, str] = {}
         self.workspace = self.stack = 0
+        self.frame: Frame | None = None
+        self.here = 0  # the function that is being written
+        self.recalled: dict[int, str] = {}  # what it has read from the frame
+        self.pieces: list[str] = []
 
     def begin(self, program: Written) -> None:
         """What comes before the statements."""
@@ -106,10 +110,82 @@ class Writer:
         """The functions of mathematics that the statements call, but for C's."""
         return []
 
+    # ---------------------------------------------------------------- functions
+
+    def parts(self, name: str, program: Written, takes: list[str]) -> None:
+        """Cuts a long program into functions."""
+        cuts = self.cuts(program)
+        if cuts is None:
+            return
+        self.frame, self.name, self.program = Frame(cuts, self.bytes, ALIGNMENT), name, program
+        self.takes, size = takes, self.frame.bytes
+        if size <= STACK_BYTES:
+            self.stack = size
+            self.entry.append(f"%frame = alloca [{size} x i8], align {ALIGNMENT}")
+        else:
+            self.workspace = -(-size // ALIGNMENT) * ALIGNMENT
+            self.entry.append("%frame = getelementptr i8, ptr %space, i64 0")
+
+    def cuts(self, program: Written) -> Cuts | None:
+        return cut(program.builder.block, branches=True)
+
+    def bytes(self, x: Var | Array) -> int:
+        """The size of a variable or of a local array."""
+        return x.dtype.itemsize * (max(x.size, 1) if isinstance(x, Array) else 1)
+
+    def function(self, name: str, takes: list[str], more: str = "") -> list[str]:
+        """What has been written, as a function."""
+        return [
+            f"define internal void @{name}({', '.join(takes)}) {more}nounwind {{",
+            "entry:", *self.entry, "br label %start", "start:", *self.lines, "ret void", "}",
+        ]  # fmt: skip
+
+    def piece(self, number: int, statements: list) -> None:
+        """Writes statements as a function of their own, and calls it."""
+        outside = self.entry, [*self.lines]
+        self.entry, self.here, self.recalled = [], number, {}
+        self.lines.clear()
+        self.begin(self.program)
+        self.block(Block(statements))
+        name, takes = f"{self.name}{number}", [*self.takes, "ptr noalias %frame"]
+        self.pieces += self.function(name, takes, "noinline ")
+        self.entry, self.here, self.recalled = outside[0], 0, {}
+        pointers = ", ".join("ptr " + x.split()[-1] for x in takes)
+        self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
+
+    def shares(self, x: Any) -> bool:
+        """Whether a variable or an array lies in the frame."""
+        return self.frame is not None and x in self.frame.places
+
+    def framed(self, x: Any, lines: list[str] | None = None) -> str:
+        """The address of what lies in the frame."""
+        assert self.frame is not None
+        lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
+        lines.append(f"{name} = getelementptr i8, ptr %frame, i64 {self.frame.places[x]}")
+        return name
+
+    def keep(self, x: Var) -> None:
+        """Leaves a new value to the other functions."""
+        if self.shares(x):
+            self.lines.append(f"store {self.kind(x)} %t{x.id}, ptr {self.framed(x)}")
+
+    def recall(self, x: Var) -> str:
+        """A value that another function has left; the caller of the others may read a newer one."""
+        if x.id not in self.recalled:
+            name = f"%r{next(self.numbers)}"
+            lines = self.entry if self.here else self.lines
+            lines.append(f"{name} = load {self.kind(x)}, ptr {self.framed(x, lines)}")
+            if not self.here:
+                return name
+            self.recalled[x.id] = name
+        return self.recalled[x.id]
+
     # ---------------------------------------------------------------- memory
 
     def reserve(self, array: Array, lanes: int = 1) -> None:
         """A local array, on the stack or in the workspace."""
+        if self.shares(array):
+            return
         count = max(array.size, 1)
         size = lanes * count * array.dtype.itemsize
         if size <= lanes * STACK_ARRAY_BYTES and self.stack + size <= STACK_BYTES:
@@ -124,6 +200,8 @@ class Writer:
 
     def start(self, array: Array) -> str:
         """The address of an array."""
+        if self.shares(array):
+            return self.framed(array)
         return f"@a{array.id}" if array.space == "constant" else self.pointers[array.id]
 
     def address(self, array: Array, base: Value | None, offset: int) -> str:
@@ -141,24 +219,45 @@ class Writer:
     def value(self, x: Value) -> str:
         if not isinstance(x, Var):
             return literal(x)
-        if x.id not in self.places:
-            return f"%t{x.id}"
-        return self.made(f"load {llvm_type(x.dtype)}, ptr {self.places[x.id]}")
+        return self.current(x)
 
-    def place(self, var: Var) -> str:
-        name = self.places[var.id] = f"%m{var.id}"
-        self.entry.append(f"{name} = alloca {llvm_type(var.dtype)}")
-        return name
+    def kind(self, x: Var) -> str:
+        """The type of a variable."""
+        return llvm_type(x.dtype)
+
+    def current(self, x: Var) -> str:
+        """The value that a variable has now."""
+        if x.id in self.places:
+            return self.made(f"load {self.kind(x)}, ptr {self.place_of(x)}")
+        if self.frame is not None and self.shares(x) and self.frame.cuts.home[x] != self.here:
+            return self.recall(x)
+        return f"%t{x.id}"
+
+    def place(self, var: Var) -> None:
+        """Makes the place of a variable that is assigned several times."""
+        self.places[var.id] = f"%m{var.id}"
+        if not self.shares(var):
+            self.entry.append(f"%m{var.id} = alloca {self.kind(var)}")
+
+    def place_of(self, var: Var) -> str:
+        return self.framed(var) if self.shares(var) else self.places[var.id]
 
     def put(self, var: Var, value: Value) -> None:
         text = self.value(value)
-        self.lines.append(f"store {llvm_type(var.dtype)} {text}, ptr {self.places[var.id]}")
+        self.lines.append(f"store {self.kind(var)} {text}, ptr {self.place_of(var)}")
 
     # ---------------------------------------------------------------- statements
 
     def block(self, block: Block) -> None:
-        for statement in block.statements:
-            self.statement(statement)
+        pieces = self.frame.cuts.runs.get(id(block)) if self.frame else None
+        for number, statements in pieces or [(0, block.statements)]:
+            if number:
+                self.piece(number, statements)
+                continue
+            for statement in statements:
+                self.statement(statement)
+                if isinstance(statement, Op | Load):
+                    self.keep(statement.dest)
 
     def statement(self, statement: Any) -> None:
         match statement:
@@ -218,12 +317,12 @@ class Writer:
         (end,) = self.labels("end")
         first, step = (loop.count - 1, -1) if loop.reverse else (0, 1)
         last = 0 if loop.reverse else loop.count - 1
-        counter, place = loop.counter, self.place(loop.counter)
+        counter, place = loop.counter, f"%m{loop.counter.id}"
+        self.entry.append(f"{place} = alloca i32")
         self.lines.append(f"store i32 {first}, ptr {place}")
         self.start_of(body)
-        # within a turn the counter is one value
-        del self.places[counter.id]
         self.made(f"load i32, ptr {place}", f"%t{counter.id}")
+        self.keep(counter)
         self.block(loop.body)
         after = self.made(f"add i32 %t{counter.id}, {step}")
         self.lines.append(f"store i32 {after}, ptr {place}")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.threads.cutting import Cuts, cut
 from rbjax.threads.divergence import divergence, part_of
 from rbjax.threads.frame import Written
 from rbjax.threads.llvm_mathematics import definitions
@@ -63,6 +64,17 @@ class _Vectors(Writer):
         self.found = divergence(program.builder.block, [*differ, *program.results])
         self.splats: list[dict[int, str]] = []
 
+    def cuts(self, program: Written) -> Cuts | None:
+        return cut(program.builder.block, branches=False)  # where all lanes run
+
+    def piece(self, number: int, statements: list) -> None:
+        outside, self.splats = self.splats, []
+        super().piece(number, statements)
+        self.splats = outside
+
+    def bytes(self, x: Var | Array) -> int:
+        return super().bytes(x) * (self.lanes if self.found.of(x) else 1)
+
     def begin(self, program: Written) -> None:
         # where lanes that do not run read and write
         self.entry.append("%nowhere = alloca i64")
@@ -98,9 +110,7 @@ class _Vectors(Writer):
         if not isinstance(x, Var):
             return self.vectors.number(x)
         if self.found.of(x):
-            if x.id not in self.places:
-                return f"%t{x.id}"
-            return self.made(f"load {self.vectors.type(x.dtype)}, ptr {self.places[x.id]}")
+            return self.current(x)
         for known in self.splats:
             if x.id in known:
                 return known[x.id]
@@ -113,17 +123,13 @@ class _Vectors(Writer):
         """A scalar in every lane."""
         return splat(self.made, self.lanes, t, x)
 
-    def place(self, var: Var) -> str:
-        if not self.found.of(var):
-            return super().place(var)
-        name = self.places[var.id] = f"%m{var.id}"
-        self.entry.append(f"{name} = alloca {self.vectors.type(var.dtype)}")
-        return name
+    def kind(self, x: Var) -> str:
+        return self.vectors.type(x.dtype) if self.found.of(x) else super().kind(x)
 
     def put(self, var: Var, value: Value) -> None:
         if not self.found.of(var):
             return super().put(var, value)
-        text, t, place = self.vector(value), self.vectors.type(var.dtype), self.places[var.id]
+        text, t, place = self.vector(value), self.vectors.type(var.dtype), self.place_of(var)
         if self.mask and self.found.outlives(var, self.part):
             text = self.blended(t, text, self.made(f"load {t}, ptr {place}"))
         self.lines.append(f"store {t} {text}, ptr {place}")

@@ -27,7 +27,8 @@ from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
 from rbjax.threads.sharding import knows_devices, spread
-from rbjax.threads.uniform import split
+from rbjax.threads.uncollected import uncollected
+from rbjax.threads.uniform import divided
 
 Axes = tuple[int | None, ...]
 
@@ -145,8 +146,9 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
 def on_gpu(*operands, program, batch, ins, outs):
     """The same by one or more kernels of a GPU."""
     how = {"batch": batch, "ins": ins, "outs": outs}
-    if program.apart is not None and 0 not in batch:
-        return under_xla(*operands, program=program.apart, **how)
+    apart = program if program.once else program.apart
+    if apart is not None and 0 not in batch:
+        return under_xla(*operands, program=apart, **how)
     return as_kernel("cuda", *operands, program=program, **how)
 
 
@@ -156,6 +158,7 @@ def on_cpu(*operands, **how):
 
 
 @functools.lru_cache(maxsize=256)
+@uncollected
 def _kernel(platform, program, batch, ins, outs, shapes, summed):
     operands = [Layout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
     results = [
@@ -163,7 +166,9 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
     written = write_program(program.closed, batch, operands, results, summed, platform)
-    return cuda.kernel(written) if platform == "cuda" else host_call.host_kernel(written)
+    return cuda.kernel(written) if platform == "cuda" else host_call.host_kernel(
+        written, program.once and not batch
+    )
 
 
 @functools.cache
@@ -242,7 +247,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     varying = any(_varies(jax.typeof(x)) for x in operands)
     own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are
     if any(known) and not varying and own_ways == (None, None, None):
-        program, more = split(program, known, operands)
+        program, more = divided(program, known, operands, run)
         operands = [x for x, k in zip(operands, known, strict=True) if not k] + more
         dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)
         nowhere = (None,) * len(batch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,6 +10,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+
+from rbjax.threads.derivatives import Linearised, Transposed
+from rbjax.threads.uncollected import uncollected
 
 Moving = tuple[bool, ...]
 
@@ -27,6 +31,8 @@ class Program:
         arguments that move.
     apart: the same function as several kernels, for a batch on a GPU. Inside another program, and
         for derivatives, the traced one is used.
+    once: it runs once where others run many times, so that on a CPU its compile time matters more
+        than its run time; on a GPU XLA runs it. Its derivatives run once, too.
     """
 
     closed: ClosedJaxpr
@@ -35,8 +41,9 @@ class Program:
     reads: int = 0
     sized: Callable[[int, Moving], Program] | None = None
     apart: Callable | None = None
+    once: bool = False
     derived: dict[Any, Any] = field(default_factory=dict)
-    split: dict[Any, tuple[ClosedJaxpr, Program]] = field(default_factory=dict)
+    split: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def inputs(self) -> list[Any]:
@@ -56,11 +63,11 @@ class Program:
     def derive(self, key: Any, f: Callable, *avals: Any) -> Program:
         """Another program derived from this one, cached."""
         if key not in self.derived:
-            self.derived[key] = traced(f, *avals)
+            self.derived[key] = dataclasses.replace(traced(f, *avals), once=self.once)
         return self.derived[key]
 
-    def parts(self, shared: tuple[bool, ...], split: Callable) -> tuple[ClosedJaxpr, Program]:
-        """The part that depends only on shared operands, and the rest (`uniform`), cached."""
+    def parts(self, shared: tuple[bool, ...], split: Callable) -> Any:
+        """The rest, and the part that depends only on shared operands (`uniform`), cached."""
         if shared not in self.split:
             self.split[shared] = split(self, shared)
         return self.split[shared]
@@ -74,9 +81,25 @@ class Program:
 
         return along, [x for m, x in zip(moving, args, strict=True) if m]
 
+    def transposed_equations(self, moving: Moving, weighed: Moving) -> Transposed | None:
+        """The equations of the cotangents of arguments that move; None where they have loops."""
+        if self.closed.effects or self.vjp is not None:
+            return None
+        return self._linearised(moving).transposed(weighed)
+
+    def _linearised(self, moving: Moving) -> Linearised:
+        """Its equations and those of its rates, cached."""
+        key = "linearised", moving
+        if key not in self.derived:
+            self.derived[key] = Linearised.of(self.closed, moving)
+        return self.derived[key]
+
     def tangent(self, moving: Moving) -> Program:
         """(args, kept, tangents of those that move) -> tangents of all results."""
         kept = self.kept(moving)
+        key = "tangent", moving
+        if key not in self.derived and not self.closed.effects:
+            self.derived[key] = Program(self._linearised(moving).tangent(kept), once=self.once)
 
         def f(*xs: Any) -> list[Any]:
             rates = list(xs[len(moving) + len(kept) :])
@@ -87,11 +110,16 @@ class Program:
             ]
 
         rates = [a for m, a in zip(moving, self.inputs, strict=True) if m]
-        return self.derive(("tangent", moving), f, *self.inputs, *kept, *rates)
+        return self.derive(key, f, *self.inputs, *kept, *rates)
 
     def transposed(self, moving: Moving, weighed: tuple[bool, ...]) -> Program:
         """(args, kept, cotangents of the weighed results) -> cotangents of those that move."""
         also = self.kept(moving)
+        key = "vjp", moving, weighed
+        if key not in self.derived and self.vjp is None:
+            back = self.transposed_equations(moving, weighed)
+            if back is not None:
+                self.derived[key] = Program(back.closed(), once=self.once)
 
         def f(*xs: Any) -> list[Any]:
             n, end = len(moving), len(moving) + len(also)
@@ -108,9 +136,10 @@ class Program:
             return list(jax.vjp(wanted, *moved)[1](list(given)))
 
         bars = [a for w, a in zip(weighed, self.outputs, strict=True) if w]
-        return self.derive(("vjp", moving, weighed), f, *self.inputs, *also, *bars)
+        return self.derive(key, f, *self.inputs, *also, *bars)
 
 
+@uncollected
 def traced(f: Callable, *avals: Any) -> Program:
     """The program of a function of flat arguments that closes over no traced values."""
     return Program(jax.make_jaxpr(f)(*(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)))

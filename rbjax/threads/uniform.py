@@ -5,12 +5,12 @@ An example is the constants of a robot's links, which depend only on a model tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from rbjax.threads.equations import needed
 from rbjax.threads.programs import Program
 
 #: equations that only move entries, which cost a thread nothing
@@ -18,20 +18,29 @@ FREE = {
     "broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "transpose", "rev",
     "concatenate", "copy", "iota", "convert_element_type", "split", "unstack", "stack",
 }  # fmt: skip
+#: equations of work on the numbers of a model
+LIGHT = FREE | {
+    "add", "sub", "mul", "div", "neg", "integer_pow", "square", "sqrt", "rsqrt", "select_n", "eq",
+    "ne", "lt", "le", "gt", "ge", "and", "or", "not", "max", "min", "sign", "abs", "reduce_sum",
+    "pad", "gather", "scatter-add", "sincos", "sin", "cos", "fusion_barrier", "add_any",
+}  # fmt: skip
+#: equations from which on, and entries up to which, shared work is a program of its own
+LONG_ENOUGH, SHORT = 30, 50_000
 
 
-def split(
-    program: Program, shared: Sequence[bool], operands: Sequence[Any]
+def divided(
+    program: Program, shared: Sequence[bool], operands: Sequence[Any], run: Callable
 ) -> tuple[Program, list[Any]]:
     """The rest of a program, as a function of the operands that samples do not share and of new
-    shared operands; and these, computed here."""
-    first, rest = program.parts(tuple(shared), _parts)
+    shared operands; and these, computed here. Work that is short is a program of its own, which
+    `run` evaluates: machine code compiles sooner than XLA."""
+    rest, plain, short = program.parts(tuple(shared), _parts)
     given = [x for x, s in zip(operands, shared, strict=True) if s]
-    return rest, jaxpr_as_fun(first)(*given)
+    return rest, plain(*given) if short is None else run(short, given)
 
 
-def _parts(program: Program, shared: Sequence[bool]) -> Any:
-    jaxpr, consts = program.closed.jaxpr, program.closed.consts
+def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable, Program | None]:
+    jaxpr = program.closed.jaxpr
     own = [v for v, s in zip(jaxpr.invars, shared, strict=True) if not s]
     alike = [v for v, s in zip(jaxpr.invars, shared, strict=True) if s]
     uniform = {*alike, *jaxpr.constvars}
@@ -68,20 +77,46 @@ def _parts(program: Program, shared: Sequence[bool]) -> Any:
         need(v)
     frontier = list(needed)
     moved = [eqn for eqn in before if id(eqn) in moves]
+    first = _closed(before, alike, frontier, program)
+    rest = Program(_closed([*moved, *after], [*own, *frontier], jaxpr.outvars, program))
+    plain = jaxpr_as_fun(first)
+    return rest, plain, Program(first, once=True) if _is_short(first.jaxpr) else None
+
+
+def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> ClosedJaxpr:
+    """Some equations of a program, as a function."""
+    jaxpr, consts = program.closed.jaxpr, program.closed.consts
+    eqns = needed(eqns, outs, ins, jaxpr.effects)
+    read = {v for eqn in eqns for v in eqn.invars if not isinstance(v, Literal)}
+    read.update(v for v in outs if not isinstance(v, Literal))
+    held = [(v, c) for v, c in zip(jaxpr.constvars, consts, strict=True) if v in read]
     notes = unnamed(jaxpr)
-    first = Jaxpr(jaxpr.constvars, alike, frontier, before, jaxpr.effects, notes)
-    rest = Jaxpr(
-        jaxpr.constvars, [*own, *frontier], jaxpr.outvars, [*moved, *after], jaxpr.effects, notes
-    )
-    return ClosedJaxpr(first, consts), Program(_pruned(ClosedJaxpr(rest, consts)))
+    some = Jaxpr([v for v, _ in held], ins, list(outs), eqns, jaxpr.effects, notes)
+    return ClosedJaxpr(some, [c for _, c in held])
+
+
+def _is_short(jaxpr: Jaxpr) -> bool:
+    """Whether a thread computes it in some microseconds, and XLA would compile it for longer."""
+    size = _size(jaxpr)
+    return size is not None and len(jaxpr.eqns) >= LONG_ENOUGH and size <= SHORT
+
+
+def _size(jaxpr: Jaxpr) -> int | None:
+    """The entries that equations compute; None with a loop, a product of matrices or the like."""
+    size = 0
+    for eqn in jaxpr.eqns:
+        outs: list[Any] = eqn.outvars
+        if eqn.primitive.name == "jit":
+            inner = _size(eqn.params["jaxpr"].jaxpr)
+        else:
+            inner = sum(v.aval.size for v in outs) if eqn.primitive.name in LIGHT else None
+        if inner is None:
+            return None
+        size += inner
+    return size
 
 
 def unnamed(jaxpr: Jaxpr) -> Any:
     """The debug info of a jaxpr without argument names, for a jaxpr derived from it."""
     return jaxpr.debug_info._replace(arg_names=None, result_paths=None)
 
-
-def _pruned(closed: ClosedJaxpr) -> ClosedJaxpr:
-    """The jaxpr retraced, so that constants and debug info match."""
-    avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in closed.jaxpr.invars]
-    return jax.make_jaxpr(jaxpr_as_fun(closed))(*avals)

@@ -33,7 +33,7 @@ def child_algorithms():
     """All of them in one program, and their gradient by shared masses."""
     batching.CPU_CHUNK = 16
     names = sorted({name for entry in REGISTRY.values() for name in entry.arrays} - {"mass", "com"})
-    xs = placed(samples(tuple(names), SIZE))
+    xs = placed(samples(tuple(names), n=SIZE))
     mass, com = (np.asarray(x) for x in (MODEL.bodies.mass, MODEL.bodies.com))
 
     def everything(model, *xs):

@@ -10,7 +10,7 @@ import pytest
 
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.differential_algebraic import refined
-from rbjax.solvers.simplified import Sizes, simplified
+from rbjax.solvers.simplified import Simplified, Sizes, simplified
 from rbjax.solvers.spectrum import weights
 from tests.quickly import quick_jit
 
@@ -72,7 +72,8 @@ def solver(kind: str, method: str, redundant: bool = False) -> Callable:
 
     @quick_jit
     def solved(slopes, dense, usual, r):
-        found = simplified(lambda d: slopes @ d, sizes, H, of, usual)
+        blocks = simplified(lambda d: slopes @ d, sizes, H, of, usual)
+        found = Simplified(sizes, H, of, blocks)
 
         def times(matrix: jax.Array, x: jax.Array) -> jax.Array:
             return (matrix @ x.ravel()).reshape(x.shape)

@@ -7,6 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
+from tests.constraints.mechanisms import four_bars
 from tests.quickly import quick_jit
 from tests.threads.host import COMPILER, many_on_host
 from tests.threads.test_algorithms import agree, by_xla
@@ -76,3 +77,30 @@ def test_functions_of_rows():
     cases = [(f, (state.q, state.v)) for f in functions]
     for (f, args), got in zip(cases, many_on_host(cases, ("-O0",)), strict=True):
         agree(got, by_xla(f, args), F64_PARITY)
+
+
+@slow
+@pytest.mark.parametrize(("name", "compared"), [("index_2", 4), ("index_3", 4), ("ggl", 2)])
+def test_implicit_steps_across_flat_positions(name, compared):
+    """Two parallelograms, 48 unknowns of all stages and more: the second iteration of a thread
+    beside that of the CPU, values and gradients. (Of a step that ends on the position the gradient
+    is 4e6, and that of a thread nan; so are GGL's gradients of steps across it.)"""
+    model, _ = four_bars(2)
+    angles = np.pi / 2 - np.array([0.02, 0.03, 0.06, 0.3])  # two pass, two do not
+    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0])
+    q, v = angles[:, None] * signs, np.full((4, 1), 4.9) * signs
+    bars = np.random.default_rng(0).normal(size=(2, *q.shape))
+
+    def both(q, v, *bars):
+        def step(q, v):
+            after = rb.step(model, rb.State(q, v), None, 0.01, constraints=name)
+            return after.q, after.v
+
+        out, back = jax.vjp(step, q, v)
+        return *out, *back(bars)
+
+    args = q, v, *bars
+    (got,) = many_on_host([(both, args)], ("-O0",))
+    want = by_xla(both, args)
+    for x, y in zip(got[:compared], want[:compared], strict=True):
+        np.testing.assert_allclose(x, y, rtol=0, atol=1e-8 * np.abs(y).max())

@@ -248,7 +248,7 @@ def test_the_gil_is_released():
 def test_objects_are_kept_beside_jax_s_cache(monkeypatch, tmp_path):
     made, before = [], jax.config.jax_compilation_cache_dir
     make = llvm_jit._object
-    monkeypatch.setattr(llvm_jit, "_object", lambda m: made.append(m) or make(m))
+    monkeypatch.setattr(llvm_jit, "_object", lambda m, *how: made.append(m) or make(m, *how))
     try:
         jax.config.update("jax_compilation_cache_dir", str(tmp_path))
         for _ in range(2):
