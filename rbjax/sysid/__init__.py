@@ -1,6 +1,7 @@
 """System identification: parameters of a model from measured motion."""
 
 from rbjax.sysid import inertia_metric
+from rbjax.sysid.base_parameters import base_parameters, random_motions
 from rbjax.sysid.fit import Fit, Unknown, fit
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
@@ -20,10 +21,22 @@ from rbjax.sysid.log_cholesky import (
     to_log_cholesky,
     with_inertial_parameters,
 )
+from rbjax.sysid.rank import Combinations, combinations
+from rbjax.sysid.regressor import (
+    JOINT_TERMS,
+    observation_matrix,
+    parameter_names,
+    parameter_values,
+    regressor,
+)
 
 __all__ = [
+    "Combinations",
     "Fit",
+    "JOINT_TERMS",
     "Unknown",
+    "base_parameters",
+    "combinations",
     "fit",
     "affine_invariant_distance",
     "from_log_cholesky",
@@ -34,10 +47,15 @@ __all__ = [
     "log_determinant_divergence",
     "model_log_cholesky",
     "nearest_pseudo_inertia",
+    "observation_matrix",
+    "parameter_names",
+    "parameter_values",
     "prior_residual",
     "pseudo_inertia_of",
     "pullback_distance",
     "pullback_metric",
+    "random_motions",
+    "regressor",
     "to_log_cholesky",
     "with_inertial_parameters",
 ]

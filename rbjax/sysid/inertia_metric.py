@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.spatial.arguments import stacked, takes
+from rbjax.spatial.arguments import takes
 from rbjax.sysid.log_cholesky import pseudo_inertia_of, to_log_cholesky, upper_factor
 
 _UPPER = np.triu_indices(4, 1)
