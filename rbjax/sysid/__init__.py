@@ -1,6 +1,12 @@
 """System identification: parameters of a model from measured motion."""
 
-from rbjax.sysid import inertia_metric
+from rbjax.sysid import inertia_metric, regression
+from rbjax.sysid.balances import (
+    energy_balance,
+    energy_regressor,
+    momentum_balance,
+    momentum_regressor,
+)
 from rbjax.sysid.base_parameters import base_parameters, random_motions
 from rbjax.sysid.fit import Fit, Unknown, fit
 from rbjax.sysid.inertia_metric import (
@@ -22,6 +28,7 @@ from rbjax.sysid.log_cholesky import (
     with_inertial_parameters,
 )
 from rbjax.sysid.rank import Combinations, combinations
+from rbjax.sysid.regression import METHODS, Equations, Regression, regress
 from rbjax.sysid.regressor import (
     JOINT_TERMS,
     observation_matrix,
@@ -32,13 +39,18 @@ from rbjax.sysid.regressor import (
 
 __all__ = [
     "Combinations",
+    "Equations",
     "Fit",
     "JOINT_TERMS",
+    "METHODS",
+    "Regression",
     "Unknown",
     "base_parameters",
     "combinations",
     "fit",
     "affine_invariant_distance",
+    "energy_balance",
+    "energy_regressor",
     "from_log_cholesky",
     "inertia_metric",
     "inertial_parameters_of",
@@ -46,6 +58,8 @@ __all__ = [
     "log_cholesky_volume",
     "log_determinant_divergence",
     "model_log_cholesky",
+    "momentum_balance",
+    "momentum_regressor",
     "nearest_pseudo_inertia",
     "observation_matrix",
     "parameter_names",
@@ -55,6 +69,8 @@ __all__ = [
     "pullback_distance",
     "pullback_metric",
     "random_motions",
+    "regress",
+    "regression",
     "regressor",
     "to_log_cholesky",
     "with_inertial_parameters",

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics.arguments import check_model, check_moves
@@ -75,15 +76,13 @@ def base_parameters(
     check_model(where, model)
     check_moves(where, model)
     names = parameter_names(model, joint_terms)
-    given = [x is not None for x in (q, v, a)]
-    if any(given) and not all(given):
-        raise InputError(f"{where}: expected all of q, v and a, or none for random motions")
-    if not any(given):
+    if q is None and v is None and a is None:
         if samples is None:  # twice as many equations as columns, from the fewest rows
             samples = 20 + 2 * len(names) // min(model.nv, 6)
-        q, v, a = random_motions(model, samples, seed=seed)
-    how = {"joint_terms": joint_terms, "smoothing": smoothing}
-    W = observation_matrix(model, q, v, a, rows=rows, **how)
+        q, v, a = map(jnp.asarray, random_motions(model, samples, seed=seed))
+    if q is None or v is None or a is None:
+        raise InputError(f"{where}: expected all of q, v and a, or none for random motions")
+    W = observation_matrix(model, q, v, a, rows=rows, joint_terms=joint_terms, smoothing=smoothing)
     return combinations(W, names, tolerance=tolerance, first=first)
 
 

@@ -68,13 +68,13 @@ class Combinations:
     @cached_property
     def hidden(self) -> tuple[str, ...]:
         """Parameters that move nothing."""
-        silent = ~self.K.any(0)
+        silent = ~np.any(self.K, axis=0, keepdims=True)[0]
         return tuple(self.names[j] for j, x in zip(self.dropped, silent, strict=True) if x)
 
     @cached_property
     def found(self) -> tuple[str, ...]:
         """Parameters that can be found by themselves."""
-        single = ~self.K.any(1)
+        single = ~np.any(self.K, axis=1, keepdims=True)[:, 0]
         return tuple(self.names[j] for j, x in zip(self.kept, single, strict=True) if x)
 
     @cached_property
@@ -192,7 +192,7 @@ def combinations(
     scale = np.where(shows, size, 1.0)
     scaled = np.where(shows, J, 0.0) / scale
     if len(J) > len(names):
-        scaled = np.linalg.qr(scaled, mode="r")
+        scaled = scipy.linalg.qr(scaled, mode="r")[0][: len(names)]
     _, s, Vt = np.linalg.svd(scaled, full_matrices=False)
     rank = int((s > tolerance * s[0]).sum()) if s.size and s[0] > 0 else 0
     leading = [names.index(name) for name in dict.fromkeys(first)]
@@ -225,9 +225,8 @@ def _independent(rows: np.ndarray, order: Sequence[int]) -> tuple[int, ...]:
 
     for j in order:
         part = outside(rows[:, j])
-        if len(kept) < rank and (length := np.linalg.norm(part)) > CLEAR * max(
-            np.linalg.norm(rows[:, j]), 1e-6
-        ):
+        length, whole = (float(np.linalg.norm(x)) for x in (part, rows[:, j]))
+        if len(kept) < rank and length > CLEAR * max(whole, 1e-6):
             kept.append(j)
             basis = np.column_stack([basis, part / length])
     while len(kept) < rank:

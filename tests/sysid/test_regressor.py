@@ -147,7 +147,7 @@ def test_pinocchio():
 def test_bad_arguments():
     model = rb.load("double_pendulum")
     z = np.zeros((3, 2))
-    with pytest.raises(UnknownName, match="joint term 'friction'.*armature"):
+    with pytest.raises(UnknownName, match=r"joint term 'friction'.*armature"):
         sysid.regressor(model, z[0], z[0], z[0], joint_terms=["friction"])
     with pytest.raises(InputError, match="expected a list such as"):
         sysid.parameter_names(model, "viscous")
