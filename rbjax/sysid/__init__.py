@@ -8,6 +8,7 @@ from rbjax.sysid.balances import (
     momentum_regressor,
 )
 from rbjax.sysid.base_parameters import base_parameters, random_motions
+from rbjax.sysid.consistent import Consistent, consistent
 from rbjax.sysid.fit import Fit, Unknown, fit
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
@@ -39,6 +40,7 @@ from rbjax.sysid.regressor import (
 
 __all__ = [
     "Combinations",
+    "Consistent",
     "Equations",
     "Fit",
     "JOINT_TERMS",
@@ -49,6 +51,7 @@ __all__ = [
     "combinations",
     "fit",
     "affine_invariant_distance",
+    "consistent",
     "energy_balance",
     "energy_regressor",
     "from_log_cholesky",
