@@ -12,7 +12,8 @@ from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_ou
 from rbjax.sysid.consistent import Consistent, consistent
 from rbjax.sysid.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.findings import Finding, findings
-from rbjax.sysid.fit import Fit, Unknown, fit
+from rbjax.sysid.fit import Fit, fit
+from rbjax.sysid.identify import Identified, identify
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
     log_determinant_divergence,
@@ -42,6 +43,7 @@ from rbjax.sysid.regressor import (
     parameter_values,
     regressor,
 )
+from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.statistics import (
     ChannelNoise,
     Estimates,
@@ -52,6 +54,7 @@ from rbjax.sysid.statistics import (
     noise_by_channel,
 )
 from rbjax.sysid.units import in_si
+from rbjax.sysid.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
 from rbjax.sysid.whiteness import Whiteness, sandwich, whiteness
 
 __all__ = [
@@ -66,6 +69,17 @@ __all__ = [
     "base_parameters",
     "combinations",
     "fit",
+    "Identified",
+    "identify",
+    "Derived",
+    "FixedTotal",
+    "Inertia",
+    "Shared",
+    "Tilt",
+    "Grid",
+    "PD",
+    "Sensor",
+    "Setup",
     "affine_invariant_distance",
     "consistent",
     "energy_balance",

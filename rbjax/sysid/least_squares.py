@@ -1,23 +1,24 @@
 """Nonlinear least squares over numbers that must stay possible, with a prior that may be weak.
 
     min |r(x)|^2 + w D(x, x_0)
-D is convex and infinite where x is impossible (`unknowns`). Each step solves a convex problem, r made
-linear and D as it is, with a second divergence that holds the step short (a proximal Gauss-Newton
-method). The prior decides only what the data leave open: its weight is lowered to almost nothing,
-and at the end steps without it, in the directions that the data show, take its last pull away.
+D is convex and infinite where x is impossible (`unknowns`). Each step solves a convex problem, r
+made linear and D as it is, with a second divergence that holds the step short (a proximal
+Gauss-Newton method). The prior decides only what the data leave open: its weight is lowered to
+almost nothing, and at the end steps without it, in the directions that the data show, take its last
+pull away.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-#: singular values, of columns of unit length, below this fraction of the largest are no information
+from rbjax.sysid.unknowns import Divergence
+
+#: singular values below this fraction of the largest are no information
 RANK = 1e-9
 #: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
 PULLS = (1e-4, 1e-7, 1e-10)
@@ -36,7 +37,7 @@ class Residual(Protocol):
 
     def triangle(self, x: np.ndarray, /) -> np.ndarray: ...
 
-    def divergence(self, x: jax.Array, x0: jax.Array, /) -> jax.Array: ...
+    def divergence(self, x: np.ndarray, x0: np.ndarray, /) -> Divergence: ...
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def minimise(
     """
     x = np.array(start, float)
     prior = x if prior is None else np.asarray(prior, float)
-    D = _Divergence(of.divergence)
+    D = of.divergence
     count = 0
 
     def cost(x: np.ndarray) -> float:
@@ -94,14 +95,14 @@ def minimise(
     for w in pulls:
         last, damping, growth, ended = w == pulls[-1], 1e-6, 2.0, False
         while not ended and count < steps:
-            curved = np.linalg.cholesky(D.curved(x, x))
+            curved = np.linalg.cholesky(D(x, x).curvature)
             size = np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2) ** 2
             terms = ((w * size, prior), (damping * size, x))
             trial = _convex(R, x, D, terms)
-            near = D.value(trial, x) <= SMALL
+            near = D(trial, x).value <= SMALL
             after = cost(trial)
             linear = R[:, :-1] @ (trial - x) + R[:, -1]
-            pull = w * size * (D.value(x, prior) - D.value(trial, prior))
+            pull = w * size * (D(x, prior).value - D(trial, prior).value)
             expected = now - float(linear @ linear) + pull
             gain = (now - after + pull) / max(expected, 1e-300)
             calm = not last and damping <= 1e-6 and expected < COARSE * now
@@ -113,8 +114,8 @@ def minimise(
                 damping, growth = damping * growth, growth * 2
                 ended = near or damping > 1e9
     for _ in range(4):  # without the prior
-        trial = x + shown(R)
-        after = cost(trial) if np.isfinite(D.value(trial, x)) else np.inf
+        trial = x + shown(R, D(x, x).curvature)
+        after = cost(trial) if np.isfinite(D(trial, x).value) else np.inf
         if not after < now:
             break
         x, now, R = trial, after, of.triangle(trial)
@@ -122,41 +123,25 @@ def minimise(
     return Minimum(x, R, now, count, ended, message)
 
 
-class _Divergence:
-    """A divergence, its slope and its curvature, in the first argument."""
-
-    def __init__(self, D: Callable[[jax.Array, jax.Array], jax.Array]):
-        self._value = jax.jit(D)
-        self._rates = jax.jit(lambda x, x0: (jax.grad(D)(x, x0), jax.hessian(D)(x, x0)))
-
-    def value(self, x: Any, x0: Any) -> float:
-        found = float(self._value(jnp.asarray(x), jnp.asarray(x0)))
-        return found if np.isfinite(found) else np.inf
-
-    def rates(self, x: Any, x0: Any) -> tuple[np.ndarray, np.ndarray]:
-        g, H = self._rates(jnp.asarray(x), jnp.asarray(x0))
-        return np.asarray(g), np.asarray(H)
-
-    def curved(self, x: Any, x0: Any) -> np.ndarray:
-        return self.rates(x, x0)[1]
-
-
 def _convex(
-    R: np.ndarray, x: np.ndarray, D: _Divergence, terms: tuple[tuple[float, np.ndarray], ...]
+    R: np.ndarray,
+    x: np.ndarray,
+    D: Callable[[np.ndarray, np.ndarray], Divergence],
+    terms: tuple[tuple[float, np.ndarray], ...],
 ) -> np.ndarray:
     """argmin over y of |J (y - x) + r|^2 + sum of w D(y, x0), by Newton's method from x."""
     J, r = R[:, :-1], R[:, -1]
 
     def value(y: np.ndarray) -> float:
         off = J @ (y - x) + r
-        return float(off @ off) + sum(w * D.value(y, x0) for w, x0 in terms)
+        return float(off @ off) + sum(w * D(y, x0).value for w, x0 in terms)
 
     y, now = x, value(x)
     for _ in range(NEWTON):
         g, H = 2 * J.T @ (J @ (y - x) + r), 2 * J.T @ J
         for w, x0 in terms:
-            slope, curvature = D.rates(y, x0)
-            g, H = g + w * slope, H + w * curvature
+            off = D(y, x0)
+            g, H = g + w * off.slope, H + w * off.curvature
         step = -np.linalg.solve(H, g)
         decrease = -float(g @ step)
         if decrease <= 1e-13 * now:
@@ -173,10 +158,10 @@ def _convex(
     return y
 
 
-def shown(R: np.ndarray) -> np.ndarray:
-    """The Gauss-Newton step in the directions that the data show."""
-    scale = np.linalg.norm(R[:, :-1], axis=0)
-    scale[scale == 0] = 1.0
-    U, s, Vt = np.linalg.svd(R[:, :-1] / scale, full_matrices=False)
+def shown(R: np.ndarray, metric: np.ndarray) -> np.ndarray:
+    """The shortest Gauss-Newton step in the directions that the data show."""
+    L = np.linalg.cholesky(metric)
+    A = np.linalg.solve(L, R[:, :-1].T).T
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
     kept = s > RANK * s[0]
-    return -(Vt.T[:, kept] @ ((U.T @ R[:, -1])[kept] / s[kept])) / scale
+    return -np.linalg.solve(L.T, Vt[kept].T @ ((U.T @ R[:, -1])[kept] / s[kept]))

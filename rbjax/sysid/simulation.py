@@ -1,10 +1,10 @@
-"""What a recording would have read: the motion of a set-up under recorded commands, and its sensors.
+"""What a recording would have read: the motion of a set-up under its commands, and its sensors.
 
     u_k = controller(t_k, readings_k, command_k)   acts from t_k + delay to t_(k+1) + delay
     x'  = f(model, x, u),     reading(t) = scale * x(t - delay) + bias
-Commands come with a period and are held. A delay of any length is continuous and differentiable: the
-period in which a command takes over is integrated in two parts. Between two instants of the grid the
-motion is a cubic through both states (Hermite).
+Commands come with a period and are held. A delay of any length is continuous and differentiable:
+the period in which a command takes over is integrated in two parts. Between two instants of the
+grid the motion is a cubic through both states (Hermite).
 """
 
 from __future__ import annotations

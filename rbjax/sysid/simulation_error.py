@@ -13,12 +13,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import State
-from rbjax.sysid.experiments import Experiment
+from rbjax.sysid.runs import Run
 from rbjax.sysid.simulation import Grid, Setup, motion, reading
-from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.unknowns import Divergence, Unknowns
 
 #: residuals above this many sigma weigh by their absolute value, with loss="huber"
 HUBER = 1.345
@@ -32,7 +33,7 @@ class SimulationError:
     """
 
     def __init__(
-        self, setup: Setup, unknowns: Unknowns, runs: Experiment, grid: Grid, *,
+        self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
         starts: bool = False, loss: str = "squares",
     ):  # fmt: skip
         self.setup, self.unknowns, self.runs = setup, unknowns, runs
@@ -41,7 +42,7 @@ class SimulationError:
         self.own = 2 * setup.model.nv if starts else 0
         n, l = self.shared, self.own
 
-        def readings(x: jax.Array, run: Experiment) -> dict[str, jax.Array]:
+        def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
             p, s = x[:n], x[n:]
             start = run.start
             if l:
@@ -52,11 +53,13 @@ class SimulationError:
             now = made(p)
             return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
 
-        def residual(x: jax.Array, run: Experiment) -> jax.Array:
+        def residual(x: jax.Array, run: Run) -> jax.Array:
             parts = []
             for kind, seen in readings(x, run).items():
-                minus = functools.partial(difference, setup.model) if kind == "q" else jnp.subtract
-                off = jax.vmap(minus)(run.values[kind], seen) if kind == "q" else seen - run.values[kind]
+                off = seen - run.values[kind]
+                if kind == "q":
+                    minus = functools.partial(difference, setup.model)
+                    off = jax.vmap(minus)(run.values[kind], seen)
                 weights = run.weights[kind]
                 if off.shape != weights.shape:  # attitudes: all of a sample or nothing
                     weights = jnp.broadcast_to(weights.min(-1, keepdims=True), off.shape)
@@ -67,9 +70,11 @@ class SimulationError:
                 r = r * jnp.sqrt(jnp.minimum(1.0, HUBER / jnp.maximum(size, HUBER)))
             return r
 
-        def sloped(x: jax.Array, run: Experiment) -> tuple[jax.Array, jax.Array]:
-            along = jax.vmap(lambda e: jax.jvp(lambda x: residual(x, run), (x,), (e,)), out_axes=(None, 1))
-            return along(jnp.eye(n + l))
+        def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
+            def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
+                return jax.jvp(lambda x: residual(x, run), (x,), (e,))
+
+            return jax.vmap(along, out_axes=(None, 1))(jnp.eye(n + l))
 
         self.readings = jax.jit(jax.vmap(readings))
         self._residuals = jax.jit(jax.vmap(residual))
@@ -86,11 +91,16 @@ class SimulationError:
         p = jnp.broadcast_to(jnp.asarray(x[: self.shared]), (self.count, self.shared))
         return jnp.concatenate([p, own], -1)
 
-    def divergence(self, x: jax.Array, x0: jax.Array) -> jax.Array:
+    def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
         """That of the unknowns, and of the starts' corrections as free numbers."""
         n = self.shared
-        found = self.unknowns.divergence(x[:n], x0[:n])
-        return found + ((x[n:] - x0[n:]) ** 2).sum() / 2
+        first = self.unknowns.divergence(x[:n], x0[:n])
+        rest = Divergence.free(x[n:], x0[n:], 1.0)
+        return Divergence(
+            first.value + rest.value, np.append(first.slope, rest.slope),
+            scipy.linalg.block_diag(first.curvature, rest.curvature) if n < x.size
+            else first.curvature,
+        )  # fmt: skip
 
     def compile(self, x: np.ndarray) -> None:
         """Compiles ahead of the first call."""

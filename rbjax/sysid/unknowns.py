@@ -1,8 +1,8 @@
 """Unknowns: which numbers of a set-up are sought, and what they can be.
 
-An unknown reads and writes n physical numbers p of a pytree (a `Model`, or a `Setup` around it). What
-p can be is said by a convex divergence D(p, p0): the distance from a guess, infinite where p is
-impossible. It is the Bregman divergence of -log det, of numbers and of matrices:
+An unknown reads and writes n physical numbers p of a pytree (a `Model`, or a `Setup` around it).
+What p can be is said by a convex divergence D(p, p0): the distance from a guess, infinite where p
+is impossible. It is the Bregman divergence of -log det, of numbers and of matrices:
 
     positive    sum p / p0 - log(p / p0) - 1
     inertia     tr(P0^-1 P) - log det(P0^-1 P) - 4,   P the pseudo-inertia
@@ -17,21 +17,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.spatial.consistency import from_pseudo_inertia, pseudo_inertia
+from rbjax.sysid.log_cholesky import inertial_parameters_of, pseudo_inertia_of
 
 
 @runtime_checkable
 class Parametrisation(Protocol):
-    """n physical numbers of a set-up. All but `names` is traced."""
+    """n physical numbers of a set-up. `read` and `write` are traced."""
 
     def names(self, label: str, target: Any) -> list[str]:
         """A name for each number."""
@@ -45,15 +47,53 @@ class Parametrisation(Protocol):
         """The set-up with p."""
         ...
 
-    def divergence(self, p: jax.Array, p0: jax.Array) -> jax.Array:
-        """D(p, p0) >= 0, convex in p; infinite or nan where p is impossible."""
+    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
+        """D(p, p0), convex in p, with its derivatives."""
         ...
 
 
-def positive_divergence(p: jax.Array, p0: jax.Array) -> jax.Array:
-    """sum p / p0 - log(p / p0) - 1: that of positive numbers."""
-    ratio = p / p0
-    return (ratio - jnp.log(ratio) - 1).sum()
+class Divergence(NamedTuple):
+    """D >= 0, infinite where p is impossible; its slope (n,) and its curvature (n, n)."""
+
+    value: float
+    slope: np.ndarray
+    curvature: np.ndarray
+
+    @classmethod
+    def impossible(cls, n: int) -> Divergence:
+        return cls(np.inf, np.full(n, np.nan), np.full((n, n), np.nan))
+
+    @classmethod
+    def free(cls, p: np.ndarray, p0: np.ndarray, scale: float) -> Divergence:
+        """sum ((p - p0) / scale)^2 / 2"""
+        off = (p - p0) / scale
+        return cls(float(off @ off) / 2, off / scale, np.eye(p.size) / scale**2)
+
+    @classmethod
+    def positive(cls, p: np.ndarray, p0: np.ndarray) -> Divergence:
+        """sum p / p0 - log(p / p0) - 1"""
+        if not ((p > 0) & (p0 > 0)).all():
+            return cls.impossible(p.size)
+        ratio = p / p0
+        return cls(float((ratio - np.log(ratio) - 1).sum()), 1 / p0 - 1 / p, np.diag(p**-2))
+
+    @classmethod
+    def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
+        """tr(P0^-1 P) - log det(P0^-1 P) - 4, of P linear in p, along = dP/dp (n, 4, 4)."""
+        if min(np.linalg.eigvalsh(P).min(), np.linalg.eigvalsh(P0).min()) <= 0:
+            return cls.impossible(len(along))
+        ratio, inverse = np.linalg.solve(P0, P), np.linalg.inv(P)
+        value = np.trace(ratio) - np.linalg.slogdet(ratio)[1] - len(P)
+        turned = inverse @ along
+        slope = np.trace(np.linalg.inv(P0) @ along - turned, axis1=1, axis2=2)
+        return cls(float(value), slope, np.einsum("iab,jba->ij", turned, turned))
+
+    def through(self, A: np.ndarray) -> Divergence:
+        """That of x, where p = A x + b."""
+        return Divergence(self.value, A.T @ self.slope, A.T @ self.curvature @ A)
+
+    def __add__(self, other: Divergence) -> Divergence:  # type: ignore[override]
+        return Divergence(*(a + b for a, b in zip(self, other, strict=True)))
 
 
 class _Scalars:
@@ -63,13 +103,14 @@ class _Scalars:
     bounds: tuple[float, float] | None
     scale: float
 
-    def divergence(self, p: jax.Array, p0: jax.Array) -> jax.Array:
+    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         if self.bounds is not None:
             lo, hi = self.bounds
-            return positive_divergence(p - lo, p0 - lo) + positive_divergence(hi - p, hi - p0)
+            above = Divergence.positive(p - lo, p0 - lo)
+            return above + Divergence.positive(hi - p, hi - p0).through(-np.eye(p.size))
         if self.positive:
-            return positive_divergence(p, p0)
-        return (((p - p0) / self.scale) ** 2).sum() / 2
+            return Divergence.positive(p, p0)
+        return Divergence.free(p, p0, self.scale)
 
 
 @dataclass(frozen=True)
@@ -112,6 +153,10 @@ class Unknown(_Scalars):
         return with_leaf(target, self.leaf, new)
 
 
+#: the pseudo-inertia's slopes (10, 4, 4) in the ten parameters: it is linear in them
+PSEUDO = np.asarray(jax.jacfwd(pseudo_inertia_of)(jnp.ones(10))).transpose(2, 0, 1)
+
+
 @dataclass(frozen=True)
 class Inertia:
     """The ten inertial parameters of a body: m, h = m c, and I about the origin of its frame, in
@@ -130,22 +175,19 @@ class Inertia:
     def read(self, target: Any) -> jax.Array:
         bodies, k = self._place(target)
         P = pseudo_inertia(bodies.mass[k], bodies.com[k], bodies.inertia[k])
-        S, h, m = P[:3, :3], P[:3, 3], P[3, 3]
-        about = jnp.trace(S) * jnp.eye(3, dtype=S.dtype) - S
-        return jnp.concatenate([m[None], h, about[_ROWS, _COLUMNS]])
+        return inertial_parameters_of(P)
 
     def write(self, target: Any, p: jax.Array) -> Any:
         bodies, k = self._place(target)
-        found = from_pseudo_inertia(_pseudo(p))
+        found = from_pseudo_inertia(pseudo_inertia_of(p))
         for name, new in zip(("mass", "com", "inertia"), found, strict=True):
             leaf = f"bodies.{name}"
             target = with_leaf(target, leaf, getattr(bodies, name).at[k].set(new))
         return target
 
-    def divergence(self, p: jax.Array, p0: jax.Array) -> jax.Array:
-        L, L0 = jnp.linalg.cholesky(_pseudo(p)), jnp.linalg.cholesky(_pseudo(p0))
-        ratio = jax.scipy.linalg.solve_triangular(L0, L, lower=True)
-        return (ratio**2).sum() - 2 * jnp.log(jnp.diag(ratio)).sum() - 4
+    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
+        P, P0 = (np.tensordot(x, PSEUDO, 1) for x in (p, p0))
+        return Divergence.definite(P, P0, PSEUDO)
 
     def _place(self, target: Any) -> tuple[Any, int]:
         model: Model = getattr(target, "model", target)
@@ -154,17 +196,6 @@ class Inertia:
         if self.body not in model.body_names:
             raise UnknownName("body", self.body, model.body_names)
         return model.bodies, model.body_names.index(self.body)
-
-
-_ROWS, _COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
-
-
-def _pseudo(p: jax.Array) -> jax.Array:
-    """The pseudo-inertia (4, 4)."""
-    m, h, I = p[0], p[1:4], p[4:]
-    full = jnp.zeros((3, 3), p.dtype).at[_ROWS, _COLUMNS].set(I).at[_COLUMNS, _ROWS].set(I)
-    S = jnp.trace(full) / 2 * jnp.eye(3, dtype=p.dtype) - full
-    return jnp.block([[S, h[:, None]], [h[None], m[None, None]]])
 
 
 @dataclass(frozen=True)
@@ -191,9 +222,9 @@ class Shared:
             target = member.write(target, factor * p)
         return target
 
-    def divergence(self, p: jax.Array, p0: jax.Array) -> jax.Array:
+    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         factor = self._factors()[0]
-        return self.members[0].divergence(factor * p, factor * p0)
+        return self.members[0].divergence(factor * p, factor * p0).through(factor * np.eye(p.size))
 
     def _factors(self) -> Sequence[float]:
         return (1.0,) * len(self.members) if self.factors is None else self.factors
@@ -222,8 +253,9 @@ class FixedTotal:
         whole = jnp.append(p, self.total - p.sum()).astype(value.dtype)
         return with_leaf(target, self.leaf, value.at[jnp.array(self.index)].set(whole))
 
-    def divergence(self, p: jax.Array, p0: jax.Array) -> jax.Array:
-        return positive_divergence(*(jnp.append(x, self.total - x.sum()) for x in (p, p0)))
+    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
+        whole = [np.append(x, self.total - x.sum()) for x in (p, p0)]
+        return Divergence.positive(*whole).through(np.vstack([np.eye(p.size), -np.ones(p.size)]))
 
 
 @dataclass(frozen=True)
@@ -301,7 +333,7 @@ class Unknowns:
                 p = np.asarray(u.read(target))
             except (IndexError, TypeError) as error:
                 raise InputError(f"{where}: {label}: {error}; index is {u!r}") from error
-            if not np.isfinite(u.divergence(jnp.asarray(p), jnp.asarray(p))):
+            if not np.isfinite(u.divergence(p, p).value):
                 raise InputError(
                     f"{where}: {label} is {p.tolist()}, expected a first guess within its range: "
                     "positive where positive=True, between the bounds, an inertia that a body can "
@@ -315,16 +347,32 @@ class Unknowns:
         """p of all."""
         return jnp.concatenate([u.read(target) for u in self.members.values()])
 
+    def limits(self, target: Any) -> dict[str, tuple[float, float]]:
+        """name -> (low, high) of the numbers that have limits, each by itself."""
+        found: dict[str, tuple[float, float]] = {}
+        for label, u in self.members.items():
+            low, high = getattr(u, "bounds", None) or (-np.inf, np.inf)
+            if getattr(u, "positive", False):
+                low = max(low, 0.0)
+            if low > -np.inf or high < np.inf:
+                found |= dict.fromkeys(u.names(label, target), (low, high))
+        return found
+
     def write(self, target: Any, p: jax.Array) -> Any:
         """The set-up with p."""
         for u, x in zip(self.members.values(), self._split(p), strict=True):
             target = u.write(target, x)
         return target
 
-    def divergence(self, p: jax.Array, p0: jax.Array) -> jax.Array:
+    def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """The sum of all."""
-        parts = zip(self.members.values(), self._split(p), self._split(p0), strict=True)
-        return sum((u.divergence(a, b) for u, a, b in parts), jnp.zeros(()))
+        ends = np.cumsum(self.sizes)[:-1]
+        parts = zip(self.members.values(), np.split(p, ends), np.split(p0, ends), strict=True)
+        found = [u.divergence(a, b) for u, a, b in parts]
+        return Divergence(
+            sum(d.value for d in found), np.concatenate([d.slope for d in found]),
+            scipy.linalg.block_diag(*(d.curvature for d in found)),
+        )  # fmt: skip
 
     def _split(self, x: jax.Array) -> list[jax.Array]:
         return jnp.split(x, np.cumsum(self.sizes)[:-1])

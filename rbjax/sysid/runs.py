@@ -1,7 +1,7 @@
 """Recordings as arrays: what a simulation needs to repeat a run, and what to compare it with.
 
-Runs of different length are filled up to one shape, with weight 0, so that all of them are one batch
-and one program.
+Runs of different length are filled up to one shape, with weight 0, so that all of them are one
+batch and one program.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rbjax.sysid.simulation import Grid, Setup
 SENSORS = ("q", "v")
 
 
-class Experiment(NamedTuple):
+class Run(NamedTuple):
     """One run, or a batch of them: start; commands (N, n); and by sensor the times (T,) in s after
     the start, the values (T, n), and weights (T, n): 1 / sigma, 0 where nothing was measured."""
 
@@ -33,7 +33,7 @@ class Experiment(NamedTuple):
     weights: dict[str, Any]
 
 
-def experiment(setup: Setup, run: Recording, grid: Grid) -> Experiment:
+def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation. A start that was not recorded is interpolated; a
     velocity that was not is the slope of the first samples."""
     model, dtype = setup.model, setup.model.gravity.dtype
@@ -69,7 +69,7 @@ def experiment(setup: Setup, run: Recording, grid: Grid) -> Experiment:
     q, v = _start(setup, run, start)
     x = None if model.nx == 0 else model.default_state().x
     state = State(jnp.asarray(q, dtype), jnp.asarray(v, dtype), x)
-    found = Experiment(state, commands, times, values, weights)
+    found = Run(state, commands, times, values, weights)
     return jax.tree.map(lambda a: jnp.asarray(a, dtype), found)
 
 
@@ -97,9 +97,9 @@ def _start(setup: Setup, run: Recording, start: float) -> tuple[np.ndarray, np.n
     return q, slope / np.asarray(setup.sensors["q"].scale)
 
 
-def batch(experiments: Sequence[Experiment]) -> Experiment:
+def batch(runs: Sequence[Run]) -> Run:
     """Several runs in one, each filled up to the longest."""
-    sensors = {tuple(sorted(e.values)) for e in experiments}
+    sensors = {tuple(sorted(e.values)) for e in runs}
     if len(sensors) > 1:
         raise InputError(
             f"identify: the recordings have channels {sorted(sensors)}, expected the same of "
@@ -116,11 +116,11 @@ def batch(experiments: Sequence[Experiment]) -> Experiment:
         return jnp.stack([filled(a) for a in arrays])
 
     def each(field: str, last: bool) -> dict[str, Any]:
-        first = getattr(experiments[0], field)
-        return {s: stacked([getattr(e, field)[s] for e in experiments], last) for s in first}
+        first = getattr(runs[0], field)
+        return {s: stacked([getattr(e, field)[s] for e in runs], last) for s in first}
 
-    return Experiment(
-        jax.tree.map(lambda *x: jnp.stack(x), *(e.start for e in experiments)),
-        stacked([e.commands for e in experiments], True),
+    return Run(
+        jax.tree.map(lambda *x: jnp.stack(x), *(e.start for e in runs)),
+        stacked([e.commands for e in runs], True),
         each("times", True), each("values", False), each("weights", False),
     )  # fmt: skip
