@@ -1,6 +1,8 @@
 """System identification: parameters of a model from measured motion."""
 
 from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
+from rbjax.sysid.excitation import Fourier, Motion, Spline
+from rbjax.sysid.experiments import Experiment, MotionLimits, design
 from rbjax.sysid.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.findings import Finding, findings
 from rbjax.sysid.fit import Fit, Unknown, fit
@@ -53,4 +55,11 @@ __all__ = [
     "Scored",
     "compare",
     "held_out",
+    # experiments
+    "Fourier",
+    "Motion",
+    "Spline",
+    "Experiment",
+    "MotionLimits",
+    "design",
 ]
