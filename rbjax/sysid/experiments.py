@@ -167,7 +167,8 @@ def design(
         progress: show a line on a terminal.
 
     Returns:
-        `Experiment`; the best motion found that holds all limits, if one was found.
+        `Experiment`: the best motion found that holds all limits. If the start holds them, so does
+        the result; else `ok` may be false.
 
     Raises:
         InputError: a start without full rank; wrong shapes.
@@ -223,19 +224,26 @@ def design(
     def worst_of(x: jax.Array) -> dict[str, jax.Array]:
         return {name: g.max() for name, g in limits(*unravel(x)(fine)).items()}
 
+    def excess_of(x: jax.Array) -> float:
+        return max([float(w) for w in worst_of(x).values()], default=-1.0)
+
     multipliers = jnp.zeros(jax.eval_shape(violations, flat).shape, flat.dtype)
     x: jax.Array = flat
     penalty, margin, last = 10.0, MARGIN, np.inf
-    best: tuple[float, jax.Array] | None = None
+    best = (float(loss(jnp.asarray(before))), flat) if excess_of(flat) <= 0 else None
     with _line(progress) as say:
         for k in range(2 * rounds):
             if k >= rounds and best is not None:
                 break
             say(f"{criterion} criterion, round {k + 1} of {rounds}")
             x, g, value = improve(x, (multipliers, penalty, margin))
-            excess = max([float(w) for w in worst_of(x).values()], default=-1.0)
-            if excess <= 0 and (best is None or float(value) < best[0]):
-                best = float(value), x
+            excess = excess_of(x)
+            held = x if excess <= 0 else None
+            if held is None and best is not None:
+                held = _on_the_way(best[1], x, excess_of)
+                value = loss(information_of(held))
+            if held is not None and (best is None or float(value) < best[0]):
+                best = float(value), held
             multipliers = jnp.maximum(multipliers + penalty * (g + margin), 0)
             beyond = float(jnp.maximum(g + margin, 0).max())
             penalty *= GROWTH if beyond > 0.25 * last else 1.0
@@ -253,6 +261,18 @@ def design(
     return Experiment(
         unravel(x), criterion, value, start_value, np.asarray(after), worst, not broken, sentence
     )
+
+
+def _on_the_way(
+    inside: jax.Array, outside: jax.Array, excess_of: Callable[[jax.Array], float]
+) -> jax.Array:
+    """A point within all limits between one that is and one that is not, by bisection."""
+    low, high = 0.0, 1.0
+    for _ in range(10):
+        mid = 0.5 * (low + high)
+        within = excess_of(inside + mid * (outside - inside)) <= 0
+        low, high = (mid, high) if within else (low, mid)
+    return inside + low * (outside - inside)
 
 
 def _times(motion: Fourier | Spline, samples: int) -> jax.Array:
