@@ -92,6 +92,8 @@ class Channel:
             raise InputError(f"Channel: sign is {sign}, expected 1 or -1; a factor is `scale`")
         factor = factor * signs * _one_a_column("scale", scale, columns)
         noise = None if self.noise is None else _one_a_column("noise", self.noise, columns)
+        if noise is not None and (noise < 0).any():
+            raise InputError(f"Channel: noise is {noise}, expected positive standard deviations")
         _check_clock(t)
         missing = np.isnan(values) if isinstance(dropped, str) else _mask(dropped, values.shape)
         if isinstance(dropped, str) and dropped != "nan":
