@@ -1,58 +1,27 @@
 """System identification: parameters of a model from measured motion."""
 
 from rbjax.sysid import inertia_metric, regression
-from rbjax.sysid.balances import (
-    energy_balance,
-    energy_regressor,
-    momentum_balance,
-    momentum_regressor,
-)
+from rbjax.sysid.balances import energy_balance, energy_regressor, momentum_balance, momentum_regressor
 from rbjax.sysid.base_parameters import base_parameters, random_motions
+from rbjax.sysid.channel_noise import ChannelNoise, noise_by_channel
 from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
 from rbjax.sysid.consistent import Consistent, consistent
+from rbjax.sysid.excitation import Fourier, Motion, Spline
+from rbjax.sysid.experiments import Experiment, MotionLimits, design
 from rbjax.sysid.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.findings import Finding, findings
-from rbjax.sysid.fit import Fit, fit
+from rbjax.sysid.fit import Fit, Unknown, fit
 from rbjax.sysid.identify import Identified, identify
-from rbjax.sysid.inertia_metric import (
-    affine_invariant_distance,
-    log_determinant_divergence,
-    prior_residual,
-    pullback_distance,
-    pullback_metric,
-)
-from rbjax.sysid.log_cholesky import (
-    from_log_cholesky,
-    inertial_parameters_of,
-    log_cholesky_parameters,
-    log_cholesky_volume,
-    model_log_cholesky,
-    nearest_pseudo_inertia,
-    pseudo_inertia_of,
-    to_log_cholesky,
-    with_inertial_parameters,
-)
+from rbjax.sysid.inertia_metric import affine_invariant_distance, log_determinant_divergence, prior_residual, pullback_distance, pullback_metric
+from rbjax.sysid.log_cholesky import from_log_cholesky, inertial_parameters_of, log_cholesky_parameters, log_cholesky_volume, model_log_cholesky, nearest_pseudo_inertia, pseudo_inertia_of, to_log_cholesky, with_inertial_parameters
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.readers import Column, read_csv, read_npz
 from rbjax.sysid.recording import Channel, Recording, Split, split
-from rbjax.sysid.regression import METHODS, Equations, Regression, regress
-from rbjax.sysid.regressor import (
-    JOINT_TERMS,
-    observation_matrix,
-    parameter_names,
-    parameter_values,
-    regressor,
-)
-from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
-from rbjax.sysid.statistics import (
-    ChannelNoise,
-    Estimates,
-    Interval,
-    crlb,
-    estimates,
-    information,
-    noise_by_channel,
-)
+from rbjax.sysid.regression import Equations, METHODS, Regression, regress
+from rbjax.sysid.regressor import JOINT_TERMS, observation_matrix, parameter_names, parameter_values, regressor
+from rbjax.sysid.simulation import Grid, PD, Sensor, Setup
+from rbjax.sysid.splits import Split, split
+from rbjax.sysid.statistics import ChannelNoise, Estimates, Interval, crlb, estimates, information, noise_by_channel
 from rbjax.sysid.units import in_si
 from rbjax.sysid.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
 from rbjax.sysid.whiteness import Whiteness, sandwich, whiteness
@@ -107,7 +76,6 @@ __all__ = [
     "regressor",
     "to_log_cholesky",
     "with_inertial_parameters",
-    # recordings
     "Channel",
     "Recording",
     "Split",
@@ -118,11 +86,9 @@ __all__ = [
     "Finding",
     "findings",
     "in_si",
-    # signals
     "Filtered",
     "differentiate",
     "low_pass",
-    # statistics
     "ChannelNoise",
     "Estimates",
     "Interval",
@@ -138,4 +104,10 @@ __all__ = [
     "Scored",
     "compare",
     "held_out",
+    "Fourier",
+    "Motion",
+    "Spline",
+    "Experiment",
+    "MotionLimits",
+    "design",
 ]

@@ -134,8 +134,8 @@ def _hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
     window = np.lib.stride_tricks.sliding_window_view(np.pad(x, WINDOW // 2, "edge"), WINDOW)
     local = np.median(np.abs(window - np.median(window, 1, keepdims=True)), 1)
     steps = np.abs(np.diff(x))
-    quantum = steps[steps > 0].min()  # an encoder's resolution
-    return away, np.maximum(1.4826 * np.maximum(local, np.median(away)), max(noise, quantum))
+    usual = np.median(steps[steps > 0])  # at least an encoder's resolution
+    return away, np.maximum(1.4826 * np.maximum(local, np.median(away)), max(noise, usual))
 
 
 def _of_velocities(recording: Recording) -> Iterator[Finding]:

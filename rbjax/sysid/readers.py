@@ -140,7 +140,7 @@ def read_npz(
         for n in (*wanted, *clocks):
             if n not in file.files:
                 raise UnknownName(f"array of {path.name}", n, file.files)
-        table = {n: np.asarray(file[n], float) for n in (*wanted, *clocks)}
+        table = {n: _array(path, n, file[n]) for n in (*wanted, *clocks)}
         for n, c in wanted.items():
             if isinstance(c.joint, str) and c.joint in file.files:
                 wanted[n] = c._replace(joint=tuple(map(str, file[c.joint])))
@@ -226,6 +226,15 @@ def _file(where: str, path: str | Path) -> Path:
             f"{where}: no file {path}; in {path.parent} there are: {listed(beside, 8) or 'none'}"
         )
     return path
+
+
+def _array(path: Path, name: str, x: np.ndarray) -> np.ndarray:
+    if x.dtype.kind not in "biuf" or x.ndim not in (1, 2):
+        raise InputError(
+            f"read_npz: array {name} of {path.name} has dtype {x.dtype} and shape {x.shape}, "
+            "expected numbers, (samples,) or (samples, columns)"
+        )
+    return x.astype(float)
 
 
 def _cells(

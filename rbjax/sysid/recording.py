@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy import interpolate
@@ -92,6 +92,8 @@ class Channel:
             raise InputError(f"Channel: sign is {sign}, expected 1 or -1; a factor is `scale`")
         factor = factor * signs * _one_a_column("scale", scale, columns)
         noise = None if self.noise is None else _one_a_column("noise", self.noise, columns)
+        if noise is not None and (noise < 0).any():
+            raise InputError(f"Channel: noise is {noise}, expected positive standard deviations")
         _check_clock(t)
         missing = np.isnan(values) if isinstance(dropped, str) else _mask(dropped, values.shape)
         if isinstance(dropped, str) and dropped != "nan":
@@ -282,71 +284,6 @@ class Recording:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.channels)
-
-
-class Split(NamedTuple):
-    """Recordings by their use."""
-
-    train: list[Recording]
-    validation: list[Recording]
-    test: list[Recording]
-
-
-def split(
-    recordings: Sequence[Recording],
-    train: float = 0.6,
-    validation: float = 0.2,
-    test: float = 0.2,
-    *,
-    seed: int = 0,
-) -> Split:
-    """Recordings to fit, to choose between models, and to judge the result, drawn at random.
-
-    Pieces of one recording stay together: neighbours in time are alike, and a score on them would
-    flatter.
-
-    Args:
-        recordings: the runs.
-        train: share of the runs.
-        validation: share of the runs; may be 0.
-        test: share of the runs; may be 0.
-        seed: the same seed draws the same split.
-
-    Returns:
-        `Split`, each in the order given. Each share above 0 gets at least one run.
-
-    Raises:
-        InputError: shares that do not add up to 1; fewer runs than shares.
-
-    Example:
-        >>> import numpy as np
-        >>> from rbjax.sysid import Channel, Recording, split
-        >>> seen = Channel([0.0, 1.0], [0.0, 1.0])
-        >>> runs = [Recording(f"run {k}", {"q": seen}) for k in range(10)]
-        >>> [len(part) for part in split(runs)]
-        [6, 2, 2]
-    """
-    shares = np.array([train, validation, test], float)
-    if not (shares >= 0).all() or abs(shares.sum() - 1) > 1e-9 or train <= 0:
-        raise InputError(
-            f"split: shares are {train}, {validation}, {test}, expected numbers from 0 to 1 that "
-            "add up to 1, with some to train"
-        )
-    sources = list(dict.fromkeys(r.source for r in recordings))
-    used = shares > 0
-    if len(sources) < used.sum():
-        raise InputError(
-            f"split: {len(sources)} recordings ({', '.join(sources)}) for {used.sum()} parts, "
-            "expected at least one for each; pieces of one recording stay together, so cut a "
-            "single one by time with `piece`"
-        )
-    ends = np.round(np.cumsum(shares) * len(sources)).astype(int)
-    counts = np.maximum(np.diff(ends, prepend=0), used)
-    while counts.sum() > len(sources):
-        counts[counts.argmax()] -= 1
-    order = np.random.default_rng(seed).permutation(len(sources))
-    part = {sources[i]: k for k, i in zip(np.repeat([0, 1, 2], counts), order, strict=True)}
-    return Split(*([r for r in recordings if part[r.source] == k] for k in range(3)))
 
 
 def _interpolated(sensor: str, c: Channel, t: np.ndarray, gap: float | None) -> np.ndarray:

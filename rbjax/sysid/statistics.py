@@ -23,7 +23,6 @@ from rbjax.errors import InputError, UnknownName
 
 RANK_TOLERANCE = 1e-10  # of singular values, columns scaled to length 1, over the largest
 SEEN = 1e-5  # share of a gradient in the null space that is rounding
-ROUNDS = 100  # of the noise of channels that share parameters
 
 
 class Interval(NamedTuple):
@@ -182,7 +181,7 @@ def estimates(
         [2.0, 0.032, 1.938, 2.062]
     """
     names, values = tuple(names), np.asarray(values, float)
-    J = _rows("estimates", "jacobian", jacobian, 2)
+    J = checked_rows("estimates", "jacobian", jacobian, 2)
     m, n = J.shape
     if not len(names) == len(set(names)) == n == values.size:
         raise InputError(
@@ -195,8 +194,8 @@ def estimates(
     if noise is None:
         if residual is None:
             raise InputError("estimates: neither noise nor residual, expected one of them")
-        r = _rows("estimates", "residual", residual, 1, m)
-        rank = _decomposed(J, rank_tolerance)[2].shape[1]
+        r = checked_rows("estimates", "residual", residual, 1, m)
+        rank = decomposed(J, rank_tolerance)[2].shape[1]
         if m <= rank:
             raise InputError(
                 f"estimates: {m} residuals for {rank} parameters leave no noise to estimate, "
@@ -204,7 +203,7 @@ def estimates(
             )
         noise, dof = max(np.sqrt(r @ r / (m - rank)), np.finfo(float).tiny), m - rank
     sigma = _deviations("estimates", noise, m)
-    lengths, s, V, null = _decomposed(J / sigma[:, None], rank_tolerance)
+    lengths, s, V, null = decomposed(J / sigma[:, None], rank_tolerance)
     half = V / s / lengths[:, None]
     free = null / lengths[:, None]
     free = linalg.qr(free, mode="economic")[0] if free.size else free
@@ -224,7 +223,7 @@ def information(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
         >>> information(np.ones((4, 1)), noise=2.0).tolist()
         [[1.0]]
     """
-    J = _rows("information", "jacobian", jacobian, 2)
+    J = checked_rows("information", "jacobian", jacobian, 2)
     J = J / _deviations("information", noise, len(J))[:, None]
     return J.T @ J
 
@@ -240,7 +239,7 @@ def crlb(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
         >>> crlb(np.ones((4, 1)), noise=2.0).tolist()
         [[1.0]]
     """
-    J = _rows("crlb", "jacobian", jacobian, 2)
+    J = checked_rows("crlb", "jacobian", jacobian, 2)
     names = [str(k) for k in range(J.shape[1])]
     found = estimates(names, np.zeros(len(names)), J, noise)
     bound, hidden = found.covariance.copy(), np.isinf(found.sigma)
@@ -249,79 +248,7 @@ def crlb(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
     return bound
 
 
-class ChannelNoise(NamedTuple):
-    """Noise of channels: standard deviation and degrees of freedom of each, by channel."""
-
-    sigma: dict[Any, float]
-    dof: dict[Any, float]
-
-    def of(self, channels: Any) -> np.ndarray:
-        """The standard deviation of each row."""
-        return np.array([self.sigma[c] for c in np.asarray(channels).tolist()])
-
-
-def noise_by_channel(
-    residual: Any, jacobian: Any, channels: Any, *, rank_tolerance: float = RANK_TOLERANCE
-) -> ChannelNoise:
-    """The noise of each sensor from the residuals of one fit to all of them.
-
-    sigma_c^2 = sum_c r^2 / (m_c - sum_c h), with h the diagonal of the hat matrix
-    J (J^T S^-1 J)^-1 J^T S^-1: a parameter takes its degree of freedom from the channels that
-    determine it. S depends on sigma, so this is a fixed point.
-
-    Args:
-        residual: (m,), of a fit whose weights are about 1/sigma (repeat fit and this twice).
-        jacobian: (m, n).
-        channels: (m,), the label of each row's channel.
-        rank_tolerance: as in `estimates`.
-
-    Returns:
-        `ChannelNoise`.
-
-    Raises:
-        InputError: wrong shapes; a channel whose samples the parameters fit exactly.
-
-    Source: the expectation of r_c^T r_c, as in Seber & Lee, *Linear Regression Analysis*, 3.3.
-
-    Example:
-        >>> import numpy as np
-        >>> from rbjax.sysid import noise_by_channel
-        >>> r, J = np.array([1.0, -1.0, 2.0, -2.0, 2.0]), np.array([[1.0], [1], [0], [0], [0]])
-        >>> found = noise_by_channel(r, J, ["a", "a", "b", "b", "b"])
-        >>> round(found.sigma["a"], 4), round(found.sigma["b"], 4), found.dof["b"]
-        (1.4142, 2.0, 3.0)
-    """
-    J = _rows("noise_by_channel", "jacobian", jacobian, 2)
-    r = _rows("noise_by_channel", "residual", residual, 1, len(J))
-    labels, row = np.unique(np.asarray(channels), return_inverse=True)
-    if row.shape != r.shape:
-        raise InputError(
-            f"noise_by_channel: channels has shape {row.shape}, expected {r.shape}, a label a row"
-        )
-    squares, count = np.bincount(row, r**2), np.bincount(row)
-    sigma = np.sqrt(squares / count)
-    for _ in range(ROUNDS):
-        sigma = np.maximum(sigma, 1e-150 + 1e-12 * sigma.max())
-        weighted = J / sigma[row][:, None]
-        lengths, s, V, _ = _decomposed(weighted, rank_tolerance)
-        leverage = np.sum((weighted / lengths @ (V / s)) ** 2, 1)
-        dof = count - np.bincount(row, leverage)
-        if (dof < 1e-6 * count).any():
-            c = labels[dof.argmin()]
-            raise InputError(
-                f"noise_by_channel: the parameters fit the {count[dof.argmin()]} samples of "
-                f"channel {c} exactly, so its noise cannot be seen; expected more samples"
-            )
-        before, sigma = sigma, np.sqrt(squares / dof)
-        if np.abs(sigma - before).max() <= 1e-12 * sigma.max():
-            break
-    keys = labels.tolist()
-    return ChannelNoise(
-        dict(zip(keys, sigma.tolist(), strict=True)), dict(zip(keys, dof.tolist(), strict=True))
-    )
-
-
-def _decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
+def decomposed(J: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
     """Lengths of the columns, singular values, right vectors and null space of J / lengths."""
     lengths = linalg.norm(J, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
@@ -349,7 +276,7 @@ def _within(x: float, half: float, low: float, high: float) -> tuple[float, floa
     return low + span * float(special.expit(u - du)), low + span * float(special.expit(u + du))
 
 
-def _rows(where: str, name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
+def checked_rows(where: str, name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
     x = np.asarray(x, float)
     if x.ndim != ndim or x.size == 0 or (rows is not None and len(x) != rows):
         due = "(m, n)" if ndim == 2 else "(m,)" if rows is None else f"({rows},)"

@@ -33,6 +33,15 @@ def test_clean_recordings_have_no_findings():
     assert findings(Recording("steps", {"tau": Channel(T, square + NOISE[0], NAMES)})) == []
 
 
+def test_velocities_of_an_encoder_are_no_outliers():
+    """Ticks over the time between two readings: coarse, and split by the jitter of the clock."""
+    jitter = 1e-6 * np.random.default_rng(3).integers(-3, 3, len(T))
+    t = T + jitter
+    ticks = np.round(Q / 2e-3) * 2e-3
+    v = np.diff(ticks, axis=0, prepend=ticks[:1]) / np.append(1 / 400, np.diff(t))[:, None]
+    assert findings(Recording("leg", {"v": Channel(t, v, NAMES)})) == []
+
+
 def test_gaps_and_dropped_samples():
     rows = np.r_[0:700, 760:2000]
     found = only(findings(recording(q=(Q + NOISE[0])[rows], t=T[rows])))

@@ -71,9 +71,12 @@ def test_what_is_wrong_with_a_table_is_named(tmp_path):
     path.write_text("t,a\n0,1\n0,2\n")
     with pytest.raises(rb.InputError, match=r"run, sensor q: .* clock stands still at sample 1"):
         read_csv(path, {"a": ("q",)})
-    np.savez(tmp_path / "run.npz", t=np.arange(3), a=np.ones((3, 2)))
-    with pytest.raises(rb.UnknownName, match=r"array of run.npz 'c'; .* 't', 'a'"):
+    np.savez(tmp_path / "run.npz", t=np.arange(3), a=np.ones((3, 2)), n=["x"], rate=3.0)
+    with pytest.raises(rb.UnknownName, match=r"array of run.npz 'c'; .* 't', 'a', 'n', 'rate'"):
         read_npz(tmp_path / "run.npz", {"c": ("q",)})
+    for name in ("n", "rate"):
+        with pytest.raises(rb.InputError, match=f"array {name} of run.npz has dtype"):
+            read_npz(tmp_path / "run.npz", {name: ("q",)})
     with pytest.raises(rb.InputError, match="a has 2 columns, expected 1"):
         read_npz(tmp_path / "run.npz", {"a": ("q", "hip")})
 

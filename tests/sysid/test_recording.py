@@ -41,6 +41,7 @@ def test_units_signs_and_scales_are_said_once():
         ({"sign": 2}, "expected 1 or -1; a factor is `scale`"),
         ({"scale": (1, 2, 3)}, r"scale is \[1.0, 2.0, 3.0\], expected one number"),
         ({"dropped": np.zeros(3, bool)}, r"dropped has shape \(3,\)"),
+        ({"noise": -1.0}, r"noise is \[-1. -1.\], expected positive"),
         ({"dropped": "zero"}, 'expected an array of bool or "nan"'),
         ({"values": [[1], [2, 3]]}, "values is list"),
     ],

@@ -153,7 +153,7 @@ def test_channels_share_degrees_of_freedom():
         ({"noise": 0.0}, r"noise has shape \(\), expected one positive standard deviation"),
         ({"jacobian": np.full((5, 3), np.nan)}, r"jacobian\[0, 0\] is nan"),
         ({"jacobian": np.ones(5)}, r"jacobian has shape \(5,\), expected \(m, n\)"),
-        ({"jacobian": np.eye(3), "noise": None, "residual": np.ones(3)}, "3 residuals for 3 parameters leave"),
+        ({"jacobian": np.eye(3), "noise": None, "residual": np.ones(3)}, "3 residuals for 3 "),
     ],
 )
 def test_bad_arguments_are_named(given, message):
