@@ -139,7 +139,7 @@ def test_bad_arguments():
 
 @pytest.mark.parametrize("f", [sysid.momentum_regressor, sysid.energy_regressor])
 def test_composes(f):
-    model = robot("spinning_top").model
+    model = robot("free_body").model
     function = functools.partial(f, model)
     xs = list(sysid.random_motions(model, 3)[:2])
     check_composes(function, xs)
