@@ -9,6 +9,7 @@ from rbjax.sysid.balances import (
 )
 from rbjax.sysid.base_parameters import base_parameters, random_motions
 from rbjax.sysid.consistent import Consistent, consistent
+from rbjax.sysid.equations import Equations, equations
 from rbjax.sysid.fit import Fit, Unknown, fit
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
@@ -29,7 +30,7 @@ from rbjax.sysid.log_cholesky import (
     with_inertial_parameters,
 )
 from rbjax.sysid.rank import Combinations, combinations
-from rbjax.sysid.regression import METHODS, Equations, Regression, regress
+from rbjax.sysid.regression import METHODS, Regression, regress
 from rbjax.sysid.regressor import (
     JOINT_TERMS,
     observation_matrix,
@@ -54,6 +55,7 @@ __all__ = [
     "consistent",
     "energy_balance",
     "energy_regressor",
+    "equations",
     "from_log_cholesky",
     "inertia_metric",
     "inertial_parameters_of",
