@@ -100,6 +100,22 @@ def test_channels_have_noise_of_their_own():
     assert abs(found.beta[k] - beta[k]) < 0.1 * abs(plain.beta[k] - beta[k])
 
 
+def test_noise_of_many_decades():
+    """Weights too different for normal equations: exact rows decide what they show."""
+    rng = np.random.default_rng(0)
+    W, beta = rng.normal(size=(50, 2, 4)), np.array([1.0, -2.0, 0.5, 3.0])
+    W[:, 1, 2:] = 0.0  # the second channel shows a and b only
+    noise = np.array([1.0, 1e-7])
+    tau = W @ beta + noise * rng.normal(size=(50, 2))
+    found = sysid.regress(W, tau, "abcd", noise=noise)
+    np.testing.assert_allclose(found.beta[:2], beta[:2], atol=1e-6)
+    assert (found.errors[:2] < 1e-7).all() and (found.errors[2:] > 0.05).all()
+    rest = np.linalg.lstsq(W[:, 0, 2:], tau[:, 0] - W[:, 0, :2] @ found.beta[:2], rcond=None)[0]
+    np.testing.assert_allclose(found.beta[2:], rest, rtol=1e-6)
+    free = found.noise  # each channel's own degrees of freedom: 50 - 2
+    np.testing.assert_allclose(free, noise, rtol=0.35)
+
+
 @pytest.mark.parametrize("loss", ["huber", "bisquare"])
 def test_outliers(loss):
     """5 % of the samples off by 20 N m, one-sided: named, and survived."""
