@@ -88,7 +88,18 @@ class Equations:
 def equations(
     W: Any, tau: Any, names: Sequence[str], *, noise: Any = None, base: Combinations | None = None
 ) -> Equations:
-    """The arguments of `regress`, checked."""
+    """W pi = tau, checked: what an estimator of `METHODS` takes.
+
+    Args, Raises: as for `regress`.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import equations
+        >>> t = np.linspace(0.0, 1.0, 20)
+        >>> line = equations(np.stack([np.ones(20), t], 1), 2.0 - t, ["offset", "slope"])
+        >>> line.fit(0.1).beta.round(6).tolist()
+        [2.0, -1.0]
+    """
     given, tau = np.asarray(W), np.asarray(tau, float)
     if given.ndim == 2:
         given, tau = given[:, None], tau.reshape(-1, 1) if tau.ndim == 1 else tau
