@@ -29,6 +29,7 @@ import scipy.stats
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.sysid.equations import equations
 from rbjax.sysid.inertia_metric import prior_residual, scalar_residual
 from rbjax.sysid.log_cholesky import (
     log_cholesky_parameters,
@@ -37,7 +38,7 @@ from rbjax.sysid.log_cholesky import (
     with_inertial_parameters,
 )
 from rbjax.sysid.rank import Combinations
-from rbjax.sysid.regression import Regression, equations, weighted
+from rbjax.sysid.regression import Regression, weighted
 from rbjax.sysid.regressor import joint_coordinates, parameter_names, parameter_values
 
 Array = np.ndarray

@@ -19,10 +19,10 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
-from rbjax.sysid.runs import Run, batch, run_of
 from rbjax.sysid.least_squares import Minimum, minimise
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.recording import Recording
+from rbjax.sysid.runs import Run, batch, run_of
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates, estimates
@@ -145,6 +145,7 @@ def identify(
             of = SimulationError(setup, sought, runs, grid, starts=starts, loss=loss)
             fill = np.zeros(of.size - len(prior))
             x = np.append(x[: len(prior)], fill) if len(x) != of.size else x
+            _check_moves(sought, of.triangle(x)[:, : len(prior)])
 
             def watch(k: int, cost: float) -> None:
                 bar.update(task, completed=k, description=f"squares {cost:.4g}")
@@ -168,7 +169,6 @@ def identify(
             evaluations += least.evaluations
     n = len(start)
     p = least.x[:n]
-    _check_moves(sought, least.triangle[:, :n])
     names = sought.names
     more = [f"start[{k}]" for k in range(of.size - n)]
     samples = sum(int((np.asarray(w) > 0).sum()) for w in data.weights.values())
@@ -187,7 +187,8 @@ def identify(
 
 def _grid(runs: Sequence[Recording]) -> Grid:
     """The clock of the commands, or of the positions."""
-    clocks = [run["ctrl" if "ctrl" in run.channels else "q"].step for run in runs]
+    first = ("ctrl", "q", "v")
+    clocks = [run[next(s for s in (*first, *run) if s in run.channels)].step for run in runs]
     return Grid(min(clocks))
 
 
@@ -241,7 +242,7 @@ def _check_moves(sought: Unknowns, J: np.ndarray) -> None:
     ends = np.cumsum(sought.sizes)
     largest = np.abs(J).max()
     for (name, u), end, size in zip(sought.members.items(), ends, sought.sizes, strict=True):
-        if not np.abs(J[:, end - size : end]).max() > 1e-12 * largest:
+        if np.isfinite(largest) and not np.abs(J[:, end - size : end]).max() > 1e-12 * largest:
             raise InputError(
                 f"identify: {name} ({u!r}) moves nothing that was recorded, expected unknowns that "
                 "do: leave it out, or record a motion or a sensor that shows it"

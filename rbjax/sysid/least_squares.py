@@ -96,7 +96,7 @@ def minimise(
         last, damping, growth, ended = w == pulls[-1], 1e-6, 2.0, False
         while not ended and count < steps:
             curved = np.linalg.cholesky(D(x, x).curvature)
-            size = np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2) ** 2
+            size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
             terms = ((w * size, prior), (damping * size, x))
             trial = _convex(R, x, D, terms)
             near = D(trial, x).value <= SMALL
@@ -108,7 +108,7 @@ def minimise(
             calm = not last and damping <= 1e-6 and expected < COARSE * now
             if gain > 0:
                 x, now, R = trial, after, of.triangle(trial)
-                damping, growth = damping * max(1e-1, 1 - (2 * min(gain, 1) - 1) ** 3), 2.0
+                damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
                 ended = near or calm
             else:
                 damping, growth = damping * growth, growth * 2

@@ -27,30 +27,12 @@ import scipy.linalg
 import scipy.stats
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid.rank import Combinations, combinations
+from rbjax.sysid.equations import Equations, equations
+from rbjax.sysid.rank import Combinations
 
 Array = np.ndarray
 #: Noise below this times a torque's size is rounding.
 ROUNDING = 1e-13
-
-
-@dataclass(frozen=True, eq=False)
-class Equations:
-    """Samples of W pi = tau.
-
-    Fields: W (N, k, p); tau (N, k); combinations of the p parameters; noise (N, k), the standard
-    deviation of each torque, or None where it is to be estimated.
-    """
-
-    W: Array
-    tau: Array
-    combinations: Combinations
-    noise: Array | None = None
-
-    @property
-    def X(self) -> Array:
-        """(N, k, r) columns of the base parameters."""
-        return self.W[..., list(self.combinations.kept)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,59 +133,19 @@ def regress(
     return METHODS[method](equations(W, tau, names, noise=noise, base=base), **options)
 
 
-def equations(
-    W: Any, tau: Any, names: Sequence[str], *, noise: Any = None, base: Combinations | None = None
-) -> Equations:
-    """The arguments of `regress`, checked."""
-    given, tau = np.asarray(W), np.asarray(tau, float)
-    if given.ndim == 2:
-        given, tau = given[:, None], tau.reshape(-1, 1) if tau.ndim == 1 else tau
-    W = given.astype(float)
-    if W.ndim != 3 or tau.shape != W.shape[:2] or W.shape[2] != len(names):
-        raise InputError(
-            f"regress: W has shape {given.shape}, tau {tau.shape} and there are {len(names)} "
-            "names, expected (N, k, p), (N, k) and p"
-        )
-    for name, x in (("tau", tau), ("W", W)):
-        if not np.isfinite(x).all():
-            at = np.argwhere(~np.isfinite(x))[0]
-            raise InputError(
-                f"regress: {name}[{', '.join(map(str, at))}] is {x[tuple(at)]}, expected finite "
-                "values; leave samples that are missing out"
-            )
-    base = combinations(given, names) if base is None else base
-    if base.names != tuple(names):
-        raise InputError("regress: base has other names than the columns of W")
-    if not base.rank or tau.size <= base.rank:
-        raise InputError(
-            f"regress: {tau.size} torques for {base.rank} base parameters, expected more torques "
-            "than parameters, and at least one parameter that shows"
-        )
-    if noise is not None:
-        noise = np.asarray(noise, float)
-        if noise.shape not in ((), tau.shape[1:], tau.shape) or not (noise > 0).all():
-            raise InputError(
-                f"regress: noise has shape {noise.shape}, expected (), {tau.shape[1:]} or "
-                f"{tau.shape}, all above 0"
-            )
-        noise = np.broadcast_to(noise, tau.shape)
-    return Equations(W, tau, base, noise)
-
-
 def ordinary(eq: Equations) -> Regression:
     """Every torque counts alike. Without known noise all channels are taken to have the same."""
-    X, y, (N, k) = *_stacked(eq, 1.0), eq.tau.shape
-    solve, _ = _pseudo_inverse(X)
-    beta = solve @ y
-    residual = (y - X @ beta).reshape(N, k)
+    fitted, (N, k) = eq.fit(1.0), eq.tau.shape
+    beta, covariance = fitted.beta, fitted.covariance
+    residual = eq.tau - eq.X @ beta
     if eq.noise is None:
-        dof = float(y.size - beta.size)
+        dof = float(eq.tau.size - beta.size)
         noise = np.full(k, np.sqrt((residual**2).sum() / dof))
-        covariance = noise[0] ** 2 * solve @ solve.T
+        covariance = noise[0] ** 2 * covariance
     else:
         dof, noise = np.inf, np.sqrt((eq.noise**2).mean(0))
-        half = solve * eq.noise.ravel()
-        covariance = half @ half.T
+        noisy = (eq.X * eq.noise[..., None]).reshape(-1, beta.size) @ covariance
+        covariance = noisy.T @ noisy
     return Regression(
         eq.combinations, beta, covariance, noise, residual, np.ones((N, k)), dof
     )  # fmt: skip
@@ -237,8 +179,7 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
             step += 1
             scale = _scale(eq, found.residual)
             w, _, _ = LOSSES[stage](found.residual / scale)
-            X, y = _stacked(eq, scale / np.sqrt(np.maximum(w, 1e-12)))
-            beta = _pseudo_inverse(X)[0] @ y
+            beta = eq.fit(scale / np.sqrt(np.maximum(w, 1e-12))).beta
             residual = eq.tau - eq.X @ beta
             moved = np.abs(eq.X @ (beta - found.beta)) / scale  # in standard deviations of tau
             done = bool(moved.max() < 1e-8)
@@ -249,11 +190,10 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
                 break
     scale = _scale(eq, found.residual)
     w, psi, slope = LOSSES[loss](found.residual / scale)
-    solve, _ = _pseudo_inverse(_stacked(eq, scale)[0])
     r = found.beta.size
     spread = (psi**2).sum() / (N * k - r) / max(slope.mean(), 1e-3) ** 2
     noise = np.sqrt((scale**2).mean(0))
-    covariance = spread * solve @ solve.T
+    covariance = spread * eq.fit(scale).covariance
     dof = float(N * k - r)
     return Regression(
         eq.combinations, found.beta, covariance, noise, found.residual, w, dof, step, done
@@ -345,34 +285,19 @@ METHODS: dict[str, Callable[..., Regression]] = {
 
 
 def _weighted(eq: Equations, noise: Array, dof: float) -> Regression:
-    X, y = _stacked(eq, noise)
-    solve, leverage = _pseudo_inverse(X)
-    beta = solve @ y
-    residual = eq.tau - eq.X @ beta
+    fitted = eq.fit(noise)
+    residual = eq.tau - eq.X @ fitted.beta
     # each channel's degrees of freedom: its samples less what it gave to the parameters
-    free = len(eq.tau) - leverage.reshape(eq.tau.shape).sum(0)
+    free = len(eq.tau) - fitted.leverage
     found = np.sqrt((residual**2).sum(0) / np.maximum(free, 1e-3 * len(eq.tau)))
-    return Regression(
-        eq.combinations, beta, solve @ solve.T, found, residual, np.ones_like(residual), dof
-    )
+    ones = np.ones_like(residual)
+    return Regression(eq.combinations, fitted.beta, fitted.covariance, found, residual, ones, dof)
 
 
 def _stacked(eq: Equations, noise: Any) -> tuple[Array, Array]:
     """X (N k, r) and tau (N k,), both over the noise."""
     sd = np.broadcast_to(noise, eq.tau.shape)
     return (eq.X / sd[..., None]).reshape(eq.tau.size, -1), (eq.tau / sd).ravel()
-
-
-def _pseudo_inverse(X: Array) -> tuple[Array, Array]:
-    """(X^T X)^-1 X^T of full rank, by QR of columns of unit length, and the leverages."""
-    size = np.linalg.norm(X, axis=0)
-    if not size.all():
-        raise InputError(
-            f"regress: column {int(np.argmin(size))} of the base parameters is zero in these "
-            "samples; leave `base` out, so that it follows from them"
-        )
-    Q, R = np.linalg.qr(X / size)
-    return scipy.linalg.solve_triangular(R, Q.T) / size[:, None], (Q * Q).sum(1)
 
 
 def _floor(eq: Equations, noise: Array) -> Array:

@@ -21,7 +21,7 @@ from rbjax.sysid.runs import Run
 from rbjax.sysid.simulation import Grid, Setup, motion, reading
 from rbjax.sysid.unknowns import Divergence, Unknowns
 
-#: residuals above this many sigma weigh by their absolute value, with loss="huber"
+#: with loss="huber" residuals above this many sigma count by their size, not by its square
 HUBER = 1.345
 
 
@@ -66,8 +66,10 @@ class SimulationError:
                 parts.append((weights * off).ravel())
             r = jnp.concatenate(parts)
             if loss == "huber":
-                size = jax.lax.stop_gradient(jnp.abs(r))
-                r = r * jnp.sqrt(jnp.minimum(1.0, HUBER / jnp.maximum(size, HUBER)))
+                size = jnp.maximum(jnp.abs(r), HUBER)
+                r = jnp.where(
+                    jnp.abs(r) < HUBER, r, jnp.sign(r) * jnp.sqrt(HUBER * (2 * size - HUBER))
+                )
             return r
 
         def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:

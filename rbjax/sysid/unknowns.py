@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -52,7 +52,8 @@ class Parametrisation(Protocol):
         ...
 
 
-class Divergence(NamedTuple):
+@dataclass(frozen=True)
+class Divergence:
     """D >= 0, infinite where p is impossible; its slope (n,) and its curvature (n, n)."""
 
     value: float
@@ -92,8 +93,9 @@ class Divergence(NamedTuple):
         """That of x, where p = A x + b."""
         return Divergence(self.value, A.T @ self.slope, A.T @ self.curvature @ A)
 
-    def __add__(self, other: Divergence) -> Divergence:  # type: ignore[override]
-        return Divergence(*(a + b for a, b in zip(self, other, strict=True)))
+    def __add__(self, other: Divergence) -> Divergence:
+        slope, curvature = self.slope + other.slope, self.curvature + other.curvature
+        return Divergence(self.value + other.value, slope, curvature)
 
 
 class _Scalars:
@@ -330,9 +332,10 @@ class Unknowns:
         sizes, names = [], []
         for label, u in members.items():
             try:
+                called = u.names(label, target)  # numpy's indexing refuses what is not there
                 p = np.asarray(u.read(target))
             except (IndexError, TypeError) as error:
-                raise InputError(f"{where}: {label}: {error}; index is {u!r}") from error
+                raise InputError(f"{where}: {label} is {u!r}, but {error}") from error
             if not np.isfinite(u.divergence(p, p).value):
                 raise InputError(
                     f"{where}: {label} is {p.tolist()}, expected a first guess within its range: "
@@ -340,7 +343,7 @@ class Unknowns:
                     "have"
                 )
             sizes.append(p.size)
-            names += u.names(label, target)
+            names += called
         return cls(dict(members), tuple(sizes), tuple(names))
 
     def read(self, target: Any) -> jax.Array:

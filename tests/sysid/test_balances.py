@@ -137,9 +137,12 @@ def test_bad_arguments():
             balance(model, t, z, z, z[1:], window=2)
 
 
-@pytest.mark.parametrize("f", [sysid.momentum_regressor, sysid.energy_regressor])
+@pytest.mark.parametrize(  # the energy's has the momentum's inside
+    "f",
+    [pytest.param(sysid.momentum_regressor, marks=pytest.mark.slow), sysid.energy_regressor],
+)
 def test_composes(f):
-    model = robot("spinning_top").model
+    model = robot("free_body").model
     function = functools.partial(f, model)
     xs = list(sysid.random_motions(model, 3)[:2])
     check_composes(function, xs)

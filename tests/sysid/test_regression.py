@@ -2,6 +2,8 @@
 
 import functools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -98,6 +100,22 @@ def test_channels_have_noise_of_their_own():
     assert abs(found.beta[k] - beta[k]) < 0.1 * abs(plain.beta[k] - beta[k])
 
 
+def test_noise_of_many_decades():
+    """Weights too different for normal equations: exact rows decide what they show."""
+    rng = np.random.default_rng(0)
+    W, beta = rng.normal(size=(50, 2, 4)), np.array([1.0, -2.0, 0.5, 3.0])
+    W[:, 1, 2:] = 0.0  # the second channel shows a and b only
+    noise = np.array([1.0, 1e-7])
+    tau = W @ beta + noise * rng.normal(size=(50, 2))
+    found = sysid.regress(W, tau, "abcd", noise=noise)
+    np.testing.assert_allclose(found.beta[:2], beta[:2], atol=1e-6)
+    assert (found.errors[:2] < 1e-7).all() and (found.errors[2:] > 0.05).all()
+    rest = np.linalg.lstsq(W[:, 0, 2:], tau[:, 0] - W[:, 0, :2] @ found.beta[:2], rcond=None)[0]
+    np.testing.assert_allclose(found.beta[2:], rest, rtol=1e-6)
+    free = found.noise  # each channel's own degrees of freedom: 50 - 2
+    np.testing.assert_allclose(free, noise, rtol=0.35)
+
+
 @pytest.mark.parametrize("loss", ["huber", "bisquare"])
 def test_outliers(loss):
     """5 % of the samples off by 20 N m, one-sided: named, and survived."""
@@ -159,6 +177,56 @@ def test_instruments_of_the_last_estimate():
         X, tau, "abcd", method="instrumental", instruments=simulated, max_steps=1
     )
     assert not tired.ok
+
+
+@pytest.mark.slow
+def test_instruments_of_the_simulated_arm():
+    """Closed loop, encoders with noise, velocity and acceleration by differences (Janot 2014). What
+    differences distort without any noise stays: about an error of one parameter."""
+    model, dt = planar_2R(ARM), 0.005
+    kp, kd = np.array([80.0, 30.0]), np.array([12.0, 2.5])
+
+    def torque(t, state):
+        along = 2 * np.pi * jnp.outer(jnp.array([0.4, 0.7, 1.1]), jnp.array([1.0, 1.3])) * t
+        goal = jnp.array([-1.2, 0.5]) + 0.3 * jnp.sin(along).sum(0)
+        return kp * (goal - state.q) - kd * state.v
+
+    @jax.jit
+    def loop(model):
+        """q, v, a, tau of 1,000 samples."""
+        start = rb.State(jnp.array([-1.2, 0.5]), jnp.zeros(2))
+        path = rb.rollout(model, start, tau=torque, dt=dt, steps=1000, integrator="rk4")
+        tau = jax.vmap(lambda t, q, v: torque(t, rb.State(q, v)))(path.ts, path.q, path.v)
+        a = jax.vmap(functools.partial(rb.forward_dynamics, model))(path.q, path.v, tau)
+        return path.q, path.v, a, tau
+
+    def observed(q, v, a):
+        return np.asarray(sysid.observation_matrix(model, q, v, a))
+
+    q, v, a, tau = map(np.asarray, loop(model))
+    names, pi = sysid.parameter_names(model), np.asarray(rb.inertial_parameters(model))
+    np.testing.assert_allclose(observed(q, v, a) @ pi, tau, atol=1e-9)
+    base = sysid.combinations(observed(q, v, a), names)
+
+    def simulated(found):
+        now = sysid.with_inertial_parameters(model, found.parameters(pi))
+        return observed(*loop(now)[:3])
+
+    rng, off = np.random.default_rng(6), {"weighted": [], "instrumental": []}
+    for _ in range(12):
+        seen = q + 1e-4 * rng.normal(size=q.shape)
+        speed = np.gradient(seen, dt, axis=0)
+        W = observed(seen, speed, np.gradient(speed, dt, axis=0))[5:-5]
+        y = (tau + 0.05 * rng.normal(size=tau.shape))[5:-5]
+        for method, options in (
+            ("weighted", {}),
+            ("instrumental", {"instruments": lambda found: simulated(found)[5:-5]}),
+        ):
+            found = sysid.regress(W, y, names, method=method, base=base, **options)
+            assert found.ok and found.steps <= 8
+            off[method].append((found.beta - base.combine(pi)) / found.errors)
+    biased, free = (np.abs(np.mean(off[m], 0)) for m in ("weighted", "instrumental"))
+    assert biased.max() > 5 and free.max() < 1.5, (biased, free)
 
 
 def test_the_method_is_one_of_a_dict():
