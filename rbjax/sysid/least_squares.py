@@ -1,7 +1,7 @@
 """Nonlinear least squares over numbers that must stay possible, with a prior that may be weak.
 
     min |r(x)|^2 + w D(x, x_0)
-D is convex and infinite where x is impossible (`unknowns`). Each step solves a convex problem, r
+D is convex and infinite where x is impossible (`divergence`). Each step solves a convex problem, r
 made linear and D as it is, with a second divergence that holds the step short (a proximal
 Gauss-Newton method). The prior decides only what the data leave open: its weight is lowered to
 almost nothing, and at the end steps without it, in the directions that the data show, take its last
@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rbjax.sysid.unknowns import Divergence
+from rbjax.sysid.divergence import Divergence
 
 #: singular values below this fraction of the largest are no information
 RANK = 1e-9

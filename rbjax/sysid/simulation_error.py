@@ -17,9 +17,10 @@ import scipy.linalg
 
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import State
+from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.runs import Run
 from rbjax.sysid.simulation import Grid, Setup, motion, reading
-from rbjax.sysid.unknowns import Divergence, Unknowns
+from rbjax.sysid.unknowns import Unknowns
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
 HUBER = 1.345

@@ -2,15 +2,9 @@
 
 An unknown reads and writes n physical numbers p of a pytree (a `Model`, or a `Setup` around it).
 What p can be is said by a convex divergence D(p, p0): the distance from a guess, infinite where p
-is impossible. It is the Bregman divergence of -log det, of numbers and of matrices:
-
-    positive    sum p / p0 - log(p / p0) - 1
-    inertia     tr(P0^-1 P) - log det(P0^-1 P) - 4,   P the pseudo-inertia
-    free        sum ((p - p0) / scale)^2 / 2
-So one term is the barrier of an estimator, the length of its steps, and the prior that decides what
-the data leave open. Motion is nearly linear in p, and what data leave open is a plane in p.
-
-Source: Lee, Wensing & Park, *Geometric robot dynamic identification*, IEEE T-RO 36(2), 2020.
+is impossible (`divergence`). So one term is the barrier of an estimator, the length of its steps, and
+the prior that decides what the data leave open. Motion is nearly linear in p, and what data leave
+open is a plane in p.
 """
 
 from __future__ import annotations
@@ -28,6 +22,7 @@ import scipy.linalg
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.spatial.consistency import from_pseudo_inertia, pseudo_inertia
+from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.log_cholesky import inertial_parameters_of, pseudo_inertia_of
 
 
@@ -50,52 +45,6 @@ class Parametrisation(Protocol):
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """D(p, p0), convex in p, with its derivatives."""
         ...
-
-
-@dataclass(frozen=True)
-class Divergence:
-    """D >= 0, infinite where p is impossible; its slope (n,) and its curvature (n, n)."""
-
-    value: float
-    slope: np.ndarray
-    curvature: np.ndarray
-
-    @classmethod
-    def impossible(cls, n: int) -> Divergence:
-        return cls(np.inf, np.full(n, np.nan), np.full((n, n), np.nan))
-
-    @classmethod
-    def free(cls, p: np.ndarray, p0: np.ndarray, scale: float) -> Divergence:
-        """sum ((p - p0) / scale)^2 / 2"""
-        off = (p - p0) / scale
-        return cls(float(off @ off) / 2, off / scale, np.eye(p.size) / scale**2)
-
-    @classmethod
-    def positive(cls, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """sum p / p0 - log(p / p0) - 1"""
-        if not ((p > 0) & (p0 > 0)).all():
-            return cls.impossible(p.size)
-        ratio = p / p0
-        return cls(float((ratio - np.log(ratio) - 1).sum()), 1 / p0 - 1 / p, np.diag(p**-2))
-
-    @classmethod
-    def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
-        """tr(P0^-1 P) - log det(P0^-1 P) - 4, of P linear in p, along = dP/dp (n, 4, 4)."""
-        if min(np.linalg.eigvalsh(P).min(), np.linalg.eigvalsh(P0).min()) <= 0:
-            return cls.impossible(len(along))
-        ratio, inverse = np.linalg.solve(P0, P), np.linalg.inv(P)
-        value = np.trace(ratio) - np.linalg.slogdet(ratio)[1] - len(P)
-        turned = inverse @ along
-        slope = np.trace(np.linalg.inv(P0) @ along - turned, axis1=1, axis2=2)
-        return cls(float(value), slope, np.einsum("iab,jba->ij", turned, turned))
-
-    def through(self, A: np.ndarray) -> Divergence:
-        """That of x, where p = A x + b."""
-        return Divergence(self.value, A.T @ self.slope, A.T @ self.curvature @ A)
-
-    def __add__(self, other: Divergence) -> Divergence:
-        slope, curvature = self.slope + other.slope, self.curvature + other.curvature
-        return Divergence(self.value + other.value, slope, curvature)
 
 
 class _Scalars:
