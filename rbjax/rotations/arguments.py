@@ -33,6 +33,7 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "matrix6": (6, 6),
     "pair": (2,),
     "planar_pose": (3,),
+    "inertial": (10,),
 }
 # How far from orthonormal a matrix may be. Measured or half-precision matrices pass.
 ORTHONORMAL = 1e-2

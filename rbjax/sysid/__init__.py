@@ -1,5 +1,156 @@
-"""System identification: parameters of a model from measured motion."""
+"""System identification: parameters of a model from measured motion.
 
-from rbjax.sysid.fit import Fit, Unknown, fit
+What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
+filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
+(`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
+simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
+are linear in the parameters (`regressor`, `equations`, `balances`). What the data can show:
+`combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
+`whiteness`, `compare`, `held_out`. What to measure next: `design` (`excitation`, `experiments`).
+"""
 
-__all__ = ["Fit", "Unknown", "fit"]
+from rbjax.sysid.balances import (
+    energy_balance,
+    energy_regressor,
+    momentum_balance,
+    momentum_regressor,
+)
+from rbjax.sysid.base_parameters import base_parameters, random_motions
+from rbjax.sysid.channel_noise import ChannelNoise, noise_by_channel
+from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
+from rbjax.sysid.consistent import Consistent, consistent
+from rbjax.sysid.equations import Equations, equations
+from rbjax.sysid.excitation import Fourier, Motion, Spline
+from rbjax.sysid.experiments import Experiment, MotionLimits, design
+from rbjax.sysid.filtering import Filtered, differentiate, low_pass
+from rbjax.sysid.findings import Finding, findings
+from rbjax.sysid.fit import Fit, fit
+from rbjax.sysid.identify import Identified, identify
+from rbjax.sysid.inertia_metric import (
+    affine_invariant_distance,
+    log_determinant_divergence,
+    prior_residual,
+    pullback_distance,
+    pullback_metric,
+)
+from rbjax.sysid.log_cholesky import (
+    from_log_cholesky,
+    inertial_parameters_of,
+    log_cholesky_parameters,
+    log_cholesky_volume,
+    model_log_cholesky,
+    nearest_pseudo_inertia,
+    pseudo_inertia_of,
+    to_log_cholesky,
+    with_inertial_parameters,
+)
+from rbjax.sysid.rank import Combinations, combinations
+from rbjax.sysid.readers import Column, read_csv, read_npz
+from rbjax.sysid.recording import Channel, Recording
+from rbjax.sysid.regression import METHODS, Regression, regress
+from rbjax.sysid.regressor import (
+    JOINT_TERMS,
+    observation_matrix,
+    parameter_names,
+    parameter_values,
+    regressor,
+)
+from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
+from rbjax.sysid.splits import Split, split
+from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
+from rbjax.sysid.units import in_si
+from rbjax.sysid.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
+from rbjax.sysid.whiteness import Whiteness, sandwich, whiteness
+
+__all__ = [
+    # unknowns and simulation
+    "identify",
+    "Identified",
+    "fit",
+    "Fit",
+    "Unknown",
+    "Inertia",
+    "Shared",
+    "FixedTotal",
+    "Tilt",
+    "Derived",
+    "Setup",
+    "Sensor",
+    "PD",
+    "Grid",
+    # recordings
+    "Channel",
+    "Recording",
+    "Split",
+    "split",
+    "Column",
+    "read_csv",
+    "read_npz",
+    "Finding",
+    "findings",
+    "in_si",
+    # signals
+    "Filtered",
+    "differentiate",
+    "low_pass",
+    # torques
+    "regressor",
+    "JOINT_TERMS",
+    "observation_matrix",
+    "parameter_names",
+    "parameter_values",
+    "equations",
+    "Equations",
+    "regress",
+    "METHODS",
+    "Regression",
+    "consistent",
+    "Consistent",
+    "energy_balance",
+    "energy_regressor",
+    "momentum_balance",
+    "momentum_regressor",
+    # what data can show
+    "combinations",
+    "Combinations",
+    "base_parameters",
+    "random_motions",
+    # inertias
+    "to_log_cholesky",
+    "from_log_cholesky",
+    "log_cholesky_parameters",
+    "log_cholesky_volume",
+    "pseudo_inertia_of",
+    "inertial_parameters_of",
+    "nearest_pseudo_inertia",
+    "with_inertial_parameters",
+    "model_log_cholesky",
+    "log_determinant_divergence",
+    "affine_invariant_distance",
+    "pullback_distance",
+    "pullback_metric",
+    "prior_residual",
+    # statistics
+    "estimates",
+    "Estimates",
+    "Interval",
+    "information",
+    "crlb",
+    "noise_by_channel",
+    "ChannelNoise",
+    "whiteness",
+    "Whiteness",
+    "sandwich",
+    "compare",
+    "Comparison",
+    "held_out",
+    "HeldOut",
+    "Scored",
+    # excitation
+    "Fourier",
+    "Spline",
+    "Motion",
+    "design",
+    "MotionLimits",
+    "Experiment",
+]

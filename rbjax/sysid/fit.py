@@ -26,15 +26,7 @@ from rbjax.model import Model, State
 from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
 from rbjax.solvers.arguments import check_whole
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One number of a model: the dotted name of a leaf ("bodies.mass") and an index into it."""
-
-    leaf: str
-    index: int | tuple[int, ...]
-    positive: bool = False
+from rbjax.sysid.unknowns import Unknown
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,186 @@
+"""Which model the data need: scores on data that no fit saw, and tests of one term more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from rbjax.errors import InputError
+
+HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
+ALPHA = 0.01  # a p value below it is no chance
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A model on data that the fit never saw.
+
+    Fields: rms on unseen and rms_fitted on fitted data; ratio of the two; by_recording, the rms of
+    each unseen one; r_squared, the share of variance explained, nan if unknown; holds; sentence.
+    """
+
+    rms: float
+    rms_fitted: float
+    ratio: float
+    by_recording: dict[str, float]
+    r_squared: float
+    holds: bool
+    sentence: str
+
+
+def held_out(
+    fitted: Mapping[str, Any],
+    unseen: Mapping[str, Any],
+    *,
+    measured: Mapping[str, Any] | None = None,
+    noise: float | None = None,
+    unit: str = "",
+) -> HeldOut:
+    """The verdict on a model from its residuals on recordings that were not fitted.
+
+    The model holds if its error there is at most 1.25 times that on what was fitted.
+
+    Args:
+        fitted: recording -> residuals, an array of any shape; nan is left out.
+        unseen: recording -> residuals.
+        measured: recording -> (samples,) or (samples, columns), what the unseen residuals belong
+            to, for the share of variance that is explained: 1 - sum r^2 / sum (y - mean)^2.
+        noise: standard deviation of the sensor, if it is known.
+        unit: of the residuals, for the sentence.
+
+    Returns:
+        `HeldOut`.
+
+    Raises:
+        InputError: no residuals; a recording on both sides.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import held_out
+        >>> print(held_out({"a": [1.0, -1.0]}, {"b": [3.0, -3.0]}, unit="mrad").sentence)
+        the model fails: on 1 recording that the fit never saw it errs by 3 mrad RMS, 3 times as
+        much as where it was fitted
+    """
+    both = sorted(set(fitted) & set(unseen))
+    if both or not fitted or not unseen:
+        raise InputError(
+            f"held_out: {len(fitted)} fitted and {len(unseen)} unseen recordings, on both sides: "
+            f"{', '.join(both) or 'none'}; expected some on each side, none on both"
+        )
+    rms_fitted, rms = _rms(fitted.values()), _rms(unseen.values())
+    each = {name: _rms([r]) for name, r in unseen.items()}
+    ratio = rms / rms_fitted if rms_fitted > 0 else (np.inf if rms > 0 else 1.0)
+    holds = bool(ratio <= HOLDS)
+    says = "holds" if holds else "is weaker" if ratio <= WEAK else "fails"
+    unit = f" {unit}" if unit else ""
+    plural = "recording" if len(unseen) == 1 else "recordings"
+    sentence = (
+        f"the model {says}: on {len(unseen)} {plural} that the fit never saw it errs by "
+        f"{rms:.3g}{unit} RMS, {ratio:.3g} times as much as where it was fitted"
+    )
+    worst = max(each, key=lambda name: each[name])
+    if len(each) > 1:
+        sentence += f" (the worst, {worst}: {each[worst]:.3g}{unit})"
+    explained = np.nan
+    if measured is not None:
+        parts = [(np.asarray(unseen[n], float), np.asarray(measured[n], float)) for n in unseen]
+        left = sum(float(np.nansum(r**2)) for r, _ in parts)
+        there = sum(float(np.nansum((y - np.nanmean(y, 0)) ** 2)) for _, y in parts)
+        explained = 1 - left / there if there > 0 else np.nan
+        sentence += f"; it explains {100 * explained:.3g} % of the variance"
+    if noise is not None:
+        sentence += f"; the error is {rms / noise:.3g} times the noise"
+        if rms > 3 * noise:
+            sentence += ", so the model lacks something"
+    return HeldOut(rms, rms_fitted, float(ratio), each, float(explained), holds, sentence)
+
+
+class Scored(NamedTuple):
+    """A fitted model: name, weighted sum of squared residuals, number of parameters."""
+
+    name: str
+    squares: float
+    parameters: int
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two nested models on the same data.
+
+    Fields: F and p_value, of the F test; aic and bic, those of the larger model less those of the
+    smaller; earned, whether the larger one is needed; sentence.
+    """
+
+    F: float
+    p_value: float
+    aic: float
+    bic: float
+    earned: bool
+    sentence: str
+
+
+def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
+    """Whether the terms that a larger model has more earn their place.
+
+        F = ((Q_0 - Q_1) / (p_1 - p_0)) / (Q_1 / (n - p_1))
+        AIC = n log(Q/n) + 2 p        BIC = n log(Q/n) + p log n
+    They do if chance gives such an F in less than 1 % of cases, and BIC falls.
+
+    Args:
+        smaller: the model without the terms.
+        larger: the model with them; the smaller one is a case of it.
+        samples: n. If residuals are not white, the effective number: `whiteness` gives it.
+
+    Returns:
+        `Comparison`.
+
+    Raises:
+        InputError: models that are not nested: a larger one with no more parameters, or that fits
+            worse; fewer samples than parameters.
+
+    Source: Seber & Wild, *Nonlinear Regression*, 5.3; Akaike 1974; Schwarz 1978.
+
+    Example:
+        >>> from rbjax.sysid import Scored, compare
+        >>> plain, rubbed = Scored("viscous", 10.0, 3), Scored("viscous + Coulomb", 4.0, 4)
+        >>> print(compare(plain, rubbed, 100).sentence)
+        viscous + Coulomb earns its place beside viscous: F = 144, p = 8e-21, BIC falls by 87
+    """
+    more = larger.parameters - smaller.parameters
+    left = samples - larger.parameters
+    if more < 1 or left <= 0:
+        raise InputError(
+            f"compare: {smaller.name} has {smaller.parameters} parameters and {larger.name} "
+            f"{larger.parameters}, with {samples:g} samples; expected more in the second, and "
+            "more samples than parameters"
+        )
+    if not 0 <= larger.squares <= smaller.squares * (1 + 1e-9) or smaller.squares <= 0:
+        raise InputError(
+            f"compare: {larger.name} leaves {larger.squares:g} and {smaller.name} "
+            f"{smaller.squares:g}, expected no more in the larger model; one of the two fits has "
+            "not converged, or they are not nested"
+        )
+    gain = max(smaller.squares - larger.squares, 0.0)
+    rest = max(larger.squares, 1e-300)
+    F = (gain / more) / (rest / left)
+    p = float(stats.f.sf(F, more, left))
+    fall = samples * np.log(smaller.squares / rest)
+    aic, bic = float(2 * more - fall), float(more * np.log(samples) - fall)
+    earned = p < ALPHA and bic < 0
+    sentence = (
+        f"{larger.name} {'earns' if earned else 'does not earn'} its place beside {smaller.name}: "
+        f"F = {F:.3g}, p = {p:.1g}, BIC {'falls' if bic < 0 else 'grows'} by {abs(bic):.0f}"
+    )
+    return Comparison(float(F), p, aic, bic, earned, sentence)
+
+
+def _rms(residuals: Any) -> float:
+    together = np.concatenate([np.asarray(r, float).ravel() for r in residuals])
+    together = together[~np.isnan(together)]
+    if not together.size:
+        raise InputError("held_out: no residuals, expected numbers")
+    return float(np.sqrt(np.mean(together**2)))

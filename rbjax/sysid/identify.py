@@ -1,0 +1,249 @@
+"""`identify`: numbers of a set-up from recordings, by the error of simulated motions.
+
+    min over p of  sum |weights (reading(motion(p)) - recorded)|^2
+What the data show is fitted; what they leave open stays at the first guess, or as near to it as a
+body's inertia allows, and the answer says in words which combinations were found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from rich.progress import Progress
+
+from rbjax.errors import InputError
+from rbjax.model import Model
+from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.comparison import HeldOut, held_out
+from rbjax.sysid.least_squares import Minimum, minimise
+from rbjax.sysid.rank import Combinations, combinations
+from rbjax.sysid.recording import Recording
+from rbjax.sysid.runs import Run, batch, run_of
+from rbjax.sysid.simulation import Grid, Setup
+from rbjax.sysid.simulation_error import SimulationError
+from rbjax.sysid.statistics import Estimates, estimates
+from rbjax.sysid.unknowns import Parametrisation, Unknowns
+
+#: an rms below this fraction of a channel's spread is no noise
+NOISELESS = 1e-7
+#: pulls of the fit to short pieces, which is only a start
+FIRST_PULLS = (1e-4, 1e-7)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What recordings say of a robot.
+
+    Fields: setup with the found numbers; values by name; found, the combinations of them that the
+    data show, `found.words()`; estimates, their covariance and intervals; rms, by sensor one number
+    a column; evaluations of the residual; ok and message, whether the fit converged.
+    """
+
+    setup: Setup
+    values: dict[str, float]
+    found: Combinations
+    estimates: Estimates
+    rms: dict[str, np.ndarray]
+    evaluations: int
+    ok: bool
+    message: str
+    grid: Grid
+    sought: Unknowns
+    residuals: dict[str, np.ndarray]
+
+    @property
+    def model(self) -> Model:
+        """The model with the found numbers."""
+        return self.setup.model
+
+    def on(self, recordings: Sequence[Recording]) -> HeldOut:
+        """The verdict on recordings that the fit never saw, from their own first states.
+
+        Raises:
+            InputError: a recording that was fitted.
+        """
+        data = _batch(self.setup, recordings, self.grid)
+        of = SimulationError(self.setup, self.sought, data, self.grid)
+        x = np.zeros(of.size) + np.array([*self.values.values()])
+        return held_out(self.residuals, _positions(of, x, data, recordings))
+
+
+def identify(
+    model: Model | Setup,
+    recordings: Recording | Sequence[Recording],
+    unknowns: Mapping[str, Parametrisation],
+    *,
+    grid: Grid | None = None,
+    pieces: float | None = None,
+    starts: bool = False,
+    loss: str = "squares",
+    steps: int = 100,
+    progress: bool = False,
+) -> Identified:
+    """Numbers of a model, its sensors and its controller from one or more recordings.
+
+    Args:
+        model: the robot with first guesses; or a `Setup`, where sensors, a controller or a delay
+            are part of what is simulated.
+        recordings: with channels "q", perhaps "v" and "ctrl"; each is simulated from its first
+            sample.
+        unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
+        grid: how motion is integrated; steps of RK4 at the clock of the commands (of "q" without
+            them) if None.
+        pieces: length in s of pieces that are fitted first, each from its first sample, so that a
+            poor first guess does not lose the motion. None: no such fit.
+        starts: whether each recording's first state is sought too, from what was recorded. It must
+            be where sensors are noisy.
+        loss: "squares", or "huber", by which outliers count less.
+        steps: evaluations of the residual at most, of each fit.
+        progress: whether a line shows the progress.
+
+    Returns:
+        `Identified`. Channels that do not say their noise get that of their residuals, a number for
+        each column.
+
+    Raises:
+        InputError: recordings that do not suit the model; no unknowns, one outside of its range, or
+            one that moves nothing.
+        UnknownName: an unknown names no leaf or body.
+
+    Source: Ljung, *System Identification*, 2nd ed., 7; Lee, Wensing & Park, IEEE T-RO 36(2), 2020.
+
+    Example:
+        >>> import rbjax as rb, numpy as np
+        >>> from rbjax.sysid import Channel, Recording, Unknown, identify
+        >>> model, t = rb.load("pendulum"), np.arange(101) * 0.01
+        >>> heavier = model.replace(bodies=model.bodies.replace(mass=np.array([1.3])))
+        >>> push = np.ones((100, 1))
+        >>> seen = rb.rollout(heavier, model.default_state(), push, 0.01, integrator="rk4")
+        >>> run = Recording("swing", {"q": Channel(t, seen.q), "ctrl": Channel(t[:-1], push)})
+        >>> found = identify(model, run, {"mass": Unknown("bodies.mass", 0, positive=True)})
+        >>> round(found.values["mass"], 2)
+        1.3
+    """
+    setup = model if isinstance(model, Setup) else Setup.of(model)
+    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not runs or not all(isinstance(r, Recording) for r in runs):
+        raise InputError(f"identify: recordings is {recordings!r}, expected one Recording or more")
+    check_whole("identify", "steps", steps, 1)
+    if loss not in ("squares", "huber"):
+        raise InputError(f'identify: loss is {loss!r}, expected "squares" or "huber"')
+    sought = Unknowns.of("identify", unknowns, setup)
+    grid = _grid(runs) if grid is None else grid
+    start = np.asarray(sought.read(setup), float)
+    evaluations = 0
+    with Progress(disable=not progress, transient=True) as bar:
+
+        def fit(
+            runs: Run, x: np.ndarray, prior: np.ndarray, **how: Any
+        ) -> tuple[SimulationError, Minimum]:
+            task = bar.add_task("simulating", total=steps)
+            of = SimulationError(setup, sought, runs, grid, starts=starts, loss=loss)
+            fill = np.zeros(of.size - len(prior))
+            x = np.append(x[: len(prior)], fill) if len(x) != of.size else x
+            _check_moves(sought, of.triangle(x)[:, : len(prior)])
+
+            def watch(k: int, cost: float) -> None:
+                bar.update(task, completed=k, description=f"squares {cost:.4g}")
+
+            least = minimise(of, x, np.append(prior, fill), steps=steps, watch=watch, **how)
+            bar.update(task, completed=steps)
+            return of, least
+
+        x = start
+        if pieces is not None:
+            short = [piece for run in runs for piece in run.pieces(pieces)]
+            _, least = fit(_batch(setup, short, grid), x, start, pulls=FIRST_PULLS)
+            x, evaluations = least.x[: len(start)], least.evaluations
+        data = _batch(setup, runs, grid)
+        of, least = fit(data, x, start)
+        evaluations += least.evaluations
+        estimated = _weighed(of, least.x, data, runs)
+        if estimated is not None:
+            data = estimated
+            of, least = fit(data, least.x, start)
+            evaluations += least.evaluations
+    n = len(start)
+    p = least.x[:n]
+    names = sought.names
+    more = [f"start[{k}]" for k in range(of.size - n)]
+    samples = sum(int((np.asarray(w) > 0).sum()) for w in data.weights.values())
+    noise = np.sqrt(least.cost / max(samples - of.size, 1)) if estimated is None else 1.0
+    said = estimates(
+        [*names, *more], least.x, least.triangle[:, :-1], max(noise, np.finfo(float).tiny),
+        dof=max(samples - of.size, 1), bounds=sought.limits(setup),
+    )  # fmt: skip
+    found = sought.write(setup, jnp.asarray(p, setup.model.gravity.dtype))
+    return Identified(
+        found, dict(zip(names, map(float, p), strict=True)),
+        combinations(least.triangle[:, :n], names), said, _rms(of, least.x, data), evaluations,
+        least.ok, least.message, grid, sought, _positions(of, least.x, data, runs),
+    )  # fmt: skip
+
+
+def _grid(runs: Sequence[Recording]) -> Grid:
+    """The clock of the commands, or of the positions."""
+    first = ("ctrl", "q", "v")
+    clocks = [run[next(s for s in (*first, *run) if s in run.channels)].step for run in runs]
+    return Grid(min(clocks))
+
+
+def _batch(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
+    return batch([run_of(setup, run, grid) for run in runs])
+
+
+def _off(of: SimulationError, x: np.ndarray, data: Run) -> dict[str, np.ndarray]:
+    """Readings less what was recorded, nan where nothing was."""
+    read = of.readings(of.by_run(x), data)
+    return {
+        k: np.where(np.asarray(data.weights[k]) > 0, np.asarray(read[k] - data.values[k]), np.nan)
+        for k in data.values
+    }
+
+
+def _rms(of: SimulationError, x: np.ndarray, data: Run) -> dict[str, np.ndarray]:
+    return {k: np.sqrt(np.nanmean(r**2, axis=(0, 1))) for k, r in _off(of, x, data).items()}
+
+
+def _weighed(
+    of: SimulationError, x: np.ndarray, data: Run, runs: Sequence[Recording]
+) -> Run | None:
+    """The data weighed by the noise of the residuals, where no channel says its own; None where
+    all say it, or there is none."""
+    rms, weights = _rms(of, x, data), dict(data.weights)
+    changed = False
+    for sensor in data.values:
+        if all(run[sensor].noise is not None for run in runs):
+            continue
+        seen = np.asarray(data.values[sensor])
+        spread = seen.std(axis=(0, 1))
+        sigma = np.where(rms[sensor] > NOISELESS * spread, rms[sensor], 0.0)
+        if (sigma == 0).any():
+            return None
+        weights[sensor] = jnp.asarray((np.asarray(weights[sensor]) > 0) / sigma)
+        changed = True
+    return data._replace(weights=weights) if changed else None
+
+
+def _positions(
+    of: SimulationError, x: np.ndarray, data: Run, runs: Sequence[Recording]
+) -> dict[str, np.ndarray]:
+    """By recording, the residuals of its positions."""
+    off = _off(of, x, data)["q"]
+    return {run.name: off[k] for k, run in enumerate(runs)}
+
+
+def _check_moves(sought: Unknowns, J: np.ndarray) -> None:
+    """`InputError` for an unknown none of whose numbers moves anything."""
+    ends = np.cumsum(sought.sizes)
+    largest = np.abs(J).max()
+    for (name, u), end, size in zip(sought.members.items(), ends, sought.sizes, strict=True):
+        if np.isfinite(largest) and not np.abs(J[:, end - size : end]).max() > 1e-12 * largest:
+            raise InputError(
+                f"identify: {name} ({u!r}) moves nothing that was recorded, expected unknowns that "
+                "do: leave it out, or record a motion or a sensor that shows it"
+            )

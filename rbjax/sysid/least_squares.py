@@ -1,0 +1,167 @@
+"""Nonlinear least squares over numbers that must stay possible, with a prior that may be weak.
+
+    min |r(x)|^2 + w D(x, x_0)
+D is convex and infinite where x is impossible (`divergence`). Each step solves a convex problem, r
+made linear and D as it is, with a second divergence that holds the step short (a proximal
+Gauss-Newton method). The prior decides only what the data leave open: its weight is lowered to
+almost nothing, and at the end steps without it, in the directions that the data show, take its last
+pull away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from rbjax.sysid.divergence import Divergence
+
+#: singular values below this fraction of the largest are no information
+RANK = 1e-9
+#: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
+PULLS = (1e-4, 1e-7, 1e-10)
+#: a step of this divergence ends a minimisation
+SMALL = 1e-18
+#: a decrease of this fraction ends one that is not the last
+COARSE = 1e-2
+#: Newton's steps of one convex problem
+NEWTON = 60
+
+
+class Residual(Protocol):
+    """What is minimised: r (any shape), R (p + 1, p + 1) with R^T R = [J r]^T [J r], and D."""
+
+    def residuals(self, x: np.ndarray, /) -> np.ndarray: ...
+
+    def triangle(self, x: np.ndarray, /) -> np.ndarray: ...
+
+    def divergence(self, x: np.ndarray, x0: np.ndarray, /) -> Divergence: ...
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """x (p,); triangle (p + 1, p + 1) of [J r] there; cost |r|^2; evaluations; whether the last
+    minimisation ended by a small step, and the sentence that says so."""
+
+    x: np.ndarray
+    triangle: np.ndarray
+    cost: float
+    evaluations: int
+    ok: bool
+    message: str
+
+
+def minimise(
+    of: Residual,
+    start: np.ndarray,
+    prior: np.ndarray | None = None,
+    *,
+    pulls: tuple[float, ...] = PULLS,
+    steps: int = 100,
+    watch: Callable[[int, float], None] = lambda evaluation, cost: None,
+) -> Minimum:
+    """The minimum near a start.
+
+    Args:
+        of: the residual.
+        start: (p,).
+        prior: x_0; the start if None.
+        pulls: weights w, one after the other.
+        steps: evaluations of the residual in all.
+        watch: called with the number of evaluations and |r|^2, for progress.
+
+    Source: Nielsen, *Damping parameter in Marquardt's method*, IMM-REP-1999-05 (the damping).
+    """
+    x = np.array(start, float)
+    prior = x if prior is None else np.asarray(prior, float)
+    D = of.divergence
+    count = 0
+
+    def cost(x: np.ndarray) -> float:
+        nonlocal count
+        count += 1
+        r = np.asarray(of.residuals(x)).ravel()
+        found = float(r @ r)
+        watch(count, found)
+        return found if np.isfinite(found) else np.inf
+
+    R, ended = of.triangle(x), False
+    if not np.isfinite(R).all():
+        message = "the motion of the first guess is not finite"
+        return Minimum(x, R, np.inf, count, False, message)
+    now = float(R[:, -1] @ R[:, -1])
+    for w in pulls:
+        last, damping, growth, ended = w == pulls[-1], 1e-6, 2.0, False
+        while not ended and count < steps:
+            curved = np.linalg.cholesky(D(x, x).curvature)
+            size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
+            terms = ((w * size, prior), (damping * size, x))
+            trial = _convex(R, x, D, terms)
+            near = D(trial, x).value <= SMALL
+            after = cost(trial)
+            linear = R[:, :-1] @ (trial - x) + R[:, -1]
+            pull = w * size * (D(x, prior).value - D(trial, prior).value)
+            expected = now - float(linear @ linear) + pull
+            gain = (now - after + pull) / max(expected, 1e-300)
+            calm = not last and damping <= 1e-6 and expected < COARSE * now
+            if gain > 0:
+                x, now, R = trial, after, of.triangle(trial)
+                damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
+                ended = near or calm
+            else:
+                damping, growth = damping * growth, growth * 2
+                ended = near or damping > 1e9
+    for _ in range(4):  # without the prior
+        trial = x + shown(R, D(x, x).curvature)
+        after = cost(trial) if np.isfinite(D(trial, x).value) else np.inf
+        if not after < now:
+            break
+        x, now, R = trial, after, of.triangle(trial)
+    message = "converged" if ended else f"not converged in {count} evaluations"
+    return Minimum(x, R, now, count, ended, message)
+
+
+def _convex(
+    R: np.ndarray,
+    x: np.ndarray,
+    D: Callable[[np.ndarray, np.ndarray], Divergence],
+    terms: tuple[tuple[float, np.ndarray], ...],
+) -> np.ndarray:
+    """argmin over y of |J (y - x) + r|^2 + sum of w D(y, x0), by Newton's method from x."""
+    J, r = R[:, :-1], R[:, -1]
+
+    def value(y: np.ndarray) -> float:
+        off = J @ (y - x) + r
+        return float(off @ off) + sum(w * D(y, x0).value for w, x0 in terms)
+
+    y, now = x, value(x)
+    for _ in range(NEWTON):
+        g, H = 2 * J.T @ (J @ (y - x) + r), 2 * J.T @ J
+        for w, x0 in terms:
+            off = D(y, x0)
+            g, H = g + w * off.slope, H + w * off.curvature
+        step = -np.linalg.solve(H, g)
+        decrease = -float(g @ step)
+        if decrease <= 1e-13 * now:
+            break
+        part = 1.0
+        while part > 1e-10:
+            after = value(y + part * step)
+            if after <= now - 1e-4 * part * decrease:
+                break
+            part /= 2
+        else:
+            break
+        y, now = y + part * step, after
+    return y
+
+
+def shown(R: np.ndarray, metric: np.ndarray) -> np.ndarray:
+    """The shortest Gauss-Newton step in the directions that the data show."""
+    L = np.linalg.cholesky(metric)
+    A = np.linalg.solve(L, R[:, :-1].T).T
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    kept = s > RANK * s[0]
+    return -np.linalg.solve(L.T, Vt[kept].T @ ((U.T @ R[:, -1])[kept] / s[kept]))

@@ -1,0 +1,279 @@
+"""Log-Cholesky coordinates of a body's inertia: ten free numbers, each choice of which is a body.
+
+A body can exist if its pseudo-inertia P (4, 4) is positive definite (`rbjax.spatial`). Its upper
+Cholesky factor has a positive diagonal, of which the logarithms are free:
+
+    P = [[S, h], [h^T, m]] = U U^T,   U = e^a [[e^d1, s12, s13, t1],
+                                               [0, e^d2, s23, t2],
+                                               [0, 0, e^d3, t3],
+                                               [0, 0, 0, 1]]
+    theta = (a, d1, d2, d3, s12, s23, s13, t1, t2, t3)
+
+So m = e^(2a), and t is the centre of mass. The ten inertial parameters of a body are everywhere
+
+    phi = (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz),   h = m c,  I about the frame's origin,
+
+as in `rbjax.inertial_parameters`. Rucker & Wensing, IEEE RA-L 7(2), 2022.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics import inertial_parameters
+from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.errors import InputError
+from rbjax.model import Model
+from rbjax.spatial import from_pseudo_inertia
+from rbjax.spatial.arguments import entries, stacked, takes
+
+PARAMETERS = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+"""The ten inertial parameters of a body, in their order."""
+
+
+@takes(phi="inertial")
+def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
+    """P (..., 4, 4) from the ten inertial parameters; linear.
+
+        P = [[tr(I)/2 1 - I, h], [h^T, m]]
+
+    Args:
+        phi: (..., 10) in the body's frame, kg, kg m, kg m^2.
+
+    Source: Wensing, Kim & Slotine, IEEE RA-L 3(1), 2018.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import pseudo_inertia_of
+        >>> ball = jnp.array([2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+        >>> jnp.diag(pseudo_inertia_of(ball)).tolist()
+        [0.5, 0.5, 0.5, 2.0]
+    """
+    m, hx, hy, hz, xx, xy, yy, xz, yz, zz = entries(phi)
+    half = (xx + yy + zz) / 2
+    rows = [half - xx, -xy, -xz, hx, -xy, half - yy, -yz, hy, -xz, -yz, half - zz, hz, hx, hy, hz]
+    return stacked([*rows, m], 4, 4)
+
+
+@takes(P="matrix4")
+def inertial_parameters_of(P: jax.Array) -> jax.Array:
+    """phi (..., 10) from a pseudo-inertia P (..., 4, 4): the inverse of `pseudo_inertia_of`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import inertial_parameters_of
+        >>> inertial_parameters_of(jnp.diag(jnp.array([0.5, 0.5, 0.5, 2.0]))).tolist()
+        [2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]
+    """
+    xx, xy, xz, hx, _, yy, yz, hy, _, _, zz, hz, _, _, _, m = entries(P, 2)
+    return stacked([m, hx, hy, hz, yy + zz, 0 - xy, xx + zz, 0 - xz, 0 - yz, xx + yy])  # no -0.0
+
+
+@takes(theta="inertial")
+def from_log_cholesky(theta: jax.Array) -> jax.Array:
+    """The pseudo-inertia P (..., 4, 4) of log-Cholesky coordinates: always positive definite.
+
+        P = U U^T
+
+    Args:
+        theta: (..., 10), any numbers.
+
+    Source: Rucker & Wensing 2022, eq. 12.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import from_log_cholesky
+        >>> from_log_cholesky(jnp.zeros(10)).diagonal().tolist()
+        [1.0, 1.0, 1.0, 1.0]
+    """
+    U = upper_factor(theta)
+    return (U[..., :, None, :] * U[..., None, :, :]).sum(-1)
+
+
+@takes(theta="inertial")
+def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
+    """phi (..., 10) of log-Cholesky coordinates; its Jacobian is `jax.jacfwd` of this.
+
+    Args:
+        theta: (..., 10), any numbers.
+
+    Source: Rucker & Wensing 2022, eq. 13.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import log_cholesky_parameters
+        >>> log_cholesky_parameters(jnp.zeros(10)).tolist()
+        [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 2.0, 0.0, 0.0, 2.0]
+    """
+    return inertial_parameters_of(from_log_cholesky(theta))
+
+
+def to_log_cholesky(P: jax.Array) -> jax.Array:
+    """The log-Cholesky coordinates of a pseudo-inertia: the inverse of `from_log_cholesky`.
+
+    Args:
+        P: (..., 4, 4) symmetric and positive definite.
+
+    Returns:
+        theta (..., 10); within traced code nan where P is not positive definite.
+
+    Raises:
+        InputError: P is known and not positive definite: no body has these numbers.
+
+    Source: Rucker & Wensing 2022.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import to_log_cholesky
+        >>> to_log_cholesky(jnp.eye(4)).tolist()
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
+    theta = _to_log_cholesky(P)
+    if not isinstance(theta, jax.core.Tracer) and not np.isfinite(theta).all():
+        at = np.argwhere(~np.isfinite(theta).all(-1))[0]
+        least = np.linalg.eigvalsh(np.asarray(P, float)[tuple(at)])[0]
+        where = f" of body {', '.join(map(str, at))}" if at.size else ""
+        raise InputError(
+            f"to_log_cholesky: the pseudo-inertia{where} has the eigenvalue {least:.3g}, expected "
+            "all above zero: a mass above zero and three principal moments, each smaller than the "
+            "sum of the others; `nearest_pseudo_inertia` gives a body that can exist"
+        )
+    return theta
+
+
+@takes(P="matrix4")
+def _to_log_cholesky(P: jax.Array) -> jax.Array:
+    xx, xy, xz, hx, _, yy, yz, hy, _, _, zz, hz, _, _, _, m = entries(P, 2)
+    t1, t2, t3 = hx / m, hy / m, hz / m
+    # A = S / m - t t^T, of which the upper factor is that of U / e^a without its last column
+    d3 = zz / m - t3 * t3
+    e3 = jnp.sqrt(d3)
+    s23, s13 = (yz / m - t2 * t3) / e3, (xz / m - t1 * t3) / e3
+    d2 = yy / m - t2 * t2 - s23 * s23
+    s12 = (xy / m - t1 * t2 - s13 * s23) / jnp.sqrt(d2)
+    d1 = xx / m - t1 * t1 - s12 * s12 - s13 * s13
+    logs = [jnp.log(x) / 2 for x in (m, d1, d2, d3)]
+    return stacked([*logs, s12, s23, s13, t1, t2, t3])
+
+
+@takes(theta="inertial")
+def upper_factor(theta: jax.Array) -> jax.Array:
+    """U (..., 4, 4), upper triangular with a positive diagonal, with P = U U^T."""
+    a, d1, d2, d3, s12, s23, s13, t1, t2, t3 = entries(theta)
+    o, one = jnp.zeros_like(a), jnp.ones_like(a)
+    e1, e2, e3 = jnp.exp(d1), jnp.exp(d2), jnp.exp(d3)
+    rows = [e1, s12, s13, t1, o, e2, s23, t2, o, o, e3, t3, o, o, o, one]
+    return jnp.exp(a)[..., None, None] * stacked(rows, 4, 4)
+
+
+@takes(theta="inertial")
+def log_cholesky_volume(theta: jax.Array) -> jax.Array:
+    """log |det d phi / d theta| (...): how a density over theta becomes one over phi.
+
+        log 32 + 20 a + 2 d1 + 3 d2 + 4 d3
+
+    Source: the product of the Cholesky map's derivative (Muirhead 1982, theorem 2.1.9) and the
+    exponentials'.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import log_cholesky_volume
+        >>> round(float(jnp.exp(log_cholesky_volume(jnp.zeros(10)))), 3)
+        32.0
+    """
+    a, d1, d2, d3 = entries(theta)[:4]
+    return math.log(32) + 20 * a + 2 * d1 + 3 * d2 + 4 * d3
+
+
+def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
+    """The nearest pseudo-inertia whose eigenvalues are at least `margin` times the largest.
+
+    Args:
+        P: (..., 4, 4) symmetric.
+        margin: above 0.
+
+    Returns:
+        (..., 4, 4), nearest to P in the Frobenius norm; P itself where it satisfies this.
+
+    Source: Higham, Linear Algebra Appl. 103, 1988.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.sysid import nearest_pseudo_inertia
+        >>> nearest_pseudo_inertia(jnp.diag(jnp.array([-0.1, 0.5, 0.5, 2.0])), 1e-3).shape
+        (4, 4)
+    """
+    if not margin > 0:
+        raise InputError(f"nearest_pseudo_inertia: margin is {margin}, expected a number above 0")
+    P = jnp.asarray(P)
+    w, V = jnp.linalg.eigh((P + jnp.swapaxes(P, -1, -2)) / 2)
+    least = margin * w[..., -1:]
+    lifted = (V * jnp.maximum(w, least)[..., None, :]) @ jnp.swapaxes(V, -1, -2)
+    return jnp.where((w[..., :1] >= least)[..., None], P, lifted)
+
+
+def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
+    """The model whose bodies have these inertial parameters: the inverse of `inertial_parameters`.
+
+    Args:
+        model: the robot.
+        pi: (10 nb,) or (nb, 10); masses above 0.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.sysid import with_inertial_parameters
+        >>> model = rb.load("double_pendulum")
+        >>> heavier = with_inertial_parameters(model, 2 * rb.inertial_parameters(model))
+        >>> (heavier.bodies.mass / model.bodies.mass).round(3).tolist()
+        [2.0, 2.0]
+    """
+    where, nb = "with_inertial_parameters", model.nb
+    check_model(where, model)
+    pi = check_array(where, "pi", pi, (10 * nb,), (nb, 10)).reshape(nb, 10)
+    if not isinstance(pi, jax.core.Tracer) and (np.asarray(pi)[:, 0] <= 0).any():
+        b = int(np.argmax(np.asarray(pi)[:, 0] <= 0))
+        raise InputError(
+            f"{where}: the mass of {model.body_names[b]} is {float(pi[b, 0]):g}, expected more "
+            "than 0; fit in log-Cholesky coordinates (`consistent`) for masses that can exist"
+        )
+    mass, com, inertia = from_pseudo_inertia(pseudo_inertia_of(pi))
+    return model.replace(bodies=model.bodies.replace(mass=mass, com=com, inertia=inertia))
+
+
+def model_log_cholesky(model: Model) -> jax.Array:
+    """The log-Cholesky coordinates (nb, 10) of a model's bodies.
+
+    Raises:
+        InputError: a body cannot exist; the message names it.
+
+    Example:
+        >>> import rbjax as rb
+        >>> from rbjax.sysid import model_log_cholesky
+        >>> model_log_cholesky(rb.load("double_pendulum")).shape
+        (2, 10)
+    """
+    P = pseudo_inertia_of(inertial_parameters(model).reshape(-1, 10))
+    theta = _to_log_cholesky(P)
+    if not isinstance(theta, jax.core.Tracer):
+        _check_bodies(model.body_names, np.asarray(theta))
+    return theta
+
+
+def _check_bodies(names: Sequence[str], theta: np.ndarray) -> None:
+    wrong = [n for n, x in zip(names, theta, strict=True) if not np.isfinite(x).all()]
+    if wrong:
+        raise InputError(
+            f"model_log_cholesky: no body has the mass and inertia of {', '.join(wrong)} (its "
+            "pseudo-inertia is not positive definite: a mass of 0, a flat body, or principal "
+            "moments that break the triangle inequality); correct the file, or give it "
+            "with_inertial_parameters of `nearest_pseudo_inertia`"
+        )
+
+
+parameter_jacobian = jax.jit(jax.vmap(jax.jacfwd(log_cholesky_parameters)))
+"""d phi / d theta (n, 10, 10) of n bodies."""

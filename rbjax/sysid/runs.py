@@ -1,0 +1,126 @@
+"""Recordings as arrays: what a simulation needs to repeat a run, and what to compare it with.
+
+Runs of different length are filled up to one shape, with weight 0, so that all of them are one
+batch and one program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+from rbjax.sysid.recording import Recording
+from rbjax.sysid.simulation import Grid, Setup
+
+#: sensors that a simulation reads, in the order of their rows
+SENSORS = ("q", "v")
+
+
+class Run(NamedTuple):
+    """One run, or a batch of them: start; commands (N, n); and by sensor the times (T,) in s after
+    the start, the values (T, n), and weights (T, n): 1 / sigma, 0 where nothing was measured."""
+
+    start: State
+    commands: jax.Array
+    times: dict[str, Any]
+    values: dict[str, Any]
+    weights: dict[str, Any]
+
+
+def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
+    """A recording on the grid of a simulation. A start that was not recorded is interpolated; a
+    velocity that was not is the slope of the first samples."""
+    model, dtype = setup.model, setup.model.gravity.dtype
+    run.check_model(model)
+    measured = [s for s in SENSORS if s in run.channels]
+    if "q" not in measured:
+        raise InputError(
+            f"identify: recording {run.name} has channels {', '.join(run)}, expected q among them: "
+            "a simulation starts from a configuration"
+        )
+    start, end = run.start, run.end
+    count = int((end - start) / grid.period + 1e-6)
+    if count < 1:
+        raise InputError(
+            f"identify: recording {run.name} lasts {end - start:g} s, expected at least a period "
+            f"of {grid.period:g} s"
+        )
+    if "ctrl" in run.channels:
+        instants = start + grid.period * (np.arange(count) + 1e-6)  # after the command has changed
+        held = np.searchsorted(run["ctrl"].t, instants, side="right") - 1
+        commands = run["ctrl"].values[held]
+    else:
+        commands = np.zeros((count, model.nu))
+    times, values, weights = {}, {}, {}
+    for sensor in measured:
+        channel = run[sensor]
+        inside = (channel.t >= start - 1e-9) & (channel.t <= start + count * grid.period + 1e-9)
+        arrived = channel.arrived[inside]
+        sigma = 1.0 if channel.noise is None else channel.noise
+        times[sensor] = channel.t[inside] - start
+        values[sensor] = np.where(arrived, np.nan_to_num(channel.values[inside]), 0.0)
+        weights[sensor] = arrived / sigma
+    q, v = _start(setup, run, start)
+    x = None if model.nx == 0 else model.default_state().x
+    state = State(jnp.asarray(q, dtype), jnp.asarray(v, dtype), x)
+    found = Run(state, commands, times, values, weights)
+    return jax.tree.map(lambda a: jnp.asarray(a, dtype), found)
+
+
+def _start(setup: Setup, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
+    """q and v at the start as the sensors see them, their bias and scale taken off."""
+
+    def first(sensor: str) -> np.ndarray:
+        channel, by = run[sensor], setup.sensors[sensor]
+        k = int(np.searchsorted(channel.t, start - 1e-9))
+        return (channel.values[k] - np.asarray(by.bias)) / np.asarray(by.scale)
+
+    q = first("q")
+    if "v" in run.channels:
+        return q, first("v")
+    model: Model = setup.model
+    if model.nq != model.nv:
+        raise InputError(
+            f"identify: recording {run.name} has no channel v, expected one: the model has "
+            "attitudes, whose rate is not the slope of its numbers"
+        )
+    channel = run["q"]
+    k = int(np.searchsorted(channel.t, start - 1e-9))
+    few = slice(k, k + 5)
+    slope = np.polyfit(channel.t[few] - channel.t[k], channel.values[few], 2)[1]
+    return q, slope / np.asarray(setup.sensors["q"].scale)
+
+
+def batch(runs: Sequence[Run]) -> Run:
+    """Several runs in one, each filled up to the longest."""
+    sensors = {tuple(sorted(e.values)) for e in runs}
+    if len(sensors) > 1:
+        raise InputError(
+            f"identify: the recordings have channels {sorted(sensors)}, expected the same of "
+            "q and v in all; leave out what only some have"
+        )
+
+    def stacked(arrays: Sequence[Any], last: bool) -> Any:
+        longest = max(a.shape[0] for a in arrays)
+
+        def filled(a: Any) -> Any:
+            rows = [(0, longest - a.shape[0])] + [(0, 0)] * (a.ndim - 1)
+            return jnp.pad(a, rows, mode="edge") if last else jnp.pad(a, rows)
+
+        return jnp.stack([filled(a) for a in arrays])
+
+    def each(field: str, last: bool) -> dict[str, Any]:
+        first = getattr(runs[0], field)
+        return {s: stacked([getattr(e, field)[s] for e in runs], last) for s in first}
+
+    return Run(
+        jax.tree.map(lambda *x: jnp.stack(x), *(e.start for e in runs)),
+        stacked([e.commands for e in runs], True),
+        each("times", True), each("values", False), each("weights", False),
+    )  # fmt: skip

@@ -1,0 +1,140 @@
+"""The simulation error: sensors of simulated motions less what was recorded, with its Jacobian.
+
+    r(p, s) = weights (reading(motion(p, start (+) s)) (-) recorded)
+for all runs as one batch. p is shared; each run has its own correction s of its start where that
+is sought. The Jacobian is in forward mode, every direction a sample of the batch.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+
+from rbjax.dynamics.manifold import difference, integrate
+from rbjax.model import State
+from rbjax.sysid.divergence import Divergence
+from rbjax.sysid.runs import Run
+from rbjax.sysid.simulation import Grid, Setup, motion, reading
+from rbjax.sysid.unknowns import Unknowns
+
+#: with loss="huber" residuals above this many sigma count by their size, not by its square
+HUBER = 1.345
+
+
+class SimulationError:
+    """The residual of a batch of runs, compiled once.
+
+    x (n + runs l,) holds the numbers p of the unknowns (n,) and, where starts are sought, l = 2 nv
+    corrections for each run.
+    """
+
+    def __init__(
+        self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
+        starts: bool = False, loss: str = "squares",
+    ):  # fmt: skip
+        self.setup, self.unknowns, self.runs = setup, unknowns, runs
+        self.count = runs.commands.shape[0]
+        self.shared = sum(unknowns.sizes)
+        self.own = 2 * setup.model.nv if starts else 0
+        n, l = self.shared, self.own
+
+        def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
+            p, s = x[:n], x[n:]
+            start = run.start
+            if l:
+                dq, dv = jnp.split(s, 2)
+                start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
+            made = functools.partial(unknowns.write, setup)
+            path = motion(made, p, start, run.commands, grid)
+            now = made(p)
+            return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
+
+        def residual(x: jax.Array, run: Run) -> jax.Array:
+            parts = []
+            for kind, seen in readings(x, run).items():
+                off = seen - run.values[kind]
+                if kind == "q":
+                    minus = functools.partial(difference, setup.model)
+                    off = jax.vmap(minus)(run.values[kind], seen)
+                weights = run.weights[kind]
+                if off.shape != weights.shape:  # attitudes: all of a sample or nothing
+                    weights = jnp.broadcast_to(weights.min(-1, keepdims=True), off.shape)
+                parts.append((weights * off).ravel())
+            r = jnp.concatenate(parts)
+            if loss == "huber":
+                size = jnp.maximum(jnp.abs(r), HUBER)
+                r = jnp.where(
+                    jnp.abs(r) < HUBER, r, jnp.sign(r) * jnp.sqrt(HUBER * (2 * size - HUBER))
+                )
+            return r
+
+        def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
+            def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
+                return jax.jvp(lambda x: residual(x, run), (x,), (e,))
+
+            return jax.vmap(along, out_axes=(None, 1))(jnp.eye(n + l))
+
+        self.readings = jax.jit(jax.vmap(readings))
+        self._residuals = jax.jit(jax.vmap(residual))
+        self._slopes = jax.jit(jax.vmap(sloped))
+
+    @property
+    def size(self) -> int:
+        """Numbers of x."""
+        return self.shared + self.count * self.own
+
+    def by_run(self, x: np.ndarray) -> jax.Array:
+        """x as (runs, n + l)."""
+        own = jnp.reshape(x[self.shared :], (self.count, self.own))
+        p = jnp.broadcast_to(jnp.asarray(x[: self.shared]), (self.count, self.shared))
+        return jnp.concatenate([p, own], -1)
+
+    def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
+        """That of the unknowns, and of the starts' corrections as free numbers."""
+        n = self.shared
+        first = self.unknowns.divergence(x[:n], x0[:n])
+        rest = Divergence.free(x[n:], x0[n:], 1.0)
+        return Divergence(
+            first.value + rest.value, np.append(first.slope, rest.slope),
+            scipy.linalg.block_diag(first.curvature, rest.curvature) if n < x.size
+            else first.curvature,
+        )  # fmt: skip
+
+    def compile(self, x: np.ndarray) -> None:
+        """Compiles ahead of the first call."""
+        args = (self.by_run(x), self.runs)
+        self._residuals.lower(*args).compile()
+        self._slopes.lower(*args).compile()
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """(runs, rows)"""
+        return np.asarray(self._residuals(self.by_run(x), self.runs))
+
+    def triangle(self, x: np.ndarray) -> np.ndarray:
+        """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
+        r, J = (np.asarray(a) for a in self._slopes(self.by_run(x), self.runs))
+        p, l, n = self.shared, self.own, self.size
+        if not l:
+            rows = np.concatenate([J.reshape(-1, p), r.reshape(-1, 1)], 1)
+            return _triangle(rows)
+        blocks = []
+        for k in range(self.count):
+            R = _triangle(np.concatenate([J[k], r[k][:, None]], 1))
+            wide = np.zeros((R.shape[0], n + 1))
+            wide[:, :p], wide[:, -1] = R[:, :p], R[:, -1]
+            wide[:, p + k * l : p + (k + 1) * l] = R[:, p:-1]
+            blocks.append(wide)
+        return _triangle(np.concatenate(blocks))
+
+
+def _triangle(rows: np.ndarray) -> np.ndarray:
+    if not np.isfinite(rows).all():
+        return np.full((rows.shape[1],) * 2, np.nan)
+    R: Any = np.linalg.qr(rows, mode="r")
+    missing = rows.shape[1] - R.shape[0]
+    return R if missing <= 0 else np.pad(R, ((0, missing), (0, 0)))

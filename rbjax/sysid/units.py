@@ -1,0 +1,49 @@
+"""`in_si`: the factor that takes a measured number to SI.
+
+A log says degrees, rpm or mm; arrays are held in rad, rad/s and m.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rbjax.errors import UnknownName
+
+#: unit -> its value in SI
+UNITS = {
+    "": 1.0, "1": 1.0, "%": 0.01,
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0,
+    "rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi,
+    "rad/s": 1.0, "deg/s": math.pi / 180, "rev/s": 2 * math.pi, "rpm": math.pi / 30,
+    "rad/s^2": 1.0, "deg/s^2": math.pi / 180,
+    "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254,
+    "m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6,
+    "m/s^2": 1.0, "mm/s^2": 1e-3, "g0": 9.80665,
+    "N": 1.0, "mN": 1e-3, "kN": 1e3,
+    "N m": 1.0, "mN m": 1e-3, "kN m": 1e3,
+    "A": 1.0, "mA": 1e-3, "V": 1.0, "mV": 1e-3,
+}  # fmt: skip
+
+
+def in_si(unit: str) -> float:
+    """The value of a unit in SI.
+
+    Args:
+        unit: such as "deg", "rpm", "mm", "g0" (standard gravity), "N m"; "" is SI already.
+
+    Returns:
+        The factor of a number in this unit.
+
+    Raises:
+        UnknownName: a unit that is not in the table.
+
+    Source: BIPM, *The International System of Units*, 9th edition, 2019.
+
+    Example:
+        >>> from rbjax.sysid import in_si
+        >>> round(60 * in_si("rpm"), 4)
+        6.2832
+    """
+    if unit not in UNITS:
+        raise UnknownName("unit", unit, UNITS)
+    return UNITS[unit]

@@ -1,0 +1,90 @@
+"""Held-out verdicts, and the comparison of nested models by their rates of error."""
+
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.sysid import Scored, compare, held_out, whiteness
+
+RNG = np.random.default_rng(0)
+RUNS = {f"run {k}": RNG.normal(size=(200, 2)) for k in range(6)}
+
+
+def half(first, factor=1.0):
+    return {n: factor * r for k, (n, r) in enumerate(RUNS.items()) if (k < 3) == first}
+
+
+@pytest.mark.parametrize(
+    ("factor", "holds", "words"),
+    [(1.0, True, "holds"), (1.6, False, "is weaker"), (5.0, False, "fails")],
+)
+def test_verdicts(factor, holds, words):
+    measured = {n: r + 10 * RNG.normal(size=r.shape) for n, r in half(False, factor).items()}
+    found = held_out(half(True), half(False, factor), measured=measured, noise=1.0, unit="mrad")
+    rms = np.sqrt(np.mean(np.concatenate(list(half(False, factor).values())) ** 2))
+    assert abs(found.rms / rms - 1) < 1e-14
+    assert found.holds is holds and found.sentence.startswith(f"the model {words}: on 3 recordings")
+    assert ("lacks something" in found.sentence) == (factor == 5.0)
+    left = sum(np.sum(r**2) for r in half(False, factor).values())
+    there = sum(np.sum((y - y.mean(0)) ** 2) for y in measured.values())
+    assert abs(found.r_squared - (1 - left / there)) < 1e-14
+    assert max(found.by_recording, key=found.by_recording.get) in found.sentence
+
+
+def test_samples_that_did_not_arrive_do_not_count():
+    holed = {n: np.where(r > 1, np.nan, r) for n, r in half(False).items()}
+    kept = {n: r[r <= 1] for n, r in half(False).items()}
+    assert abs(held_out(half(True), holed).rms - held_out(half(True), kept).rms) < 1e-15
+
+
+def experiment(rng, slope, noise=None, samples=200):
+    t = np.linspace(-1, 1, samples)
+    y = 1 + slope * t + (rng.normal(size=samples) if noise is None else noise)
+    squares = [float(np.sum((y - np.polyval(np.polyfit(t, y, d), t)) ** 2)) for d in (0, 1)]
+    return Scored("constant", squares[0], 1), Scored("line", squares[1], 2), y - y.mean()
+
+
+def test_a_term_that_is_not_there_is_seldom_taken():
+    """By chance in at most 1 % of cases; a term of 4 standard deviations in nearly all."""
+    rng = np.random.default_rng(1)
+    taken = np.mean([compare(*experiment(rng, 0.0)[:2], 200).earned for _ in range(400)])
+    assert taken <= 0.0275  # 1 % and 3.5 standard deviations of 400 draws
+    sigma = np.sqrt(3 / 200)
+    found = np.mean([compare(*experiment(rng, 5 * sigma)[:2], 200).earned for _ in range(200)])
+    assert found > 0.95
+
+
+def test_numbers_by_hand():
+    found = compare(Scored("a", 20.0, 2), Scored("b", 10.0, 4), 34)
+    assert abs(found.F / 15 - 1) < 1e-14  # (10/2) / (10/30)
+    assert found.p_value == pytest.approx((1 + 2 * 15 / 30) ** -15, rel=1e-12)  # F with 2 and 30
+    assert found.aic == pytest.approx(4 - 34 * np.log(2), rel=1e-14)
+    assert found.bic == pytest.approx(2 * np.log(34) - 34 * np.log(2), rel=1e-14)
+    assert found.earned and "b earns its place beside a: F = 15, p = 3e-05" in found.sentence
+    same = compare(Scored("a", 10.0, 2), Scored("b", 10.0, 3), 34)
+    assert not same.earned and "does not earn" in same.sentence and same.F == 0
+
+
+def test_correlated_residuals_need_effective_samples():
+    """A slow disturbance looks like a line; with the effective number of samples it does not."""
+    rng = np.random.default_rng(2)
+    naive = honest = 0
+    for _ in range(100):
+        slow = np.convolve(rng.normal(size=230), np.ones(31) / 5, "valid")
+        small, large, r = experiment(rng, 0.0, slow)
+        naive += compare(small, large, 200).earned
+        honest += compare(small, large, max(whiteness(r).effective_samples, 3)).earned
+    assert naive > 40 and honest < 10
+
+
+def test_bad_arguments_are_named():
+    with pytest.raises(rb.InputError, match="on both sides: run 0"):
+        held_out(half(True), half(True))
+    with pytest.raises(rb.InputError, match="0 fitted and 3 unseen"):
+        held_out({}, half(False))
+    with pytest.raises(rb.InputError, match="no residuals"):
+        held_out({"a": [np.nan]}, half(False))
+    with pytest.raises(rb.InputError, match="a has 2 parameters and b 2, with 10 samples"):
+        compare(Scored("a", 2.0, 2), Scored("b", 1.0, 2), 10)
+    with pytest.raises(rb.InputError, match="b leaves 3 and a 2, expected no more"):
+        compare(Scored("a", 2.0, 2), Scored("b", 3.0, 3), 10)
