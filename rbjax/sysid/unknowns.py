@@ -2,9 +2,9 @@
 
 An unknown reads and writes n physical numbers p of a pytree (a `Model`, or a `Setup` around it).
 What p can be is said by a convex divergence D(p, p0): the distance from a guess, infinite where p
-is impossible (`divergence`). So one term is the barrier of an estimator, the length of its steps, and
-the prior that decides what the data leave open. Motion is nearly linear in p, and what data leave
-open is a plane in p.
+is impossible (`divergence`). So one term is the barrier of an estimator, the length of its steps,
+and the prior that decides what the data leave open. Motion is nearly linear in p, and what data
+leave open is a plane in p.
 """
 
 from __future__ import annotations
