@@ -23,8 +23,9 @@ SENSORS = ("q", "v")
 
 
 class Run(NamedTuple):
-    """One run, or a batch of them: start; commands (N, n); and by sensor the times (T,) in s after
-    the start, the values (T, n), and weights (T, n): 1 / sigma, 0 where nothing was measured."""
+    """One run, or a batch of them: the first readings, as a state; commands (N, n); and by sensor
+    the times (T,) in s after the start, the values (T, n), and weights (T, n): 1 / sigma, 0 where
+    nothing was measured."""
 
     start: State
     commands: jax.Array
@@ -34,8 +35,7 @@ class Run(NamedTuple):
 
 
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
-    """A recording on the grid of a simulation. A start that was not recorded is interpolated; a
-    velocity that was not is the slope of the first samples."""
+    """A recording on the grid of a simulation."""
     model, dtype = setup.model, setup.model.gravity.dtype
     run.check_model(model)
     measured = [s for s in SENSORS if s in run.channels]
@@ -66,25 +66,23 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         times[sensor] = channel.t[inside] - start
         values[sensor] = np.where(arrived, np.nan_to_num(channel.values[inside]), 0.0)
         weights[sensor] = arrived / sigma
-    q, v = _start(setup, run, start)
+    q, v = _start(model, run, start)
     x = None if model.nx == 0 else model.default_state().x
     state = State(jnp.asarray(q, dtype), jnp.asarray(v, dtype), x)
     found = Run(state, commands, times, values, weights)
     return jax.tree.map(lambda a: jnp.asarray(a, dtype), found)
 
 
-def _start(setup: Setup, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
-    """q and v at the start as the sensors see them, their bias and scale taken off."""
+def _start(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
+    """The first readings of q and v; where v was not recorded, the slope of those of q."""
 
     def first(sensor: str) -> np.ndarray:
-        channel, by = run[sensor], setup.sensors[sensor]
-        k = int(np.searchsorted(channel.t, start - 1e-9))
-        return (channel.values[k] - np.asarray(by.bias)) / np.asarray(by.scale)
+        channel = run[sensor]
+        return channel.values[int(np.searchsorted(channel.t, start - 1e-9))]
 
     q = first("q")
     if "v" in run.channels:
         return q, first("v")
-    model: Model = setup.model
     if model.nq != model.nv:
         raise InputError(
             f"identify: recording {run.name} has no channel v, expected one: the model has "
@@ -93,8 +91,7 @@ def _start(setup: Setup, run: Recording, start: float) -> tuple[np.ndarray, np.n
     channel = run["q"]
     k = int(np.searchsorted(channel.t, start - 1e-9))
     few = slice(k, k + 5)
-    slope = np.polyfit(channel.t[few] - channel.t[k], channel.values[few], 2)[1]
-    return q, slope / np.asarray(setup.sensors["q"].scale)
+    return q, np.polyfit(channel.t[few] - channel.t[k], channel.values[few], 2)[1]
 
 
 def batch(runs: Sequence[Run]) -> Run:

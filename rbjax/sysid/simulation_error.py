@@ -45,13 +45,13 @@ class SimulationError:
 
         def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
             p, s = x[:n], x[n:]
-            start = run.start
+            made = functools.partial(unknowns.write, setup)
+            now = made(p)
+            start = began(now, run.start, "v" in run.values)
             if l:
                 dq, dv = jnp.split(s, 2)
                 start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-            made = functools.partial(unknowns.write, setup)
             path = motion(made, p, start, run.commands, grid)
-            now = made(p)
             return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
 
         def residual(x: jax.Array, run: Run) -> jax.Array:
@@ -130,6 +130,13 @@ class SimulationError:
             wide[:, p + k * l : p + (k + 1) * l] = R[:, p:-1]
             blocks.append(wide)
         return _triangle(np.concatenate(blocks))
+
+
+def began(setup: Setup, first: State, v_was_read: bool) -> State:
+    """The state of which the first readings are; a v that was not read is the slope of q's."""
+    q, v = setup.sensors["q"], setup.sensors["v"]
+    speed = (first.v - v.bias) / v.scale if v_was_read else first.v / q.scale
+    return State((first.q - q.bias) / q.scale, speed, first.x)
 
 
 def _triangle(rows: np.ndarray) -> np.ndarray:

@@ -1,7 +1,6 @@
 """`identify` on simulated recordings whose truth is known."""
 
 import json
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,19 +9,12 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import (
     Channel,
-    Grid,
-    Inertia,
     Recording,
-    Setup,
     Unknown,
-    from_log_cholesky,
     identify,
-    inertial_parameters_of,
     pseudo_inertia_of,
-    to_log_cholesky,
 )
-from rbjax.sysid.simulation import motion
-from rbjax.sysid.unknowns import Unknowns
+from tests.sysid.problems import GO2, ORACLES, arm, quadruped
 
 MODEL = rb.load("pendulum")
 MASS = Unknown("bodies.mass", 0, positive=True)
@@ -124,38 +116,32 @@ def test_bad_arguments_are_named(change, error):
 
 @pytest.mark.slow
 def test_fifty_five_numbers_of_an_arm():
-    """The arm of MuJoCo's own test: five armatures from a fiftieth of their value, five bodies off
-    by a tenth: all that can be found is, the rest keeps a body possible."""
-    given = json.loads((Path(__file__).parents[1] / "oracles" / "arm5.json").read_text())
-    with pytest.warns(UserWarning, match="joint limits"):
-        model = rb.load(given["mjcf"])
-    T, N = 0.002, 999
-    t = np.arange(N + 1) * T
-    ctrl = np.array([5, 4, 3, 2, 1.0]) * np.sin(
-        2 * np.pi * np.array([0.5, 0.7, 0.4, 0.9, 0.6]) * t[:-1, None] + np.arange(5) / 2
-    )
-    grid, setup = Grid(T, 1, "dop853"), Setup.of(model)
-    path = motion(lambda p: setup, jnp.zeros(1), model.default_state(), jnp.asarray(ctrl), grid)
-    for k, state in given["exact_for_held_controls"].items():
-        np.testing.assert_allclose([*path.q[int(k)], *path.v[int(k)]], state, atol=1e-11)
-    unknowns = {"armature": Unknown("joints.armature", positive=True)}
-    unknowns |= {f"link{k + 1}": Inertia(f"link{k + 1}") for k in range(5)}
-    of = Unknowns.of("test", unknowns, setup)
-    truth = np.asarray(of.read(setup))
-    guess, rng = truth.copy(), np.random.default_rng(0)
-    guess[:5] = 0.01
-    for k in range(5, 55, 10):
-        theta = to_log_cholesky(pseudo_inertia_of(truth[k : k + 10])) + 0.1 * rng.normal(size=10)
-        guess[k : k + 10] = inertial_parameters_of(from_log_cholesky(theta))
-    run = Recording("arm", {
-        "q": Channel(t, path.q), "v": Channel(t, path.v), "ctrl": Channel(t[:-1], ctrl),
-    })  # fmt: skip
-    found = identify(of.write(setup, jnp.asarray(guess)), run, unknowns, grid=grid, pieces=0.1)
+    """All that can be found is; the rest leaves bodies possible."""
+    setup, run, unknowns, truth, how = arm()
+    found = identify(setup, run, unknowns, **how)
     p = np.array([*found.values.values()])
     assert found.ok and found.found.rank == 32
     np.testing.assert_allclose(found.found.combine(p), found.found.combine(truth), atol=1e-9)
     assert {f"armature[{k}]" for k in (2, 3, 4)} <= set(found.found.found)
-    assert set(found.found.hidden) == {f"{link}.{k}" for link, k in map(tuple, given["never_show"])}
+    hidden = json.loads((ORACLES / "arm5.json").read_text())["never_show"]
+    assert set(found.found.hidden) == {f"{link}.{k}" for link, k in hidden}
     assert found.found.term(0).startswith("armature[0] + link1.Izz")
     for k in range(5, 55, 10):
         assert np.linalg.eigvalsh(pseudo_inertia_of(p[k : k + 10])).min() > 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not GO2.exists(), reason=f"{GO2} is not there")
+def test_forty_nine_numbers_of_a_quadruped():
+    """Friction, bias and delay from noisy angles: as near as the noise allows (the bound of Cramer
+    and Rao), and intervals that hold."""
+    setup, run, unknowns, truth, how = quadruped()
+    found = identify(setup, run, unknowns, **how)
+    assert found.ok and found.found.rank == 49
+    off = np.abs(np.array([*found.values.values()]) - truth) / found.estimates.sigma
+    assert off.max() < 4 and 42 <= (off < 1.96).sum() <= 49
+    np.testing.assert_allclose(found.rms["q"], 5e-4, rtol=0.03)
+    least = {"armature[0]": 1.430e-5, "viscous[2]": 1.584e-4, "coulomb[1]": 4.988e-4,
+             "bias[0]": 1.540e-4, "delay": 9.509e-7}  # fmt: skip
+    for name, sigma in least.items():
+        np.testing.assert_allclose(found.estimates.interval(name).sigma, sigma, rtol=0.06)
