@@ -6,6 +6,7 @@ batch and one program.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
-from rbjax.sysid.recording import Recording
+from rbjax.sysid.recording import Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
 
 #: sensors that a simulation reads, in the order of their rows
@@ -37,7 +38,7 @@ class Run(NamedTuple):
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation."""
     model, dtype = setup.model, setup.model.gravity.dtype
-    run.check_model(model)
+    run = _ordered(model, run)
     measured = [s for s in SENSORS if s in run.channels]
     if "q" not in measured:
         raise InputError(
@@ -73,12 +74,45 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     return jax.tree.map(lambda a: jnp.asarray(a, dtype), found)
 
 
+def _ordered(model: Model, run: Recording) -> Recording:
+    """The recording with the columns of joints and actuators in the order of the model."""
+    run.check_model(model)
+    channels = dict(run.channels)
+    for sensor, size, names in (
+        ("q", model.nq, model.joint_names),
+        ("v", model.nv, model.joint_names),
+        ("ctrl", model.nu, model.actuator_names),
+    ):
+        if sensor not in channels:
+            continue
+        channel = channels[sensor]
+        if len(channel.names) != size:
+            raise InputError(
+                f"identify: channel {sensor} of recording {run.name} has {len(channel.names)} "
+                f"columns, expected all {size} of the model; give those that were not measured as "
+                'nan with dropped="nan"'
+            )
+        if set(channel.names) == set(names) and channel.names != tuple(names):
+            order = [channel.names.index(name) for name in names]
+            noise = None if channel.noise is None else channel.noise[order]
+            channels[sensor] = Channel(
+                channel.t, channel.values[:, order], tuple(names), noise=noise, dropped="nan"
+            )
+    return dataclasses.replace(run, channels=channels)
+
+
 def _start(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
     """The first readings of q and v; where v was not recorded, the slope of those of q."""
 
     def first(sensor: str) -> np.ndarray:
         channel = run[sensor]
-        return channel.values[int(np.searchsorted(channel.t, start - 1e-9))]
+        found = channel.values[int(np.searchsorted(channel.t, start - 1e-9))]
+        if np.isnan(found).any():
+            raise InputError(
+                f"identify: the first sample of {sensor} in recording {run.name} did not arrive, "
+                "expected one to start from: begin where all arrived, by run.piece(t0, t1)"
+            )
+        return found
 
     q = first("q")
     if "v" in run.channels:
