@@ -104,8 +104,20 @@ class Unknown(_Scalars):
         return with_leaf(target, self.leaf, new)
 
 
-#: the pseudo-inertia's slopes (10, 4, 4) in the ten parameters: it is linear in them
-PSEUDO = np.asarray(jax.jacfwd(pseudo_inertia_of)(jnp.ones(10))).transpose(2, 0, 1)
+def _pseudo_slopes() -> np.ndarray:
+    """The pseudo-inertia's slopes (10, 4, 4) in the ten parameters: it is linear in them."""
+    found = np.zeros((10, 4, 4))
+    found[0, 3, 3] = 1.0
+    for k in range(3):
+        found[1 + k, k, 3] = found[1 + k, 3, k] = 1.0
+    for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))):
+        found[4 + k, i, j] = found[4 + k, j, i] = -1.0
+        if i == j:
+            found[4 + k, :3, :3] += np.eye(3) / 2
+    return found
+
+
+PSEUDO = _pseudo_slopes()
 
 
 @dataclass(frozen=True)
