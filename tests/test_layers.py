@@ -10,7 +10,8 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 # What a room stands on directly; it may import that and all below it.
 FLOORS = {
     "errors": "",
-    "compiling": "errors",
+    "progress": "errors",
+    "compiling": "progress",
     "meshes": "compiling",
     "lanes": "meshes",
     "threads": "lanes",
