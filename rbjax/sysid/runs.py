@@ -16,7 +16,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
-from rbjax.sysid.recording import Channel, Recording
+from rbjax.sysid.recording import HELD, Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
 
 #: sensors that a simulation reads, in the order of their rows
@@ -45,7 +45,10 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
             f"identify: recording {run.name} has channels {', '.join(run)}, expected q among them: "
             "a simulation starts from a configuration"
         )
-    start, end = run.start, run.end
+    start = run.start
+    # the last command holds for one more step of its channel
+    ends = {s: c.t[-1] + (c.step if s == HELD else 0.0) for s, c in run.channels.items()}
+    end = min(ends.values())
     count = int((end - start) / grid.period + 1e-6)
     if count < 1:
         raise InputError(
