@@ -11,7 +11,9 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 FLOORS = {
     "errors": "",
     "progress": "errors",
-    "compiling": "progress",
+    "style": "errors",
+    "html_page": "errors",
+    "compiling": "progress style html_page",
     "meshes": "compiling",
     "lanes": "meshes",
     "threads": "lanes",

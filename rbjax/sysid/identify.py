@@ -26,10 +26,13 @@ from rbjax.sysid.runs import Run, batch, run_of
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates, estimates
+from rbjax.sysid.traces import Traces, rms_of, together, traces
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
+#: standard deviation of normal noise over the median of its size
+NORMAL = 1.4826
 #: pulls of the fit to short pieces, which is only a start
 FIRST_PULLS = (1e-4, 1e-7)
 
@@ -38,27 +41,41 @@ FIRST_PULLS = (1e-4, 1e-7)
 class Identified:
     """What recordings say of a robot.
 
-    Fields: setup with the found numbers; values by name; found, the combinations of them that the
-    data show, `found.words()`; estimates, their covariance and intervals; rms, by sensor one number
-    a column; evaluations of the residual; ok and message, whether the fit converged.
+    Fields: setup with the found numbers; values by name; guess, the first ones; found, the
+    combinations of them that the data show, `found.words()`; estimates, their covariance and
+    intervals; recordings that were fitted, and traces, what they recorded beside what is simulated;
+    evaluations of the residual; ok and message, whether the fit converged; error, the simulation.
     """
 
     setup: Setup
     values: dict[str, float]
+    guess: dict[str, float]
     found: Combinations
     estimates: Estimates
-    rms: dict[str, np.ndarray]
+    recordings: tuple[Recording, ...]
+    traces: Traces
     evaluations: int
     ok: bool
     message: str
     grid: Grid
-    sought: Unknowns
-    residuals: dict[str, np.ndarray]
+    error: SimulationError
 
     @property
     def model(self) -> Model:
         """The model with the found numbers."""
         return self.setup.model
+
+    @property
+    def rms(self) -> dict[str, np.ndarray]:
+        """By sensor, the error of the simulation, one number a column."""
+        return rms_of(self.traces)
+
+    def simulated(self, recordings: Sequence[Recording]) -> Traces:
+        """Other recordings beside what is simulated from their own first samples."""
+        of = self.error.on(_batch(self.setup, recordings, self.grid))
+        x = np.zeros(of.size)
+        x[: len(self.values)] = list(self.values.values())
+        return traces(self.model, of, x, recordings)
 
     def on(self, recordings: Sequence[Recording]) -> HeldOut:
         """The verdict on recordings that the fit never saw, from their own first states.
@@ -66,10 +83,12 @@ class Identified:
         Raises:
             InputError: a recording that was fitted.
         """
-        data = _batch(self.setup, recordings, self.grid)
-        of = SimulationError(self.setup, self.sought, data, self.grid)
-        x = np.zeros(of.size) + np.array([*self.values.values()])
-        return held_out(self.residuals, _by_recording(_off(of, x)["q"], recordings))
+        seen, unseen = self.traces, self.simulated(recordings)
+        return held_out(
+            {name: sensors["q"].residual for name, sensors in seen.items()},
+            {name: sensors["q"].residual for name, sensors in unseen.items()},
+            measured={name: sensors["q"].recorded for name, sensors in unseen.items()},
+        )
 
 
 def identify(
@@ -164,12 +183,12 @@ def identify(
             x = fit(error(short), x, pulls=FIRST_PULLS).x[: len(start)]
         of = error(runs)
         least = fit(of, x)
-        off = _off(of, least.x)
-        estimated = _weighed(of.runs, off, runs)
+        seen = traces(setup.model, of, least.x, runs)
+        estimated = _weighed(of.runs, seen, runs, robust=loss == "huber")
         if estimated is not None:
             of = of.on(estimated)
             least = fit(of, least.x)
-            off = _off(of, least.x)
+            seen = traces(setup.model, of, least.x, runs)
     n = len(start)
     p = least.x[:n]
     names = sought.names
@@ -181,10 +200,11 @@ def identify(
         dof=max(samples - of.size, 1), bounds=sought.limits(setup),
     )  # fmt: skip
     found = sought.write(setup, jnp.asarray(p, setup.model.gravity.dtype))
+    values, guess = (dict(zip(names, map(float, x), strict=True)) for x in (p, start))
+    shown = combinations(least.triangle[:, :n], names)
     return Identified(
-        found, dict(zip(names, map(float, p), strict=True)),
-        combinations(least.triangle[:, :n], names), said, _rms(off), evaluations,
-        least.ok, least.message, grid, sought, _by_recording(off["q"], runs),
+        found, values, guess, shown, said, tuple(runs), seen, evaluations, least.ok, least.message,
+        grid, of,
     )  # fmt: skip
 
 
@@ -201,35 +221,16 @@ def _batch(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
     return batch([run_of(setup, run, grid) for run in runs])
 
 
-def _off(of: SimulationError, x: np.ndarray) -> dict[str, np.ndarray]:
-    """Readings less what was recorded (runs, samples, columns), nan where nothing was."""
-    read, data = of.readings(of.by_run(x), of.runs), of.runs
-    return {
-        k: np.where(np.asarray(data.weights[k]) > 0, np.asarray(read[k] - data.values[k]), np.nan)
-        for k in data.values
-    }
-
-
-def _rms(off: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {sensor: np.sqrt(np.nanmean(r**2, axis=(0, 1))) for sensor, r in off.items()}
-
-
-def _by_recording(off: np.ndarray, runs: Sequence[Recording]) -> dict[str, np.ndarray]:
-    return {run.name: r for run, r in zip(runs, off, strict=True)}
-
-
-def _weighed(data: Run, off: dict[str, np.ndarray], runs: Sequence[Recording]) -> Run | None:
+def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool) -> Run | None:
     """The data weighed by the noise of the residuals, where no channel says its own; None where
-    all say it, or there is none."""
-    rms, weights = _rms(off), dict(data.weights)
-    changed = False
+    all say it, or there is none. Outliers do not count for `robust`."""
+    weights, changed = dict(data.weights), False
     for sensor in data.values:
         if all(run[sensor].noise is not None for run in runs):
             continue
-        seen = np.asarray(data.values[sensor])
-        spread = seen.std(axis=(0, 1))
-        sigma = np.where(rms[sensor] > NOISELESS * spread, rms[sensor], 0.0)
-        if (sigma == 0).any():
+        r, spread = together(seen, sensor), np.asarray(data.values[sensor]).std(axis=(0, 1))
+        sigma = NORMAL * np.nanmedian(np.abs(r), 0) if robust else np.sqrt(np.nanmean(r**2, 0))
+        if not (sigma > NOISELESS * spread).all():
             return None
         weights[sensor] = jnp.asarray((np.asarray(weights[sensor]) > 0) / sigma)
         changed = True

@@ -38,7 +38,7 @@ class Run(NamedTuple):
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation."""
     model, dtype = setup.model, setup.model.gravity.dtype
-    run = _ordered(model, run)
+    run = ordered(model, run)
     measured = [s for s in SENSORS if s in run.channels]
     if "q" not in measured:
         raise InputError(
@@ -77,7 +77,7 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     return jax.tree.map(lambda a: jnp.asarray(a, dtype), found)
 
 
-def _ordered(model: Model, run: Recording) -> Recording:
+def ordered(model: Model, run: Recording) -> Recording:
     """The recording with the columns of joints and actuators in the order of the model."""
     run.check_model(model)
     channels = dict(run.channels)
