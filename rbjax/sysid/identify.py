@@ -44,7 +44,8 @@ class Identified:
     Fields: setup with the found numbers; values by name; guess, the first ones; found, the
     combinations of them that the data show, `found.words()`; estimates, their covariance and
     intervals; recordings that were fitted, and traces, what they recorded beside what is simulated;
-    evaluations of the residual; ok and message, whether the fit converged; error, the simulation.
+    evaluations of the residual; ok and message, whether the fit converged; error, the simulation;
+    noisy, whether the noise of all channels is known.
     """
 
     setup: Setup
@@ -59,6 +60,7 @@ class Identified:
     message: str
     grid: Grid
     error: SimulationError
+    noisy: bool
 
     @property
     def model(self) -> Model:
@@ -204,7 +206,7 @@ def identify(
     shown = combinations(least.triangle[:, :n], names)
     return Identified(
         found, values, guess, shown, said, tuple(runs), seen, evaluations, least.ok, least.message,
-        grid, of,
+        grid, of, estimated is not None or all(_says_its_noise(runs, s) for s in of.runs.values),
     )  # fmt: skip
 
 
@@ -226,7 +228,7 @@ def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
     all say it, or there is none. Outliers do not count for `robust`."""
     weights, changed = dict(data.weights), False
     for sensor in data.values:
-        if all(run[sensor].noise is not None for run in runs):
+        if _says_its_noise(runs, sensor):
             continue
         r, spread = together(seen, sensor), np.asarray(data.values[sensor]).std(axis=(0, 1))
         sigma = NORMAL * np.nanmedian(np.abs(r), 0) if robust else np.sqrt(np.nanmean(r**2, 0))
@@ -235,6 +237,10 @@ def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
         weights[sensor] = jnp.asarray((np.asarray(weights[sensor]) > 0) / sigma)
         changed = True
     return data._replace(weights=weights) if changed else None
+
+
+def _says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
+    return all(run[sensor].noise is not None for run in runs)
 
 
 def _check_moves(sought: Unknowns, J: np.ndarray) -> None:

@@ -37,7 +37,7 @@ class SimulationError:
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
         starts: bool = False, loss: str = "squares",
     ):  # fmt: skip
-        self.unknowns, self.runs = unknowns, runs
+        self.unknowns, self.runs, self.loss = unknowns, runs, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
         self.own = 2 * setup.model.nv if starts else 0
