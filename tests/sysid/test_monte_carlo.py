@@ -21,15 +21,15 @@ def swung(loss: str = "squares", noise: float = 1e-3) -> Identified:
 
 def test_intervals_hold_and_the_scatter_is_the_one_foretold() -> None:
     found = swung()
-    again = monte_carlo(found, 200, level=0.9)
+    again = monte_carlo(found, 100, level=0.9)
     assert again.names == ("drag",) and again.seen.all() and not again.failed
-    assert abs(again.coverage - 0.9) < 3 * np.sqrt(0.9 * 0.1 / 200)
+    assert abs(again.coverage - 0.9) < 3 * np.sqrt(0.9 * 0.1 / 100)
     assert again.by_name == {"drag": again.coverage}
     foretold = found.estimates.interval("drag").sigma
-    np.testing.assert_allclose(again.scatter, foretold, rtol=3 / np.sqrt(2 * 200))
+    np.testing.assert_allclose(again.scatter, foretold, rtol=3 / np.sqrt(2 * 100))
     np.testing.assert_allclose(again.sigma, foretold, rtol=0.3)
     bias = again.values.mean(0) - again.truth
-    assert abs(bias) < 4 * foretold / np.sqrt(200)
+    assert abs(bias) < 4 * foretold / np.sqrt(100)
 
 
 @pytest.mark.slow
