@@ -25,6 +25,7 @@ from rbjax.sysid.experiments import Experiment, MotionLimits, design
 from rbjax.sysid.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.findings import Finding, findings
 from rbjax.sysid.fit import Fit, fit
+from rbjax.sysid.free_run import free_run
 from rbjax.sysid.identify import Identified, identify
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
@@ -66,6 +67,7 @@ __all__ = [
     # unknowns and simulation
     "identify",
     "Identified",
+    "free_run",
     "fit",
     "Fit",
     "Unknown",
