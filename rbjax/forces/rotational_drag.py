@@ -28,11 +28,11 @@ class RotationalDrag(Element):
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
         >>> model = rb.load("pendulum")
-        >>> air = rb.forces.RotationalDrag(jnp.array([0.1]), model.topology.body_names)
+        >>> air = rb.forces.RotationalDrag(jnp.array([0.25]), model.body_names)
         >>> state = model.default_state().replace(v=jnp.array([2.0]))
         >>> still = rb.applied_forces(model, state)
         >>> (rb.applied_forces(model.with_forces(air), state) - still).round(5).tolist()
-        [-0.4000000059604645]
+        [-1.0]
     """
 
     drag: jax.Array
