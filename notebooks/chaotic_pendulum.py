@@ -48,7 +48,7 @@ jax.config.update("jax_enable_x64", True)
 plt.rcParams.update(STYLE)
 
 
-def pendulum(mass, centre, length, inertia, viscous):
+def pendulum(mass, centre, length, inertia, viscous, g=9.81):
     """Arms in a plane; angles are relative to the arm before, 0 hanging down."""
     xml = ""
     rows = zip(mass, centre, [0.0, *length], inertia, viscous, strict=True)
@@ -58,7 +58,9 @@ def pendulum(mass, centre, length, inertia, viscous):
             f'<joint name="joint{k + 1}" axis="0 1 0" damping="{d}"/>'
             f'<inertial pos="0 0 {-a}" mass="{m}" diaginertia="{I} {I} {I}"/>'
         )
-    return rb.load(f"<mujoco><worldbody>{xml}{'</body>' * len(mass)}</worldbody></mujoco>")
+    xml += "</body>" * len(mass)
+    down = f'<option gravity="0 0 {-g}"/>'
+    return rb.load(f"<mujoco>{down}<worldbody>{xml}</worldbody></mujoco>")
 
 
 # %% [markdown]
@@ -86,17 +88,20 @@ grid = Grid(T, 2)
 found = identify(guess, swing, unknowns, shooting=0.2, starts=True, grid=grid)
 print(found.message, "in", found.evaluations, "evaluations; rms [mrad]", 1e3 * found.rms["q"])
 for name, value in found.values.items():
-    print(f"{name:11s} {value:9.5f} +- {found.estimates.interval(name).sigma:.5f}")
+    print(f"{name:11s} {value:9.5f} +- {found.estimates.interval(name).sigma:.1e}")
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.4), sharey=True)
-models = {"first guess": guess, "found": found.model}
-for ax, (label, model) in zip(axes, models.items(), strict=True):
-    trace = free_run(model, [swing], grid=grid)["swing"]["q"]
+runs = {
+    "first guess, from the first reading": free_run(guess, [swing], grid=grid),
+    "found, with its start": found.traces,
+}
+for ax, (label, run) in zip(axes, runs.items(), strict=True):
+    trace = run["swing"]["q"]
     ax.plot(trace.t, trace.recorded, color="0.6", lw=3)
     ax.set_prop_cycle(None)
     ax.plot(trace.t, trace.simulated, lw=1.2, label=["joint 1", "joint 2", "joint 3"])
-    ax.set(title=f"{label}, from the first reading", xlabel="time [s]", ylim=(-8, 8))
+    ax.set(title=label, xlabel="time [s]", ylim=(-8, 8))
 axes[0].set_ylabel("angle [rad] (grey: recorded)")
 axes[1].legend()
 plt.show()
@@ -121,10 +126,10 @@ def published(name):
     p = json.loads((DATA / "estimated_parameters.json").read_text())[name.capitalize()]
     n = ("single", "double", "triple").index(name) + 1
     if n == 1:
-        a, m, inertia, viscous, _ = p
-        return pendulum([m], [a], [], [inertia], [viscous])
-    m, a, length, inertia, viscous, _ = np.split(p, np.cumsum([n, n, n - 1, n, n]))
-    return pendulum(m, a, length, inertia, viscous)
+        a, m, inertia, viscous, g = p
+        return pendulum([m], [a], [], [inertia], [viscous], g)
+    m, a, length, inertia, viscous, g = np.split(p, np.cumsum([n, n, n - 1, n, n]))
+    return pendulum(m, a, length, inertia, viscous, g[0])
 
 
 def pieces(name, seconds=1.5, every=4):
