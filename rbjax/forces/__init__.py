@@ -13,6 +13,7 @@ from rbjax.forces.joint_limits import JointLimits
 from rbjax.forces.joint_polynomials import JointPolynomials
 from rbjax.forces.many import on_each
 from rbjax.forces.point_spring import PointSpring
+from rbjax.forces.rotational_drag import RotationalDrag
 
 __all__ = [
     "Anchor",
@@ -29,6 +30,7 @@ __all__ = [
     "JointPolynomials",
     "Loads",
     "PointSpring",
+    "RotationalDrag",
     "applied_forces",
     "elastic_energy",
     "on_each",

@@ -3,10 +3,10 @@
 What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
 (`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
-simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
-are linear in the parameters (`regressor`, `equations`, `balances`). What the data can show:
-`combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
-`whiteness`, `compare`, `held_out`, `monte_carlo`. What to measure next: `design` (`excitation`,
+simulated motions (`simulation_error`, `shooting`, `least_squares`); `regress` and `consistent`, by
+torques that are linear in the parameters (`regressor`, `equations`, `balances`). What the data can
+show: `combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
+`whiteness`, `compare`, `held_out`, `free_run`. What to measure next: `design` (`excitation`,
 `experiments`).
 """
 
@@ -26,6 +26,7 @@ from rbjax.sysid.experiments import Experiment, MotionLimits, design
 from rbjax.sysid.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.findings import Finding, findings
 from rbjax.sysid.fit import Fit, fit
+from rbjax.sysid.free_run import free_run
 from rbjax.sysid.identify import Identified, identify
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
@@ -68,6 +69,7 @@ __all__ = [
     # unknowns and simulation
     "identify",
     "Identified",
+    "free_run",
     "fit",
     "Fit",
     "Unknown",

@@ -19,10 +19,12 @@ from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
+from rbjax.sysid.free_run import free_run
 from rbjax.sysid.least_squares import Minimum, minimise
 from rbjax.sysid.rank import Combinations, combinations
-from rbjax.sysid.recording import Channel, Recording
-from rbjax.sysid.runs import Run, batch, run_of
+from rbjax.sysid.recording import Recording
+from rbjax.sysid.runs import Run, batch_of, grid_of, run_of
+from rbjax.sysid.shooting import TIES, Shooting
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates, estimates
@@ -72,20 +74,19 @@ class Identified:
         """By sensor, the error of the simulation, one number a column."""
         return rms_of(self.traces)
 
-    def simulated(self, recordings: Sequence[Recording]) -> Traces:
-        """Other recordings beside what is simulated from their own first samples."""
-        of = self.error.on(_batch(self.setup, recordings, self.grid))
-        x = np.zeros(of.size)
-        x[: len(self.values)] = list(self.values.values())
-        return traces(self.model, of, x, recordings)
+    def simulated(self, recordings: Sequence[Recording], *, starts: bool = False) -> Traces:
+        """Other recordings beside what is simulated from their own first samples, or from the first
+        states that suit them best (`free_run`)."""
+        return free_run(self.setup, recordings, grid=self.grid, starts=starts)
 
-    def on(self, recordings: Sequence[Recording]) -> HeldOut:
-        """The verdict on recordings that the fit never saw, from their own first states.
+    def on(self, recordings: Sequence[Recording], *, starts: bool = False) -> HeldOut:
+        """The verdict on recordings that the fit never saw, from their own first states, or from
+        those that suit them best.
 
         Raises:
             InputError: a recording that was fitted.
         """
-        seen, unseen = self.traces, self.simulated(recordings)
+        seen, unseen = self.traces, self.simulated(recordings, starts=starts)
         return held_out(
             {name: sensors["q"].residual for name, sensors in seen.items()},
             {name: sensors["q"].residual for name, sensors in unseen.items()},
@@ -100,6 +101,7 @@ def identify(
     *,
     grid: Grid | None = None,
     pieces: float | None = None,
+    shooting: float | None = None,
     starts: bool = False,
     loss: str = "squares",
     steps: int = 100,
@@ -117,6 +119,10 @@ def identify(
             them) if None.
         pieces: length in s of pieces that are fitted first, each from its first sample, so that a
             poor first guess does not lose the motion. None: no such fit.
+        shooting: length in s of pieces that are fitted first and then tied, end to start, ever more
+            stiffly, until they are one motion (`Shooting`): for a long or chaotic motion, which
+            `pieces` may not find. Forces and controllers that depend on time see that of a piece.
+            None: no such fit.
         starts: whether each recording's first state is sought too, from what was recorded. It must
             be where sensors are noisy.
         loss: "squares", or "huber", by which outliers count less.
@@ -154,35 +160,41 @@ def identify(
     if loss not in ("squares", "huber"):
         raise InputError(f'identify: loss is {loss!r}, expected "squares" or "huber"')
     sought = Unknowns.of("identify", unknowns, setup)
-    grid = _grid(runs) if grid is None else grid
+    grid = grid_of(runs) if grid is None else grid
     start = np.asarray(sought.read(setup), float)
     evaluations = 0
     with progress_line("identify", progress) as say:
 
-        def fit(of: SimulationError, x: np.ndarray, **how: Any) -> Minimum:
+        def fit(of: SimulationError | Shooting, x: np.ndarray, **how: Any) -> Minimum:
             nonlocal evaluations
             say("simulating")
-            fill = np.zeros(of.size - len(start))
-            x = np.append(x, np.zeros(of.size - len(x)))
+            x, near = (np.append(a, np.zeros(of.size - len(a))) for a in (x, prior))
             first = of.triangle(x)
             _check_moves(sought, first[:, : len(start)])
 
             def watch(k: int, cost: float) -> None:
                 say(f"evaluation {k} of at most {steps}, squares {cost:.4g}")
 
-            prior = np.append(start, fill)
-            least = minimise(of, x, prior, triangle=first, steps=steps, watch=watch, **how)
+            least = minimise(of, x, near, triangle=first, steps=steps, watch=watch, **how)
             evaluations += least.evaluations
             return least
 
         def error(runs: Sequence[Recording]) -> SimulationError:
-            data = _batch(setup, runs, grid)
+            data = batch_of(setup, runs, grid)
             return SimulationError(setup, sought, data, grid, starts=starts, loss=loss)
 
-        x = start
+        x = prior = start
         if pieces is not None:
             short = [piece for run in runs for piece in run.pieces(pieces)]
             x = fit(error(short), x, pulls=FIRST_PULLS).x[: len(start)]
+        if shooting is not None:
+            single = [run_of(setup, run, grid) for run in runs]
+            tied = Shooting(setup, sought, single, grid, shooting, loss=loss)
+            for tied.tie in TIES:  # stiff ties must not make the prior's pull stronger
+                pulls = tuple(w / max(tied.tie, 1.0) ** 2 for w in FIRST_PULLS)
+                x = fit(tied, x, pulls=pulls).x
+            # one chaotic motion is so steep that any pull to the first guess would lose it
+            x = prior = tied.began(x) if starts else x[: len(start)]
         of = error(runs)
         least = fit(of, x)
         seen = traces(setup.model, of, least.x, runs)
@@ -208,19 +220,6 @@ def identify(
         found, values, guess, shown, said, tuple(runs), seen, evaluations, least.ok, least.message,
         grid, of, estimated is not None or all(_says_its_noise(runs, s) for s in of.runs.values),
     )  # fmt: skip
-
-
-def _grid(runs: Sequence[Recording]) -> Grid:
-    """The clock of the commands, or of the positions."""
-
-    def clock(run: Recording) -> Channel:
-        return next(run[sensor] for sensor in ("ctrl", "q", *run) if sensor in run.channels)
-
-    return Grid(min(clock(run).step for run in runs))
-
-
-def _batch(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
-    return batch([run_of(setup, run, grid) for run in runs])
 
 
 def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool) -> Run | None:

@@ -158,3 +158,16 @@ def batch(runs: Sequence[Run]) -> Run:
         stacked([e.commands for e in runs], True),
         each("times", True), each("values", False), each("weights", False),
     )  # fmt: skip
+
+
+def grid_of(runs: Sequence[Recording]) -> Grid:
+    """The clock of the commands, or of the positions."""
+
+    def clock(run: Recording) -> Channel:
+        return next(run[sensor] for sensor in ("ctrl", "q", *run) if sensor in run.channels)
+
+    return Grid(min(clock(run).step for run in runs))
+
+
+def batch_of(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
+    return batch([run_of(setup, run, grid) for run in runs])

@@ -43,7 +43,8 @@ class SimulationError:
         self.own = 2 * setup.model.nv if starts else 0
         n, l = self.shared, self.own
 
-        def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
+        def path(x: jax.Array, run: Run) -> tuple[Setup, State]:
+            """The set-up with the numbers, and its motion."""
             p, s = x[:n], x[n:]
             made = functools.partial(unknowns.write, setup)
             now = made(p)
@@ -51,12 +52,15 @@ class SimulationError:
             if l:
                 dq, dv = jnp.split(s, 2)
                 start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-            path = motion(made, p, start, run.commands, grid)
+            return now, motion(made, p, start, run.commands, grid)
+
+        def read(now: Setup, path: State, run: Run) -> dict[str, jax.Array]:
             return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
 
-        def residual(x: jax.Array, run: Run) -> jax.Array:
+        def compared(now: Setup, path: State, run: Run) -> jax.Array:
+            """The residual of one run."""
             parts = []
-            for kind, seen in readings(x, run).items():
+            for kind, seen in read(now, path, run).items():
                 off = seen - run.values[kind]
                 if kind == "q":
                     minus = functools.partial(difference, setup.model)
@@ -73,12 +77,19 @@ class SimulationError:
                 )
             return r
 
+        def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
+            return read(*path(x, run), run)
+
+        def residual(x: jax.Array, run: Run) -> jax.Array:
+            return compared(*path(x, run), run)
+
         def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
             def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
                 return jax.jvp(lambda x: residual(x, run), (x,), (e,))
 
             return jax.vmap(along, out_axes=(None, 1))(jnp.eye(n + l))
 
+        self.path, self.compared = path, compared  # of one run, traced
         self.readings = jax.jit(jax.vmap(readings))
         self._residuals = jax.jit(jax.vmap(residual))
         self._slopes = jax.jit(jax.vmap(sloped))
@@ -113,18 +124,22 @@ class SimulationError:
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
         r, J = (np.asarray(a) for a in self._slopes(self.by_run(x), self.runs))
-        p, l, n = self.shared, self.own, self.size
+        p, l = self.shared, self.own
         if not l:
-            rows = np.concatenate([J.reshape(-1, p), r.reshape(-1, 1)], 1)
-            return _triangle(rows)
+            return triangle_of(np.concatenate([J.reshape(-1, p), r.reshape(-1, 1)], 1))
         blocks = []
         for k in range(self.count):
-            R = _triangle(np.concatenate([J[k], r[k][:, None]], 1))
-            wide = np.zeros((R.shape[0], n + 1))
-            wide[:, :p], wide[:, -1] = R[:, :p], R[:, -1]
-            wide[:, p + k * l : p + (k + 1) * l] = R[:, p:-1]
-            blocks.append(wide)
-        return _triangle(np.concatenate(blocks))
+            R = triangle_of(np.concatenate([J[k], r[k][:, None]], 1))
+            blocks.append(self.widened(R, k))
+        return triangle_of(np.concatenate(blocks))
+
+    def widened(self, rows: np.ndarray, k: int) -> np.ndarray:
+        """Rows [J r] of run k by its own numbers, as rows by all of x."""
+        p, l = self.shared, self.own
+        wide = np.zeros((rows.shape[0], self.size + 1))
+        wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]
+        wide[:, p + k * l : p + (k + 1) * l] = rows[:, p:-1]
+        return wide
 
 
 def began(setup: Setup, first: State, v_was_read: bool) -> State:
@@ -134,7 +149,8 @@ def began(setup: Setup, first: State, v_was_read: bool) -> State:
     return State((first.q - q.bias) / q.scale, speed, first.x)
 
 
-def _triangle(rows: np.ndarray) -> np.ndarray:
+def triangle_of(rows: np.ndarray) -> np.ndarray:
+    """R of rows [J r], nan where one is not finite."""
     if not np.isfinite(rows).all():
         return np.full((rows.shape[1],) * 2, np.nan)
     R: Any = np.linalg.qr(rows, mode="r")

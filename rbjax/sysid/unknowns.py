@@ -321,12 +321,14 @@ class Unknowns:
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """The sum of all."""
+        if not self.sizes:
+            return Divergence.free(p, p0, 1.0)
         ends = np.cumsum(self.sizes)[:-1]
         parts = zip(self.members.values(), np.split(p, ends), np.split(p0, ends), strict=True)
         return Divergence.joined([u.divergence(a, b) for u, a, b in parts])
 
     def _split(self, x: jax.Array) -> list[jax.Array]:
-        return jnp.split(x, np.cumsum(self.sizes)[:-1])
+        return jnp.split(x, np.cumsum(self.sizes)[:-1]) if self.sizes else []
 
 
 def leaf_of(target: Any, leaf: str) -> Any:
