@@ -1,0 +1,136 @@
+"""The DFKI double pendulum: its recordings, its published model, a fit, and scores.
+
+Two quasi-direct-drive motors with gears of 6 : 1, in two designs. SOURCE.md beside the recordings
+says where they come from. Angles count from the hanging position, the second from the first link.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+import rbjax as rb
+from rbjax import sysid
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "dfki_double_pendulum"
+#: design -> folder of its recordings, name of the published model, length of the first link
+DESIGNS = {
+    "A.0": ("design_A.0/20220815/sys_id", "model_2.0", 0.3),
+    "C.1": ("design_C.1/sys_id/20230629-*", "model_1.0", 0.2),
+}
+JOINTS = ("shoulder", "elbow")
+TERMS = ("armature", "viscous", "coulomb", "bias", "gear_loss")
+SMOOTHING = 0.05  # rad/s
+CUTOFF = 4.0  # Hz, of the equations
+SIGNALS = 40.0  # Hz, of positions, velocities and accelerations
+FIRST = 3.0  # s of a recording that was not fitted, by which its encoders' zeros are found
+DRIVEN = 0.05  # N m, standard deviation of a command that drives its joint
+
+MJCF = """
+<mujoco><option gravity="0 0 -9.81" timestep="0.002"/><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 -1 0"/>
+ <inertial pos="0 0 {r1}" mass="{m1}" diaginertia="{J1} {J1} 1e-4"/>
+ <body name="lower" pos="0 0 {l1}"><joint name="elbow" axis="0 -1 0"/>
+  <inertial pos="0 0 {r2}" mass="{m2}" diaginertia="{J2} {J2} 1e-4"/></body></body>
+</worldbody><actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/>
+</actuator></mujoco>
+"""
+
+
+class Published(NamedTuple):
+    """A published model: as a `Model`, and its numbers in the order of `parameter_names`."""
+
+    model: rb.Model
+    parameters: np.ndarray
+
+
+def numbers(design: str, name: str) -> dict[str, float]:
+    """A published file of parameters, line by line."""
+    file = DATA / "identified_parameters" / f"design_{design}" / name / "model_parameters.yml"
+    return {k: float(x) for k, x in (line.split(":") for line in file.read_text().split("\n") if line)}
+
+
+def published(design: str, name: str | None = None) -> Published:
+    """A published model.
+
+    Its mass matrix has (g^2 + 1) Ir, -g Ir and g^2 Ir of the rotors, and its dry friction is
+    cf atan(100 v), about (pi/2) cf tanh(v / 0.016).
+    """
+    x = numbers(design, name or DESIGNS[design][1])
+    g, Ir = x["gr"], x["Ir"]
+    own = {k: x[f"I{k}"] - x[f"m{k}"] * x[f"r{k}"] ** 2 for k in (1, 2)}
+    # the rotor's part of M_12 belongs to the second body, and is taken from the armatures
+    own[2] -= g * Ir
+    signed = {f"r{k}": -x[f"r{k}"] for k in (1, 2)} | {"l1": -x["l1"]}
+    text = MJCF.format(**(x | signed), J1=max(own[1], 1e-4), J2=max(own[2], 1e-4))
+    model = rb.load(text)
+    armature = jnp.array([(g * g + 1 + g) * Ir, (g * g + g) * Ir])
+    joints = model.joints.replace(armature=armature, damping=jnp.array([x["b1"], x["b2"]]))
+    dry = np.pi / 2 * np.array([x["cf1"], x["cf2"]])
+    friction = rb.forces.JointFriction.of(model, JOINTS, dry, smoothing=np.pi / 200)
+    model = model.replace(joints=joints).with_forces(friction)
+    values = np.array(sysid.parameter_values(model, TERMS), float)
+    for k in (0, 1):  # moments about y; some files hold none that a body can have
+        at = 10 * k + 6
+        values[at] += own[k + 1] - max(own[k + 1], 1e-4)
+    values[24:26] = dry
+    return Published(model, values)
+
+
+def recordings(design: str) -> list[sysid.Recording]:
+    """All runs, with positions, measured torques and commanded torques."""
+    folder, _, _ = DESIGNS[design]
+    files = sorted(f for place in DATA.glob(folder) for f in place.glob("*.npz"))
+    columns = {
+        f"{there}{k + 1}": sysid.Column(sensor, joint)
+        for sensor, there in (("q", "pos_meas"), ("tau", "tau_meas"), ("ctrl", "tau_con"))
+        for k, joint in enumerate(JOINTS)
+    }
+    name = {f: f.stem if design == "A.0" else f.parent.name for f in files}
+    return [sysid.read_npz(f, columns, time="time", name=name[f]) for f in files]
+
+
+def rows(model: rb.Model, runs: Any, cutoff: float = CUTOFF, terms: Any = TERMS, **how: Any) -> list:
+    """The equations of each run."""
+    how = {"signal_cutoff": SIGNALS, "smoothing": SMOOTHING, **how}
+    return [sysid.torque_rows(model, r, cutoff, joint_terms=terms, **how) for r in runs]
+
+
+def driven(run: sysid.Recording) -> np.ndarray:
+    """Whether each motor was commanded to do something."""
+    return np.asarray(run["ctrl"].values.std(0) > DRIVEN)
+
+
+class Score(NamedTuple):
+    """R2 of each joint over the runs that drive it, and by run; rms of the residuals, N m."""
+
+    R2: np.ndarray
+    rms: np.ndarray
+    by_run: dict[str, np.ndarray]
+
+
+def score(
+    parameters: np.ndarray, runs: Any, rows: Any, *, noise: Any = 0.05, zeros: bool = True
+) -> Score:
+    """Torque explained after the first seconds of each run; these give the encoders' zeros."""
+    left, there, by_run, count = np.zeros(2), np.zeros(2), {}, np.zeros(2)
+    for run, r in zip(runs, rows, strict=True):
+        first, rest = r.piece(end=r.t[0] + FIRST), r.piece(start=r.t[0] + FIRST)
+        z = sysid.zeros_of(first, parameters, noise=noise) if zeros else np.zeros(2)
+        off = (rest.residual(parameters, z) ** 2).sum(0)
+        all_of_it = ((rest.tau - rest.tau.mean(0)) ** 2).sum(0)
+        moved = driven(run)
+        by_run[run.name] = np.where(moved, 1 - off / all_of_it, np.nan)
+        left, there = left + moved * off, there + moved * all_of_it
+        count += moved * len(rest.tau)
+    return Score(1 - left / there, np.sqrt(left / count), by_run)
+
+
+def simulated(model: rb.Model, values: np.ndarray) -> rb.Model:
+    """The model that moves as the parameters say."""
+    x = dict(zip(sysid.parameter_names(model, TERMS), values, strict=True))
+    dry, lost = ([x[f"{j}.{term}"] for j in JOINTS] for term in ("coulomb", "gear_loss"))
+    friction = rb.forces.JointFriction.of(model, JOINTS, jnp.array(dry), smoothing=SMOOTHING)
+    gear = rb.forces.GearLoss.of(model, JOINTS, jnp.array(lost), smoothing=SMOOTHING)
+    return model.replace(forces=(friction, gear))
