@@ -20,11 +20,15 @@ DESIGNS = {
     "C.1": ("design_C.1/sys_id/20230629-*", "model_1.0", 0.2),
 }
 JOINTS = ("shoulder", "elbow")
-TERMS = ("armature", "viscous", "coulomb", "bias", "gear_loss")
+TERMS = ("armature", "viscous", "coulomb", "gear_loss")
+#: columns that a planar arm shows, whose links are symmetric about their axis
+PLANAR = tuple(f"{body}.{x}" for body in ("upper", "lower") for x in ("m", "hz", "Iyy"))
+COLUMNS = (*PLANAR, *(f"{joint}.{term}" for term in TERMS for joint in JOINTS))
 SMOOTHING = 0.05  # rad/s
 CUTOFF = 4.0  # Hz, of the equations
 SIGNALS = 40.0  # Hz, of positions, velocities and accelerations
 FIRST = 3.0  # s of a recording that was not fitted, by which its encoders' zeros are found
+WINDOWS = 32  # of a free run, at most
 DRIVEN = 0.05  # N m, standard deviation of a command that drives its joint
 
 MJCF = """
@@ -48,7 +52,8 @@ class Published(NamedTuple):
 def numbers(design: str, name: str) -> dict[str, float]:
     """A published file of parameters, line by line."""
     file = DATA / "identified_parameters" / f"design_{design}" / name / "model_parameters.yml"
-    return {k: float(x) for k, x in (line.split(":") for line in file.read_text().split("\n") if line)}
+    lines = (line.split(":") for line in file.read_text().splitlines() if line)
+    return {key: float(value) for key, value in lines}
 
 
 def published(design: str, name: str | None = None) -> Published:
@@ -70,11 +75,12 @@ def published(design: str, name: str | None = None) -> Published:
     dry = np.pi / 2 * np.array([x["cf1"], x["cf2"]])
     friction = rb.forces.JointFriction.of(model, JOINTS, dry, smoothing=np.pi / 200)
     model = model.replace(joints=joints).with_forces(friction)
-    values = np.array(sysid.parameter_values(model, TERMS), float)
+    values, names = (f(model, TERMS) for f in (sysid.parameter_values, sysid.parameter_names))
+    values = np.array(values, float)
     for k in (0, 1):  # moments about y; some files hold none that a body can have
         at = 10 * k + 6
         values[at] += own[k + 1] - max(own[k + 1], 1e-4)
-    values[24:26] = dry
+    values[[names.index(f"{j}.coulomb") for j in JOINTS]] = dry
     return Published(model, values)
 
 
@@ -91,7 +97,9 @@ def recordings(design: str) -> list[sysid.Recording]:
     return [sysid.read_npz(f, columns, time="time", name=name[f]) for f in files]
 
 
-def rows(model: rb.Model, runs: Any, cutoff: float = CUTOFF, terms: Any = TERMS, **how: Any) -> list:
+def rows(
+    model: rb.Model, runs: Any, cutoff: float = CUTOFF, terms: Any = TERMS, **how: Any
+) -> list[sysid.TorqueRows]:
     """The equations of each run."""
     how = {"signal_cutoff": SIGNALS, "smoothing": SMOOTHING, **how}
     return [sysid.torque_rows(model, r, cutoff, joint_terms=terms, **how) for r in runs]
@@ -127,10 +135,69 @@ def score(
     return Score(1 - left / there, np.sqrt(left / count), by_run)
 
 
+class Fitted(NamedTuple):
+    """A fit: zeros and noise by regression, and a model that bodies can have."""
+
+    linear: sysid.WithZeros
+    values: np.ndarray
+    model: rb.Model
+
+
+def fit(model: rb.Model, rows: Any) -> Fitted:
+    """Regression with zeros, then physically consistent parameters at these zeros."""
+    linear = sysid.regress_with_zeros([r.only(COLUMNS) for r in rows])
+    W = np.concatenate([r.at(linear.zeros[r.name]) for r in rows])
+    tau = np.concatenate([r.tau for r in rows])
+    found = sysid.consistent(model, W, tau, joint_terms=TERMS, noise=linear.noise)
+    return Fitted(linear, found.values, simulated(found.model, found.values))
+
+
 def simulated(model: rb.Model, values: np.ndarray) -> rb.Model:
-    """The model that moves as the parameters say."""
+    """The model with its dry friction and the losses of its gears as forces."""
     x = dict(zip(sysid.parameter_names(model, TERMS), values, strict=True))
     dry, lost = ([x[f"{j}.{term}"] for j in JOINTS] for term in ("coulomb", "gear_loss"))
     friction = rb.forces.JointFriction.of(model, JOINTS, jnp.array(dry), smoothing=SMOOTHING)
     gear = rb.forces.GearLoss.of(model, JOINTS, jnp.array(lost), smoothing=SMOOTHING)
     return model.replace(forces=(friction, gear))
+
+
+def free_run(
+    model: rb.Model, run: sysid.Recording, zeros: Any, *, seconds: float = 1.0, every: float = 0.2
+) -> np.ndarray:
+    """Angles simulated less angles measured (windows, samples, 2), under the measured torques.
+
+    Windows begin after the seconds that gave the zeros, at measured angles and filtered speeds.
+    """
+    h = 0.002
+    t = run.start + h * np.arange(int((run.end - run.start) / h))
+    seen = run.on_clock(t)
+    q, tau = seen["q"].values, seen["tau"].values
+    v = sysid.differentiate(t, q, 15.0).values
+    q = sysid.low_pass(t, q, SIGNALS).values + zeros
+    n = int(seconds / h)
+    begins = np.arange(int((FIRST + 0.5) / h), len(t) - n - 50, int(every / h))
+    count = len(begins)
+    padded = np.pad(begins, (0, WINDOWS - count), mode="edge")  # one program for all runs
+    ctrl = np.stack([tau[k : k + n] for k in padded])
+    start = rb.State(jnp.asarray(q[padded]), jnp.asarray(v[padded]))
+    path = rb.rollout(model, start, jnp.asarray(ctrl), h, integrator="rk4", save_every=10)
+    samples = np.linspace(0, n, path.q.shape[1]).astype(int)
+    want = np.stack([q[k + samples] for k in padded])
+    return (np.asarray(path.q) - want)[:count]
+
+
+def ladder(
+    rows: Any, models: Any, full: sysid.WithZeros
+) -> tuple[list[sysid.Scored], float]:
+    """Sums of squares of nested models (name, columns, spread of zeros), all in the noise of the
+    full one, and the effective number of samples of its residuals."""
+    rows, scored = list(rows), []
+    for name, columns, spread in models:
+        few = [r.only(columns) for r in rows]
+        found = sysid.regress_with_zeros(few, noise=full.noise, spread=spread)
+        count = found.regression.combinations.rank - (2 * len(rows) if spread < 1e-3 else 0)
+        scored.append(sysid.Scored(name, found.squares, count))
+    few = [r.only(COLUMNS) for r in rows]
+    left = [r.residual(full.parameters, full.zeros[r.name]) for r in few]
+    effective = sum(sysid.whiteness(x).effective_samples for off in left for x in off.T)
+    return scored, effective
