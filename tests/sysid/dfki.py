@@ -111,18 +111,22 @@ def driven(run: sysid.Recording) -> np.ndarray:
 
 
 class Score(NamedTuple):
-    """R2 of each joint over the runs that drive it, and by run; rms of the residuals, N m."""
+    """Squares left and squares there, a joint, over the runs that drive it; R2 by run."""
 
-    R2: np.ndarray
-    rms: np.ndarray
+    left: np.ndarray
+    there: np.ndarray
     by_run: dict[str, np.ndarray]
+
+    @property
+    def R2(self) -> np.ndarray:
+        return 1 - self.left / self.there
 
 
 def score(
     parameters: np.ndarray, runs: Any, rows: Any, *, noise: Any = 0.05, zeros: bool = True
 ) -> Score:
     """Torque explained after the first seconds of each run; these give the encoders' zeros."""
-    left, there, by_run, count = np.zeros(2), np.zeros(2), {}, np.zeros(2)
+    left, there, by_run = np.zeros(2), np.zeros(2), {}
     for run, r in zip(runs, rows, strict=True):
         first, rest = r.piece(end=r.t[0] + FIRST), r.piece(start=r.t[0] + FIRST)
         z = sysid.zeros_of(first, parameters, noise=noise) if zeros else np.zeros(2)
@@ -131,8 +135,7 @@ def score(
         moved = driven(run)
         by_run[run.name] = np.where(moved, 1 - off / all_of_it, np.nan)
         left, there = left + moved * off, there + moved * all_of_it
-        count += moved * len(rest.tau)
-    return Score(1 - left / there, np.sqrt(left / count), by_run)
+    return Score(left, there, by_run)
 
 
 class Fitted(NamedTuple):
