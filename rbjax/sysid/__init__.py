@@ -4,10 +4,10 @@ What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
 (`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
 simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
-are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros of
-encoders (`encoder_zeros`). What the data can show:
-`combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
-`whiteness`, `compare`, `held_out`. What to measure next: `design` (`excitation`, `experiments`).
+are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros
+of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
+`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `held_out`. What to
+measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (

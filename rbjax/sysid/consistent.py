@@ -57,9 +57,9 @@ class Consistent:
     """Parameters that a robot can have.
 
     Fields: model with them (Coulomb friction, bias and gear losses are only in values); names and
-    values (p,); covariance (p, p), of data and prior; noise (N, k) standard deviations that were used; residual
-    (N, k); divergence (nb,) of each body from its prior; combinations that the data show; linear,
-    the weighted least squares that it began with; steps; ok, whether it converged.
+    values (p,); covariance (p, p), of data and prior; noise (N, k) standard deviations that were
+    used; residual (N, k); divergence (nb,) of each body from its prior; combinations that the data
+    show; linear, the weighted least squares that it began with; steps; ok, whether it converged.
     """
 
     model: Model

@@ -9,9 +9,9 @@ each joint coordinate i:
     gear_loss mu_i |tau_i| tanh(v_i / v_0)
 
 tau (nv,) is what the motors give: it moves the bodies and overcomes the friction. A gear loses a
-share mu of the torque that it transmits (`forces.GearLoss`); that column takes the measured torque. Samples one below
-the other form the observation matrix. Khalil & Dombre, *Modeling, Identification and Control of
-Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
+share mu of the torque that it transmits (`forces.GearLoss`); that column takes the measured torque.
+Samples one below the other form the observation matrix. Khalil & Dombre, *Modeling, Identification
+and Control of Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
 """
 
 from __future__ import annotations

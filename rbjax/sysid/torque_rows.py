@@ -148,7 +148,8 @@ def torque_rows(
     if z.shape != (model.nv,):
         raise InputError(f"{where}: zeros has shape {z.shape}, expected ({model.nv},)")
 
-    W, slopes = _columns(model, z, [*(m.values for m in moved), load.values], joint_terms, smoothing)
+    signals = [*(m.values for m in moved), load.values]
+    W, slopes = _columns(model, z, signals, joint_terms, smoothing)
     shape = (len(t), -1)
     each = [low_pass(t, x.reshape(shape), cutoff) for x in (W, slopes, both["tau"].values)]
     first = max(m.settled.start for m in (*moved, each[0]))

@@ -24,7 +24,7 @@ TERMS = ("armature", "viscous", "coulomb", "gear_loss")
 #: columns that a planar arm shows, whose links are symmetric about their axis
 PLANAR = tuple(f"{body}.{x}" for body in ("upper", "lower") for x in ("m", "hz", "Iyy"))
 COLUMNS = (*PLANAR, *(f"{joint}.{term}" for term in TERMS for joint in JOINTS))
-SMOOTHING = 0.05  # rad/s
+SMOOTHING = 0.016  # rad/s, that of the published friction
 CUTOFF = 4.0  # Hz, of the equations
 SIGNALS = 40.0  # Hz, of positions, velocities and accelerations
 FIRST = 3.0  # s of a recording that was not fitted, by which its encoders' zeros are found
@@ -110,6 +110,11 @@ def driven(run: sysid.Recording) -> np.ndarray:
     return np.asarray(run["ctrl"].values.std(0) > DRIVEN)
 
 
+def swings_up(run: sysid.Recording) -> bool:
+    """Whether the shoulder comes to the upright position."""
+    return bool(np.abs(run["q"].values[:, 0]).max() > 2.8)
+
+
 class Score(NamedTuple):
     """Squares left and squares there, a joint, over the runs that drive it; R2 by run."""
 
@@ -189,9 +194,7 @@ def free_run(
     return (np.asarray(path.q) - want)[:count]
 
 
-def ladder(
-    rows: Any, models: Any, full: sysid.WithZeros
-) -> tuple[list[sysid.Scored], float]:
+def ladder(rows: Any, models: Any, full: sysid.WithZeros) -> tuple[list[sysid.Scored], float]:
     """Sums of squares of nested models (name, columns, spread of zeros), all in the noise of the
     full one, and the effective number of samples of its residuals."""
     rows, scored = list(rows), []
