@@ -199,7 +199,7 @@ for design in DESIGNS:
 
 # %% [markdown]
 # Of the further terms only Stribeck friction passes the test, in one design of the two, and takes
-# 2 % of the squares: we leave all three out. (It is no term of the package: a line above adds it.)
+# 1 % of the squares: we leave all three out. (It is no term of the package: a line above adds it.)
 #
 # ## Fit, and runs that it never saw
 #
@@ -332,7 +332,7 @@ for design in DESIGNS:
         for k, axis in enumerate(axes):
             axis.plot(np.sort(rms[:, k]), np.linspace(0, 1, len(rms)), color=color, label=name)
     for joint, axis in zip(JOINTS, axes, strict=True):
-        axis.set(xlabel="rms error over 1 s, mrad", ylabel="share of windows", xscale="log",
+        axis.set(xlabel="rms error over 1 s, mrad", ylabel="share of windows", xlim=(0, None),
                  title=f"{design}, {joint}")  # fmt: skip
     axes[0].legend(frameon=False)
     plt.show()

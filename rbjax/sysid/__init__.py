@@ -6,8 +6,8 @@ filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`,
 simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
 are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros
 of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
-`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `held_out`. What to
-measure next: `design` (`excitation`, `experiments`).
+`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `held_out`,
+`monte_carlo`. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -46,6 +46,7 @@ from rbjax.sysid.log_cholesky import (
     to_log_cholesky,
     with_inertial_parameters,
 )
+from rbjax.sysid.monte_carlo import MonteCarlo, monte_carlo
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.readers import Column, read_csv, read_npz
 from rbjax.sysid.recording import Channel, Recording
@@ -151,6 +152,8 @@ __all__ = [
     "sandwich",
     "compare",
     "Comparison",
+    "monte_carlo",
+    "MonteCarlo",
     "held_out",
     "HeldOut",
     "Scored",

@@ -1,0 +1,62 @@
+"""Repetitions of an experiment: intervals that hold, scatter that the covariance foretells."""
+
+import functools
+
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.sysid import Channel, Identified, Recording, Unknown, identify, monte_carlo
+
+
+@functools.cache
+def swung(loss: str = "squares", noise: float = 1e-3) -> Identified:
+    model, t = rb.load("pendulum"), np.arange(81) * 0.02
+    start = rb.State(np.ones(1), np.zeros(1))
+    path = rb.rollout(model, start, None, 0.02, steps=80, integrator="rk4")
+    off = noise * np.random.default_rng(0).normal(size=path.q.shape)
+    run = Recording("swing", {"q": Channel(t, path.q + off)})
+    return identify(model, run, {"drag": Unknown("joints.damping", 0)}, starts=True, loss=loss)
+
+
+def test_intervals_hold_and_the_scatter_is_the_one_foretold() -> None:
+    found = swung()
+    again = monte_carlo(found, 100, level=0.9)
+    assert again.names == ("drag",) and again.seen.all() and not again.failed
+    assert abs(again.coverage - 0.9) < 3 * np.sqrt(0.9 * 0.1 / 100)
+    assert again.by_name == {"drag": again.coverage}
+    foretold = found.estimates.interval("drag").sigma
+    np.testing.assert_allclose(again.scatter, foretold, rtol=3 / np.sqrt(2 * 100))
+    np.testing.assert_allclose(again.sigma, foretold, rtol=0.3)
+    bias = again.values.mean(0) - again.truth
+    assert abs(bias) < 4 * foretold / np.sqrt(100)
+
+
+@pytest.mark.slow
+def test_noise_of_attitudes_leaves_unit_quaternions() -> None:
+    model, t = rb.load("free_body"), np.arange(31) * 0.02
+    start = rb.State(model.default_state().q, np.array([0.1, 0, 0.2, 1.0, 2.0, 3.0]))
+    path = rb.rollout(model, start, None, 0.02, steps=30, integrator="rk4")
+    spin = {"inertia": Unknown("bodies.inertia", (0, 0, 0), positive=True)}
+    channels = {
+        "q": Channel(t, path.q, noise=np.full(7, 1e-3)),
+        "v": Channel(t, path.v, noise=np.full(6, 1e-2)),
+    }
+    again = monte_carlo(identify(model, Recording("thrown", channels), spin), 5)
+    assert not again.failed and (again.values > 0).all()
+    off = np.abs(again.values - again.truth) / again.sigma
+    assert 0.01 < off.max() < 4
+
+
+@pytest.mark.parametrize(
+    ("found", "how", "said"),
+    [
+        (lambda: swung(noise=0.0), {}, "no noise"),
+        (lambda: swung("huber"), {}, 'loss="huber"'),
+        (swung, {"level": 95}, "between 0 and 1"),
+        (swung, {"repetitions": 1}, "repetitions"),
+    ],
+)
+def test_refuses(found, how, said) -> None:
+    with pytest.raises(rb.InputError, match=said):
+        monte_carlo(found(), **how)
