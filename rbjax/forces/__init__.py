@@ -6,6 +6,7 @@ from rbjax.forces.bushing import Bushing
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.fluid_box import InertiaBoxFluid
 from rbjax.forces.fluid_ellipsoid import EllipsoidFluid
+from rbjax.forces.gear_loss import GearLoss
 from rbjax.forces.gravity_compensation import GravityCompensation
 from rbjax.forces.instant import Frame, Instant, Joint
 from rbjax.forces.joint_friction import JointFriction
@@ -21,6 +22,7 @@ __all__ = [
     "Element",
     "EllipsoidFluid",
     "Frame",
+    "GearLoss",
     "GravityCompensation",
     "InertiaBoxFluid",
     "Instant",

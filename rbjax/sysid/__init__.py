@@ -3,11 +3,11 @@
 What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
 (`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
-simulated motions (`simulation_error`, `shooting`, `least_squares`); `regress` and `consistent`, by
-torques that are linear in the parameters (`regressor`, `equations`, `balances`). What the data can
-show: `combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
-`whiteness`, `compare`, `held_out`, `free_run`. What to measure next: `design` (`excitation`,
-`experiments`).
+simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
+are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros
+of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
+`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `held_out`,
+`monte_carlo`. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -20,6 +20,7 @@ from rbjax.sysid.base_parameters import base_parameters, random_motions
 from rbjax.sysid.channel_noise import ChannelNoise, noise_by_channel
 from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
 from rbjax.sysid.consistent import Consistent, consistent
+from rbjax.sysid.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
 from rbjax.sysid.equations import Equations, equations
 from rbjax.sysid.excitation import Fourier, Motion, Spline
 from rbjax.sysid.experiments import Experiment, MotionLimits, design
@@ -61,6 +62,7 @@ from rbjax.sysid.regressor import (
 from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.splits import Split, split
 from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
+from rbjax.sysid.torque_rows import TorqueRows, torque_rows
 from rbjax.sysid.units import in_si
 from rbjax.sysid.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
 from rbjax.sysid.whiteness import Whiteness, sandwich, whiteness
@@ -110,6 +112,11 @@ __all__ = [
     "Regression",
     "consistent",
     "Consistent",
+    "torque_rows",
+    "TorqueRows",
+    "regress_with_zeros",
+    "WithZeros",
+    "zeros_of",
     "energy_balance",
     "energy_regressor",
     "momentum_balance",

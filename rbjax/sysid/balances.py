@@ -125,7 +125,7 @@ def momentum_balance(
     t, q, v, tau = _motion("momentum_balance", model, t, q, v, tau, window)
     inertial = 10 * model.nb
 
-    def rates(q: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def rates(q: jax.Array, v: jax.Array, tau: jax.Array) -> tuple[jax.Array, jax.Array]:
         """p + J v, and what joint forces and C v + g - M' v take."""
 
         def moved(s: jax.Array) -> jax.Array:
@@ -133,8 +133,8 @@ def momentum_balance(
 
         p, p_rate = jax.jvp(moved, (jnp.zeros(()),), (jnp.ones(()),))
         still = jnp.zeros_like(v)
-        Y = regressor(model, q, v, still, joint_terms=joint_terms, smoothing=smoothing)
-        moment = regressor(model, q, v, v, joint_terms=joint_terms, smoothing=smoothing)
+        Y = regressor(model, q, v, still, joint_terms=joint_terms, smoothing=smoothing, tau=tau)
+        moment = regressor(model, q, v, v, joint_terms=joint_terms, smoothing=smoothing, tau=tau)
         places = _columns(model, joint_terms)
         kept = jnp.where(places == "armature", moment[:, inertial:], 0.0)
         return (
@@ -142,7 +142,7 @@ def momentum_balance(
             jnp.concatenate([Y[:, :inertial] - p_rate, Y[:, inertial:]], 1),
         )
 
-    P, taken = map(np.asarray, jax.jit(jax.vmap(rates))(q, v))
+    P, taken = map(np.asarray, jax.jit(jax.vmap(rates))(q, v, tau))
     W = _over(P, window) + _over(_integral(t, taken), window)
     return W, _over(_integral(t, np.asarray(tau), held), window)
 
@@ -178,9 +178,10 @@ def energy_balance(
     t, q, v, tau = _motion("energy_balance", model, t, q, v, tau, window)
     inertial, places = 10 * model.nb, _columns(model, joint_terms)
 
-    def rates(q: jax.Array, v: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def rates(q: jax.Array, v: jax.Array, tau: jax.Array) -> tuple[jax.Array, jax.Array]:
         still = jnp.zeros_like(v)
-        Y = regressor(model, q, v, v, joint_terms=joint_terms, smoothing=smoothing)[:, inertial:]
+        Y = regressor(model, q, v, v, joint_terms=joint_terms, smoothing=smoothing, tau=tau)
+        Y = Y[:, inertial:]
         power = (v[:, None] * Y).sum(0)
         stored = jnp.where(places == "armature", power / 2, 0.0)
         lost = jnp.where(places == "armature", 0.0, power)
@@ -190,7 +191,7 @@ def energy_balance(
             jnp.concatenate([none, lost]),
         )
 
-    E, lost = map(np.asarray, jax.jit(jax.vmap(rates))(q, v))
+    E, lost = map(np.asarray, jax.jit(jax.vmap(rates))(q, v, tau))
     W = _over(E, window) + _over(_integral(t, lost), window)
     v, tau = np.asarray(v), np.asarray(tau)
     if held:

@@ -42,7 +42,7 @@ from rbjax.sysid.regression import Regression, weighted
 from rbjax.sysid.regressor import joint_coordinates, parameter_names, parameter_values
 
 Array = np.ndarray
-POSITIVE = ("armature", "viscous", "coulomb")
+POSITIVE = ("armature", "viscous", "coulomb", "gear_loss")
 #: Noise that is estimated is at least this times the size of its torque: it may be rounding only.
 LEAST_NOISE = 1e-7
 
@@ -56,10 +56,10 @@ _scalar_slope = jax.jit(jax.vmap(jax.grad(scalar_residual)))
 class Consistent:
     """Parameters that a robot can have.
 
-    Fields: model with them (Coulomb friction and bias are only in values); names and values (p,);
-    covariance (p, p), of data and prior; noise (N, k) standard deviations that were used; residual
-    (N, k); divergence (nb,) of each body from its prior; combinations that the data show; linear,
-    the weighted least squares that it began with; steps; ok, whether it converged.
+    Fields: model with them (Coulomb friction, bias and gear losses are only in values); names and
+    values (p,); covariance (p, p), of data and prior; noise (N, k) standard deviations that were
+    used; residual (N, k); divergence (nb,) of each body from its prior; combinations that the data
+    show; linear, the weighted least squares that it began with; steps; ok, whether it converged.
     """
 
     model: Model

@@ -6,10 +6,12 @@ with ten inertial columns for each body (`rbjax.inertial_regressor`) and one col
 each joint coordinate i:
 
     armature J_i a_i,  viscous d_i v_i,  coulomb F_i tanh(v_i / v_0),  bias b_i
+    gear_loss mu_i |tau_i| tanh(v_i / v_0)
 
-tau (nv,) is what the motors give: it moves the bodies and overcomes the friction. Samples one below
-the other form the observation matrix. Khalil & Dombre, *Modeling, Identification and Control of
-Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
+tau (nv,) is what the motors give: it moves the bodies and overcomes the friction. A gear loses a
+share mu of the torque that it transmits (`forces.GearLoss`); that column takes the measured torque.
+Samples one below the other form the observation matrix. Khalil & Dombre, *Modeling, Identification
+and Control of Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Systems 27(5), 2007.
 """
 
 from __future__ import annotations
@@ -29,12 +31,18 @@ from rbjax.lanes import fusion_barrier
 from rbjax.model import Model
 from rbjax.sysid.log_cholesky import PARAMETERS
 
-#: name of a term -> its column's entry from v, a and the smoothing v_0 of one coordinate
+
+def _sign(v: jax.Array, v_0: float) -> jax.Array:
+    return jnp.tanh(v / v_0) if v_0 else jnp.sign(v)
+
+
+#: name of a term -> its column's entry from v, a, tau and the smoothing v_0 of one coordinate
 JOINT_TERMS: dict[str, Callable[..., jax.Array]] = {
-    "armature": lambda v, a, v_0: a,
-    "viscous": lambda v, a, v_0: v,
-    "coulomb": lambda v, a, v_0: jnp.tanh(v / v_0) if v_0 else jnp.sign(v),
-    "bias": lambda v, a, v_0: jnp.ones_like(v),
+    "armature": lambda v, a, tau, v_0: a,
+    "viscous": lambda v, a, tau, v_0: v,
+    "coulomb": lambda v, a, tau, v_0: _sign(v, v_0),
+    "bias": lambda v, a, tau, v_0: jnp.ones_like(v),
+    "gear_loss": lambda v, a, tau, v_0: jnp.abs(tau) * _sign(v, v_0),
 }
 
 
@@ -46,6 +54,7 @@ def regressor(
     *,
     joint_terms: Sequence[str] = (),
     smoothing: float = 1e-2,
+    tau: jax.Array | None = None,
 ) -> jax.Array:
     """Y(q, v, a) (nv, p) with tau = Y pi, the columns in the order of `parameter_names`.
 
@@ -54,16 +63,17 @@ def regressor(
         q: (nq,) configuration.
         v: (nv,) velocity.
         a: (nv,) acceleration.
-        joint_terms: of "armature", "viscous", "coulomb", "bias": columns of every joint coordinate
-            except those of free joints.
+        joint_terms: of "armature", "viscous", "coulomb", "bias", "gear_loss": columns of every
+            joint coordinate except those of free joints.
         smoothing: v_0 in rad/s or m/s of Coulomb friction at rest; 0 for sign(v).
+        tau: (nv,) measured torques, which "gear_loss" needs.
 
     Returns:
         (nv, 10 nb + columns of joints).
 
     Raises:
         UnknownName: a joint term that does not exist. InputError: wrong arrays; a negative
-            smoothing.
+            smoothing; "gear_loss" without tau.
 
     Source: Khalil & Dombre, ch. 12.
 
@@ -76,13 +86,15 @@ def regressor(
         (2, 22)
     """
     _check_terms("regressor", joint_terms, smoothing)
+    if "gear_loss" in joint_terms and tau is None:
+        raise InputError('regressor: "gear_loss" without tau, expected the measured torques (nv,)')
     Y = inertial_regressor(model, q, v, a)
     if not joint_terms:
         return Y
     at = joint_coordinates(model)
-    v, a = jnp.asarray(v, Y.dtype)[at], jnp.asarray(a, Y.dtype)[at]
+    v, a, tau = (jnp.asarray(x, Y.dtype)[at] for x in (v, a, a if tau is None else tau))
     chosen = jnp.zeros((model.nv, at.size), Y.dtype).at[at, np.arange(at.size)].set(1.0)
-    columns = [chosen * JOINT_TERMS[term](v, a, smoothing) for term in joint_terms]
+    columns = [chosen * JOINT_TERMS[term](v, a, tau, smoothing) for term in joint_terms]
     return jnp.concatenate([fusion_barrier(Y), *columns], 1)
 
 
@@ -95,6 +107,7 @@ def observation_matrix(
     rows: Sequence[int | str] | slice | None = None,
     joint_terms: Sequence[str] = (),
     smoothing: float = 1e-2,
+    tau: jax.Array | None = None,
 ) -> jax.Array:
     """W (n, rows, p): the regressor at each of n samples of a motion.
 
@@ -106,6 +119,7 @@ def observation_matrix(
         rows: the torques that are measured, as joint names or places in v; None for all.
         joint_terms: as for `regressor`.
         smoothing: as for `regressor`.
+        tau: (n, nv) measured torques, which "gear_loss" needs.
 
     Returns:
         (n, rows, p).
@@ -131,7 +145,11 @@ def observation_matrix(
         for name, x in (("q", q), ("v", v), ("a", a))
     )
     each = functools.partial(regressor, model, joint_terms=joint_terms, smoothing=smoothing)
-    W = jax.vmap(each)(q, v, a)
+    if tau is None:
+        W = jax.vmap(each)(q, v, a)
+    else:
+        tau = check_array(where, "tau", tau, (n, model.nv), fix=": one row a sample")
+        W = jax.vmap(lambda q, v, a, tau: each(q, v, a, tau=tau))(q, v, a, tau)
     return W if rows is None else W[:, coordinate_rows(model, rows)]
 
 
@@ -166,7 +184,8 @@ def parameter_names(model: Model, joint_terms: Sequence[str] = ()) -> tuple[str,
 
 def parameter_values(model: Model, joint_terms: Sequence[str] = ()) -> jax.Array:
     """pi (p,) of a model, in the order of `parameter_names`: inertial parameters, armature, viscous
-    damping of its joints; 0 for Coulomb friction and bias, which are no leaves of joints.
+    damping of its joints; 0 for Coulomb friction, bias and gear losses, which are no leaves of
+    joints.
 
     Example:
         >>> import rbjax as rb

@@ -1,0 +1,59 @@
+"""What gears lose, in closed form, and beside the regressor's column."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import sysid
+from rbjax.errors import InputError
+
+ARM = """
+<mujoco><worldbody><body><joint name="a" damping="0.3" armature="0.02"/>
+<inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.03"/>
+<body pos="0.2 0 0"><joint name="b" axis="0 1 0"/>
+<inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.02 0.03"/></body></body></worldbody>
+<actuator><motor name="a" joint="a" gear="3"/><motor name="b" joint="b"/></actuator></mujoco>
+"""
+MODEL = rb.load(ARM)
+
+
+def lost(gear, v, ctrl):
+    state = rb.State(jnp.zeros(2), jnp.asarray(v))
+    with_gear = rb.applied_forces(MODEL.with_forces(gear), state, ctrl)
+    return np.asarray(rb.applied_forces(MODEL, state, ctrl) - with_gear)
+
+
+def test_it_takes_a_share_of_the_motors_torque_against_the_motion():
+    """mu |gear u| tanh(v / v_0), whatever dampers do; forward and backward."""
+    gear = rb.forces.GearLoss.of(MODEL, ["a", "b"], jnp.array([0.1, 0.2]), smoothing=0.5)
+    for v, u in (([1.0, -0.2], [2.0, -1.0]), ([-0.3, 0.7], [2.0, -1.0]), ([0.0, 0.0], [1.0, 1.0])):
+        share = np.array([0.1, 0.2]) * np.abs([3 * u[0], u[1]])
+        want = share * np.tanh(np.array(v) / 0.5)
+        np.testing.assert_allclose(lost(gear, v, jnp.array(u)), want, rtol=1e-6, atol=1e-6)
+
+
+def test_without_controls_or_motor_there_is_no_loss():
+    gear = rb.forces.GearLoss.of(MODEL, ["b"], 0.2)
+    assert not lost(gear, [1.0, 1.0], None).any()
+    assert not lost(gear, [1.0, 1.0], jnp.array([5.0, 0.0])).any()
+    with pytest.raises(InputError, match="loss has shape"):
+        rb.forces.GearLoss.of(MODEL, ["b"], jnp.ones(3))
+
+
+def test_inverse_dynamics_of_the_motion_is_the_column_of_the_regressor():
+    """The torque that moves the arm so, gears included: motors = Y pi with the same mu and v_0."""
+    gear = rb.forces.GearLoss.of(MODEL, ["a", "b"], jnp.array([0.1, 0.2]), smoothing=0.5)
+    v, u = jnp.array([1.0, -0.4]), jnp.array([2.0, -1.0])
+    q, motors = jnp.array([0.3, -0.5]), u * jnp.array([3.0, 1.0])
+    state = rb.State(q, v)
+    a = rb.forward_dynamics(
+        MODEL, q, v, rb.applied_forces(MODEL.with_forces(gear), state, u)
+    )  # fmt: skip
+    terms = ["armature", "viscous", "gear_loss"]
+    pi = np.array(sysid.parameter_values(MODEL, terms))
+    pi[-2:] = [0.1, 0.2]
+    Y = sysid.regressor(MODEL, q, v, a, joint_terms=terms, smoothing=0.5, tau=motors)
+    np.testing.assert_allclose(Y @ pi, motors, rtol=2e-5)
+    with pytest.raises(InputError, match="gear_loss"):
+        sysid.regressor(MODEL, q, v, a, joint_terms=terms)
