@@ -21,6 +21,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
@@ -98,11 +99,13 @@ class JointCurves(Element):
             return jnp.broadcast_to(found.astype(dtype), (n,))
 
         def series(name: str, x: Any) -> jax.Array:
-            if jnp.ndim(x) < 2:
+            if np.ndim(x) < 2:
                 return column(name, x)[:, None]
-            return check_array("JointCurves.of", name, x, (n, jnp.shape(x)[-1])).astype(dtype)
+            return check_array("JointCurves.of", name, x, (n, np.shape(x)[-1])).astype(dtype)
 
         ends = check_array("JointCurves.of", "range", range, (2,), (n, 2)).astype(dtype)
+        if not isinstance(ends, jax.core.Tracer) and not (ends[..., 1] > ends[..., 0]).all():
+            raise InputError(f"JointCurves.of: range is {ends.tolist()}, expected [low, high]")
         return cls(
             range=jnp.broadcast_to(ends, (n, 2)),
             torque=series("torque", torque),
