@@ -10,7 +10,10 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 # What a room stands on directly; it may import that and all below it.
 FLOORS = {
     "errors": "",
-    "compiling": "errors",
+    "progress": "errors",
+    "style": "errors",
+    "html_page": "errors",
+    "compiling": "progress style html_page",
     "meshes": "compiling",
     "lanes": "meshes",
     "threads": "lanes",

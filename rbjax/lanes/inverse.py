@@ -10,7 +10,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 from jax.extend.core import Primitive
-from jax.interpreters import batching, mlir
+from jax.interpreters import ad, batching, mlir
 
 _inverse = Primitive("inverse")
 _inverse.multiple_results = True
@@ -19,7 +19,7 @@ _inverse.multiple_results = True
 def inverse(*parts: jax.Array) -> list[jax.Array]:
     """The inverse of a matrix (n, n), or of one given by its real and imaginary parts.
 
-    It has no derivative.
+    Its derivative is dX = -X dA X.
     """
     return _inverse.bind(*parts)
 
@@ -31,6 +31,20 @@ def _native(*parts):
     return [found.real, found.imag]
 
 
+def _jvp(parts, changes):
+    found = _inverse.bind(*parts)
+    changes = [ad.instantiate_zeros(x) for x in changes]
+    moved = _product(_product(found, changes), found)
+    return found, [-x for x in moved]
+
+
+def _product(a, b):
+    """Of matrices, by their parts."""
+    precision = jax.lax.Precision.HIGHEST
+    of = [[jnp.matmul(x, y, precision=precision) for y in b] for x in a]
+    return of[0] if len(a) == 1 else [of[0][0] - of[1][1], of[0][1] + of[1][0]]
+
+
 def _batched(parts, dims):
     size = next(x.shape[d] for x, d in zip(parts, dims, strict=True) if d is not None)
     front = [batching.bdim_at_front(x, d, size) for x, d in zip(parts, dims, strict=True)]
@@ -40,4 +54,5 @@ def _batched(parts, dims):
 _inverse.def_impl(lambda *parts: jax.jit(_native)(*parts))
 _inverse.def_abstract_eval(lambda *parts: list(parts))
 mlir.register_lowering(_inverse, mlir.lower_fun(_native, multiple_results=True))
+ad.primitive_jvps[_inverse] = _jvp
 batching.primitive_batchers[_inverse] = _batched

@@ -13,7 +13,8 @@ from rbjax.plotting.film import poses
 from rbjax.plotting.skeleton import skeleton
 from rbjax.plotting.solids import Solid, solids
 from rbjax.plotting.strobe import strobe
-from rbjax.plotting.style import (
+from rbjax.plotting.top_view import animate_top_view, top_view
+from rbjax.style import (
     BLUE,
     GREEN,
     GRID,
@@ -26,7 +27,6 @@ from rbjax.plotting.style import (
     STYLE,
     TEAL,
 )
-from rbjax.plotting.top_view import animate_top_view, top_view
 
 __all__ = [
     "BLUE",

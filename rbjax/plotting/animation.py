@@ -16,7 +16,7 @@ from rbjax.plotting.camera import Camera
 from rbjax.plotting.drawing import Stage, shapes_of
 from rbjax.plotting.film import Film, film, frames
 from rbjax.plotting.moving import canvas_of, check_positive, clock, picture
-from rbjax.plotting.style import INK
+from rbjax.style import INK
 
 SUFFIXES = (".gif", ".mp4", ".html")
 RENDERERS = ("drawing", "mujoco")

@@ -22,7 +22,7 @@ from rbjax.plotting.camera import Camera
 from rbjax.plotting.film import Film, film
 from rbjax.plotting.skeleton import skeleton
 from rbjax.plotting.solids import Solid, solids
-from rbjax.plotting.style import BLUE, GRID
+from rbjax.style import BLUE, GRID
 
 Array = np.ndarray
 _GROUND = "#f4f6f8"

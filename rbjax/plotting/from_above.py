@@ -13,7 +13,7 @@ from matplotlib.quiver import Quiver
 
 from rbjax.compiling import compiled
 from rbjax.model import State
-from rbjax.plotting.style import BLUE, GRID, INK, RED
+from rbjax.style import BLUE, GRID, INK, RED
 from rbjax.wheeled.contacts import contacts
 from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.numbers import stacked

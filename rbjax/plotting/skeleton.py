@@ -15,7 +15,7 @@ from matplotlib.colors import to_rgb
 from rbjax.lanes import quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.plotting.solids import Solid, capsule, cylinder, ellipsoid, sphere
-from rbjax.plotting.style import BLUE, GREEN, INK, PALETTE, RED
+from rbjax.style import BLUE, GREEN, INK, PALETTE, RED
 
 Array = np.ndarray
 

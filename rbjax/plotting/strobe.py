@@ -11,7 +11,7 @@ from rbjax.model import Model
 from rbjax.plotting.camera import Camera
 from rbjax.plotting.drawing import bare, draw_solids, shapes_of
 from rbjax.plotting.film import poses
-from rbjax.plotting.style import ORANGE
+from rbjax.style import ORANGE
 
 
 def strobe(

@@ -27,7 +27,7 @@ from rbjax.plotting.from_above import (
     reach,
 )
 from rbjax.plotting.moving import canvas_of, check_positive, clock, picture, schedule
-from rbjax.plotting.style import GRID, INK, ORANGE
+from rbjax.style import GRID, INK, ORANGE
 from rbjax.wheeled.fidelity import Fidelity
 
 

@@ -23,8 +23,9 @@ import numpy as np
 from rbjax.dynamics.arguments import check_array, check_takes, shape_of
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import State
+from rbjax.progress import Say, progress_line
 from rbjax.recommend.manoeuvre import MOST_STEPS, Demand, Manoeuvre, apart, demand, first_lift
-from rbjax.recommend.request import Say, check_request, double, telling
+from rbjax.recommend.request import check_request, double
 from rbjax.wheeled import Fidelity, Robot, at, fidelities
 from rbjax.wheeled.rolling import Rolling
 from rbjax.wheeled.slipping import Slipping
@@ -148,7 +149,7 @@ def recommend(
         twist = check_array("recommend", "twist", twist, (3,)).astype(jnp.float64)
         run = Manoeuvre(start, twist, *_controls(robot, controls, horizon, float(dt)))
         vehicles = [jax.tree.map(double, x) for x in given]
-        with telling(progress) as say:
+        with progress_line("recommend", progress) as say:
             found = _Choice(run, vehicles, float(accuracy), why_not, say).made()
     # as given, and in the caller's dtype
     vehicle, dtype = given[names.index(found.name)], jnp.result_type(float)

@@ -30,7 +30,8 @@ from rbjax.dynamics.arguments import check_arrays, check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State
-from rbjax.recommend.request import Say, check_request, double, telling
+from rbjax.progress import Say, progress_line
+from rbjax.recommend.request import check_request, double
 from rbjax.recommend.trials import RESTORING, Rank, Runs, Trial
 
 HALVINGS = 8  # of the step
@@ -140,7 +141,7 @@ def recommend(
                 f"recommend: the state is off the constraints by {off:.2g}, expected at most "
                 f"{CLOSED:.0e}; rb.constraints.assemble(model, state) finds one that is on them"
             )
-        with telling(progress) as say:
+        with progress_line("recommend", progress) as say:
             runs = Runs(model, state, float(horizon), largest, integrator, control)
             return _recommended(runs, float(accuracy), float(horizon), say)
 

@@ -1,11 +1,10 @@
-"""What both recommendations check, compute in, and show."""
+"""What all recommendations check and compute in."""
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,8 +14,6 @@ from rbjax.errors import InputError
 
 ROUNDS = 5  # of the clock
 FINEST = 1e-10  # accuracy at which the reference's own error matters
-
-Say = Callable[[str], None]
 
 
 def check_request(accuracy: Any, **times: Any) -> None:
@@ -32,20 +29,6 @@ def check_request(accuracy: Any, **times: Any) -> None:
     for name, x in times.items():
         if not 0 < x < math.inf:
             raise InputError(f"recommend: {name} is {x}, expected a positive time in seconds")
-
-
-@contextlib.contextmanager
-def telling(progress: bool) -> Iterator[Say]:
-    """A transient progress line on stderr, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True, force_jupyter=False)
-    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("recommend: {task.description}"))
-    quiet = not (progress and console.is_terminal)
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
-        task = bar.add_task("")
-        yield lambda text: bar.update(task, description=text)
 
 
 def fastest(run: Callable[[], object], seconds: float = 0.0) -> float:

@@ -33,7 +33,8 @@ from rbjax.errors import InputError
 from rbjax.forces.inputs import Source
 from rbjax.model import Model, State, made_ahead
 from rbjax.motion.simulate import simulate
-from rbjax.recommend.request import Say, check_request, double, telling
+from rbjax.progress import Say, progress_line
+from rbjax.recommend.request import check_request, double
 from rbjax.stability.runs.largest_step import stable_step
 from rbjax.stability.runs.linearisation import motion_matrices
 
@@ -205,7 +206,7 @@ def recommend(
             raise InputError("recommend: the model has no joints, so nothing moves")
         model = made_ahead(jax.tree.map(double, model), jnp.float64)
         state = State(*(jnp.asarray(x, jnp.float64) for x in (state.q, state.v)))
-        with telling(progress) as say:
+        with progress_line("recommend", progress) as say:
             return _recommended(model, state, float(accuracy), float(horizon), control, say)
 
 

@@ -1,6 +1,6 @@
 """Base parameters: the combinations of inertial and joint parameters that torques depend on.
 
-They follow from the regressor alone, at motions that reach all of the robot's states: the rank of
+They follow from the regressor only, at motions that reach all of the robot's states: the rank of
 the observation matrix of random motions is structural, that of one motion says what it excites.
 Gautier & Khalil, IEEE Trans. Robotics and Automation 6(3), 1990; Gautier, J. Robotic Systems 8(4),
 1991. With a free base the base's six equations find all of it (Ayusawa, Venture & Nakamura, IJRR

@@ -11,9 +11,11 @@ Source: Lee, Wensing & Park, *Geometric robot dynamic identification*, IEEE T-RO
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,14 @@ class Divergence:
         turned = inverse @ along
         slope = np.trace(np.linalg.inv(P0) @ along - turned, axis1=1, axis2=2)
         return cls(float(value), slope, np.einsum("iab,jba->ij", turned, turned))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Divergence]) -> Divergence:
+        """That of several vectors, one after the other."""
+        return cls(
+            sum(part.value for part in parts), np.concatenate([part.slope for part in parts]),
+            scipy.linalg.block_diag(*(part.curvature for part in parts)),
+        )  # fmt: skip
 
     def through(self, A: np.ndarray) -> Divergence:
         """That of x, where p = A x + b."""

@@ -15,8 +15,7 @@ ten times as many samples at the end.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +30,7 @@ from jax.scipy.linalg import cho_solve
 from rbjax.dynamics import inverse_dynamics
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
+from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.excitation import Fourier, Spline
 
@@ -231,7 +231,7 @@ def design(
     x: jax.Array = flat
     penalty, margin, last = 10.0, MARGIN, np.inf
     best = (float(loss(jnp.asarray(before))), flat) if excess_of(flat) <= 0 else None
-    with _line(progress) as say:
+    with progress_line("design", progress) as say:
         for k in range(2 * rounds):
             if k >= rounds and best is not None:
                 break
@@ -306,17 +306,3 @@ def _start_information(
             "`known` information"
         )
     return F
-
-
-@contextlib.contextmanager
-def _line(progress: bool) -> Iterator[Callable[[str], None]]:
-    """A transient line on stderr, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True, force_jupyter=False)
-    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("design: {task.description}"))
-    quiet = not (progress and console.is_terminal)
-    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
-        task = bar.add_task("")
-        yield lambda text: bar.update(task, description=text)

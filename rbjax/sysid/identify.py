@@ -13,23 +13,26 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from rich.progress import Progress
 
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.least_squares import Minimum, minimise
 from rbjax.sysid.rank import Combinations, combinations
-from rbjax.sysid.recording import Recording
+from rbjax.sysid.recording import Channel, Recording
 from rbjax.sysid.runs import Run, batch, run_of
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates, estimates
+from rbjax.sysid.traces import Traces, rms_of, together, traces
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
+#: standard deviation of normal noise over the median of its size
+NORMAL = 1.4826
 #: pulls of the fit to short pieces, which is only a start
 FIRST_PULLS = (1e-4, 1e-7)
 
@@ -38,27 +41,41 @@ FIRST_PULLS = (1e-4, 1e-7)
 class Identified:
     """What recordings say of a robot.
 
-    Fields: setup with the found numbers; values by name; found, the combinations of them that the
-    data show, `found.words()`; estimates, their covariance and intervals; rms, by sensor one number
-    a column; evaluations of the residual; ok and message, whether the fit converged.
+    Fields: setup with the found numbers; values by name; guess, the first ones; found, the
+    combinations of them that the data show, `found.words()`; estimates, their covariance and
+    intervals; recordings that were fitted, and traces, what they recorded beside what is simulated;
+    evaluations of the residual; ok and message, whether the fit converged; error, the simulation.
     """
 
     setup: Setup
     values: dict[str, float]
+    guess: dict[str, float]
     found: Combinations
     estimates: Estimates
-    rms: dict[str, np.ndarray]
+    recordings: tuple[Recording, ...]
+    traces: Traces
     evaluations: int
     ok: bool
     message: str
     grid: Grid
-    sought: Unknowns
-    residuals: dict[str, np.ndarray]
+    error: SimulationError
 
     @property
     def model(self) -> Model:
         """The model with the found numbers."""
         return self.setup.model
+
+    @property
+    def rms(self) -> dict[str, np.ndarray]:
+        """By sensor, the error of the simulation, one number a column."""
+        return rms_of(self.traces)
+
+    def simulated(self, recordings: Sequence[Recording]) -> Traces:
+        """Other recordings beside what is simulated from their own first samples."""
+        of = self.error.on(_batch(self.setup, recordings, self.grid))
+        x = np.zeros(of.size)
+        x[: len(self.values)] = list(self.values.values())
+        return traces(self.model, of, x, recordings)
 
     def on(self, recordings: Sequence[Recording]) -> HeldOut:
         """The verdict on recordings that the fit never saw, from their own first states.
@@ -66,10 +83,12 @@ class Identified:
         Raises:
             InputError: a recording that was fitted.
         """
-        data = _batch(self.setup, recordings, self.grid)
-        of = SimulationError(self.setup, self.sought, data, self.grid)
-        x = np.zeros(of.size) + np.array([*self.values.values()])
-        return held_out(self.residuals, _positions(of, x, data, recordings))
+        seen, unseen = self.traces, self.simulated(recordings)
+        return held_out(
+            {name: sensors["q"].residual for name, sensors in seen.items()},
+            {name: sensors["q"].residual for name, sensors in unseen.items()},
+            measured={name: sensors["q"].recorded for name, sensors in unseen.items()},
+        )
 
 
 def identify(
@@ -136,105 +155,86 @@ def identify(
     grid = _grid(runs) if grid is None else grid
     start = np.asarray(sought.read(setup), float)
     evaluations = 0
-    with Progress(disable=not progress, transient=True) as bar:
+    with progress_line("identify", progress) as say:
 
-        def fit(
-            runs: Run, x: np.ndarray, prior: np.ndarray, **how: Any
-        ) -> tuple[SimulationError, Minimum]:
-            task = bar.add_task("simulating", total=steps)
-            of = SimulationError(setup, sought, runs, grid, starts=starts, loss=loss)
-            fill = np.zeros(of.size - len(prior))
-            x = np.append(x[: len(prior)], fill) if len(x) != of.size else x
-            _check_moves(sought, of.triangle(x)[:, : len(prior)])
+        def fit(of: SimulationError, x: np.ndarray, **how: Any) -> Minimum:
+            nonlocal evaluations
+            say("simulating")
+            fill = np.zeros(of.size - len(start))
+            x = np.append(x, np.zeros(of.size - len(x)))
+            first = of.triangle(x)
+            _check_moves(sought, first[:, : len(start)])
 
             def watch(k: int, cost: float) -> None:
-                bar.update(task, completed=k, description=f"squares {cost:.4g}")
+                say(f"evaluation {k} of at most {steps}, squares {cost:.4g}")
 
-            least = minimise(of, x, np.append(prior, fill), steps=steps, watch=watch, **how)
-            bar.update(task, completed=steps)
-            return of, least
+            prior = np.append(start, fill)
+            least = minimise(of, x, prior, triangle=first, steps=steps, watch=watch, **how)
+            evaluations += least.evaluations
+            return least
+
+        def error(runs: Sequence[Recording]) -> SimulationError:
+            data = _batch(setup, runs, grid)
+            return SimulationError(setup, sought, data, grid, starts=starts, loss=loss)
 
         x = start
         if pieces is not None:
             short = [piece for run in runs for piece in run.pieces(pieces)]
-            _, least = fit(_batch(setup, short, grid), x, start, pulls=FIRST_PULLS)
-            x, evaluations = least.x[: len(start)], least.evaluations
-        data = _batch(setup, runs, grid)
-        of, least = fit(data, x, start)
-        evaluations += least.evaluations
-        estimated = _weighed(of, least.x, data, runs)
+            x = fit(error(short), x, pulls=FIRST_PULLS).x[: len(start)]
+        of = error(runs)
+        least = fit(of, x)
+        seen = traces(setup.model, of, least.x, runs)
+        estimated = _weighed(of.runs, seen, runs, robust=loss == "huber")
         if estimated is not None:
-            data = estimated
-            of, least = fit(data, least.x, start)
-            evaluations += least.evaluations
+            of = of.on(estimated)
+            least = fit(of, least.x)
+            seen = traces(setup.model, of, least.x, runs)
     n = len(start)
     p = least.x[:n]
     names = sought.names
     more = [f"start[{k}]" for k in range(of.size - n)]
-    samples = sum(int((np.asarray(w) > 0).sum()) for w in data.weights.values())
+    samples = sum(int((np.asarray(w) > 0).sum()) for w in of.runs.weights.values())
     noise = np.sqrt(least.cost / max(samples - of.size, 1)) if estimated is None else 1.0
     said = estimates(
         [*names, *more], least.x, least.triangle[:, :-1], max(noise, np.finfo(float).tiny),
         dof=max(samples - of.size, 1), bounds=sought.limits(setup),
     )  # fmt: skip
     found = sought.write(setup, jnp.asarray(p, setup.model.gravity.dtype))
+    values, guess = (dict(zip(names, map(float, x), strict=True)) for x in (p, start))
+    shown = combinations(least.triangle[:, :n], names)
     return Identified(
-        found, dict(zip(names, map(float, p), strict=True)),
-        combinations(least.triangle[:, :n], names), said, _rms(of, least.x, data), evaluations,
-        least.ok, least.message, grid, sought, _positions(of, least.x, data, runs),
+        found, values, guess, shown, said, tuple(runs), seen, evaluations, least.ok, least.message,
+        grid, of,
     )  # fmt: skip
 
 
 def _grid(runs: Sequence[Recording]) -> Grid:
     """The clock of the commands, or of the positions."""
-    first = ("ctrl", "q", "v")
-    clocks = [run[next(s for s in (*first, *run) if s in run.channels)].step for run in runs]
-    return Grid(min(clocks))
+
+    def clock(run: Recording) -> Channel:
+        return next(run[sensor] for sensor in ("ctrl", "q", *run) if sensor in run.channels)
+
+    return Grid(min(clock(run).step for run in runs))
 
 
 def _batch(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
     return batch([run_of(setup, run, grid) for run in runs])
 
 
-def _off(of: SimulationError, x: np.ndarray, data: Run) -> dict[str, np.ndarray]:
-    """Readings less what was recorded, nan where nothing was."""
-    read = of.readings(of.by_run(x), data)
-    return {
-        k: np.where(np.asarray(data.weights[k]) > 0, np.asarray(read[k] - data.values[k]), np.nan)
-        for k in data.values
-    }
-
-
-def _rms(of: SimulationError, x: np.ndarray, data: Run) -> dict[str, np.ndarray]:
-    return {k: np.sqrt(np.nanmean(r**2, axis=(0, 1))) for k, r in _off(of, x, data).items()}
-
-
-def _weighed(
-    of: SimulationError, x: np.ndarray, data: Run, runs: Sequence[Recording]
-) -> Run | None:
+def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool) -> Run | None:
     """The data weighed by the noise of the residuals, where no channel says its own; None where
-    all say it, or there is none."""
-    rms, weights = _rms(of, x, data), dict(data.weights)
-    changed = False
+    all say it, or there is none. Outliers do not count for `robust`."""
+    weights, changed = dict(data.weights), False
     for sensor in data.values:
         if all(run[sensor].noise is not None for run in runs):
             continue
-        seen = np.asarray(data.values[sensor])
-        spread = seen.std(axis=(0, 1))
-        sigma = np.where(rms[sensor] > NOISELESS * spread, rms[sensor], 0.0)
-        if (sigma == 0).any():
+        r, spread = together(seen, sensor), np.asarray(data.values[sensor]).std(axis=(0, 1))
+        sigma = NORMAL * np.nanmedian(np.abs(r), 0) if robust else np.sqrt(np.nanmean(r**2, 0))
+        if not (sigma > NOISELESS * spread).all():
             return None
         weights[sensor] = jnp.asarray((np.asarray(weights[sensor]) > 0) / sigma)
         changed = True
     return data._replace(weights=weights) if changed else None
-
-
-def _positions(
-    of: SimulationError, x: np.ndarray, data: Run, runs: Sequence[Recording]
-) -> dict[str, np.ndarray]:
-    """By recording, the residuals of its positions."""
-    off = _off(of, x, data)["q"]
-    return {run.name: off[k] for k, run in enumerate(runs)}
 
 
 def _check_moves(sought: Unknowns, J: np.ndarray) -> None:

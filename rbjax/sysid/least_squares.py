@@ -58,6 +58,7 @@ def minimise(
     start: np.ndarray,
     prior: np.ndarray | None = None,
     *,
+    triangle: np.ndarray | None = None,
     pulls: tuple[float, ...] = PULLS,
     steps: int = 100,
     watch: Callable[[int, float], None] = lambda evaluation, cost: None,
@@ -68,6 +69,7 @@ def minimise(
         of: the residual.
         start: (p,).
         prior: x_0; the start if None.
+        triangle: that of the residual at the start, where it is known.
         pulls: weights w, one after the other.
         steps: evaluations of the residual in all.
         watch: called with the number of evaluations and |r|^2, for progress.
@@ -87,7 +89,8 @@ def minimise(
         watch(count, found)
         return found if np.isfinite(found) else np.inf
 
-    R, ended = of.triangle(x), False
+    R = of.triangle(x) if triangle is None else triangle
+    ended = False
     if not np.isfinite(R).all():
         message = "the motion of the first guess is not finite"
         return Minimum(x, R, np.inf, count, False, message)

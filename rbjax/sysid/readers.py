@@ -1,7 +1,7 @@
 """Readers: csv and npz files into a `Recording`.
 
 A mapping says which column of the file is which sensor, joint and unit. Everything else of the file
-is left alone. Sensors at several rates may share one table: a row in which all columns of a sensor
+is not read. Sensors at several rates may share one table: a row in which all columns of a sensor
 are blank holds no sample of it.
 """
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
-from rbjax.sysid.recording import Channel, Recording
+from rbjax.sysid.recording import HELD, Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
 
 #: sensors that a simulation reads, in the order of their rows
@@ -38,14 +38,17 @@ class Run(NamedTuple):
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation."""
     model, dtype = setup.model, setup.model.gravity.dtype
-    run = _ordered(model, run)
+    run = ordered(model, run)
     measured = [s for s in SENSORS if s in run.channels]
     if "q" not in measured:
         raise InputError(
             f"identify: recording {run.name} has channels {', '.join(run)}, expected q among them: "
             "a simulation starts from a configuration"
         )
-    start, end = run.start, run.end
+    start = run.start
+    # the last command holds for one more step of its channel
+    ends = {s: c.t[-1] + (c.step if s == HELD else 0.0) for s, c in run.channels.items()}
+    end = min(ends.values())
     count = int((end - start) / grid.period + 1e-6)
     if count < 1:
         raise InputError(
@@ -74,7 +77,7 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     return jax.tree.map(lambda a: jnp.asarray(a, dtype), found)
 
 
-def _ordered(model: Model, run: Recording) -> Recording:
+def ordered(model: Model, run: Recording) -> Recording:
     """The recording with the columns of joints and actuators in the order of the model."""
     run.check_model(model)
     channels = dict(run.channels)

@@ -7,13 +7,13 @@ is sought. The Jacobian is in forward mode, every direction a sample of the batc
 
 from __future__ import annotations
 
+import copy
 import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import State
@@ -27,7 +27,7 @@ HUBER = 1.345
 
 
 class SimulationError:
-    """The residual of a batch of runs, compiled once.
+    """The residual of a batch of runs, compiled once and shared by all that `on` makes.
 
     x (n + runs l,) holds the numbers p of the unknowns (n,) and, where starts are sought, l = 2 nv
     corrections for each run.
@@ -37,7 +37,7 @@ class SimulationError:
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
         starts: bool = False, loss: str = "squares",
     ):  # fmt: skip
-        self.setup, self.unknowns, self.runs = setup, unknowns, runs
+        self.unknowns, self.runs = unknowns, runs
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
         self.own = 2 * setup.model.nv if starts else 0
@@ -98,18 +98,13 @@ class SimulationError:
         """That of the unknowns, and of the starts' corrections as free numbers."""
         n = self.shared
         first = self.unknowns.divergence(x[:n], x0[:n])
-        rest = Divergence.free(x[n:], x0[n:], 1.0)
-        return Divergence(
-            first.value + rest.value, np.append(first.slope, rest.slope),
-            scipy.linalg.block_diag(first.curvature, rest.curvature) if n < x.size
-            else first.curvature,
-        )  # fmt: skip
+        return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
 
-    def compile(self, x: np.ndarray) -> None:
-        """Compiles ahead of the first call."""
-        args = (self.by_run(x), self.runs)
-        self._residuals.lower(*args).compile()
-        self._slopes.lower(*args).compile()
+    def on(self, runs: Run) -> SimulationError:
+        """That of other runs. Where they have the same shapes, nothing is compiled again."""
+        other = copy.copy(self)
+        other.runs, other.count = runs, runs.commands.shape[0]
+        return other
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """(runs, rows)"""

@@ -104,7 +104,7 @@ class Estimates:
         for n in self.names:
             x = self.interval(n, level)
             if np.isinf(x.sigma):
-                said.append(f"{n}: these data alone do not say it")
+                said.append(f"{n}: these data do not say it")
             else:
                 said.append(f"{n} = {x.value:.6g}, {level:.0%} from {x.low:.6g} to {x.high:.6g}")
         for direction in self.free.T:

@@ -9,6 +9,7 @@ leave open is a plane in p.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -17,13 +18,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.spatial.consistency import from_pseudo_inertia, pseudo_inertia
 from rbjax.sysid.divergence import Divergence
-from rbjax.sysid.log_cholesky import inertial_parameters_of, pseudo_inertia_of
+from rbjax.sysid.log_cholesky import PARAMETERS, inertial_parameters_of, pseudo_inertia_of
 
 
 @runtime_checkable
@@ -104,20 +104,11 @@ class Unknown(_Scalars):
         return with_leaf(target, self.leaf, new)
 
 
+@functools.cache
 def _pseudo_slopes() -> np.ndarray:
     """The pseudo-inertia's slopes (10, 4, 4) in the ten parameters: it is linear in them."""
-    found = np.zeros((10, 4, 4))
-    found[0, 3, 3] = 1.0
-    for k in range(3):
-        found[1 + k, k, 3] = found[1 + k, 3, k] = 1.0
-    for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))):
-        found[4 + k, i, j] = found[4 + k, j, i] = -1.0
-        if i == j:
-            found[4 + k, :3, :3] += np.eye(3) / 2
-    return found
-
-
-PSEUDO = _pseudo_slopes()
+    with jax.ensure_compile_time_eval():  # the first call may be within a traced program
+        return np.asarray(pseudo_inertia_of(np.eye(10)))
 
 
 @dataclass(frozen=True)
@@ -132,8 +123,7 @@ class Inertia:
     body: str | int
 
     def names(self, label: str, target: Any) -> list[str]:
-        parts = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-        return [f"{label}.{part}" for part in parts]
+        return [f"{label}.{part}" for part in PARAMETERS]
 
     def read(self, target: Any) -> jax.Array:
         bodies, k = self._place(target)
@@ -149,8 +139,9 @@ class Inertia:
         return target
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        P, P0 = (np.tensordot(x, PSEUDO, 1) for x in (p, p0))
-        return Divergence.definite(P, P0, PSEUDO)
+        slopes = _pseudo_slopes()
+        P, P0 = (np.tensordot(x, slopes, 1) for x in (p, p0))
+        return Divergence.definite(P, P0, slopes)
 
     def _place(self, target: Any) -> tuple[Any, int]:
         model: Model = getattr(target, "model", target)
@@ -332,11 +323,7 @@ class Unknowns:
         """The sum of all."""
         ends = np.cumsum(self.sizes)[:-1]
         parts = zip(self.members.values(), np.split(p, ends), np.split(p0, ends), strict=True)
-        found = [u.divergence(a, b) for u, a, b in parts]
-        return Divergence(
-            sum(d.value for d in found), np.concatenate([d.slope for d in found]),
-            scipy.linalg.block_diag(*(d.curvature for d in found)),
-        )  # fmt: skip
+        return Divergence.joined([u.divergence(a, b) for u, a, b in parts])
 
     def _split(self, x: jax.Array) -> list[jax.Array]:
         return jnp.split(x, np.cumsum(self.sizes)[:-1])
@@ -358,8 +345,8 @@ def leaf_of(target: Any, leaf: str) -> Any:
 
 
 def with_leaf(target: Any, leaf: str, new: Any) -> Any:
-    """The pytree with another array at a dotted name. Models are told, so that what they keep
-    ready is made again."""
+    """The pytree with another array at a dotted name. A `Model` computes again what it keeps of
+    its numbers."""
     return _with(target, _parts(target, leaf), new)
 
 

@@ -54,8 +54,8 @@ def test_what_can_be_found_of_the_55():
     def name(entry):
         return f"{entry[0]}.{entry[1].replace('m', 'h') if len(entry[1]) == 2 else entry[1]}"
 
-    alone = zip(range(1, 6), want["armature_found_alone"], strict=True)
-    armatures = [f"joint{k}.armature" for k, yes in alone if yes]
+    by_itself = zip(range(1, 6), want["armature_found_alone"], strict=True)
+    armatures = [f"joint{k}.armature" for k, yes in by_itself if yes]
     single = [name(x) for x in want["single_entries_found_alone"]]
     assert sorted(base.found) == sorted([*single, *armatures])
     assert sorted(base.hidden) == sorted(name(x) for x in want["entries_that_never_show"])
@@ -168,6 +168,6 @@ def test_go2_with_its_base_held(gravity):
     model = load_quietly(compiled)
     assert ranks(model, samples=150) == BASE["go2_base_held"][gravity]
     base = sysid.base_parameters(model, joint_terms=["armature"], samples=150)
-    alone = [x for x in base.found if "armature" in x]
-    assert len(alone) == 4 and all("calf" in x for x in alone)
+    armatures = [x for x in base.found if "armature" in x]
+    assert len(armatures) == 4 and all("calf" in x for x in armatures)
     assert all(f"base.{x}" in base.hidden for x in ("m", "hx", "Izz"))

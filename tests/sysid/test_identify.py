@@ -9,14 +9,11 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import (
     Channel,
-    Grid,
     Recording,
-    Setup,
     Unknown,
     identify,
     pseudo_inertia_of,
 )
-from rbjax.sysid.runs import run_of
 from tests.sysid.problems import GO2, ORACLES, arm, quadruped
 
 MODEL = rb.load("pendulum")
@@ -56,7 +53,7 @@ def test_noise_free_recordings_give_the_numbers():
 
 
 def test_noise_is_estimated_and_intervals_are_those_of_the_slopes():
-    """Three recordings, positions alone, starts sought; sigma of the mass by an independent
+    """Three recordings, positions only, starts sought; sigma of the mass by an independent
     Jacobian."""
     noise = 2e-3
     runs = [seen(k, noise) for k in range(3)]
@@ -74,19 +71,6 @@ def test_noise_is_estimated_and_intervals_are_those_of_the_slopes():
     least = noise / np.linalg.norm(slope)  # were all else known
     assert least < found.estimates.interval("mass").sigma < 10 * least
     assert "holds" in found.on([seen(7)]).sentence
-
-
-def test_columns_are_taken_by_name():
-    """Joints in another order than the model's."""
-    model = rb.load("cart_pole")
-    t = np.arange(4) * T
-    q = np.arange(8.0).reshape(4, 2)
-    names = tuple(model.joint_names)
-    runs = [Recording("a", {"q": Channel(t, x, n), "v": Channel(t, x, n)})
-            for x, n in ((q, names), (q[:, ::-1], names[::-1]))]  # fmt: skip
-    one, other = (run_of(Setup.of(model), run, Grid(T)) for run in runs)
-    np.testing.assert_array_equal(one.values["q"], other.values["q"])
-    np.testing.assert_array_equal(one.start.v, other.start.v)
 
 
 @pytest.mark.parametrize(

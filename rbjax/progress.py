@@ -1,0 +1,36 @@
+"""A line on a terminal that says what runs now, and for how long."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+Say = Callable[[str], None]
+
+
+@contextlib.contextmanager
+def progress_line(label: str, show: bool = True) -> Iterator[Say]:
+    """A transient line on stderr, if that is a terminal.
+
+    Args:
+        label: who works, which begins the line.
+        show: false for no line at all.
+
+    Returns:
+        A context that yields a function, which puts a text on the line.
+
+    Example:
+        >>> from rbjax.progress import progress_line
+        >>> with progress_line("count", show=False) as say:
+        ...     for k in range(3):
+        ...         say(f"{k} of 3")
+    """
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, force_jupyter=False)
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn(label + ": {task.description}"))
+    quiet = not (show and console.is_terminal)
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bar:
+        task = bar.add_task("")
+        yield lambda text: bar.update(task, description=text)
