@@ -25,7 +25,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data" / "go2_in_air"
 LEGS = ("FL", "FR", "RL", "RR")
 RATE, KP, KD = 200, 20.0, 1.5
 #: the samples to fit models, to choose one, and to judge it
-FITTED, HALF = 1570, 2349
+FITTED, HALF, END = 1570, 2349, 4698
 GRID = Grid(1 / RATE, 2, "rk4", 4)
 #: numbers that the source of the data assumes for each joint
 NOMINAL = {"armature": 0.01, "viscous": 0.6, "coulomb": 0.2, "smoothing": 0.02}
@@ -94,27 +94,23 @@ def joint_dynamics(model: rb.Model) -> tuple[Setup, dict[str, Any]]:
 
 
 def by_position(
-    model: rb.Model, terms: tuple[int, int] = TERMS, *, breakaway: bool = False
+    model: rb.Model, terms: tuple[int, int] = TERMS
 ) -> tuple[Setup, dict[str, Any]]:
-    """Torque and dry friction that depend on the angle, series with so many terms; breakaway:
-    Stribeck's fall of the friction with the speed too."""
+    """Torque and dry friction that depend on the angle, series with so many terms; of all legs the
+    same armature and viscous friction; no delay."""
     q, n = recording(model)["q"].values, model.nv
     ends = np.stack([q.min(0) - 0.005, q.max(0) + 0.005], 1)  # of the half that may be seen
     torque, coulomb = (np.zeros((n, k)) for k in terms)
     coulomb[:, 0] = 0.3
     curves = rb.forces.JointCurves.of(
-        model, model.joint_names, ends, torque=torque, coulomb=coulomb, stribeck=0.3, smoothing=0.03
+        model, model.joint_names, ends, torque=torque, coulomb=coulomb, smoothing=0.03
     )
-    unknowns: dict[str, Any] = {
+    return Setup.of(model.with_forces(curves)), {
         "armature": alike("joints.armature", n),
         "viscous": alike("joints.damping", n),
         "torque": Unknown("forces.0.torque"),
         "coulomb": Unknown("forces.0.coulomb"),
-        "delay": Unknown("delay", bounds=(0.0, 0.02)),
     }
-    if breakaway:
-        unknowns["breakaway"] = Unknown("forces.0.breakaway")
-    return Setup.of(model.with_forces(curves), delay=0.005), unknowns
 
 
 def alike(leaf: str, n: int) -> Shared:
