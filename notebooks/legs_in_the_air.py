@@ -130,9 +130,9 @@ if DATA is not None:
 #
 # The commands and the angles give the torque of each servo. What remains of it after gravity,
 # inertia and the servo's own damping is friction. Over the angle it shows: it holds back in both
-# directions, and how much depends on where the joint is. In the calves, whose motors drive them
-# through a linkage, it doubles and more. The other joints have ripples of some 0.2 N m, which stay
-# at their places.
+# directions, and how much depends on where the joint is. In the calf of the rear left leg, whose
+# motor drives it through a linkage, it doubles as the knee closes. The other joints have ripples of
+# 0.1 to 0.3 N m. Every swing repeats them at the same angles.
 
 # %%
 if DATA is not None:
@@ -158,9 +158,9 @@ if DATA is not None:
 # `JointCurves` has a torque c and a dry friction F for each joint, both Chebyshev series in the
 # angle. Constant terms are the offset and Coulomb's friction of the model above; the others are new
 # here. Hips, thighs and calves of the four legs have the same motors, so armature and viscous
-# friction are shared: friction at other speeds must not be learned from one leg's curve. How many
-# terms the curves have was chosen on the last third of the first half, not fitted for that
-# (`benchmarks/cpu/legs_in_the_air.py`).
+# friction are shared: what friction does at other speeds must not be learned from one leg's curve.
+# The lengths of the series were chosen on the last third of the first half, by fits of its first
+# two thirds (`benchmarks/cpu/legs_in_the_air.py`). A delay was tried, too: it came out as 0.4 ms.
 
 # %%
 if DATA is not None:
@@ -219,6 +219,10 @@ if DATA is not None:
     print({name: round(mrad(x.residual), 2) for name, x in tested.items()}, "mrad RMS")
 
 # %% [markdown]
+# What is left grows with the speed, and is largest in the calves at the end: the slow half shows
+# friction at 1 rad/s, the fast one goes to 4. The verdict above says so: the error is several
+# times that of the fit. A recording to be fitted should have had fast motions, too.
+#
 # The curves that were found: what rubs in the four calves, at each angle.
 
 # %%
