@@ -9,6 +9,7 @@ from rbjax.forces.fluid_ellipsoid import EllipsoidFluid
 from rbjax.forces.gear_loss import GearLoss
 from rbjax.forces.gravity_compensation import GravityCompensation
 from rbjax.forces.instant import Frame, Instant, Joint
+from rbjax.forces.joint_curves import JointCurves
 from rbjax.forces.joint_friction import JointFriction
 from rbjax.forces.joint_limits import JointLimits
 from rbjax.forces.joint_polynomials import JointPolynomials
@@ -27,6 +28,7 @@ __all__ = [
     "InertiaBoxFluid",
     "Instant",
     "Joint",
+    "JointCurves",
     "JointFriction",
     "JointLimits",
     "JointPolynomials",

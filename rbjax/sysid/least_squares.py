@@ -26,6 +26,8 @@ PULLS = (1e-4, 1e-7, 1e-10)
 SMALL = 1e-18
 #: a decrease of this fraction ends one that is not the last
 COARSE = 1e-2
+#: an expected decrease of this fraction ends the last: less than noise can tell
+FLAT = 1e-8
 #: Newton's steps of one convex problem
 NEWTON = 60
 
@@ -108,7 +110,7 @@ def minimise(
             pull = w * size * (D(x, prior).value - D(trial, prior).value)
             expected = now - float(linear @ linear) + pull
             gain = (now - after + pull) / max(expected, 1e-300)
-            calm = not last and damping <= 1e-6 and expected < COARSE * now
+            calm = damping <= 1e-6 and expected < (FLAT if last else COARSE) * now
             if gain > 0:
                 x, now, R = trial, after, of.triangle(trial)
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0

@@ -1,0 +1,167 @@
+"""The legs of a real Go2: models of growing detail, and CMA-ES on the same residual.
+
+`python -m benchmarks.cpu.legs_in_the_air [choice] [half] [search]` writes
+results/cpu-legs-in-the-air-<processor>.json. The recording lies beside the repository.
+
+Errors are RMS over the joints in mrad: fitted, where the model was fitted; unseen, on the samples
+that follow, free from their first state under the recorded commands. `choice` fits the first two
+thirds of the first half of one leg, and its unseen part is the last third: there the model was
+chosen. `half` fits the first half of all legs, its unseen part is the second half. `search` is one
+leg, by `identify` and by CMA-ES (Hansen, *The CMA Evolution Strategy: A Tutorial*, 2016): the same
+unknowns, first guess and squares. A rollout is a simulated motion; a direction of a Jacobian counts
+as one, too.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
+from rbjax.sysid import Setup, identify  # noqa: E402
+from rbjax.sysid.runs import run_of  # noqa: E402
+from rbjax.sysid.simulation import motion  # noqa: E402
+from rbjax.sysid.unknowns import Unknowns  # noqa: E402
+from tests.sysid import go2  # noqa: E402
+
+COLUMNS = (
+    "part", "model", "unknowns", "rollouts", "evaluations", "seconds", "fitted", "unseen", "ok"
+)  # fmt: skip
+NAME, SEARCHED, STEPS = "cpu-legs-in-the-air", "RL", 14
+
+
+def mrad(residuals: Any) -> float:
+    return 1e3 * float(np.sqrt(np.mean(np.square(residuals))))
+
+
+def fitted(part: str, name: str, problem: Any, last: int, end: int) -> dict[str, Any]:
+    setup, unknowns = problem
+    model = setup.model
+    start = time.perf_counter()
+    run = go2.recording(model, 0, last)
+    found = identify(setup, run, unknowns, grid=go2.GRID, steps=STEPS)
+    seconds = time.perf_counter() - start
+    n = len(found.values)
+    return {
+        "part": part, "model": name, "unknowns": n,
+        "rollouts": found.evaluations * (1 + n),  # at most: some steps are refused
+        "evaluations": found.evaluations, "seconds": seconds, "fitted": mrad(found.rms["q"]),
+        "unseen": 1e3 * found.on([go2.recording(model, last, end)]).rms, "ok": found.ok,
+    }  # fmt: skip
+
+
+def cma_es(
+    cost: Callable[[np.ndarray], np.ndarray], n: int, sigma: float, budget: int, size: int = 32
+) -> tuple[np.ndarray, int]:
+    """The best of a search from zero, and the evaluations; cost is of a population (size, n)."""
+    rng, mu = np.random.default_rng(0), size // 2
+    w = np.log((size + 1) / 2) - np.log(np.arange(1, mu + 1))
+    w /= w.sum()
+    many = 1 / (w**2).sum()
+    c_s, c_c = (many + 2) / (n + many + 5), (4 + many / n) / (n + 4 + 2 * many / n)
+    c_1 = 2 / ((n + 1.3) ** 2 + many)
+    c_mu = min(1 - c_1, 2 * (many - 2 + 1 / many) / ((n + 2) ** 2 + many))
+    damping = 1 + 2 * max(0.0, np.sqrt((many - 1) / (n + 1)) - 1) + c_s
+    length = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n**2))
+    mean, C, p_c, p_s = np.zeros(n), np.eye(n), np.zeros(n), np.zeros(n)
+    best, least, used = mean, np.inf, 0
+    while used < budget:
+        d, B = np.linalg.eigh(C)
+        d = np.sqrt(np.maximum(d, 1e-20))
+        steps = rng.normal(size=(size, n)) * d @ B.T
+        costs = np.nan_to_num(cost(mean + sigma * steps), nan=np.inf)
+        used += size
+        order = np.argsort(costs)
+        if costs[order[0]] < least:
+            least, best = costs[order[0]], mean + sigma * steps[order[0]]
+        chosen = steps[order[:mu]]
+        move = w @ chosen
+        mean = mean + sigma * move
+        p_s = (1 - c_s) * p_s + np.sqrt(c_s * (2 - c_s) * many) * (B @ ((B.T @ move) / d))
+        calm = np.linalg.norm(p_s) / np.sqrt(1 - (1 - c_s) ** (2 * used / size))
+        h = float(calm < (1.4 + 2 / (n + 1)) * length)
+        p_c = (1 - c_c) * p_c + h * np.sqrt(c_c * (2 - c_c) * many) * move
+        C = (1 - c_1 - c_mu + c_1 * (1 - h) * c_c * (2 - c_c)) * C
+        C = C + c_1 * np.outer(p_c, p_c) + c_mu * (chosen.T * w) @ chosen
+        sigma *= np.exp(min(1.0, c_s / damping * (np.linalg.norm(p_s) / length - 1)))
+    return best, used
+
+
+def searched(budget: int) -> dict[str, Any]:
+    """CMA-ES; positive numbers in the logarithm, curves in units of 0.3 N m."""
+    model = go2.robot(SEARCHED)
+    setup, unknowns = go2.by_position(model)
+    of = Unknowns.of("search", unknowns, setup)
+    guess = jnp.asarray(of.read(setup))
+    positive = np.arange(guess.size) < 6  # armature and viscous friction come first
+    run = run_of(setup, go2.recording(model), go2.GRID)
+
+    def made(p: jax.Array) -> Setup:
+        return of.write(setup, p)
+
+    def numbers(y: jax.Array) -> jax.Array:
+        return jnp.where(positive, guess * jnp.exp(y), guess + 0.3 * y)
+
+    @jax.jit
+    @jax.vmap
+    def squares(y: jax.Array) -> jax.Array:
+        path = motion(made, numbers(y), run.start, run.commands, go2.GRID)
+        return ((path.q[: run.values["q"].shape[0]] - run.values["q"]) ** 2).sum()
+
+    start = time.perf_counter()
+    best, used = cma_es(lambda y: np.asarray(squares(y)), guess.size, 0.3, budget)
+    seconds = time.perf_counter() - start
+    found = made(numbers(jnp.asarray(best)))
+    errors = [
+        mrad(go2.free_run(found, go2.recording(model, *part)))
+        for part in ((0, go2.HALF), (go2.HALF, go2.END))
+    ]
+    return {
+        "part": "search", "model": "CMA-ES", "unknowns": guess.size, "rollouts": used,
+        "evaluations": used, "seconds": seconds, "fitted": errors[0], "unseen": errors[1],
+    }  # fmt: skip
+
+
+def choice() -> list[dict[str, Any]]:
+    leg = go2.robot(SEARCHED)
+    return [
+        fitted("choice", f"curves of {terms}", go2.by_position(leg, terms), go2.FITTED, go2.HALF)
+        for terms in ((1, 1), (1, 8), (12, 1), go2.TERMS)
+    ]
+
+
+def half() -> list[dict[str, Any]]:
+    whole = go2.robot(*go2.LEGS)
+    free = go2.free_run(go2.nominal(whole), go2.recording(whole, go2.HALF, go2.END))
+    return [
+        {"part": "half", "model": "nominal", "unknowns": 0, "unseen": mrad(free)},
+        fitted("half", "49 numbers", go2.joint_dynamics(whole), go2.HALF, go2.END),
+        fitted("half", f"curves of {go2.TERMS}", go2.by_position(whole), go2.HALF, go2.END),
+    ]
+
+
+def search(budget: int) -> list[dict[str, Any]]:
+    problem = go2.by_position(go2.robot(SEARCHED))
+    return [fitted("search", "identify", problem, go2.HALF, go2.END), searched(budget)]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("parts", nargs="*", default=["choice", "half", "search"])
+    parser.add_argument("--rollouts", type=int, default=20_000)
+    asked = parser.parse_args()
+    parts = {"choice": choice, "half": half, "search": lambda: search(asked.rollouts)}
+    if go2.DATA.exists():
+        for part in asked.parts:
+            rows = parts[part]()
+            print(markdown_table(rows, COLUMNS), flush=True)
+            save(NAME, rows + others(NAME, rows, ("part", "model")))
+    else:
+        print(f"{go2.DATA} is not there: nothing is measured")

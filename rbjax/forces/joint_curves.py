@@ -1,0 +1,188 @@
+"""Torques and dry friction of joints that depend on where the joint is.
+
+    tau = -c(x) - F(x) [1 + s exp(-(v / v_s)^2)] tanh(v / v_0)
+
+x runs from -1 to 1 over a joint's range, and both curves are Chebyshev series in it,
+
+    c(x) = c_0 + c_1 T_1(x) + ... + c_n T_n(x),     T_k(cos a) = cos(k a).
+
+c is what a motor's magnets, a cable or an offset of the torque do: it stores energy. F is what a
+linkage or a gear rubs at each angle, in both directions. Beyond the range both keep the values of
+its ends. A series with more terms contains all with fewer, so that models of growing length can be
+compared. As in `joint_friction`, the step of F at rest is as wide as v_0, and s is how much more
+breaking away costs than sliding (Stribeck).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.errors import InputError
+from rbjax.forces.element import Element, Loads, Shapes
+from rbjax.forces.instant import Instant
+from rbjax.lanes import Lane, add, is_zero, mul, neg, total
+from rbjax.model import Model
+from rbjax.model.leaves import table
+from rbjax.model.links import lane
+
+
+class JointCurves(Element):
+    """Torque and dry friction of hinges and slides by their position.
+
+    tau = -c(x) - F(x) [1 + s exp(-(v / v_s)^2)] tanh(v / v_0),  c = sum of c_k T_k, F alike.
+
+    Fields, one row for each joint: range (n, 2) rad or m, where x is -1 and 1; torque c_k (n, k)
+    N m or N; coulomb F_k (n, m) N m or N; breakaway s (n,); stribeck v_s (n,) rad/s or m/s;
+    smoothing v_0 (n,) rad/s or m/s, above 0. Static: `joints`, their names or indices.
+    `JointCurves.of` makes it from single numbers.
+
+    Source: Trefethen, *Approximation Theory and Approximation Practice*, 2013, ch. 3; Armstrong,
+    *Control of Machines with Friction*, 1991 (friction that depends on position).
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("pendulum")
+        >>> rubs = rb.forces.JointCurves.of(
+        ...     model, model.joint_names, [[-2.0, 2.0]], coulomb=jnp.array([[3.0, 1.0]]))
+        >>> state = model.default_state().replace(q=jnp.array([1.0]), v=jnp.array([0.5]))
+        >>> rubbing = rb.applied_forces(model.with_forces(rubs), state)
+        >>> (rubbing - rb.applied_forces(model, state)).round(6).tolist()
+        [-3.5]
+    """
+
+    range: jax.Array
+    torque: jax.Array
+    coulomb: jax.Array
+    breakaway: jax.Array
+    stribeck: jax.Array
+    smoothing: jax.Array
+    joints: tuple[str | int, ...] = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if not self.joints:
+            raise InputError("JointCurves: joints is empty, expected names or indices of joints")
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        joints: Sequence[str | int],
+        range: Any,
+        *,
+        torque: Any = 0.0,
+        coulomb: Any = 0.0,
+        breakaway: Any = 0.0,
+        stribeck: Any = 0.1,
+        smoothing: Any = 1e-2,
+    ) -> JointCurves:
+        """The curves of these joints; range is (2,) or (n, 2), curves are a number, (n,) or (n, k)
+        coefficients, the rest a number or (n,)."""
+        check_model("JointCurves.of", model)
+        n, dtype = len(joints), model.gravity.dtype
+        wrong = [j for j in joints if model.topology.joints[model.joint(j)].nv != 1]
+        if wrong:
+            raise InputError(
+                f"JointCurves.of: joints {wrong} have more than one coordinate, expected hinges or "
+                "slides"
+            )
+
+        def column(name: str, x: Any) -> jax.Array:
+            found = check_array("JointCurves.of", name, x, (), (n,))
+            return jnp.broadcast_to(found.astype(dtype), (n,))
+
+        def series(name: str, x: Any) -> jax.Array:
+            if np.ndim(x) < 2:
+                return column(name, x)[:, None]
+            return check_array("JointCurves.of", name, x, (n, np.shape(x)[-1])).astype(dtype)
+
+        ends = check_array("JointCurves.of", "range", range, (2,), (n, 2)).astype(dtype)
+        if not isinstance(ends, jax.core.Tracer) and not (ends[..., 1] > ends[..., 0]).all():
+            raise InputError(f"JointCurves.of: range is {ends.tolist()}, expected [low, high]")
+        return cls(
+            range=jnp.broadcast_to(ends, (n, 2)),
+            torque=series("torque", torque),
+            coulomb=series("coulomb", coulomb),
+            breakaway=column("breakaway", breakaway),
+            stribeck=column("stribeck", stribeck),
+            smoothing=column("smoothing", smoothing),
+            joints=tuple(joints),
+        )
+
+    def may_be_endless(self, name: str) -> bool:
+        return False
+
+    def shapes(self, model: Model) -> Shapes:
+        n = len(self.joints)
+        return {
+            "range": (n, 2), "torque": (n, None), "coulomb": (n, None),
+            "breakaway": (n,), "stribeck": (n,), "smoothing": (n,),
+        }  # fmt: skip
+
+    def loads(self, now: Instant) -> Loads:
+        dtype = now.v.dtype
+        torque, coulomb = table(self.torque, dtype), table(self.coulomb, dtype)
+        given = (self.breakaway, self.stribeck, self.smoothing)
+        columns, out = [table(x, dtype) for x in given], {}
+        for row, joint in enumerate(map(now.joint, self.joints)):
+            x, _, _ = self._place(now, row)
+            c, F = series(_row(torque, row), x), series(_row(coulomb, row), x)
+            s, v_s, v_0 = (lane(column, row) for column in columns)
+            (v,) = joint.v
+            if not is_zero(F):
+                more = 0.0 if is_zero(s) else mul(s, jnp.exp(-((v / v_s) ** 2)))
+                F = mul(mul(F, add(1.0, more)), jnp.tanh(v / v_0))
+            out[joint.start] = neg(add(c, F))
+        return Loads(out)
+
+    def energy(self, now: Instant) -> Lane:
+        """The integral of c from the middle of the range."""
+        torque = table(self.torque, now.q.dtype)
+
+        def stored(row: int) -> Lane:
+            x, half, beyond = self._place(now, row)
+            c = _row(torque, row)
+            return add(mul(half, integral(c, x)), mul(beyond, series(c, x)))
+
+        return total(stored(row) for row in range(len(self.joints)))
+
+    def _place(self, now: Instant, row: int) -> tuple[Lane, Lane, Lane]:
+        """x within -1 and 1, half the range, and how far the joint is beyond it."""
+        ends = table(self.range, now.q.dtype)
+        low, high = lane(ends[:, 0], row), lane(ends[:, 1], row)
+        (q,) = now.joint(self.joints[row]).q
+        half, inside = (high - low) / 2, jnp.clip(q, low, high)
+        return (inside - low) / half - 1.0, half, q - inside
+
+
+def series(c: Sequence[Lane], x: Lane) -> Lane:
+    """c_0 + c_1 T_1(x) + c_2 T_2(x) + ..."""
+    return total(mul(a, T) for a, T in zip(c, _chebyshev(x, len(c)), strict=True))
+
+
+def integral(c: Sequence[Lane], x: Lane) -> Lane:
+    """The integral of the series from 0 to x: T_k becomes T_(k+1)/(2k+2) - T_(k-1)/(2k-2)."""
+    at, middle = _chebyshev(x, len(c) + 1), _chebyshev(0.0 * x, len(c) + 1)
+    T = [a - b for a, b in zip(at, middle, strict=True)]
+    whole = [T[1], *([T[2] / 4] if len(c) > 1 else [])]
+    whole += [T[k + 1] / (2 * k + 2) - T[k - 1] / (2 * k - 2) for k in range(2, len(c))]
+    return total(mul(a, b) for a, b in zip(c, whole, strict=True))
+
+
+def _chebyshev(x: Lane, n: int) -> list[Lane]:
+    """T_0 ... T_(n-1) at x, by T_(k+1) = 2 x T_k - T_(k-1)."""
+    T: list[Lane] = [1.0 + 0.0 * x, x]
+    while len(T) < n:
+        T.append(2.0 * x * T[-1] - T[-2])
+    return T[:n]
+
+
+def _row(numbers: jax.Array, i: int) -> list[Lane]:
+    return [lane(numbers[:, k], i) for k in range(numbers.shape[1])]

@@ -1,0 +1,39 @@
+"""`minimise` on a curve of two numbers."""
+
+import numpy as np
+import pytest
+
+from rbjax.sysid.divergence import Divergence
+from rbjax.sysid.least_squares import minimise
+
+T = np.linspace(0.0, 3.0, 200)
+
+
+class Decay:
+    """r = a exp(-b t) less what was measured."""
+
+    def __init__(self, noise):
+        self.seen = 2 * np.exp(-0.7 * T) + noise * np.random.default_rng(0).normal(size=T.size)
+
+    def residuals(self, x):
+        return x[0] * np.exp(-x[1] * T) - self.seen
+
+    def triangle(self, x):
+        e = np.exp(-x[1] * T)
+        J = np.stack([e, -x[0] * T * e], 1)
+        return np.linalg.qr(np.column_stack([J, self.residuals(x)]), mode="r")
+
+    def divergence(self, x, x0):
+        return Divergence.positive(x, x0)
+
+
+@pytest.mark.parametrize(("noise", "tolerance"), [(0.0, 1e-12), (0.05, 0.03)])
+def test_a_fit_ends(noise, tolerance):
+    """With noise too: digits that it hides are not waited for, and the slope there is none."""
+    of = Decay(noise)
+    least = minimise(of, np.array([0.5, 2.0]), steps=40)
+    assert least.ok and least.evaluations < 30
+    np.testing.assert_allclose(least.x, [2.0, 0.7], atol=tolerance)
+    J, r = least.triangle[:, :2], least.triangle[:, 2]
+    if noise:
+        assert np.linalg.norm(J @ np.linalg.lstsq(J, r)[0]) < 1e-4 * np.linalg.norm(r)
