@@ -6,7 +6,8 @@ filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`,
 simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
 are linear in the parameters (`regressor`, `equations`, `balances`). What the data can show:
 `combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
-`whiteness`, `compare`, `held_out`. What to measure next: `design` (`excitation`, `experiments`).
+`whiteness`, `compare`, `select`,
+`held_out`. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -55,6 +56,7 @@ from rbjax.sysid.regressor import (
     parameter_values,
     regressor,
 )
+from rbjax.sysid.selection import Selected, select
 from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.splits import Split, split
 from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
@@ -143,6 +145,8 @@ __all__ = [
     "sandwich",
     "compare",
     "Comparison",
+    "select",
+    "Selected",
     "held_out",
     "HeldOut",
     "Scored",
