@@ -15,6 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, check_number, floats
@@ -133,6 +134,11 @@ def rolled_twists(robot: Robot, rates: Any) -> jax.Array:
     shape = shape_of("rolled_twists", "rates", rates)
     due = (*shape[:-1], len(robot.drives))
     rates = check_array("rolled_twists", "rates", rates, due)
+    return _rolled(robot, rates)
+
+
+@compiled
+def _rolled(robot: Robot, rates: jax.Array) -> jax.Array:
     J = jax.vmap(lambda twist: commands(robot, twist).speeds)(jnp.eye(3, dtype=rates.dtype)).T
     return rates @ jnp.linalg.pinv(J).T
 
@@ -169,9 +175,14 @@ def odometry(
     (count,) = shape_of("odometry", "t", t)[:1] or (0,)
     t = check_array("odometry", "t", t, (max(count, 2),))
     angles = check_array("odometry", "angles", angles, (count, len(robot.drives)))
-    first = jnp.zeros(3, angles.dtype) if pose is None else check_array(
-        "odometry", "pose", pose, (3,)
-    )  # fmt: skip
+    first = check_array("odometry", "pose", jnp.zeros(3) if pose is None else pose, (3,))
+    return _poses(robot, t, angles, slip, first)
+
+
+@compiled
+def _poses(
+    robot: Robot, t: jax.Array, angles: jax.Array, slip: HeadingSlip | None, first: jax.Array
+) -> jax.Array:
     dt = jnp.diff(t)[:, None]
     V = rolled_twists(robot, jnp.diff(angles, axis=0) / dt)
     step = (V if slip is None else slip(V)) * dt

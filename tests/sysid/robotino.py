@@ -98,23 +98,20 @@ def fit(robot: Robot, runs: list[Run]) -> Floor:
     divided by the speed of the run, so that each counts by its relative error.
     """
     models = shapes(runs)
-    rolled = [wheeled.rolled_twists(robot, np.diff(run.angles, axis=0) / np.diff(run.t)[:, None])
-              for run in runs]  # fmt: skip
-    per = [(run.t[-1] - run.t[0]) / run.seen for run in runs]
     size = np.array([1.0, 1.0, ARM])
+    rates = np.stack([np.diff(run.angles, axis=0) / np.diff(run.t)[:, None] for run in runs])
+    rolled = np.asarray(wheeled.rolled_twists(robot, rates))
+    seen = np.stack([np.asarray(wheeled.mean_twists(run.t, run.poses)) for run in runs])
+    per = np.array([(run.t[-1] - run.t[0]) / run.seen for run in runs])[:, None]
 
-    def stacked(parts: Any) -> np.ndarray:
-        return np.stack([np.asarray(x).mean(0) * k for x, k in zip(parts, per, strict=True)])
+    def equation(W: Any) -> np.ndarray:
+        return np.asarray(W).mean(1) * per[..., None]
 
-    seen = stacked(size * np.asarray(wheeled.mean_twists(run.t, run.poses)) for run in runs)
-    candidates: dict[str, Any] = {
-        "one radius": (stacked((size * np.asarray(u))[..., None] for u in rolled), ["radius"])
-    }
+    candidates: dict[str, Any] = {"one radius": (equation((size * rolled)[..., None]), ["radius"])}
     for name, model in models.items():
-        terms = range(model.coefficients.shape[1])
-        names = [f"{axis}{i}" for axis in ("x", "y", "w") for i in terms]
-        candidates[name] = stacked(model.columns(u) for u in rolled), names
-    found = select(candidates, seen)
+        names = [str(i) for i in range(model.coefficients.size)]
+        candidates[name] = equation(model.columns(rolled)), names
+    found = select(candidates, (size * seen).mean(1) * per)
     if found.name == "one radius":
         none = HeadingSlip.none(ARM)
         return Floor(
