@@ -3,11 +3,11 @@
 What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
 (`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
-simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
-are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros
-of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
-`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `held_out`,
-`monte_carlo`. What to measure next: `design` (`excitation`, `experiments`).
+simulated motions (`simulation_error`, `shooting`, `least_squares`); `regress` and `consistent`, by
+torques that are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`),
+with the zeros of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian
+(`rank`), `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`,
+`free_run`, `held_out`, `monte_carlo`. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -59,6 +59,7 @@ from rbjax.sysid.regressor import (
     parameter_values,
     regressor,
 )
+from rbjax.sysid.selection import Selected, select
 from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.splits import Split, split
 from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
@@ -156,6 +157,8 @@ __all__ = [
     "Comparison",
     "monte_carlo",
     "MonteCarlo",
+    "select",
+    "Selected",
     "held_out",
     "HeldOut",
     "Scored",

@@ -7,6 +7,7 @@
     as a file      write_mjcf, with wheels that touch a plane
     motion         start, rates, rollout, simulate, contacts
     following      commands, pure_pursuit, stanley, tracking_gains
+    odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
     on any model   TyreOnGround, a force element
@@ -32,6 +33,7 @@ from rbjax.wheeled.full_model import full_model
 from rbjax.wheeled.kinds import with_trailers
 from rbjax.wheeled.motion import rollout, simulate
 from rbjax.wheeled.motors import DCMotor, Motor, SpeedServo, TorqueSource
+from rbjax.wheeled.odometry import HeadingSlip, mean_twists, odometry, rolled_twists
 from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
 from rbjax.wheeled.registry import at, fidelities, kinds
 from rbjax.wheeled.relaxation import Relaxing
@@ -65,6 +67,7 @@ __all__ = [
     "Drive",
     "Fiala",
     "Fidelity",
+    "HeadingSlip",
     "Linear",
     "Motor",
     "Pacejka",
@@ -87,9 +90,12 @@ __all__ = [
     "full_model",
     "full_model_state",
     "kinds",
+    "mean_twists",
+    "odometry",
     "pure_pursuit",
     "rates",
     "recommend",
+    "rolled_twists",
     "rollout",
     "simulate",
     "stanley",

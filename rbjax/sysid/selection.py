@@ -1,0 +1,77 @@
+"""`select`: of nested linear models, the one whose terms all earn their place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+from rbjax.sysid.comparison import Comparison, Scored, compare
+from rbjax.sysid.regression import Regression, regress
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """The model that the data need.
+
+    Fields: name; regression, its fit; comparisons, one for each model after the first, in order.
+    """
+
+    name: str
+    regression: Regression
+    comparisons: tuple[Comparison, ...]
+
+
+def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Selected:
+    """Fit nested models from the smallest to the largest, and keep each that earns its place.
+
+    Each is compared with the last one kept (`compare`), both with the noise of each channel that
+    the largest model leaves.
+
+    Args:
+        candidates: name -> (W, names), observation matrix (N, k, p) and names of its columns; each
+            model is a case of all that come after it. If errors of neighbours in time are alike,
+            one row of W should be the mean over a stretch as long as they are.
+        tau: (N, k), what is measured.
+
+    Returns:
+        `Selected`.
+
+    Raises:
+        InputError: no candidates, and what `regress` and `compare` refuse.
+
+    Source: Seber & Wild, *Nonlinear Regression*, 5.3.
+
+    Example:
+        >>> import numpy as np
+        >>> from rbjax.sysid import select
+        >>> t, noise = np.linspace(0, 1, 50), np.random.default_rng(0).normal(size=50)
+        >>> powers = [t**k for k in range(4)]
+        >>> lines = {f"degree {n}": (np.stack(powers[: n + 1], 1), "abcd"[: n + 1])
+        ...     for n in range(4)}
+        >>> select(lines, 1 + 2 * t + 0.1 * noise).name
+        'degree 1'
+    """
+    if not candidates:
+        raise InputError("select: no candidates, expected at least one")
+    fits = {name: regress(W, tau, names, method="ordinary")
+            for name, (W, names) in candidates.items()}  # fmt: skip
+    last = [*fits.values()][-1]
+    sigma = np.sqrt((last.residual**2).mean(0))
+    sigma = np.maximum(sigma, np.finfo(float).tiny)
+    samples = last.residual.size
+
+    def scored(name: str) -> Scored:
+        fit = fits[name]
+        return Scored(name, float(((fit.residual / sigma) ** 2).sum()), fit.combinations.rank)
+
+    kept, *others = fits
+    comparisons = []
+    for name in others:
+        if fits[name].combinations.rank > fits[kept].combinations.rank:
+            comparisons.append(compare(scored(kept), scored(name), samples))
+            kept = name if comparisons[-1].earned else kept
+    return Selected(kept, fits[kept], tuple(comparisons))
