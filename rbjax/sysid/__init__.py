@@ -6,7 +6,8 @@ filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`,
 simulated motions (`simulation_error`, `least_squares`); `regress` and `consistent`, by torques that
 are linear in the parameters (`regressor`, `equations`, `balances`). What the data can show:
 `combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
-`whiteness`, `compare`, `held_out`. What to measure next: `design` (`excitation`, `experiments`).
+`whiteness`, `compare`, `held_out`. What is wrong with them: `findings` before a fit, `diagnose`
+after it; `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -19,6 +20,7 @@ from rbjax.sysid.base_parameters import base_parameters, random_motions
 from rbjax.sysid.channel_noise import ChannelNoise, noise_by_channel
 from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
 from rbjax.sysid.consistent import Consistent, consistent
+from rbjax.sysid.diagnosis import Cause, Diagnosis, diagnose
 from rbjax.sysid.equations import Equations, equations
 from rbjax.sysid.excitation import Fourier, Motion, Spline
 from rbjax.sysid.experiments import Experiment, MotionLimits, design
@@ -55,9 +57,11 @@ from rbjax.sysid.regressor import (
     parameter_values,
     regressor,
 )
+from rbjax.sysid.report import report
 from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.splits import Split, split
 from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
+from rbjax.sysid.traces import Trace
 from rbjax.sysid.units import in_si
 from rbjax.sysid.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
 from rbjax.sysid.whiteness import Whiteness, sandwich, whiteness
@@ -146,6 +150,12 @@ __all__ = [
     "held_out",
     "HeldOut",
     "Scored",
+    # what comes out
+    "Trace",
+    "diagnose",
+    "Diagnosis",
+    "Cause",
+    "report",
     # excitation
     "Fourier",
     "Spline",

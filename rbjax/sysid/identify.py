@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
+from rbjax.sysid.fit_file import read_fit, write_fit
 from rbjax.sysid.least_squares import Minimum, minimise
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.recording import Channel, Recording
@@ -70,6 +72,16 @@ class Identified:
         """By sensor, the error of the simulation, one number a column."""
         return rms_of(self.traces)
 
+    def save(self, path: str | Path) -> None:
+        """Writes values, intervals and errors as JSON; `identify(..., resume=path)` goes on."""
+        intervals = {name: self.estimates.interval(name) for name in self.values}
+        write_fit(
+            path, list(self.values), self.estimates.values, ok=self.ok, message=self.message,
+            guess=self.guess, evaluations=self.evaluations,
+            sigma={n: x.sigma if np.isfinite(x.sigma) else None for n, x in intervals.items()},
+            rms={sensor: rms.tolist() for sensor, rms in self.rms.items()},
+        )  # fmt: skip
+
     def simulated(self, recordings: Sequence[Recording]) -> Traces:
         """Other recordings beside what is simulated from their own first samples."""
         of = self.error.on(_batch(self.setup, recordings, self.grid))
@@ -101,6 +113,8 @@ def identify(
     starts: bool = False,
     loss: str = "squares",
     steps: int = 100,
+    save: str | Path | None = None,
+    resume: str | Path | None = None,
     progress: bool = False,
 ) -> Identified:
     """Numbers of a model, its sensors and its controller from one or more recordings.
@@ -119,6 +133,8 @@ def identify(
             be where sensors are noisy.
         loss: "squares", or "huber", by which outliers count less.
         steps: evaluations of the residual at most, of each fit.
+        save: a file that holds the best numbers so far, and at the end the result.
+        resume: such a file, from which the fit goes on.
         progress: whether a line shows the progress.
 
     Returns:
@@ -161,12 +177,18 @@ def identify(
             nonlocal evaluations
             say("simulating")
             fill = np.zeros(of.size - len(start))
-            x = np.append(x, np.zeros(of.size - len(x)))
+            x = np.append(x, np.zeros(of.size - len(x))) if len(x) < of.size else x[: of.size]
             first = of.triangle(x)
             _check_moves(sought, first[:, : len(start)])
 
-            def watch(k: int, cost: float) -> None:
+            least_cost = np.inf
+
+            def watch(k: int, cost: float, x: np.ndarray) -> None:
+                nonlocal least_cost
                 say(f"evaluation {k} of at most {steps}, squares {cost:.4g}")
+                if save is not None and cost < least_cost:
+                    least_cost = cost
+                    write_fit(save, sought.names, x, ok=False, message="not ended")
 
             prior = np.append(start, fill)
             least = minimise(of, x, prior, triangle=first, steps=steps, watch=watch, **how)
@@ -177,8 +199,8 @@ def identify(
             data = _batch(setup, runs, grid)
             return SimulationError(setup, sought, data, grid, starts=starts, loss=loss)
 
-        x = start
-        if pieces is not None:
+        x = start if resume is None else read_fit(resume, sought.names)
+        if pieces is not None and resume is None:
             short = [piece for run in runs for piece in run.pieces(pieces)]
             x = fit(error(short), x, pulls=FIRST_PULLS).x[: len(start)]
         of = error(runs)
@@ -202,10 +224,13 @@ def identify(
     found = sought.write(setup, jnp.asarray(p, setup.model.gravity.dtype))
     values, guess = (dict(zip(names, map(float, x), strict=True)) for x in (p, start))
     shown = combinations(least.triangle[:, :n], names)
-    return Identified(
+    identified = Identified(
         found, values, guess, shown, said, tuple(runs), seen, evaluations, least.ok, least.message,
         grid, of,
     )  # fmt: skip
+    if save is not None:
+        identified.save(save)
+    return identified
 
 
 def _grid(runs: Sequence[Recording]) -> Grid:
@@ -229,6 +254,8 @@ def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
         if all(run[sensor].noise is not None for run in runs):
             continue
         r, spread = together(seen, sensor), np.asarray(data.values[sensor]).std(axis=(0, 1))
+        if (~np.isnan(r)).sum(0).max() <= len(runs):  # only the starts, which are no measurement
+            continue
         sigma = NORMAL * np.nanmedian(np.abs(r), 0) if robust else np.sqrt(np.nanmean(r**2, 0))
         if not (sigma > NOISELESS * spread).all():
             return None
