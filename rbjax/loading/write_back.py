@@ -104,11 +104,11 @@ def _mjcf(model: Model, before: Model, given: str, compiled: mujoco.MjModel) -> 
     joints = [joint for body in world for joint in _joints_of(body)]
     friction = _friction(model)
     own: Any = model.joints
-    old: Any = before.joints
+    was_own: Any = before.joints
     if len(joints) == len(model.joint_names):
         for j, (joint, start) in enumerate(zip(joints, model.topology.joint_v, strict=True)):
             for key, at in (("armature", start), ("damping", start), ("stiffness", j)):
-                new, was = getattr(own, key)[at], getattr(old, key)[at]
+                new, was = getattr(own, key)[at], getattr(was_own, key)[at]
                 if _differs(new, was):
                     # what an actuator reflects is not the joint's own
                     kept = getattr(compiled, f"{'jnt' if key == 'stiffness' else 'dof'}_{key}")[at]

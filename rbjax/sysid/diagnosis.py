@@ -10,9 +10,8 @@ own spread:
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import jax
@@ -24,7 +23,8 @@ from rbjax.progress import Say, progress_line
 from rbjax.sysid.findings import FAR, hampel
 from rbjax.sysid.identify import FIRST_PULLS, Identified
 from rbjax.sysid.least_squares import minimise
-from rbjax.sysid.recording import HELD, Channel, Recording
+from rbjax.sysid.mends import Lost, Mend, flip, stretch, swap, without
+from rbjax.sysid.recording import HELD, Recording
 from rbjax.sysid.runs import Run, batch, ordered, run_of
 from rbjax.sysid.traces import FEW, Trace, Traces, traces
 
@@ -34,8 +34,8 @@ TRIED = 3  # mends that are worth a fit, the best of all
 CLOCK, CLOCK_STEP, SLOW = 0.05, 5e-4, 2e-3  # rates that are tried, and the least that is named
 #: share of a recording during which a dead sensor stands still, within a part of the motion that
 #: is expected there, which must be much of the whole
-DEAD, QUIET, MUCH = 0.1, 0.05, 0.2
-REPEATS = 3  # of leaving out samples and fitting again
+DEAD, QUIET, MUCH = 0.1, 0.02, 0.2
+REPEATS = 3  # of mending and fitting again
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,6 @@ class Diagnosis:
         """A sentence for each cause."""
         none = "no flipped sign, swapped joint, wrong clock, outlier or dead sensor explains the "
         return "\n".join(map(str, self.causes)) or none + "error"
-
-
-Mend = Callable[[Recording], Recording]
 
 
 def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> Diagnosis:
@@ -109,34 +106,50 @@ class _Bench:
         runs = [ordered(self.model, run) for run in self.found.recordings]
         x = np.array([*self.found.values.values()])
         x = min((x, self.guess), key=lambda y: self.error(runs, y))
+        runs, x, causes = self.mended(runs, x)
+        runs, x, lost = self.left_out(runs, x)
+        if lost:
+            runs, x, more = self.mended(runs, x)
+            lost += more
+        causes = sorted(causes + lost, key=lambda c: c.after / max(c.before, 1e-300))
+        return Diagnosis(tuple(causes), tuple(runs))
+
+    def mended(
+        self, runs: list[Recording], x: np.ndarray
+    ) -> tuple[list[Recording], np.ndarray, list[Cause]]:
+        """Signs, places and clocks, as long as another mend explains much more."""
         causes: list[Cause] = []
-        for kind, leave_out in (("dead", self.dead), ("outliers", self.outliers)):
+        for _ in range(REPEATS):
+            best = self.best(runs, x, self.error(runs, x))
+            if best is None:
+                break
+            cause, mend, x = best
+            causes.append(cause)
+            runs = [mend(run) for run in runs]
+        return runs, x, causes
+
+    def left_out(
+        self, runs: list[Recording], x: np.ndarray
+    ) -> tuple[list[Recording], np.ndarray, list[Cause]]:
+        """Samples that are no measurement; a better fit shows more of them."""
+        causes: list[Cause] = []
+        for kind, seen_by in (("dead", self.dead), ("outliers", self.outliers)):
             shares: dict[tuple[str, str, int, str], float] = {}
-            before, lost = self.error(runs, x), leave_out(runs, x)
+            before, lost = self.error(runs, x), seen_by(runs, x)
             for _ in range(REPEATS):
                 if not lost:
                     break
-                runs = _without(runs, lost)
+                runs = without(runs, lost)
                 x = self.fitted(runs, x)
                 for at, rows in lost.items():
                     shares[at] = shares.get(at, 0.0) + 100 * float(rows.mean())
-                lost = leave_out(runs, x)
+                lost = seen_by(runs, x)
+            after = self.error(runs, x)
             for (run, sensor, _, column), share in shares.items():
                 words = f"{run}: {share:.2g} % of the samples of {column} in channel {sensor} "
-                after = self.error(runs, x)
-                causes.append(
-                    Cause(kind, (sensor,), (column,), before, after, words + WORDS[kind])
-                )
-        error = self.error(runs, x)
-        for _ in range(3):
-            best = self.best(runs, x, error)
-            if best is None:
-                break
-            cause, mend_all, x = best
-            causes.append(cause)
-            runs, error = [mend_all(run) for run in runs], cause.after
-        order = sorted(causes, key=lambda c: c.after / max(c.before, 1e-300))
-        return Diagnosis(tuple(order), tuple(runs))
+                words += WORDS[kind]
+                causes.append(Cause(kind, (sensor,), (column,), before, after, words))
+        return runs, x, causes
 
     def best(
         self, runs: list[Recording], x: np.ndarray, before: float
@@ -189,18 +202,18 @@ class _Bench:
             where = " and ".join(group)
             among = sorted({*itertools.chain.from_iterable(doubted[s] for s in group)})
             for i in among:
-                yield "sign", group, (columns_of[i],), _flip(group, i), (
+                yield "sign", group, (columns_of[i],), flip(group, i), (
                     f"the sign of {columns_of[i]} in channel {where} is wrong"
                 )  # fmt: skip
             for i, j in itertools.combinations(among, 2):
                 pair = columns_of[i], columns_of[j]
-                yield "swap", group, pair, _swap(group, i, j), (
+                yield "swap", group, pair, swap(group, i, j), (
                     f"{pair[0]} and {pair[1]} are swapped in channel {where}"
                 )  # fmt: skip
         rate = self.rate(runs, x)
         if abs(rate) >= SLOW:
             sensors = tuple(s for s in first if s in doubted)
-            yield "clock", sensors, (), _stretch(rate), _of_clock(sensors, rate)
+            yield "clock", sensors, (), stretch(rate), _of_clock(sensors, rate)
 
     def rate(self, runs: Sequence[Recording], x: np.ndarray) -> float:
         """The rate of the sensors' clock at which motions that are simulated fit best."""
@@ -210,7 +223,7 @@ class _Bench:
         """The rate at which the fit errs least: parameters can hide a part of a wrong one."""
 
         def error(rate: float) -> float:
-            mended = [_stretch(rate)(run) for run in runs]
+            mended = [stretch(rate)(run) for run in runs]
             return self.error(mended, self.fitted(mended, x))
 
         rate = self.rate(runs, x)
@@ -219,7 +232,7 @@ class _Bench:
             error, bounds=near, method="bounded", options={"xatol": SLOW / 40}
         )
         sensors = tuple(_by_column(self.traces(runs, x)))
-        return _stretch(found.x), _of_clock(sensors, found.x)
+        return stretch(found.x), _of_clock(sensors, found.x)
 
     def traces(self, runs: Sequence[Recording], x: np.ndarray) -> Traces:
         of = self.found.error.on(self.batched(runs))
@@ -300,64 +313,6 @@ WORDS = {
     "outliers": 'are outliers; leave them out, or fit with loss="huber"',
     "dead": "stand still while the robot moves: the sensor is dead there; leave them out",
 }
-#: run, sensor, place and name of the column -> which samples, from the start on
-Lost = dict[tuple[str, str, int, str], np.ndarray]
-
-
-def _without(runs: Sequence[Recording], lost: Lost) -> list[Recording]:
-    out = []
-    for run in runs:
-        channels = dict(run.channels)
-        for (name, sensor, j, _), rows in lost.items():
-            if name != run.name:
-                continue
-            channel = channels[sensor]
-            first = int(np.searchsorted(channel.t, run.start - 1e-9))
-            drop = np.zeros(channel.values.shape, bool)
-            drop[first : first + len(rows), j] = rows
-            channels[sensor] = channel.drop(drop)
-        out.append(dataclasses.replace(run, channels=channels))
-    return out
-
-
-def _flip(group: tuple[str, ...], i: int) -> Mend:
-    def mended(values: np.ndarray) -> np.ndarray:
-        values[:, i] *= -1
-        return values
-
-    return _on_values(group, mended)
-
-
-def _swap(group: tuple[str, ...], i: int, j: int) -> Mend:
-    def mended(values: np.ndarray) -> np.ndarray:
-        values[:, [i, j]] = values[:, [j, i]]
-        return values
-
-    return _on_values(group, mended)
-
-
-def _on_values(group: tuple[str, ...], mended: Callable[[np.ndarray], np.ndarray]) -> Mend:
-    def mend(run: Recording) -> Recording:
-        channels = dict(run.channels)
-        for sensor in group:
-            c = channels[sensor]
-            values = mended(c.values.copy())
-            channels[sensor] = Channel(c.t, values, c.names, noise=c.noise, dropped="nan")
-        return dataclasses.replace(run, channels=channels)
-
-    return mend
-
-
-def _stretch(rate: float) -> Mend:
-    def mend(run: Recording) -> Recording:
-        channels = dict(run.channels)
-        for sensor, c in channels.items():
-            if sensor != HELD:
-                t = c.t[0] + (c.t - c.t[0]) * (1 + rate)
-                channels[sensor] = Channel(t, c.values, c.names, noise=c.noise, dropped="nan")
-        return dataclasses.replace(run, channels=channels)
-
-    return mend
 
 
 def _of_clock(sensors: tuple[str, ...], rate: float) -> str:
