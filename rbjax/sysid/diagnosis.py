@@ -244,14 +244,16 @@ class _Bench:
         return found if np.isfinite(found) else np.inf
 
     def fitted(self, runs: Sequence[Recording], x: np.ndarray) -> np.ndarray:
-        """The numbers of a short fit, every column weighed by its spread."""
+        """x of a short fit, every column weighed by its spread: numbers, and corrections of
+        starts."""
         of = self.found.error.on(self.batched(runs))
-        rest = np.zeros(of.size - len(x))
+        n = len(self.guess)
+        rest = np.zeros(of.size - n)
         least = minimise(
-            of, np.append(x, rest), np.append(self.guess, rest), pulls=FIRST_PULLS,
+            of, np.append(x[:n], rest), np.append(self.guess, rest), pulls=FIRST_PULLS,
             steps=self.steps,
         )  # fmt: skip
-        return least.x[: len(x)]
+        return least.x
 
     def run_of(self, run: Recording) -> Run:
         return run_of(self.found.setup, run, self.found.grid)

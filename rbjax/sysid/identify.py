@@ -26,7 +26,7 @@ from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.recording import Channel, Recording
 from rbjax.sysid.runs import Run, batch, run_of
 from rbjax.sysid.simulation import Grid, Setup
-from rbjax.sysid.simulation_error import SimulationError
+from rbjax.sysid.simulation_error import SimulationError, StartsError
 from rbjax.sysid.statistics import Estimates, estimates
 from rbjax.sysid.traces import Traces, rms_of, together, traces
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
@@ -83,14 +83,20 @@ class Identified:
         )  # fmt: skip
 
     def simulated(self, recordings: Sequence[Recording]) -> Traces:
-        """Other recordings beside what is simulated from their own first samples."""
-        of = self.error.on(_batch(self.setup, recordings, self.grid))
-        x = np.zeros(of.size)
-        x[: len(self.values)] = list(self.values.values())
-        return traces(self.model, of, x, recordings)
+        """Other recordings beside what is simulated from their own first samples, or from starts
+        that fit them best, where the fit sought starts."""
+        data = _batch(self.setup, recordings, self.grid)
+        noise = {sensor: np.where(rms > 0, rms, 1.0) for sensor, rms in self.rms.items()}
+        weights = {s: (w > 0) / jnp.asarray(noise[s], w.dtype) for s, w in data.weights.items()}
+        of = self.error.on(data._replace(weights=weights))
+        p = np.array([*self.values.values()])
+        starts = np.zeros(of.size - p.size)
+        if starts.size:
+            starts = minimise(StartsError(of, p), starts).x
+        return traces(self.model, of, np.append(p, starts), recordings)
 
     def on(self, recordings: Sequence[Recording]) -> HeldOut:
-        """The verdict on recordings that the fit never saw, from their own first states.
+        """The verdict on recordings that the fit never saw, simulated as `simulated` does.
 
         Raises:
             InputError: a recording that was fitted.

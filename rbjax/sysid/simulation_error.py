@@ -127,6 +127,22 @@ class SimulationError:
         return _triangle(np.concatenate(blocks))
 
 
+class StartsError:
+    """The residual in the starts' corrections, of numbers p that stay."""
+
+    def __init__(self, of: SimulationError, p: np.ndarray):
+        self.of, self.p = of, p
+
+    def residuals(self, s: np.ndarray) -> np.ndarray:
+        return self.of.residuals(np.append(self.p, s))
+
+    def triangle(self, s: np.ndarray) -> np.ndarray:
+        return _triangle(self.of.triangle(np.append(self.p, s))[:, self.p.size :])
+
+    def divergence(self, s: np.ndarray, s0: np.ndarray) -> Divergence:
+        return Divergence.free(s, s0, 1.0)
+
+
 def began(setup: Setup, first: State, v_was_read: bool) -> State:
     """The state of which the first readings are; a v that was not read is the slope of q's."""
     q, v = setup.sensors["q"], setup.sensors["v"]
