@@ -52,7 +52,7 @@ from rbjax.dynamics import (
 from rbjax.dynamics.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.forces import applied_forces
-from rbjax.loading import load, scenes, write_mjcf
+from rbjax.loading import load, scenes, write_back, write_mjcf
 from rbjax.model import Model, State
 from rbjax.motion.linearise import Linear, linearise, step
 from rbjax.motion.rollout import rollout
@@ -144,5 +144,6 @@ __all__ = [
     "threads",
     "validation",
     "wheeled",
+    "write_back",
     "write_mjcf",
 ]

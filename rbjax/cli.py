@@ -1,4 +1,5 @@
-"""The command line: `rbjax info | simulate | validate | bench | demo`, `rbjax --version`.
+"""The command line: `rbjax info | simulate | identify | validate | bench | demo`, and
+`rbjax --version`.
 
 Commands compute in f64, inside `jax.enable_x64`. A `RbjaxError` prints one sentence and gives exit
 code 2. `validate` exits with 1 when a quantity is out of tolerance.
@@ -256,6 +257,39 @@ def _plot(
             axes[0].legend(loc="upper right", ncols=2)
         figure.savefig(path)
         plt.close(figure)
+
+
+@app.command()
+def identify(
+    configuration: Annotated[Path, typer.Argument(help="TOML file, or a folder for --example.")],
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the saved fit.")] = False,
+    example: Annotated[bool, typer.Option("--example", help="Write an example here.")] = False,
+) -> None:
+    """Fit a robot's numbers to recordings: a table, a report, and the robot's file with them."""
+    from rbjax.sysid.job import Job
+    from rbjax.sysid.job_example import write_example
+
+    with _session():
+        if example:
+            written = write_example(configuration)
+            out.print(f"wrote {written}; run: rbjax identify {written}", soft_wrap=True)
+            return
+        made = Job.read(configuration).run(resume=resume, progress=True)
+        intervals = {name: made.found.estimates.interval(name) for name in made.found.values}
+    table = Table("parameter", title=made.found.message, title_justify="left")
+    for head in ("first guess", "found", "95 % from", "to"):
+        table.add_column(head, justify="right")
+    for name, x in intervals.items():
+        numbers = (made.found.guess[name], x.value, x.low, x.high)
+        table.add_row(name, *(f"{number:.5g}" for number in numbers))
+    out.print(table)
+    verdict = made.verdict.sentence if made.verdict else "no recording was held out"
+    for sentence in (verdict, *map(str, made.diagnosis.causes)):
+        out.print(sentence, soft_wrap=True, highlight=False)
+    for what, path in made.files.items():
+        out.print(f"[bold]{what}[/] {path}", soft_wrap=True)
+    if not made.found.ok:
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -33,6 +33,7 @@ ELSEWHERE = {
     "scenes",
     "simulate",
     "threads",
+    "write_back",
     "write_mjcf",
 }
 

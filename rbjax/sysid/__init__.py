@@ -7,7 +7,8 @@ simulated motions (`simulation_error`, `shooting`, `least_squares`); `regress` a
 torques that are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`),
 with the zeros of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian
 (`rank`), `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`,
-`free_run`, `held_out`, `monte_carlo`. What to measure next: `design` (`excitation`, `experiments`).
+`free_run`, `held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose`
+after it; `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -20,6 +21,7 @@ from rbjax.sysid.base_parameters import base_parameters, random_motions
 from rbjax.sysid.channel_noise import ChannelNoise, noise_by_channel
 from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
 from rbjax.sysid.consistent import Consistent, consistent
+from rbjax.sysid.diagnosis import Cause, Diagnosis, diagnose
 from rbjax.sysid.encoder_zeros import WithZeros, regress_with_zeros, zeros_of
 from rbjax.sysid.equations import Equations, equations
 from rbjax.sysid.excitation import Fourier, Motion, Spline
@@ -59,11 +61,13 @@ from rbjax.sysid.regressor import (
     parameter_values,
     regressor,
 )
+from rbjax.sysid.report import report
 from rbjax.sysid.selection import Selected, select
 from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.splits import Split, split
 from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
 from rbjax.sysid.torque_rows import TorqueRows, torque_rows
+from rbjax.sysid.traces import Trace
 from rbjax.sysid.units import in_si
 from rbjax.sysid.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
 from rbjax.sysid.whiteness import Whiteness, sandwich, whiteness
@@ -162,6 +166,12 @@ __all__ = [
     "held_out",
     "HeldOut",
     "Scored",
+    # what comes out
+    "Trace",
+    "diagnose",
+    "Diagnosis",
+    "Cause",
+    "report",
     # excitation
     "Fourier",
     "Spline",

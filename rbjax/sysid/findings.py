@@ -115,7 +115,7 @@ def _of_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
                     "move: is the sensor dead?",
                 )  # fmt: skip
         noise = 0.0 if c.noise is None else c.noise[j]
-        away, scale = _hampel(x, noise)
+        away, scale = hampel(x, noise)
         far = np.flatnonzero(away > FAR * scale)
         if len(far):
             i = far[(away[far] / scale[far]).argmax()]
@@ -127,7 +127,7 @@ def _of_columns(name: str, sensor: str, c: Channel) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+def hampel(x: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
     """How far each sample is from the median of its neighbours, and the scatter around it."""
     away = np.abs(x - ndimage.median_filter(x, WINDOW, mode="nearest"))
     # the scatter of the neighbours, so that fast motion is none, and that of the whole channel

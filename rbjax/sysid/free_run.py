@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.model import Model
@@ -22,6 +23,7 @@ def free_run(
     *,
     grid: Grid | None = None,
     starts: bool = False,
+    noise: Mapping[str, np.ndarray] | None = None,
 ) -> Traces:
     """Recordings beside what a model does from their first states.
 
@@ -32,6 +34,8 @@ def free_run(
         starts: whether each first state is the one from which the simulation comes nearest to the
             whole recording (least squares), not the first readings, which are noisy. So two models
             can be compared by what they get wrong of a motion, each from its own best start.
+        noise: sensor -> standard deviation (n,), by which `starts` weighs it; what channels say, or
+            1, if None.
 
     Returns:
         Recording -> sensor -> `Trace`, with `residual`.
@@ -48,6 +52,9 @@ def free_run(
     setup = model if isinstance(model, Setup) else Setup.of(model)
     grid = grid_of(recordings) if grid is None else grid
     data = batch_of(setup, recordings, grid)
+    if noise is not None:
+        weights = {s: (w > 0) / jnp.asarray(noise[s], w.dtype) for s, w in data.weights.items()}
+        data = data._replace(weights=weights)
     of = SimulationError(setup, Unknowns({}, (), ()), data, grid, starts=starts)
     x = minimise(of, np.zeros(of.size)).x if starts else np.zeros(0)
     return traces(setup.model, of, x, recordings)

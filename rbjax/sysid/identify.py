@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
+from rbjax.sysid.fit_file import read_fit, write_fit
 from rbjax.sysid.free_run import free_run
 from rbjax.sysid.least_squares import Minimum, minimise
 from rbjax.sysid.rank import Combinations, combinations
@@ -74,14 +76,27 @@ class Identified:
         """By sensor, the error of the simulation, one number a column."""
         return rms_of(self.traces)
 
-    def simulated(self, recordings: Sequence[Recording], *, starts: bool = False) -> Traces:
-        """Other recordings beside what is simulated from their own first samples, or from the first
-        states that suit them best (`free_run`)."""
-        return free_run(self.setup, recordings, grid=self.grid, starts=starts)
+    def save(self, path: str | Path) -> None:
+        """Writes values, intervals and errors as JSON; `identify(..., resume=path)` goes on."""
+        intervals = {name: self.estimates.interval(name) for name in self.values}
+        write_fit(
+            path, list(self.values), self.estimates.values, ok=self.ok, message=self.message,
+            guess=self.guess, evaluations=self.evaluations,
+            sigma={n: x.sigma if np.isfinite(x.sigma) else None for n, x in intervals.items()},
+            rms={sensor: rms.tolist() for sensor, rms in self.rms.items()},
+        )  # fmt: skip
 
-    def on(self, recordings: Sequence[Recording], *, starts: bool = False) -> HeldOut:
-        """The verdict on recordings that the fit never saw, from their own first states, or from
-        those that suit them best.
+    def simulated(
+        self, recordings: Sequence[Recording], *, starts: bool | None = None
+    ) -> Traces:
+        """Other recordings beside what is simulated from their own first samples, or with `starts`
+        from the first states that suit them best (`free_run`). None: as the fit did."""
+        starts = self.error.own > 0 if starts is None else starts
+        noise = {sensor: np.where(rms > 0, rms, 1.0) for sensor, rms in self.rms.items()}
+        return free_run(self.setup, recordings, grid=self.grid, starts=starts, noise=noise)
+
+    def on(self, recordings: Sequence[Recording], *, starts: bool | None = None) -> HeldOut:
+        """The verdict on recordings that the fit never saw, simulated as `simulated` does.
 
         Raises:
             InputError: a recording that was fitted.
@@ -105,6 +120,8 @@ def identify(
     starts: bool = False,
     loss: str = "squares",
     steps: int = 100,
+    save: str | Path | None = None,
+    resume: str | Path | None = None,
     progress: bool = False,
 ) -> Identified:
     """Numbers of a model, its sensors and its controller from one or more recordings.
@@ -127,6 +144,8 @@ def identify(
             be where sensors are noisy.
         loss: "squares", or "huber", by which outliers count less.
         steps: evaluations of the residual at most, of each fit.
+        save: a file that holds the best numbers so far, and at the end the result.
+        resume: such a file, from which the fit goes on.
         progress: whether a line shows the progress.
 
     Returns:
@@ -165,15 +184,23 @@ def identify(
     evaluations = 0
     with progress_line("identify", progress) as say:
 
-        def fit(of: SimulationError | Shooting, x: np.ndarray, **how: Any) -> Minimum:
+        def fit(
+            of: SimulationError | Shooting, x: np.ndarray, *, last: bool = True, **how: Any
+        ) -> Minimum:
             nonlocal evaluations
             say("simulating")
-            x, near = (np.append(a, np.zeros(of.size - len(a))) for a in (x, prior))
+            x, near = (np.append(a, np.zeros(of.size))[: of.size] for a in (x, prior))
             first = of.triangle(x)
             _check_moves(sought, first[:, : len(start)])
+            least_cost = np.inf
 
-            def watch(k: int, cost: float) -> None:
+            def watch(k: int, cost: float, x: np.ndarray) -> None:
+                nonlocal least_cost
                 say(f"evaluation {k} of at most {steps}, squares {cost:.4g}")
+                if save is not None and cost < least_cost:
+                    least_cost = cost
+                    kept = x if last else x[: len(start)]  # the starts of pieces serve no other fit
+                    write_fit(save, sought.names, kept, ok=False, message="not ended")
 
             least = minimise(of, x, near, triangle=first, steps=steps, watch=watch, **how)
             evaluations += least.evaluations
@@ -183,16 +210,17 @@ def identify(
             data = batch_of(setup, runs, grid)
             return SimulationError(setup, sought, data, grid, starts=starts, loss=loss)
 
-        x = prior = start
-        if pieces is not None:
+        prior = start
+        x = start if resume is None else read_fit(resume, sought.names)
+        if pieces is not None and resume is None:
             short = [piece for run in runs for piece in run.pieces(pieces)]
-            x = fit(error(short), x, pulls=FIRST_PULLS).x[: len(start)]
-        if shooting is not None:
+            x = fit(error(short), x, last=False, pulls=FIRST_PULLS).x[: len(start)]
+        if shooting is not None and resume is None:
             single = [run_of(setup, run, grid) for run in runs]
             tied = Shooting(setup, sought, single, grid, shooting, loss=loss)
             for tied.tie in TIES:  # stiff ties must not make the prior's pull stronger
                 pulls = tuple(w / max(tied.tie, 1.0) ** 2 for w in FIRST_PULLS)
-                x = fit(tied, x, pulls=pulls).x
+                x = fit(tied, x, last=False, pulls=pulls).x
             # one chaotic motion is so steep that any pull to the first guess would lose it
             x = prior = tied.began(x) if starts else x[: len(start)]
         of = error(runs)
@@ -216,10 +244,13 @@ def identify(
     found = sought.write(setup, jnp.asarray(p, setup.model.gravity.dtype))
     values, guess = (dict(zip(names, map(float, x), strict=True)) for x in (p, start))
     shown = combinations(least.triangle[:, :n], names)
-    return Identified(
+    identified = Identified(
         found, values, guess, shown, said, tuple(runs), seen, evaluations, least.ok, least.message,
         grid, of, estimated is not None or all(_says_its_noise(runs, s) for s in of.runs.values),
     )  # fmt: skip
+    if save is not None:
+        identified.save(save)
+    return identified
 
 
 def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool) -> Run | None:
@@ -230,6 +261,8 @@ def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
         if _says_its_noise(runs, sensor):
             continue
         r, spread = together(seen, sensor), np.asarray(data.values[sensor]).std(axis=(0, 1))
+        if (~np.isnan(r)).sum(0).max() <= len(runs):  # only the starts, which are no measurement
+            continue
         sigma = NORMAL * np.nanmedian(np.abs(r), 0) if robust else np.sqrt(np.nanmean(r**2, 0))
         if not (sigma > NOISELESS * spread).all():
             return None

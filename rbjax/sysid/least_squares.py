@@ -63,7 +63,7 @@ def minimise(
     triangle: np.ndarray | None = None,
     pulls: tuple[float, ...] = PULLS,
     steps: int = 100,
-    watch: Callable[[int, float], None] = lambda evaluation, cost: None,
+    watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
 ) -> Minimum:
     """The minimum near a start.
 
@@ -74,7 +74,7 @@ def minimise(
         triangle: that of the residual at the start, where it is known.
         pulls: weights w, one after the other.
         steps: evaluations of the residual in all.
-        watch: called with the number of evaluations and |r|^2, for progress.
+        watch: called with the number of evaluations, |r|^2 and x, for progress.
 
     Source: Nielsen, *Damping parameter in Marquardt's method*, IMM-REP-1999-05 (the damping).
     """
@@ -87,8 +87,9 @@ def minimise(
         nonlocal count
         count += 1
         r = np.asarray(of.residuals(x)).ravel()
-        found = float(r @ r)
-        watch(count, found)
+        with np.errstate(over="ignore"):  # a motion that went to infinity
+            found = float(r @ r)
+        watch(count, found, x)
         return found if np.isfinite(found) else np.inf
 
     R = of.triangle(x) if triangle is None else triangle

@@ -266,10 +266,12 @@ def _within(x: float, half: float, low: float, high: float) -> tuple[float, floa
     if np.isinf(low) and np.isinf(high):
         return x - half, x + half
     if np.isinf(high):
-        factor = np.exp(half / (x - low))
+        with np.errstate(over="ignore"):
+            factor = np.exp(half / (x - low))
         return low + (x - low) / factor, low + (x - low) * factor
     if np.isinf(low):
-        factor = np.exp(half / (high - x))
+        with np.errstate(over="ignore"):
+            factor = np.exp(half / (high - x))
         return high - (high - x) * factor, high - (high - x) / factor
     u, du = np.log((x - low) / (high - x)), half * (1 / (x - low) + 1 / (high - x))
     span = high - low

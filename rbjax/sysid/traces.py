@@ -12,6 +12,9 @@ from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import ordered
 from rbjax.sysid.simulation_error import SimulationError
 
+#: fewer samples say nothing of a motion
+FEW = 10
+
 
 class Trace(NamedTuple):
     """One sensor of one recording.
@@ -29,6 +32,11 @@ class Trace(NamedTuple):
     def residual(self) -> np.ndarray:
         """Simulated less recorded (T, n)."""
         return self.simulated - self.recorded
+
+    @property
+    def measured(self) -> bool:
+        """Whether every column has samples enough for a motion, not only its start."""
+        return bool((~np.isnan(self.recorded)).sum(0).min() >= FEW)
 
 
 Traces = Mapping[str, Mapping[str, Trace]]  # by recording, by sensor

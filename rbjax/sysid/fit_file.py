@@ -1,0 +1,52 @@
+"""The file of a fit: what it found, and where it goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rbjax.errors import InputError
+
+
+def write_fit(path: str | Path, names: Sequence[str], x: np.ndarray, **more: Any) -> None:
+    """Writes a fit as JSON. It replaces the file at once: one that is cut off harms nothing.
+
+    Args:
+        path: of the file.
+        names: (n,) of the parameters.
+        x: (n + more,) their values, then the corrections of starts, where those are sought.
+        more: anything that JSON can hold.
+    """
+    values = dict(zip(names, map(float, x), strict=False))
+    held = {"values": values, "starts": np.asarray(x[len(names) :]).tolist(), **more}
+    path = Path(path)
+    beside = path.with_name(path.name + ".part")
+    beside.write_text(json.dumps(held, indent=1), encoding="utf-8")
+    beside.replace(path)
+
+
+def read_fit(path: str | Path, names: Sequence[str]) -> np.ndarray:
+    """x of a file of `write_fit`.
+
+    Raises:
+        InputError: no such file, or a fit of other parameters.
+    """
+    path = Path(path)
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        values, starts = held["values"], held["starts"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"identify: cannot go on from {path} ({error!r}), expected a file that a fit wrote"
+        ) from error
+    if list(values) != list(names):
+        other = sorted(set(values) ^ set(names))
+        raise InputError(
+            f"identify: {path} is a fit of {len(values)} parameters, expected the same "
+            f"{len(names)} in the same order; only one of the two has: {', '.join(other) or 'none'}"
+        )
+    return np.array([*values.values(), *starts], float)

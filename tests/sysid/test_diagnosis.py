@@ -1,0 +1,71 @@
+"""Wrong data are named, and mended they give the truth."""
+
+import numpy as np
+import pytest
+
+from rbjax.sysid import Channel, Grid, Recording, Trace, diagnose, identify
+from rbjax.sysid.diagnosis import _rate
+from rbjax.sysid.mends import flip, stretch, swap, without
+from tests.sysid.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
+
+
+def seen(q):
+    t = np.arange(len(q)) * T
+    return Recording("a", {"q": Channel(t, q), "ctrl": Channel(t, q)})
+
+
+def test_a_mend_undoes_the_mistake():
+    x = np.random.default_rng(0).normal(size=(20, 3))
+    run = seen(x)
+    np.testing.assert_array_equal(flip(("q",), 1)(run)["q"].values, x * [1, -1, 1])
+    both = swap(("q", "ctrl"), 0, 2)(run)
+    np.testing.assert_array_equal(both["ctrl"].values, x[:, [2, 1, 0]])
+    slow = stretch(0.02)(run)
+    np.testing.assert_allclose(slow["q"].t, 1.02 * run["q"].t)
+    np.testing.assert_array_equal(slow["ctrl"].t, run["ctrl"].t)
+    rows = np.arange(20) == 7
+    left = without([run], {("a", "q", 1, "1"): rows})[0]["q"].arrived
+    assert not left[7, 1] and left.sum() == left.size - 1
+
+
+def test_the_rate_of_a_clock_is_read_off_positions():
+    t = np.arange(600) * T
+    q = np.sin(9 * t)[:, None]
+    trace = Trace(("a",), t, np.sin(9 * t / 1.02)[:, None], q)
+    assert abs(_rate({"a": {"q": trace}})[1] - (1 / 1.02 - 1)) < 6e-4
+
+
+@pytest.mark.slow
+def test_right_data_have_no_cause():
+    setup, run = leg(1.0)
+    found = identify(setup, run, UNKNOWNS, grid=Grid(T))
+    assert diagnose(found).causes == ()
+    assert "no flipped sign" in diagnose(found).words()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_data_are_named(name):
+    wrong, kind, channels, columns = WRONG[name]
+    setup, run = leg()
+    found = identify(setup, wrong(run), UNKNOWNS, grid=Grid(T), steps=40)
+    said = diagnose(found)
+    assert {cause.kind for cause in said.causes} == {kind}
+    assert {cause.channels for cause in said.causes} == {channels}
+    assert {column for cause in said.causes for column in cause.columns} == set(columns)
+    mended = identify(setup, said.recordings, UNKNOWNS, grid=Grid(T))
+    np.testing.assert_allclose(mended.rms["q"], NOISE, rtol=0.15)
+    p = np.array([*mended.values.values()])
+    # a clock's rate that is not known takes its share of the information
+    assert np.abs((p - TRUTH) / mended.estimates.sigma).max() < (6 if kind == "clock" else 4)
+
+
+@pytest.mark.slow
+def test_outliers_hardly_move_a_robust_fit():
+    setup, run = leg()
+    bad = WRONG["5 % outliers"][0](run)
+    plain, robust = (
+        identify(setup, bad, UNKNOWNS, grid=Grid(T), loss=loss) for loss in ("squares", "huber")
+    )
+    off = [np.abs(np.array([*f.values.values()]) - TRUTH).max() for f in (plain, robust)]
+    assert off[1] < 0.02 and off[1] < off[0] / 10
