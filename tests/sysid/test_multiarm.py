@@ -136,7 +136,7 @@ def test_a_chaotic_triple_pendulum_from_a_poor_guess():
 @pytest.mark.skipif(not pendulums.DATA.exists(), reason=f"{pendulums.DATA} is not there")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_real_pendulum_is_foretold_better_than_by_the_published_numbers(name):
-    """1.5 s on pieces that were not fitted: on every one from the starts that suit all of it, and on
+    """1.5 s on pieces that were not fitted: on each one from the starts that suit all of it, and on
     most, with the published numbers' median beaten, from those that suit its first third."""
     fitted, unseen = pendulums.split(name)
     assert not {r.name for r in fitted} & {r.name for r in unseen}
