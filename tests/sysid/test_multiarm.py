@@ -147,4 +147,4 @@ def test_a_real_pendulum_is_foretold_better_than_by_the_published_numbers(name):
     early = pendulums.SECONDS / 3
     ours, published = (pendulums.errors(m, unseen, known=early) for m in (found.setup, theirs))
     assert np.median(ours) < np.median(published) and ours.max() < published.max() < 0.012
-    assert np.median(ours) < 0.0025 and np.mean(ours < published) >= 0.8  # 12 of 15 of the triple
+    assert np.median(ours) < 0.0025 and np.mean(ours < published) > 0.75  # 12 of 15 of the triple
