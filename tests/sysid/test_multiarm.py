@@ -67,6 +67,7 @@ def test_each_sample_belongs_to_one_piece():
     assert len(found) >= len(keep) - 1  # the last may lie behind the last whole period
 
 
+@pytest.mark.slow
 def test_a_noise_free_motion_gives_the_numbers():
     guess = chain(ONE._replace(centre=[0.08], viscous=[5e-3]))
     found = identify(guess, swing(ONE, 80), SOUGHT, shooting=0.3, starts=True, grid=Grid(T, 2))
