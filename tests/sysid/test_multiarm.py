@@ -67,6 +67,7 @@ def test_each_sample_belongs_to_one_piece():
     assert len(found) >= len(keep) - 1  # the last may lie behind the last whole period
 
 
+@pytest.mark.slow
 def test_a_noise_free_motion_gives_the_numbers():
     guess = chain(ONE._replace(centre=[0.08], viscous=[5e-3]))
     found = identify(guess, swing(ONE, 80), SOUGHT, shooting=0.3, starts=True, grid=Grid(T, 2))
@@ -136,7 +137,7 @@ def test_a_chaotic_triple_pendulum_from_a_poor_guess():
 @pytest.mark.skipif(not pendulums.DATA.exists(), reason=f"{pendulums.DATA} is not there")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_real_pendulum_is_foretold_better_than_by_the_published_numbers(name):
-    """1.5 s on pieces that were not fitted: on every one from the starts that suit all of it, on
+    """1.5 s on pieces that were not fitted: on each one from the starts that suit all of it; on
     most, with the published numbers' median beaten, from those that suit its first third."""
     fitted, unseen = pendulums.split(name)
     assert not {r.name for r in fitted} & {r.name for r in unseen}
@@ -147,4 +148,4 @@ def test_a_real_pendulum_is_foretold_better_than_by_the_published_numbers(name):
     early = pendulums.SECONDS / 3
     ours, published = (pendulums.errors(m, unseen, known=early) for m in (found.setup, theirs))
     assert np.median(ours) < np.median(published) and ours.max() < published.max() < 0.012
-    assert np.median(ours) < 0.0025 and np.mean(ours < published) >= 0.8  # 12 of 15 of the triple
+    assert np.median(ours) < 0.0025 and np.mean(ours < published) > 0.75  # 12 of 15 of the triple
