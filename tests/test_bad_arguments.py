@@ -241,6 +241,7 @@ def numbers_of_elements() -> dict[str, dict[str, Any]]:
     return {
         "JointLimits": {**limits, "joints": names},
         "JointFriction": {**dict.fromkeys(friction, two), "joints": names},
+        "GearLoss": {"loss": two, "smoothing": two, "joints": names},
         "JointPolynomials": {"stiffness": two[:, None], "damping": two[:, None], "joints": names},
         "GravityCompensation": {"fraction": two, "bodies": MODEL.body_names},
         "Bushing": {**anchors, "stiffness": jnp.ones(6), "damping": jnp.ones(6)},
