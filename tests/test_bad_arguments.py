@@ -245,6 +245,7 @@ def numbers_of_elements() -> dict[str, dict[str, Any]]:
             "range": jnp.array([[-1.0, 1.0]] * 2), "torque": two[:, None],
             "coulomb": two[:, None], **dict.fromkeys(friction[1:4], two), "joints": names,
         },
+        "GearLoss": {"loss": two, "smoothing": two, "joints": names},
         "JointPolynomials": {"stiffness": two[:, None], "damping": two[:, None], "joints": names},
         "GravityCompensation": {"fraction": two, "bodies": MODEL.body_names},
         "Bushing": {**anchors, "stiffness": jnp.ones(6), "damping": jnp.ones(6)},
