@@ -116,7 +116,7 @@ if FLOORS:
 # ## How much to model
 #
 # One effective radius would move these curves up or down. `HeadingSlip` says the robot's twist by
-# the twist at which its wheels would roll, with harmonics of the heading; the first one alone is
+# the twist at which its wheels would roll, with harmonics of the heading; the first one by itself is
 # linear, as unequal wheels with viscous slip would be. Dry friction of three wheels adds the fifth
 # and the seventh. Terms with the speed may be added.
 #
@@ -128,12 +128,12 @@ if FLOORS:
 # %%
 def identified(some):
     """The slip of a floor, with no more than these runs need."""
-    shapes = {f"{K} harmonics": wheeled.HeadingSlip.none(ARM, K) for K in (1, 2, 3, 5)}
+    shapes = {f"up to harmonic {K}": wheeled.HeadingSlip.none(ARM, K) for K in (1, 2, 3, 5)}
     if len({r[1] for r in some}) > 1:
         for K, J in ((5, 0), (5, 1), (5, 3), (7, 3)):
-            shapes[f"{K} harmonics, {J} with speed"] = wheeled.HeadingSlip.none(ARM, K, J)
+            shapes[f"up to harmonic {K}, {J} with speed"] = wheeled.HeadingSlip.none(ARM, K, J)
     else:
-        shapes["7 harmonics"] = wheeled.HeadingSlip.none(ARM, 7)
+        shapes["up to harmonic 7"] = wheeled.HeadingSlip.none(ARM, 7)
     size = np.array([1.0, 1.0, ARM])
     seen, rolled, per = [], [], []
     for _, _, t, angles, poses in some:
@@ -195,15 +195,17 @@ if FLOORS:
 
 # %%
 if FLOORS:
-    figure, axes = plt.subplots(1, 3, figsize=(9, 3.2))
+    figure, axes = plt.subplots(1, 3, figsize=(9, 3.4), sharey=True)
     for ax, heading in zip(axes, (35, 215, 335), strict=True):
         some = [r for r in runs["green"] if r[0] == heading and r[1] == 0.2]
         _, _, t, angles, poses = some[0]
-        ax.plot(poses[:, 0], poses[:, 1], "k", lw=2, label="camera")
+        x, y = (poses[:, :2] - poses[0, :2]).T
+        ax.plot(x, y, "k", lw=2, label="camera")
         for name, slip in (("encoders", None), ("identified", slips["green"])):
-            path = np.asarray(wheeled.odometry(robot, t, angles, slip, pose=poses[0]))
+            first = [0.0, 0.0, poses[0, 2]]
+            path = np.asarray(wheeled.odometry(robot, t, angles, slip, pose=first))
             ax.plot(path[:, 0], path[:, 1], "--", label=name)
-        ax.set(title=f"heading {heading} deg", xlabel="x [m]", aspect="equal")
+        ax.set(title=f"heading {heading} deg", xlabel="x [m]", xlim=(-0.1, 1.6), aspect="equal")
     axes[0].set_ylabel("y [m]")
-    axes[0].legend(fontsize=7)
+    axes[2].legend(fontsize=7)
     plt.show()

@@ -29,8 +29,8 @@ class HeadingSlip(Record):
         (vx, vy, arm w) = C z,      s = |(ux, uy)|,   psi = atan2(uy, ux)
         z = (arm uw,  s, s cos psi, s sin psi, ..., s sin K psi,
              (s / speed - 1) s (1, cos psi, ..., sin J psi))
-    Balance of dry friction depends on the direction of motion, not on its speed, so V is
-    homogeneous in u; the last terms are what departs from that. With K = 1 and without them V is
+    The balance of dry friction depends on the direction of motion and not on its speed, so V is
+    homogeneous in u. The last terms are what departs from that. With K = 1 and without them V is
     linear in u but for the term s. A pattern that comes back at each of n evenly spaced wheels,
     forwards and backwards, has the harmonics 2 n - 1 and 2 n + 1: 5 and 7 of three wheels.
 
@@ -120,8 +120,8 @@ def rolled_twists(robot: Robot, rates: Any) -> jax.Array:
     Example:
         >>> import rbjax as rb
         >>> robot = rb.wheeled.kinds()["omni_3"].make(arm=0.2, radius=0.05)
-        >>> [round(float(x), 3) for x in rb.wheeled.rolled_twists(robot, [4.0, 4.0, 4.0])]
-        [0.0, 0.0, 1.0]
+        >>> round(float(rb.wheeled.rolled_twists(robot, [4.0, 4.0, 4.0])[2]), 3)
+        1.0
     """
     if not isinstance(robot, Robot):
         raise InputError(f"rolled_twists: robot is {type(robot).__name__}, expected a Robot")

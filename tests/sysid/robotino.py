@@ -83,11 +83,11 @@ def _run(name: str, c: dict[str, np.ndarray]) -> Run:
 
 def shapes(runs: list[Run]) -> dict[str, HeadingSlip]:
     """Models to choose from, by the number of harmonics, the smallest first."""
-    out = {f"{K} harmonics": HeadingSlip.none(ARM, K) for K in (1, 2, 3, 5)}
+    out = {f"up to harmonic {K}": HeadingSlip.none(ARM, K) for K in (1, 2, 3, 5)}
     if len({run.speed for run in runs}) == 1:
-        return out | {"7 harmonics": HeadingSlip.none(ARM, 7)}
+        return out | {"up to harmonic 7": HeadingSlip.none(ARM, 7)}
     for K, J in ((5, 0), (5, 1), (5, 3), (7, 3)):
-        out[f"{K} harmonics, {J} with speed"] = HeadingSlip.none(ARM, K, J)
+        out[f"up to harmonic {K}, {J} with speed"] = HeadingSlip.none(ARM, K, J)
     return out
 
 

@@ -173,9 +173,7 @@ def test_instruments_of_the_last_estimate():
     found = sysid.regress(X, tau, "abcd", method="instrumental", instruments=simulated)
     assert found.ok and found.steps == len(seen) < 8
     assert np.abs((found.beta - beta) / found.errors).max() < 4
-    tired = sysid.regress(
-        X, tau, "abcd", method="instrumental", instruments=simulated, max_steps=1
-    )
+    tired = sysid.regress(X, tau, "abcd", method="instrumental", instruments=simulated, max_steps=1)
     assert not tired.ok
 
 

@@ -60,6 +60,6 @@ def test_a_known_slip_is_found_with_its_harmonics_and_no_more(harmonics):
         poses[1:] += 1e-4 * rng.normal(size=(4, 3))
         runs.append(Run(heading, 0.1, t, angles, poses))
     found = fit(robot, runs)
-    assert found.name == f"{harmonics} harmonics"
+    assert found.name == f"up to harmonic {harmonics}"
     # 0.1 mm on 0.8 m, seen by 36 runs
     np.testing.assert_allclose(found.slip.coefficients, C, atol=1e-3)
