@@ -82,9 +82,10 @@ def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> D
         >>> import rbjax as rb, numpy as np
         >>> from rbjax.sysid import Channel, Recording, Unknown, diagnose, identify
         >>> model, t = rb.load("pendulum"), np.arange(101) * 0.01
-        >>> start = model.default_state().replace(v=np.ones(1))
-        >>> seen = rb.rollout(model, start, np.zeros((100, 1)), 0.01, integrator="rk4")
-        >>> run = Recording("swing", {"q": Channel(t, seen.q), "v": Channel(t, seen.v, sign=-1)})
+        >>> push = 3.0 * np.ones((100, 1))
+        >>> seen = rb.rollout(model, model.default_state(), push, 0.01, integrator="rk4")
+        >>> q, wrong = Channel(t, seen.q), Channel(t, seen.v, sign=-1)
+        >>> run = Recording("swing", {"q": q, "v": wrong, "ctrl": Channel(t[:-1], push)})
         >>> found = identify(model, run, {"mass": Unknown("bodies.mass", positive=True)})
         >>> [(cause.kind, cause.channels) for cause in diagnose(found).causes]
         [('sign', ('v',))]
