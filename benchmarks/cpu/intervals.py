@@ -1,8 +1,8 @@
 """How often 95 % intervals hold the truth: 500 simulated experiments with each of three robots.
 
-`python -m benchmarks.cpu.intervals` writes results/cpu-intervals-<processor>.json. Each experiment
-is simulated with the true numbers, gets its own noise, and is fitted; asked is a share from 0.93 to
-0.97. "lowest" and "highest" are of a single unknown; 500 experiments leave them an error of 0.01.
+`python -m benchmarks.cpu.intervals` writes results/cpu-intervals-<robot>-<processor>.json. Each
+experiment is simulated with the true numbers, gets its own noise, and is fitted; asked is a share
+from 0.93 to 0.97. "lowest" and "highest" are of a single unknown; 500 experiments leave them an error of 0.01.
 The ratio is the scatter of the numbers found over the standard deviations that the fits claim.
 """
 
@@ -109,10 +109,14 @@ def row(make: Any, experiments: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+ROBOTS = {make.__name__: make for make in (double_pendulum, cart_pole, arm7)}
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", nargs="*", choices=[*ROBOTS, []], help="all if left out")
     parser.add_argument("--experiments", type=int, default=500)
-    many = parser.parse_args().experiments
-    rows = [row(make, many) for make in (double_pendulum, cart_pole, arm7)]
-    print(markdown_table(rows, COLUMNS))
-    save("cpu-intervals", rows)
+    args = parser.parse_args()
+    for name in args.robots or ROBOTS:
+        found = row(ROBOTS[name], args.experiments)
+        print(markdown_table([found], COLUMNS), flush=True)
+        save(f"cpu-intervals-{name}", [found])
