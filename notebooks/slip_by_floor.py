@@ -116,8 +116,8 @@ if FLOORS:
 # ## How much to model
 #
 # One effective radius would move these curves up or down. `HeadingSlip` says the robot's twist by
-# the twist at which its wheels would roll, with harmonics of the heading; the first one by itself is
-# linear, as unequal wheels with viscous slip would be. Dry friction of three wheels adds the fifth
+# the twist at which its wheels would roll, with harmonics of the heading; the first one by itself
+# is linear, as unequal wheels with viscous slip would be. Dry friction of three wheels adds the fifth
 # and the seventh. Terms with the speed may be added.
 #
 # All is linear in the coefficients, so `select` fits the models one after the other, and keeps a

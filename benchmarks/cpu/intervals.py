@@ -2,7 +2,8 @@
 
 `python -m benchmarks.cpu.intervals` writes results/cpu-intervals-<robot>-<processor>.json. Each
 experiment is simulated with the true numbers, gets its own noise, and is fitted; asked is a share
-from 0.93 to 0.97. "lowest" and "highest" are of a single unknown; 500 experiments leave them an error of 0.01.
+from 0.93 to 0.97. "lowest" and "highest" are of a single unknown, where 500 experiments leave an
+error of 0.01.
 The ratio is the scatter of the numbers found over the standard deviations that the fits claim.
 """
 
