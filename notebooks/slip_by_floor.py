@@ -117,8 +117,8 @@ if FLOORS:
 #
 # One effective radius would move these curves up or down. `HeadingSlip` says the robot's twist by
 # the twist at which its wheels would roll, with harmonics of the heading; the first one by itself
-# is linear, as unequal wheels with viscous slip would be. Dry friction of three wheels adds the fifth
-# and the seventh. Terms with the speed may be added.
+# is linear, as unequal wheels with viscous slip would be. Dry friction of three wheels adds the
+# fifth and the seventh. Terms with the speed may be added.
 #
 # All is linear in the coefficients, so `select` fits the models one after the other, and keeps a
 # term where chance would not explain what it explains. A run is one equation, as errors within a

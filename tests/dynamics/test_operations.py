@@ -90,7 +90,13 @@ def test_our_elements_have_counts(driver: str) -> None:
       <geom type="ellipsoid" size="0.1 0.2 0.3" fluidshape="{}"/></body></worldbody></mujoco>"""
     arms = load_quietly(mujoco.MjModel.from_xml_string(TWO_ARMED), limits=True, friction=True)
     ends = (rb.forces.Anchor.on(body=name) for name in ("left", "right"))
-    sprung = arms.with_forces(rb.forces.Bushing.of(*ends, stiffness=3.0, damping=1.0))
+    one = [j for j in arms.joint_names if arms.q_slice(j).stop - arms.q_slice(j).start == 1][:1]
+    sprung = arms.with_forces(
+        rb.forces.Bushing.of(*ends, stiffness=3.0, damping=1.0),
+        rb.forces.GearLoss.of(arms, one, 0.1),
+        rb.forces.JointCurves.of(arms, one, (-1.0, 1.0), torque=0.3, coulomb=0.1),
+        rb.forces.RotationalDrag(jnp.array([0.1]), ("left",)),
+    )
     immersed = [load_quietly(fluid.format(shape)) for shape in ("ellipsoid", "none")]
     names = set()
     for model in (sprung, load_quietly(random_actuated(0)), *immersed):

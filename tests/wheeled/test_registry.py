@@ -27,7 +27,8 @@ ELSEWHERE = {"at", "fidelities", "from_file", "kinds", "recommend", "simulate", 
 CART = wheeled.kinds()["differential_drive"].make(caster=None)
 TRICYCLE = wheeled.kinds()["tricycle"].make(motor=SpeedServo(5.0, 20.0), lag=0.2)
 TYRE = Fiala([12.0, 10.0], [0.8, 0.7], 0.5)
-DT = 0.05
+OMNI = wheeled.kinds()["omni_3"].make()
+DT, TIMES = 0.05, np.arange(4) * 0.1
 
 
 def changed(robot, mass, radius):
@@ -74,6 +75,19 @@ def full_model_state(q, v, u):
 
 def commands(twist, mass, radius):
     return wheeled.commands(changed(TRICYCLE, mass, radius), twist)
+
+
+def rolled_twists(rates, mass, radius):
+    return wheeled.rolled_twists(changed(OMNI, mass, radius), rates)
+
+
+def odometry(angles, coefficients, pose, mass, radius):
+    slip = wheeled.HeadingSlip(coefficients, 0.2, 0.1, 1, -1)
+    return wheeled.odometry(changed(OMNI, mass, radius), TIMES, angles, slip, pose)
+
+
+def mean_twists(poses):
+    return wheeled.mean_twists(TIMES, poses)
 
 
 def tracking_gains(q, v, controls, Q, R):
@@ -157,6 +171,11 @@ REGISTRY: dict[str, tuple[Callable, list[np.ndarray]]] = {
     "full_model": (full_model, drawn(**robot(CART))),
     "full_model_state": (full_model_state, drawn(q=7, v=1, u=2)),
     "commands": (commands, drawn(twist=3, **robot(TRICYCLE))),
+    "rolled_twists": (rolled_twists, drawn(rates=3, **robot(OMNI))),
+    "odometry": (
+        odometry, drawn(angles=(4, 3), coefficients=(3, 4), pose=3, **robot(OMNI)),
+    ),
+    "mean_twists": (mean_twists, drawn(poses=(4, 3))),
     "pure_pursuit": (
         wheeled.pure_pursuit, drawn(path=PATH, pose=3, speed=ONE, lookahead=ONE),
     ),
