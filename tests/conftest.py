@@ -7,6 +7,7 @@ JAX reads `JAX_COMPILATION_CACHE_DIR` by itself: the Makefile sets it, a bare `p
 import gc
 import itertools
 import os
+import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -44,8 +45,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Tracing makes objects by the million; Python's search for cycles among them, which begins at
+    """A benchmark's clock turns JAX's compilation cache off, for all tests of this process.
+
+    Tracing makes objects by the million; Python's search for cycles among them, which begins at
     every 700 that stay, takes a tenth of a run."""
+    if "benchmarks.shared.timing" in sys.modules:
+        raise pytest.UsageError("a test imports benchmarks.shared.timing: no cache from then on")
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 20, 50)

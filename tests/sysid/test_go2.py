@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from benchmarks.cpu.legs_in_the_air import cma_es
+from benchmarks.shared.cma_es import cma_es
 from rbjax.sysid import Channel, Grid, Recording, Unknown, identify
 from tests.sysid import go2
 
