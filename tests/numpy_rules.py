@@ -22,7 +22,7 @@ ALIKE: dict[str, Callable] = {
     "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater,
     "ge": np.greater_equal, "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor,
     "not": np.invert, "stop_gradient": lambda x: x, "name": lambda x: x, "copy": lambda x: x,
-    "copy_p": lambda x: x, "batch_first": lambda x: x, "batch_last": lambda x: x,
+    "copy_p": lambda x: x, "batch_first": lambda x, *_: x, "batch_last": lambda x: x,
     "fusion_barrier": lambda *xs: xs, "optimization_barrier": lambda *xs: xs,
 }  # fmt: skip
 RULES: dict[str, Callable[[Any], Callable | None]] = {}

@@ -162,8 +162,10 @@ def _is_variable(v: Any) -> bool:
 def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
     """Operations of one equation, and which of its inputs the wanted results need."""
     name, params = eqn.primitive.name, eqn.params
-    if name in ("fusion_barrier", "batch_first"):
+    if name == "fusion_barrier":
         return OperationCount(), out
+    if name == "batch_first":
+        return OperationCount(), out + [False] * (len(eqn.invars) - 1)
     if name == "scan":
         return _scan(eqn, out)
     if name == "threads":  # a kernel of a GPU: its program, once a sample

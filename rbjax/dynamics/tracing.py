@@ -36,8 +36,8 @@ def split_tracers(tree: Any) -> tuple[list[jax.Array], Callable[[list], Any]]:
 def with_jvp(f: Callable, rule: Callable) -> Callable:
     """f, whose derivative is rule(primals, tangents) -> (value, rate). Tangents may be symbolic
     zeros. Under `vmap` both return the batch first, as JAX assumes."""
-    ruled = jax.custom_jvp(lambda *args: batch_first(f(*args)))
-    ruled.defjvp(lambda *given: batch_first(rule(*given)), symbolic_zeros=True)
+    ruled = jax.custom_jvp(lambda *args: batch_first(f(*args), args))
+    ruled.defjvp(lambda at, *to: batch_first(rule(at, *to), at), symbolic_zeros=True)
     return lambda *args: ruled(*jax.tree.map(of_jax, args))
 
 

@@ -12,13 +12,16 @@ from jax.interpreters import ad, batching, mlir
 _batch_first, _batch_last = Primitive("batch_first"), Primitive("batch_last")
 
 
-def batch_first(tree: Any) -> Any:
-    """The same pytree; under `vmap` its arrays have the batch first.
+def batch_first(tree: Any, like: Any = ()) -> Any:
+    """The same pytree; under `vmap` its arrays have the batch first, and all have it if an array of
+    `like` has.
 
     A function with a custom rule and the rule itself must return the batch at the same place. JAX
-    confuses the two if `vmap` transforms the function inside a `jit`.
+    confuses the two if `vmap` transforms the function inside a `jit`, and loses the batch of a
+    constant result.
     """
-    return jax.tree.map(_batch_first.bind, tree)
+    arrays = jax.tree.leaves(like)
+    return jax.tree.map(lambda x: _batch_first.bind(x, *arrays), tree)
 
 
 def batch_last(tree: Any) -> Any:
@@ -29,13 +32,24 @@ def batch_last(tree: Any) -> Any:
 
 def _placed_by(primitive, last):
     def moved(xs, dims):
-        at = xs[0].ndim - 1 if last else 0
-        return primitive.bind(jnp.moveaxis(xs[0], dims[0], at)), at
+        x, dim = xs[0], dims[0]
+        if dim is None:
+            size = next(y.shape[d] for y, d in zip(xs, dims, strict=True) if d is not None)
+            x, dim = jnp.broadcast_to(x, (size, *x.shape)), 0
+        at = x.ndim - 1 if last else 0
+        return primitive.bind(jnp.moveaxis(x, dim, at), *xs[1:]), at
 
-    primitive.def_impl(lambda x: x)
-    primitive.def_abstract_eval(lambda x: x)
-    mlir.register_lowering(primitive, lambda ctx, x: [x])
-    ad.deflinear2(primitive, lambda t, x: [t])
+    def jvp(primals, tangents):
+        rate = tangents[0]
+        if not isinstance(rate, ad.Zero):
+            rate = primitive.bind(rate, *primals[1:])
+        return primitive.bind(*primals), rate
+
+    primitive.def_impl(lambda x, *like: x)
+    primitive.def_abstract_eval(lambda x, *like: x)
+    mlir.register_lowering(primitive, lambda ctx, x, *like: [x])
+    ad.primitive_jvps[primitive] = jvp
+    ad.primitive_transposes[primitive] = lambda t, x, *like: [t, *[None] * len(like)]
     batching.primitive_batchers[primitive] = moved
 
 

@@ -11,12 +11,17 @@ from rbjax.threads.elementwise import LOOP_ABOVE
 from rbjax.threads.lowering import Lowering, rule, writer
 
 
-@rule("fusion_barrier", "batch_first", "batch_last", "copy", "copy_p", "stop_gradient",
+@rule("fusion_barrier", "copy", "copy_p", "stop_gradient",
       "optimization_barrier", "device_put", "sharding_constraint", "name", "pvary", "reshard",
       "nonbatchable",
       "nondifferentiable_backward", "nontraceable")  # fmt: skip
 def _identity(low: Lowering, eqn: Any, ins: list) -> list:
     return list(ins)
+
+
+@rule("batch_first", "batch_last")
+def _first(low: Lowering, eqn: Any, ins: list) -> list:
+    return ins[:1]
 
 
 @rule("slice")
