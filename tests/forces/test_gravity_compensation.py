@@ -105,6 +105,9 @@ def test_slopes_and_energy() -> None:
     assert slopes(f, at) < GRADIENT
     force, slope = energy_slope(model, state.q)
     np.testing.assert_allclose(force, slope, atol=1e-11)
+    (all_joints,) = (x for x in model.forces if isinstance(x, rb.forces.GravityCompensation))
+    some = model.replace(forces=(all_joints.replace(joints=(0,)),))
+    assert rb.forces.elastic_energy(some, state.q) == 0.0  # no energy has these forces
 
 
 def test_zeros_cost_nothing_and_other_models_have_none() -> None:

@@ -1,0 +1,26 @@
+"""Products of small matrices against numpy.linalg's, for one and for stacks of stacks."""
+
+import numpy as np
+import pytest
+
+from rbjax import lanes
+from rbjax.lanes.products import matrix_transpose, outer
+from rbjax.spatial.operators import along
+from tests.tolerances import F64_ROUNDING, relative_error
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (5, 4)], ids=str)
+def test_products(batch: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    A, B = rng.normal(size=(*batch, 2, 3)), rng.normal(size=(*batch, 3, 4))
+    x, n = rng.normal(size=(*batch, 3)), rng.normal(size=(*batch, 3))
+    N = n[..., :, None]
+    pairs = [
+        (lanes.matmat(A, B), A @ B),
+        (lanes.matvec(A, x), (A @ x[..., None])[..., 0]),
+        (matrix_transpose(A), np.swapaxes(A, -1, -2)),
+        (outer(x, n), x[..., :, None] * n[..., None, :]),
+        (along(n), N @ np.swapaxes(N, -1, -2) / np.linalg.norm(N, axis=-2, keepdims=True) ** 2),
+    ]
+    for got, want in pairs:
+        assert relative_error(got, want) <= F64_ROUNDING
