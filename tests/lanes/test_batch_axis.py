@@ -1,4 +1,4 @@
-"""`batch_first` against plain `vmap`, where a rule's result has the batch and a function's has not."""
+"""`batch_first` against plain `vmap`: the rule's result has the batch, the function's has not."""
 
 import jax
 import jax.numpy as jnp
