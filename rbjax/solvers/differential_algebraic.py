@@ -51,6 +51,8 @@ ROUNDING = 4  # units in the last place, beside the size of y
 STALLED, STALLED_BELOW = 0.9, {4: 2e-3, 8: 1e-8}
 #: the same of a linear system, in units in the last place: nothing else is divided by h there
 LINEAR_NOISE = 100
+#: by sweeps, which go through rows that nearly vanish, by bytes
+SWEPT_NOISE = {4: 1e3, 8: 1e5}
 #: iterations with matrices of the stages: so many towards the last w, then towards one of them; and
 #: how strongly, by bytes
 FREE, HELD, NEAR = 6, 9, {4: 1e-2, 8: 1e-8}
@@ -339,10 +341,11 @@ def refined(push: Callable, nearly: Callable, b: jax.Array, n: int) -> tuple:
 
 def swept(push: Callable, S: Complement, free: Callable, b: jax.Array, n: int) -> tuple:
     """The same by sweeps."""
-    return corrected(lambda x: S.swept(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n)
+    noise = SWEPT_NOISE[b.dtype.itemsize]
+    return corrected(lambda x: S.swept(lambda x: push(x) - b, free, x, x[:, n:]) - x, b, n, noise)
 
 
-def corrected(correction: Callable, b: jax.Array, n: int) -> tuple:
+def corrected(correction: Callable, b: jax.Array, n: int, noise: float = LINEAR_NOISE) -> tuple:
     """x of corrections correction(x), from 0, and whether these have become rounding. The first n
     columns of x decide."""
     eps = float(jnp.finfo(b.dtype).eps)
@@ -353,7 +356,7 @@ def corrected(correction: Callable, b: jax.Array, n: int) -> tuple:
         x = x + dx
         size = jnp.abs(x[:, :n]).max()
         now = jnp.abs(dx[:, :n]).max() / jnp.where(size > 0, size, 1.0)
-        return x, now, count + 1, settled(now, before, count, LINEAR_NOISE * eps)
+        return x, now, count + 1, settled(now, before, count, noise * eps)
 
     def more(at: tuple) -> jax.Array:
         _, before, count, done = at

@@ -80,11 +80,11 @@ def test_functions_of_rows():
 
 
 @slow
-@pytest.mark.parametrize(("name", "compared"), [("index_2", 4), ("index_3", 4), ("ggl", 2)])
-def test_implicit_steps_across_flat_positions(name, compared):
+@pytest.mark.parametrize("name", IMPLICIT)
+def test_implicit_steps_across_flat_positions(name):
     """Two parallelograms, 48 unknowns of all stages and more: the second iteration of a thread
-    beside that of the CPU, values and gradients. (Of a step that ends on the position the gradient
-    is 4e6, and that of a thread nan; so are GGL's gradients of steps across it.)"""
+    beside that of the CPU, values and gradients. (Of a step that ends on the position, or by GGL
+    has a stage next to it, the gradient of a thread is nan.)"""
     model, _ = four_bars(2)
     angles = np.pi / 2 - np.array([0.02, 0.03, 0.06, 0.3])  # two pass, two do not
     signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0])
@@ -102,6 +102,7 @@ def test_implicit_steps_across_flat_positions(name, compared):
     args = q, v, *bars
     (got,) = many_on_host([(both, args)], ("-O0",))
     want = by_xla(both, args)
-    tolerances = 1e-8, 1e-8, 1e-6, 1e-6  # near the position what is solved for is ill-conditioned
-    for x, y, atol in list(zip(got, want, tolerances, strict=True))[:compared]:
+    # near the position what is solved for is ill-conditioned
+    tolerances = 1e-8, 1e-8, *([1e-5, 2e-4] if name == "ggl" else [1e-6, 1e-6])
+    for x, y, atol in zip(got, want, tolerances, strict=True):
         np.testing.assert_allclose(x, y, rtol=0, atol=atol * np.abs(y).max())
