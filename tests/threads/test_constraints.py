@@ -103,6 +103,6 @@ def test_implicit_steps_across_flat_positions(name):
     (got,) = many_on_host([(both, args)], ("-O0",))
     want = by_xla(both, args)
     # near the position what is solved for is ill-conditioned
-    tolerances = 1e-8, 1e-8, *([1e-5, 2e-4] if name == "ggl" else [1e-6, 1e-6])
+    tolerances = 1e-8, 1e-8, *([1e-5, 1e-3] if name == "ggl" else [1e-6, 1e-6])
     for x, y, atol in zip(got, want, tolerances, strict=True):
         np.testing.assert_allclose(x, y, rtol=0, atol=atol * np.abs(y).max())
