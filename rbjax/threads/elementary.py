@@ -53,7 +53,7 @@ INTEGER = 1.5 * 2.0**52
 Found = tuple[Number, Number | None]
 
 
-def _sum(a: Number, b: Number) -> tuple[Number, Number]:
+def two_sum(a: Number, b: Number) -> tuple[Number, Number]:
     """a + b, and what it lacks (Knuth)."""
     s = a + b
     c = s - a
@@ -67,8 +67,8 @@ def _reduced(x: Number) -> tuple[Number, Number, Number]:
     """x less a multiple of pi / 2, what that lacks, and the multiple."""
     n = (x * (2 / math.pi)).op("rint")
     r = x - n * QUARTER[0]
-    r, e = _sum(r, -(n * QUARTER[1]))
-    r, f = _sum(r, -(n * QUARTER[2]))
+    r, e = two_sum(r, -(n * QUARTER[1]))
+    r, f = two_sum(r, -(n * QUARTER[2]))
     rest = (e + f) - n * QUARTER[3]
     y = r + rest
     return y, (r - y) + rest, (n + INTEGER).bits(I64)
@@ -159,20 +159,20 @@ def acos(x: Number) -> Found:
 # ------------------------------------------------------------------- exponentials
 
 
-def _power(x: Number) -> tuple[Number, Number]:
+def power_of_two(x: Number) -> tuple[Number, Number]:
     """p and n with exp x = 2^n (1 + p)."""
     n = (x * (1 / math.log(2))).op("rint")
     high, low = x - n * LN2[0], n * LN2[1]
-    return _less_one(high, low), n
+    return less_one(high, low), n
 
 
-def _less_one(high: Number, low: Number | float) -> Number:
+def less_one(high: Number, low: Number | float) -> Number:
     """exp(high - low) - 1, for |high| <= 0.35."""
     r = high - low
     return high + (r * r * horner(EXP, r) - low)
 
 
-def _scaled(y: Number, n: Number) -> Number:
+def scaled(y: Number, n: Number) -> Number:
     """2^n y, in two steps, for 2^n may be too large or too small."""
     half = (n * 0.5).op("rint")
 
@@ -182,25 +182,25 @@ def _scaled(y: Number, n: Number) -> Number:
     return y * power(half) * power(n - half)
 
 
-def _limited(x: Number, least: float, most: float) -> Number:
+def limited(x: Number, least: float, most: float) -> Number:
     return x.op("max", least).op("min", most)
 
 
 def exp(x: Number) -> Found:
-    p, n = _power(_limited(x, -746.0, 710.0))
-    return _scaled(1.0 + p, n), None
+    p, n = power_of_two(limited(x, -746.0, 710.0))
+    return scaled(1.0 + p, n), None
 
 
 def exp2(x: Number) -> Found:
-    x = _limited(x, -1076.0, 1025.0)
+    x = limited(x, -1076.0, 1025.0)
     n = x.op("rint")
-    return _scaled(1.0 + _less_one((x - n) * math.log(2), 0.0), n), None
+    return scaled(1.0 + less_one((x - n) * math.log(2), 0.0), n), None
 
 
 def _expm1(x: Number) -> Number:
     """exp x - 1, up to 700."""
-    p, n = _power(x.op("max", -100.0))
-    return _scaled(p, n) + (_scaled(x.known(1.0), n) - 1.0)
+    p, n = power_of_two(x.op("max", -100.0))
+    return scaled(p, n) + (scaled(x.known(1.0), n) - 1.0)
 
 
 def expm1(x: Number) -> Found:
@@ -221,15 +221,16 @@ def sinh(x: Number) -> Found:
 
 
 def cosh(x: Number) -> Found:
-    p, n = _power(abs(x))
-    e = _scaled(1.0 + p, n)
+    p, n = power_of_two(abs(x))
+    e = scaled(1.0 + p, n)
     return 0.5 * e + 0.5 / e, abs(x) > 700.0
 
 
 # ------------------------------------------------------------------- logarithms
 
 
-def _log(x: Number) -> Number:
+def mantissa(x: Number) -> tuple[Number, Number]:
+    """m and k with x = 2^k m, for positive x, and m between the roots of 1/2 and 2."""
     small = x < np.finfo(F64).tiny
     bits = small.where(x * 2.0**54, x).bits(I64)
     one = 1023 << 52
@@ -237,7 +238,11 @@ def _log(x: Number) -> Number:
     k = ((bits >> 52) + int(np.float64(INTEGER).view(I64))).bits(F64) - (INTEGER + 1023)
     above = m > math.sqrt(2)
     m, k = above.where(m * 0.5, m), above.where(k + 1.0, k)
-    k = small.where(k - 54.0, k)
+    return m, small.where(k - 54.0, k)
+
+
+def _log(x: Number) -> Number:
+    m, k = mantissa(x)
     f = m - 1.0
     s = f / (2.0 + f)
     z, half = s * s, 0.5 * f * f
@@ -251,7 +256,7 @@ def log(x: Number) -> Found:
 
 
 def _log1p(x: Number) -> Number:
-    u, lost = _sum(x.known(1.0), x)
+    u, lost = two_sum(x.known(1.0), x)
     y = _log(u)
     y = ((u > 0.0) & (u < math.inf)).where(y + lost / u, y)
     return (abs(x) < SMALL**2).where(x, y)

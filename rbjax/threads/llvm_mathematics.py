@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rbjax.threads.elementary import FUNCTIONS
+from rbjax.threads import elementary, error_function, powers
 from rbjax.threads.expressions import Number
 from rbjax.threads.llvm_operations import Operations, llvm_type, of_c
 from rbjax.threads.program import Builder, Op, Var
@@ -12,6 +12,7 @@ from rbjax.threads.program import Builder, Op, Var
 #: functions of two arguments
 OF_TWO = {"atan2", "pow", "fmod", "nextafter"}
 F64 = np.dtype(np.float64)
+FUNCTIONS = elementary.FUNCTIONS | powers.FUNCTIONS | error_function.FUNCTIONS
 
 
 def definitions(vectors: Operations) -> list[str]:
