@@ -64,6 +64,14 @@ def test_validate_as_json() -> None:
     args = ("--json", "--states", "3", "--no-mjx", "--no-gradient")
     found = json.loads(run("validate", "pendulum", *args).stdout)
     assert found["ok"] and found["states"] == 3
+    assert "within tolerance" in run("validate", "pendulum", *args[1:]).stdout
+
+
+def test_bench_times_both_engines() -> None:
+    text = run("bench", "pendulum", "--batch", "4").stdout
+    assert "MuJoCo C, f64" in text and "rbjax, f32" in text and "batch 4" in text
+    found = json.loads(run("bench", "pendulum", "--batch", "4", "--json").stdout)
+    assert len(found["us"]) == 3 and min(found["us"].values()) > 0
 
 
 def test_simulate_writes_files(tmp_path: Path) -> None:
@@ -73,6 +81,8 @@ def test_simulate_writes_files(tmp_path: Path) -> None:
     found = json.loads(result.stdout)
     assert found["ok"] and np.load(data)["q"].shape == (found["states"], 1)
     assert picture.read_bytes().startswith(b"\x89PNG")
+    args = ("--seconds", "0.2", "--solver", "rk4", "--keyframe", "horizontal")
+    assert "energy [" in run("simulate", "pendulum", *args).stdout
 
 
 @pytest.mark.parametrize("suffix", ["gif", "html"])
@@ -91,6 +101,7 @@ def test_simulate_writes_a_video(suffix: str, tmp_path: Path) -> None:
         (("info", "nowhere.xml"), "no such file"),
         (("simulate", "pendulum", "--solver", "magic"), "expected one of tsit5"),
         (("simulate", "pendulum", "--keyframe", "magic"), "unknown keyframe 'magic'"),
+        (("simulate", "pendulum", "--seconds", "0"), "expected more than 0"),
         (("simulate", "pendulum", "--video", "swing.avi"), "ends in .gif, .mp4, .html"),
         (("validate", "nothing"), "unknown scene"),
     ],
