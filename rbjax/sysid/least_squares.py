@@ -138,23 +138,24 @@ def _convex(
     """argmin over y of |J (y - x) + r|^2 + sum of w D(y, x0), by Newton's method from x."""
     J, r = R[:, :-1], R[:, -1]
 
-    def value(y: np.ndarray) -> float:
-        off = J @ (y - x) + r
-        return float(off @ off) + sum(w * D(y, x0).value for w, x0 in terms)
+    def at(y: np.ndarray) -> tuple[float, list[Divergence]]:
+        off, apart = J @ (y - x) + r, [D(y, x0) for _, x0 in terms]
+        pulled = sum(w * d.value for (w, _), d in zip(terms, apart, strict=True))
+        return float(off @ off) + pulled, apart
 
-    y, now = x, value(x)
+    y, (now, apart) = x, at(x)
+    squared = 2 * J.T @ J
     for _ in range(NEWTON):
-        g, H = 2 * J.T @ (J @ (y - x) + r), 2 * J.T @ J
-        for w, x0 in terms:
-            off = D(y, x0)
-            g, H = g + w * off.slope, H + w * off.curvature
+        g, H = 2 * J.T @ (J @ (y - x) + r), squared
+        for (w, _), d in zip(terms, apart, strict=True):
+            g, H = g + w * d.slope, H + w * d.curvature
         step = -np.linalg.solve(H, g)
         decrease = -float(g @ step)
         if decrease <= 1e-13 * now:
             break
         part = 1.0
         while part > 1e-10:
-            after = value(y + part * step)
+            after, apart = at(y + part * step)
             if after <= now - 1e-4 * part * decrease:
                 break
             part /= 2
