@@ -143,8 +143,11 @@ class SimulationError:
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        r, J = (np.asarray(a) for a in self.programs.slopes(self.by_run(x), self.runs))
-        p, l = self.shared, self.own
+        return self.assembled(*self.programs.slopes(self.by_run(x), self.runs))
+
+    def assembled(self, r: Any, J: Any) -> np.ndarray:
+        """R of the residuals (runs, rows) and their slopes (runs, rows, n + l)."""
+        r, J, p, l = np.asarray(r), np.asarray(J), self.shared, self.own
         if not l:
             return triangle_of(np.concatenate([J.reshape(-1, p), r.reshape(-1, 1)], 1))
         blocks = []
