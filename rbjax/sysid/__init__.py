@@ -4,11 +4,12 @@ What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
 (`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
 simulated motions (`simulation_error`, `shooting`, `least_squares`), or by `many_starts` where that
-has many minima; `regress` and `consistent`, by torques that are linear in the parameters
-(`regressor`, `torque_rows`, `equations`, `balances`), with the zeros of encoders (`encoder_zeros`).
-What the data can show: `combinations` of any Jacobian (`rank`), `base_parameters`. What they do
-show: `estimates`, `whiteness`, `compare`, `select`, `free_run`, `held_out`, `monte_carlo`. What is
-wrong with them: `findings` before a fit, `diagnose` after it; `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
+has many minima; its gradient, `squares`; `regress` and `consistent`, by torques that are linear in
+the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros of encoders
+(`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
+`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`, `free_run`,
+`held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose` after it;
+`report` shows all. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -66,6 +67,7 @@ from rbjax.sysid.report import report
 from rbjax.sysid.selection import Selected, select
 from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.splits import Split, split
+from rbjax.sysid.squares import Squares, squares
 from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
 from rbjax.sysid.torque_rows import TorqueRows, torque_rows
 from rbjax.sysid.traces import Trace
@@ -80,6 +82,8 @@ __all__ = [
     "many_starts",
     "ManyStarts",
     "Basin",
+    "squares",
+    "Squares",
     "free_run",
     "fit",
     "Fit",

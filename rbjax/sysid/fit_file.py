@@ -35,10 +35,7 @@ def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.
     Raises:
         InputError: no such file, or a fit of other parameters.
     """
-    if isinstance(fit, Mapping):
-        path, values, starts = "resume", fit, []
-    else:
-        path, values, starts = _read(Path(fit))
+    path, values, starts = ("resume", fit, []) if isinstance(fit, Mapping) else _read(Path(fit))
     if list(values) != list(names):
         other = sorted(set(values) ^ set(names))
         raise InputError(

@@ -15,7 +15,14 @@ from rbjax.sysid.log_cholesky import (
     pseudo_inertia_of,
     to_log_cholesky,
 )
-from rbjax.sysid.unknowns import FixedTotal, Inertia, Parametrisation, Shared, Unknowns
+from rbjax.sysid.unknowns import (
+    FixedTotal,
+    Inertia,
+    Parametrisation,
+    Scalars,
+    Shared,
+    Unknowns,
+)
 
 
 def drawn(unknowns: Unknowns, target: Any, count: int, spread: float, seed: int) -> np.ndarray:
@@ -55,7 +62,7 @@ def _one(label: str, u: Parametrisation, p: np.ndarray, z: np.ndarray, even: Any
     if isinstance(u, Shared):
         factor = 1.0 if u.factors is None else u.factors[0]
         return _one(label, u.members[0], factor * p, z, even) / factor
-    if not hasattr(u, "positive"):
+    if not isinstance(u, Scalars):
         raise InputError(
             f"many_starts: {label} is {u!r}, of a kind that cannot be drawn; expected Unknown, "
             "Inertia, Shared, FixedTotal, Tilt or Derived, or guesses as an array"

@@ -96,10 +96,10 @@ class Asked(NamedTuple):
 
 def answered(of: Residual, asked: Asked) -> Any:
     """|r|^2, inf where it is not finite, or the triangle."""
-    return of.triangle(asked.x) if asked.slopes else squares(of.residuals(asked.x))
+    return of.triangle(asked.x) if asked.slopes else sum_of_squares(of.residuals(asked.x))
 
 
-def squares(r: np.ndarray) -> float:
+def sum_of_squares(r: np.ndarray) -> float:
     """|r|^2, inf where it is not finite: a motion that went to infinity."""
     r = np.asarray(r).ravel()
     with np.errstate(over="ignore"):

@@ -20,7 +20,7 @@ from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.guesses import drawn
 from rbjax.sysid.identify import Identified, identify
-from rbjax.sysid.least_squares import Asked, Minimum, searching, squares
+from rbjax.sysid.least_squares import Asked, Minimum, searching, sum_of_squares
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import batch_of, grid_of
 from rbjax.sysid.simulation import Grid, Setup
@@ -148,8 +148,10 @@ def many_starts(
         say(f"the best {len(order)} go on")
         ends = together(of, [first[k].x for k in order], pulls=LONG, steps=100)
     basins = _basins(of, dict(zip(order, ends, strict=True)))
-    how = {"grid": grid, "starts": starts, "loss": loss, "progress": progress}
-    best = identify(setup, runs, unknowns, resume=basins[0].values, **how, **more)
+    best = identify(
+        setup, runs, unknowns, resume=basins[0].values, grid=grid, starts=starts, loss=loss,
+        progress=progress, **more,
+    )  # fmt: skip
     return ManyStarts(best, basins, basins[0].starts[0], points, costs)
 
 
@@ -162,8 +164,11 @@ def together(of: SimulationError, beginnings: Sequence[np.ndarray], **how: Any) 
     rows = sum(int(np.prod(w.shape[1:])) for w in of.runs.weights.values())
     width = int(np.clip(MEMORY // (8 * rows * each), 1, len(searches)))
 
-    def answers(which: list[int], f: Callable, read: Callable) -> dict[int, Any]:
-        found = {}
+    def answers(
+        asked: dict[int, Asked], f: Callable, read: Callable[[Any], Any]
+    ) -> dict[int, Any]:
+        which = list(asked)
+        found: dict[int, Any] = {}
         for k in range(0, len(which), width):
             some = which[k : k + width]
             filled = some + some[-1:] * (width - len(some))  # one shape: nothing compiles again
@@ -173,13 +178,14 @@ def together(of: SimulationError, beginnings: Sequence[np.ndarray], **how: Any) 
         return found
 
     while True:
-        open_ones = [i for i, a in enumerate(asked) if isinstance(a, Asked)]
-        if not open_ones:
+        waiting = {i: a for i, a in enumerate(asked) if isinstance(a, Asked)}
+        if not waiting:
             return [a for a in asked if isinstance(a, Minimum)]
-        steep = [i for i in open_ones if asked[i].slopes]
+        steep = {i: a for i, a in waiting.items() if a.slopes}
+        flat = {i: a for i, a in waiting.items() if not a.slopes}
         found = answers(steep, slopes, lambda out: of.assembled(*out))
-        found |= answers([i for i in open_ones if i not in found], residuals, squares)
-        for i in open_ones:
+        found |= answers(flat, residuals, sum_of_squares)
+        for i in waiting:
             asked[i] = searches[i].send(found[i])
 
 
@@ -213,12 +219,12 @@ def _basins(of: SimulationError, ends: dict[int, Minimum]) -> tuple[Basin, ...]:
     size = 0.0
     for sensor, values in of.runs.values.items():
         spread = np.asarray(of.runs.weights[sensor] * (values - values.mean((0, 1))))
-        size += squares(spread)
+        size += sum_of_squares(spread)
     found: list[tuple[np.ndarray, list[int], Minimum]] = []
     for k, least in sorted(ends.items(), key=lambda item: item[1].cost):
         r = of.residuals(least.x).ravel()
         for motion, members, _ in found:
-            if squares(r - motion) <= ONE_MOTION**2 * size:
+            if sum_of_squares(r - motion) <= ONE_MOTION**2 * size:
                 members.append(k)
                 break
         else:

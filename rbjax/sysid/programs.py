@@ -61,13 +61,14 @@ def kept(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: Any) ->
 
 def _alike(a: Any, b: Any, unknowns: Unknowns) -> bool:
     """Whether two set-ups are one as soon as the sought numbers are written."""
-    (x, kind), (y, other) = jax.tree.flatten(a), jax.tree.flatten(b)
-    if kind != other or not all(map(_same_kind, x, y)):
+    x, y = jax.tree.leaves(a), jax.tree.leaves(b)
+    kinds: list[Any] = [jax.tree.structure(s) for s in (a, b)]
+    if kinds[0] != kinds[1] or not all(map(_same_kind, x, y)):
         return False
     if all(map(_equal, x, y)):
         return True
-    p = np.asarray(unknowns.read(b), float)
-    p = jnp.asarray(np.where(p == 0, 1e-3, 1.01 * p))  # at zero, factors of p would not be seen
+    p = unknowns.read(b)
+    p = jnp.where(p == 0, 1e-3, 1.01 * p)  # at zero, factors of p would not be seen
     return all(map(_equal, *(jax.tree.leaves(unknowns.write(s, p)) for s in (a, b))))
 
 

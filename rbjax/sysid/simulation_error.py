@@ -39,8 +39,10 @@ class Programs(NamedTuple):
     slopes: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
 
 
-def programs(setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str) -> Programs:
-    """The programs of a set-up, with `own` corrections of each run's start."""
+def programs(
+    setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None = None
+) -> Programs:
+    """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
     n = sum(unknowns.sizes)
 
     def path(x: jax.Array, run: Run) -> tuple[Setup, State]:
@@ -52,7 +54,7 @@ def programs(setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str) 
         if own:
             dq, dv = jnp.split(s, 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-        return now, motion(made, p, start, run.commands, grid)
+        return now, motion(made, p, start, run.commands, grid, keep=keep)
 
     def read(now: Setup, path: State, run: Run) -> dict[str, jax.Array]:
         return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
@@ -115,7 +117,7 @@ class SimulationError:
         """Numbers of x."""
         return self.shared + self.count * self.own
 
-    def by_run(self, x: np.ndarray) -> jax.Array:
+    def by_run(self, x: Any) -> jax.Array:
         """x as (runs, n + l)."""
         own = jnp.reshape(x[self.shared :], (self.count, self.own))
         p = jnp.broadcast_to(jnp.asarray(x[: self.shared]), (self.count, self.shared))

@@ -47,7 +47,7 @@ class Parametrisation(Protocol):
         ...
 
 
-class _Scalars:
+class Scalars:
     """Numbers that are free, positive or bounded, each by itself."""
 
     positive: bool
@@ -65,7 +65,7 @@ class _Scalars:
 
 
 @dataclass(frozen=True)
-class Unknown(_Scalars):
+class Unknown(Scalars):
     """Numbers of one leaf.
 
     Args:
@@ -218,7 +218,7 @@ class FixedTotal:
 
 
 @dataclass(frozen=True)
-class Tilt(_Scalars):
+class Tilt(Scalars):
     """The direction of gravity in the axes of the world, in rad: a base that is not level.
 
     gravity = g (sin a, -cos a sin b, -cos a cos b); both angles are zero where it points to -z.
@@ -243,7 +243,7 @@ class Tilt(_Scalars):
 
 
 @dataclass(frozen=True)
-class Derived(_Scalars):
+class Derived(Scalars):
     """Numbers from which a function makes leaves: the density of links, the radius of a wheel.
 
     Args:
