@@ -67,8 +67,9 @@ def _alike(a: Any, b: Any, unknowns: Unknowns) -> bool:
         return False
     if all(map(_equal, x, y)):
         return True
-    p = unknowns.read(b)
-    p = jnp.where(p == 0, 1e-3, 1.01 * p)  # at zero, factors of p would not be seen
+    guess = np.asarray(unknowns.read(b))
+    # at zero, factors of p would not be seen
+    p = jnp.asarray(np.where(guess == 0, 1e-3, 1.01 * guess), guess.dtype)
     return all(map(_equal, *(jax.tree.leaves(unknowns.write(s, p)) for s in (a, b))))
 
 

@@ -27,12 +27,12 @@ from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError, programs
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 
-#: what a reverse derivative costs beside a forward one of as many samples: the latter for one
-#: number of each (benchmarks/results/cpu-gradient-modes-*.json)
-REVERSE_COSTS = 3
+#: forward derivatives of a full vector that take as long as one reverse derivative of it
+#: (benchmarks/results/cpu-gradient-modes-*.json)
+REVERSE_COSTS = 4.5
 #: bytes of a processor's vector
 VECTOR = 64
-#: samples side by side from which on a GPU is full
+#: samples side by side that fill a GPU: an estimate
 GPU_THREADS = 16_384
 
 
@@ -121,10 +121,13 @@ def squares(
 def faster(numbers: int, runs: int, itemsize: int) -> str:
     """The mode that is faster for so many numbers of each run, by how many samples run at once.
 
-    >>> faster(2, 64, 8), faster(55, 64, 8)
-    ('forward', 'reverse')
+    >>> faster(2, 64, 8), faster(55, 64, 8), faster(2, 1, 8)
+    ('forward', 'reverse', 'reverse')
     """
-    at_once = VECTOR // itemsize if jax.default_backend() == "cpu" else GPU_THREADS
+    on_cpu = jax.default_backend() == "cpu"
+    if on_cpu and runs == 1:  # one motion needs no vector, its rates do
+        return "forward" if numbers == 1 else "reverse"
+    at_once = VECTOR // itemsize if on_cpu else GPU_THREADS
     forward, reverse = (math.ceil(samples / at_once) for samples in (numbers * runs, runs))
     return "forward" if forward <= REVERSE_COSTS * reverse else "reverse"
 
