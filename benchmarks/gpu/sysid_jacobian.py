@@ -31,6 +31,7 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
+import rbjax as rb
 from benchmarks.shared.robots import as_model
 from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.work.scenes import bare
@@ -165,12 +166,17 @@ def by_mjx(m: mujoco.MjModel, steps: int) -> Callable:
 ENGINES = {"rbjax": by_rbjax, "mjx": by_mjx}
 
 
+def jitted(f: Callable) -> Any:
+    """On a CPU without the fusion emitters, with which MJX compiles for minutes."""
+    return jax.jit(f, compiler_options=rb.compiler_options())
+
+
 def parity(count: int = 2, steps: int = 50) -> float:
     """The largest difference of [J r]^T [J r] of the engines in f64, by its diagonal."""
     with jax.enable_x64(True):
         m = arm()
         given = (jnp.asarray(numbers(m)), *states(m, count, steps, float))
-        a, b = (np.asarray(jax.jit(make(m, steps))(*given)) for make in ENGINES.values())
+        a, b = (np.asarray(jitted(make(m, steps))(*given)) for make in ENGINES.values())
         scale = np.sqrt(np.diag(b))
         scale = np.maximum(scale, 1e-6 * scale.max())  # some columns are zero: nothing shows them
         return float((np.abs(a - b) / np.outer(scale, scale)).max())
@@ -187,7 +193,7 @@ def timed(engine: str, recordings: int, chunk: int, steps: int, repeats: int) ->
     }  # fmt: skip
     try:
         start = time.perf_counter()
-        lowered = jax.jit(ENGINES[engine](m, steps)).lower(p, *parts[0])
+        lowered = jitted(ENGINES[engine](m, steps)).lower(p, *parts[0])
         row["lower_s"] = time.perf_counter() - start
         start = time.perf_counter()
         program = lowered.compile()
