@@ -3,12 +3,13 @@
 What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
 (`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
-simulated motions (`simulation_error`, `shooting`, `least_squares`); `regress` and `consistent`, by
-torques that are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`),
-with the zeros of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian
-(`rank`), `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`,
-`free_run`, `held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose`
-after it; `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
+simulated motions (`simulation_error`, `shooting`, `least_squares`), or by `many_starts` where that
+has many minima; its gradient, `squares`; `regress` and `consistent`, by torques that are linear in
+the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros of encoders
+(`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
+`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`, `free_run`,
+`held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose` after it;
+`report` shows all. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -49,6 +50,7 @@ from rbjax.sysid.log_cholesky import (
     to_log_cholesky,
     with_inertial_parameters,
 )
+from rbjax.sysid.many_starts import Basin, ManyStarts, many_starts
 from rbjax.sysid.monte_carlo import MonteCarlo, monte_carlo
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.readers import Column, read_csv, read_npz
@@ -65,6 +67,7 @@ from rbjax.sysid.report import report
 from rbjax.sysid.selection import Selected, select
 from rbjax.sysid.simulation import PD, Grid, Sensor, Setup
 from rbjax.sysid.splits import Split, split
+from rbjax.sysid.squares import Squares, squares
 from rbjax.sysid.statistics import Estimates, Interval, crlb, estimates, information
 from rbjax.sysid.torque_rows import TorqueRows, torque_rows
 from rbjax.sysid.traces import Trace
@@ -76,6 +79,11 @@ __all__ = [
     # unknowns and simulation
     "identify",
     "Identified",
+    "many_starts",
+    "ManyStarts",
+    "Basin",
+    "squares",
+    "Squares",
     "free_run",
     "fit",
     "Fit",

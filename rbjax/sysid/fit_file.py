@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,20 +29,13 @@ def write_fit(path: str | Path, names: Sequence[str], x: np.ndarray, **more: Any
     beside.replace(path)
 
 
-def read_fit(path: str | Path, names: Sequence[str]) -> np.ndarray:
-    """x of a file of `write_fit`.
+def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+    """x of a file of `write_fit`, or of values by name.
 
     Raises:
         InputError: no such file, or a fit of other parameters.
     """
-    path = Path(path)
-    try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        values, starts = held["values"], held["starts"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"identify: cannot go on from {path} ({error!r}), expected a file that a fit wrote"
-        ) from error
+    path, values, starts = ("resume", fit, []) if isinstance(fit, Mapping) else _read(Path(fit))
     if list(values) != list(names):
         other = sorted(set(values) ^ set(names))
         raise InputError(
@@ -50,3 +43,13 @@ def read_fit(path: str | Path, names: Sequence[str]) -> np.ndarray:
             f"{len(names)} in the same order; only one of the two has: {', '.join(other) or 'none'}"
         )
     return np.array([*values.values(), *starts], float)
+
+
+def _read(path: Path) -> tuple[str, Mapping[str, float], list[float]]:
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        return str(path), held["values"], held["starts"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"identify: cannot go on from {path} ({error!r}), expected a file that a fit wrote"
+        ) from error

@@ -121,7 +121,7 @@ def identify(
     loss: str = "squares",
     steps: int = 100,
     save: str | Path | None = None,
-    resume: str | Path | None = None,
+    resume: str | Path | Mapping[str, float] | None = None,
     progress: bool = False,
 ) -> Identified:
     """Numbers of a model, its sensors and its controller from one or more recordings.
@@ -145,7 +145,7 @@ def identify(
         loss: "squares", or "huber", by which outliers count less.
         steps: evaluations of the residual at most, of each fit.
         save: a file that holds the best numbers so far, and at the end the result.
-        resume: such a file, from which the fit goes on.
+        resume: such a file, or name -> value, from which the fit goes on.
         progress: whether a line shows the progress.
 
     Returns:

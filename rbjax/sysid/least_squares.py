@@ -10,9 +10,9 @@ pull away.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -78,25 +78,64 @@ def minimise(
 
     Source: Nielsen, *Damping parameter in Marquardt's method*, IMM-REP-1999-05 (the damping).
     """
+    search = searching(
+        of.divergence, start, prior, triangle=triangle, pulls=pulls, steps=steps, watch=watch
+    )
+    asked = next(search)
+    while not isinstance(asked, Minimum):
+        asked = search.send(answered(of, asked))
+    return asked
+
+
+class Asked(NamedTuple):
+    """What a search has to know next: |r|^2 at x, or the triangle there."""
+
+    x: np.ndarray
+    slopes: bool
+
+
+def answered(of: Residual, asked: Asked) -> Any:
+    """|r|^2, inf where it is not finite, or the triangle."""
+    return of.triangle(asked.x) if asked.slopes else sum_of_squares(of.residuals(asked.x))
+
+
+def sum_of_squares(r: np.ndarray) -> float:
+    """|r|^2, inf where it is not finite: a motion that went to infinity."""
+    r = np.asarray(r).ravel()
+    with np.errstate(over="ignore"):
+        found = float(r @ r)
+    return found if np.isfinite(found) else np.inf
+
+
+def searching(
+    D: Callable[[np.ndarray, np.ndarray], Divergence],
+    start: np.ndarray,
+    prior: np.ndarray | None = None,
+    *,
+    triangle: np.ndarray | None = None,
+    pulls: tuple[float, ...] = PULLS,
+    steps: int = 100,
+    watch: Callable[[int, float, np.ndarray], None] = lambda evaluation, cost, x: None,
+) -> Generator[Asked | Minimum, Any, None]:
+    """`minimise` that asks for what it has to know, so that many can be answered at once. The last
+    that it yields is the minimum."""
     x = np.array(start, float)
     prior = x if prior is None else np.asarray(prior, float)
-    D = of.divergence
     count = 0
 
-    def cost(x: np.ndarray) -> float:
+    def cost(x: np.ndarray) -> Generator[Asked, Any, float]:
         nonlocal count
         count += 1
-        r = np.asarray(of.residuals(x)).ravel()
-        with np.errstate(over="ignore"):  # a motion that went to infinity
-            found = float(r @ r)
+        found = yield Asked(x, False)
         watch(count, found, x)
-        return found if np.isfinite(found) else np.inf
+        return found
 
-    R = of.triangle(x) if triangle is None else triangle
+    R = (yield Asked(x, True)) if triangle is None else triangle
     ended = False
     if not np.isfinite(R).all():
         message = "the motion of the first guess is not finite"
-        return Minimum(x, R, np.inf, count, False, message)
+        yield Minimum(x, R, np.inf, count, False, message)
+        return
     now = float(R[:, -1] @ R[:, -1])
     for w in pulls:
         last, damping, growth, ended = w == pulls[-1], 1e-6, 2.0, False
@@ -106,14 +145,14 @@ def minimise(
             terms = ((w * size, prior), (damping * size, x))
             trial = _convex(R, x, D, terms)
             near = D(trial, x).value <= SMALL
-            after = cost(trial)
+            after = yield from cost(trial)
             linear = R[:, :-1] @ (trial - x) + R[:, -1]
             pull = w * size * (D(x, prior).value - D(trial, prior).value)
             expected = now - float(linear @ linear) + pull
             gain = (now - after + pull) / max(expected, 1e-300)
             calm = damping <= 1e-6 and expected < (FLAT if last else COARSE) * now
             if gain > 0:
-                x, now, R = trial, after, of.triangle(trial)
+                x, now, R = trial, after, (yield Asked(trial, True))
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
                 ended = near or calm
             else:
@@ -121,12 +160,17 @@ def minimise(
                 ended = near or damping > 1e9
     for _ in range(4):  # without the prior
         trial = x + shown(R, D(x, x).curvature)
-        after = cost(trial) if np.isfinite(D(trial, x).value) else np.inf
+        after = np.inf
+        if np.isfinite(D(trial, x).value):
+            after = yield from cost(trial)
         if not after < now:
             break
-        x, now, R = trial, after, of.triangle(trial)
+        ends = after > now / 10  # what is left is rounding, or hidden by noise
+        x, now, R = trial, after, (yield Asked(trial, True))
+        if ends:
+            break
     message = "converged" if ended else f"not converged in {count} evaluations"
-    return Minimum(x, R, now, count, ended, message)
+    yield Minimum(x, R, now, count, ended, message)
 
 
 def _convex(
@@ -138,23 +182,24 @@ def _convex(
     """argmin over y of |J (y - x) + r|^2 + sum of w D(y, x0), by Newton's method from x."""
     J, r = R[:, :-1], R[:, -1]
 
-    def value(y: np.ndarray) -> float:
-        off = J @ (y - x) + r
-        return float(off @ off) + sum(w * D(y, x0).value for w, x0 in terms)
+    def at(y: np.ndarray) -> tuple[float, list[Divergence]]:
+        off, apart = J @ (y - x) + r, [D(y, x0) for _, x0 in terms]
+        pulled = sum(w * d.value for (w, _), d in zip(terms, apart, strict=True))
+        return float(off @ off) + pulled, apart
 
-    y, now = x, value(x)
+    y, (now, apart) = x, at(x)
+    squared = 2 * J.T @ J
     for _ in range(NEWTON):
-        g, H = 2 * J.T @ (J @ (y - x) + r), 2 * J.T @ J
-        for w, x0 in terms:
-            off = D(y, x0)
-            g, H = g + w * off.slope, H + w * off.curvature
+        g, H = 2 * J.T @ (J @ (y - x) + r), squared
+        for (w, _), d in zip(terms, apart, strict=True):
+            g, H = g + w * d.slope, H + w * d.curvature
         step = -np.linalg.solve(H, g)
         decrease = -float(g @ step)
         if decrease <= 1e-13 * now:
             break
         part = 1.0
         while part > 1e-10:
-            after = value(y + part * step)
+            after, apart = at(y + part * step)
             if after <= now - 1e-4 * part * decrease:
                 break
             part /= 2

@@ -117,7 +117,7 @@ def monte_carlo(
         )
     n = of.shared
     truth = said.values
-    read = of.readings(of.by_run(truth), of.runs)
+    read = of.readings(truth)
     rng = np.random.default_rng(seed)
     guess = np.append([*found.guess.values()], np.zeros(of.size - n))
     seen = np.isfinite(said.sigma[:n])

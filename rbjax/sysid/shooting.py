@@ -12,6 +12,7 @@ Voss, Timmer & Kurths, Int. J. Bifurcation and Chaos 14(6), 2004 (chaotic motion
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,13 +24,64 @@ from rbjax.dynamics.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.sysid.divergence import Divergence
+from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run, batch
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError, triangle_of
+from rbjax.sysid.simulation_error import programs as pieces_programs
 from rbjax.sysid.unknowns import Unknowns
 
 #: ties, one after the other: at 1 a gap counts as much as a piece that is off by it throughout
 TIES = (0.1, 1.0, 10.0)
+
+
+def programs(
+    setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str,
+    before: tuple[int, ...], seconds: float,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Compiled: residual and gaps, and their slopes, of pieces of which `before` have a next one;
+    the last argument weighs gaps."""
+    model, one = setup.model, kept(pieces_programs, setup, unknowns, grid, own, loss)
+    last_ones, next_ones = np.array(before, int), np.array(before, int) + 1
+
+    def pick(states: State, which: Any) -> State:
+        return jax.tree.map(lambda a: a[which], states)
+
+    def ends(x: jax.Array, run: Run) -> tuple[jax.Array, State, State]:
+        now, path = one.path(x, run)
+        return one.compared(now, path, run), pick(path, 0), pick(path, -1)
+
+    def gap(last: State, first: State, weight: jax.Array) -> jax.Array:
+        dq = difference(model, first.q, last.q)
+        return weight * jnp.concatenate([dq, seconds * (last.v - first.v)])
+
+    every = jax.vmap(ends)
+
+    def shot(x: jax.Array, runs: Run, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
+        r, first, last = every(x, runs)
+        gaps = jax.vmap(gap, (0, 0, None))(pick(last, last_ones), pick(first, next_ones), weight)
+        return r, gaps
+
+    def sloped(
+        x: jax.Array, runs: Run, weight: jax.Array
+    ) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
+        """r and gaps, and by each number of a piece the slopes of r, of the gaps after the
+        pieces and of those before them."""
+        gaps = jax.vmap(functools.partial(gap, weight=weight))
+
+        def along(e: jax.Array) -> tuple[jax.Array, ...]:
+            move = (jnp.broadcast_to(e, x.shape),)
+            (_, *moving), (dr, *moved) = jax.jvp(lambda x: every(x, runs), (x,), move)
+            (first, last), (dfirst, dlast) = moving, moved
+            at = pick(last, last_ones), pick(first, next_ones)
+            by = pick(dlast, last_ones), pick(dfirst, next_ones)
+            still = jax.tree.map(jnp.zeros_like, by)
+            after = jax.jvp(gaps, at, (by[0], still[1]))[1]
+            return dr, after, jax.jvp(gaps, at, (still[0], by[1]))[1]
+
+        return shot(x, runs, weight), jax.vmap(along, out_axes=-1)(jnp.eye(x.shape[-1]))
+
+    return jax.jit(shot), jax.jit(sloped)
 
 
 class Shooting:
@@ -66,40 +118,9 @@ class Shooting:
         # as many readings as a piece has, each with the mean weight
         weight = jnp.sqrt((whole.weights["q"] ** 2).sum() / whole.weights["q"].shape[-1] / of.count)
 
-        def pick(states: State, which: Any) -> State:
-            return jax.tree.map(lambda a: a[which], states)
-
-        def ends(x: jax.Array, run: Run) -> tuple[jax.Array, State, State]:
-            now, path = of.path(x, run)
-            return of.compared(now, path, run), pick(path, 0), pick(path, -1)
-
-        def gap(last: State, first: State) -> jax.Array:
-            dq = difference(model, first.q, last.q)
-            return weight * jnp.concatenate([dq, seconds * (last.v - first.v)])
-
-        every, gaps = jax.vmap(ends), jax.vmap(gap)
-
-        def shot(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
-            r, first, last = every(x, runs)
-            return r, gaps(pick(last, before), pick(first, before + 1))
-
-        def sloped(x: jax.Array, runs: Run) -> tuple[tuple[jax.Array, ...], tuple[jax.Array, ...]]:
-            """r and gaps, and by each number of a piece the slopes of r, of the gaps after the
-            pieces and of those before them."""
-
-            def along(e: jax.Array) -> tuple[jax.Array, ...]:
-                move = (jnp.broadcast_to(e, x.shape),)
-                (_, *moving), (dr, *moved) = jax.jvp(lambda x: every(x, runs), (x,), move)
-                (first, last), (dfirst, dlast) = moving, moved
-                at = pick(last, before), pick(first, before + 1)
-                by = pick(dlast, before), pick(dfirst, before + 1)
-                still = jax.tree.map(jnp.zeros_like, by)
-                after = jax.jvp(gaps, at, (by[0], still[1]))[1]
-                return dr, after, jax.jvp(gaps, at, (still[0], by[1]))[1]
-
-            return shot(x, runs), jax.vmap(along, out_axes=-1)(jnp.eye(of.shared + of.own))
-
-        self._shot, self._slopes = jax.jit(shot), jax.jit(sloped)
+        self.weight = weight
+        how = (grid, of.own, loss, tuple(map(int, before)), seconds)
+        self._shot, self._slopes = kept(programs, setup, unknowns, *how)
 
     @property
     def size(self) -> int:
@@ -112,17 +133,18 @@ class Shooting:
 
     def gaps(self, x: np.ndarray) -> np.ndarray:
         """(ties, 2 nv), weighted for a tie of 1."""
-        return np.asarray(self._shot(self.pieces.by_run(x), self.pieces.runs)[1])
+        return np.asarray(self._shot(self.pieces.by_run(x), self.pieces.runs, self.weight)[1])
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """(rows,)"""
-        r, gaps = self._shot(self.pieces.by_run(x), self.pieces.runs)
+        r, gaps = self._shot(self.pieces.by_run(x), self.pieces.runs, self.weight)
         return np.concatenate([np.ravel(r), self.tie * np.ravel(gaps)])
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
         of = self.pieces
-        (r, gaps), (J, after, ahead) = jax.tree.map(np.asarray, self._slopes(of.by_run(x), of.runs))
+        found = self._slopes(of.by_run(x), of.runs, self.weight)
+        (r, gaps), (J, after, ahead) = jax.tree.map(np.asarray, found)
         blocks, n, l = [], of.shared, of.own
         for k in range(of.count):
             R = triangle_of(np.concatenate([J[k], r[k][:, None]], 1))

@@ -86,16 +86,20 @@ class Grid(NamedTuple):
 
 
 def motion(
-    made: Callable[[jax.Array], Setup], p: jax.Array, start: State, commands: jax.Array, grid: Grid
-) -> State:
+    made: Callable[[jax.Array], Setup], p: jax.Array, start: State, commands: jax.Array, grid: Grid,
+    *, keep: int | None = None,
+) -> State:  # fmt: skip
     """The states (N + 1, ...) at the instants of N commands (N, n) and one period later, of the
     set-up made(p). Numbers that p does not change stay known, which the program needs to be
-    fast."""
-    run = threads(lambda p, start, commands: _motion(made(p), start, commands, grid))
+    fast. keep: a reverse derivative keeps every keep-th state and simulates again what lies
+    between; None: it keeps all that each period computes."""
+    run = threads(lambda p, start, commands: _motion(made(p), start, commands, grid, keep))
     return run(p, start, commands)
 
 
-def _motion(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> State:
+def _motion(
+    setup: Setup, start: State, commands: jax.Array, grid: Grid, keep: int | None
+) -> State:
     model, T, n = setup.model, grid.period, grid.substeps
     sensors, controller = setup.sensors, setup.controller
 
@@ -133,12 +137,34 @@ def _motion(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> Stat
 
     zero = jnp.zeros((), int)
     if setup.delay is None or not grid.longest_delay:
-        after = jax.lax.scan(at_once, (zero, start), commands)[1]
+        after = _swept(at_once, (zero, start), commands, keep)
     else:
         ctrl = jax.eval_shape(asked, zero, start, commands[0])
         queue = jnp.zeros((grid.longest_delay + 2, *ctrl.shape), ctrl.dtype)
-        after = jax.lax.scan(late, (zero, start, queue), commands)[1]
+        after = _swept(late, (zero, start, queue), commands, keep)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
+
+
+def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> State:
+    """The states after each command. A reverse derivative keeps every keep-th carry."""
+    if keep is None:
+        return jax.lax.scan(once, carry, commands)[1]
+    again = jax.checkpoint(once, prevent_cse=False)
+    whole = commands.shape[0] // keep if keep > 1 else 0
+
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def several(carry: Any, commands: jax.Array) -> Any:
+        return jax.lax.scan(again, carry, commands)
+
+    parts = commands[: whole * keep].reshape(whole, keep, *commands.shape[1:])
+    rest = commands[whole * keep :]
+    found = []
+    if whole:
+        carry, states = jax.lax.scan(several, carry, parts)
+        found.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), states))
+    if rest.shape[0]:
+        found.append(jax.lax.scan(again, carry, rest)[1])
+    return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
 def reading(setup: Setup, path: State, grid: Grid, kind: str, times: jax.Array) -> jax.Array:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import copy
 import functools
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ import numpy as np
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import State
 from rbjax.sysid.divergence import Divergence
+from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run
 from rbjax.sysid.simulation import Grid, Setup, motion, reading
 from rbjax.sysid.unknowns import Unknowns
@@ -26,8 +28,75 @@ from rbjax.sysid.unknowns import Unknowns
 HUBER = 1.345
 
 
+class Programs(NamedTuple):
+    """What is simulated: of one run, traced, `path` (x, run) -> set-up, states and `compared`
+    (set-up, states, run) -> residual; of a batch, compiled, `readings`, `residuals`, `slopes`."""
+
+    path: Callable[[jax.Array, Run], tuple[Setup, State]]
+    compared: Callable[[Setup, State, Run], jax.Array]
+    readings: Callable[[jax.Array, Run], dict[str, jax.Array]]
+    residuals: Callable[[jax.Array, Run], jax.Array]
+    slopes: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
+
+
+def programs(
+    setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None = None
+) -> Programs:
+    """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
+    n = sum(unknowns.sizes)
+
+    def path(x: jax.Array, run: Run) -> tuple[Setup, State]:
+        """The set-up with the numbers, and its motion."""
+        p, s = x[:n], x[n:]
+        made = functools.partial(unknowns.write, setup)
+        now = made(p)
+        start = began(now, run.start, "v" in run.values)
+        if own:
+            dq, dv = jnp.split(s, 2)
+            start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
+        return now, motion(made, p, start, run.commands, grid, keep=keep)
+
+    def read(now: Setup, path: State, run: Run) -> dict[str, jax.Array]:
+        return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
+
+    def compared(now: Setup, path: State, run: Run) -> jax.Array:
+        """The residual of one run."""
+        parts = []
+        for kind, seen in read(now, path, run).items():
+            off = seen - run.values[kind]
+            if kind == "q":
+                minus = functools.partial(difference, setup.model)
+                off = jax.vmap(minus)(run.values[kind], seen)
+            weights = run.weights[kind]
+            if off.shape != weights.shape:  # attitudes: all of a sample or nothing
+                weights = jnp.broadcast_to(weights.min(-1, keepdims=True), off.shape)
+            parts.append((weights * off).ravel())
+        r = jnp.concatenate(parts)
+        if loss == "huber":
+            size = jnp.maximum(jnp.abs(r), HUBER)
+            r = jnp.where(
+                jnp.abs(r) < HUBER, r, jnp.sign(r) * jnp.sqrt(HUBER * (2 * size - HUBER))
+            )
+        return r
+
+    def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
+        return read(*path(x, run), run)
+
+    def residual(x: jax.Array, run: Run) -> jax.Array:
+        return compared(*path(x, run), run)
+
+    def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
+        def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return jax.jvp(lambda x: residual(x, run), (x,), (e,))
+
+        return jax.vmap(along, out_axes=(None, 1))(jnp.eye(n + own))
+
+    each = (jax.jit(jax.vmap(f)) for f in (readings, residual, sloped))
+    return Programs(path, compared, *each)
+
+
 class SimulationError:
-    """The residual of a batch of runs, compiled once and shared by all that `on` makes.
+    """The residual of a batch of runs.
 
     x (n + runs l,) holds the numbers p of the unknowns (n,) and, where starts are sought, l = 2 nv
     corrections for each run.
@@ -41,65 +110,14 @@ class SimulationError:
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
         self.own = 2 * setup.model.nv if starts else 0
-        n, l = self.shared, self.own
-
-        def path(x: jax.Array, run: Run) -> tuple[Setup, State]:
-            """The set-up with the numbers, and its motion."""
-            p, s = x[:n], x[n:]
-            made = functools.partial(unknowns.write, setup)
-            now = made(p)
-            start = began(now, run.start, "v" in run.values)
-            if l:
-                dq, dv = jnp.split(s, 2)
-                start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-            return now, motion(made, p, start, run.commands, grid)
-
-        def read(now: Setup, path: State, run: Run) -> dict[str, jax.Array]:
-            return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
-
-        def compared(now: Setup, path: State, run: Run) -> jax.Array:
-            """The residual of one run."""
-            parts = []
-            for kind, seen in read(now, path, run).items():
-                off = seen - run.values[kind]
-                if kind == "q":
-                    minus = functools.partial(difference, setup.model)
-                    off = jax.vmap(minus)(run.values[kind], seen)
-                weights = run.weights[kind]
-                if off.shape != weights.shape:  # attitudes: all of a sample or nothing
-                    weights = jnp.broadcast_to(weights.min(-1, keepdims=True), off.shape)
-                parts.append((weights * off).ravel())
-            r = jnp.concatenate(parts)
-            if loss == "huber":
-                size = jnp.maximum(jnp.abs(r), HUBER)
-                r = jnp.where(
-                    jnp.abs(r) < HUBER, r, jnp.sign(r) * jnp.sqrt(HUBER * (2 * size - HUBER))
-                )
-            return r
-
-        def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
-            return read(*path(x, run), run)
-
-        def residual(x: jax.Array, run: Run) -> jax.Array:
-            return compared(*path(x, run), run)
-
-        def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
-            def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
-                return jax.jvp(lambda x: residual(x, run), (x,), (e,))
-
-            return jax.vmap(along, out_axes=(None, 1))(jnp.eye(n + l))
-
-        self.path, self.compared = path, compared  # of one run, traced
-        self.readings = jax.jit(jax.vmap(readings))
-        self._residuals = jax.jit(jax.vmap(residual))
-        self._slopes = jax.jit(jax.vmap(sloped))
+        self.programs: Programs = kept(programs, setup, unknowns, grid, self.own, loss)
 
     @property
     def size(self) -> int:
         """Numbers of x."""
         return self.shared + self.count * self.own
 
-    def by_run(self, x: np.ndarray) -> jax.Array:
+    def by_run(self, x: Any) -> jax.Array:
         """x as (runs, n + l)."""
         own = jnp.reshape(x[self.shared :], (self.count, self.own))
         p = jnp.broadcast_to(jnp.asarray(x[: self.shared]), (self.count, self.shared))
@@ -112,19 +130,26 @@ class SimulationError:
         return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
 
     def on(self, runs: Run) -> SimulationError:
-        """That of other runs. Where they have the same shapes, nothing is compiled again."""
+        """That of other runs."""
         other = copy.copy(self)
         other.runs, other.count = runs, runs.commands.shape[0]
         return other
 
+    def readings(self, x: np.ndarray) -> dict[str, jax.Array]:
+        """By sensor (runs, T, n)."""
+        return self.programs.readings(self.by_run(x), self.runs)
+
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """(runs, rows)"""
-        return np.asarray(self._residuals(self.by_run(x), self.runs))
+        return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        r, J = (np.asarray(a) for a in self._slopes(self.by_run(x), self.runs))
-        p, l = self.shared, self.own
+        return self.assembled(*self.programs.slopes(self.by_run(x), self.runs))
+
+    def assembled(self, r: Any, J: Any) -> np.ndarray:
+        """R of the residuals (runs, rows) and their slopes (runs, rows, n + l)."""
+        r, J, p, l = np.asarray(r), np.asarray(J), self.shared, self.own
         if not l:
             return triangle_of(np.concatenate([J.reshape(-1, p), r.reshape(-1, 1)], 1))
         blocks = []

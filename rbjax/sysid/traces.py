@@ -46,7 +46,7 @@ def traces(
     model: Model, of: SimulationError, x: np.ndarray, recordings: Sequence[Recording]
 ) -> dict[str, dict[str, Trace]]:
     """The traces of the runs of `of`, which are those of the recordings, at x."""
-    data, read = of.runs, of.readings(of.by_run(x), of.runs)
+    data, read = of.runs, of.readings(x)
     found: dict[str, dict[str, Trace]] = {}
     for k, run in enumerate(recordings):
         channels = ordered(model, run).channels

@@ -47,7 +47,7 @@ class Parametrisation(Protocol):
         ...
 
 
-class _Scalars:
+class Scalars:
     """Numbers that are free, positive or bounded, each by itself."""
 
     positive: bool
@@ -65,7 +65,7 @@ class _Scalars:
 
 
 @dataclass(frozen=True)
-class Unknown(_Scalars):
+class Unknown(Scalars):
     """Numbers of one leaf.
 
     Args:
@@ -139,6 +139,11 @@ class Inertia:
         return target
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
+        return self.divergences(p[None], p0[None])[0]
+
+    @staticmethod
+    def divergences(p: np.ndarray, p0: np.ndarray) -> list[Divergence]:
+        """Those of several bodies (k, 10)."""
         slopes = _pseudo_slopes()
         P, P0 = (np.tensordot(x, slopes, 1) for x in (p, p0))
         return Divergence.definite(P, P0, slopes)
@@ -213,7 +218,7 @@ class FixedTotal:
 
 
 @dataclass(frozen=True)
-class Tilt(_Scalars):
+class Tilt(Scalars):
     """The direction of gravity in the axes of the world, in rad: a base that is not level.
 
     gravity = g (sin a, -cos a sin b, -cos a cos b); both angles are zero where it points to -z.
@@ -238,7 +243,7 @@ class Tilt(_Scalars):
 
 
 @dataclass(frozen=True)
-class Derived(_Scalars):
+class Derived(Scalars):
     """Numbers from which a function makes leaves: the density of links, the radius of a wheel.
 
     Args:
@@ -323,9 +328,16 @@ class Unknowns:
         """The sum of all."""
         if not self.sizes:
             return Divergence.free(p, p0, 1.0)
-        ends = np.cumsum(self.sizes)[:-1]
-        parts = zip(self.members.values(), np.split(p, ends), np.split(p0, ends), strict=True)
-        return Divergence.joined([u.divergence(a, b) for u, a, b in parts])
+        ends, members = np.cumsum(self.sizes)[:-1], list(self.members.values())
+        a, b = np.split(p, ends), np.split(p0, ends)
+        bodies = [k for k, u in enumerate(members) if isinstance(u, Inertia)]
+        found = {}
+        if bodies:  # all at once, which takes as long as one
+            pairs = np.array([a[k] for k in bodies]), np.array([b[k] for k in bodies])
+            found = dict(zip(bodies, Inertia.divergences(*pairs), strict=True))
+        return Divergence.joined(
+            [found.get(k) or u.divergence(a[k], b[k]) for k, u in enumerate(members)]
+        )
 
     def _split(self, x: jax.Array) -> list[jax.Array]:
         return jnp.split(x, np.cumsum(self.sizes)[:-1]) if self.sizes else []

@@ -1,0 +1,95 @@
+"""`many_starts` where one start ends in a wrong minimum."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.errors import InputError
+from rbjax.sysid import (
+    Channel,
+    Derived,
+    FixedTotal,
+    Inertia,
+    Recording,
+    Setup,
+    Shared,
+    Unknown,
+    identify,
+    many_starts,
+)
+from rbjax.sysid.guesses import drawn
+from rbjax.sysid.unknowns import Unknowns
+
+MODEL = rb.load("pendulum")
+ROTOR = {"armature": Unknown("joints.armature", 0, positive=True)}
+T = 0.02
+
+
+def turning(armature):
+    return MODEL.replace(joints=MODEL.joints.replace(armature=jnp.array([armature])))
+
+
+def long_run(armature=0.9, count=400):
+    """Eight seconds of free swinging: eight periods, and a wrong frequency loses count of them."""
+    start = rb.State(jnp.array([1.2]), jnp.array([0.0]))
+    path = rb.rollout(turning(armature), start, jnp.zeros((count, 1)), T, integrator="rk4")
+    t = np.arange(count + 1) * T
+    return Recording("free", {"q": Channel(t, path.q), "v": Channel(t, path.v)})
+
+
+def test_a_wrong_frequency_has_many_minima_and_many_starts_find_the_best():
+    run, guess = long_run(), turning(0.05)
+    single = identify(guess, run, ROTOR)
+    assert single.ok and single.rms["q"] > 0.1  # it ends, but not at the truth
+    found = many_starts(guess, run, ROTOR, guesses=12, spread=3.5, finalists=4)
+    np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=1e-8)
+    assert found.best.guess["armature"] == pytest.approx(0.05) and found.best.ok
+    assert found.guesses.shape == (12, 1) and found.guesses[0] == pytest.approx(0.05)
+    assert np.argmin(found.costs) in found.basins[0].starts
+    assert found.won in found.basins[0].starts
+    assert 1 < len(found.basins) <= 4  # the others are other frequencies
+    assert found.basins[1].cost > 1e3 * found.basins[0].cost
+    assert f"{len(found.basins)} basins" in found.words()
+
+
+def test_guesses_that_are_given():
+    run = long_run()
+    found = many_starts(turning(0.05), run, ROTOR, guesses=[[0.02], [0.8], [1.0]])
+    np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=1e-8)
+    assert set(found.basins[0].starts) == {1, 2}
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [([0.1, 0.2], "shape"), ([[0.1], [-0.2]], "guess 1"), (0, "guesses")]
+)
+def test_guesses_that_cannot_be(given, said):
+    with pytest.raises(InputError, match=said):
+        many_starts(MODEL, long_run(), ROTOR, guesses=given)
+
+
+def test_guesses_are_drawn_where_they_can_be():
+    model = rb.load("double_pendulum")
+    setup = Setup.of(model)
+    mass = Unknown("bodies.mass", 0, positive=True)
+    members = {
+        "body": Inertia(1),
+        "damping": Shared((Unknown("joints.damping", positive=True),)),
+        "weighed": FixedTotal("bodies.mass", (0, 1), 3.0),
+        "mass": mass,
+        "bias": Unknown("sensors.q.bias", scale=0.01),
+        "share": Derived((0.4,), lambda target, p: target, bounds=(0.0, 1.0)),
+    }
+    model = model.replace(joints=model.joints.replace(damping=jnp.full(2, 0.1)))
+    setup = setup.replace(model=model)
+    of = Unknowns.of("test", members, setup)
+    p = drawn(of, setup, 32, 1.0, 0)
+    assert p.shape == (32, sum(of.sizes))
+    np.testing.assert_array_equal(p[0], np.asarray(of.read(setup)))
+    assert all(np.isfinite(of.divergence(x, x).value) for x in p)
+    names = list(of.names)
+    damping = p[:, names.index("damping[0]")]
+    assert 0.1 / np.e < damping.min() < 0.05 and 0.2 < damping.max() < 0.1 * np.e
+    share, bias = p[:, -1], p[:, -2]
+    assert share.min() < 0.05 and share.max() > 0.95 and np.abs(bias).max() <= 0.01
+    assert len(np.unique(p, axis=0)) == 32
