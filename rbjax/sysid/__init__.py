@@ -3,7 +3,8 @@
 What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
 (`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
-simulated motions (`simulation_error`, `shooting`, `least_squares`); `regress` and `consistent`, by
+simulated motions (`simulation_error`, `shooting`, `least_squares`); `prediction_error`, where noise
+drives the motion, by a filter (`kalman`, `likelihood`); `regress` and `consistent`, by
 torques that are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`),
 with the zeros of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian
 (`rank`), `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`,
@@ -38,6 +39,13 @@ from rbjax.sysid.inertia_metric import (
     pullback_distance,
     pullback_metric,
 )
+from rbjax.sysid.kalman import (
+    KalmanFiltered,
+    Smoothed,
+    StateSpace,
+    kalman_filter,
+    kalman_smoother,
+)
 from rbjax.sysid.log_cholesky import (
     from_log_cholesky,
     inertial_parameters_of,
@@ -50,6 +58,7 @@ from rbjax.sysid.log_cholesky import (
     with_inertial_parameters,
 )
 from rbjax.sysid.monte_carlo import MonteCarlo, monte_carlo
+from rbjax.sysid.prediction_error import Predicted, prediction_error
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.readers import Column, read_csv, read_npz
 from rbjax.sysid.recording import Channel, Recording
@@ -76,6 +85,13 @@ __all__ = [
     # unknowns and simulation
     "identify",
     "Identified",
+    "prediction_error",
+    "Predicted",
+    "StateSpace",
+    "kalman_filter",
+    "KalmanFiltered",
+    "kalman_smoother",
+    "Smoothed",
     "free_run",
     "fit",
     "Fit",

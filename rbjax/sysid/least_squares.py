@@ -104,7 +104,7 @@ def minimise(
             curved = np.linalg.cholesky(D(x, x).curvature)
             size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
             terms = ((w * size, prior), (damping * size, x))
-            trial = _convex(R, x, D, terms)
+            trial = convex_step(R, x, D, terms)
             near = D(trial, x).value <= SMALL
             after = cost(trial)
             linear = R[:, :-1] @ (trial - x) + R[:, -1]
@@ -129,7 +129,7 @@ def minimise(
     return Minimum(x, R, now, count, ended, message)
 
 
-def _convex(
+def convex_step(
     R: np.ndarray,
     x: np.ndarray,
     D: Callable[[np.ndarray, np.ndarray], Divergence],
