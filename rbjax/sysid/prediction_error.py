@@ -164,16 +164,17 @@ def prediction_error(
     Source: Ljung, *System Identification*, 2nd ed., 7.4 and 9.4; Astrom, Automatica 16(5), 1980.
 
     Example:
-        >>> import jax, rbjax as rb, numpy as np
-        >>> from rbjax.sysid import Channel, Recording, Unknown, prediction_error
-        >>> model, rng, t = rb.load("pendulum"), np.random.default_rng(0), np.arange(201) * 0.02
+        >>> import rbjax as rb, numpy as np
+        >>> from rbjax.sysid import Channel, Grid, Recording, Unknown, prediction_error
+        >>> model, rng, t = rb.load("pendulum"), np.random.default_rng(0), np.arange(151) * 0.02
         >>> push = 4 * np.sin(3 * t[:-1])[:, None]
         >>> felt = push + 0.3 * rng.normal(size=push.shape)
-        >>> seen = rb.rollout(model, model.default_state(), felt, 0.02, integrator="rk4")
-        >>> q = seen.q + 1e-3 * rng.normal(size=(201, 1))
-        >>> run = Recording("swing", {"q": Channel(t, q, noise=1e-3), "ctrl": Channel(t[:-1], push)})
-        >>> guess = model.replace(bodies=model.bodies.replace(mass=np.array([1.4])))
-        >>> found = prediction_error(guess, run, {"mass": Unknown("bodies.mass", 0, positive=True)})
+        >>> seen = rb.rollout(model, model.default_state(), felt, 0.02)
+        >>> q = Channel(t, seen.q + 0.001 * rng.normal(size=(151, 1)), noise=[0.001])
+        >>> run = Recording("swing", {"q": q, "ctrl": Channel(t[:-1], push)})
+        >>> guess = model.replace(bodies=model.bodies.replace(mass=np.array([1.4], "float32")))
+        >>> mass = {"mass": Unknown("bodies.mass", 0, positive=True)}
+        >>> found = prediction_error(guess, run, mass, grid=Grid(0.02, 1, "semi_implicit_euler"))
         >>> interval = found.estimates.interval("mass")
         >>> bool(interval.low < 1.0 < interval.high), bool(interval.sigma < 0.05)
         (True, True)
