@@ -31,8 +31,9 @@ from rbjax.sysid.shooting import Shooting
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.unknowns import Unknowns
 from tests.quickly import quick_jit
-from tests.sysid.test_torque_rows import TERMS, run, truth
+from tests.sysid.test_prediction_error import first
 from tests.sysid.test_torque_rows import MODEL as ARM
+from tests.sysid.test_torque_rows import TERMS, run, truth
 
 RELATIVE = 1e-6  # of the largest entry; differences are good to 1e-9
 MODEL = rb.load("double_pendulum")
@@ -222,8 +223,10 @@ def torque_filter() -> Case:
 
 def encoder_zeros() -> Case:
     """Parameters and the zeros of two recordings: the equations of each step are their slopes."""
-    made = [run(name, z, rate=100.0, seconds=3.0, seed=k)
-            for k, (name, z) in enumerate({"a": (0.05, -0.03), "b": (0.0, 0.02)}.items())]  # fmt: skip
+    made = [
+        run("a", (0.05, -0.03), rate=100.0, seconds=3.0),
+        run("b", (0.0, 0.02), rate=100.0, seconds=3.0, seed=1),
+    ]
     how = {"signal_cutoff": 30.0, "joint_terms": TERMS, "smoothing": 0.5}
     rows = [sysid.torque_rows(ARM, r, 4.0, **how) for r in made]
     p, w = len(truth()), 0.05
@@ -342,11 +345,17 @@ def shooting() -> Case:
 
 
 def predicted() -> Case:
+    """-2 log p of the fit that its own tests make, away from its maximum."""
+    found = first()
+    return Case(found.x + 0.1, found.likelihood.cost, triangle=found.likelihood.triangle)
+
+
+def levels() -> Case:
     """Numbers and all three noise levels; the loss is -2 log p, whose triangle is Fisher's."""
     series = series_of(SETUP, [recording("q", "v")], GRID)
-    levels = Levels(np.array([0.5]), np.array([0.02, 0.1]))
+    said = Levels(np.array([0.5]), np.array([0.02, 0.1]))
     of = Likelihood(
-        SETUP, SOUGHT, series, GRID, levels=levels, drives=np.ones(1, bool), reads=np.ones(2, bool)
+        SETUP, SOUGHT, series, GRID, levels=said, drives=np.ones(1, bool), reads=np.ones(2, bool)
     )
     x = np.array([1.2, 0.1, -0.5, -3.8, -2.2])
     return Case(x, of.cost, triangle=of.triangle)
@@ -370,6 +379,7 @@ MOTIONS: dict[str, Callable[[], Case]] = {
     "simulation error, huber, q": functools.partial(simulation, "huber", "q"),
     "simulation error, huber, q and v": functools.partial(simulation, "huber", "q", "v"),
     "shooting": shooting,
+    "prediction error, noise of q and v": levels,
 }
 CASES = QUICK | MOTIONS
 #: whose loss is JAX's
@@ -413,9 +423,9 @@ def test_losses_are_differentiated_compiled_and_batched(name):
 def test_likelihood_by_both_modes_compiled_and_batched():
     """Its gradient is JAX's in reverse mode, too, of many runs at once."""
     series = series_of(SETUP, [recording("q")], GRID)
-    levels = Levels(np.array([0.5]), np.array([0.02]))
+    said = Levels(np.array([0.5]), np.array([0.02]))
     of = Likelihood(
-        SETUP, SOUGHT, series, GRID, levels=levels, drives=np.ones(1, bool), reads=np.zeros(1, bool)
+        SETUP, SOUGHT, series, GRID, levels=said, drives=np.ones(1, bool), reads=np.zeros(1, bool)
     )
     one = jax.tree.map(lambda a: a[0], series)
     x = np.array([1.2, 0.1, -0.5])
