@@ -234,7 +234,7 @@ def _series(setup: Setup, recording: Recording, grid: Grid) -> Series:
             continue
         t = np.asarray(run.times[sensor]) / T
         k = np.rint(t).astype(int)
-        there = np.asarray(np.asarray(run.weights[sensor]) > 0)
+        there: Any = np.asarray(run.weights[sensor]) > 0
         off = np.where(there.any(1), np.abs(t - k), 0.0)
         if off.max() > OFF or len(set(k)) < len(k):
             i = int(off.argmax())
