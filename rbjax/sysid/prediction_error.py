@@ -143,8 +143,9 @@ def prediction_error(
     Args:
         model: the robot with first guesses; a `Setup`; or what `identify` found, to start from.
         recordings: with channels "q", perhaps "v" and "ctrl", whose samples lie at the instants of
-            the grid. A channel that says its noise has it; that of others is found. Say it where
-            it is known: fast sensors tell little of it.
+            the grid. A channel that says its noise has it; that of others is found, and so is
+            that of configurations with attitudes, in rad. Say it where it is known: fast sensors
+            tell little of it.
         unknowns: as for `identify`.
         grid: how motion is integrated; steps of RK4 at the fastest clock if None.
         drive: "torque" or "acceleration": what the noise is, normal, new in each period of the grid
