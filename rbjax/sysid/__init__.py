@@ -10,6 +10,13 @@ the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the z
 `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`, `free_run`,
 `held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose` after it;
 `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
+simulated motions (`simulation_error`, `shooting`, `least_squares`); `prediction_error`, where noise
+drives the motion, by a filter (`kalman`, `likelihood`); `regress` and `consistent`, by
+torques that are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`),
+with the zeros of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian
+(`rank`), `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`,
+`free_run`, `held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose`
+after it; `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -39,6 +46,13 @@ from rbjax.sysid.inertia_metric import (
     pullback_distance,
     pullback_metric,
 )
+from rbjax.sysid.kalman import (
+    KalmanFiltered,
+    Smoothed,
+    StateSpace,
+    kalman_filter,
+    kalman_smoother,
+)
 from rbjax.sysid.log_cholesky import (
     from_log_cholesky,
     inertial_parameters_of,
@@ -52,6 +66,7 @@ from rbjax.sysid.log_cholesky import (
 )
 from rbjax.sysid.many_starts import Basin, ManyStarts, many_starts
 from rbjax.sysid.monte_carlo import MonteCarlo, monte_carlo
+from rbjax.sysid.prediction_error import Predicted, prediction_error
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.readers import Column, read_csv, read_npz
 from rbjax.sysid.recording import Channel, Recording
@@ -84,6 +99,13 @@ __all__ = [
     "Basin",
     "squares",
     "Squares",
+    "prediction_error",
+    "Predicted",
+    "StateSpace",
+    "kalman_filter",
+    "KalmanFiltered",
+    "kalman_smoother",
+    "Smoothed",
     "free_run",
     "fit",
     "Fit",

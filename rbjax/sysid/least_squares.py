@@ -143,7 +143,7 @@ def searching(
             curved = np.linalg.cholesky(D(x, x).curvature)
             size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
             terms = ((w * size, prior), (damping * size, x))
-            trial = _convex(R, x, D, terms)
+            trial = convex_step(R, x, D, terms)
             near = D(trial, x).value <= SMALL
             after = yield from cost(trial)
             linear = R[:, :-1] @ (trial - x) + R[:, -1]
@@ -173,7 +173,7 @@ def searching(
     yield Minimum(x, R, now, count, ended, message)
 
 
-def _convex(
+def convex_step(
     R: np.ndarray,
     x: np.ndarray,
     D: Callable[[np.ndarray, np.ndarray], Divergence],
