@@ -30,7 +30,8 @@ from rbjax.sysid.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.findings import Finding, findings
 from rbjax.sysid.fit import Fit, fit
 from rbjax.sysid.free_run import free_run
-from rbjax.sysid.identify import Identified, identify
+from rbjax.sysid.identified import Identified
+from rbjax.sysid.identify import identify
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
     log_determinant_divergence,

@@ -21,7 +21,8 @@ from scipy import ndimage, optimize
 
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.findings import FAR, hampel
-from rbjax.sysid.identify import FIRST_PULLS, Identified
+from rbjax.sysid.fits import FIRST_PULLS
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.least_squares import minimise
 from rbjax.sysid.mends import Lost, Mend, flip, stretch, swap, without
 from rbjax.sysid.recording import HELD, Recording

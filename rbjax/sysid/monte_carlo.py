@@ -20,7 +20,7 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
-from rbjax.sysid.identify import Identified
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.least_squares import minimise
 from rbjax.sysid.statistics import estimates
 

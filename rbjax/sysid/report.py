@@ -13,7 +13,7 @@ from rbjax.sysid import report_pictures as pictures
 from rbjax.sysid.comparison import HeldOut
 from rbjax.sysid.diagnosis import Diagnosis
 from rbjax.sysid.findings import findings
-from rbjax.sysid.identify import Identified
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.traces import Trace
 from rbjax.sysid.whiteness import Whiteness, whiteness
