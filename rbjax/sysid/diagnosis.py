@@ -238,7 +238,7 @@ class _Bench:
 
     def traces(self, runs: Sequence[Recording], x: np.ndarray) -> Traces:
         of = self.found.error.on(self.batched(runs))
-        return traces(self.model, of, np.append(x, np.zeros(of.size - len(x))), runs)
+        return traces(self.found.setup, of, np.append(x, np.zeros(of.size - len(x))), runs)
 
     def error(self, runs: Sequence[Recording], x: np.ndarray) -> float:
         errors = np.concatenate([*_by_column(self.traces(runs, x)).values()])

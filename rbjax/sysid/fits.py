@@ -17,6 +17,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.progress import Say
+from rbjax.sysid.columns import root_mean_square
 from rbjax.sysid.fit_file import write_fit
 from rbjax.sysid.least_squares import Minimum, minimise
 from rbjax.sysid.recording import Recording
@@ -107,7 +108,7 @@ class Fits:
 
     def _fitted(self, of: SimulationError, x: np.ndarray) -> Fitted:
         least = self._fit(of, x)
-        return Fitted(of, least, traces(self.setup.model, of, least.x, self.recordings))
+        return Fitted(of, least, traces(self.setup, of, least.x, self.recordings))
 
     def _fit(
         self, of: SimulationError | Shooting, x: np.ndarray, *, last: bool = True, **how: Any
@@ -141,7 +142,10 @@ def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
         r, spread = together(seen, sensor), np.asarray(data.values[sensor]).std(axis=(0, 1))
         if (~np.isnan(r)).sum(0).max() <= len(runs):  # only the starts, which are no measurement
             continue
-        sigma = NORMAL * np.nanmedian(np.abs(r), 0) if robust else np.sqrt(np.nanmean(r**2, 0))
+        unseen = np.isnan(r).all(0)
+        r = np.where(unseen, 1.0, r)
+        sigma = NORMAL * np.nanmedian(np.abs(r), 0) if robust else root_mean_square(r)
+        sigma = next(iter(seen.values()))[sensor].columns.noise(sigma)
         if not (sigma > NOISELESS * spread).all():
             return None
         weights[sensor] = jnp.asarray((np.asarray(weights[sensor]) > 0) / sigma)

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from rbjax.errors import UnknownName
 from rbjax.model import Model
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_file import write_fit
 from rbjax.sysid.free_run import free_run
 from rbjax.sysid.rank import Combinations
-from rbjax.sysid.recording import Recording
+from rbjax.sysid.recording import HELD, Recording
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates
@@ -71,18 +72,50 @@ class Identified:
         """Other recordings beside what is simulated from their own first samples, or with `starts`
         from the first states that suit them best (`free_run`). None: as the fit did."""
         starts = self.error.own > 0 if starts is None else starts
-        noise = {sensor: np.where(rms > 0, rms, 1.0) for sensor, rms in self.rms.items()}
+        columns = {sensor: self.setup.columns(sensor) for sensor in self.rms}
+        sigma = {sensor: columns[sensor].noise(rms) for sensor, rms in self.rms.items()}
+        noise = {sensor: np.where(rms > 0, rms, 1.0) for sensor, rms in sigma.items()}
         return free_run(self.setup, recordings, grid=self.grid, starts=starts, noise=noise)
 
-    def on(self, recordings: Sequence[Recording], *, starts: bool | None = None) -> HeldOut:
-        """The verdict on recordings that the fit never saw, simulated as `simulated` does.
+    @property
+    def judged(self) -> str:
+        """The sensor by whose error the fit is judged: "q", or where only its start was recorded
+        the first that was."""
+        sensors = next(iter(self.traces.values()))
+        return next((s for s in ("q", *sensors) if sensors[s].measured), "q")
+
+    @property
+    def unmoved(self) -> tuple[str, ...]:
+        """Sensors whose readings no unknown moves: they say nothing of what is sought."""
+        return self.error.unmoved(self.estimates.values)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Channels that were recorded and not fitted, as the set-up has no such sensor."""
+        recorded = dict.fromkeys(channel for run in self.recordings for channel in run)
+        return tuple(s for s in recorded if s not in self.error.runs.values and s != HELD)
+
+    def on(
+        self,
+        recordings: Sequence[Recording],
+        *,
+        starts: bool | None = None,
+        sensor: str | None = None,
+    ) -> HeldOut:
+        """The verdict on recordings that the fit never saw, simulated as `simulated` does, by the
+        error of a sensor (None: `judged`).
 
         Raises:
             InputError: a recording that was fitted.
+            UnknownName: a sensor that was not fitted.
         """
+        sensor = self.judged if sensor is None else sensor
+        if sensor not in self.rms:
+            raise UnknownName("sensor", sensor, self.rms)
         seen, unseen = self.traces, self.simulated(recordings, starts=starts)
         return held_out(
-            {name: sensors["q"].residual for name, sensors in seen.items()},
-            {name: sensors["q"].residual for name, sensors in unseen.items()},
-            measured={name: sensors["q"].recorded for name, sensors in unseen.items()},
+            {name: sensors[sensor].residual for name, sensors in seen.items()},
+            {name: sensors[sensor].residual for name, sensors in unseen.items()},
+            measured={name: sensors[sensor].recorded for name, sensors in unseen.items()},
+            unit=self.setup.unit(sensor),
         )

@@ -48,8 +48,9 @@ def identify(
     Args:
         model: the robot with first guesses; or a `Setup`, where sensors, a controller or a delay
             are part of what is simulated.
-        recordings: with channels "q", perhaps "v" and "ctrl"; each is simulated from its first
-            sample.
+        recordings: with channels "q", perhaps "v", "ctrl" and those of the set-up's other sensors
+            (`Setup.with_sensors`), each on its own clock; each recording is simulated from its
+            first sample of "q" and "v", whose other samples may be missing.
         unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
         grid: how motion is integrated; steps of RK4 at the clock of the commands (of "q" without
             them) if None.

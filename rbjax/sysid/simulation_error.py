@@ -15,11 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.manifold import difference, integrate
+from rbjax.dynamics.manifold import integrate
 from rbjax.model import State
 from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.runs import Run
-from rbjax.sysid.simulation import Grid, Setup, motion, reading
+from rbjax.sysid.simulation import Grid, Path, Setup, motion, reading
 from rbjax.sysid.unknowns import Unknowns
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
@@ -37,13 +37,13 @@ class SimulationError:
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
         starts: bool = False, loss: str = "squares",
     ):  # fmt: skip
-        self.unknowns, self.runs, self.loss = unknowns, runs, loss
+        self.setup, self.unknowns, self.runs, self.loss = setup, unknowns, runs, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
         self.own = 2 * setup.model.nv if starts else 0
         n, l = self.shared, self.own
 
-        def path(x: jax.Array, run: Run) -> tuple[Setup, State]:
+        def path(x: jax.Array, run: Run) -> tuple[Setup, Path]:
             """The set-up with the numbers, and its motion."""
             p, s = x[:n], x[n:]
             made = functools.partial(unknowns.write, setup)
@@ -54,21 +54,16 @@ class SimulationError:
                 start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
             return now, motion(made, p, start, run.commands, grid)
 
-        def read(now: Setup, path: State, run: Run) -> dict[str, jax.Array]:
+        def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
             return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
 
-        def compared(now: Setup, path: State, run: Run) -> jax.Array:
+        def compared(now: Setup, path: Path, run: Run) -> jax.Array:
             """The residual of one run."""
             parts = []
             for kind, seen in read(now, path, run).items():
-                off = seen - run.values[kind]
-                if kind == "q":
-                    minus = functools.partial(difference, setup.model)
-                    off = jax.vmap(minus)(run.values[kind], seen)
-                weights = run.weights[kind]
-                if off.shape != weights.shape:  # attitudes: all of a sample or nothing
-                    weights = jnp.broadcast_to(weights.min(-1, keepdims=True), off.shape)
-                parts.append((weights * off).ravel())
+                columns = setup.columns(kind)
+                off = jax.vmap(columns.minus)(seen, run.values[kind])
+                parts.append((columns.weights(run.weights[kind]) * off).ravel())
             r = jnp.concatenate(parts)
             if loss == "huber":
                 size = jnp.maximum(jnp.abs(r), HUBER)
@@ -121,9 +116,27 @@ class SimulationError:
         """(runs, rows)"""
         return np.asarray(self._residuals(self.by_run(x), self.runs))
 
+    def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """r (runs, rows) and J (runs, rows, n + l), the sensors' rows in the order of their
+        names."""
+        r, J = self._slopes(self.by_run(x), self.runs)
+        return np.asarray(r), np.asarray(J)
+
+    def unmoved(self, x: np.ndarray) -> tuple[str, ...]:
+        """The sensors that no unknown moves."""
+        J = np.abs(self.slopes(x)[1][:, :, : self.shared])
+        found, at = [], 0
+        for sensor in sorted(self.runs.values):
+            T, n = self.runs.values[sensor].shape[1:]
+            rows = T * (n - len(self.setup.columns(sensor).turns))
+            if not J[:, at : at + rows].max() > 1e-12 * J.max():
+                found.append(sensor)
+            at += rows
+        return tuple(found)
+
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        r, J = (np.asarray(a) for a in self._slopes(self.by_run(x), self.runs))
+        r, J = self.slopes(x)
         p, l = self.shared, self.own
         if not l:
             return triangle_of(np.concatenate([J.reshape(-1, p), r.reshape(-1, 1)], 1))
