@@ -5,10 +5,11 @@ filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`,
 (`unknowns`) of a `Model` or a `Setup` (`simulation`), whose sensors are `readings`. How it is
 found: `identify`, by the error of simulated motions (`simulation_error`, `shooting`,
 `least_squares`); `regress` and `consistent`, by torques that are linear in the parameters
-(`regressor`, `torque_rows`, `equations`, `balances`), with the zeros of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian
-(`rank`), `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`,
-`free_run`, `held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose`
-after it; `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
+(`regressor`, `torque_rows`, `equations`, `balances`), with the zeros of encoders
+(`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
+`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`, `free_run`,
+`held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose` after it;
+`report` shows all. What to measure next: `design` (`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (

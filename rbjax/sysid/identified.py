@@ -87,7 +87,9 @@ class Identified:
     @property
     def unmoved(self) -> tuple[str, ...]:
         """Sensors whose readings no unknown moves: they say nothing of what is sought."""
-        return self.error.unmoved(self.estimates.values)
+        still = self.error.unmoved(self.estimates.values)
+        seen = self.traces.values()
+        return tuple(s for s in still if any(sensors[s].measured for sensors in seen))
 
     @property
     def left_out(self) -> tuple[str, ...]:

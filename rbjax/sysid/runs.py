@@ -55,12 +55,14 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
             f"identify: recording {run.name} lasts {end - start:g} s, expected at least a period "
             f"of {grid.period:g} s"
         )
+    # what shows forces at the last instant sees the command that begins there
+    periods = count if {*measured} <= {"q", "v"} else count + 1
     if "ctrl" in run.channels:
-        instants = start + grid.period * (np.arange(count) + 1e-6)  # after the command has changed
+        instants = start + grid.period * (np.arange(periods) + 1e-6)  # after a command has changed
         held = np.searchsorted(run["ctrl"].t, instants, side="right") - 1
         commands = run["ctrl"].values[held]
     else:
-        commands = np.zeros((count, model.nu))
+        commands = np.zeros((periods, model.nu))
     times, values, weights = {}, {}, {}
     for sensor in measured:
         channel = run[sensor]

@@ -142,8 +142,8 @@ class Path(NamedTuple):
 def motion(
     made: Callable[[jax.Array], Setup], p: jax.Array, start: State, commands: jax.Array, grid: Grid
 ) -> Path:
-    """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay known, which the program needs to be
-    fast."""
+    """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay
+    known, which the program needs to be fast."""
     run = threads(lambda p, start, commands: _motion(made(p), start, commands, grid))
     return run(p, start, commands)
 
