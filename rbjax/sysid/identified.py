@@ -80,9 +80,12 @@ class Identified:
     @property
     def judged(self) -> str:
         """The sensor by whose error the fit is judged: "q", or where only its start was recorded
-        the first that was."""
+        the first that was and that an unknown moves."""
         sensors = next(iter(self.traces.values()))
-        return next((s for s in ("q", *sensors) if sensors[s].measured), "q")
+        if sensors["q"].measured:
+            return "q"
+        still = self.unmoved
+        return next((s for s in sensors if sensors[s].measured and s not in still), "q")
 
     @property
     def unmoved(self) -> tuple[str, ...]:
