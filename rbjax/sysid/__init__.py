@@ -2,21 +2,16 @@
 
 What was measured: `Recording`, of `Channel`s (`recording`, `readers`, `findings`, `splits`),
 filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`, `Shared`, ...
-(`unknowns`) of a `Model` or a `Setup` (`simulation`). How it is found: `identify`, by the error of
-simulated motions (`simulation_error`, `shooting`, `least_squares`), or by `many_starts` where that
-has many minima; its gradient, `squares`; `regress` and `consistent`, by torques that are linear in
-the parameters (`regressor`, `torque_rows`, `equations`, `balances`), with the zeros of encoders
-(`encoder_zeros`). What the data can show: `combinations` of any Jacobian (`rank`),
-`base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`, `free_run`,
-`held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose` after it;
-`report` shows all. What to measure next: `design` (`excitation`, `experiments`).
-simulated motions (`simulation_error`, `shooting`, `least_squares`); `prediction_error`, where noise
-drives the motion, by a filter (`kalman`, `likelihood`); `regress` and `consistent`, by
-torques that are linear in the parameters (`regressor`, `torque_rows`, `equations`, `balances`),
-with the zeros of encoders (`encoder_zeros`). What the data can show: `combinations` of any Jacobian
-(`rank`), `base_parameters`. What they do show: `estimates`, `whiteness`, `compare`, `select`,
-`free_run`, `held_out`, `monte_carlo`. What is wrong with them: `findings` before a fit, `diagnose`
-after it; `report` shows all. What to measure next: `design` (`excitation`, `experiments`).
+(`unknowns`) of a `Model` or a `Setup` (`simulation`), whose sensors are `readings`. How it is
+found: `identify`, by the error of simulated motions (`simulation_error`, `shooting`,
+`least_squares`), or by `many_starts` where that has many minima; its gradient, `squares`;
+`prediction_error`, where noise drives the motion, by a filter (`kalman`, `likelihood`); `regress`
+and `consistent`, by torques that are linear in the parameters (`regressor`, `torque_rows`,
+`equations`, `balances`), with the zeros of encoders (`encoder_zeros`). What the data can show:
+`combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
+`whiteness`, `compare`, `select`, `free_run`, `held_out`, `monte_carlo`. What is wrong with them:
+`findings` before a fit, `diagnose` after it; `report` shows all. What to measure next: `design`
+(`excitation`, `experiments`).
 """
 
 from rbjax.sysid.balances import (
@@ -27,6 +22,7 @@ from rbjax.sysid.balances import (
 )
 from rbjax.sysid.base_parameters import base_parameters, random_motions
 from rbjax.sysid.channel_noise import ChannelNoise, noise_by_channel
+from rbjax.sysid.columns import Columns
 from rbjax.sysid.comparison import Comparison, HeldOut, Scored, compare, held_out
 from rbjax.sysid.consistent import Consistent, consistent
 from rbjax.sysid.diagnosis import Cause, Diagnosis, diagnose
@@ -38,7 +34,8 @@ from rbjax.sysid.filtering import Filtered, differentiate, low_pass
 from rbjax.sysid.findings import Finding, findings
 from rbjax.sysid.fit import Fit, fit
 from rbjax.sysid.free_run import free_run
-from rbjax.sysid.identify import Identified, identify
+from rbjax.sysid.identified import Identified
+from rbjax.sysid.identify import identify
 from rbjax.sysid.inertia_metric import (
     affine_invariant_distance,
     log_determinant_divergence,
@@ -69,6 +66,20 @@ from rbjax.sysid.monte_carlo import MonteCarlo, monte_carlo
 from rbjax.sysid.prediction_error import Predicted, prediction_error
 from rbjax.sysid.rank import Combinations, combinations
 from rbjax.sysid.readers import Column, read_csv, read_npz
+from rbjax.sysid.readings import (
+    Accelerations,
+    Accelerometer,
+    Currents,
+    Gyro,
+    Moment,
+    Pose,
+    Position,
+    Positions,
+    Reading,
+    Reads,
+    Torques,
+    Velocities,
+)
 from rbjax.sysid.recording import Channel, Recording
 from rbjax.sysid.regression import METHODS, Regression, regress
 from rbjax.sysid.regressor import (
@@ -117,6 +128,19 @@ __all__ = [
     "Derived",
     "Setup",
     "Sensor",
+    "Reading",
+    "Reads",
+    "Moment",
+    "Columns",
+    "Positions",
+    "Velocities",
+    "Accelerations",
+    "Torques",
+    "Currents",
+    "Pose",
+    "Position",
+    "Gyro",
+    "Accelerometer",
     "PD",
     "Grid",
     # recordings

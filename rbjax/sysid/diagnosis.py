@@ -21,7 +21,8 @@ from scipy import ndimage, optimize
 
 from rbjax.progress import Say, progress_line
 from rbjax.sysid.findings import FAR, hampel
-from rbjax.sysid.identify import FIRST_PULLS, Identified
+from rbjax.sysid.fits import FIRST_PULLS
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.least_squares import minimise
 from rbjax.sysid.mends import Lost, Mend, flip, stretch, swap, without
 from rbjax.sysid.recording import HELD, Recording
@@ -237,7 +238,7 @@ class _Bench:
 
     def traces(self, runs: Sequence[Recording], x: np.ndarray) -> Traces:
         of = self.found.error.on(self.batched(runs))
-        return traces(self.model, of, np.append(x, np.zeros(of.size - len(x))), runs)
+        return traces(self.found.setup, of, np.append(x, np.zeros(of.size - len(x))), runs)
 
     def error(self, runs: Sequence[Recording], x: np.ndarray) -> float:
         errors = np.concatenate([*_by_column(self.traces(runs, x)).values()])

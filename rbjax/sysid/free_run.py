@@ -57,4 +57,4 @@ def free_run(
         data = data._replace(weights=weights)
     of = SimulationError(setup, Unknowns({}, (), ()), data, grid, starts=starts)
     x = minimise(of, np.zeros(of.size)).x if starts else np.zeros(0)
-    return traces(setup.model, of, x, recordings)
+    return traces(setup, of, x, recordings)

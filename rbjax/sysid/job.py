@@ -26,7 +26,8 @@ from rbjax.loading import load, scenes, write_back, write_mjcf
 from rbjax.model import Model
 from rbjax.sysid.comparison import HeldOut
 from rbjax.sysid.diagnosis import Diagnosis, diagnose
-from rbjax.sysid.identify import Identified, identify
+from rbjax.sysid.identified import Identified
+from rbjax.sysid.identify import identify
 from rbjax.sysid.readers import Column, read_csv, read_npz
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.report import report

@@ -19,7 +19,8 @@ from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.guesses import drawn
-from rbjax.sysid.identify import Identified, identify
+from rbjax.sysid.identified import Identified
+from rbjax.sysid.identify import identify
 from rbjax.sysid.least_squares import Asked, Minimum, searching, sum_of_squares
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import batch_of, grid_of

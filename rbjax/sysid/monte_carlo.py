@@ -8,19 +8,17 @@ approximation. Intervals hold if a share `level` of those of the repetitions con
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.manifold import integrate
 from rbjax.errors import InputError
-from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
-from rbjax.sysid.identify import Identified
+from rbjax.sysid.columns import Columns
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.least_squares import minimise
 from rbjax.sysid.statistics import estimates
 
@@ -125,7 +123,10 @@ def monte_carlo(
     with progress_line("monte_carlo", progress) as say:
         for k in range(repetitions):
             say(f"{k} of {repetitions} repetitions")
-            noisy = {s: _noisy(found.model, s, x, of.runs.weights[s], rng) for s, x in read.items()}
+            noisy = {
+                s: _noisy(found.setup.columns(s), x, of.runs.weights[s], rng)
+                for s, x in read.items()
+            }
             least = minimise(of.on(of.runs._replace(values=noisy)), truth, guess)
             failed += not least.ok
             one = estimates(
@@ -143,12 +144,11 @@ def monte_carlo(
 
 
 def _noisy(
-    model: Model, sensor: str, reading: jax.Array, weights: jax.Array, rng: np.random.Generator
+    columns: Columns, reading: jax.Array, weights: jax.Array, rng: np.random.Generator
 ) -> jax.Array:
     """With noise of 1 / weights, where something was measured."""
+    weights = columns.weights(weights)
     sigma = np.where(weights > 0, 1 / np.where(weights > 0, weights, 1.0), 0.0)
-    if sensor == "q" and model.nq != model.nv:  # attitudes: all of a sample or nothing
-        sigma = np.broadcast_to(sigma.max(-1, keepdims=True), (*sigma.shape[:-1], model.nv))
-        move = jax.vmap(jax.vmap(functools.partial(integrate, model)))
-        return move(reading, jnp.asarray(sigma * rng.normal(size=sigma.shape)))
-    return reading + jnp.asarray(sigma * rng.normal(size=sigma.shape))
+    return jax.vmap(jax.vmap(columns.plus))(
+        reading, jnp.asarray(sigma * rng.normal(size=sigma.shape))
+    )

@@ -25,7 +25,7 @@ from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
-from rbjax.sysid.identify import Identified
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.sysid.least_squares import Minimum, convex_step, shown
 from rbjax.sysid.likelihood import DRIVES, Levels, Likelihood, Series, series_of

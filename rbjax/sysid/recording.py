@@ -5,8 +5,9 @@ run at different rates, clocks are irregular, samples are missing. A sample that
 NaN in `values`, and only there: what is computed from a channel leaves it out.
 A `Recording` holds the channels of one run by sensor:
     q v a tau     of the joints: rad, rad/s, rad/s^2, N m (of slides m, m/s, m/s^2, N)
+    current       of the motors of the joints, A
     ctrl          commands, which hold until the next one
-    pose:BODY     position in m and quaternion (w, x, y, z), in the world
+    pose:NAME     of a body or a site: position in m and quaternion (w, x, y, z), in the world
     position:SITE, gyro:SITE, accelerometer:SITE, force:SITE, torque:SITE    3 numbers each
     other:NAME    anything else
 """
@@ -27,7 +28,7 @@ from rbjax.model import Model
 from rbjax.sysid.units import in_si
 
 #: sensors of the joints -> what the model says of their number
-JOINT_SENSORS = {"q": "nq", "v": "nv", "a": "nv", "tau": "nv", "ctrl": "nu"}
+JOINT_SENSORS = {"q": "nq", "v": "nv", "a": "nv", "tau": "nv", "current": "nv", "ctrl": "nu"}
 #: sensors of a body or a site -> number of columns
 PLACED_SENSORS = {"pose": 7, "position": 3, "gyro": 3, "accelerometer": 3, "force": 3, "torque": 3}
 HELD = "ctrl"
@@ -44,7 +45,8 @@ class Channel:
         unit: of the values, one or one a column (`in_si`); the arrays are held in SI.
         scale: a further factor, one or one a column: a torque constant in N m/A, a gear.
         sign: 1 or -1, one or one a column: -1 where the sensor counts the other way.
-        noise: (columns,) standard deviation in SI, where it is known.
+        noise: (columns,) standard deviation in SI, where it is known; in the columns of a
+            quaternion that of the rotation, in rad.
         dropped: (samples,) or (samples, columns), true for a sample that did not arrive; or "nan":
             those that are NaN.
 
@@ -217,8 +219,9 @@ class Recording:
                         f"({', '.join(channel.names)}), expected {size} (the model's {due}), or "
                         f"columns named after: {', '.join(named)}"
                     )
-            elif kind == "pose" and where not in model.body_names:
-                raise UnknownName(f"body of channel {sensor}", where, model.body_names)
+            elif kind == "pose" and where not in (*model.body_names, *model.site_names):
+                known = [*model.body_names, *model.site_names]
+                raise UnknownName(f"body or site of channel {sensor}", where, known)
             elif kind not in ("pose", "other") and where not in model.site_names:
                 raise UnknownName(f"site of channel {sensor}", where, model.site_names)
 

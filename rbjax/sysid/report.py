@@ -13,7 +13,7 @@ from rbjax.sysid import report_pictures as pictures
 from rbjax.sysid.comparison import HeldOut
 from rbjax.sysid.diagnosis import Diagnosis
 from rbjax.sysid.findings import findings
-from rbjax.sysid.identify import Identified
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.traces import Trace
 from rbjax.sysid.whiteness import Whiteness, whiteness
@@ -89,7 +89,11 @@ def _summary(found: Identified) -> list[str]:
     ]
     for sensor, rms in found.rms.items():
         if any(sensors[sensor].measured for sensors in found.traces.values()):
-            rows.append((f"error of {sensor}, RMS", f"{_span(rms)} {_unit(sensor)}"))
+            rows.append((f"error of {sensor}, RMS", f"{_span(rms)} {found.setup.unit(sensor)}"))
+    if found.unmoved:
+        rows.append(("sensors that no unknown moves", ", ".join(found.unmoved)))
+    if found.left_out:
+        rows.append(("channels that were not fitted", ", ".join(found.left_out)))
     return [element("h2", "Summary"), table(("", ""), rows)]
 
 
@@ -112,19 +116,20 @@ def _fit(found: Identified) -> list[str]:
 
 def _residuals(found: Identified) -> list[str]:
     name = _worst(found)[0]
-    trace = found.traces[name]["q"]
+    judged = found.judged
+    trace = found.traces[name][judged]
     body = [
         element("h2", "Residuals"),
         picture(
-            pictures.residuals(trace, "q"),
-            f"{name}: simulated less recorded q; and its correlation with itself, which stays "
-            "within the band if it is white",
+            pictures.residuals(trace, judged),
+            f"{name}: simulated less recorded {judged}; and its correlation with itself, which "
+            "stays within the band if it is white",
         ),
     ]
     rows = []
     for run, sensors in found.traces.items():
-        for column, test in _tests(sensors["q"]).items():
-            rms = np.sqrt(np.nanmean(column_of(sensors["q"], column) ** 2))
+        for column, test in _tests(sensors[judged]).items():
+            rms = np.sqrt(np.nanmean(column_of(sensors[judged], column) ** 2))
             rows.append((run, column, f"{rms:.3g}", _capital(test.sentence)))
     return [*body, table(("recording", "column", "RMS", "whiteness"), rows)]
 
@@ -175,12 +180,15 @@ def _shown(found: Identified) -> list[str]:
 
 def _held_out(found: Identified, verdict: HeldOut, unseen: Sequence[Recording]) -> list[str]:
     worst = max(verdict.by_recording, key=lambda name: verdict.by_recording[name])
-    trace = found.simulated([run for run in unseen if run.name == worst])[worst]["q"]
+    trace = found.simulated([run for run in unseen if run.name == worst])[worst][found.judged]
     return [
         element("h2", "Recordings that the fit never saw"),
         element("p", _capital(verdict.sentence) + "."),
         table(("recording", "RMS"), [(n, f"{x:.3g}") for n, x in verdict.by_recording.items()]),
-        picture(pictures.fit(trace, "q"), f"{worst}: q, recorded (dots) and simulated (line)"),
+        picture(
+            pictures.fit(trace, found.judged),
+            f"{worst}: {found.judged}, recorded (dots) and simulated (line)",
+        ),
     ]
 
 
@@ -193,17 +201,14 @@ def _data(found: Identified) -> list[str]:
 
 def _worst(found: Identified) -> list[str]:
     """Recordings, the largest error first."""
-    rms = {n: np.nanmean(sensors["q"].residual ** 2) for n, sensors in found.traces.items()}
+    traces = {name: sensors[found.judged] for name, sensors in found.traces.items()}
+    rms = {name: np.nanmean(trace.residual**2) for name, trace in traces.items()}
     return sorted(rms, key=lambda name: -rms[name])
 
 
 def _span(rms: np.ndarray) -> str:
-    low, high = np.min(rms), np.max(rms)
+    low, high = np.nanmin(rms), np.nanmax(rms)
     return f"{high:.3g}" if len(rms) == 1 else f"{low:.3g} to {high:.3g}"
-
-
-def _unit(sensor: str) -> str:
-    return {"q": "rad or m", "v": "rad/s or m/s"}.get(sensor, "")
 
 
 def _capital(sentence: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.style import BLUE, INK, ORANGE, RED, STYLE
-from rbjax.sysid.identify import Identified
+from rbjax.sysid.identified import Identified
 from rbjax.sysid.traces import Trace
 from rbjax.sysid.whiteness import whiteness
 

@@ -16,11 +16,8 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
-from rbjax.sysid.recording import HELD, Channel, Recording
+from rbjax.sysid.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
-
-#: sensors that a simulation reads, in the order of their rows
-SENSORS = ("q", "v")
 
 
 class Run(NamedTuple):
@@ -39,28 +36,33 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation."""
     model, dtype = setup.model, setup.model.gravity.dtype
     run = ordered(model, run)
-    measured = [s for s in SENSORS if s in run.channels]
+    measured = [s for s in setup.sensors if s in run.channels]
     if "q" not in measured:
         raise InputError(
             f"identify: recording {run.name} has channels {', '.join(run)}, expected q among them: "
             "a simulation starts from a configuration"
         )
-    start = run.start
+    _check_columns(setup, run, measured)
+    channels = {s: run[s] for s in (*measured, HELD) if s in run.channels}
+    start = max(float(c.t[0]) for c in channels.values())
+    later = run["q"].t[run["q"].t >= start - 1e-9]
+    start = max(start, float(later[0])) if len(later) else start
     # the last command holds for one more step of its channel
-    ends = {s: c.t[-1] + (c.step if s == HELD else 0.0) for s, c in run.channels.items()}
-    end = min(ends.values())
+    end = min(c.t[-1] + (c.step if s == HELD else 0.0) for s, c in channels.items())
     count = int((end - start) / grid.period + 1e-6)
     if count < 1:
         raise InputError(
             f"identify: recording {run.name} lasts {end - start:g} s, expected at least a period "
             f"of {grid.period:g} s"
         )
+    # what shows forces at the last instant sees the command that begins there
+    periods = count if {*measured} <= {"q", "v"} else count + 1
     if "ctrl" in run.channels:
-        instants = start + grid.period * (np.arange(count) + 1e-6)  # after the command has changed
+        instants = start + grid.period * (np.arange(periods) + 1e-6)  # after a command has changed
         held = np.searchsorted(run["ctrl"].t, instants, side="right") - 1
         commands = run["ctrl"].values[held]
     else:
-        commands = np.zeros((count, model.nu))
+        commands = np.zeros((periods, model.nu))
     times, values, weights = {}, {}, {}
     for sensor in measured:
         channel = run[sensor]
@@ -81,14 +83,13 @@ def ordered(model: Model, run: Recording) -> Recording:
     """The recording with the columns of joints and actuators in the order of the model."""
     run.check_model(model)
     channels = dict(run.channels)
-    for sensor, size, names in (
-        ("q", model.nq, model.joint_names),
-        ("v", model.nv, model.joint_names),
-        ("ctrl", model.nu, model.actuator_names),
-    ):
+    for sensor, due in JOINT_SENSORS.items():
         if sensor not in channels:
             continue
-        channel = channels[sensor]
+        channel, size = channels[sensor], getattr(model, due)
+        names = model.actuator_names if sensor == HELD else model.joint_names
+        if len(channel.names) != size and sensor not in (HELD, "q"):
+            channel = channels[sensor] = _among_all(model, channel)
         if len(channel.names) != size:
             raise InputError(
                 f"identify: channel {sensor} of recording {run.name} has {len(channel.names)} "
@@ -102,6 +103,32 @@ def ordered(model: Model, run: Recording) -> Recording:
                 channel.t, channel.values[:, order], tuple(names), noise=noise, dropped="nan"
             )
     return dataclasses.replace(run, channels=channels)
+
+
+def _among_all(model: Model, channel: Channel) -> Channel:
+    """The channel of some joints as one of all velocity coordinates, the others not measured."""
+    slices = [model.v_slice(name) for name in channel.names]
+    if any(at.stop - at.start != 1 for at in slices):
+        return channel
+    values = np.full((len(channel.t), model.nv), np.nan)
+    noise = None if channel.noise is None else np.ones(model.nv)
+    for k, at in enumerate(slices):
+        values[:, at.start] = channel.values[:, k]
+        if noise is not None:
+            noise[at.start] = channel.noise[k]
+    each = len(model.joint_names) == model.nv
+    names = tuple(model.joint_names) if each else None
+    return Channel(channel.t, values, names, noise=noise, dropped="nan")
+
+
+def _check_columns(setup: Setup, run: Recording, measured: Sequence[str]) -> None:
+    for sensor in measured:
+        due, got = setup.columns(sensor).size, len(run[sensor].names)
+        if got != due:
+            raise InputError(
+                f"identify: channel {sensor} of recording {run.name} has {got} columns, expected "
+                f"{due}, as the set-up reads"
+            )
 
 
 def _start(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
@@ -136,8 +163,8 @@ def batch(runs: Sequence[Run]) -> Run:
     sensors = {tuple(sorted(e.values)) for e in runs}
     if len(sensors) > 1:
         raise InputError(
-            f"identify: the recordings have channels {sorted(sensors)}, expected the same of "
-            "q and v in all; leave out what only some have"
+            f"identify: the recordings have channels {sorted(sensors)}, expected the same in all; "
+            "leave out what only some have"
         )
 
     def stacked(arrays: Sequence[Any], last: bool) -> Any:

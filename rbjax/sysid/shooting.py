@@ -44,7 +44,7 @@ def programs(
     model, one = setup.model, kept(pieces_programs, setup, unknowns, grid, own, loss)
     last_ones, next_ones = np.array(before, int), np.array(before, int) + 1
 
-    def pick(states: State, which: Any) -> State:
+    def pick(states: Any, which: Any) -> Any:
         return jax.tree.map(lambda a: a[which], states)
 
     def ends(x: jax.Array, run: Run) -> tuple[jax.Array, State, State]:
@@ -189,6 +189,11 @@ def _near(model: Model, run: Run, t: float, seconds: float) -> State:
     hardly recorded is the slope of q over a tenth of a piece."""
     clock, there = np.asarray(run.times["q"]), np.asarray(run.weights["q"] > 0).all(1)
     q, at = run.values["q"][there], clock[there]
+    if len(at) < 2:
+        raise InputError(
+            f"identify: shooting, with {len(at)} samples of q expected at least 2: pieces begin "
+            "near what was recorded; use shooting=None, or record q"
+        )
     i = int(np.abs(at - t).argmin())
     near = np.flatnonzero(np.abs(at - t) <= 0.05 * seconds)
     a, b = (near[0], near[-1]) if len(near) > 1 else (max(i - 1, 0), min(i + 1, len(at) - 1))

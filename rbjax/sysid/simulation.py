@@ -1,18 +1,20 @@
 """What a recording would have read: the motion of a set-up under its commands, and its sensors.
 
     u_k = controller(t_k, readings_k, command_k)   acts from t_k + delay to t_(k+1) + delay
-    x'  = f(model, x, u),     reading(t) = scale * x(t - delay) + bias
+    x'  = f(model, x, u),     reading(t) = scale * h(t - delay, x, u) + bias
 Commands come with a period and are held. A delay of any length is continuous and differentiable:
 the period in which a command takes over is integrated in two parts. Between two instants of the
-grid the motion is a cubic through both states (Hermite).
+grid the motion is a cubic through both states (Hermite); states of force elements are linear
+between them. What h is for each sensor, `readings` says.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -20,6 +22,8 @@ from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import step
+from rbjax.sysid.columns import Columns
+from rbjax.sysid.readings import Moment, Reading, reading_of
 from rbjax.threads import threads
 
 #: (t, reading, command (n,)) -> ctrl (nu,), called once for each command
@@ -53,8 +57,9 @@ class PD(Record):
 class Setup(Record):
     """All of an experiment that has numbers, so all that can be unknown.
 
-    Fields: model; sensors, by what they read: "q" (nq channels), "v" (nv); controller, None where
-    commands are the controls; delay of the controls in s, None for none.
+    Fields: model; sensors by name: "q" (nq channels), "v" (nv), and those of `with_sensors`;
+    controller, None where commands are the controls; delay of the controls in s, None for none;
+    readings, what sensors read whose names do not say it.
 
     Example:
         >>> import rbjax as rb
@@ -67,12 +72,52 @@ class Setup(Record):
     sensors: dict[str, Sensor]
     controller: Any = None
     delay: Any = None
+    readings: dict[str, Any] = eqx.field(default_factory=dict)
 
     @classmethod
     def of(cls, model: Model, controller: Controller | None = None, delay: Any = None) -> Setup:
         """With ideal sensors."""
         sensors = {"q": Sensor.ideal(model.nq), "v": Sensor.ideal(model.nv)}
         return cls(model, sensors, controller, None if delay is None else jnp.asarray(delay))
+
+    def with_sensors(self, *added: str | Mapping[str, Reading]) -> Setup:
+        """The set-up with more ideal sensors, each on its own clock; bias, scale and delay are
+        leaves, which can be unknown: `Unknown("sensors.gyro:imu.bias")`.
+
+        Args:
+            added: names of sensors: "a", "tau", "pose:BODY", "pose:SITE", "position:SITE",
+                "gyro:SITE", "accelerometer:SITE"; or a dict name -> `Reading` of others, such as
+                {"current": Currents(constant)}, {"other:height": Reads(...)}.
+
+        Raises:
+            UnknownName: a sensor, body or site that is not known.
+
+        Example:
+            >>> import rbjax as rb
+            >>> arm = rb.sysid.Setup.of(rb.load("arm7"))
+            >>> arm.with_sensors("gyro:tool", "position:tool").sensors["gyro:tool"].bias.shape
+            (3,)
+        """
+        readings = dict(self.readings)
+        sensors = dict(self.sensors)
+        for one in added:
+            given = {one: reading_of(one)} if isinstance(one, str) else dict(one)
+            readings |= {} if isinstance(one, str) else given
+            for name, reads in given.items():
+                sensors[name] = Sensor.ideal(reads.columns(self.model).size)
+        return Setup(self.model, sensors, self.controller, self.delay, readings)
+
+    def reads(self, sensor: str) -> Reading:
+        """What a sensor reads."""
+        return self.readings[sensor] if sensor in self.readings else reading_of(sensor)
+
+    def columns(self, sensor: str) -> Columns:
+        """The columns of a sensor."""
+        return self.reads(sensor).columns(self.model)
+
+    def unit(self, sensor: str) -> str:
+        """The unit of a sensor, in SI."""
+        return self.reads(sensor).unit(self.model)
 
 
 class Grid(NamedTuple):
@@ -85,21 +130,30 @@ class Grid(NamedTuple):
     longest_delay: int = 0
 
 
+class Path(NamedTuple):
+    """A motion: the states (N + 1, ...) at the instants of N commands and one period later, and the
+    controls (N, nu) that were asked for at these instants."""
+
+    q: jax.Array
+    v: jax.Array
+    x: jax.Array | None
+    ctrls: jax.Array
+
+
 def motion(
     made: Callable[[jax.Array], Setup], p: jax.Array, start: State, commands: jax.Array, grid: Grid,
     *, keep: int | None = None,
-) -> State:  # fmt: skip
-    """The states (N + 1, ...) at the instants of N commands (N, n) and one period later, of the
-    set-up made(p). Numbers that p does not change stay known, which the program needs to be
-    fast. keep: a reverse derivative keeps every keep-th state and simulates again what lies
-    between; None: it keeps all that each period computes."""
+) -> Path:  # fmt: skip
+    """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay
+    known, which the program needs to be fast. keep: a reverse derivative keeps every keep-th state
+    and simulates again what lies between; None: it keeps all that each period computes."""
     run = threads(lambda p, start, commands: _motion(made(p), start, commands, grid, keep))
     return run(p, start, commands)
 
 
 def _motion(
     setup: Setup, start: State, commands: jax.Array, grid: Grid, keep: int | None
-) -> State:
+) -> Path:
     model, T, n = setup.model, grid.period, grid.substeps
     sensors, controller = setup.sensors, setup.controller
 
@@ -117,10 +171,14 @@ def _motion(
         read = [s.scale * x + s.bias for s, x in ((sensors[i], getattr(state, i)) for i in "qv")]
         return controller(k * T, State(*read), command)
 
+    def kept(ctrl: jax.Array) -> jax.Array | None:
+        return None if controller is None else ctrl
+
     def at_once(carry: Any, command: jax.Array) -> Any:
         k, state = carry
-        state = advance(k * T, state, asked(k, state, command), jnp.asarray(T, state.q.dtype))
-        return (k + 1, state), state
+        now = asked(k, state, command)
+        state = advance(k * T, state, now, jnp.asarray(T, state.q.dtype))
+        return (k + 1, state), (state, kept(now))
 
     def late(carry: Any, command: jax.Array) -> Any:
         k, state, queue = carry
@@ -133,20 +191,21 @@ def _motion(
         rest = delay - whole * T
         state = advance(k * T, state, queue[whole + 1], rest)
         state = advance(k * T + rest, state, queue[whole], T - rest)
-        return (k + 1, state, queue), state
+        return (k + 1, state, queue), (state, kept(now))
 
     zero = jnp.zeros((), int)
     if setup.delay is None or not grid.longest_delay:
-        after = _swept(at_once, (zero, start), commands, keep)
+        after, ctrls = _swept(at_once, (zero, start), commands, keep)
     else:
         ctrl = jax.eval_shape(asked, zero, start, commands[0])
         queue = jnp.zeros((grid.longest_delay + 2, *ctrl.shape), ctrl.dtype)
-        after = _swept(late, (zero, start, queue), commands, keep)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
+        after, ctrls = _swept(late, (zero, start, queue), commands, keep)
+    path = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
+    return Path(path.q, path.v, path.x, commands if ctrls is None else ctrls)
 
 
-def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> State:
-    """The states after each command. A reverse derivative keeps every keep-th carry."""
+def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> Any:
+    """What is there after each command. A reverse derivative keeps every keep-th carry."""
     if keep is None:
         return jax.lax.scan(once, carry, commands)[1]
     again = jax.checkpoint(once, prevent_cse=False)
@@ -167,17 +226,25 @@ def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) ->
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
-def reading(setup: Setup, path: State, grid: Grid, kind: str, times: jax.Array) -> jax.Array:
+def reading(setup: Setup, path: Path, grid: Grid, kind: str, times: jax.Array) -> jax.Array:
     """What a sensor reads (T, n) at times (T,) after the start."""
-    sensor = setup.sensors[kind]
-    q, v = jax.vmap(functools.partial(_between, setup.model, path, grid.period))(
-        times - sensor.delay
-    )
-    return sensor.scale * (q if kind == "q" else v) + sensor.bias
+    sensor, shows = setup.sensors[kind], setup.reads(kind)
+    read = jax.vmap(lambda t: shows(_moment(setup, path, grid, t)))(times - sensor.delay)
+    return sensor.scale * read + sensor.bias
 
 
-def _between(model: Model, path: State, T: float, t: Any) -> tuple[jax.Array, jax.Array]:
-    """q and v at a time, from the cubic of the interval in which it lies."""
+def _moment(setup: Setup, path: Path, grid: Grid, t: Any) -> Moment:
+    """An instant between two of the grid. A sample within a thousandth of a period before a command
+    sees it."""
+    T, last = grid.period, path.q.shape[0] - 2
+    delayed = setup.delay is not None and grid.longest_delay > 0
+    late = jnp.clip(setup.delay, 0.0, grid.longest_delay * T) if delayed else 0.0
+    ctrl = path.ctrls[jnp.clip(jnp.floor((t - late) / T + 1e-3).astype(int), 0, last)]
+    return Moment(t, _between(setup.model, path, T, t), ctrl, setup, T / grid.substeps)
+
+
+def _between(model: Model, path: Path, T: float, t: Any) -> State:
+    """The state at a time, from the cubic of the interval in which it lies."""
     last = path.q.shape[0] - 2
     k = jnp.clip(jnp.floor(t / T + 1e-9).astype(int), 0, last)
     s = jnp.clip(t / T - k, 0.0, 1.0)
@@ -186,4 +253,5 @@ def _between(model: Model, path: State, T: float, t: Any) -> tuple[jax.Array, ja
     a, b = T * v0 - d, d - T * v1
     along = s * d + s * (1 - s) * ((1 - s) * a + s * b)
     v = (d + (1 - 2 * s) * ((1 - s) * a + s * b) + s * (1 - s) * (b - a)) / T
-    return integrate(model, q0, along), v
+    x = None if path.x is None else (1 - s) * path.x[k] + s * path.x[k + 1]
+    return State(integrate(model, q0, along), v, x)

@@ -16,12 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.manifold import difference, integrate
+from rbjax.dynamics.manifold import integrate
 from rbjax.model import State
 from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run
-from rbjax.sysid.simulation import Grid, Setup, motion, reading
+from rbjax.sysid.simulation import Grid, Path, Setup, motion, reading
 from rbjax.sysid.unknowns import Unknowns
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
@@ -29,11 +29,11 @@ HUBER = 1.345
 
 
 class Programs(NamedTuple):
-    """What is simulated: of one run, traced, `path` (x, run) -> set-up, states and `compared`
-    (set-up, states, run) -> residual; of a batch, compiled, `readings`, `residuals`, `slopes`."""
+    """What is simulated: of one run, traced, `path` (x, run) -> set-up, motion and `compared`
+    (set-up, motion, run) -> residual; of a batch, compiled, `readings`, `residuals`, `slopes`."""
 
-    path: Callable[[jax.Array, Run], tuple[Setup, State]]
-    compared: Callable[[Setup, State, Run], jax.Array]
+    path: Callable[[jax.Array, Run], tuple[Setup, Path]]
+    compared: Callable[[Setup, Path, Run], jax.Array]
     readings: Callable[[jax.Array, Run], dict[str, jax.Array]]
     residuals: Callable[[jax.Array, Run], jax.Array]
     slopes: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
@@ -45,7 +45,7 @@ def programs(
     """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
     n = sum(unknowns.sizes)
 
-    def path(x: jax.Array, run: Run) -> tuple[Setup, State]:
+    def path(x: jax.Array, run: Run) -> tuple[Setup, Path]:
         """The set-up with the numbers, and its motion."""
         p, s = x[:n], x[n:]
         made = functools.partial(unknowns.write, setup)
@@ -56,21 +56,16 @@ def programs(
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
         return now, motion(made, p, start, run.commands, grid, keep=keep)
 
-    def read(now: Setup, path: State, run: Run) -> dict[str, jax.Array]:
+    def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
         return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
 
-    def compared(now: Setup, path: State, run: Run) -> jax.Array:
+    def compared(now: Setup, path: Path, run: Run) -> jax.Array:
         """The residual of one run."""
         parts = []
         for kind, seen in read(now, path, run).items():
-            off = seen - run.values[kind]
-            if kind == "q":
-                minus = functools.partial(difference, setup.model)
-                off = jax.vmap(minus)(run.values[kind], seen)
-            weights = run.weights[kind]
-            if off.shape != weights.shape:  # attitudes: all of a sample or nothing
-                weights = jnp.broadcast_to(weights.min(-1, keepdims=True), off.shape)
-            parts.append((weights * off).ravel())
+            columns = setup.columns(kind)
+            off = jax.vmap(columns.minus)(seen, run.values[kind])
+            parts.append((columns.weights(run.weights[kind]) * off).ravel())
         r = jnp.concatenate(parts)
         if loss == "huber":
             size = jnp.maximum(jnp.abs(r), HUBER)
@@ -106,7 +101,7 @@ class SimulationError:
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
         starts: bool = False, loss: str = "squares",
     ):  # fmt: skip
-        self.unknowns, self.runs, self.loss = unknowns, runs, loss
+        self.setup, self.unknowns, self.runs, self.loss = setup, unknowns, runs, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
         self.own = 2 * setup.model.nv if starts else 0
@@ -143,9 +138,27 @@ class SimulationError:
         """(runs, rows)"""
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
+    def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """r (runs, rows) and J (runs, rows, n + l), the sensors' rows in the order of their
+        names."""
+        r, J = self.programs.slopes(self.by_run(x), self.runs)
+        return np.asarray(r), np.asarray(J)
+
+    def unmoved(self, x: np.ndarray) -> tuple[str, ...]:
+        """The sensors that no unknown moves."""
+        J = np.abs(self.slopes(x)[1][:, :, : self.shared])
+        found, at = [], 0
+        for sensor in sorted(self.runs.values):
+            T, n = self.runs.values[sensor].shape[1:]
+            rows = T * (n - len(self.setup.columns(sensor).turns))
+            if not J[:, at : at + rows].max() > 1e-12 * J.max():
+                found.append(sensor)
+            at += rows
+        return tuple(found)
+
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        return self.assembled(*self.programs.slopes(self.by_run(x), self.runs))
+        return self.assembled(*self.slopes(x))
 
     def assembled(self, r: Any, J: Any) -> np.ndarray:
         """R of the residuals (runs, rows) and their slopes (runs, rows, n + l)."""

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rbjax.model import Model
-from rbjax.sysid.recording import Recording
+from rbjax.sysid.columns import Columns, root_mean_square
+from rbjax.sysid.recording import JOINT_SENSORS, Recording
 from rbjax.sysid.runs import ordered
+from rbjax.sysid.simulation import Setup
 from rbjax.sysid.simulation_error import SimulationError
 
 #: fewer samples say nothing of a motion
@@ -20,44 +22,56 @@ class Trace(NamedTuple):
     """One sensor of one recording.
 
     Fields: names of the columns (n,); t (T,) in s after the start; recorded (T, n), nan where
-    nothing arrived; simulated (T, n); both in SI.
+    nothing arrived; simulated (T, n); both in SI; turns, where quaternions begin.
     """
 
     names: tuple[str, ...]
     t: np.ndarray
     recorded: np.ndarray
     simulated: np.ndarray
+    turns: tuple[int, ...] = ()
 
     @property
     def residual(self) -> np.ndarray:
-        """Simulated less recorded (T, n)."""
-        return self.simulated - self.recorded
+        """Simulated less recorded (T, n); of quaternions twice that, which is in rad."""
+        return self.columns.residual(self.recorded, self.simulated)
+
+    @property
+    def columns(self) -> Columns:
+        """The columns, with the attitudes among them."""
+        return Columns(len(self.names), self.turns)
 
     @property
     def measured(self) -> bool:
-        """Whether every column has samples enough for a motion, not only its start."""
-        return bool((~np.isnan(self.recorded)).sum(0).min() >= FEW)
+        """Whether every column that was recorded has samples enough for a motion, not only its
+        start."""
+        count = (~np.isnan(self.recorded)).sum(0)
+        return bool(count.any() and count[count > 0].min() >= FEW)
 
 
 Traces = Mapping[str, Mapping[str, Trace]]  # by recording, by sensor
 
 
 def traces(
-    model: Model, of: SimulationError, x: np.ndarray, recordings: Sequence[Recording]
+    setup: Setup, of: SimulationError, x: np.ndarray, recordings: Sequence[Recording]
 ) -> dict[str, dict[str, Trace]]:
     """The traces of the runs of `of`, which are those of the recordings, at x."""
     data, read = of.runs, of.readings(x)
     found: dict[str, dict[str, Trace]] = {}
     for k, run in enumerate(recordings):
-        channels = ordered(model, run).channels
+        channels = ordered(setup.model, run).channels
         found[run.name] = {}
         for sensor in data.values:
             there = np.asarray(data.weights[sensor][k]) > 0
             T = int(np.flatnonzero(there.any(1))[-1]) + 1  # what follows fills the batch up
             values = np.asarray(data.values[sensor][k])
+            recorded = np.where(there, values, np.nan)[:T]
+            simulated = np.asarray(read[sensor][k])[:T]
+            columns, names = setup.columns(sensor), channels[sensor].names
             found[run.name][sensor] = Trace(
-                _names(model, channels[sensor].names), np.asarray(data.times[sensor][k])[:T],
-                np.where(there, values, np.nan)[:T], np.asarray(read[sensor][k])[:T],
+                _names(setup.model, names) if sensor in JOINT_SENSORS else names,
+                np.asarray(data.times[sensor][k])[:T], columns.aligned(recorded, simulated),
+                simulated, columns.turns,
             )  # fmt: skip
     return found
 
@@ -65,9 +79,7 @@ def traces(
 def rms_of(found: Traces) -> dict[str, np.ndarray]:
     """By sensor, the residual's root mean square over all recordings, one number a column."""
     sensors: Iterable[str] = next(iter(found.values()))
-    return {
-        sensor: np.sqrt(np.nanmean(together(found, sensor) ** 2, axis=0)) for sensor in sensors
-    }
+    return {sensor: root_mean_square(together(found, sensor)) for sensor in sensors}
 
 
 def together(found: Traces, sensor: str) -> np.ndarray:

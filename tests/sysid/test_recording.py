@@ -76,7 +76,7 @@ def test_channels_suit_the_model():
         run(q=Channel(T, SWING[:, 0], ("hip",))).check_model(model)
     with pytest.raises(rb.InputError, match="channel ctrl has 2 columns"):
         run(ctrl=Channel(T, SWING)).check_model(rb.load("pendulum"))
-    with pytest.raises(rb.UnknownName, match="body of channel pose:hand 'hand'"):
+    with pytest.raises(rb.UnknownName, match="body or site of channel pose:hand 'hand'"):
         run(**{"pose:hand": Channel(T, np.ones((200, 7)))}).check_model(model)
     with pytest.raises(rb.UnknownName, match="site of channel gyro:imu 'imu'"):
         run(**{"gyro:imu": Channel(T, np.ones((200, 3)))}).check_model(model)

@@ -1,0 +1,116 @@
+"""Columns of a sensor, some of which are attitudes: their difference, sum and noise.
+
+    minus(x, y) = x - y,  of attitudes log(y* x);      plus(x, d) = x + d,  of attitudes x exp(d)
+Four columns of an attitude are a quaternion (w, x, y, z), and three numbers of its difference, in
+rad, in the axes of the body. An attitude is measured or not as a whole. Its noise is that of the
+rotation: the largest of its four columns counts.
+
+Source: Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 25, 26.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.model import Model
+from rbjax.rotations import quaternion
+
+
+@dataclass(frozen=True)
+class Columns:
+    """size, how many there are; turns, where an attitude begins."""
+
+    size: int
+    turns: tuple[int, ...] = ()
+
+    @classmethod
+    def of_positions(cls, model: Model) -> Columns:
+        """Those of q."""
+        return cls(model.nq, model.topology.quaternion_starts)
+
+    def minus(self, x: jax.Array, y: jax.Array) -> jax.Array:
+        """x (-) y of two readings (n,). A y of zeros, which was not measured, is no rotation."""
+        parts = []
+        for at, turns in self._parts():
+            a, b = x[at], y[at]
+            if turns:
+                none = jnp.array([1.0, 0.0, 0.0, 0.0], b.dtype)
+                b = jnp.where((b == 0).all(), none, b)
+                parts.append(quaternion.log(quaternion.multiply(quaternion.conjugate(b), a)))
+            else:
+                parts.append(a - b)
+        return jnp.concatenate(parts)
+
+    def plus(self, x: jax.Array, d: jax.Array) -> jax.Array:
+        """x (+) d, of a reading (n,) and a difference."""
+        parts, k = [], 0
+        for at, turns in self._parts():
+            if turns:
+                parts.append(quaternion.multiply(x[at], quaternion.exp(d[k : k + 3])))
+                k += 3
+            else:
+                width = at.stop - at.start
+                parts.append(x[at] + d[k : k + width])
+                k += width
+        return jnp.concatenate(parts)
+
+    def weights(self, w: jax.Array) -> jax.Array:
+        """Weights (..., n) of readings as weights of differences."""
+        if not self.turns:
+            return w
+        parts = []
+        for at, turns in self._parts():
+            part = w[..., at]
+            shape = (*w.shape[:-1], 3)
+            parts.append(jnp.broadcast_to(part.min(-1, keepdims=True), shape) if turns else part)
+        return jnp.concatenate(parts, -1)
+
+    def aligned(self, recorded: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+        """Recorded (T, n), each quaternion with the sign that is nearer to what is simulated."""
+        found = recorded.copy()
+        for k in self.turns:
+            at = slice(k, k + 4)
+            other = (found[:, at] * simulated[:, at]).sum(1, keepdims=True) < 0
+            found[:, at] = np.where(other, -found[:, at], found[:, at])
+        return found
+
+    def residual(self, recorded: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+        """Simulated less recorded (T, n), of quaternions twice, so that their length is the angle
+        in rad if this is small."""
+        off = simulated - recorded
+        for k in self.turns:
+            off[:, k : k + 4] *= 2
+        return off
+
+    def noise(self, rms: np.ndarray) -> np.ndarray:
+        """The standard deviation (n,) that residuals of size rms (n,) show: of an attitude that of
+        its rotation about each axis."""
+        found = rms.copy()
+        for k in self.turns:
+            found[k : k + 4] = np.sqrt((rms[k : k + 4] ** 2).sum() / 3)
+        return found
+
+    def _parts(self) -> Iterator[tuple[slice, bool]]:
+        """Slices, and whether each is an attitude."""
+        at = 0
+        for k in self.turns:
+            if k > at:
+                yield slice(at, k), False
+            yield slice(k, k + 4), True
+            at = k + 4
+        if at < self.size:
+            yield slice(at, self.size), False
+
+
+def root_mean_square(r: Any) -> np.ndarray:
+    """By column of (samples, n), of the samples that arrived; nan where none did."""
+    there = ~np.isnan(r)
+    count = there.sum(0)
+    squares = np.where(there, r, 0.0) ** 2
+    return np.asarray(np.where(count > 0, np.sqrt(squares.sum(0) / np.maximum(count, 1)), np.nan))
