@@ -1,5 +1,6 @@
 """Every part of the demo, small: it runs, finds the right numbers, writes pictures and a report."""
 
+import re
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -53,8 +54,11 @@ def test_identification_finds_the_truth(tmp_path: Path) -> None:
     section = identify(tmp_path, quiet, steps=200)
     check(section, tmp_path)
     for name, _, estimate, truth, _ in section.rows:
-        value, error = (float(x) for x in estimate.split(" ± "))
-        assert abs(value - float(truth)) < 4 * error + 1e-3, name
+        value, low, high = (float(x) for x in re.findall(r"-?[0-9.]+", estimate))
+        assert low < value < high < low + 1, name
+        assert abs(value - float(truth)) < high - low + 1e-3, name
+    assert "identification.html" in section.note
+    assert "Found by themselves" in (tmp_path / "identification.html").read_text()
 
 
 def test_swing_up_comes_up(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Identification of an arm's payload and a joint's damping from only noisy joint angles.
+"""Identification of an arm's payload and a joint's damping from noisy joint angles.
 
 MuJoCo simulates the "measurement" of an arm whose numbers differ from the file; rbjax does not know
 them.
@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 
 from rbjax.demo.report import Section
 from rbjax.loading import load
 from rbjax.model import Model
-from rbjax.motion.rollout import rollout
 from rbjax.plotting import BLUE, GRID, INK, ORANGE, STYLE
-from rbjax.sysid import Fit, Unknown, fit
+from rbjax.sysid import Channel, Grid, Identified, Recording, Unknown, free_run, report
+from rbjax.sysid import identify as identified
 from rbjax.validation.reference import Array, smooth, trajectory
 
 NOISE = 1e-3  # rad
@@ -35,12 +33,14 @@ TRUTH = {
 }
 
 _CODE = """\
+run = Recording("swing", {"q": Channel(t, measured), "ctrl": Channel(t_ctrl, ctrls)})
 unknowns = {
     "payload mass": Unknown("bodies.mass", 7, positive=True),
     "payload centre of mass x": Unknown("bodies.com", (7, 0)),
     "damping of joint 4": Unknown("joints.damping", 3, positive=True), ...
 }
-found = rb.sysid.fit(model, start, ctrls, measured, unknowns)"""
+found = rb.sysid.identify(model, run, unknowns, starts=True)   # with the state at the start
+rb.sysid.report(found, "identification.html")"""
 
 
 def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
@@ -63,73 +63,69 @@ def measure(model: Model, steps: int) -> tuple[Array, Array, Array]:
 
 def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> Section:
     """Measure, fit, draw."""
-    say("identification: MuJoCo measures, Levenberg-Marquardt compiles")
+    say("identification: MuJoCo measures, Gauss-Newton compiles")
     model = load("arm7").replace(driver="rolled")
     assert model.body("link7") == 7
     ctrls, _, measured = measure(model, steps)
-    start = model.keyframe("home")
+    clock = np.arange(steps + 1) * model.timestep
+    run = Recording(
+        "swing", {"q": Channel(clock[::EVERY], measured), "ctrl": Channel(clock[:-1], ctrls)}
+    )
+    grid = Grid(model.timestep, integrator="semi_implicit_euler")  # MuJoCo's own step
     unknowns = {name: u for name, (u, _, _) in TRUTH.items()}
-    found = fit(model, start, jnp.asarray(ctrls), jnp.asarray(measured), unknowns, save_every=EVERY)
-    rows, truth = [], {}
-    for name, (u, unit, added) in TRUTH.items():
-        value: Any = model
-        for part in u.leaf.split("."):
-            value = getattr(value, part)
-        guess = float(np.asarray(value)[u.index])
-        truth[name] = guess + added
-        rows.append(
-            (
-                name,
-                f"{guess:.4f}",
-                f"{found.values[name]:.4f} ± {found.errors[name]:.4f}",
-                f"{truth[name]:.4f}",
-                unit,
-            )
-        )
-    before = rollout(model, start, jnp.asarray(ctrls), save_every=EVERY)
-    after = rollout(found.model, start, jnp.asarray(ctrls), save_every=EVERY)
-    ts, path = np.asarray(before.ts), folder / "identify.png"
-    _picture(path, ts, measured, before.q, after.q, found, truth)
+    found = identified(model, run, unknowns, starts=True, grid=grid)
+    report(found, folder / "identification.html", title="Identification of an arm's payload")
+    truth = {name: found.guess[name] + added for name, (_, _, added) in TRUTH.items()}
+    rows = []
+    for name, (_, unit, _) in TRUTH.items():
+        of = found.estimates.interval(name)
+        said = f"{of.value:.4f} ({of.low:.4f} to {of.high:.4f})"
+        rows.append((name, f"{found.guess[name]:.4f}", said, f"{truth[name]:.4f}", unit))
+    before = free_run(model, [run], grid=found.grid)["swing"]["q"].residual
+    after = found.traces["swing"]["q"].residual
+    _picture(folder / "identify.png", clock[::EVERY], before, after, found, truth)
+    rms = 1e3 * float(np.sqrt(np.mean(np.square(after))))
     text = (
         f"A seven-joint arm has an unknown payload. From {len(measured)} readings of its joint "
-        f"angles over {steps * model.timestep:.0f} s, with noise of {NOISE * 1e3:.0f} mrad, one "
-        "fit finds five numbers: the mass and the centre of mass of the payload, and the damping "
-        "of a joint, which is larger than in the file. Model numbers are leaves of a pytree, so "
-        "the rollout can be differentiated with respect to any of them.",
-        f"Levenberg-Marquardt took {found.steps} steps. The remaining residual, "
-        f"{found.rms * 1e3:.2f} mrad, is the noise.",
+        f"angles over {clock[-1]:.0f} s, with noise of {NOISE * 1e3:.0f} mrad, one fit finds five "
+        "numbers: the mass and the centre of mass of the payload, and the damping of a joint, "
+        "which is larger than in the file. The first reading is noisy, too, so the state at the "
+        "start is sought beside them.",
+        f"The fit evaluated the simulation with its exact derivatives {found.evaluations} times. "
+        f"What remains, {rms:.2f} mrad, is the noise. {found.found.words()}",
     )
     return Section(
         "Identify a robot: mass, centre of mass and damping at once",
         text,
-        (("identify.png", "Left: residuals of the file's model and after the fit. "
-          "Right: estimates minus truth, in standard errors."),),
-        ("number", "file", "estimate", "truth", "unit"),
+        (("identify.png", "Left: simulated minus measured, with the file's numbers and after the "
+          "fit. Right: estimates minus truth, in standard errors."),),
+        ("number", "file", "estimate (95 % interval)", "truth", "unit"),
         tuple(rows),
-        note="± is one standard error of the linearised problem. The measurement was simulated by "
-        "MuJoCo C with the numbers under 'truth'.",
+        note="The measurement was simulated by MuJoCo C with the numbers under 'truth'. "
+        "identification.html, in the same folder, is the report of the fit.",
         code=_CODE,
     )  # fmt: skip
 
 
 def _picture(
-    path: Path, ts: Array, measured: Array, before: Any, after: Any, found: Fit, truth: dict
+    path: Path, ts: Array, before: Array, after: Array, found: Identified, truth: dict[str, float]
 ) -> None:
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
             2, 2, figsize=(11, 5.4), width_ratios=(1.5, 1), layout="constrained", sharex="col"
         )
         for ax, joint in ((axes[0, 0], 3), (axes[1, 0], 5)):
-            ax.plot(ts, 1e3 * (measured - before)[:, joint], ".", ms=4, color=ORANGE, label="file")
-            ax.plot(ts, 1e3 * (measured - after)[:, joint], ".", ms=4, color=BLUE, label="fitted")
-            ax.set(ylabel="residual [mrad]", title=f"Joint {joint + 1}: measured minus modelled")
+            ax.plot(ts, 1e3 * before[:, joint], ".", ms=4, color=ORANGE, label="file")
+            ax.plot(ts, 1e3 * after[:, joint], ".", ms=4, color=BLUE, label="fitted")
+            ax.set(ylabel="residual [mrad]", title=f"Joint {joint + 1}: simulated minus measured")
         axes[0, 0].legend(loc="upper right", ncols=2)
         axes[1, 0].set(xlabel="time [s]")
         ax = figure.add_subplot(axes[0, 1].get_gridspec()[:, 1])
         for old in axes[:, 1]:
             old.remove()
         names = list(found.values)
-        away = [(found.values[n] - truth[n]) / found.errors[n] for n in names]
+        sigma = {n: found.estimates.interval(n).sigma for n in names}
+        away = [(found.values[n] - truth[n]) / sigma[n] for n in names]
         at = -np.arange(len(names))
         ax.axvspan(-2, 2, color=GRID, alpha=0.5, lw=0)
         ax.axvline(0, color=INK, lw=1)
