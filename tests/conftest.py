@@ -46,7 +46,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 class ByMachineCode:
-    """Large programs, of which JAX's part takes longer than LLVM's, take a third less in all if they
+    """Large programs, of which JAX's part takes longer than LLVM's, take a third less if they
     run as they do for users."""
 
     @pytest.fixture(autouse=True)
