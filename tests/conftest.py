@@ -45,16 +45,19 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(ByMachineCode())
 
 
+#: large programs, of which JAX's part takes longer than LLVM's: half to two thirds of XLA's time
+BY_MACHINE_CODE = {"sysid", "test_demo.py", "test_rollout.py", "test_march.py", "test_curves.py",
+                   "test_linearly_implicit.py"}  # fmt: skip
+
+
 class ByMachineCode:
-    """Large programs, of which JAX's part takes longer than LLVM's, take a third less if they
-    run as they do for users."""
+    """Some quick tests run as they do for users."""
 
     @pytest.fixture(autouse=True)
     def _by_machine_code(self, request: pytest.FixtureRequest) -> Iterator[None]:
         from rbjax.threads import backend
 
-        parts = request.node.path.parts
-        wanted = "llvm" if {"sysid", "test_demo.py"} & set(parts) else "xla"
+        wanted = "xla" if BY_MACHINE_CODE.isdisjoint(request.node.path.parts) else "llvm"
         if backend.usual != wanted:
             backend.usual = wanted
             backend.on_cpu.cache_clear()
