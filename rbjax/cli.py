@@ -284,7 +284,7 @@ def identify(
         table.add_row(name, *(f"{number:.5g}" for number in numbers))
     out.print(table)
     verdict = made.verdict.sentence if made.verdict else "no recording was held out"
-    for sentence in (verdict, *map(str, made.diagnosis.causes)):
+    for sentence in (verdict, *map(str, made.diagnosis.causes), *made.notes):
         out.print(sentence, soft_wrap=True, highlight=False)
     for what, path in made.files.items():
         out.print(f"[bold]{what}[/] {path}", soft_wrap=True)

@@ -49,12 +49,13 @@ OF_UNKNOWN = ("leaf", "index", "positive", "bounds", "scale", "inertia", "tilt")
 @dataclass(frozen=True)
 class Results:
     """What a job made: the fit, the verdict on held-out recordings, what is wrong with the data,
-    and its files by what they hold."""
+    its files by what they hold, and sentences about these."""
 
     found: Identified
     verdict: HeldOut | None
     diagnosis: Diagnosis
     files: dict[str, Path]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,20 +128,22 @@ class Job:
         page = self.folder / "report.html"
         title = f"Identification of {Path(self.source).stem}"
         report(found, page, held_out=self.held_out, diagnosis=diagnosis, title=title)
-        files = {"report": page, "fit": saved, "robot": self._robot(found.model)}
+        robot, note = self._robot(found.model)
+        files = {"report": page, "fit": saved, "robot": robot}
         verdict = found.on(self.held_out) if self.held_out else None
-        return Results(found, verdict, diagnosis, files)
+        return Results(found, verdict, diagnosis, files, (note,) if note else ())
 
-    def _robot(self, model: Model) -> Path:
-        """The user's file with the found numbers; a new one where that cannot say them."""
+    def _robot(self, model: Model) -> tuple[Path, str]:
+        """The user's file with the found numbers; a new one where that cannot say them, and why."""
         own = Path(self.source)
         path = self.folder / (f"{own.stem}-found{own.suffix or '.xml'}")
         try:
             write_back(model, self.source, path)
-        except (InputError, UnsupportedFeature, ValueError):
+        except (InputError, UnsupportedFeature, ValueError) as error:
             path = path.with_suffix(".xml")
             write_mjcf(model, path)
-        return path
+            return path, f"{own.name} cannot say the found numbers, so {path.name} is new: {error}"
+        return path, ""
 
 
 def _check(given: Mapping[str, Any]) -> None:

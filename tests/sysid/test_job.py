@@ -124,12 +124,13 @@ def test_the_command_says_what_was_found(tmp_path, monkeypatch):
         ok=False,
     )  # fmt: skip
     diagnosis = types.SimpleNamespace(causes=["the sign of joint elbow"])
-    results = Results(found, None, diagnosis, {"report": tmp_path / "report.html"})
+    files = {"report": tmp_path / "report.html"}
+    results = Results(found, None, diagnosis, files, ("arm-found.xml is new",))
     monkeypatch.setattr(Job, "run", lambda job, **how: results)
     text = run(path, code=1).stdout
     interval = said.interval("mass")
     for part in ("100 evaluations", "mass", f"{interval.low:.5g}", "no recording was held out",
-                 "the sign of joint elbow", "report.html"):  # fmt: skip
+                 "the sign of joint elbow", "report.html", "arm-found.xml is new"):  # fmt: skip
         assert part in text
 
 
@@ -144,8 +145,9 @@ def test_a_robot_whose_file_cannot_say_it_gets_a_new_one(tmp_path):
     model = rb.load(tmp_path / "r.urdf")
     job = Job(str(tmp_path / "r.urdf"), None, (), (), {}, None, {}, tmp_path)
     heavier = model.replace(bodies=model.bodies.replace(mass=2 * model.bodies.mass))
-    assert job._robot(heavier).name == "r-found.urdf"
+    path, note = job._robot(heavier)
+    assert path.name == "r-found.urdf" and not note
     tilted = heavier.replace(gravity=np.array([0.5, 0.0, -9.8]))
-    written = job._robot(tilted)
-    assert written.name == "r-found.xml"
+    written, note = job._robot(tilted)
+    assert written.name == "r-found.xml" and "r-found.xml is new" in note and "gravity" in note
     np.testing.assert_allclose(rb.load(written).gravity, [0.5, 0.0, -9.8])
