@@ -49,7 +49,6 @@ def test_validation(tmp_path: Path) -> None:
     assert section.rows[0][-1] == "yes"
 
 
-@pytest.mark.slow
 def test_identification_finds_the_truth(tmp_path: Path) -> None:
     section = identify(tmp_path, quiet, steps=200)
     check(section, tmp_path)

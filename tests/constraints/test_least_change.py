@@ -53,6 +53,7 @@ def across_of(joints: str, x):
 ALONG = jax.random.normal(jax.random.key(0), (14,))
 
 
+@pytest.mark.slow
 def test_derivatives() -> None:
     """To the state, a length of the constraints and a mass, forward and reverse."""
     found = partial(projection_of, PLANAR)

@@ -20,7 +20,7 @@ def closed(kind: type, **numbers: float) -> rb.Model:
 
 
 #: with every kind of row among them
-QUICK = (rc.Cylindrical, rc.Universal, rc.Weld)
+QUICK = (rc.Universal, rc.Weld)
 
 
 @pytest.mark.parametrize(

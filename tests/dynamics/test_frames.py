@@ -131,7 +131,7 @@ def reference_answers(s: Sample, q: np.ndarray, v: np.ndarray, frame: tuple[str,
 
 CASES = [  # robot, driver, whether the model is an argument of the program
     ("everything", "unrolled", False),
-    ("everything", "rolled", True),
+    pytest.param("everything", "rolled", True, marks=pytest.mark.slow),
     ("quadruped", "limbs", False),
     ("pendulum", "rolled", False),
     pytest.param("everything", "rolled", False, marks=pytest.mark.slow),

@@ -312,6 +312,7 @@ def test_limbs_without_hinges():
     agree(got, want)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 def test_emitted_c_is_what_xla_computes():
     args = given(walker(text=CART), 4)[:3]

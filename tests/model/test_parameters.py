@@ -67,7 +67,7 @@ ENTRIES = [("bodies", n) for n in PUBLIC] + [("joints", n) for n in (*JOINT, *AP
 ENTRIES += [("actuators", n) for n in ("gear", "gain", "bias")] + [("", "gravity")]
 
 
-@pytest.mark.parametrize("make", [generic, aligned])
+@pytest.mark.parametrize("make", [aligned, pytest.param(generic, marks=pytest.mark.slow)])
 def test_every_leaf_has_the_right_derivative(make) -> None:
     model = make()
     q, v = (x[0] for x in robot("small").states(1))

@@ -541,6 +541,7 @@ def test_laws_integrators_and_forces_are_read_too():
     np.testing.assert_allclose(found, [jax.jit(run)(k) for k in (2.0, 3.0)], atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_xla")
 def test_memory_is_bounded(monkeypatch):
     """Programs leave when others come: functions that differ in more than numbers."""

@@ -20,6 +20,7 @@ def overshoot(ahead: int, back: int, turns: bool) -> Path:
     return Path(np.zeros(3), steps)
 
 
+@pytest.mark.slow
 def test_an_overshoot_becomes_bang_bang() -> None:
     """t = 2 sqrt(d m / F): from a path that goes too far and back, for driving and for turning on
     the spot; a straight path stays as it was."""

@@ -38,6 +38,7 @@ def long_run(armature=0.9, count=400):
     return Recording("free", {"q": Channel(t, path.q), "v": Channel(t, path.v)})
 
 
+@pytest.mark.slow
 def test_a_wrong_frequency_has_many_minima_and_many_starts_find_the_best():
     run, guess = long_run(), turning(0.05)
     single = identify(guess, run, ROTOR)

@@ -19,6 +19,7 @@ def swung(loss: str = "squares", noise: float = 1e-3) -> Identified:
     return identify(model, run, {"drag": Unknown("joints.damping", 0)}, starts=True, loss=loss)
 
 
+@pytest.mark.slow
 def test_intervals_hold_and_the_scatter_is_the_one_foretold() -> None:
     found = swung()
     again = monte_carlo(found, 100, level=0.9)

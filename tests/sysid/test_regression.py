@@ -74,7 +74,9 @@ def test_without_noise_the_truth_comes_back(method):
     assert found.words().count(" to ") == 6
 
 
-@pytest.mark.parametrize("method", ["ordinary", "weighted", "robust"])
+@pytest.mark.parametrize(
+    "method", ["ordinary", "weighted", pytest.param("robust", marks=pytest.mark.slow)]
+)
 def test_intervals_hold(method):
     """95 % of the intervals of 200 experiments, each channel with noise of its own."""
     names, W, tau, base, beta = experiment(60)

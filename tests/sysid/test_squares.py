@@ -47,6 +47,7 @@ def forward():
     return of, *of.value_and_grad(of.x)
 
 
+@pytest.mark.slow
 def test_forward_is_twice_the_jacobian_by_the_residual(forward):
     of, value, slope = forward
     R = of._of.triangle(of.x)

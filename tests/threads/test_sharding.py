@@ -165,6 +165,7 @@ def child():
     child_rollouts()
 
 
+@pytest.mark.slow
 def test_functions_and_rollouts():
     on_eight_devices(child)
 
