@@ -16,11 +16,16 @@ import jax.numpy as jnp
 
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import algorithm
+from rbjax.dynamics.derivatives import forward_dynamics_derivatives
+from rbjax.dynamics.forward import acceleration
+from rbjax.dynamics.link_forces import LinkForces
 from rbjax.dynamics.manifold import difference, integrate
+from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
+from rbjax.lanes.products import matmat
 from rbjax.model import Model, State
 from rbjax.motion.field import Field, Law, free_motion, law_of
-from rbjax.motion.integrators import Integrator, advanced, integrator_of
+from rbjax.motion.integrators import Integrator, advanced, integrator_of, semi_implicit_euler
 
 
 class Linear(NamedTuple):
@@ -123,9 +128,14 @@ def linearise(
     law = law_of("linearise", model, law, constraints)
     if dt is None:
         return Linear(*linearised(model, state, ctrl, t, law)[1:])
-    advance = functools.partial(advanced, integrator_of("linearise", integrator, law))
-    field = Field(model, law, dt)
+    integrator = integrator_of("linearise", integrator, law)
     u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
+    if integrator is semi_implicit_euler and law is free_motion and ctrl is not None:
+        found = euler_linearised(model, t, state, ctrl, dt)
+        if found is not None:
+            return Linear(*found[1:])
+    advance = functools.partial(advanced, integrator)
+    field = Field(model, law, dt)
     after = advance(field, t, state, Inputs(ctrl), dt)
 
     def moved(dx: jax.Array, du: jax.Array) -> jax.Array:
@@ -174,3 +184,46 @@ def apart(model: Model, one: State, other: State) -> jax.Array:
     if one.x is not None and other.x is not None:
         dx.append(other.x - one.x)
     return jnp.concatenate(dx)
+
+
+def euler_linearised(
+    model: Model, t: Any, state: State, ctrl: jax.Array, dt: Any
+) -> tuple[State, jax.Array, jax.Array] | None:
+    """The state after a semi-implicit Euler step of free motion, A and B, by the closed form of
+    the derivatives of forward dynamics; None where forces act on links or elements have states.
+
+    dv+ = dv + dt da,   dq+ = E dq + dt J dv+,   da = a_q dq + a_v dv + M^-1 dtau
+    """
+    if model.nx or not model.nv:
+        return None
+    n, dtype = model.nv, state.q.dtype
+
+    def forces(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, LinkForces]:
+        tau, pushes, _ = applied(model, t, beside(model, state, dx), Inputs(ctrl + du), dt)
+        return tau, pushes
+
+    zero, none = jnp.zeros(2 * n, dtype), jnp.zeros_like(ctrl)
+    tau, pushes = forces(zero, none)
+    if pushes:
+        return None
+    tau_x, tau_u = jax.jacfwd(lambda *d: forces(*d)[0], (0, 1))(zero, none)
+    by = forward_dynamics_derivatives(model, state.q, state.v, tau)
+    v = state.v + dt * acceleration(model, state.q, state.v, tau, pushes)
+    q = integrate(model, state.q, dt * v)
+    direct = jnp.concatenate([by.q, by.v], 1)
+    a_x, a_u = direct + matmat(by.tau, tau_x), matmat(by.tau, tau_u)
+    v_x = dt * a_x + jnp.eye(n, 2 * n, n, dtype=dtype)
+    if model.topology.turn_starts:
+
+        def turned(dq: jax.Array, dv: jax.Array) -> jax.Array:
+            moved = integrate(model, integrate(model, state.q, dq), dt * (v + dv))
+            return difference(model, q, moved)
+
+        still = jnp.zeros(n, dtype)
+        E, J = jax.jacfwd(turned, (0, 1))(still, still)
+        q_x = matmat(J, v_x).at[:, :n].add(E)
+        q_u = dt * matmat(J, a_u)
+    else:
+        q_x = dt * v_x + jnp.eye(n, 2 * n, dtype=dtype)
+        q_u = dt * dt * a_u
+    return State(q, v, state.x), jnp.concatenate([q_x, v_x]), jnp.concatenate([q_u, dt * a_u])

@@ -1,0 +1,102 @@
+"""The backward pass of differential dynamic programming: gains of a problem to second order.
+
+    Qxx = Q + A'V'A,  Quu = R + B'V'B,  Qux = S' + B'V'A,  Qx = q + A'(v' + V' gap),  Qu = r + B'(..)
+    du = k + K dx,   k = argmin over the box,   K = -Quu^-1 Qux in the free controls
+    V = Qxx + Qxu K,   v = Qx + Qxu k
+
+The gap of a step that the states do not follow yet enters v (Mastalli et al. 2020, feasibility-
+driven DDP); bounds of controls enter k and K (Tassa, Mansard & Todorov 2014).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.box_qp import box_qp, solved
+from rbjax.control.expansion import Quadratic
+from rbjax.control.products import congruence, product, times
+
+
+class Gains(NamedTuple):
+    """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
+    v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
+    step; ok (), whether all control Hessians were positive definite."""
+
+    K: jax.Array
+    k: jax.Array
+    V: jax.Array
+    v: jax.Array
+    first: jax.Array
+    slope: jax.Array
+    curvature: jax.Array
+    ok: jax.Array
+
+
+class Bounds(NamedTuple):
+    """low and high (N, m), of du."""
+
+    low: jax.Array
+    high: jax.Array
+
+
+def backward_pass(
+    A: jax.Array, B: jax.Array, gaps: jax.Array, path: Quadratic, end: Quadratic,
+    bounds: Bounds | None, first: tuple | None, reg: jax.Array,
+) -> Gains:  # fmt: skip
+    """The gains.
+
+    A: (N, n, n). B: (N, n, m). gaps: (N + 1, n), the first from the first knot to the start.
+    path: (N, ...). end. bounds: of du, None for none. first: of what is free of the first knot:
+    free (n,) of 0 and 1, low and high (n,) of dx0; None for nothing. reg: added to the diagonals of
+    control Hessians and of V.
+    """
+    m, n = path.r.shape[-1], end.q.shape[0]
+    eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
+
+    def back(carry: tuple, knot: tuple) -> tuple:
+        V, v, slope, curvature, ok = carry
+        A, B, gap, cost, bound = knot
+        VA, VB = product(V, A), product(V, B)
+        Qx, Qu = cost.q + times(A.T, v), cost.r + times(B.T, v)
+        Qxx, Quu = cost.Q + congruence(A, VA), cost.R + congruence(B, VB) + reg * eye_u
+        Qux = cost.S.T + product(B.T, VA)
+        if bound is None:
+            L = jnp.linalg.cholesky(Quu)
+            k, K, fine = -solved(L, Qu), -solved(L, Qux), jnp.isfinite(L).all()
+        else:
+            box = box_qp(Quu, Qu, *bound)
+            free = box.free[:, None]
+            k, K, fine = box.d, -free * solved(box.factor, free * Qux), box.ok
+        V = Qxx + congruence(Qux, K)
+        V = 0.5 * (V + V.T) + reg * eye_x
+        Quu_k = times(Quu, k)
+        v = Qx + times(Qux.T, k)
+        v_gap = v + times(V, gap)
+        slope = slope + (Qu * k).sum() + (v_gap * gap).sum()
+        curvature = curvature + (k * Quu_k).sum() - (gap * (v_gap - v)).sum()
+        return (V, v_gap, slope, curvature, ok & fine), (K, k, V, v_gap)
+
+    last = gaps[-1]
+    v = end.q + times(end.Q, last)
+    zero = jnp.zeros((), reg.dtype)
+    V = end.Q + reg * eye_x
+    begin = (V, v, (v * last).sum(), -(last * times(end.Q, last)).sum(), zero == 0)
+    knots = (A, B, gaps[:-1], path, bounds)
+    (V, v, slope, curvature, ok), (K, k, Vs, vs) = jax.lax.scan(back, begin, knots, reverse=True)
+    dx0 = gaps[0]
+    if first is not None:
+        free, low, high = first
+        H = V * free[:, None] * free + eye_x * (1 - free)
+        huge = jnp.finfo(reg.dtype).max
+        box = box_qp(H, free * v, jnp.maximum(low, -huge), jnp.minimum(high, huge))
+        step = free * jnp.where(box.ok, box.d, 0.0)
+        slope = slope + (v * step).sum()
+        curvature = curvature + (step * times(H, step)).sum()
+        dx0, ok = dx0 + step, ok & box.ok
+    Vs, vs = (jnp.concatenate([x, y[None]]) for x, y in ((Vs, end.Q), (vs, begin[1])))
+    return Gains(K, k, Vs, vs, dx0, slope, curvature, ok)
+
+

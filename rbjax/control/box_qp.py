@@ -1,0 +1,76 @@
+"""Small convex quadratic programs in a box, by Newton steps projected onto it.
+
+    min  d'H d/2 + g.d,      low <= d <= high
+
+Each turn holds the entries that the gradient presses against the box, takes Newton's step in the
+others, and halves it until the cost falls (Bertsekas 1982). The free entries and the factor of
+their part of H give the feedback of a bounded control (Tassa, Mansard & Todorov 2014).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.lanes.products import matvec
+
+TURNS = 20  # at most; a program of m entries seldom takes more than m + 2
+HALVINGS = np.array([0.5**k for k in range(8)])
+
+
+class BoxSolution(NamedTuple):
+    """d (m,); free (m,), 1 where an entry is within the box; factor (m, m), lower, of H in the free
+    entries and of one in the others; ok, whether that is positive definite."""
+
+    d: jax.Array
+    free: jax.Array
+    factor: jax.Array
+    ok: jax.Array
+
+
+def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSolution:
+    """The minimum in the box. low < high; H (m, m) positive definite in the free entries."""
+    dtype = g.dtype
+    eye = jnp.eye(len(g), dtype=dtype)
+    halvings = jnp.asarray(HALVINGS, dtype)
+
+    def cost(d: jax.Array) -> jax.Array:
+        return (d * (g + 0.5 * matvec(H, d))).sum(-1)
+
+    def free_of(d: jax.Array) -> jax.Array:
+        slope = g + matvec(H, d)
+        held = ((d <= low) & (slope > 0)) | ((d >= high) & (slope < 0))
+        return jnp.where(held, 0.0, 1.0).astype(dtype)
+
+    def factor_of(free: jax.Array) -> jax.Array:
+        return jnp.linalg.cholesky(H * free[:, None] * free + eye * (1 - free))
+
+    def turn(now: tuple) -> tuple:
+        d, _, _, turns, _ = now
+        free = free_of(d)
+        L = factor_of(free)
+        step = -free * solved(L, free * (g + matvec(H, d)))
+        tries = jnp.clip(d + halvings[:, None] * step, low, high)
+        costs = jax.vmap(cost)(tries)
+        best = jnp.argmin(costs)
+        better = costs[best] < cost(d)
+        new = jnp.where(better, tries[best], d)
+        # a full step that meets no bound is the minimum in the free entries
+        done = ~better | ((best == 0) & (free_of(new) == free).all())
+        return new, free, L, turns + 1, done
+
+    start = jnp.clip(jnp.zeros_like(g), low, high)
+    free = free_of(start)
+    begin = (start, free, factor_of(free), 0, jnp.asarray(False))
+    d, *_ = jax.lax.while_loop(lambda now: (now[3] < TURNS) & ~now[4], turn, begin)
+    free = free_of(d)
+    L = factor_of(free)
+    return BoxSolution(d, free, L, jnp.isfinite(L).all())
+
+
+def solved(L: jax.Array, b: jax.Array) -> jax.Array:
+    """(L L')^-1 b, of a vector or the columns of a matrix."""
+    return jax.scipy.linalg.cho_solve((L, True), b)

@@ -1,0 +1,63 @@
+"""The forward pass of differential dynamic programming: a motion tried along a step.
+
+    x_0 = xs_0 (+) a dx_0,   u_k = us_k + a k_k + K_k (x_k (-) xs_k),   within the bounds
+    x_{k+1} = f(x_k, u_k) (+) (a - 1) gap_{k+1}
+
+With a = 1 the motion obeys the dynamics; with less, gaps close in proportion (Mastalli et al. 2020).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.backward_pass import Gains
+from rbjax.control.expansion import Multipliers, merit
+from rbjax.control.problem import Knot, Problem
+from rbjax.control.products import times
+
+
+class Tried(NamedTuple):
+    """knots (N + 1, ...), ctrls (N, m), cost (), and cross (): sum of gap' V dx."""
+
+    knots: Knot
+    ctrls: jax.Array
+    cost: jax.Array
+    cross: jax.Array
+
+
+def forward_pass(
+    problem: Problem, knots: Knot, ctrls: jax.Array, gains: Gains, gaps: jax.Array,
+    multipliers: Multipliers, a: jax.Array,
+) -> Tried:  # fmt: skip
+    """The motion of a step of length a."""
+    first = jax.tree.map(lambda x: x[0], knots)
+    now = problem.plus(first, a * gains.first)
+    mu = multipliers.penalty
+
+    def forth(carry: tuple, x: tuple) -> tuple:
+        now, total, cross = carry
+        k, knot, ctrl, K, du, gap, V, rows, closing = x
+        dx = problem.minus(now, knot)
+        u = ctrl + a * du + times(K, dx)
+        if problem.bounded:
+            u = jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+        total = total + merit(problem, k, now, u, rows, mu, "path")
+        cross = cross + (gap * times(V, dx)).sum()
+        after = problem.plus(problem.step(k, now, u), (a - 1) * closing)
+        return (after, total, cross), (now, u)
+
+    N, dtype = problem.horizon, ctrls.dtype
+    body = jax.tree.map(lambda x: x[:-1], knots)
+    ks = jnp.arange(N, dtype=dtype)
+    given = (ks, body, ctrls, gains.K, gains.k, gaps[:-1], gains.V[:-1], multipliers.path, gaps[1:])
+    zero = jnp.zeros((), dtype)
+    (last, total, cross), (before, us) = jax.lax.scan(forth, (now, zero, zero), given)
+    none = jnp.zeros(problem.nu, dtype)
+    total = total + merit(problem, N, last, none, multipliers.end, mu, "end")
+    end = jax.tree.map(lambda x: x[-1], knots)
+    cross = cross + (gaps[-1] * times(gains.V[-1], problem.minus(last, end))).sum()
+    found = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
+    return Tried(found, us, total, cross)

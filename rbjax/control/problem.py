@@ -1,0 +1,307 @@
+"""A problem of optimal control, said once and solved by any method.
+
+    min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u, and what of x_0, p, T is free
+    x_{k+1} = f(t_k, x_k, u_k, h; p),   low <= u_k <= high,   low <= c(t_k, x_k, u_k) <= high
+
+p are numbers that a `Design` puts into the model, T = N h the final time. Both are constant states
+beside the robot's: a knot is (x, p, T), and its tangent (dx, dp, dT).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.control.system import Linearised, System, system_of
+from rbjax.control.terms import Constraint, Cost, Term, cost_of
+from rbjax.dynamics.arguments import check_step, check_takes
+from rbjax.errors import InputError
+from rbjax.model.record import Record
+from rbjax.motion.field import free_motion
+
+
+class Design(Record):
+    """Numbers of the model that are optimised with the motion.
+
+    Fields: apply, a function (model, p (n,)) -> model; start, low, high (n,): first guess and
+    bounds.
+    """
+
+    apply: Callable[[Any, jax.Array], Any]
+    start: jax.Array
+    low: jax.Array
+    high: jax.Array
+
+    def __init__(self, apply: Any, start: Any, low: Any = -np.inf, high: Any = np.inf) -> None:
+        check_takes("Design", "apply", apply, "model", "p")
+        self.apply = apply
+        self.start = jnp.atleast_1d(jnp.asarray(start, float))
+        n = self.start.shape
+        if len(n) != 1:
+            raise InputError(f"Design: start has shape {n}, expected (n,)")
+        self.low, self.high = (jnp.broadcast_to(jnp.asarray(x, float), n) for x in (low, high))
+
+
+class Knot(NamedTuple):
+    """A state of the system, and numbers (p,) that are constant along the motion."""
+
+    state: Any
+    numbers: jax.Array
+
+
+class Problem(Record):
+    """What is to be found: controls, and with them what is free of start, model and time.
+
+    Args (also its fields):
+        model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
+        horizon: N, the number of steps, each with controls that are held.
+        dt: the step in s; the model's timestep if None.
+        running: costs at the N knots with controls: `Cost(term, weight)`, a term, or a function
+            (t, state, ctrl) or (model, t, state, ctrl). A number is a cost, a vector of residuals r
+            costs r.r / 2.
+        terminal: costs of the last state, of the same kinds; ctrl is zero there.
+        constraints: `Constraint`s.
+        bounds: "model" for the control ranges of the model, None for none, or (low, high), each a
+            number or (nu,).
+        integral: whether running costs are rates, times dt. False: they are summed as they are.
+        design: a `Design`, numbers of the model to be found too.
+        free_time: (low, high), bounds of the final time in s, which is then found too; horizon * dt
+            is its first guess.
+        free_start: which coordinates of the start's tangent space are found too: True for all, or
+            (n,) booleans.
+        integrator, law, held: as `integrator`, `law`, `constraints` of `rb.rollout`, for a Model.
+
+    Raises:
+        InputError: no knot, no cost, bounds that contradict each other, wrong types.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> goal = rb.control.StateError(model.default_state())
+        >>> problem = rb.control.Problem(model, 50, 0.02, running=[rb.control.Control()],
+        ...                              terminal=[rb.control.Cost(goal, 100.0)])
+        >>> problem.n, problem.nu
+        (4, 1)
+    """
+
+    system: System
+    dt: jax.Array
+    running: tuple[Cost, ...]
+    terminal: tuple[Cost, ...]
+    constraints: tuple[Constraint, ...]
+    low: jax.Array
+    high: jax.Array
+    design: Design | None
+    times: jax.Array | None
+    horizon: int = eqx.field(static=True)
+    integral: bool = eqx.field(static=True)
+    bounded: bool = eqx.field(static=True)
+    free: tuple[bool, ...] = eqx.field(static=True)
+
+    def __init__(
+        self, model: Any, horizon: int, dt: Any = None, *,
+        running: Sequence[Any] = (), terminal: Sequence[Any] = (),
+        constraints: Sequence[Constraint] = (), bounds: Any = "model", integral: bool = True,
+        design: Design | None = None, free_time: Any = None, free_start: Any = False,
+        integrator: Any = None, law: Any = free_motion, held: Any = None,
+    ) -> None:  # fmt: skip
+        self.system = system_of("Problem", model, integrator, law, held)
+        if not isinstance(horizon, int) or horizon < 1:
+            raise InputError(f"Problem: horizon is {horizon!r}, expected one step or more")
+        self.horizon = horizon
+        dt = getattr(model, "timestep", None) if dt is None else dt
+        if dt is None:
+            raise InputError("Problem: dt is None, expected a step in s; only an rb.Model has one")
+        self.dt = check_step("Problem", "dt", dt, jnp.zeros(()).dtype)
+        self.running = _costs("running", running)
+        self.terminal = _costs("terminal", terminal)
+        if not self.running + self.terminal:
+            raise InputError("Problem: no cost, expected one in running or terminal")
+        wrong = [type(c).__name__ for c in constraints if not isinstance(c, Constraint)]
+        if wrong:
+            raise InputError(
+                f"Problem: constraints has {wrong}, expected rb.control.Constraint(term, low, high)"
+            )
+        self.constraints = tuple(constraints)
+        self.low, self.high, self.bounded = _bounds(self.system, bounds)
+        self.integral = bool(integral)
+        if not isinstance(design, Design | None):
+            raise InputError(f"Problem: design is {type(design).__name__}, expected a Design")
+        self.design = design
+        self.times = None if free_time is None else _times(free_time)
+        self.free = _free(free_start, self.system.n)
+
+    @property
+    def nu(self) -> int:
+        """The number of controls."""
+        return self.system.nu
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers are constant along the motion: of the design, and the final time."""
+        design = 0 if self.design is None else self.design.start.shape[0]
+        return design + (self.times is not None)
+
+    @property
+    def n(self) -> int:
+        """The dimension of a knot's tangent space."""
+        return self.system.n + self.numbers
+
+    @property
+    def opens(self) -> bool:
+        """Whether anything of the first knot is free."""
+        return any(self.free) or self.numbers > 0
+
+    # what depends on the numbers of a knot
+
+    def first_numbers(self, dtype: Any) -> jax.Array:
+        """The first guess (p,) of what is constant along the motion."""
+        parts = [] if self.design is None else [self.design.start]
+        if self.times is not None:
+            parts.append(jnp.atleast_1d(jnp.clip(self.dt * self.horizon, *self.times)))
+        return jnp.concatenate(parts).astype(dtype) if parts else jnp.zeros(0, dtype)
+
+    def start_bounds(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
+        """Bounds (n,) of the first knot: of the numbers; the state has none."""
+        low, high = [jnp.full(self.system.n, -jnp.inf)], [jnp.full(self.system.n, jnp.inf)]
+        if self.design is not None:
+            low.append(self.design.low)
+            high.append(self.design.high)
+        if self.times is not None:
+            low.append(self.times[:1])
+            high.append(self.times[1:])
+        return jnp.concatenate(low).astype(dtype), jnp.concatenate(high).astype(dtype)
+
+    def at(self, numbers: jax.Array) -> tuple[System, jax.Array]:
+        """The system and the step that numbers say."""
+        system, dt = self.system, self.dt.astype(numbers.dtype)
+        if self.times is not None:
+            dt = numbers[-1] / self.horizon
+        if self.design is not None:
+            size = self.design.start.shape[0]
+            system = system.with_model(self.design.apply(system.model, numbers[:size]))
+        return system, dt
+
+    # a knot
+
+    def plus(self, knot: Knot, dx: jax.Array) -> Knot:
+        """knot (+) dx."""
+        n = self.system.n
+        return Knot(self.system.plus(knot.state, dx[:n]), knot.numbers + dx[n:])
+
+    def minus(self, one: Knot, other: Knot) -> jax.Array:
+        """dx (n,) from `other` to `one`."""
+        parts = [self.system.minus(one.state, other.state), one.numbers - other.numbers]
+        return jnp.concatenate(parts)
+
+    def step(self, k: Any, knot: Knot, ctrl: jax.Array) -> Knot:
+        """The knot after a step."""
+        system, dt = self.at(knot.numbers)
+        return Knot(system.step(k * dt, knot.state, ctrl, dt), knot.numbers)
+
+    def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
+        """The knot after a step, and its derivatives."""
+        system, dt = self.at(knot.numbers)
+        after, A, B = system.linear(k * dt, knot.state, ctrl, dt)
+        after = Knot(after, knot.numbers)
+        p = self.numbers
+        if p:
+
+            def moved(dp: jax.Array) -> jax.Array:
+                there = self.step(k, Knot(knot.state, knot.numbers + dp), ctrl)
+                return system.minus(there.state, after.state)
+
+            by = jax.jacfwd(moved)(jnp.zeros_like(knot.numbers))
+            below = jnp.eye(p, self.n, self.system.n, dtype=A.dtype)
+            A = jnp.concatenate([jnp.concatenate([A, by], 1), below])
+            B = jnp.concatenate([B, jnp.zeros((p, self.nu), B.dtype)])
+        return Linearised(after, A, B)
+
+    def values(
+        self, costs: tuple[Cost, ...], k: Any, knot: Knot, ctrl: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Residuals (r,) whose squares are halved and summed, and what is added to that; at a knot
+        with controls, or at the end (k = horizon)."""
+        system, dt = self.at(knot.numbers)
+        scale = dt if self.integral and costs is self.running else jnp.ones_like(dt)
+        residuals, rest = [jnp.zeros(0, dt.dtype)], jnp.zeros((), dt.dtype)
+        for cost in costs:
+            r = jnp.asarray(cost.term(system.model, k * dt, knot.state, ctrl), dt.dtype)
+            w = jnp.asarray(cost.weight, dt.dtype) * scale
+            if r.ndim > 1:
+                raise InputError(
+                    f"Problem: the cost {cost.term.label} returned shape {r.shape}, expected a "
+                    "number or a vector"
+                )
+            if r.ndim:
+                residuals.append(_root(jnp.broadcast_to(w, r.shape)) * r)
+            else:
+                rest = rest + w * r
+        return jnp.concatenate(residuals), rest
+
+    def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
+        """The values (c,) of the constraints at "path" or "end"."""
+        system, dt = self.at(knot.numbers)
+        found = [jnp.zeros(0, dt.dtype)]
+        for c in self.constraints:
+            if c.where in (where, "all"):
+                found.append(jnp.ravel(c.term(system.model, k * dt, knot.state, ctrl)))
+        return jnp.concatenate(found)
+
+
+def _root(w: jax.Array) -> jax.Array:
+    """The root of a weight, whose derivative is 0 where it is 0."""
+    positive = w > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, w, 1.0)), 0.0)
+
+
+def _costs(name: str, given: Any) -> tuple[Cost, ...]:
+    if isinstance(given, (Cost, Term)) or callable(given):
+        given = (given,)
+    return tuple(cost_of(f"Problem({name}=...)", x) for x in given)
+
+
+def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
+    if isinstance(bounds, str):
+        if bounds != "model":
+            raise InputError(f"Problem: bounds is {bounds!r}, expected 'model', None, (low, high)")
+        low, high = system.ctrl_range
+    elif bounds is None:
+        low, high = -jnp.inf, jnp.inf
+    else:
+        try:
+            low, high = bounds
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"Problem: bounds is {bounds!r}, expected 'model', None or (low, high)"
+            ) from error
+    low, high = (jnp.broadcast_to(jnp.asarray(x, float), (system.nu,)) for x in (low, high))
+    if isinstance(low, jax.core.Tracer) or isinstance(high, jax.core.Tracer):
+        return low, high, True
+    if not bool((low < high).all()):
+        raise InputError(
+            f"Problem: bounds of controls are {low.tolist()} and {high.tolist()}, expected "
+            "low < high"
+        )
+    return low, high, bool((jnp.isfinite(low) | jnp.isfinite(high)).any())
+
+
+def _times(free_time: Any) -> jax.Array:
+    times = jnp.asarray(free_time, float)
+    known = not isinstance(times, jax.core.Tracer)
+    if times.shape != (2,) or (known and not 0 < times[0] < times[1]):
+        raise InputError(f"Problem: free_time is {free_time!r}, expected (low, high), 0 < low < high")
+    return times
+
+
+def _free(free_start: Any, n: int) -> tuple[bool, ...]:
+    free = np.broadcast_to(np.asarray(free_start), (n,)) if np.ndim(free_start) < 1 else free_start
+    free = np.asarray(free)
+    if free.shape != (n,) or free.dtype != bool:
+        raise InputError(f"Problem: free_start is {free_start!r}, expected a bool or ({n},) bools")
+    return tuple(map(bool, free))

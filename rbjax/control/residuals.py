@@ -1,0 +1,177 @@
+"""Standard residuals: state, velocity, control, frames, centre of mass, effort, jerk.
+
+Each is a `Term`: a vector r of a state and controls that a cost squares or a constraint bounds.
+
+    state          dx = x (-) x_ref on the tangent space
+    pose           log(T_ref^-1 T): translation part first, then the rotation vector
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.terms import Term
+from rbjax.dynamics.energy import center_of_mass
+from rbjax.dynamics.forward import forward_dynamics
+from rbjax.dynamics.frames import frame_velocity, site_pose
+from rbjax.dynamics.kinematics import forward_kinematics
+from rbjax.errors import InputError
+from rbjax.forces.acting import applied_forces
+from rbjax.model import Model, State
+from rbjax.motion.linearise import apart
+from rbjax.rotations import se3
+
+
+class StateError(Term):
+    """x (-) reference, (n,): dq on the tangent space, dv, and states of force elements; of a system
+    of `Equations` x - reference."""
+
+    reference: Any
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        if not isinstance(model, Model):
+            return model.minus(state, self.reference)
+        reference = self.reference
+        if reference.x is None and state.x is not None:
+            reference = State(reference.q, reference.v, state.x)
+        return apart(model, reference, state)
+
+
+class Velocity(Term):
+    """v (nv,), m/s or rad/s."""
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return state.v
+
+
+class Configuration(Term):
+    """q (nq,): what the limits of hinges and slides bound."""
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return state.q
+
+
+class Control(Term):
+    """u - reference, (nu,)."""
+
+    reference: jax.Array | float = 0.0
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return ctrl - self.reference
+
+
+class Effort(Term):
+    """The generalized forces (nv,) of all that acts: actuators, springs, dampers, elements; N m."""
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return applied_forces(model, state, ctrl, t)
+
+
+class Acceleration(Term):
+    """v' (nv,) of free motion."""
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return forward_dynamics(model, state.q, state.v, applied_forces(model, state, ctrl, t))
+
+
+class Jerk(Term):
+    """v'' (nv,) of free motion, the controls held: d/dt a(q, v, u) = a_q v + a_v a."""
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        acceleration = Acceleration()
+
+        def along(h: jax.Array) -> jax.Array:
+            a = acceleration(model, t, state, ctrl)
+            dx = jnp.concatenate([h * state.v, h * a])
+            if state.x is not None:
+                dx = jnp.concatenate([dx, jnp.zeros_like(state.x)])
+            return acceleration(model, t, model_plus(model, state, dx), ctrl)
+
+        h = jnp.zeros((), state.q.dtype)
+        return jax.jvp(along, (h,), (jnp.ones_like(h),))[1]
+
+
+def model_plus(model: Model, state: State, dx: jax.Array) -> State:
+    """The state moved by dx on the tangent space."""
+    from rbjax.motion.linearise import beside
+
+    return beside(model, state, dx)
+
+
+class CenterOfMass(Term):
+    """The centre of mass of the robot less `position`, (3,) m in world axes."""
+
+    position: jax.Array
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return center_of_mass(model, state.q) - self.position
+
+
+class Pose(Term):
+    """log(T_ref^-1 T) of a site or body, (6,): the translation part in m, then the rotation vector.
+
+    Fields: rotation (3, 3) and position (3,) of the reference in the world; site or body, a name.
+    """
+
+    rotation: jax.Array
+    position: jax.Array
+    site: str | None = eqx.field(static=True, default=None)
+    body: str | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        check_frame("Pose", self.site, self.body)
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        R, p = pose_of(model, state.q, self.site, self.body)
+        R_ref, p_ref = self.rotation.astype(p.dtype), self.position.astype(p.dtype)
+        relative = (R_ref[:, :, None] * R[:, None, :]).sum(0)
+        xi = se3.log(se3.pose(relative, (R_ref * (p - p_ref)[:, None]).sum(0)))
+        return jnp.concatenate([xi[3:], xi[:3]])
+
+
+class Point(Term):
+    """The position of a site or body less `position`, (3,) m in world axes."""
+
+    position: jax.Array
+    site: str | None = eqx.field(static=True, default=None)
+    body: str | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        check_frame("Point", self.site, self.body)
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return pose_of(model, state.q, self.site, self.body)[1] - self.position
+
+
+class FrameVelocity(Term):
+    """The twist of a site or body, (6,): angular rad/s, then linear m/s, in world axes."""
+
+    site: str | None = eqx.field(static=True, default=None)
+    body: str | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self) -> None:
+        check_frame("FrameVelocity", self.site, self.body)
+
+    def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
+        return frame_velocity(model, state.q, state.v, self.body, site=self.site)
+
+
+def check_frame(where: str, site: Any, body: Any) -> None:
+    """Refuse both of a site and a body, and neither."""
+    if (site is None) == (body is None):
+        raise InputError(f"{where}: got site={site!r} and body={body!r}, expected one of them")
+
+
+def pose_of(
+    model: Model, q: jax.Array, site: str | None, body: str | None
+) -> tuple[jax.Array, jax.Array]:
+    """R (3, 3) and p (3,) of a site or body in the world."""
+    if site is not None:
+        return site_pose(model, q, site)
+    k = model.body(body)
+    poses = forward_kinematics(model, q)
+    return poses.R[k], poses.p[k]

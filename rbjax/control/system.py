@@ -1,0 +1,273 @@
+"""What a problem controls: states on a manifold, and a step.
+
+    x+ = f(t, x, u, dt),      x (+) dx,      dx = y (-) x,      A = df/dx, B = df/du on the tangent
+The optimisers know nothing else of a robot. A system is made of a `Model`, of any function of a
+vector (`Equations`), or by what has a method `controlled()` (robots of `rbjax.wheeled`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.arguments import check_takes
+from rbjax.errors import InputError
+from rbjax.forces.inputs import Inputs
+from rbjax.model import Model, State
+from rbjax.model.record import Record
+from rbjax.motion.field import Field, free_motion, law_of
+from rbjax.motion.integrators import advanced, integrator_of, semi_implicit_euler
+from rbjax.motion.linearise import apart, beside, euler_linearised
+
+
+class Linearised(NamedTuple):
+    """The state after a step, and its derivatives A (n, n) and B (n, m) on the tangent space."""
+
+    after: Any
+    A: jax.Array
+    B: jax.Array
+
+
+class System(Record):
+    """States on a manifold, and a step. Subclasses are final.
+
+    `model` is what costs and constraints are given as `model`: the robot itself.
+    """
+
+    @property
+    def model(self) -> Any:
+        """What costs are given as `model`."""
+        return self
+
+    def with_model(self, model: Any) -> System:
+        """The same system with another model."""
+        raise NotImplementedError(f"{type(self).__name__} has no method with_model")
+
+    @property
+    def n(self) -> int:
+        """The dimension of the tangent space of states."""
+        raise NotImplementedError(f"{type(self).__name__} has no property n")
+
+    @property
+    def nu(self) -> int:
+        """The number of controls."""
+        raise NotImplementedError(f"{type(self).__name__} has no property nu")
+
+    @property
+    def ctrl_range(self) -> tuple[Any, Any]:
+        """The smallest and the largest controls (nu,) that the system takes."""
+        return jnp.full(self.nu, -jnp.inf), jnp.full(self.nu, jnp.inf)
+
+    def checked(self, where: str, state: Any) -> Any:
+        """A state in the form that `step` takes, or an InputError."""
+        raise NotImplementedError(f"{type(self).__name__} has no method checked")
+
+    def example(self, dtype: Any) -> Any:
+        """A state, of which only shapes count."""
+        raise NotImplementedError(f"{type(self).__name__} has no method example")
+
+    def step(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Any:
+        """The state after dt, the controls held."""
+        raise NotImplementedError(f"{type(self).__name__} has no method step")
+
+    def plus(self, state: Any, dx: jax.Array) -> Any:
+        """state (+) dx."""
+        raise NotImplementedError(f"{type(self).__name__} has no method plus")
+
+    def minus(self, one: Any, other: Any) -> jax.Array:
+        """dx (n,) from `other` to `one`: other (+) dx = one."""
+        raise NotImplementedError(f"{type(self).__name__} has no method minus")
+
+    def linear(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Linearised:
+        """The step and its derivatives, by forward differentiation of `step`."""
+        after = self.step(t, state, ctrl, dt)
+
+        def moved(dx: jax.Array, du: jax.Array) -> jax.Array:
+            return self.minus(self.step(t, self.plus(state, dx), ctrl + du, dt), after)
+
+        zero = jnp.zeros(self.n, ctrl.dtype)
+        A, B = jax.jacfwd(moved, (0, 1))(zero, jnp.zeros_like(ctrl))
+        return Linearised(after, A, B)
+
+
+@runtime_checkable
+class Controlled(Protocol):
+    """What makes a system of itself."""
+
+    def controlled(self) -> System: ...
+
+
+class Robot(System):
+    """A `Model` under an integrator and a law.
+
+    Fields: robot, whose actuators take any control: a control clipped to its range would have no
+    derivative at a bound, so the optimiser holds the ranges; integrator and law, as `rb.rollout`
+    takes them; ranges (nu, 2), of the controls.
+    """
+
+    robot: Model
+    integrator: Any
+    law: Any
+    ranges: jax.Array
+
+    @property
+    def model(self) -> Model:
+        return self.robot
+
+    def with_model(self, model: Model) -> Robot:
+        return Robot(unlimited(model), self.integrator, self.law, self.ranges)
+
+    @property
+    def n(self) -> int:
+        return 2 * self.robot.nv + self.robot.nx
+
+    @property
+    def nu(self) -> int:
+        return self.robot.nu
+
+    @property
+    def ctrl_range(self) -> tuple[Any, Any]:
+        return self.ranges[:, 0], self.ranges[:, 1]
+
+    def checked(self, where: str, state: Any) -> State:
+        m = self.robot
+        if not isinstance(state, State):
+            raise InputError(
+                f"{where}: the state is {type(state).__name__}, expected rb.State(q ({m.nq},), "
+                f"v ({m.nv},))"
+            )
+        q = jnp.asarray(state.q, float)
+        x = m.start(q.dtype) if state.x is None else jnp.asarray(state.x, q.dtype)
+        due = {"q": (q, m.nq), "v": (jnp.asarray(state.v, q.dtype), m.nv)}
+        for name, (value, size) in due.items():
+            if value.shape != (size,):
+                raise InputError(
+                    f"{where}: {name} of the state has shape {value.shape}, expected ({size},); "
+                    "for a batch use jax.vmap"
+                )
+        return State(q, due["v"][0], x)
+
+    def example(self, dtype: Any) -> State:
+        m = self.robot
+        x = m.start(dtype)
+        return State(jnp.zeros(m.nq, dtype), jnp.zeros(m.nv, dtype), x)
+
+    def step(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> State:
+        field = Field(self.robot, self.law, dt)
+        return advanced(self.integrator, field, t, state, Inputs(ctrl), dt)
+
+    def plus(self, state: State, dx: jax.Array) -> State:
+        return beside(self.robot, state, dx)
+
+    def minus(self, one: State, other: State) -> jax.Array:
+        return apart(self.robot, other, one)
+
+    def linear(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> Linearised:
+        if self.integrator is semi_implicit_euler and self.law is free_motion:
+            found = euler_linearised(self.robot, t, state, ctrl, dt)
+            if found is not None:
+                return Linearised(*found)
+        return super().linear(t, state, ctrl, dt)
+
+
+class Equations(System):
+    """A function of a vector: x' = f(t, x, u) by RK4 steps, or x+ = f(t, x, u).
+
+    Fields: function; size, of x; controls, the number of them; discrete, whether the function
+    gives the next state; parts, Runge-Kutta steps of one step.
+    """
+
+    function: Callable[[Any, jax.Array, jax.Array], jax.Array]
+    size: int = eqx.field(static=True)
+    controls: int = eqx.field(static=True)
+    discrete: bool = eqx.field(static=True, default=False)
+    parts: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self) -> None:
+        check_takes("Equations", "function", self.function, "t", "x", "u")
+        for name in ("size", "controls", "parts"):
+            n = getattr(self, name)
+            if not isinstance(n, int) or n < 1:
+                raise InputError(f"Equations: {name} is {n!r}, expected a positive integer")
+
+    def with_model(self, model: Any) -> System:
+        if not isinstance(model, System):
+            raise InputError(f"a design gave {type(model).__name__}, expected Equations")
+        return model
+
+    @property
+    def n(self) -> int:
+        return self.size
+
+    @property
+    def nu(self) -> int:
+        return self.controls
+
+    def checked(self, where: str, state: Any) -> jax.Array:
+        x = jnp.asarray(state, float)
+        if x.shape != (self.size,):
+            raise InputError(f"{where}: the state has shape {x.shape}, expected ({self.size},)")
+        return x
+
+    def example(self, dtype: Any) -> jax.Array:
+        return jnp.zeros(self.size, dtype)
+
+    def step(self, t: Any, state: jax.Array, ctrl: jax.Array, dt: Any) -> jax.Array:
+        if self.discrete:
+            return self._value(t, state, ctrl)
+        h = dt / self.parts
+        for k in range(self.parts):
+            state = self._rk4(t + k * h, state, ctrl, h)
+        return state
+
+    def _rk4(self, t: Any, x: jax.Array, u: jax.Array, h: Any) -> jax.Array:
+        k1 = self._value(t, x, u)
+        k2 = self._value(t + h / 2, x + h / 2 * k1, u)
+        k3 = self._value(t + h / 2, x + h / 2 * k2, u)
+        k4 = self._value(t + h, x + h * k3, u)
+        return x + h / 6 * (k1 + 2 * (k2 + k3) + k4)
+
+    def _value(self, t: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+        value = jnp.asarray(self.function(t, x, u), x.dtype)
+        if value.shape != (self.size,):
+            raise InputError(
+                f"Equations: the function returned shape {value.shape}, expected ({self.size},)"
+            )
+        return value
+
+    def plus(self, state: jax.Array, dx: jax.Array) -> jax.Array:
+        return state + dx
+
+    def minus(self, one: jax.Array, other: jax.Array) -> jax.Array:
+        return one - other
+
+
+def unlimited(model: Model) -> Model:
+    """The model with actuators that take any control."""
+    ends = jnp.asarray([-jnp.inf, jnp.inf])
+    ranges = jnp.broadcast_to(ends, jnp.shape(model.actuators.ctrlrange))
+    return model.replace(actuators=model.actuators.replace(ctrlrange=ranges))
+
+
+def system_of(
+    where: str, model: Any, integrator: Any = None, law: Any = free_motion, constraints: Any = None
+) -> System:
+    """The system of a model, or a system itself."""
+    if isinstance(model, Model):
+        law = law_of(where, model, law, constraints)
+        ranges = jnp.asarray(model.actuators.ctrlrange)
+        return Robot(unlimited(model), integrator_of(where, integrator, law), law, ranges)
+    if integrator is not None or law is not free_motion or constraints is not None:
+        raise InputError(f"{where}: integrator, law and constraints are for an rb.Model")
+    if isinstance(model, System):
+        return model
+    if isinstance(model, Controlled):
+        return model.controlled()
+    raise InputError(
+        f"{where}: got {type(model).__name__}, expected an rb.Model, rb.control.Equations(f, n, m) "
+        "or a robot of rb.wheeled.at(...)"
+    )
