@@ -11,6 +11,7 @@ from typing import Any
 from rbjax import (
     body,
     constraints,
+    control,
     dynamics,
     forces,
     joints,
@@ -104,6 +105,7 @@ __all__ = [
     "compile",
     "compiler_options",
     "constraints",
+    "control",
     "coriolis_matrix",
     "difference",
     "dynamics",

@@ -31,9 +31,10 @@ from rbjax.control.expansion import (
     row_sizes,
 )
 from rbjax.control.forward_pass import Tried, forward_pass
+from rbjax.control.options import Options
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.control.problem import Knot, Problem
-from rbjax.model.record import Record
+from rbjax.control.solution import Found, plain_cost
 from rbjax.threads import threads
 
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation
@@ -42,15 +43,6 @@ ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
 GAP = 1e-9  # a motion obeys the dynamics
 PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
-
-
-class Options(Record):
-    """Of the iterations: tolerance of the foreseen change of the cost; of constraints; iterations
-    at most; turns of multipliers at most."""
-
-    tolerance: jax.Array
-    violation: jax.Array
-    iterations: jax.Array
 
 
 class Iterate(NamedTuple):
@@ -79,6 +71,32 @@ class Expanded(NamedTuple):
     end: Quadratic
     gaps: jax.Array
     cost: jax.Array
+
+
+def by_ddp(
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int
+) -> Found:
+    """`solve` by differential dynamic programming."""
+    last = optimised(problem, start, knots, ctrls, options, history)
+    return Found(
+        last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), last.outcome,
+        last.turns, last.stop, largest_gap(problem, start, last.knots, last.ctrls),
+        last.violation, last.costs, last.gains.K, last.multipliers.path, last.multipliers.end,
+    )  # fmt: skip
+
+
+def largest_gap(problem: Problem, start: Any, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The largest entry of a gap between a step and the next state, and of the start's."""
+    body = jax.tree.map(lambda x: x[:-1], knots)
+    following = jax.tree.map(lambda x: x[1:], knots)
+
+    def one(k: Any, knot: Knot, ctrl: jax.Array, after: Knot) -> jax.Array:
+        return jnp.abs(problem.minus(problem.step(k, knot, ctrl), after)).max()
+
+    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
+    gap = jax.vmap(threads(one))(ks, body, ctrls, following).max()
+    first = problem.system.minus(start, jax.tree.map(lambda x: x[0], knots.state))
+    return jnp.maximum(gap, jnp.abs(jnp.where(jnp.asarray(problem.free), 0.0, first)).max())
 
 
 def expand(

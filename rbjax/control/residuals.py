@@ -22,7 +22,7 @@ from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
 from rbjax.model import Model, State
-from rbjax.motion.linearise import apart
+from rbjax.motion.linearise import apart, beside
 from rbjax.rotations import se3
 
 
@@ -89,17 +89,10 @@ class Jerk(Term):
             dx = jnp.concatenate([h * state.v, h * a])
             if state.x is not None:
                 dx = jnp.concatenate([dx, jnp.zeros_like(state.x)])
-            return acceleration(model, t, model_plus(model, state, dx), ctrl)
+            return acceleration(model, t, beside(model, state, dx), ctrl)
 
         h = jnp.zeros((), state.q.dtype)
         return jax.jvp(along, (h,), (jnp.ones_like(h),))[1]
-
-
-def model_plus(model: Model, state: State, dx: jax.Array) -> State:
-    """The state moved by dx on the tangent space."""
-    from rbjax.motion.linearise import beside
-
-    return beside(model, state, dx)
 
 
 class CenterOfMass(Term):

@@ -1,0 +1,130 @@
+"""`solve`: a problem, by any method."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.compiling import compiled, inside_jit
+from rbjax.control.methods import METHODS
+from rbjax.control.options import Options
+from rbjax.control.problem import Knot, Problem
+from rbjax.control.solution import Solution, solution_of, violations
+from rbjax.errors import InputError, UnknownName
+from rbjax.motion.captured import with_captured
+from rbjax.solvers.arguments import check_whole
+
+
+def solve(
+    problem: Problem,
+    start: Any,
+    *,
+    method: str = "ddp",
+    states: Any = None,
+    ctrls: Any = None,
+    numbers: Any = None,
+    iterations: int = 200,
+    tolerance: float = 1e-9,
+    violation: float = 1e-6,
+) -> Solution:
+    """The controls that cost least from a start.
+
+    min  sum_k h L(t_k, x_k, u_k) + Phi(x_N)   as `Problem` says.
+
+    Args:
+        problem: `Problem`.
+        start: `State` of a model or a wheeled robot, (n,) of `Equations`; the first guess where it
+            is free.
+        method: one of `rb.control.methods()`.
+        states: a first guess of the states, with a leading axis N + 1. It need not obey the
+            dynamics. None: the start, at all knots.
+        ctrls: a first guess (N, nu) of the controls; None for zeros.
+        numbers: a first guess of the design and, last, of the final time.
+        iterations: at most.
+        tolerance: of the change of the cost that an iteration foresees.
+        violation: of constraints, in their units.
+
+    Returns:
+        `Solution`. `outcome` says whether it converged; `status` says so in words.
+
+    Raises:
+        InputError: wrong types or shapes. UnknownName: no such method.
+
+    Source: Mastalli et al., *Crocoddyl*, ICRA 2020 (`ddp`).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> still = rb.control.StateError(model.default_state())
+        >>> problem = rb.control.Problem(model, 20, 0.05, running=[still, rb.control.Control()],
+        ...                              terminal=[still])
+        >>> pushed = rb.State(model.default_state().q + 0.2, model.default_state().v)
+        >>> rb.control.solve(problem, pushed).status
+        'converged'
+    """
+    if not isinstance(problem, Problem):
+        raise InputError(
+            f"solve: problem is {type(problem).__name__}, expected an rb.control.Problem"
+        )
+    if method not in METHODS:
+        raise UnknownName("method of rb.control", method, METHODS)
+    if problem.constraints and not METHODS[method].constraints:
+        able = [name for name, m in METHODS.items() if m.constraints]
+        raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
+    check_whole("solve", "iterations", iterations, 1)
+    knots, us = first_guess(problem, start, states, ctrls, numbers)
+    options = Options(jnp.asarray(tolerance), jnp.asarray(violation), jnp.asarray(iterations))
+    first = problem.system.checked("solve", start)
+    leaves, tree = jax.tree.flatten(problem)
+    places = [i for i, x in enumerate(leaves) if callable(x)]
+
+    def run(*functions: Any) -> Solution:
+        filled = list(leaves)
+        for i, f in zip(places, functions, strict=True):
+            filled[i] = f
+        numeric, rest = eqx.partition(jax.tree.unflatten(tree, filled), eqx.is_array)
+        others, other_tree = jax.tree.flatten(rest)
+        key = (other_tree, *others)
+        program = _solve if inside_jit() else _compiled
+        found = program(numeric, first, knots, us, options, key, method, int(iterations))
+        return solution_of(problem, *found, method)
+
+    return with_captured(run, *(leaves[i] for i in places))
+
+
+def _solve(
+    numeric: Any, start: Any, knots: Knot, ctrls: jax.Array, options: Options, key: tuple,
+    method: str, history: int,
+) -> tuple:  # fmt: skip
+    problem = eqx.combine(numeric, jax.tree.unflatten(key[0], key[1:]))
+    found = METHODS[method].solve(problem, start, knots, ctrls, options, history)
+    return found, violations(problem, found.knots, found.ctrls)
+
+
+_compiled = compiled(_solve, static_argnames=("key", "method", "history"))
+
+
+def first_guess(
+    problem: Problem, start: Any, states: Any = None, ctrls: Any = None, numbers: Any = None
+) -> tuple[Knot, jax.Array]:
+    """Knots and controls to begin with, checked."""
+    N, dtype = problem.horizon, problem.dt.dtype
+    one = problem.system.checked("solve", start)
+    if states is None:
+        states = jax.tree.map(lambda x: jnp.broadcast_to(x, (N + 1, *x.shape)), one)
+    else:
+        due = jax.tree.map(lambda x: (N + 1, *x.shape), one)
+        got = jax.tree.map(jnp.shape, states)
+        if got != due:
+            raise InputError(f"solve: states has shapes {got}, expected {due}: one a knot")
+        states = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), states, one)
+    us = jnp.zeros((N, problem.nu), dtype) if ctrls is None else jnp.asarray(ctrls, dtype)
+    if us.shape != (N, problem.nu):
+        raise InputError(f"solve: ctrls has shape {us.shape}, expected ({N}, {problem.nu})")
+    p = problem.first_numbers(dtype) if numbers is None else jnp.asarray(numbers, dtype)
+    if p.shape != (problem.numbers,):
+        raise InputError(f"solve: numbers has shape {p.shape}, expected ({problem.numbers},)")
+    return Knot(states, jnp.broadcast_to(p, (N + 1, *p.shape))), us

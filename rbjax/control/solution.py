@@ -1,0 +1,164 @@
+"""What a method found, and how well it is an optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.outcome import CONVERGED, INFEASIBLE, SENTENCES
+from rbjax.control.problem import Knot, Problem
+from rbjax.errors import InputError
+from rbjax.model.record import Record
+
+
+class Found(NamedTuple):
+    """What every method returns: knots (N + 1, ...), ctrls (N, m), cost (), outcome (),
+    iterations (); stop (), the change of the cost that was still foreseen; gap (), the largest
+    between a step and the next state; violation (), the largest of a constraint; costs
+    (history,) of the iterations, nan after the last; K (N, m, n), gains of the feedback; and the
+    multipliers of the constraints at the knots with controls (N, c) and at the end (e,)."""
+
+    knots: Knot
+    ctrls: jax.Array
+    cost: jax.Array
+    outcome: jax.Array
+    iterations: jax.Array
+    stop: jax.Array
+    gap: jax.Array
+    violation: jax.Array
+    costs: jax.Array
+    K: jax.Array
+    path: jax.Array
+    end: jax.Array
+
+
+class Solution(Record):
+    """A motion and its controls.
+
+    Fields: problem; ts (N + 1,) s; states, with a leading axis N + 1; ctrls (N, nu); numbers (p,),
+    what was found of the design and the final time; cost (), without penalties; outcome (), 1 where
+    it converged; iterations (); stop (), the change of the cost that the last iteration foresaw;
+    gap (), the largest between a step and the next state, on the tangent space; violation () of
+    constraints, and violations (number of constraints,) of each; costs (history,) of the
+    iterations; K (N, nu, n), gains of the feedback u = ctrls + K (x (-) states); multipliers, a
+    pair.
+    """
+
+    problem: Problem
+    ts: jax.Array
+    states: Any
+    ctrls: jax.Array
+    numbers: jax.Array
+    cost: jax.Array
+    outcome: jax.Array
+    iterations: jax.Array
+    stop: jax.Array
+    gap: jax.Array
+    violation: jax.Array
+    violations: jax.Array
+    costs: jax.Array
+    K: jax.Array
+    multipliers: tuple[jax.Array, jax.Array]
+    method: str = eqx.field(static=True)
+
+    @property
+    def converged(self) -> jax.Array:
+        """Whether an optimum was found."""
+        return self.outcome == CONVERGED
+
+    @property
+    def status(self) -> str:
+        """How the search ended, in words; of one problem, not of a batch."""
+        if jnp.ndim(self.outcome):
+            raise InputError("status: the solution is a batch, expected one; look at `outcome`")
+        outcome = int(self.outcome)
+        said = SENTENCES[outcome]
+        if outcome == INFEASIBLE:
+            names = [c.name for c in self.problem.constraints]
+            worst = int(jnp.argmax(self.violations))
+            said += f"; the worst is {names[worst]!r}, by {float(self.violations[worst]):.3g}"
+        return said
+
+    @property
+    def model(self) -> Any:
+        """The model with the numbers that were found."""
+        return self.problem.at(self.numbers)[0].model
+
+    @property
+    def duration(self) -> jax.Array:
+        """The final time, s."""
+        return self.ts[..., -1]
+
+    def state(self, k: int) -> Any:
+        """The state at knot k."""
+        return jax.tree.map(lambda x: x[k], self.states)
+
+    def policy(self) -> Callable[[Any, Any], jax.Array]:
+        """The feedback (t, state) -> ctrl about the motion, within the bounds: for `rb.rollout`."""
+        dt = self.ts[1] - self.ts[0]
+        problem, system = self.problem, self.problem.at(self.numbers)[0]
+        N = problem.horizon
+        n = system.n
+
+        def act(t: Any, state: Any) -> jax.Array:
+            k = jnp.clip(jnp.floor(t / dt + 1e-6).astype(int), 0, N - 1)
+            here = jax.tree.map(lambda x: x[k], self.states)
+            dx = system.minus(state, here)
+            u = self.ctrls[k] + (self.K[k, :, :n] * dx).sum(-1)
+            return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+
+        return act
+
+
+def solution_of(problem: Problem, found: Found, off: jax.Array, method: str) -> Solution:
+    """The public form of what a method found."""
+    numbers = found.knots.numbers[0]
+    _, dt = problem.at(numbers)
+    ts = dt * jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    return Solution(
+        problem, ts, found.knots.state, found.ctrls, numbers, found.cost, found.outcome,
+        found.iterations, found.stop, found.gap, found.violation,
+        off, found.costs, found.K,
+        (found.path, found.end), method,
+    )  # fmt: skip
+
+
+def violations(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The largest violation of each constraint along a motion."""
+    N, dtype = problem.horizon, ctrls.dtype
+    body = jax.tree.map(lambda x: x[:-1], knots)
+    last = jax.tree.map(lambda x: x[-1], knots)
+    out = [jnp.zeros(0, dtype)]
+    for c in problem.constraints:
+
+        def off(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
+            system, dt = problem.at(knot.numbers)
+            value = c.term(system.model, k * dt, knot.state, ctrl)
+            return jnp.abs(value - jnp.clip(value, c.low, c.high)).max(initial=0.0)
+
+        worst = jnp.zeros((), dtype)
+        if c.where in ("path", "all"):
+            worst = jax.vmap(off)(jnp.arange(N, dtype=dtype), body, ctrls).max()
+        if c.where in ("end", "all"):
+            worst = jnp.maximum(worst, off(N, last, jnp.zeros(problem.nu, dtype)))
+        out.append(worst[None])
+    return jnp.concatenate(out)
+
+
+def plain_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The cost of a motion, without penalties."""
+    N, dtype = problem.horizon, ctrls.dtype
+
+    def one(costs: tuple, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        r, rest = problem.values(costs, k, knot, ctrl)
+        return 0.5 * (r * r).sum() + rest
+
+    body = jax.tree.map(lambda x: x[:-1], knots)
+    last = jax.tree.map(lambda x: x[-1], knots)
+    ks = jnp.arange(N, dtype=dtype)
+    path = jax.vmap(lambda *x: one(problem.running, *x))(ks, body, ctrls).sum()
+    return path + one(problem.terminal, N, last, jnp.zeros(problem.nu, dtype))
