@@ -25,10 +25,12 @@ from rbjax.control.expansion import (
     Local,
     Multipliers,
     Quadratic,
+    costates,
     limits,
     local,
     quadratic,
     row_sizes,
+    second_order,
 )
 from rbjax.control.forward_pass import Tried, forward_pass
 from rbjax.control.options import Options
@@ -62,6 +64,7 @@ class Iterate(NamedTuple):
     outcome: jax.Array
     gains: Gains
     costs: jax.Array  # (history,) of each iteration
+    curved: jax.Array  # 1 where second derivatives of the dynamics count, else 0
 
 
 class Expanded(NamedTuple):
@@ -74,10 +77,12 @@ class Expanded(NamedTuple):
 
 
 def by_ddp(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int
-) -> Found:
-    """`solve` by differential dynamic programming."""
-    last = optimised(problem, start, knots, ctrls, options, history)
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
+    exact: bool = False,
+) -> Found:  # fmt: skip
+    """`solve` by differential dynamic programming. exact: with second derivatives of dynamics and
+    residuals, where full steps are taken."""
+    last = optimised(problem, start, knots, ctrls, options, history, exact)
     return Found(
         last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), last.outcome,
         last.turns, last.stop, largest_gap(problem, start, last.knots, last.ctrls),
@@ -133,6 +138,34 @@ def expand(
     )
 
 
+def with_curvature(
+    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded,
+    share: jax.Array,
+) -> Expanded:  # fmt: skip
+    """All knots with a share of what Gauss and Newton leave out."""
+    N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
+    body = jax.tree.map(lambda x: x[:-1], knots)
+    last = jax.tree.map(lambda x: x[-1], knots)
+
+    def one(k, knot, ctrl, rows, costate):
+        return second_order(problem, k, knot, ctrl, rows, mu, "path", costate)
+
+    def closing(knot, rows):
+        none = jnp.zeros(problem.nu, dtype)
+        return second_order(problem, jnp.asarray(N, dtype), knot, none, rows, mu, "end")
+
+    def added(cost: Quadratic, more: tuple) -> Quadratic:
+        Q, R, S = more
+        return cost._replace(Q=cost.Q + share * Q, R=cost.R + share * R, S=cost.S + share * S)
+
+    l = threads(costates)(found.path, found.end)
+    ks = jnp.arange(N, dtype=dtype)
+    more = jax.vmap(threads(one))(ks, body, ctrls, multipliers.path, l)
+    path = found.path._replace(cost=added(found.path.cost, more))
+    end = added(found.end, threads(closing)(last, multipliers.end))
+    return found._replace(path=path, end=end)
+
+
 def gains_of(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any
 ) -> Gains:
@@ -154,8 +187,9 @@ def gains_of(
 
 
 def optimised(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int
-) -> Iterate:
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
+    exact: bool,
+) -> Iterate:  # fmt: skip
     """The iterations, from states and controls."""
     dtype = ctrls.dtype
     lengths = jnp.asarray([0.5**k for k in range(TRIALS)], dtype)
@@ -178,6 +212,8 @@ def optimised(
 
     def turn(now: Iterate) -> Iterate:
         found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
+        if exact:
+            found = with_curvature(problem, now.knots, now.ctrls, now.multipliers, found, now.curved)
         gaps = jnp.where(now.feasible, 0.0, found.gaps)
         gains, reg = direction(now, found, gaps)
         tried = jax.vmap(threads(functools.partial(forward_pass, problem)), (None,) * 5 + (0,))(
@@ -206,7 +242,7 @@ def optimised(
             knots=knots, ctrls=ctrls, reg=reg, cost=cost, stop=stop, turns=turns,
             feasible=now.feasible | (accepted & (best == 0)), gains=gains,
             costs=now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost),
-            outcome=outcome,
+            outcome=outcome, curved=jnp.where(accepted & (best == 0), 1.0, 0.0).astype(dtype),
         )  # fmt: skip
         return _judged(problem, after, still, options)
 
@@ -303,5 +339,5 @@ def _begun(
         Multipliers(jnp.zeros((N, sizes[0]), dtype), jnp.zeros(sizes[1], dtype), number(PENALTY)),
         number(LEAST), number(jnp.inf), number(jnp.inf), number(0), number(jnp.inf),
         first.astype(dtype), jnp.asarray(0), jnp.asarray(GOING), none,
-        jnp.full(history, jnp.nan, dtype),
+        jnp.full(history, jnp.nan, dtype), number(0),
     )  # fmt: skip

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control.problem import Knot, Problem
+from rbjax.control.products import times
 from rbjax.control.terms import Cost
 from rbjax.lanes.products import matmat
 
@@ -151,3 +152,36 @@ def local(
     """A knot with controls to second order."""
     after, A, B = problem.linear(k, knot, ctrl)
     return Local(after, A, B, quadratic(problem, k, knot, ctrl, rows, mu, "path"))
+
+
+def second_order(
+    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
+    where: str, costate: jax.Array | None = None,
+) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
+    """What Gauss and Newton leave out of Q, R and S: sum of r_i r_i'' of the residuals, and of
+    costate_i f_i'' of the step."""
+    n, m = problem.n, problem.nu
+    zero = jnp.zeros(n + m, ctrl.dtype)
+    r, _ = penalised(problem, k, knot, ctrl, rows, mu, where)
+    after = None if costate is None else problem.step(k, knot, ctrl)
+
+    def curved(d: jax.Array) -> jax.Array:
+        there, u = problem.plus(knot, d[:n]), ctrl + d[n:]
+        total = (r * penalised(problem, k, there, u, rows, mu, where)[0]).sum()
+        if costate is not None:
+            total = total + (costate * problem.minus(problem.step(k, there, u), after)).sum()
+        return total
+
+    H = jax.jacfwd(jax.grad(curved))(zero)
+    return H[:n, :n], H[n:, n:], H[:n, n:]
+
+
+def costates(path: Local, end: Quadratic) -> jax.Array:
+    """The derivatives (N, n) of the cost by the state after each step: l_N = q_N,
+    l_k = q_k + A_k' l_{k+1}."""
+
+    def back(l: jax.Array, knot: tuple) -> tuple[jax.Array, jax.Array]:
+        A, q = knot
+        return q + times(A.T, l), l
+
+    return jax.lax.scan(back, end.q, (path.A, path.cost.q), reverse=True)[1]

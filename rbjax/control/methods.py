@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -23,6 +24,11 @@ METHODS: dict[str, Method] = {
         by_ddp, True, True,
         "feasibility-driven DDP with multiple shooting, boxes and an augmented Lagrangian: the "
         "default; converges fast from a rough guess, and leaves a feedback",
+    ),
+    "exact_ddp": Method(
+        functools.partial(by_ddp, exact=True), True, True,
+        "the same with second derivatives of the dynamics: fewer iterations to the last digits, "
+        "each more expensive; for small robots, or where ddp is slow to settle",
     ),
 }  # fmt: skip
 
