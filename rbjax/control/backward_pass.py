@@ -1,6 +1,6 @@
 """The backward pass of differential dynamic programming: gains of a problem to second order.
 
-    Qxx = Q + A'V'A,  Quu = R + B'V'B,  Qux = S' + B'V'A,  Qx = q + A'(v' + V' gap),  Qu = r + B'(..)
+    Qxx = Q + A'V'A,  Quu = R + B'V'B,  Qux = S' + B'V'A,  Qx = q + A'v',  Qu = r + B'v'
     du = k + K dx,   k = argmin over the box,   K = -Quu^-1 Qux in the free controls
     V = Qxx + Qxu K,   v = Qx + Qxu k
 
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from rbjax.control.box_qp import box_qp, solved
 from rbjax.control.expansion import Quadratic
-from rbjax.control.products import congruence, product, times
+from rbjax.control.products import product
 
 
 class Gains(NamedTuple):
@@ -60,8 +60,8 @@ def backward_pass(
         V, v, slope, curvature, ok = carry
         A, B, gap, cost, bound = knot
         VA, VB = product(V, A), product(V, B)
-        Qx, Qu = cost.q + times(A.T, v), cost.r + times(B.T, v)
-        Qxx, Quu = cost.Q + congruence(A, VA), cost.R + congruence(B, VB) + reg * eye_u
+        Qx, Qu = cost.q + product(A.T, v), cost.r + product(B.T, v)
+        Qxx, Quu = cost.Q + product(A.T, VA), cost.R + product(B.T, VB) + reg * eye_u
         Qux = cost.S.T + product(B.T, VA)
         if bound is None:
             L = jnp.linalg.cholesky(Quu)
@@ -70,20 +70,20 @@ def backward_pass(
             box = box_qp(Quu, Qu, *bound)
             free = box.free[:, None]
             k, K, fine = box.d, -free * solved(box.factor, free * Qux), box.ok
-        V = Qxx + congruence(Qux, K)
+        V = Qxx + product(Qux.T, K)
         V = 0.5 * (V + V.T) + reg * eye_x
-        Quu_k = times(Quu, k)
-        v = Qx + times(Qux.T, k)
-        v_gap = v + times(V, gap)
+        Quu_k = product(Quu, k)
+        v = Qx + product(Qux.T, k)
+        v_gap = v + product(V, gap)
         slope = slope + (Qu * k).sum() + (v_gap * gap).sum()
         curvature = curvature + (k * Quu_k).sum() - (gap * (v_gap - v)).sum()
         return (V, v_gap, slope, curvature, ok & fine), (K, k, V, v_gap)
 
     last = gaps[-1]
-    v = end.q + times(end.Q, last)
+    v = end.q + product(end.Q, last)
     zero = jnp.zeros((), reg.dtype)
     V = end.Q + reg * eye_x
-    begin = (V, v, (v * last).sum(), -(last * times(end.Q, last)).sum(), zero == 0)
+    begin = (V, v, (v * last).sum(), -(last * product(end.Q, last)).sum(), zero == 0)
     knots = (A, B, gaps[:-1], path, bounds)
     (V, v, slope, curvature, ok), (K, k, Vs, vs) = jax.lax.scan(back, begin, knots, reverse=True)
     dx0 = gaps[0]
@@ -94,7 +94,7 @@ def backward_pass(
         box = box_qp(H, free * v, jnp.maximum(low, -huge), jnp.minimum(high, huge))
         step = free * jnp.where(box.ok, box.d, 0.0)
         slope = slope + (v * step).sum()
-        curvature = curvature + (step * times(H, step)).sum()
+        curvature = curvature + (step * product(H, step)).sum()
         dx0, ok = dx0 + step, ok & box.ok
     Vs, vs = (jnp.concatenate([x, y[None]]) for x, y in ((Vs, end.Q), (vs, begin[1])))
     return Gains(K, k, Vs, vs, dx0, slope, curvature, ok)

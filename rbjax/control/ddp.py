@@ -213,7 +213,9 @@ def optimised(
     def turn(now: Iterate) -> Iterate:
         found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
         if exact:
-            found = with_curvature(problem, now.knots, now.ctrls, now.multipliers, found, now.curved)
+            found = with_curvature(
+                problem, now.knots, now.ctrls, now.multipliers, found, now.curved
+            )
         gaps = jnp.where(now.feasible, 0.0, found.gaps)
         gains, reg = direction(now, found, gaps)
         tried = jax.vmap(threads(functools.partial(forward_pass, problem)), (None,) * 5 + (0,))(

@@ -10,15 +10,16 @@ in the augmented Lagrangian, a residual too:
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Var
 
 from rbjax.control.problem import Knot, Problem
-from rbjax.control.products import times
-from rbjax.control.terms import Cost
-from rbjax.lanes.products import matmat
+from rbjax.control.products import product
 
 
 class Multipliers(NamedTuple):
@@ -86,64 +87,104 @@ def example(problem: Problem) -> tuple[Knot, jax.Array]:
     return Knot(state, problem.first_numbers(dtype)), jnp.zeros(problem.nu, dtype)
 
 
-def penalised(
-    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
-    where: str,
-) -> tuple[jax.Array, jax.Array]:  # fmt: skip
-    """All residuals of a knot, those of the augmented Lagrangian too, and what costs beside them.
-    rows: the multipliers (c,)."""
-    costs = problem.running if where == "path" else problem.terminal
-    r, rest = problem.values(costs, k, knot, ctrl)
-    if rows.shape[0]:
-        s = problem.rows(k, knot, ctrl, where) + rows / mu
-        low, high = limits(problem, where, s)
-        r = jnp.concatenate([r, jnp.sqrt(mu) * (s - jnp.clip(s, low, high))])
-    return r, rest
-
-
 def merit(
     problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
     where: str,
 ) -> jax.Array:  # fmt: skip
     """The cost () of a knot with its part of the augmented Lagrangian."""
-    r, rest = penalised(problem, k, knot, ctrl, rows, mu, where)
-    return 0.5 * (r * r).sum() + rest
+    total = jnp.zeros((), ctrl.dtype)
+    for part in parts(problem, rows, mu, where):
+        value = part(k, knot, ctrl)
+        total = total + (0.5 * (value * value).sum() if value.ndim else value)
+    return total
 
 
 def quadratic(
     problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
     where: str,
 ) -> Quadratic:  # fmt: skip
-    """The cost of a knot to second order."""
+    """The cost of a knot to second order: the sum over its costs, each differentiated by what it
+    reads only."""
     n, m, dtype = problem.n, problem.nu, ctrl.dtype
-    costs = problem.running if where == "path" else problem.terminal
-
-    def near(d: jax.Array) -> tuple[jax.Array, jax.Array]:
-        there = problem.plus(knot, d[:n])
-        return penalised(problem, k, there, ctrl + d[n:], rows, mu, where)
+    total = jnp.zeros((), dtype)
+    gradient, H = jnp.zeros(n + m, dtype), jnp.zeros((n + m, n + m), dtype)
 
     zero = jnp.zeros(n + m, dtype)
-    r, rest = near(zero)
-    J = jax.jacfwd(lambda d: near(d)[0])(zero)
-    gradient = (J * r[:, None]).sum(0)
-    H = matmat(J.T, J)
-    if any(is_number(problem, cost) for cost in costs):
-        scalar = lambda d: near(d)[1]  # noqa: E731
-        gradient = gradient + jax.grad(scalar)(zero)
-        H = H + jax.hessian(scalar)(zero)
-    c = 0.5 * (r * r).sum() + rest
-    return Quadratic(c, gradient[:n], H[:n, :n], gradient[n:], H[n:, n:], H[:n, n:])
+    for part in parts(problem, rows, mu, where):
+        near = functools.partial(_beside, problem, part, k, knot, ctrl)
+        at = read_columns(problem, part)
+        value, slope, curvature = _second_order_in(near, zero, jnp.eye(n + m, dtype=dtype)[at])
+        total = total + value
+        gradient = gradient.at[at].add(slope)
+        H = H.at[np.ix_(at, at)].add(curvature)
+    return Quadratic(total, gradient[:n], H[:n, :n], gradient[n:], H[n:, n:], H[:n, n:])
 
 
-def is_number(problem: Problem, cost: Cost) -> bool:
-    """Whether a term gives a number, and not residuals."""
+def _beside(
+    problem: Problem, part: Any, k: Any, knot: Knot, ctrl: jax.Array, d: jax.Array
+) -> jax.Array:
+    """A function of a knot and controls, moved by d."""
+    return part(k, problem.plus(knot, d[: problem.n]), ctrl + d[problem.n :])
+
+
+def _second_order_in(
+    f: Any, zero: jax.Array, basis: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A cost and its first and second derivatives along the rows of `basis`."""
+    value = f(zero)
+    if value.ndim:
+        J = jax.vmap(lambda e: jax.jvp(f, (zero,), (e,))[1])(basis)
+        return 0.5 * (value * value).sum(), product(J, value), product(J, J.T)
+    gradient = jax.grad(f)
+    turned = jax.vmap(lambda e: jax.jvp(gradient, (zero,), (e,))[1])(basis)
+    return value, product(basis, gradient(zero)), product(turned, basis.T)
+
+
+def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
+    """The functions (k, knot, ctrl) whose costs are summed: of each cost, weighted residuals or a
+    number; of each constraint, the residuals of the augmented Lagrangian."""
+    costs = problem.running if where == "path" else problem.terminal
+    found: list[Any] = [functools.partial(problem.value, cost, where) for cost in costs]
+    at = 0
+    for c, size in row_sizes(problem, where):
+        own = rows[at : at + size]
+        at += size
+
+        def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
+            s = problem.row(c, k, knot, ctrl) + own / mu
+            low, high = (jnp.ravel(jnp.asarray(x, s.dtype)) for x in (c.low, c.high))
+            return jnp.sqrt(mu) * (s - jnp.clip(s, low, high))
+
+        found.append(penalty)
+    return found
+
+
+def read_columns(problem: Problem, part: Any) -> np.ndarray:
+    """The coordinates of a knot's tangent space and of the controls on which a function depends."""
     knot, ctrl = example(problem)
+    leaves, tree = jax.tree.flatten((knot, ctrl))
 
-    def value(knot: Knot, ctrl: jax.Array) -> jax.Array:
-        system, _ = problem.at(knot.numbers)
-        return jnp.asarray(cost.term(system.model, 0.0, knot.state, ctrl))
+    def flat(*xs: Any) -> Any:
+        knot, ctrl = jax.tree.unflatten(tree, xs)
+        return part(jnp.zeros((), ctrl.dtype), knot, ctrl)
 
-    return jax.eval_shape(value, knot, ctrl).ndim == 0
+    used = arguments_read(flat, leaves)
+    n, p, m = problem.system.n, problem.numbers, problem.nu
+    spans = [*problem.system.spans(), slice(n, n + p), slice(n + p, n + p + m)]
+    return np.unique(np.concatenate([
+        np.zeros(0, int),
+        *(np.arange(n + p + m)[s] for s, u in zip(spans, used, strict=True) if u),
+    ])).astype(int)  # fmt: skip
+
+
+def arguments_read(f: Any, args: list) -> list[bool]:
+    """Whether the result of f depends on each of its arguments, as its equations say."""
+    jaxpr = jax.make_jaxpr(f)(*args).jaxpr
+    live = {v for v in jaxpr.outvars if isinstance(v, Var)}
+    for eqn in reversed(jaxpr.eqns):
+        if any(v in live for v in eqn.outvars):
+            live |= {v for v in eqn.invars if isinstance(v, Var)}
+    return [v in live for v in jaxpr.invars]
 
 
 def local(
@@ -162,12 +203,18 @@ def second_order(
     costate_i f_i'' of the step."""
     n, m = problem.n, problem.nu
     zero = jnp.zeros(n + m, ctrl.dtype)
-    r, _ = penalised(problem, k, knot, ctrl, rows, mu, where)
+    residuals = [
+        (part, value)
+        for part in parts(problem, rows, mu, where)
+        if (value := part(k, knot, ctrl)).ndim
+    ]
     after = None if costate is None else problem.step(k, knot, ctrl)
 
     def curved(d: jax.Array) -> jax.Array:
         there, u = problem.plus(knot, d[:n]), ctrl + d[n:]
-        total = (r * penalised(problem, k, there, u, rows, mu, where)[0]).sum()
+        total = jnp.zeros((), ctrl.dtype)
+        for part, value in residuals:
+            total = total + (value * part(k, there, u)).sum()
         if costate is not None:
             total = total + (costate * problem.minus(problem.step(k, there, u), after)).sum()
         return total
@@ -182,6 +229,6 @@ def costates(path: Local, end: Quadratic) -> jax.Array:
 
     def back(l: jax.Array, knot: tuple) -> tuple[jax.Array, jax.Array]:
         A, q = knot
-        return q + times(A.T, l), l
+        return q + product(A.T, l), l
 
     return jax.lax.scan(back, end.q, (path.A, path.cost.q), reverse=True)[1]

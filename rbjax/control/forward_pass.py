@@ -3,7 +3,8 @@
     x_0 = xs_0 (+) a dx_0,   u_k = us_k + a k_k + K_k (x_k (-) xs_k),   within the bounds
     x_{k+1} = f(x_k, u_k) (+) (a - 1) gap_{k+1}
 
-With a = 1 the motion obeys the dynamics; with less, gaps close in proportion (Mastalli et al. 2020).
+With a = 1 the motion obeys the dynamics; with less, gaps close in proportion (Mastalli et al.
+2020).
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 from rbjax.control.backward_pass import Gains
 from rbjax.control.expansion import Multipliers, merit
 from rbjax.control.problem import Knot, Problem
-from rbjax.control.products import times
+from rbjax.control.products import product
 
 
 class Tried(NamedTuple):
@@ -41,11 +42,11 @@ def forward_pass(
         now, total, cross = carry
         k, knot, ctrl, K, du, gap, V, rows, closing = x
         dx = problem.minus(now, knot)
-        u = ctrl + a * du + times(K, dx)
+        u = ctrl + a * du + product(K, dx)
         if problem.bounded:
             u = jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
         total = total + merit(problem, k, now, u, rows, mu, "path")
-        cross = cross + (gap * times(V, dx)).sum()
+        cross = cross + (gap * product(V, dx)).sum()
         after = problem.plus(problem.step(k, now, u), (a - 1) * closing)
         return (after, total, cross), (now, u)
 
@@ -58,6 +59,6 @@ def forward_pass(
     none = jnp.zeros(problem.nu, dtype)
     total = total + merit(problem, N, last, none, multipliers.end, mu, "end")
     end = jax.tree.map(lambda x: x[-1], knots)
-    cross = cross + (gaps[-1] * times(gains.V[-1], problem.minus(last, end))).sum()
+    cross = cross + (gaps[-1] * product(gains.V[-1], problem.minus(last, end))).sum()
     found = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
     return Tried(found, us, total, cross)

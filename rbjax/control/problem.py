@@ -222,27 +222,27 @@ class Problem(Record):
             B = jnp.concatenate([B, jnp.zeros((p, self.nu), B.dtype)])
         return Linearised(after, A, B)
 
-    def values(
-        self, costs: tuple[Cost, ...], k: Any, knot: Knot, ctrl: jax.Array
-    ) -> tuple[jax.Array, jax.Array]:
-        """Residuals (r,) whose squares are halved and summed, and what is added to that; at a knot
-        with controls, or at the end (k = horizon)."""
+    def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
+        whose squares are halved and summed."""
         system, dt = self.at(knot.numbers)
-        scale = dt if self.integral and costs is self.running else jnp.ones_like(dt)
-        residuals, rest = [jnp.zeros(0, dt.dtype)], jnp.zeros((), dt.dtype)
-        for cost in costs:
-            r = jnp.asarray(cost.term(system.model, k * dt, knot.state, ctrl), dt.dtype)
-            w = jnp.asarray(cost.weight, dt.dtype) * scale
-            if r.ndim > 1:
-                raise InputError(
-                    f"Problem: the cost {cost.term.label} returned shape {r.shape}, expected a "
-                    "number or a vector"
-                )
-            if r.ndim:
-                residuals.append(_root(jnp.broadcast_to(w, r.shape)) * r)
-            else:
-                rest = rest + w * r
-        return jnp.concatenate(residuals), rest
+        value = jnp.asarray(cost.term(system.model, k * dt, knot.state, ctrl), dt.dtype)
+        w = jnp.asarray(cost.weight, dt.dtype)
+        if self.integral and where == "path":
+            w = w * dt
+        if value.ndim > 1:
+            raise InputError(
+                f"Problem: the cost {cost.term.label} returned shape {value.shape}, expected a "
+                "number or a vector"
+            )
+        if value.ndim:
+            return _root(jnp.broadcast_to(w, value.shape)) * value
+        return w * value
+
+    def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        """The values (c,) of a constraint at a knot."""
+        system, dt = self.at(knot.numbers)
+        return jnp.ravel(c.term(system.model, k * dt, knot.state, ctrl)).astype(dt.dtype)
 
     def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
@@ -295,7 +295,9 @@ def _times(free_time: Any) -> jax.Array:
     times = jnp.asarray(free_time, float)
     known = not isinstance(times, jax.core.Tracer)
     if times.shape != (2,) or (known and not 0 < times[0] < times[1]):
-        raise InputError(f"Problem: free_time is {free_time!r}, expected (low, high), 0 < low < high")
+        raise InputError(
+            f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"
+        )
     return times
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -153,12 +154,16 @@ def plain_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
     """The cost of a motion, without penalties."""
     N, dtype = problem.horizon, ctrls.dtype
 
-    def one(costs: tuple, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        r, rest = problem.values(costs, k, knot, ctrl)
-        return 0.5 * (r * r).sum() + rest
+    def one(where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        costs = problem.running if where == "path" else problem.terminal
+        total = jnp.zeros((), dtype)
+        for cost in costs:
+            value = problem.value(cost, where, k, knot, ctrl)
+            total = total + (0.5 * (value * value).sum() if value.ndim else value)
+        return total
 
     body = jax.tree.map(lambda x: x[:-1], knots)
     last = jax.tree.map(lambda x: x[-1], knots)
     ks = jnp.arange(N, dtype=dtype)
-    path = jax.vmap(lambda *x: one(problem.running, *x))(ks, body, ctrls).sum()
-    return path + one(problem.terminal, N, last, jnp.zeros(problem.nu, dtype))
+    path = jax.vmap(functools.partial(one, "path"))(ks, body, ctrls).sum()
+    return path + one("end", N, last, jnp.zeros(problem.nu, dtype))

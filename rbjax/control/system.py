@@ -62,6 +62,11 @@ class System(Record):
         """The smallest and the largest controls (nu,) that the system takes."""
         return jnp.full(self.nu, -jnp.inf), jnp.full(self.nu, jnp.inf)
 
+    def spans(self) -> list[slice]:
+        """Of each leaf of a state, the coordinates of the tangent space that it can change."""
+        leaves = jax.tree.leaves(self.example(jnp.zeros(()).dtype))
+        return [slice(0, self.n)] * len(leaves)
+
     def checked(self, where: str, state: Any) -> Any:
         """A state in the form that `step` takes, or an InputError."""
         raise NotImplementedError(f"{type(self).__name__} has no method checked")
@@ -156,6 +161,10 @@ class Robot(System):
         x = m.start(dtype)
         return State(jnp.zeros(m.nq, dtype), jnp.zeros(m.nv, dtype), x)
 
+    def spans(self) -> list[slice]:
+        nv, n = self.robot.nv, self.n
+        return [slice(0, nv), slice(nv, 2 * nv), slice(2 * nv, n)][: 2 + (n > 2 * nv)]
+
     def step(self, t: Any, state: State, ctrl: jax.Array, dt: Any) -> State:
         field = Field(self.robot, self.law, dt)
         return advanced(self.integrator, field, t, state, Inputs(ctrl), dt)
@@ -212,6 +221,9 @@ class Equations(System):
         if x.shape != (self.size,):
             raise InputError(f"{where}: the state has shape {x.shape}, expected ({self.size},)")
         return x
+
+    def spans(self) -> list[slice]:
+        return [slice(0, self.size)]
 
     def example(self, dtype: Any) -> jax.Array:
         return jnp.zeros(self.size, dtype)
