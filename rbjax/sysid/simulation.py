@@ -148,12 +148,14 @@ def motion(
     known, which the program needs to be fast. keep: a reverse derivative keeps every keep-th state
     and simulates again what lies between; None: it keeps all that each period computes."""
     run = threads(lambda p, start, commands: _motion(made(p), start, commands, grid, keep))
-    return run(p, start, commands)
+    states, ctrls = run(p, start, commands)
+    return Path(states.q, states.v, states.x, commands if ctrls is None else ctrls)
 
 
 def _motion(
     setup: Setup, start: State, commands: jax.Array, grid: Grid, keep: int | None
-) -> Path:
+) -> tuple[State, jax.Array | None]:
+    """The states, and the controls where these are not the commands."""
     model, T, n = setup.model, grid.period, grid.substeps
     sensors, controller = setup.sensors, setup.controller
 
@@ -200,8 +202,7 @@ def _motion(
         ctrl = jax.eval_shape(asked, zero, start, commands[0])
         queue = jnp.zeros((grid.longest_delay + 2, *ctrl.shape), ctrl.dtype)
         after, ctrls = _swept(late, (zero, start, queue), commands, keep)
-    path = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
-    return Path(path.q, path.v, path.x, commands if ctrls is None else ctrls)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after), ctrls
 
 
 def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> Any:
