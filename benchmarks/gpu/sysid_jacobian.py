@@ -175,8 +175,8 @@ def jitted(f: Callable) -> Any:
 
 
 def apart(a: Any, b: Any, least: float) -> float:
-    """The largest difference of [J r]^T [J r] of the engines, by its diagonal. Columns below `least`
-    of the largest count as that: some are zero, since nothing shows them."""
+    """The largest difference of [J r]^T [J r] of the engines, by its diagonal. Columns below
+    `least` of the largest count as that: some are zero, since nothing shows them."""
     scale = np.sqrt(np.diag(b))
     scale = np.maximum(scale, least * scale.max())
     return float((np.abs(np.asarray(a) - np.asarray(b)) / np.outer(scale, scale)).max())

@@ -159,13 +159,8 @@ def _motion(
     model, T, n = setup.model, grid.period, grid.substeps
     sensors, controller = setup.sensors, setup.controller
 
-    def advance(t: Any, state: State, ctrl: jax.Array, time: Any) -> State:
-        h = time / n
-
-        def once(i: Any, s: State) -> State:
-            return step(model, s, ctrl, h, t=t + i * h, integrator=grid.integrator)
-
-        return once(0, state) if n == 1 else jax.lax.fori_loop(0, n, once, state)
+    def advanced(state: State, ctrl: jax.Array, h: Any, t: Any) -> State:
+        return step(model, state, ctrl, h, t=t, integrator=grid.integrator)
 
     def asked(k: Any, state: State, command: jax.Array) -> jax.Array:
         if controller is None:
@@ -178,8 +173,12 @@ def _motion(
 
     def at_once(carry: Any, command: jax.Array) -> Any:
         k, state = carry
-        now = asked(k, state, command)
-        state = advance(k * T, state, now, jnp.asarray(T, state.q.dtype))
+        now, h = asked(k, state, command), jnp.asarray(T / n, state.q.dtype)
+
+        def once(i: Any, s: State) -> State:
+            return advanced(s, now, h, k * T + i * h)
+
+        state = once(0, state) if n == 1 else jax.lax.fori_loop(0, n, once, state)
         return (k + 1, state), (state, kept(now))
 
     def late(carry: Any, command: jax.Array) -> Any:
@@ -191,8 +190,15 @@ def _motion(
         # the last whole period counts as a full one, so that a delay at its end has a derivative
         whole = jnp.clip(jnp.ceil(delay / T).astype(int) - 1, 0)
         rest = delay - whole * T
-        state = advance(k * T, state, queue[whole + 1], rest)
-        state = advance(k * T + rest, state, queue[whole], T - rest)
+        before, after = queue[whole + 1], queue[whole]
+
+        def once(i: Any, s: State) -> State:  # the old command's steps, then the new one's
+            old = i < n
+            h = jnp.where(old, rest, T - rest) / n
+            t = k * T + jnp.where(old, i * h, rest + (i - n) * h)
+            return advanced(s, jnp.where(old, before, after), h, t)
+
+        state = jax.lax.fori_loop(0, 2 * n, once, state)
         return (k + 1, state, queue), (state, kept(now))
 
     zero = jnp.zeros((), int)
