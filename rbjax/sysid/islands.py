@@ -62,7 +62,7 @@ def directions(
 ) -> Directions | None:
     """The directions of the unknowns and of `own` corrections of a start; None where the set-up is
     one part, or not known to be several."""
-    islands = _joints(setup)
+    islands = islands_of(setup)
     if islands is None or not set(sensors) <= OF_JOINTS:
         return None
     with jax.ensure_compile_time_eval():  # which numbers move what is no part of a traced program
@@ -79,7 +79,7 @@ def directions(
     return Directions(seeds, of_numbers, dict.fromkeys(OF_JOINTS, islands), place)
 
 
-def _joints(setup: Setup) -> np.ndarray | None:
+def islands_of(setup: Setup) -> np.ndarray | None:
     """The island of each joint; None where these are not known to be several."""
     model, top = setup.model, setup.model.topology
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(setup)):

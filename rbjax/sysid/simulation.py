@@ -147,7 +147,7 @@ def motion(
     """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay
     known, which the program needs to be fast. keep: a reverse derivative keeps every keep-th state
     and simulates again what lies between; None: it keeps all that each period computes."""
-    run = threads(lambda p, start, commands: _motion(short(made(p)), start, commands, grid, keep))
+    run = threads(lambda p, start, commands: moved(short(made(p)), start, commands, grid, keep))
     states, ctrls = run(p, start, commands)
     return Path(states.q, states.v, states.x, commands if ctrls is None else ctrls)
 
@@ -160,7 +160,7 @@ def short(setup: Setup) -> Setup:
     return setup.replace(model=setup.model.replace(driver="limbs"))
 
 
-def _motion(
+def moved(
     setup: Setup, start: State, commands: jax.Array, grid: Grid, keep: int | None
 ) -> tuple[State, jax.Array | None]:
     """The states, and the controls where these are not the commands."""

@@ -23,7 +23,8 @@ from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.islands import Directions, directions
 from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run
-from rbjax.sysid.simulation import Grid, Path, Setup, motion, reading
+from rbjax.sysid.side_by_side import equal_parts, motion_of_parts
+from rbjax.sysid.simulation import Grid, Path, Setup, reading
 from rbjax.sysid.unknowns import Unknowns
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
@@ -47,7 +48,7 @@ def programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None = None
 ) -> Programs:
     """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
-    n = sum(unknowns.sizes)
+    n, parts = sum(unknowns.sizes), equal_parts(setup)
 
     def path(x: jax.Array, run: Run) -> tuple[Setup, Path]:
         """The set-up with the numbers, and its motion."""
@@ -58,7 +59,7 @@ def programs(
         if own:
             dq, dv = jnp.split(s, 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-        return now, motion(made, p, start, run.commands, grid, keep=keep)
+        return now, motion_of_parts(parts, made, p, start, run.commands, grid, keep=keep)
 
     def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
         return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
