@@ -17,7 +17,7 @@ import numpy as np
 from rbjax.model import WORLD, Model, State, Topology
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.sysid.islands import islands_of
-from rbjax.sysid.simulation import PD, Grid, Path, Sensor, Setup, motion, moved, short
+from rbjax.sysid.simulation import PD, Grid, Path, Sensor, Setup, motion, moved, ready
 from rbjax.threads import threads
 
 
@@ -117,7 +117,7 @@ def motion_of_parts(
 
     def one(still: jax.Array, moving: jax.Array, start: State, commands: jax.Array) -> Any:
         setup = jax.tree.unflatten(tree, [f(still, moving) for f in plan])
-        return moved(short(setup), start, commands, grid, keep)
+        return moved(ready(setup), start, commands, grid, keep)
 
     at = np.stack([part.joints for part in parts])
     driven = np.stack([part.actuators for part in parts])

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import Model, State
+from rbjax.model.links import known_zeros, made_ahead
 from rbjax.model.record import Record
 from rbjax.motion.linearise import step
 from rbjax.sysid.columns import Columns
@@ -147,17 +148,20 @@ def motion(
     """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay
     known, which the program needs to be fast. keep: a reverse derivative keeps every keep-th state
     and simulates again what lies between; None: it keeps all that each period computes."""
-    run = threads(lambda p, start, commands: moved(short(made(p)), start, commands, grid, keep))
+    run = threads(lambda p, start, commands: moved(ready(made(p)), start, commands, grid, keep))
     states, ctrls = run(p, start, commands)
     return Path(states.q, states.v, states.x, commands if ctrls is None else ctrls)
 
 
-def short(setup: Setup) -> Setup:
-    """The set-up whose equal limbs are a loop, where programs are threads: a derivative of steps is
-    long, and takes half as long to compile so, with no loss of speed."""
-    if setup.model.driver != "auto" or not wanted():
+def ready(setup: Setup) -> Setup:
+    """The set-up as programs of threads are shortest: the numbers of its links made before the
+    steps, and equal limbs a loop. A derivative of steps then takes half as long to compile."""
+    model = setup.model
+    if not wanted():
         return setup
-    return setup.replace(model=setup.model.replace(driver="limbs"))
+    if model.driver == "auto":
+        model = model.replace(driver="limbs")
+    return setup.replace(model=made_ahead(known_zeros(model), model.gravity.dtype))
 
 
 def moved(
