@@ -81,7 +81,8 @@ def ours(name: str, problem: Problem, other: Problem) -> dict[str, Any]:
         shown = np.isfinite(sigma)
         row["sigmas"] = float(np.abs((p - truth) / sigma)[shown].max())
         intervals = [found.estimates.interval(name) for name in found.values]
-        row["inside"] = sum(x.low <= t <= x.high for x, t in zip(intervals, truth, strict=True))
+        within = [x.low <= t <= x.high for x, t in zip(intervals, truth, strict=True)]
+        row["inside"] = int(sum(within))
     return row
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.model import WORLD, Model, State, Topology
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
+from rbjax.motion.integrators import looped
 from rbjax.sysid.islands import islands_of
 from rbjax.sysid.simulation import PD, Grid, Path, Sensor, Setup, motion, moved, ready
 from rbjax.threads import threads
@@ -84,8 +85,9 @@ def cut(setup: Setup, part: Part) -> Setup:
     n, nu = len(at), len(driven)
     act = rows(model.actuators, Actuators, part.actuators, joints=driven, sites=(-1,) * nu)
     small = Model(
-        bodies=rows(model.bodies, Bodies, part.bodies), joints=rows(model.joints, Joints, at, numbers=zero(0)),
-        actuators=act, sites=Sites(zero((0, 3)), zero((0, 4))),
+        bodies=rows(model.bodies, Bodies, part.bodies),
+        joints=rows(model.joints, Joints, at, numbers=zero(0)), actuators=act,
+        sites=Sites(zero((0, 3)), zero((0, 4))),
         keyframes=Keyframes(zero((0, n)), zero((0, n)), zero((0, nu))),
         gravity=model.gravity, topology=topology, timestep=model.timestep, dropped=(),
         forces=tuple(
@@ -114,6 +116,9 @@ def motion_of_parts(
     each = [jax.tree.flatten(cut(now, part)) for part in parts]
     tree: Any = each[0][1]
     plan, still, moving = _split([leaves for leaves, _ in each])
+
+    if isinstance(grid.integrator, str):  # of a small part, too, a short program is what pays
+        grid = grid._replace(integrator=looped(grid.integrator))
 
     def one(still: jax.Array, moving: jax.Array, start: State, commands: jax.Array) -> Any:
         setup = jax.tree.unflatten(tree, [f(still, moving) for f in plan])

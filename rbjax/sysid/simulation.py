@@ -22,6 +22,7 @@ from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.links import known_zeros, made_ahead
 from rbjax.model.record import Record
+from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import step
 from rbjax.sysid.columns import Columns
 from rbjax.sysid.readings import Moment, Reading, reading_of
@@ -123,11 +124,11 @@ class Setup(Record):
 
 class Grid(NamedTuple):
     """How motion is integrated. period: seconds a command is held; substeps: steps in it;
-    longest_delay: periods that a command may be late, 0 for none."""
+    integrator: as in `rollout`; longest_delay: periods that a command may be late, 0 for none."""
 
     period: float
     substeps: int = 1
-    integrator: str = "rk4"
+    integrator: str | Integrator = "rk4"
     longest_delay: int = 0
 
 
