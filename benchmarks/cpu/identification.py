@@ -1,13 +1,14 @@
 """Identification: an arm with 55 unknowns beside mujoco.sysid, a quadruped in the air with 49
 beside CMA-ES.
 
-`python -m benchmarks.cpu.identification [arm] [quadruped] [--rollouts N]` writes
-results/cpu-identification-<processor>.json, or gpu-... where JAX finds a GPU. The quadruped's files
-lie beside the repository; where they are not, it is left out.
+`python -m benchmarks.cpu.identification [arm] [quadruped] [search] [--rollouts N]` writes
+results/cpu-identification-<processor>.json. "search" is CMA-ES. The quadruped's files lie beside
+the repository, or in `--data FOLDER`; where they are not, it is left out.
 
-first_s is the first call, with tracing and compiling; again_s, again_cpu_s (seconds of all its
-threads) a second call of the same shapes: for the arm other commands and another first guess, for
-the quadruped another first guess. compiled counts programs that the second call compiled.
+first_s, first_cpu_s (seconds of all threads) are of the first call, with tracing and compiling;
+again_s, again_cpu_s of a second call of the same shapes: for the arm other commands and another
+first guess, for the quadruped another first guess. compiled counts programs that the second call
+compiled.
 The error is that of the combinations that can be found; sigmas is the largest error of a number
 that is found by itself, over its own sigma; inside, how many of the numbers lie in their 95 %
 intervals.
@@ -27,6 +28,7 @@ import functools
 import json
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -44,11 +46,12 @@ from rbjax.sysid import identify  # noqa: E402
 from rbjax.sysid.runs import batch_of  # noqa: E402
 from rbjax.sysid.simulation_error import SimulationError  # noqa: E402
 from rbjax.sysid.unknowns import Unknowns  # noqa: E402
-from tests.sysid.problems import GO2, ORACLES, Problem, arm, quadruped  # noqa: E402
+from tests.sysid import problems  # noqa: E402
+from tests.sysid.problems import ORACLES, Problem, arm, quadruped  # noqa: E402
 
 COLUMNS = (
-    "problem", "engine", "unknowns", "found", "evaluations", "rollouts", "first_s", "again_s",
-    "again_cpu_s", "compiled", "error", "sigmas", "inside", "note",
+    "problem", "engine", "unknowns", "found", "evaluations", "rollouts", "first_s", "first_cpu_s",
+    "again_s", "again_cpu_s", "compiled", "error", "sigmas", "inside", "note",
 )  # fmt: skip
 COMPILED = "/jax/core/compile/backend_compile_duration"
 compilations = [0]
@@ -59,9 +62,9 @@ def count(event: str, _: float, **__: Any) -> None:
 
 
 def ours(name: str, problem: Problem, other: Problem) -> dict[str, Any]:
-    start = time.perf_counter()
+    cpu, start = time.process_time(), time.perf_counter()
     found = identify(problem.setup, problem.run, problem.unknowns, **problem.how)
-    first = time.perf_counter() - start
+    first, first_cpu = time.perf_counter() - start, time.process_time() - cpu
     before, cpu, start = compilations[0], time.process_time(), time.perf_counter()
     identify(other.setup, other.run, other.unknowns, **other.how)
     again, cpu = time.perf_counter() - start, time.process_time() - cpu
@@ -71,14 +74,15 @@ def ours(name: str, problem: Problem, other: Problem) -> dict[str, Any]:
     row = {
         "problem": name, "engine": "rbjax", "unknowns": len(truth), "found": found.found.rank,
         "evaluations": found.evaluations, "rollouts": found.evaluations * (1 + len(truth)),
-        "first_s": first, "again_s": again, "again_cpu_s": cpu,
+        "first_s": first, "first_cpu_s": first_cpu, "again_s": again, "again_cpu_s": cpu,
         "compiled": compilations[0] - before, "error": float(off.max()), "ok": found.ok,
     }  # fmt: skip
     if max(map(np.max, found.rms.values())) > 1e-6:
         shown = np.isfinite(sigma)
         row["sigmas"] = float(np.abs((p - truth) / sigma)[shown].max())
         intervals = [found.estimates.interval(name) for name in found.values]
-        row["inside"] = sum(x.low <= t <= x.high for x, t in zip(intervals, truth, strict=True))
+        within = [x.low <= t <= x.high for x, t in zip(intervals, truth, strict=True)]
+        row["inside"] = int(sum(within))
     return row
 
 
@@ -194,16 +198,17 @@ def searched(name: str, problem: Problem, budget: int) -> dict[str, Any]:
         f = lambda y: (error.programs.residuals(numbers(y)[None], error.runs) ** 2).sum()  # noqa: E731
         return jax.vmap(f)(y)
 
-    start = time.perf_counter()
+    cpu, start = time.process_time(), time.perf_counter()
     best, used = cma_es(lambda y: np.asarray(squares(jnp.asarray(y))), guess.size, 0.3, budget)
-    seconds = time.perf_counter() - start
+    seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
     p = np.asarray(numbers(jnp.asarray(best)))
     R = error.triangle(truth)
     sigma = np.sqrt(np.diag(np.linalg.inv(R[:, :-1].T @ R[:, :-1])))
     r, r_true = error.residuals(p), error.residuals(truth)
     return {
         "problem": name, "engine": "CMA-ES", "unknowns": guess.size, "rollouts": used,
-        "evaluations": used, "first_s": seconds, "error": float(np.abs(p - truth).max()),
+        "evaluations": used, "first_s": seconds, "first_cpu_s": cpu,
+        "error": float(np.abs(p - truth).max()),
         "sigmas": float((np.abs(p - truth) / sigma).max()),
         "note": f"squares {float((r**2).sum() / (r_true**2).sum()):.4g} times those of the truth",
     }  # fmt: skip
@@ -215,23 +220,25 @@ def rows(parts: list[str], budget: int) -> Iterator[dict[str, Any]]:
         yield ours("arm, 55 numbers", problem, arm(1))
         yield peer(problem, 5)
         yield peer(problem, 55)
-    if "quadruped" in parts and GO2.exists():
-        problem = quadruped()
-        yield ours("quadruped", problem, guessed_again(problem))
-        if budget:
-            yield searched("quadruped", problem, budget)
+    if problems.GO2.exists():
+        if "quadruped" in parts:
+            problem = quadruped()
+            yield ours("quadruped", problem, guessed_again(problem))
+        if "search" in parts:
+            yield searched("quadruped", quadruped(), budget)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", default=["arm", "quadruped"])
-    parser.add_argument("--rollouts", type=int, default=2000, help="of CMA-ES; 0 for none")
+    parser.add_argument("parts", nargs="*", default=["arm", "quadruped", "search"])
+    parser.add_argument("--rollouts", type=int, default=6400, help="of CMA-ES")
+    parser.add_argument("--data", type=Path, default=problems.GO2, help="the quadruped's files")
     asked = parser.parse_args()
+    problems.GO2 = asked.data
     jax.monitoring.register_event_duration_secs_listener(count)
     found = []
     for row in rows(asked.parts, asked.rollouts):
         print(row, flush=True)
         found.append(row)
     print(markdown_table(found, COLUMNS))
-    name = f"{'cpu' if jax.default_backend() == 'cpu' else 'gpu'}-identification"
-    save(name, found + others(name, found, ("problem", "engine")))
+    save("cpu-identification", found + others("cpu-identification", found, ("problem", "engine")))

@@ -1,19 +1,21 @@
 """The Jacobian of a simulation error on a GPU, beside MJX: a 7-joint arm with 50 unknowns.
 
-`python -m benchmarks.gpu.sysid_jacobian [--small] [--mjx-recordings N]` writes
+`python -m benchmarks.gpu.sysid_jacobian [--small] [--engines rbjax mjx] [--chunks N ...]` writes
 results/gpu-sysid-jacobian-<device>.json.
 
 1,024 recordings of 1,000 steps each, all positions and velocities after every step, f32. Unknown
 are seven armatures, seven viscous frictions, seven masses, 21 numbers of centres of mass and eight
-principal moments. J has 1,024 x 14,000 rows and 50 columns, 2.9 GB: it is made in parts of as many
-recordings as `--chunk` says, each in turn, and each part is reduced to J^T J and J^T r, which is
-what Gauss-Newton needs. So both engines return the same. Both step by semi-implicit Euler.
+principal moments. J has 1,024 x 14,000 rows and 50 columns, 2.9 GB. Each recording's part of it is
+reduced to J^T J and J^T r, which is what Gauss-Newton needs. So both engines return the same. Both
+step by semi-implicit Euler.
 
 rbjax: rates beside each motion, one thread each (`identify`'s own residual). MJX: `jax.jvp` of its
-steps in `lax.scan` under `vmap` over recordings and directions. Parts of MJX may be smaller; its
-time is then that of fewer recordings, and `of 1024 s` is multiplied up from it, which the row says.
-memory is the device's peak where JAX reports it (one engine a process: run `--engines` apart), and
-what the compiled program holds. Before any timing both are compared in f64 on few recordings.
+steps in `lax.scan` under `vmap` over recordings and directions. All recordings are one program, or
+parts of as many as `--chunks` says, in turn. An engine that does not fit is tried with a part of
+`--fewer` recordings; `of 1024 s` is then multiplied up from it, which the row says.
+program GB is what the compiled program holds beside its arguments; peak GB is the device's peak in
+the process so far, where JAX reports it. The rows of rbjax come first, so theirs is their own.
+The two are compared in f64 on two recordings of 50 steps, and in f32 on all.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ from rbjax.sysid.unknowns import Unknowns
 
 COLUMNS = (
     "engine", "recordings", "chunk", "lower_s", "compile_s", "run_s", "of 1024 s", "ratio",
-    "peak GB", "program GB", "difference", "note",
+    "peak GB", "program GB", "difference f64", "difference f32", "note",
 )  # fmt: skip
 RECORDINGS, STEPS, T, MOMENTS = 1024, 1000, 0.002, 8
 
@@ -83,9 +85,10 @@ def states(m: mujoco.MjModel, count: int, steps: int, dtype: Any) -> tuple[jax.A
 
 
 def normal(r: jax.Array, J: jax.Array) -> jax.Array:
-    """[J r]^T [J r] of r (..., rows) and J (..., rows, n)."""
-    rows = jnp.concatenate([J, r[..., None]], -1).reshape(-1, J.shape[-1] + 1)
-    return jnp.matmul(rows.T, rows, precision="highest")
+    """[J r]^T [J r] of r (recordings, rows) and J (recordings, rows, n): a product for each
+    recording, since one of all would have one small result and little to share out."""
+    rows = jnp.concatenate([J, r[..., None]], -1)
+    return jnp.einsum("kri,krj->kij", rows, rows, precision="highest").sum(0)
 
 
 def by_rbjax(m: mujoco.MjModel, steps: int) -> Callable:
@@ -171,18 +174,27 @@ def jitted(f: Callable) -> Any:
     return jax.jit(f, compiler_options=rb.compiler_options())
 
 
+def apart(a: Any, b: Any, least: float) -> float:
+    """The largest difference of [J r]^T [J r] of the engines, by its diagonal. Columns below
+    `least` of the largest count as that: some are zero, since nothing shows them."""
+    scale = np.sqrt(np.diag(b))
+    scale = np.maximum(scale, least * scale.max())
+    return float((np.abs(np.asarray(a) - np.asarray(b)) / np.outer(scale, scale)).max())
+
+
 def parity(count: int = 2, steps: int = 50) -> float:
-    """The largest difference of [J r]^T [J r] of the engines in f64, by its diagonal."""
+    """The difference in f64."""
     with jax.enable_x64(True):
         m = arm()
         given = (jnp.asarray(numbers(m)), *states(m, count, steps, float))
-        a, b = (np.asarray(jitted(make(m, steps))(*given)) for make in ENGINES.values())
-        scale = np.sqrt(np.diag(b))
-        scale = np.maximum(scale, 1e-6 * scale.max())  # some columns are zero: nothing shows them
-        return float((np.abs(a - b) / np.outer(scale, scale)).max())
+        a, b = (jitted(make(m, steps))(*given) for make in ENGINES.values())
+        return apart(a, b, 1e-6)
 
 
-def timed(engine: str, recordings: int, chunk: int, steps: int, repeats: int) -> dict[str, Any]:
+def timed(
+    engine: str, recordings: int, chunk: int, steps: int, repeats: int
+) -> tuple[dict[str, Any], Any]:
+    """A row, and [J r]^T [J r] of all recordings, None where it did not run."""
     m = arm()
     p, (q, v, ctrl) = jnp.asarray(numbers(m), jnp.float32), states(m, recordings, steps, np.float32)
     parts = [(q[k : k + chunk], v[k : k + chunk], ctrl[k : k + chunk])
@@ -191,6 +203,7 @@ def timed(engine: str, recordings: int, chunk: int, steps: int, repeats: int) ->
         "engine": engine, "recordings": recordings, "chunk": chunk, "steps": steps,
         "unknowns": p.size,
     }  # fmt: skip
+    found = None
     try:
         start = time.perf_counter()
         lowered = jitted(ENGINES[engine](m, steps)).lower(p, *parts[0])
@@ -203,7 +216,7 @@ def timed(engine: str, recordings: int, chunk: int, steps: int, repeats: int) ->
         def whole() -> jax.Array:
             return functools.reduce(jnp.add, [program(p, *part) for part in parts])
 
-        jax.block_until_ready(whole())
+        found = np.asarray(whole(), float)
         times = []
         for _ in range(repeats):
             start = time.perf_counter()
@@ -219,34 +232,57 @@ def timed(engine: str, recordings: int, chunk: int, steps: int, repeats: int) ->
     if "peak_bytes_in_use" in stats:
         row["peak GB"] = stats["peak_bytes_in_use"] / 1e9
     print(json.dumps(row), flush=True)
-    return row
+    return row, found
+
+
+def rows_of(asked: Any) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    whole: dict[str, Any] = {}
+    recordings, steps, repeats = (4, 10, 1) if asked.small else (RECORDINGS, STEPS, 3)
+    for engine in asked.engines:
+        for chunk in (min(c, recordings) for c in asked.chunks):
+            row, found = timed(engine, recordings, chunk, steps, repeats)
+            rows.append(row)
+            if found is not None:
+                whole[engine] = found
+        if engine not in whole:
+            rows.append(timed(engine, asked.fewer, asked.fewer, steps, repeats)[0])
+    best: dict[str, float] = {}
+    for row in rows:
+        if "of 1024 s" in row:
+            name = row["engine"]
+            best[name] = min(best.get(name, np.inf), row["of 1024 s"])
+    if len(best) == len(ENGINES):
+        for row in rows:
+            if row.get("of 1024 s") == best["rbjax"]:
+                row["ratio"] = best["mjx"] / best["rbjax"]
+    if len(whole) == len(ENGINES):
+        rows[0]["difference f32"] = apart(whole["rbjax"], whole["mjx"], 1e-3)
+    print(markdown_table(rows, COLUMNS), flush=True)
+    return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--engines", nargs="*", default=list(ENGINES), choices=list(ENGINES))
-    parser.add_argument("--chunk", type=int, default=256, help="recordings of a part, of rbjax")
-    parser.add_argument("--mjx-recordings", type=int, default=64)
-    parser.add_argument("--mjx-chunk", type=int, default=64)
+    parser.add_argument("--chunks", nargs="*", type=int, default=[RECORDINGS],
+                        help="recordings of a part; each size is a program of its own")  # fmt: skip
+    parser.add_argument("--fewer", type=int, default=128)
     parser.add_argument("--small", action="store_true", help="to see that it runs")
     asked = parser.parse_args()
+    rows = rows_of(asked)
+
+    def kept() -> None:
+        if not asked.small:
+            older = others("gpu-sysid-jacobian", rows, ("engine", "chunk", "recordings"))
+            save("gpu-sysid-jacobian", rows + older)
+
+    kept()  # times come first: the comparison compiles both once more
     off = parity(1, 10) if asked.small else parity()
     print(f"difference in f64: {off:.2g}", flush=True)
+    rows[0]["difference f64"] = off
+    kept()
     assert off < 1e-8
-    if asked.small:
-        sizes, steps, repeats = {"rbjax": (4, 2), "mjx": (2, 2)}, 10, 1
-    else:
-        sizes = {"rbjax": (RECORDINGS, asked.chunk), "mjx": (asked.mjx_recordings, asked.mjx_chunk)}
-        steps, repeats = STEPS, 5
-    rows = [timed(engine, *sizes[engine], steps, repeats) for engine in asked.engines]
-    for row in rows:
-        row["difference"] = off
-    runs = {row["engine"]: row.get("of 1024 s") for row in rows}
-    if all(runs.get(engine) for engine in ENGINES):
-        rows[0]["ratio"] = runs["mjx"] / runs["rbjax"]
-    print(markdown_table(rows, COLUMNS))
-    if not asked.small:
-        save("gpu-sysid-jacobian", rows + others("gpu-sysid-jacobian", rows, ("engine",)))
 
 
 if __name__ == "__main__":

@@ -56,9 +56,11 @@ def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) 
 
 
 def runge_kutta(
-    table: Tableau, field: Field, t: Any, state: State, u: Inputs, dt: Any
-) -> State:
-    """A step of an explicit tableau; its stages are written out, or a loop where they are many."""
+    table: Tableau, field: Field, t: Any, state: State, u: Inputs, dt: Any,
+    *, written: bool | None = None,
+) -> State:  # fmt: skip
+    """A step of an explicit tableau; its stages are written out, or a loop where they are many
+    (written=None)."""
     q0, v0, x0 = state.q, state.v, state.x
 
     begun = t
@@ -71,7 +73,8 @@ def runge_kutta(
         a, x = field.rates(t, at, u)
         return _given(field.increment_rate(k[0], at.v), a, x)
 
-    written = table.stages * field.model.nv <= WRITTEN_UP_TO
+    if written is None:
+        written = table.stages * field.model.nv <= WRITTEN_UP_TO
     stages = explicit_stages(rate, table, t, dt, written=written)
     start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
     dq, dv, *dx = scaled(dt, combine(table.b, stages(start)))
@@ -87,6 +90,13 @@ INTEGRATORS: dict[str, Integrator] = {
     "variational_midpoint": variational_midpoint,
 }
 INTEGRATORS |= {name: functools.partial(runge_kutta, t) for name, t in TABLEAUS.items()}
+
+
+def looped(name: str) -> Integrator:
+    """An integrator whose stages are a loop, however few they are: a short program."""
+    if name not in TABLEAUS:
+        return INTEGRATORS[name]
+    return functools.partial(runge_kutta, TABLEAUS[name], written=False)
 
 
 def integrator_of(

@@ -20,11 +20,13 @@ import jax.numpy as jnp
 
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.model import Model, State
+from rbjax.model.links import known_zeros, made_ahead
 from rbjax.model.record import Record
+from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import step
 from rbjax.sysid.columns import Columns
 from rbjax.sysid.readings import Moment, Reading, reading_of
-from rbjax.threads import threads
+from rbjax.threads import threads, wanted
 
 #: (t, reading, command (n,)) -> ctrl (nu,), called once for each command
 Controller = Callable[[Any, State, jax.Array], jax.Array]
@@ -122,11 +124,11 @@ class Setup(Record):
 
 class Grid(NamedTuple):
     """How motion is integrated. period: seconds a command is held; substeps: steps in it;
-    longest_delay: periods that a command may be late, 0 for none."""
+    integrator: as in `rollout`; longest_delay: periods that a command may be late, 0 for none."""
 
     period: float
     substeps: int = 1
-    integrator: str = "rk4"
+    integrator: str | Integrator = "rk4"
     longest_delay: int = 0
 
 
@@ -147,23 +149,31 @@ def motion(
     """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay
     known, which the program needs to be fast. keep: a reverse derivative keeps every keep-th state
     and simulates again what lies between; None: it keeps all that each period computes."""
-    run = threads(lambda p, start, commands: _motion(made(p), start, commands, grid, keep))
-    return run(p, start, commands)
+    run = threads(lambda p, start, commands: moved(ready(made(p)), start, commands, grid, keep))
+    states, ctrls = run(p, start, commands)
+    return Path(states.q, states.v, states.x, commands if ctrls is None else ctrls)
 
 
-def _motion(
+def ready(setup: Setup) -> Setup:
+    """The set-up as programs of threads are shortest: the numbers of its links made before the
+    steps, and equal limbs a loop. A derivative of steps then takes half as long to compile."""
+    model = setup.model
+    if not wanted():
+        return setup
+    if model.driver == "auto":
+        model = model.replace(driver="limbs")
+    return setup.replace(model=made_ahead(known_zeros(model), model.gravity.dtype))
+
+
+def moved(
     setup: Setup, start: State, commands: jax.Array, grid: Grid, keep: int | None
-) -> Path:
+) -> tuple[State, jax.Array | None]:
+    """The states, and the controls where these are not the commands."""
     model, T, n = setup.model, grid.period, grid.substeps
     sensors, controller = setup.sensors, setup.controller
 
-    def advance(t: Any, state: State, ctrl: jax.Array, time: Any) -> State:
-        h = time / n
-
-        def once(i: Any, s: State) -> State:
-            return step(model, s, ctrl, h, t=t + i * h, integrator=grid.integrator)
-
-        return once(0, state) if n == 1 else jax.lax.fori_loop(0, n, once, state)
+    def advanced(state: State, ctrl: jax.Array, h: Any, t: Any) -> State:
+        return step(model, state, ctrl, h, t=t, integrator=grid.integrator)
 
     def asked(k: Any, state: State, command: jax.Array) -> jax.Array:
         if controller is None:
@@ -176,8 +186,12 @@ def _motion(
 
     def at_once(carry: Any, command: jax.Array) -> Any:
         k, state = carry
-        now = asked(k, state, command)
-        state = advance(k * T, state, now, jnp.asarray(T, state.q.dtype))
+        now, h = asked(k, state, command), jnp.asarray(T / n, state.q.dtype)
+
+        def once(i: Any, s: State) -> State:
+            return advanced(s, now, h, k * T + i * h)
+
+        state = once(0, state) if n == 1 else jax.lax.fori_loop(0, n, once, state)
         return (k + 1, state), (state, kept(now))
 
     def late(carry: Any, command: jax.Array) -> Any:
@@ -189,8 +203,15 @@ def _motion(
         # the last whole period counts as a full one, so that a delay at its end has a derivative
         whole = jnp.clip(jnp.ceil(delay / T).astype(int) - 1, 0)
         rest = delay - whole * T
-        state = advance(k * T, state, queue[whole + 1], rest)
-        state = advance(k * T + rest, state, queue[whole], T - rest)
+        before, after = queue[whole + 1], queue[whole]
+
+        def once(i: Any, s: State) -> State:  # the old command's steps, then the new one's
+            old = i < n
+            h = jnp.where(old, rest, T - rest) / n
+            t = k * T + jnp.where(old, i * h, rest + (i - n) * h)
+            return advanced(s, jnp.where(old, before, after), h, t)
+
+        state = jax.lax.fori_loop(0, 2 * n, once, state)
         return (k + 1, state, queue), (state, kept(now))
 
     zero = jnp.zeros((), int)
@@ -200,8 +221,7 @@ def _motion(
         ctrl = jax.eval_shape(asked, zero, start, commands[0])
         queue = jnp.zeros((grid.longest_delay + 2, *ctrl.shape), ctrl.dtype)
         after, ctrls = _swept(late, (zero, start, queue), commands, keep)
-    path = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
-    return Path(path.q, path.v, path.x, commands if ctrls is None else ctrls)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after), ctrls
 
 
 def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> Any:

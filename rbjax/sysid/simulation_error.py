@@ -2,7 +2,8 @@
 
     r(p, s) = weights (reading(motion(p, start (+) s)) (-) recorded)
 for all runs as one batch. p is shared; each run has its own correction s of its start where that
-is sought. The Jacobian is in forward mode, every direction a sample of the batch.
+is sought. The Jacobian is in forward mode, every direction a sample of the batch; a direction may
+hold a number of each part of a robot that moves by itself (`islands`).
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ import numpy as np
 from rbjax.dynamics.manifold import integrate
 from rbjax.model import State
 from rbjax.sysid.divergence import Divergence
+from rbjax.sysid.islands import Directions, directions
 from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run
-from rbjax.sysid.simulation import Grid, Path, Setup, motion, reading
+from rbjax.sysid.side_by_side import equal_parts, motion_of_parts
+from rbjax.sysid.simulation import Grid, Path, Setup, reading
 from rbjax.sysid.unknowns import Unknowns
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
@@ -30,20 +33,22 @@ HUBER = 1.345
 
 class Programs(NamedTuple):
     """What is simulated: of one run, traced, `path` (x, run) -> set-up, motion and `compared`
-    (set-up, motion, run) -> residual; of a batch, compiled, `readings`, `residuals`, `slopes`."""
+    (set-up, motion, run) -> residual; of a batch, compiled, `readings`, `residuals`, `slopes`. The
+    slopes are those along `directions`, of the sensors that a run has; None: along each number."""
 
     path: Callable[[jax.Array, Run], tuple[Setup, Path]]
     compared: Callable[[Setup, Path, Run], jax.Array]
     readings: Callable[[jax.Array, Run], dict[str, jax.Array]]
     residuals: Callable[[jax.Array, Run], jax.Array]
     slopes: Callable[[jax.Array, Run], tuple[jax.Array, jax.Array]]
+    directions: Callable[[frozenset[str]], Directions | None]
 
 
 def programs(
     setup: Setup, unknowns: Unknowns, grid: Grid, own: int, loss: str, keep: int | None = None
 ) -> Programs:
     """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
-    n = sum(unknowns.sizes)
+    n, parts = sum(unknowns.sizes), equal_parts(setup)
 
     def path(x: jax.Array, run: Run) -> tuple[Setup, Path]:
         """The set-up with the numbers, and its motion."""
@@ -54,7 +59,7 @@ def programs(
         if own:
             dq, dv = jnp.split(s, 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-        return now, motion(made, p, start, run.commands, grid, keep=keep)
+        return now, motion_of_parts(parts, made, p, start, run.commands, grid, keep=keep)
 
     def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
         return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
@@ -84,10 +89,16 @@ def programs(
         def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
             return jax.jvp(lambda x: residual(x, run), (x,), (e,))
 
-        return jax.vmap(along, out_axes=(None, 1))(jnp.eye(n + own))
+        some = along_which(frozenset(run.values))
+        seeds = jnp.eye(n + own) if some is None else jnp.asarray(some.seeds)
+        return jax.vmap(along, out_axes=(None, 1))(seeds.astype(x.dtype))
+
+    @functools.cache
+    def along_which(sensors: frozenset[str]) -> Directions | None:
+        return directions(setup, unknowns, own, sensors)
 
     each = (jax.jit(jax.vmap(f)) for f in (readings, residual, sloped))
-    return Programs(path, compared, *each)
+    return Programs(path, compared, *each, along_which)
 
 
 class SimulationError:
@@ -138,11 +149,21 @@ class SimulationError:
         """(runs, rows)"""
         return np.asarray(self.programs.residuals(self.by_run(x), self.runs))
 
+    @property
+    def directions(self) -> Directions | None:
+        """Those of the programs' slopes."""
+        return self.programs.directions(frozenset(self.runs.values))
+
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """r (runs, rows) and J (runs, rows, n + l), the sensors' rows in the order of their
         names."""
-        r, J = self.programs.slopes(self.by_run(x), self.runs)
-        return np.asarray(r), np.asarray(J)
+        r, J = map(np.asarray, self.programs.slopes(self.by_run(x), self.runs))
+        some = self.directions
+        return r, J if some is None else some.whole(J, self._islands(some))
+
+    def _islands(self, some: Directions) -> np.ndarray:
+        """The island of each row."""
+        return some.rows({k: values.shape[1] for k, values in self.runs.values.items()})
 
     def unmoved(self, x: np.ndarray) -> tuple[str, ...]:
         """The sensors that no unknown moves."""
@@ -158,18 +179,26 @@ class SimulationError:
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        return self.assembled(*self.slopes(x))
+        return self.assembled(*self.programs.slopes(self.by_run(x), self.runs))
 
     def assembled(self, r: Any, J: Any) -> np.ndarray:
-        """R of the residuals (runs, rows) and their slopes (runs, rows, n + l)."""
-        r, J, p, l = np.asarray(r), np.asarray(J), self.shared, self.own
-        if not l:
-            return triangle_of(np.concatenate([J.reshape(-1, p), r.reshape(-1, 1)], 1))
+        """R of the residuals (runs, rows) and their slopes along the programs' directions."""
+        r, J, n = np.asarray(r), np.asarray(J), self.shared + self.own
+        some = self.directions
+        parts = [(slice(None), np.arange(n), np.arange(n))]
+        if some is not None:
+            at = self._islands(some)
+            each = [(np.flatnonzero(at == k), some.numbers(k)) for k in np.unique(at)]
+            parts = [(rows, some.place[which], which) for rows, which in each]
         blocks = []
-        for k in range(self.count):
-            R = triangle_of(np.concatenate([J[k], r[k][:, None]], 1))
-            blocks.append(self.widened(R, k))
-        return triangle_of(np.concatenate(blocks))
+        for rows, places, which in parts:  # a run's own numbers must not be mixed with another's
+            for k in range(self.count) if self.own else [slice(None)]:
+                those = np.concatenate([J[k][..., rows, :][..., places], r[k][..., rows, None]], -1)
+                R = triangle_of(those.reshape(-1, len(which) + 1))
+                wide = np.zeros((R.shape[0], n + 1))
+                wide[:, which], wide[:, -1] = R[:, :-1], R[:, -1]
+                blocks.append(self.widened(wide, k) if self.own else wide)
+        return blocks[0] if len(blocks) == 1 else triangle_of(np.concatenate(blocks))
 
     def widened(self, rows: np.ndarray, k: int) -> np.ndarray:
         """Rows [J r] of run k by its own numbers, as rows by all of x."""

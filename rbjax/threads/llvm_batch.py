@@ -208,8 +208,10 @@ def _lane_step(layout: Layout, batch: tuple[int, ...], lanes: int) -> int | None
 
 
 def _shares(program: Written, size: int, lanes: int) -> tuple[int, int]:
-    """The samples of a part, and the parts. The last one has the rest of the batch too."""
+    """The samples of a part, and the parts. The last one has the rest of the batch too, but for
+    parts that are one vector: a second one would take it twice as long."""
     work = max(operations(program.builder.block, TURNS), 1)
     wanted = max(OPERATIONS_A_PART * max(lanes // 2, 1) // work, -(-size // PARTS_UP_TO), 1)
     each = max(min(-(-wanted // lanes) * lanes, size), 1)
-    return each, size // each
+    single = each == lanes and not any(program.summed)
+    return each, -(-size // each) if single else size // each

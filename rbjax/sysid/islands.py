@@ -1,0 +1,144 @@
+"""Parts of a set-up that do not act on each other, such as the legs of a robot whose base is held.
+
+Links whose chains begin at the world share no motion: with no element between them each moves by
+itself. A number of one part (an *island*) then moves only what that part's sensors read. So one
+direction of a Jacobian may hold a number of each island, and its rows are taken apart afterwards:
+J e_1 and J e_2 have no row in common, where J (e_1 + e_2) shows both. 49 numbers of a quadruped, of
+which one acts on all legs, take 13 directions.
+
+Source: Curtis, Powell & Reid, *On the estimation of sparse Jacobian matrices*, IMA J. Appl. Math.
+13, 1974.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from rbjax.forces import JointFriction, JointLimits
+from rbjax.model import WORLD, Model
+from rbjax.sysid.simulation import PD, Setup
+from rbjax.sysid.unknowns import Unknowns
+
+#: sensors whose columns are the joints'
+OF_JOINTS = frozenset("qv")
+#: elements that act on each of their joints by its own q and v
+BY_JOINT = (JointFriction, JointLimits)
+#: the island of what acts on all
+ALL = -1
+
+
+class Directions(NamedTuple):
+    """Directions that show several numbers each.
+
+    seeds (K, n), of n numbers; of_numbers (n,), the island of each, `ALL` for what acts on all;
+    of_columns, by sensor the island of each column; place (n,), the direction of each number.
+    """
+
+    seeds: np.ndarray
+    of_numbers: np.ndarray
+    of_columns: dict[str, np.ndarray]
+    place: np.ndarray
+
+    def rows(self, times: dict[str, int]) -> np.ndarray:
+        """The island of each row of a residual with so many times of each sensor."""
+        return np.concatenate([np.tile(self.of_columns[s], times[s]) for s in sorted(times)])
+
+    def numbers(self, island: int) -> np.ndarray:
+        """Which numbers move this island."""
+        return np.flatnonzero((self.of_numbers == island) | (self.of_numbers == ALL))
+
+    def whole(self, J: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """J (..., rows, n) of J (..., rows, K) along the seeds."""
+        moved = (rows[:, None] == self.of_numbers) | (self.of_numbers == ALL)
+        return np.where(moved, J[..., self.place], 0.0)
+
+
+def directions(
+    setup: Setup, unknowns: Unknowns, own: int, sensors: Collection[str]
+) -> Directions | None:
+    """The directions of the unknowns and of `own` corrections of a start; None where the set-up is
+    one part, or not known to be several."""
+    islands = islands_of(setup)
+    if islands is None or not set(sensors) <= OF_JOINTS:
+        return None
+    with jax.ensure_compile_time_eval():  # which numbers move what is no part of a traced program
+        found = _owners(setup, unknowns, islands)
+    of_numbers = np.concatenate([found, np.tile(islands, 2)]) if own else found
+    place = np.zeros(len(of_numbers), int)
+    for island in set(islands):
+        mine = of_numbers == island
+        place[mine] = np.arange(mine.sum())
+    shared = of_numbers == ALL
+    first = int(place.max()) + 1 if not shared.all() else 0
+    place[shared] = first + np.arange(shared.sum())
+    seeds = (np.arange(place.max() + 1)[:, None] == place).astype(float)
+    return Directions(seeds, of_numbers, dict.fromkeys(OF_JOINTS, islands), place)
+
+
+def islands_of(setup: Setup) -> np.ndarray | None:
+    """The island of each joint; None where these are not known to be several."""
+    model, top = setup.model, setup.model.topology
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(setup)):
+        return None
+    plain = model.nq == model.nv == len(top.joint_kinds) and not (model.constraints or model.nx)
+    by_joint = all(isinstance(e, BY_JOINT) for e in model.forces)
+    servo = setup.controller is None or (
+        isinstance(setup.controller, PD) and tuple(model.actuators.joints) == (*range(model.nv),)
+    )
+    at_joints = all(site == -1 for site in model.actuators.sites)
+    if not (plain and by_joint and servo and at_joints):
+        return None
+    roots = [chain[0] for chain in top.ancestors]
+    return np.unique(roots, return_inverse=True)[1] if len(set(roots)) > 1 else None
+
+
+def _owners(setup: Setup, unknowns: Unknowns, islands: np.ndarray) -> np.ndarray:
+    """The island of each unknown number: that of all entries of the set-up that it moves."""
+
+    def written(p: jax.Array) -> list[Any]:
+        leaves = jax.tree.leaves(unknowns.write(setup, p))
+        return [x for x in leaves if np.issubdtype(x.dtype, np.floating)]
+
+    paths = jax.tree_util.tree_flatten_with_path(setup)[0]
+    owners = [
+        _of_entries(setup, jax.tree_util.keystr(path, simple=True, separator="."), x, islands)
+        for path, x in paths if np.issubdtype(np.asarray(x).dtype, np.floating)
+    ]  # fmt: skip
+    guess = np.asarray(unknowns.read(setup))
+    moves = [np.zeros((len(owner), guess.size), bool) for owner in owners]
+    rng, slopes = np.random.default_rng(0), jax.jit(jax.jacfwd(written))
+    for k in range(3):  # what is zero at one point by chance is not at another
+        p = guess + 0.01 * k * (np.abs(guess) + 0.01) * rng.normal(size=guess.size)
+        for moved, J in zip(moves, slopes(p), strict=True):
+            moved |= (np.asarray(J) != 0).reshape(len(moved), -1, guess.size).any(1)
+    found = []
+    for n in range(guess.size):
+        touched = {int(i) for m, at in zip(moves, owners, strict=True) for i in at[m[:, n]]}
+        found.append(touched.pop() if len(touched) == 1 else ALL)
+    return np.array(found)
+
+
+def _of_entries(setup: Setup, path: str, leaf: Any, islands: np.ndarray) -> np.ndarray:
+    """The island of each row of a leaf."""
+    model: Model = setup.model
+    top, size = model.topology, max(np.shape(leaf)[0] if np.ndim(leaf) else 1, 1)
+    everywhere = np.full(size, ALL)
+    room, _, rest = path.partition(".")
+    if room == "model":
+        room, _, rest = rest.partition(".")
+    if room == "bodies":
+        at = [islands[i] if i != WORLD else ALL for i in top.body_links]
+    elif room in ("joints", "controller") or path.startswith(("sensors.q.", "sensors.v.")):
+        at = list(islands)
+    elif room == "actuators":
+        at = [islands[j] if j >= 0 else ALL for j in model.actuators.joints]
+    elif room == "forces":
+        element = model.forces[int(rest.partition(".")[0])]
+        at = [islands[model.joint(j)] for j in element.joints]
+    else:
+        return everywhere
+    return np.array(at) if len(at) == size and np.ndim(leaf) else everywhere
