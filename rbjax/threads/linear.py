@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from rbjax.threads.arrays import Small, View, each, get, in_memory, put
 from rbjax.threads.lowering import Lowering, dtype_of, rule
-from rbjax.threads.program import Value
+from rbjax.threads.program import Builder, Value
 
 #: products with more terms are loops
 UNROLL_UP_TO = 512
+#: sums of a product that run together on a CPU: with what they read they fit into 16 registers
+SIDE_BY_SIDE = 12
 
 
 @rule("dot_general")
@@ -46,20 +49,58 @@ def _transposed(x: Small, order: tuple) -> Small:
 def _looped(
     low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
 ) -> View:
-    b, (nb, na, _) = low.b, sizes
+    """Sums in loops. On a CPU some run side by side: each waits for its last term, not for the
+    others, and they share what they read of x."""
+    b, (nb, na, ny) = low.b, sizes
     x, y = in_memory(b, x, dtype), in_memory(b, y, dtype)
     out = View.of(b.local(dtype, math.prod(shape)), shape)
+    if ny:
+        inner = out
+    elif na:
+        x, y, na, inner = y, x, 0, out
+    else:  # one sum for each index of the batch
+        y, inner = (_with_axis(v, nb) for v in (y, out))
+    count, width = inner.shape[-1], SIDE_BY_SIDE if b.platform == "cpu" else 1
+    whole = count - count % width
+    for start, stop, size in ((0, whole, width), (whole, count, count - whole)):
+        if stop > start:
+            rows = _in_tiles(y, y.ndim - len(contracted) - 1, start, stop, size)
+            _sums(b, x, rows, _in_tiles(inner, inner.ndim - 1, start, stop, size), (nb, na))
+    return out
+
+
+def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> None:
+    """out = sum over the last axes of x y. Axis -1 of out and the same one of y are a tile."""
+    (nb, na), dtype = sizes, out.dtype
+    tile = [np.int32(k) for k in range(out.shape[-1])]
 
     def one(*i: Value) -> None:
         left, right = i[: nb + na], (*i[:nb], *i[nb + na :])
-        total = b.declare(dtype, dtype.type(0))
+        totals = [b.declare(dtype, dtype.type(0)) for _ in tile]
 
         def more(*t: Value) -> None:
-            term = b.op("mul", dtype, get(b, x, (*left, *t)), get(b, y, (*right, *t)))
-            b.assign(total, b.op("add", dtype, total, term))
+            for k, total in zip(tile, totals, strict=True):
+                term = b.op("mul", dtype, get(b, x, (*left, *t)), get(b, y, (*right, k, *t)))
+                b.assign(total, b.op("add", dtype, total, term))
 
-        each(b, contracted, more)
-        put(b, out, i, total)
+        each(b, x.shape[nb + na :], more)
+        for k, total in zip(tile, totals, strict=True):
+            put(b, out, (*i, k), total)
 
-    each(b, shape, one)
-    return out
+    each(b, out.shape[:-1], one)
+
+
+def _in_tiles(x: View, axis: int, start: int, stop: int, size: int) -> View:
+    """Entries of an axis as two axes: tiles, and the entries of a tile."""
+    step = x.strides[axis]
+    return replace(
+        x, offset=x.offset + start * step,
+        strides=(*x.strides[:axis], size * step, step, *x.strides[axis + 1 :]),
+        shape=(*x.shape[:axis], (stop - start) // size, size, *x.shape[axis + 1 :]),
+    )  # fmt: skip
+
+
+def _with_axis(x: View, axis: int) -> View:
+    """With an axis of one entry."""
+    strides, shape = ((*xs[:axis], n, *xs[axis:]) for xs, n in ((x.strides, 0), (x.shape, 1)))
+    return replace(x, strides=strides, shape=shape)

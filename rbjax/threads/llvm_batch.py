@@ -17,7 +17,7 @@ from rbjax.threads.llvm_jit import register_bytes
 from rbjax.threads.llvm_samples import Lines
 from rbjax.threads.llvm_statements import ALIGNMENT, MALLOC, one_sample, stored
 from rbjax.threads.llvm_vectors import Step, many_samples
-from rbjax.threads.program import Load, Op, Store, operations, walk
+from rbjax.threads.program import Array, Load, Op, Store, accesses, operations, walk
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000
@@ -25,6 +25,8 @@ OPERATIONS_A_PART = 50_000
 TURNS = 10
 #: local arrays of all lanes that a core's own cache holds
 ARRAY_BYTES = 512 * 1024
+#: a tile that a loop reads or writes, for all lanes
+TILE_BYTES = 64 * 1024
 #: each part keeps a row of its own of every summed result
 PARTS_UP_TO = 1024
 
@@ -84,15 +86,22 @@ class _Frame:
     def in_tiles(self) -> list[int]:
         """The arrays whose samples are rows that are turned into vectors, and back.
 
-        The program must name most of their entries; of others it reads and writes what it needs.
+        The program must name most of their entries, or reach as many in loops and they are few; of
+        others it reads and writes what it needs.
         """
-        walked = walk(self.program.builder.block)
-        named = Counter(s.array.id for s in walked if isinstance(s, Load | Store))
+        block = self.program.builder.block
+        named = Counter(s.array.id for s in walk(block) if isinstance(s, Load | Store))
+        reached = accesses(block)
+
+        def most(k: int, array: Array) -> bool:
+            short = self.lanes * self.bytes_of(k) <= TILE_BYTES
+            return array.size <= 2 * (reached if short else named)[array.id]
+
         every = zip(self.arrays, self.layouts, self.steps, strict=True)
         return [
             k for k, (array, layout, step) in enumerate(every)
             if step not in (0, 1) and k not in self.sums
-            and 0 < array.size <= 2 * named[array.id]
+            and array.size and most(k, array)
             and layout.strides == row_major(layout.sample)
         ]  # fmt: skip
 

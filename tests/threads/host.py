@@ -55,7 +55,7 @@ def compiled(source: str, flags: Sequence[str] = FLAGS) -> Any:
 
 
 def written(
-    f: Callable, *args: Any, layout: Callable = batch_first
+    f: Callable, *args: Any, layout: Callable = batch_first, platform: str = "cuda"
 ) -> tuple[Written, Any, list]:
     """The program of f, the tree of its results, and their shapes and types."""
     leaves, tree = jax.tree.flatten(args)
@@ -72,7 +72,7 @@ def written(
     closed = jax.make_jaxpr(flat)(*one)
     ins = [layout(x.shape, (size,)) for x in one]
     outs = [layout(v.aval.shape, (size,)) for v in closed.jaxpr.outvars]
-    return write_program(closed, (size,), ins, outs), shape[0], closed.out_avals
+    return write_program(closed, (size,), ins, outs, platform=platform), shape[0], closed.out_avals
 
 
 def many_on_host(cases: Sequence[Case], flags: Sequence[str] = FLAGS) -> list:
@@ -169,7 +169,8 @@ def by_vectors(cases: Sequence[Case], lanes: int = 4, samples: int = 5) -> list:
 def _by_vectors(f: Callable, args: tuple, lanes: int, samples: int, last: bool) -> Any:
     many = max(samples, size(args))
     args = jax.tree.map(lambda x: np.resize(x, (many, *np.shape(x)[1:])), args)
-    program, tree, avals = written(f, *args, layout=batch_last if last else batch_first)
+    layout = batch_last if last else batch_first
+    program, tree, avals = written(f, *args, layout=layout, platform="cpu")
     leaves = [np.asarray(x) for x in jax.tree.leaves(args)]
     if last:
         leaves = [np.moveaxis(x, 0, -1) for x in leaves]

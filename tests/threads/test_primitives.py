@@ -513,12 +513,17 @@ def test_random_numbers_are_those_of_jax():
 def test_products(dtype):
     a, b = normal(dtype, 2, 3, 4, 5), normal(dtype, 2, 4, 3, 5, seed=1)
     m, w = normal(dtype, 2, 12, 14), normal(dtype, 2, 14, 11, seed=2)
+    x, y = normal(dtype, 2, 40, seed=3), normal(dtype, 2, 40, 26, seed=4)
     cases: dict[str, Case] = {
         "batched": (lambda a, b: jnp.einsum("ijk,jik->ij", a, b), (a, b)),
         "two axes": (lambda a, b: jnp.einsum("ijk,jlk->il", a, b), (a, b)),
         "outer": (lambda a, b: jnp.einsum("i,j->ij", a[0, 0], b[0, 0]), (a, b)),
         "dot": (lambda a, b: a[0, 0] @ b[0, 0], (a, b)),
         "looped": (lambda m, w: m @ w, (m, w)),
+        "looped in tiles": (lambda m: m.T @ m, (m,)),
+        "row times matrix": (lambda x, y: x @ y, (x, y)),
+        "matrix times column": (lambda x, y: y.T @ x, (x, y)),
+        "looped dot": (lambda y: y.ravel() @ y.T.ravel(), (y,)),
         "looped batch": (lambda a, b: jnp.einsum("ijk,jlm->jikm", a, b), (a, b)),
         "mixed": (lambda a, w: lax.dot_general(a[0], w[:5].astype(F64), (((1,), (0,)), ((), ())),
                                                preferred_element_type=F64), (a, w)),
