@@ -238,6 +238,7 @@ def test_a_step_that_does_not_converge_is_no_number():
     assert rb.rollout(rb.load("pendulum"), still, None, 0.5, steps=3, integrator=NAME).ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=SLOW)])
 def test_at_rest_corrections_are_rounding(dtype):
     """A robot that comes to rest is no step that does not converge."""
