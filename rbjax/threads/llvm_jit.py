@@ -91,7 +91,7 @@ def compiled(module: Module, quickly: bool = False) -> Code:
     try:
         how = (*_processor(), str((llvm.llvm_version_info, levels)))
         key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
-        code = cached(f"{key}.o", lambda: _object(module, *levels))
+        code = cached(f"{key}.o", lambda: object_of(module.text, levels[0], _machine(levels[1])))
         for function in module.symbols:
             llvm.add_symbol(function, _address(function))
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(levels[1]))
@@ -102,10 +102,10 @@ def compiled(module: Module, quickly: bool = False) -> Code:
         raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
 
 
-def _object(module: Module, passes: int | None, level: int) -> bytes:
-    """The object file of a module."""
-    llvm, machine = _llvm(), _machine(level)
-    parsed = llvm.parse_assembly(module.text)
+def object_of(text: str, passes: int | None, machine: Any) -> bytes:
+    """The object file of IR for a target machine."""
+    llvm = _llvm()
+    parsed = llvm.parse_assembly(text)
     if passes is not None:
         options = llvm.create_pipeline_tuning_options(speed_level=passes)
         options.loop_unrolling = False

@@ -127,8 +127,7 @@ SLOWLY = pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
-        "newton_euler",
-        *(pytest.param(n, marks=SLOWLY) for n in (*MINIMAL, *SLOW, *ATTITUDE_FREE[1:])),
+        pytest.param(n, marks=SLOWLY) for n in (*MINIMAL, *SLOW, *ATTITUDE_FREE)
     ],
 )
 def test_trajectories_are_the_same(name: str) -> None:
@@ -177,6 +176,7 @@ def test_at_a_singularity_nothing_is_nan() -> None:
     assert np.isfinite(dV).all() and relative_error(V0, V) < 1e-14
 
 
+@pytest.mark.slow
 def test_differentiable_and_batched() -> None:
     """The gradient of the end by the mass, and a batch of starts."""
 

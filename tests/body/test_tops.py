@@ -50,7 +50,8 @@ def top_of(inertia, weight: float = 0.0) -> Situation:
 # A program each; the equations of these are those of others, about another point or in other axes
 # (test_formulations.py runs every one).
 ALIKE = {
-    "newton_euler_origin", "spatial_body", "spatial_world", "momentum_body", "quasi_lagrange"
+    "newton_euler_origin", "spatial_body", "spatial_world", "momentum_body", "momentum_world",
+    "quasi_lagrange",
 }  # fmt: skip
 TOPS = [pytest.param(n, marks=pytest.mark.slow if n in ALIKE else ()) for n in ATTITUDE_FREE]
 

@@ -145,6 +145,7 @@ class Torque(rb.forces.Element):
         return now.generalized(self.tau)
 
 
+@pytest.mark.slow
 def test_drift_stays_at_rounding() -> None:
     """Ten thousand steps of a method of first order; a slow test takes a million."""
     _drifts(10_000)

@@ -72,6 +72,7 @@ def bead() -> rb.Model:
       <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>""")
 
 
+@pytest.mark.slow
 def test_bead_on_a_wire():
     """A bead on a cycloid swings in 4 pi sqrt(r / g), from wherever it begins (Huygens)."""
     r, g = 0.25, 9.81

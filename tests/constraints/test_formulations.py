@@ -131,7 +131,7 @@ def accelerations(mechanism: str) -> tuple[dict, list[dict], tuple]:
 
 @pytest.mark.parametrize(
     "mechanism",
-    [pytest.param(x, marks=pytest.mark.slow if "four_bar" in x else ()) for x in MECHANISMS],
+    [pytest.param(x, marks=pytest.mark.slow if x != "hung_twice" else ()) for x in MECHANISMS],
 )
 @pytest.mark.parametrize("name", DENSE)
 def test_one_motion(name: str, mechanism: str) -> None:
@@ -160,6 +160,7 @@ def test_projected_takes_the_motion_of_another() -> None:
     assert off[0] < 1e-12 < 1e-4 < off[2]
 
 
+@pytest.mark.slow
 def test_derivatives_at_equal_singular_values() -> None:
     """First and second, where those of singular vectors do not exist, against the formula."""
     M, f, c = jnp.diag(jnp.array([2.0, 2.0, 3.0])), jnp.arange(3.0), jnp.array([0.7, -0.4])
@@ -234,6 +235,7 @@ def test_augmented_lagrangian_contracts() -> None:
     np.testing.assert_allclose(l, law["lambda_"], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_baumgarte_residual() -> None:
     """g'' + 2 alpha g' + beta^2 g = 0, whatever the motion."""
     example = LAWS["baumgarte_residual"]["example"]

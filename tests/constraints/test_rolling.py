@@ -155,6 +155,7 @@ def test_rolling_disc():
         )
 
 
+@pytest.mark.slow
 def test_steady_turn():
     """On a circle the disc keeps its lean, and comes back after a period."""
     steady = ORACLE["rolling_disc"]["steady"]

@@ -17,7 +17,7 @@ from tests.quickly import quick_jit
 #: plane loop
 SCENES = {"four_bar": (1, 0, 1), "delta": (3, 3, 0), "stewart": (6, 6, 0), "gripper": (1, 1, 2)}
 SPATIAL = ("delta", "stewart")
-FEW = [pytest.param(name, marks=pytest.mark.slow if name == "stewart" else ()) for name in SCENES]
+FEW = [pytest.param(name, marks=pytest.mark.slow if name in SPATIAL else ()) for name in SCENES]
 
 
 def energy(model: rb.Model, state: rb.State) -> jax.Array:

@@ -166,6 +166,7 @@ def test_multipliers_where_rows_vanish() -> None:
     np.testing.assert_allclose(M @ a, 2 * rows.T @ want[~vanishing] - b, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float64, pytest.param(jnp.float32, marks=pytest.mark.slow)])
 def test_derivatives_at_flat_positions(dtype) -> None:
     """Of two steps that begin there, end there, or pass: finite, and alike both ways."""

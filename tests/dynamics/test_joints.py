@@ -338,6 +338,7 @@ def test_the_variational_step_is_of_order_two_on_a_node() -> None:
     assert abs(np.log2(coarse / fine) - 2) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ONE)
 def test_motion(kind: str) -> None:
     """Energy is kept, forces of springs included; the gradient is the difference quotient."""

@@ -25,7 +25,7 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     ("small", "unrolled", True),
     ("spinning_top", "unrolled", False),
     ("gyroscope", "rolled", False),
-    ("quadrotor", "rolled", True),
+    pytest.param("quadrotor", "rolled", True, marks=pytest.mark.slow),
     ("satellite", "rolled", False),
     ("arm7", "rolled", False),
     pytest.param("tree:0", "rolled", False, marks=pytest.mark.slow),
@@ -34,16 +34,16 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     pytest.param("tree:3", "rolled", False, marks=pytest.mark.slow),
     pytest.param("tree:4", "rolled", True, marks=pytest.mark.slow),
     pytest.param("tree:5", "rolled", False, marks=pytest.mark.slow),
-    ("gymnasium/half_cheetah.xml", "unrolled", False),
+    pytest.param("gymnasium/half_cheetah.xml", "unrolled", False, marks=pytest.mark.slow),
     ("gymnasium/swimmer.xml", "rolled", False),  # in a fluid
     ("frax/franka_panda/panda.urdf", "rolled", False),
     ("frax/unitree_g1/g1_29dof_rev_1_0.urdf+free", "rolled", False),
 ]
 AS_COMPILED = {"cart_pole", "gyroscope", "gymnasium/half_cheetah.xml", "arm7 in f32"}
-"""What the quick tests, too, compile with all optimizations: each driver, and single precision."""
-FAST_F32 = ["arm7", "quadrotor"]
+"""What is compiled with all optimizations in quick tests, too (those that are slow always are)."""
+FAST_F32 = ["quadrotor"]
 SLOW_F32 = ["tree:0", "tree:5", "gymnasium/half_cheetah.xml", "frax/franka_panda/panda.urdf"]
-SLOW_F32 += ["frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
+SLOW_F32 += ["arm7", "frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
 SLOW = [*MODELS, *(f"tree:{seed}" for seed in range(50))]
 IMMERSED = [f"{name} in water" for name in (*rb.scenes(), *MODELS)]
 

@@ -43,6 +43,7 @@ MIXED = [
 ]
 
 
+@pytest.mark.slow
 def test_drivers_agree_and_a_model_may_be_an_argument():
     m = limbs(*MIXED)
     model, samples = load_quietly(m), Samples.of(m, 5)

@@ -46,6 +46,7 @@ def test_wind_by_a_stranger():
     assert plain[0] > still[0] + 1e-3  # it is blown along x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("on", "kernel"),
     [

@@ -48,7 +48,7 @@ def test_drivers():
 @pytest.mark.parametrize(
     ("driver", "bodies"),
     [
-        ("rolled", 1),
+        pytest.param("rolled", 1, marks=pytest.mark.slow),
         pytest.param("unrolled", 2, marks=pytest.mark.slow),
         pytest.param("rolled", 3, marks=pytest.mark.slow),
     ],

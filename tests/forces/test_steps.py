@@ -72,7 +72,11 @@ class Clock(rb.forces.Element):
         return now.joint(0).push(jnp.asarray(-1.0 if now.dt is None else now.dt))
 
 
-def test_elements_see_the_step():
+@pytest.mark.parametrize("integrator", [
+    "semi_implicit_euler", pytest.param("rk4", marks=pytest.mark.slow),
+    pytest.param("variational_midpoint", marks=pytest.mark.slow),
+])  # fmt: skip
+def test_elements_see_the_step(integrator):
     model = rb.load("pendulum")
     model = model.replace(
         gravity=0 * model.gravity,
@@ -80,12 +84,11 @@ def test_elements_see_the_step():
     ).with_forces(Clock())
     state, h = model.default_state(), 0.01
     inertia = rb.mass_matrix(model, state.q)[0, 0]
-    for integrator in ("semi_implicit_euler", "rk4", "variational_midpoint"):
-        for kernel in (False, True):
-            path = rb.rollout(model, state, None, h, steps=2, integrator=integrator, kernel=kernel)
-            np.testing.assert_allclose(path.v[-1, 0] * inertia, 2 * h * h, rtol=1e-9)
-        after = rb.step(model, state, dt=h, integrator=integrator)
-        np.testing.assert_allclose(after.v[0] * inertia, h * h, rtol=1e-9)
+    for kernel in (False, True):
+        path = rb.rollout(model, state, None, h, steps=2, integrator=integrator, kernel=kernel)
+        np.testing.assert_allclose(path.v[-1, 0] * inertia, 2 * h * h, rtol=1e-9)
+    after = rb.step(model, state, dt=h, integrator=integrator)
+    np.testing.assert_allclose(after.v[0] * inertia, h * h, rtol=1e-9)
     path = rb.simulate(model, state, jnp.array([0.0, 0.1]))
     np.testing.assert_allclose(path.v[-1, 0] * inertia, -0.1, rtol=1e-6)
 

@@ -55,7 +55,9 @@ def reaches(m: mujoco.MjModel, driver: str):
 ROBOT = limbs(*(f'<general {t} dyntype="integrator"/>' for t in TRANSMISSIONS))
 
 
-@pytest.mark.parametrize("driver", ["unrolled", "rolled", "limbs"])
+@pytest.mark.parametrize(
+    "driver", ["rolled", *(pytest.param(x, marks=pytest.mark.slow) for x in ("unrolled", "limbs"))]
+)
 def test_against_mujoco(driver):
     model, one = reaches(ROBOT, driver)
     samples = Samples.of(ROBOT, 100)

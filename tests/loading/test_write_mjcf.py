@@ -96,7 +96,14 @@ def test_the_same_dynamics(name: str) -> None:
     assert relative_error(theirs, want, batch_dims=1).max() <= F64_PARITY
 
 
-@pytest.mark.parametrize("name", [*ROBOTS, *MODELS])
+#: the largest file, and nine crowds of what the first has
+LARGE = [n for n in MODELS if "barkour" in n or ("_humanoids" in n and "01_" not in n)]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in LARGE else n
+             for n in (*ROBOTS, *MODELS)]
+)  # fmt: skip
 def test_the_same_in_mujoco(name: str) -> None:
     """The original file and the written file, compared in MuJoCo only."""
     with warnings.catch_warnings():

@@ -15,6 +15,8 @@ from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, relative_error
 
 STEPS, DT = 3, 0.01
+#: whether samples are threads; quick tests of other files run under XLA by default
+KERNEL = [pytest.param(False, marks=pytest.mark.slow), True]
 
 
 @functools.cache
@@ -42,7 +44,7 @@ def by_hand(model: rb.Model, state: State, given: Inputs, i: int) -> State:
     return state
 
 
-@pytest.mark.parametrize("kernel", [False, True])
+@pytest.mark.parametrize("kernel", KERNEL)
 def test_arrays_are_those_of_the_definition(kernel):
     model, states, given = scene()
     path = rb.rollout(
@@ -57,7 +59,7 @@ def test_arrays_are_those_of_the_definition(kernel):
             assert relative_error(a, b) < F64_IDENTITY
 
 
-@pytest.mark.parametrize("kernel", [False, True])
+@pytest.mark.parametrize("kernel", KERNEL)
 @pytest.mark.parametrize("functions", [("ctrl",), ("tau", "wrenches")])
 def test_functions_are_arrays_of_their_values(functions, kernel):
     """A function of only time gives the same as its values in an array, mixed with arrays."""
@@ -78,7 +80,7 @@ def test_functions_are_arrays_of_their_values(functions, kernel):
 
 
 def test_simulate_takes_them_too():
-    """Held arrays and functions of (t, state): a spring by wrenches, as one by tau."""
+    """Functions of (t, state): a spring by wrenches, as one by tau."""
     model = rb.load("cart_pole")
     start = rb.State(jnp.array([0.3, 0.1]), jnp.zeros(2))
     ts = jnp.linspace(0.0, 0.5, 3)
@@ -89,13 +91,20 @@ def test_simulate_takes_them_too():
     by_wrench = rb.simulate(model, start, ts, wrenches=pull)
     by_tau = rb.simulate(model, start, ts, tau=lambda t, s: jnp.array([-4.0, 0.0]) * s.q)
     np.testing.assert_allclose(by_wrench.q, by_tau.q, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_simulate_holds_arrays():
+    model = rb.load("cart_pole")
+    start = rb.State(jnp.array([0.3, 0.1]), jnp.zeros(2))
+    ts = jnp.linspace(0.0, 0.5, 3)
     held = rb.simulate(model, start, ts, tau=jnp.array([1.0, 0.0]))
     fine = rb.rollout(model, start, None, 1e-3, steps=500, tau=lambda t, s: jnp.array([1.0, 0.0]),
                       integrator="rk4")
     np.testing.assert_allclose(held.q[-1], fine.q[-1], atol=1e-7)
 
 
-@pytest.mark.parametrize("kernel", [False, True])
+@pytest.mark.parametrize("kernel", KERNEL)
 def test_a_law_and_an_integrator_of_a_user(kernel):
     """A law that keeps the first coordinate constant; explicit Euler as a user's integrator."""
     model = rb.load("cart_pole")

@@ -80,7 +80,9 @@ def test_order_with_free_attitudes(integrator, order, steps):
     assert abs(np.log2(coarse / fine) - order) < 0.45
 
 
-@pytest.mark.parametrize(("integrator", "solver"), [("tsit5", "Tsit5"), ("dopri8", "Dopri8")])
+@pytest.mark.parametrize(("integrator", "solver"), [
+    ("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)
+])
 def test_tableaus_are_diffrax_s_without_attitudes(integrator, solver, key):
     """On hinges the manifold is flat, and a step is that of the same tableau in `simulate`."""
     model = rb.load("double_pendulum")

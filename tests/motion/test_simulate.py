@@ -22,7 +22,9 @@ def test_free_fall_is_a_parabola():
     np.testing.assert_allclose(out.q[:, :3], fall, atol=1e-10)
 
 
-@pytest.mark.parametrize("solver", [diffrax.Dopri8(), diffrax.Tsit5()])
+@pytest.mark.parametrize(
+    "solver", [diffrax.Tsit5(), pytest.param(diffrax.Dopri8(), marks=pytest.mark.slow)]
+)
 def test_energy_momentum_and_unit_length_of_a_tumbling_satellite(solver, key):
     model = rb.load("satellite").replace(driver="rolled")
     model = model.replace(joints=model.joints.replace(damping=jnp.zeros(model.nv)))
@@ -38,6 +40,7 @@ def test_energy_momentum_and_unit_length_of_a_tumbling_satellite(solver, key):
         np.testing.assert_allclose(length, 1, atol=4e-16)
 
 
+@pytest.mark.slow
 def test_adaptive_and_fixed_steps_agree(key):
     model = rb.load("double_pendulum")
     state, ts = model.random_state(key), jnp.linspace(0, 0.5, 3)
@@ -81,6 +84,7 @@ def test_a_blow_up_with_fixed_steps_is_said(key):
     assert not bool(out.ok)
 
 
+@pytest.mark.slow
 def test_a_robot_of_other_numbers_is_not_compiled_anew(key):
     """Outside of jit the model is an argument with known zeros; a new zero pattern recompiles."""
     model, traces = rb.load("cart_pole"), []
@@ -163,6 +167,7 @@ def test_bad_arguments_are_named(arguments, message):
         rb.simulate(model, **given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [1e5, 1e9])
 def test_a_late_start_costs_no_digits(start):
     """In f32 a step of a millisecond is lost at 1e5 s; time runs from the first of ts."""

@@ -165,6 +165,7 @@ def test_gradients_are_difference_quotients(scene):
     assert relative_error(along, (ahead - behind) / (2 * h)) < GRADIENT
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_loop():
     model = rb.load("cart_pole")
     states = jax.vmap(model.random_state)(jax.random.split(jax.random.key(0), 3))
@@ -237,6 +238,7 @@ def test_a_step_that_does_not_converge_is_no_number():
     assert rb.rollout(rb.load("pendulum"), still, None, 0.5, steps=3, integrator=NAME).ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=SLOW)])
 def test_at_rest_corrections_are_rounding(dtype):
     """A robot that comes to rest is no step that does not converge."""
@@ -257,7 +259,9 @@ def test_springs_and_dampers_of_joints_may_be_stiff():
     assert path.ok and np.abs(path.v).max() < 30
 
 
-@pytest.mark.parametrize("kind", ["slide", pytest.param("screw", marks=SLOW), "planar"])
+@pytest.mark.parametrize("kind", [
+    "slide", pytest.param("screw", marks=SLOW), pytest.param("planar", marks=SLOW)
+])
 def test_servos_of_joints_may_be_stiff(kind):
     """On whatever joint of coordinates that add: h = 19 sqrt(m / k) and more."""
     model = rb.load("cart_pole").with_joint("slider", kind)

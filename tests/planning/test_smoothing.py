@@ -23,6 +23,7 @@ def found(scene: str, n: int = 96):
     return grid, Path(path.start, jnp.concatenate([path.steps, jnp.zeros((rest, 3))]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names",
     [["narrow gap"], pytest.param(["parallel parking", "dead end"], marks=pytest.mark.slow)],

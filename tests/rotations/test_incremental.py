@@ -60,6 +60,7 @@ def test_folding_keeps_the_attitude() -> None:
     assert not np.asarray(always.x).any()
 
 
+@pytest.mark.slow
 def test_is_differentiable() -> None:
     """The final attitude by a constant rate is exp(w t): its derivative is t J_r(w t)."""
     ts = jnp.linspace(0.0, 5.0, 501)

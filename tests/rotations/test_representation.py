@@ -111,6 +111,7 @@ def test_there_are_thirty_and_more_in_a_stable_order() -> None:
 F32_SLOW = pytest.param(np.float32, 2e-6, marks=pytest.mark.slow)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1_000, pytest.param(10_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("dtype", "limit"), [(np.float64, 1e-14), F32_SLOW])
 def test_round_trips_among_all(dtype, limit, count) -> None:

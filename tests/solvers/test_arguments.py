@@ -61,6 +61,7 @@ def test_the_family_knows_its_order(solver, order: int) -> None:
     assert solver.order(None) == order
 
 
+@pytest.mark.slow
 def test_a_traced_member_of_the_family() -> None:
     """Its numbers may be differentiated and batched over; its order is what is certain."""
     scene = SCENES["second-order"]
