@@ -3,9 +3,10 @@
     pose         e = [log(R_d R^T); p_d - p]           J = [J_w; J_v]
     rotation     e = log(R_d R^T)                       J = J_w
     position     e = p_d - p                            J = J_v
-    direction    e = log of the shortest turn of a to n  J = (1 - n n^T) J_w
-in world axes, of a frame at (R, p) whose axis a shall point along n. J is the rate of -e to first order in e, so Newton's method with it converges quadratically
-to e = 0 (Sola, Deray & Atchuthan, *A micro Lie theory*, 2018, eq. 83: J_l^-1(e) = 1 + O(e)).
+    direction    e = log of the turn of a to n          J = (1 - n n^T) J_w
+in world axes, of a frame at (R, p) whose axis a shall point along n. J is the rate of -e to first
+order in e, so Newton's method with it converges quadratically to e = 0 (Sola, Deray & Atchuthan,
+*A micro Lie theory*, 2018, eq. 83: J_l^-1(e) = 1 + O(e)).
 """
 
 from __future__ import annotations
@@ -175,10 +176,9 @@ class Miss:
         like = jnp.zeros(0, self.dtype)
         link, r = carried_point("Goal", model, d, like, goal.body, goal.site, goal.point)
         R = Mat3.identity()
-        b = model.body(goal.body) if goal.site is None else -1
+        b = body_of(model, goal)
         if goal.site is not None:
-            i = model.site(goal.site)
-            R, b = site_transform(model, i, self.dtype).R, model.topology.site_bodies[i]
+            R = site_transform(model, model.site(goal.site), self.dtype).R
         return link, r, (R if link == WORLD else d.prepared.weld(b).R @ R)
 
     def _rows(self, goal: Goal, turns: bool, e: Any, path: Sequence[int], of: Any) -> None:
@@ -209,6 +209,13 @@ class Miss:
                 square = sum(x * x for x in self.errors[start:stop])
                 out = square if is_literal(out) else jnp.maximum(out, square)
         return out
+
+
+def body_of(model: Model, goal: Goal) -> int:
+    """The body that carries the goal's frame, or `WORLD`."""
+    if goal.site is not None:
+        return model.topology.site_bodies[model.site(goal.site)]
+    return model.body(goal.body or "")
 
 
 def written_out(model: Model, dtype: Any) -> Unrolled:

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
-from rbjax.control.goals import Goal, errors
+from rbjax.control.goals import Goal, body_of, errors
 from rbjax.control.joint_ranges import Ranges, random_configurations
 from rbjax.control.restarts import Found, Settings, search
 from rbjax.dynamics.arguments import (
@@ -193,7 +193,7 @@ def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
 def _check_frames(model: Model, goals: Sequence[Goal]) -> None:
     top = model.topology
     for goal in goals:
-        of = top.site_bodies[model.site(goal.site)] if goal.body is None else model.body(goal.body)
+        of = body_of(model, goal)
         if of < 0 or top.body_links[of] < 0:
             name = f"site {goal.site!r}" if goal.body is None else f"body {goal.body!r}"
             raise InputError(f"{WHERE}: no joint moves {name}; expected a frame that one moves")
@@ -221,7 +221,8 @@ def _inlined(
     moving, closed = split_tracers((model, goals, start, others, posture, weights, tolerance))
 
     def found(moving: list) -> Found:
-        return search(*closed(moving), how)
+        model, goals, start, others, posture, weights, tolerance = closed(moving)
+        return search(model, goals, start, others, posture, weights, tolerance, how)
 
     run = threaded(found) if wanted() else found
     ruled = jax.custom_jvp(run)
@@ -289,7 +290,7 @@ def _rate(
 ) -> jax.Array:
     """The rate of q (nq,) at a solution, from those of its conditions at constant q."""
     q = found.q
-    e, J = errors(model, goals, q)
+    _, J = errors(model, goals, q)
     ranges = Ranges(model, q.dtype, limits)
     free = _free(model, ranges, q, None if posture is None else _wish(model, q, posture))
     if posture is None:

@@ -59,7 +59,8 @@ class Ranges:
                 at = Bounded(span.q.start, span.v.start, _of(lower, dtype), _of(upper, dtype))
                 self.bounded.append(at)
             elif joint.name == "ball":
-                self.balls.append(Ball(*span.attitude, _of(upper, dtype)))
+                turn, by = span.attitude
+                self.balls.append(Ball(turn, by, _of(upper, dtype)))
 
     def within(self, q: Sequence[Lane]) -> list[Lane]:
         """The configuration, with each joint at the nearest point of its range."""
@@ -90,7 +91,7 @@ class Ranges:
         grows where it is at its end and g points out of it, else zeros."""
         out: dict[int, list[Lane]] = {}
         for ball in self.balls:
-            turn = quaternion.log_lanes(q[ball.q])
+            turn = quaternion.log_lanes(list(q[ball.q]))
             square = sum(x * x for x in turn)
             angle = jnp.sqrt(jnp.where(square > 0, square, 1.0))
             grows = sum(a * b for a, b in zip(turn, g[ball.v], strict=True))
@@ -107,14 +108,17 @@ def random_configurations(
     within a half turn of `near`, lengths within `SPREAD` of it, attitudes uniform."""
     dtype = near.dtype
     unit = jax.random.uniform(key, (count, model.nq), dtype)
-    q = []
+    q: list[jax.Array] = []
     for j, (joint, span) in enumerate(_joints(model)):
         low, high = (jnp.asarray(x, dtype) for x in model.joints.range[j])
         for n, i in enumerate(range(span.q.start, span.q.stop)):
-            slides = _slides(joint, n)
-            spread = SPREAD if slides else math.pi
-            lower, upper = near[i] - spread, near[i] + spread
-            if limits and joint.nv == 1:
+            spread = SPREAD if _slides(joint, n) else math.pi
+            ranged = limits and joint.nv == 1
+            if ranged and not isinstance(low, jax.core.Tracer) and np.isfinite([low, high]).all():
+                lower, upper = low, high  # apart from `near`: all of a batch then share the starts
+            else:
+                lower, upper = near[i] - spread, near[i] + spread
+            if ranged:
                 lower = jnp.where(jnp.isfinite(low), low, jnp.minimum(lower, high))
                 upper = jnp.where(jnp.isfinite(high), high, jnp.maximum(upper, low))
             q.append(lower + (upper - lower) * unit[:, i])

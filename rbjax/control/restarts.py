@@ -82,7 +82,8 @@ def search(
 ) -> Found:
     """From the first of the starts from which the goals are met, else the nearest pose.
 
-    start (nq,), others (n, nq): the first start and those that follow it; weights, tolerance: of rotations and of positions.
+    start (nq,), others (n, nq): the first start and those that follow it; weights, tolerance: of
+    rotations and of positions.
     """
     dtype, top, last = start.dtype, model.topology, 1 + others.shape[0]
     ranges, d = Ranges(model, dtype, how.limits), written_out(model, dtype)
@@ -103,9 +104,9 @@ def search(
 
         longest = jnp.max(jnp.stack([jnp.abs(_array(x, dtype)) for x in dq]))
         finished = met if posture is None else met & (longest <= jnp.sqrt(squares[0]))
-        better = (E < now.best_E) | met
+        better = (now.best_E > E) | met
         better = jnp.where(now.met, met, better)
-        fell = E <= FALL * now.lowest
+        fell = FALL * now.lowest >= E
         stuck = jnp.where(fell | met, 0, now.stuck + 1)
         polishing = now.start >= last
         over = jnp.where(
