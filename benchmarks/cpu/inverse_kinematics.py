@@ -4,7 +4,8 @@
 
 All are given the same poses, which random configurations within the ranges reach, and the same
 first configuration. A pose counts as solved where Pinocchio's forward kinematics of the answer is
-within 1e-6 m and 1e-6 rad of it, and the answer within the ranges. The peers are OptIK (Rust and
+within 1e-6 m and 1e-6 rad of it, and the answer within the ranges: ours exactly, those of the peers
+to 1e-5 rad, which TRAC-IK exceeds them by at most. The peers are OptIK (Rust and
 NLopt, `pip install optik-py`), TRAC-IK (C++, `pip install pytracik`) and the loop of Pinocchio's
 own example of closed-loop inverse kinematics with restarts (Python around its C++).
 """
@@ -33,7 +34,8 @@ COLUMNS = ("solver", "poses", "solved", "us", "us median", "us worst", "compile_
 class Judge:
     """Pinocchio's forward kinematics."""
 
-    def __init__(self) -> None:
+    def __init__(self, slack: float = 0.0) -> None:
+        self.slack = slack
         self.model = pin.buildModelFromUrdf(URDF)
         self.data = self.model.createData()
         self.frame = self.model.getFrameId(HAND)
@@ -45,7 +47,7 @@ class Judge:
         pin.framesForwardKinematics(self.model, self.data, np.asarray(q, float))
         pose = self.data.oMf[self.frame]
         off = np.linalg.norm(pin.log3(R @ pose.rotation.T)), np.linalg.norm(p - pose.translation)
-        within = (np.asarray(q) >= low).all() and (np.asarray(q) <= high).all()
+        within = (low - q <= self.slack).all() and (q - high <= self.slack).all()
         return bool(within and max(off) <= TOLERANCE)
 
 
@@ -158,6 +160,7 @@ def main() -> None:
     R, p = (np.asarray(x) for x in reachable(panda(), count, dtype=jnp.float64))
     first = (judge.model.lowerPositionLimit + judge.model.upperPositionLimit) / 2
     rows = [*ours(judge, R, p)]
+    judge = Judge(slack=1e-5)
     for peer in (optik, trac_ik, closed_loop):
         rows += peer(judge, R, p, first)
     fastest = min(row["us"] for row in rows[2:])

@@ -53,7 +53,8 @@ class InverseKinematics(Record):
 
     Fields: q (nq,), within the ranges; rotation_error rad and position_error m, the largest of any
     goal; converged, whether both are within the tolerance; iterations, of all starts together;
-    start, the number of the start that converged (0 is `start`).
+    start, the number of the start that converged (0 is `start`; of searches
+    side by side the first starts count first).
     """
 
     q: jax.Array
@@ -92,6 +93,7 @@ def inverse_kinematics(
     start: Any = None,
     posture: Any = None,
     seeds: int = 64,
+    side_by_side: int = 1,
     key: Any = None,
     limits: bool = True,
     weights: Any = (0.5, 1.0),
@@ -115,6 +117,9 @@ def inverse_kinematics(
             the model's reference).
         posture: (nq,) of all solutions, the one nearest to it is sought.
         seeds: how many starts there are at most; those after the first are random.
+        side_by_side: how many searches run beside each other, each a thread or a lane, with the
+            starts shared out among them; the one that converges in the fewest steps counts. 8 or
+            more suit one target, or a small batch on a GPU, which waits for its last target.
         key: of the random starts; `jax.random.key(0)` if None.
         limits: whether joints keep `model.joints.range`, exactly.
         weights: how much a radian, and a metre, count where not all errors can be zero.
@@ -148,6 +153,7 @@ def inverse_kinematics(
             "with model.replace(constraints=()), or add a goal for each closed loop"
         )
     check_whole(WHERE, "seeds", seeds, 1)
+    check_whole(WHERE, "side_by_side", side_by_side, 1, seeds, ": no more than seeds")
     check_whole(WHERE, "iterations", iterations, 1)
     dtype = jnp.result_type(*(x for g in goals for x in g.arrays))
     given = {"start": start, "posture": posture}
@@ -161,7 +167,8 @@ def inverse_kinematics(
     args = (model, goals, given["start"], given["posture"], key, weighting, within)
     inside = split_tracers(args)[0] and inside_jit()
     run = _inlined if inside else _program
-    return run(*args, seeds=seeds, iterations=iterations, limits=bool(limits))
+    how = Settings(iterations, bool(limits))
+    return run(*args, searches=(side_by_side, -(-seeds // side_by_side)), how=how)
 
 
 def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
@@ -209,23 +216,31 @@ def _pair(name: str, value: Any, dtype: Any) -> tuple[jax.Array, jax.Array]:
 @automatic
 def _inlined(
     model: Model, goals: tuple[Goal, ...], start: Any, posture: Any, key: Any, weights: Any,
-    tolerance: Any, *, seeds: int, iterations: int, limits: bool,
+    tolerance: Any, *, searches: tuple[int, int], how: Settings,
 ) -> InverseKinematics:  # fmt: skip
-    dtype = tolerance[0].dtype
+    """searches: how many run side by side, and the starts of each."""
+    dtype, limits, (beside, each) = tolerance[0].dtype, how.limits, searches
     if start is None:
         start = _middle(model, dtype) if limits else model.joints.reference.astype(dtype)
     ranges = Ranges(model, dtype, limits)
     start = jnp.stack([jnp.asarray(x, dtype) for x in ranges.within(list(start))])
-    others = random_configurations(model, key, seeds - 1, start, limits)
-    how = Settings(iterations, limits)
+    others = random_configurations(model, key, beside * each - 1, start, limits)
     moving, closed = split_tracers((model, goals, start, others, posture, weights, tolerance))
 
-    def found(moving: list) -> Found:
-        model, goals, start, others, posture, weights, tolerance = closed(moving)
+    def one(start: jax.Array, others: jax.Array, moving: list) -> Found:
+        model, goals, _, _, posture, weights, tolerance = closed(moving)
         return search(model, goals, start, others, posture, weights, tolerance, how)
 
-    run = threaded(found) if wanted() else found
-    ruled = jax.custom_jvp(run)
+    run = threaded(one) if wanted() else one
+
+    def found(moving: list) -> Found:
+        _, _, start, others, _, weights, _ = closed(moving)
+        if beside == 1:
+            return run(start, others, moving)
+        starts = jnp.concatenate([start[None], others]).reshape(beside, each, -1)
+        return _best(jax.vmap(run, (0, 0, None))(starts[:, 0], starts[:, 1:], moving), weights)
+
+    ruled = jax.custom_jvp(found)
 
     def rule(primals: tuple, tangents: tuple) -> tuple[Found, Found]:
         out = ruled(*primals)
@@ -249,7 +264,19 @@ def _inlined(
     )
 
 
-_program = compiled(_inlined, static_argnames=("seeds", "iterations", "limits"))
+_program = compiled(_inlined, static_argnames=("searches", "how"))
+
+
+def _best(found: Found, weights: Any) -> Found:
+    """Of searches side by side, the one that converged in the fewest steps, else the nearest."""
+    beside = found.converged.shape[0]
+    off = jnp.hypot(weights[0] * found.rotation, weights[1] * found.position)
+    last = jnp.where(jnp.isfinite(off), off, jnp.inf)
+    turns = found.iterations.astype(off.dtype)
+    first = jnp.where(found.converged, turns - 1 - turns.max(), last)  # those that did are below 0
+    i = jnp.argmin(first)
+    out = jax.tree.map(lambda x: x[i], found)
+    return out._replace(iterations=found.iterations.sum(), start=out.start * beside + i)
 
 
 def _no_tangent(x: jax.Array) -> Any:

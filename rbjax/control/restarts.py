@@ -137,7 +137,7 @@ def search(
             position=jnp.where(better, errors[1], now.position),
         )
 
-    endless, none = jnp.asarray(jnp.inf, dtype), jnp.asarray(0)
+    endless, none = jnp.asarray(jnp.inf, dtype), jnp.asarray(0, jnp.int32)
     first = _Turn(
         start, endless, none, none, none, none, jnp.asarray(False), start, endless,
         jnp.asarray(False), endless, endless,
