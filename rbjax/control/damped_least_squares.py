@@ -15,7 +15,6 @@ without the held columns the others turn (an active set of two rounds). The resu
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,14 +25,6 @@ from rbjax.lanes import Lane, add, inner, is_zero, ldlt, mul, sub, total
 
 #: rounds of the active set
 ROUNDS = 2
-
-
-class Damping(NamedTuple):
-    """share: c, of E; least: what is added where E is zero, so that a singular J J^T has a
-    solution (1 / the weighted rows' unit^2)."""
-
-    share: float = 3e-2
-    least: float = 1e-10
 
 
 def weighted(miss: Miss) -> tuple[list[Lane], list[list[Lane]]]:

@@ -18,13 +18,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.damped_least_squares import Damping, half_square, step, weighted
+from rbjax.control.damped_least_squares import half_square, step, weighted
 from rbjax.control.goals import Goal, Miss, written_out
 from rbjax.control.joint_ranges import Ranges
 from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
 from rbjax.lanes import Lane, is_zero
 from rbjax.model import Model
 
+#: the damping: this share of the error E, and this share of the tolerance, so that a singular J J^T
+#: has a solution. With a posture, the latter leaves an error of its size times the multipliers.
+SHARE, LEAST = 3e-2, 1e-4
 #: a start is given up when the error has not fallen to `FALL` of its lowest for `PATIENCE` turns
 FALL, PATIENCE = 0.5, 4
 #: turns from the best configuration where no start succeeds
@@ -40,7 +43,6 @@ class Settings(NamedTuple):
 
     iterations: int
     limits: bool
-    damping: Damping = Damping()
 
 
 class Found(NamedTuple):
@@ -87,6 +89,7 @@ def search(
     """
     dtype, top, last = start.dtype, model.topology, 1 + others.shape[0]
     ranges, d = Ranges(model, dtype, how.limits), written_out(model, dtype)
+    least = LEAST * jnp.minimum(*(jnp.asarray(x, dtype) for x in tolerance))
     squares = [jnp.square(jnp.asarray(x, dtype)) for x in tolerance]
 
     def looked(now: _Turn) -> _Turn:
@@ -97,7 +100,7 @@ def search(
         errors = [_array(miss.size(turns), dtype) for turns in (True, False)]
         met = (errors[0] <= squares[0]) & (errors[1] <= squares[1])
         wish = None if posture is None else difference_lanes(top, q, list(posture))
-        damping = how.damping.share * E + how.damping.least
+        damping = SHARE * E + least
         dq = step(q, e, J, ranges, wish, damping)
         dq = [x if is_zero(x) else jnp.clip(x, -LONGEST, LONGEST) for x in dq]
         moved = ranges.within(integrate_lanes(top, q, [_array(x, dtype) for x in dq]))
