@@ -120,7 +120,8 @@ def test_ball_joint_at_the_end_of_its_swing():
     """A pendulum on a ball joint that may swing 0.6 rad, asked for 1.2 rad: it stops at 0.6."""
     model = load_quietly(
         '<mujoco><compiler angle="radian"/><worldbody><body name="b">'
-        '<joint type="ball" range="0 0.6"/><geom size="0.1"/><site name="tip" pos="0 0 -1"/></body></worldbody></mujoco>'
+        '<joint type="ball" range="0 0.6"/><geom size="0.1"/><site name="tip" pos="0 0 -1"/>'
+        "</body></worldbody></mujoco>"
     )
     found = ik(model, [np.sin(1.2), 0.0, -np.cos(1.2)], site="tip", seeds=2)
     _, p = rb.site_pose(model, found.q, "tip")
