@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from rbjax.control.law import Law, check_law, gains, holding, unforced
 from rbjax.control.references import check_configurations, check_poses, configuration
 from rbjax.control.task import Task, inertia, motion, task_of
-from rbjax.dynamics.arguments import check_array
+from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
@@ -191,7 +191,7 @@ def cartesian_impedance(
 
 def _matrix(where: str, name: str, value: Any, m: int) -> jax.Array:
     """(m, m) from a number, (m,) or a matrix."""
-    if jnp.ndim(value) == 2:
+    if len(shape_of(where, name, value)) == 2:
         return check_array(where, name, value, (m, m))
     return jnp.diag(gains(where, name, value, m))
 

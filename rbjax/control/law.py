@@ -36,6 +36,9 @@ class Law(Record):
     model: Model
     undriven: str = eqx.field(static=True)
 
+    def __hash__(self) -> int:
+        return id(self)  # `jax.jit(law)` knows functions by their identity
+
     @abc.abstractmethod
     def tau(self, t: Any, state: State) -> jax.Array:
         """(nv,) N m or N, the generalized forces that the actuators shall give."""
