@@ -146,7 +146,7 @@ def inverse_kinematics(
     check_model(WHERE, model)
     check_moves(WHERE, model)
     goals = _goals(target, site, body)
-    _check_frames(model, goals)
+    check_frames(WHERE, model, goals)
     if model.constraints:
         raise InputError(
             f"{WHERE}: the model has constraints, which this search does not keep; remove them "
@@ -197,13 +197,14 @@ def _goals(target: Any, site: str | None, body: str | None) -> tuple[Goal, ...]:
     return (Goal(**{known[shape]: target}, **frame),)
 
 
-def _check_frames(model: Model, goals: Sequence[Goal]) -> None:
+def check_frames(where: str, model: Model, goals: Sequence[Goal]) -> None:
+    """`InputError` if no joint moves the frame of a goal."""
     top = model.topology
     for goal in goals:
         of = body_of(model, goal)
         if of < 0 or top.body_links[of] < 0:
             name = f"site {goal.site!r}" if goal.body is None else f"body {goal.body!r}"
-            raise InputError(f"{WHERE}: no joint moves {name}; expected a frame that one moves")
+            raise InputError(f"{where}: no joint moves {name}; expected a frame that one moves")
 
 
 def _pair(name: str, value: Any, dtype: Any) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,21 @@
-"""Robots of the tests of feedback laws; this file is no test."""
+"""Robots of these tests; this file is no test."""
+
+import numpy as np
+
+import rbjax as rb
+from tests.robots import load_quietly
+
+#: of `arm7`, whose file states these ranges and does not switch them on
+RANGES = np.array([[-2.8, 2.8], [-1.8, 1.8], [-2.8, 2.8], [-0.1, 3.0], [-2.8, 2.8], [0.0, 3.7],
+                   [-2.8, 2.8]])  # fmt: skip
+
+
+def arm7() -> rb.Model:
+    """The arm of seven joints within its ranges."""
+    arm = load_quietly("arm7")
+    return arm.replace(joints=arm.joints.replace(range=RANGES))
+
+
 
 #: four hinges, of which three move the tip's position in a redundant way; springs, dampers,
 #: armature; motors with gears, and a servo

@@ -10,6 +10,7 @@ import rbjax as rb
 import rbjax.control
 from rbjax.control.joint_ranges import Ranges, random_configurations
 from rbjax.errors import InputError, UnknownName
+from tests.control.arms import arm7
 from tests.quickly import quick_jit
 from tests.robots import load_quietly
 
@@ -38,7 +39,7 @@ CONFIGURATION = np.array([0.3, 0.4, -0.5, 1.0, 0.6, 1.0, 0.2])
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_quietly("arm7")
+    return arm7()
 
 
 @pytest.fixture(scope="module")
