@@ -197,10 +197,7 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
     known = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model))
     if undriven == "least_squares" or not known:
         return
-    with jax.ensure_compile_time_eval():
-        state = model.random_state(jax.random.key(0))
-        columns = [[float(x) for x in column] for column in effect(model, state)[1]]
-    B = np.array(columns).reshape(model.nu, model.nv).T
+    B = _generic(model)
     rank = int(np.linalg.matrix_rank(B)) if B.size else 0
     if rank == model.nv:
         return
@@ -218,6 +215,22 @@ def check_driven(where: str, model: Model, undriven: str) -> None:
         "undriven='least_squares' for the nearest forces, whose rest `law.allocated` returns; or "
         "apply the forces themselves, as rollout(..., tau=law.tau)"
     )
+
+
+def _generic(model: Model) -> np.ndarray:
+    """B (nv, nu) at a random state, or what has its zeros and its rank."""
+    top, a = model.topology, model.actuators
+    if not any(e.actuates for e in model.forces) and all(
+        j >= 0 and top.joints[j].nv == 1 for j in a.joints
+    ):
+        B = np.zeros((model.nv, model.nu))
+        strong = np.asarray(a.gear)[:, 0] * np.asarray(a.gain).any(1)
+        B[[top.joint_v[j] for j in a.joints], range(model.nu)] = strong
+        return B
+    with jax.ensure_compile_time_eval():
+        state = model.random_state(jax.random.key(0))
+        columns = [[float(x) for x in column] for column in effect(model, state)[1]]
+    return np.array(columns).reshape(model.nu, model.nv).T
 
 
 def _stack(x: list[Lane], dtype: Any) -> jax.Array:

@@ -76,8 +76,8 @@ def computed_torque(
         >>> import rbjax as rb, jax.numpy as jnp
         >>> model = rb.load("arm7")
         >>> law = rb.control.computed_torque(model, jnp.zeros(7), stiffness=25.0)
-        >>> law(0.0, model.default_state()).shape
-        (7,)
+        >>> law.damping.tolist()
+        [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0]
     """
     check_law(WHERE, model, undriven)
     reference = check_configurations(WHERE, model, reference)

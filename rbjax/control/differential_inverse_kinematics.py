@@ -147,7 +147,7 @@ def _solved(
 
 
 class _Set(NamedTuple):
-    """A point within the bounds, which coordinates are held at theirs, and whether it is optimal."""
+    """A point within the bounds, what is held at its bound, and whether it is optimal."""
 
     x: jax.Array
     held: jax.Array

@@ -171,8 +171,8 @@ def cartesian_impedance(
         >>> model = rb.load("arm7")
         >>> law = rb.control.cartesian_impedance(
         ...     model, [0.4, 0.0, 0.5], site="tool", task="position", stiffness=500.0, damping=50.0)
-        >>> law.tau(0.0, model.default_state()).shape
-        (7,)
+        >>> law.stiffness.shape
+        (3, 3)
     """
     where = "cartesian_impedance"
     check_law(where, model, undriven)

@@ -119,8 +119,8 @@ def operational_space(
         >>> model = rb.load("arm7")
         >>> law = rb.control.operational_space(
         ...     model, [0.4, 0.0, 0.5], site="tool", task="position", stiffness=100.0)
-        >>> law.tau(0.0, model.default_state()).shape
-        (7,)
+        >>> law.damping.tolist()
+        [20.0, 20.0, 20.0]
     """
     check_law(WHERE, model, undriven)
     what = task_of(WHERE, model, site, body, task)

@@ -42,11 +42,11 @@ def test_error_falls_at_the_rate(arm):
     """Without limits J v = rate e, and v is the pseudoinverse's."""
     R, p = rb.site_pose(arm, jnp.asarray(Q), "tool")
     goal = control.Goal(site="tool", position=p + 0.01, rotation=R)
-    found = velocity(arm, Q, goal, rate=3.0, damping=1e-12)
+    found = velocity(arm, Q, goal, rate=3.0, damping=1e-9)
     J = np.asarray(rb.jacobian(arm, jnp.asarray(Q), site="tool"))
     want = np.linalg.pinv(J) @ np.array([0, 0, 0, 0.03, 0.03, 0.03])
-    np.testing.assert_allclose(found.v, want, atol=1e-9)
-    assert np.abs(found.residual).max() < 1e-10
+    np.testing.assert_allclose(found.v, want, atol=1e-6)
+    assert np.abs(found.residual).max() < 1e-8
 
 
 def test_limits_hold(arm):
