@@ -44,8 +44,9 @@ from rbjax.solvers.arguments import check_whole
 from rbjax.threads import threaded, wanted
 
 WHERE = "inverse_kinematics"
-#: a row of J whose part that no other row has is smaller than this is redundant
-REDUNDANT = 1e-10
+#: a row of J is redundant if the square of what no other row has is below this share of its own,
+#: in units of rounding
+REDUNDANT = 1e3
 
 
 class InverseKinematics(Record):
@@ -324,7 +325,8 @@ def _rate(
     if posture is None:
         held = J * free
         rows = [list(r) for r in matmat(held, held.T)]
-        y = jnp.stack(ldlt(rows, least=REDUNDANT).solve(list(rate)))
+        least = REDUNDANT * float(jnp.finfo(q.dtype).eps)
+        y = jnp.stack(ldlt(rows, least=least).solve(list(rate)))
         dq = matvec(held.T, y)
     else:
         dq = _rate_with_posture(model, goals, posture, q, J, free, rate)
