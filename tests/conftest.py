@@ -47,7 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 #: large programs, of which JAX's part takes longer than LLVM's: half to two thirds of XLA's time
 BY_MACHINE_CODE = {"sysid", "test_demo.py", "test_rollout.py", "test_march.py", "test_curves.py",
-                   "test_linearly_implicit.py"}  # fmt: skip
+                   "test_linearly_implicit.py", "control"}  # fmt: skip
 
 
 class ByMachineCode:

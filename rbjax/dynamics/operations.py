@@ -171,6 +171,10 @@ def _equation(eqn: Any, out: list[bool]) -> tuple[OperationCount, list[bool]]:
     if name == "threads":  # a kernel of a GPU: its program, once a sample
         count, needs = _walk(params["program"].closed.jaxpr, out)
         return math.prod(params["batch"]) * count, needs
+    if name == "threads_tangent":  # the same of its derivative
+        tangent = params["program"].tangent(params["moving"])
+        count, needs = _walk(tangent.closed.jaxpr, out)
+        return math.prod(params["batch"]) * count, needs
     if name == "sincos":
         return OperationCount(trigonometry=sum(out) * math.prod(eqn.outvars[0].aval.shape)), [True]
     if name == "while":
