@@ -9,16 +9,16 @@
 
    from F = A, P = Q joins a horizon with itself (`parallel_riccati.joined`): after k turns P is the
    cost to go of 2^k steps. A continuous equation becomes a discrete one by Cayley's map.
-2. If its gain is not stabilising (a mode that grows and costs nothing), the gain of the problem with
-   costs Q = q 1, R = r 1 is. There is none only where (A, B) cannot be stabilised.
+2. If its gain is not stabilising (a mode that grows and costs nothing), the gain of the problem
+   with costs Q = q 1, R = r 1 is. There is none only where (A, B) cannot be stabilised.
 3. Newton's method (Kleinman, Hewer) from that gain: P of a closed loop by a Lyapunov equation, the
    gain of that P. It converges quadratically, to rounding, and stays stabilising.
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
 Source: Chu, Fan, Lin & Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
-Riccati equations*, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396, 2005 (Cayley);
-Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971; Lancaster & Rodman, *Algebraic Riccati
-Equations*.
+Riccati equations*, Int. J. Control 77, 2004; Chu, Fan & Lin, Linear Algebra Appl. 396, 2005
+(Cayley); Kleinman, IEEE TAC 13, 1968; Hewer, IEEE TAC 16, 1971; Lancaster & Rodman, *Algebraic
+Riccati Equations*.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from rbjax.control.lyapunov import cayley, pace, continuous, is_stable, stein
+from rbjax.control.lyapunov import cayley, continuous, is_stable, pace, stein
 from rbjax.control.outcomes import LINEAR_RESULTS, first_of
 from rbjax.control.riccati import definite_factor, product
 
@@ -41,7 +41,7 @@ Problem = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 class Solved(NamedTuple):
-    """P (n, n); K (m, n); residual () and error () relative to the largest term and to P; result."""
+    """P (n, n); K (m, n); residual (), relative to the largest term; error (), to P; result."""
 
     P: jax.Array
     K: jax.Array
@@ -106,9 +106,11 @@ def remainder(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solution(discrete: bool, *problem: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     """P, and whether there is a stabilising start, Newton's method converged, and the Hessian is
     definite."""
+    A, B, Q, R, S = matrices
+    problem = A, B, Q, R, S
     K, started = _start(discrete, problem)
     P, converged, definite = _newton(discrete, problem, K, started)
     return P, (started, converged, definite)
@@ -242,7 +244,8 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
     size = jnp.abs(jnp.diag(P))
     change = jnp.abs(jnp.diag(evaluated(K)[0] - P))
     settled = change <= EDGE * jnp.maximum(size, 1e3 * eps * size.max())
-    return P, good & (off < jnp.sqrt(eps)) & settled.all() & _stabilises(discrete, A, B, K), definite
+    good &= (off < jnp.sqrt(eps)) & settled.all() & _stabilises(discrete, A, B, K)
+    return P, good, definite
 
 
 def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> jax.Array:

@@ -73,17 +73,19 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
         raise UnknownName("method of lyapunov", method, METHODS)
     left = stein_left if discrete else lyapunov_left
     if method == "kronecker":
-        X, stable = _by_kronecker(A, Q, discrete), True
+        X, stable = _by_kronecker(A, Q, discrete), jnp.asarray(True)
     else:
         X, stable = (stein if discrete else continuous)(A, Q)
     finite = jnp.isfinite(X).all()
     X = jnp.where(finite & stable, X, 0.0)
-    size = jnp.abs(Q).max() + jnp.abs(left(A, X)).max() + jnp.abs(X).max() * (
-        1 if discrete else jnp.abs(A).max()
+    size = (
+        jnp.abs(Q).max()
+        + jnp.abs(left(A, X)).max()
+        + jnp.abs(X).max() * (1 if discrete else jnp.abs(A).max())
     )
     off = jnp.abs(left(A, X) - Q).max() / jnp.maximum(size, jnp.finfo(dtype).tiny)
     result = first_of(
-        (~jnp.asarray(stable), LINEAR_RESULTS.not_stable), (~finite, LINEAR_RESULTS.not_finite)
+        (~stable, LINEAR_RESULTS.not_stable), (~finite, LINEAR_RESULTS.not_finite)
     )
     return Lyapunov(X, off, result)
 
@@ -153,7 +155,7 @@ def _doubled(A: jax.Array, Q: jax.Array) -> jax.Array:
     eps = jnp.finfo(A.dtype).eps
 
     def going(carry):
-        A, X, term, k = carry
+        _, X, term, k = carry
         return (k < SQUARINGS) & (term > eps * jnp.abs(X).max() / 8)
 
     def turn(carry):

@@ -30,7 +30,7 @@ class LINEAR_RESULTS(eqx.Enumeration):
 
 def first_of(*cases: tuple[Any, Any]) -> Any:
     """The result of the first case that is true, else `successful`."""
-    found = LINEAR_RESULTS.successful
+    found: Any = LINEAR_RESULTS.successful
     for wrong, result in reversed(cases):
         found = LINEAR_RESULTS.where(wrong, result, found)
     return found

@@ -134,9 +134,7 @@ def backward(problem: LinearQuadratic) -> Gains:
     return Gains(K, k, Ps, ps, carry[2])
 
 
-def roll(
-    problem: LinearQuadratic, gains: Gains, start: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The closed loop from a start: states (N + 1, n) and controls (N, m).
 
         du = -K dx - k,    dx+ = A dx + B du + d
