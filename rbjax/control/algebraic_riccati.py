@@ -30,6 +30,7 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
+from rbjax.compiling import compiled
 from rbjax.control.lyapunov import cayley, continuous, is_stable, pace, stein
 from rbjax.control.outcomes import LINEAR_RESULTS, first_of
 from rbjax.control.riccati import definite_factor, product
@@ -50,8 +51,10 @@ class Solved(NamedTuple):
     result: Any
 
 
-def riccati(A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, S: jax.Array, discrete: bool
-) -> Solved:  # fmt: skip
+@functools.partial(compiled, static_argnums=5)
+def riccati(
+    A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, S: jax.Array, discrete: bool
+) -> Solved:
     """The stabilising solution. Arguments are arrays of one floating dtype."""
     problem = (A, B, (Q + Q.T) / 2, (R + R.T) / 2, S)
     finite = jnp.isfinite(jnp.concatenate([x.ravel() for x in problem])).all()
@@ -217,34 +220,33 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
         return (P + P.T) / 2, stable
 
     def going(carry):
-        *_, k, done, good = carry
+        *_, k, done, good, _ = carry
         return (k < NEWTON) & ~done & good
 
     def turn(carry):
-        P, K, off, k, _, _ = carry
+        P, K, off, k, *_ = carry
         new, stable = evaluated(K)
         gained, definite = gain(discrete, problem, new)
         left, size = remainder(discrete, problem, new)
         rest = jnp.abs(left).max() / size
         good = stable & definite & jnp.isfinite(new).all() & jnp.isfinite(gained).all()
-        # at rounding the residual stops to fall: the better of both stays
+        # At rounding the residual stops to fall, and one more turn changes only what is rounded.
+        # On the edge of stability each turn halves P there: Newton's method converges linearly to a
+        # double root.
+        sizes = jnp.abs(jnp.diag(new))
+        moved = jnp.abs(jnp.diag(new - P)) > EDGE * jnp.maximum(sizes, 1e3 * eps * sizes.max())
         better = good & ((rest < off) | (off > 1e4 * eps))
-        done = good & (rest < 1e3 * eps) & ((rest >= off / 2) | (rest <= 2 * eps))
+        done = good & (k > 0) & (rest < 1e3 * eps) & ((rest >= off / 2) | (rest <= 2 * eps))
         return (
             jnp.where(better, new, P), jnp.where(better, gained, K), jnp.where(better, rest, off),
-            k + 1, done, good,
+            k + 1, done, good, moved.any(),
         )  # fmt: skip
 
     inf = jnp.asarray(jnp.inf, A.dtype)
-    begin = (jnp.zeros_like(Q), K, inf, 0, jnp.asarray(False), started)
-    P, _, off, _, _, good = jax.lax.while_loop(going, turn, begin)
+    begin = (jnp.zeros_like(Q), K, inf, 0, jnp.asarray(False), started, jnp.asarray(True))
+    P, _, off, _, _, good, moved = jax.lax.while_loop(going, turn, begin)
     K, definite = gain(discrete, problem, P)
-    # One more turn changes only what is rounded. On the edge of stability each one halves P there,
-    # for Newton's method converges linearly to a double root.
-    size = jnp.abs(jnp.diag(P))
-    change = jnp.abs(jnp.diag(evaluated(K)[0] - P))
-    settled = change <= EDGE * jnp.maximum(size, 1e3 * eps * size.max())
-    good &= (off < jnp.sqrt(eps)) & settled.all() & _stabilises(discrete, A, B, K)
+    good &= (off < jnp.sqrt(eps)) & ~moved & _stabilises(discrete, A, B, K)
     return P, good, definite
 
 

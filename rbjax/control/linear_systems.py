@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiling import compiled
 from rbjax.control.lyapunov import Lyapunov, lyapunov
 from rbjax.control.riccati import product
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
@@ -93,6 +94,7 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
     return _reach(A.T, C.T, tolerance)
 
 
+@compiled
 def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     n = A.shape[0]
     eps = jnp.finfo(A.dtype).eps

@@ -14,11 +14,13 @@ Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2, 3; Lan
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
 from rbjax.control.riccati import Gains, backward, constant_problem
@@ -167,6 +169,13 @@ def lqr_finite(
     A, B, Q, R, S = _matrices("lqr_finite", A, B, Q, R, S)
     check_whole("lqr_finite", "horizon", horizon, 1, why=" steps")
     end = Q if terminal is None else weights("lqr_finite", "terminal", terminal, A.shape[0])
+    return _finite(A, B, Q, R, int(horizon), end, S)
+
+
+@functools.partial(compiled, static_argnums=4)
+def _finite(
+    A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, horizon: int, end: Any, S: Any
+) -> Gains:
     return backward(constant_problem(A, B, Q, R, horizon, end, S))
 
 

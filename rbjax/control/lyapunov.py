@@ -16,11 +16,13 @@ Source: Smith, SIAM J. Applied Math. 16, 1968; Golub & Van Loan, *Matrix Computa
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiling import compiled
 from rbjax.control.outcomes import LINEAR_RESULTS, first_of
 from rbjax.control.riccati import product
 from rbjax.dynamics.arguments import check_array, shape_of
@@ -71,6 +73,12 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
     A, Q = A.astype(dtype), Q.astype(dtype)
     if method not in METHODS:
         raise UnknownName("method of lyapunov", method, METHODS)
+    return _lyapunov(A, Q, bool(discrete), method)
+
+
+@functools.partial(compiled, static_argnums=(2, 3))
+def _lyapunov(A: jax.Array, Q: jax.Array, discrete: bool, method: str) -> Lyapunov:
+    dtype = A.dtype
     left = stein_left if discrete else lyapunov_left
     if method == "kronecker":
         X, stable = _by_kronecker(A, Q, discrete), jnp.asarray(True)
@@ -191,8 +199,10 @@ def pace(A: jax.Array) -> jax.Array:
 
 
 def _refined(A: jax.Array, Q: jax.Array, solve: Any, left: Any) -> jax.Array:
-    X = solve(A, Q)
-    return X + solve(A, Q - left(A, X))
+    def turn(_, X):  # twice the same program
+        return X + solve(A, Q - left(A, X))
+
+    return jax.lax.fori_loop(0, 2, turn, jnp.zeros_like(Q))
 
 
 def _by_kronecker(A: jax.Array, Q: jax.Array, discrete: bool) -> jax.Array:

@@ -17,12 +17,14 @@ multiloop LQG regulators*, IEEE TAC 22(2), 1977 (an LQR has 1/2 to infinity, and
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiling import compiled
 from rbjax.control.linear_systems import pair
 from rbjax.control.lyapunov import cayley, is_stable, pace
 from rbjax.control.riccati import product
@@ -75,8 +77,15 @@ def margins(
     A, B = pair("margins", A, B, "B", 0)
     K = check_array("margins", "K", K, B.shape[::-1]).astype(A.dtype)
     step = None if dt is None else check_step("margins", "dt", dt, A.dtype)
+    return _margins(A, B, K, step, frequencies, decades)
+
+
+@functools.partial(compiled, static_argnums=(4, 5))
+def _margins(
+    A: jax.Array, B: jax.Array, K: jax.Array, step: Any, frequencies: int, decades: float
+) -> Margins:
     closed = A - product(B, K)
-    stable = is_stable(closed if dt is not None else cayley(closed, pace(closed))[0])
+    stable = is_stable(closed if step is not None else cayley(closed, pace(closed))[0])
     w = _grid(A, closed, step, frequencies, decades)
 
     def of(i: jax.Array) -> tuple[jax.Array, ...]:

@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.lqr import weights
 from rbjax.control.riccati import Gains, LinearQuadratic, backward
@@ -130,6 +131,7 @@ def time_varying_lqr(
     return Tracking(model, along, u, dt, gains.K, gains.P, gains.ok)
 
 
+@compiled
 def regulator_along(
     A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, terminal: jax.Array
 ) -> Gains:
