@@ -67,8 +67,9 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
 
     Example:
         >>> from rbjax.control import kalman_gain
-        >>> round(float(kalman_gain([[0.0]], [[1.0]], [4.0], [1.0]).gain[0, 0]), 6)
-        2.0
+        >>> found = kalman_gain([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], [0.0, 4.0], [1.0])
+        >>> [round(float(x), 6) for x in found.gain[:, 0]]  # sqrt 2 w and w^2, w^2 = 2
+        [2.0, 2.0]
     """
     A, C = pair("kalman_gain", A, C, "C", 1)
     W, V = weights("kalman_gain", "W", W, A.shape[0]), weights("kalman_gain", "V", V, C.shape[0])
