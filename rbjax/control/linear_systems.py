@@ -35,8 +35,8 @@ from rbjax.model import Model
 class Reach(NamedTuple):
     """A subspace of states. Fields: rank (), its dimension; inside (n, n), the orthogonal projector
     onto it; outside (n, n), an orthonormal basis of what it lacks, in its first n - rank columns,
-    the others 0; weakest (), the smallest singular value that was counted, over the norm of the
-    matrix (A or B) whose part it is: the distance to a smaller rank."""
+    the others 0; weakest (), the smallest singular value that was counted, of a matrix of unit
+    columns or of norm 1: about the distance to a smaller rank."""
 
     rank: jax.Array
     inside: jax.Array

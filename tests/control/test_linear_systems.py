@@ -51,21 +51,20 @@ def test_a_hidden_subspace_is_found(inside):
     assert not outside[:, n - inside :].any()
     assert np.abs(outside.T @ B).max() < 1e-10 and np.abs(outside.T @ A @ space).max() < 1e-10
     seen = quick_jit(observability)(jnp.asarray(A.T), jnp.asarray(B.T))
-    assert seen.rank == inside and 1e-3 < seen.weakest <= 1
+    assert seen.rank == inside and seen.weakest > 1e-3
 
 
 def test_missing_directions_have_names():
-    """Of a quadrotor whose rotors turn it about one axis only."""
+    """An angle that is read says nothing of the place of the cart."""
     model = rb.load("cart_pole")
     A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
     whole = controllability(A, B)
     assert whole.rank == 4 and directions(model, whole) == []
-    hinge, slider = (model.v_slice(x).start for x in ("hinge", "slider"))
+    hinge = model.v_slice("hinge").start
     seen = observability(A, np.eye(4)[[hinge]])  # the pole's angle: not where the cart is
     assert directions(model, seen) == ["1.00 position of slider"]
     with pytest.raises(InputError, match="expected"):
         directions(model, controllability(jnp.eye(2), jnp.eye(2)))
-    del slider
 
 
 def test_gramians_beside_quadrature():
@@ -95,7 +94,8 @@ def test_discretisation_beside_scipy():
 @pytest.mark.slow
 def test_discretisation_composes():
     systems = [random_system(k, 3, 2)[:2] for k in range(3)]
-    check_composes(lambda A, B: discretise(A, B, 0.2), [np.stack(x) for x in zip(*systems, strict=True)])
+    xs = [np.stack(x) for x in zip(*systems, strict=True)]
+    check_composes(lambda A, B: discretise(A, B, 0.2), xs)
 
 
 DOUBLE = jnp.array([[0.0, 1.0], [0.0, 0.0]]), jnp.array([[0.0], [1.0]])
@@ -110,13 +110,18 @@ def test_margins_in_closed_form():
     assert found.stable and math.isclose(found.phase[0], phase, rel_tol=1e-10)
     assert math.isclose(found.delay[0], phase / w, rel_tol=1e-10)
     assert found.gain_up[0] == np.inf and found.gain_down[0] < 1e-12
+    assert not margin(*DOUBLE, jnp.array([[1.0, -1.0]])).stable
+
+
+@pytest.mark.slow
+def test_margins_of_a_mode_that_grows():
     # l = g / (s - 1): stable for g > 1; g = 4: |l| = 1 at w = sqrt 15, 180 - atan w behind
     found = margin(jnp.ones((1, 1)), jnp.ones((1, 1)), jnp.full((1, 1), 4.0))
     assert math.isclose(found.gain_down[0], 0.25, rel_tol=1e-10)
     assert math.isclose(found.phase[0], math.atan(math.sqrt(15)), rel_tol=1e-10)
-    assert not margin(*DOUBLE, jnp.array([[1.0, -1.0]])).stable
 
 
+@pytest.mark.slow
 def test_margins_are_where_the_loop_becomes_unstable():
     """In discrete time, by eigenvalues of loops with more and with less gain."""
     A, B, Q, R, S = random_system(3, 3, 2, 1.5)
@@ -139,6 +144,7 @@ def test_margins_are_where_the_loop_becomes_unstable():
                 assert radius(i, 1e4 if side > 0 else 0.0) < 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_regulator_has_the_margins_that_are_known(seed):
     """Safonov & Athans: 1/2 to infinity, and 60 degrees, for a diagonal R."""
