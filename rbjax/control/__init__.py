@@ -9,6 +9,10 @@ terms (`terms`, `residuals`), bounds, and what of start, time and model is free.
 (`restarts`, `damped_least_squares`); `differential_inverse_kinematics` velocities. A feedback `Law`
 is a policy (t, state) -> ctrl: `computed_torque`, `operational_space`, `cartesian_impedance`,
 `joint_impedance`, `gravity_compensation`; `allocate` turns forces into controls (`actuation`).
+
+Linear systems: regulators of matrices, a model, a motion (`lqr`, `lqr_at`, `time_varying_lqr`);
+Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); controllability,
+observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
 """
 
 from rbjax.control.actuation import Allocation, allocate
@@ -28,8 +32,24 @@ from rbjax.control.impedance import (
 )
 from rbjax.control.inverse_kinematics import InverseKinematics, inverse_kinematics
 from rbjax.control.law import Law
+from rbjax.control.linear_systems import (
+    Reach,
+    controllability,
+    controllability_gramian,
+    directions,
+    discretise,
+    observability,
+    observability_gramian,
+    poles,
+)
+from rbjax.control.lqr import Regulator, feedback, lqr, lqr_at, lqr_finite
+from rbjax.control.lyapunov import Lyapunov, lyapunov
+from rbjax.control.margins import Margins, margins
 from rbjax.control.methods import Method, methods
+from rbjax.control.observer import SteadyFilter, kalman_gain, observed
 from rbjax.control.operational_space import OperationalSpace, operational_space
+from rbjax.control.outcomes import LINEAR_RESULTS
+from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
 from rbjax.control.problem import Design, Problem
 from rbjax.control.residuals import (
     Acceleration,
@@ -44,9 +64,21 @@ from rbjax.control.residuals import (
     StateError,
     Velocity,
 )
+from rbjax.control.riccati import (
+    Gains,
+    LinearQuadratic,
+    Steered,
+    backward,
+    constant_problem,
+    quadratic_cost,
+    roll,
+    steer,
+)
 from rbjax.control.solution import Solution
 from rbjax.control.system import Equations, System
 from rbjax.control.terms import Constraint, Cost, Term
+from rbjax.control.tracking import Tracking, time_varying_lqr
+from rbjax.motion.kalman import Estimate, StateSpace, kalman_predict, kalman_update
 
 __all__ = [
     "Problem",
@@ -92,4 +124,44 @@ __all__ = [
     "GravityCompensation",
     "allocate",
     "Allocation",
+    # regulators
+    "LINEAR_RESULTS",
+    "Regulator",
+    "Tracking",
+    "feedback",
+    "lqr",
+    "lqr_at",
+    "lqr_finite",
+    "time_varying_lqr",
+    # linear-quadratic problems
+    "Gains",
+    "LinearQuadratic",
+    "Steered",
+    "backward",
+    "constant_problem",
+    "parallel_backward",
+    "parallel_roll",
+    "quadratic_cost",
+    "roll",
+    "steer",
+    # linear systems
+    "Lyapunov",
+    "Margins",
+    "Reach",
+    "controllability",
+    "controllability_gramian",
+    "directions",
+    "discretise",
+    "lyapunov",
+    "margins",
+    "observability",
+    "observability_gramian",
+    "poles",
+    # what is not measured
+    "Estimate",
+    "SteadyFilter",
+    "StateSpace",
+    "kalman_gain",
+    "kalman_predict",
+    "kalman_update",
 ]

@@ -43,6 +43,7 @@ LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation
 TRIALS = 10  # steps of 1 to 2^-9
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
+CURVED = lambda acc,best,stop,cost: acc & (best==0)
 GAP = 1e-9  # a motion obeys the dynamics
 PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
 
@@ -212,12 +213,15 @@ def optimised(
 
     def turn(now: Iterate) -> Iterate:
         found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
-        if exact:
-            found = with_curvature(
-                problem, now.knots, now.ctrls, now.multipliers, found, now.curved
-            )
         gaps = jnp.where(now.feasible, 0.0, found.gaps)
-        gains, reg = direction(now, found, gaps)
+        if exact:
+            full = with_curvature(problem, now.knots, now.ctrls, now.multipliers, found, now.curved)
+            gains, reg = gains_of(problem, now.knots, now.ctrls, full, gaps, now.reg), now.reg
+            gains, reg = jax.lax.cond(
+                gains.ok, lambda: (gains, reg), lambda: direction(now, found, gaps)
+            )
+        else:
+            gains, reg = direction(now, found, gaps)
         tried = jax.vmap(threads(functools.partial(forward_pass, problem)), (None,) * 5 + (0,))(
             now.knots, now.ctrls, gains, gaps, now.multipliers, lengths
         )
@@ -244,7 +248,7 @@ def optimised(
             knots=knots, ctrls=ctrls, reg=reg, cost=cost, stop=stop, turns=turns,
             feasible=now.feasible | (accepted & (best == 0)), gains=gains,
             costs=now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost),
-            outcome=outcome, curved=jnp.where(accepted & (best == 0), 1.0, 0.0).astype(dtype),
+            outcome=outcome, curved=jnp.where(CURVED(accepted,best,stop,cost), 1.0, 0.0).astype(dtype),
         )  # fmt: skip
         return _judged(problem, after, still, options)
 

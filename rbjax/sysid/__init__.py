@@ -5,7 +5,7 @@ filtered and differentiated (`filtering`). What is sought: `Unknown`, `Inertia`,
 (`unknowns`) of a `Model` or a `Setup` (`simulation`), whose sensors are `readings`. How it is
 found: `identify`, by the error of simulated motions (`simulation_error`, `shooting`,
 `least_squares`), or by `many_starts` where that has many minima; its gradient, `squares`;
-`prediction_error`, where noise drives the motion, by a filter (`kalman`, `likelihood`); `regress`
+`prediction_error`, where noise drives the motion, by a filter (`likelihood`); `regress`
 and `consistent`, by torques that are linear in the parameters (`regressor`, `torque_rows`,
 `equations`, `balances`), with the zeros of encoders (`encoder_zeros`). What the data can show:
 `combinations` of any Jacobian (`rank`), `base_parameters`. What they do show: `estimates`,
@@ -14,6 +14,13 @@ and `consistent`, by torques that are linear in the parameters (`regressor`, `to
 (`excitation`, `experiments`).
 """
 
+from rbjax.motion.kalman import (
+    KalmanFiltered,
+    Smoothed,
+    StateSpace,
+    kalman_filter,
+    kalman_smoother,
+)
 from rbjax.sysid.balances import (
     energy_balance,
     energy_regressor,
@@ -42,13 +49,6 @@ from rbjax.sysid.inertia_metric import (
     prior_residual,
     pullback_distance,
     pullback_metric,
-)
-from rbjax.sysid.kalman import (
-    KalmanFiltered,
-    Smoothed,
-    StateSpace,
-    kalman_filter,
-    kalman_smoother,
 )
 from rbjax.sysid.log_cholesky import (
     from_log_cholesky,

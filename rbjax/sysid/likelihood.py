@@ -1,8 +1,8 @@
 """The likelihood of recordings where noise drives the motion, with its slopes and information.
 
     l(p) = sum over samples of  z^T S^-1 z + log det 2 pi S         (twice the negative logarithm)
-z and S are the innovations of an extended Kalman filter (`kalman`) and their covariance. With
-S = L L^T, its slope and Fisher's information are those of least squares with the rows
+z and S are the innovations of an extended Kalman filter (`motion/kalman`), and their covariance.
+With S = L L^T, its slope and Fisher's information are those of least squares with the rows
 
     J = [L^-1 dz;  L^-1 dS L^-T / sqrt 2],      r = [L^-1 z;  (1 - L^-1 z z^T L^-T) / sqrt 2],
     dl = 2 J^T r,    F = J^T J
@@ -27,9 +27,9 @@ from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field, free_motion, law_of
 from rbjax.motion.integrators import advanced, integrator_of
+from rbjax.motion.kalman import KalmanFiltered, StateSpace, kalman_filter
 from rbjax.motion.linearise import apart, beside
 from rbjax.sysid.divergence import Divergence
-from rbjax.sysid.kalman import KalmanFiltered, StateSpace, kalman_filter
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import run_of
 from rbjax.sysid.simulation import Grid, Setup

@@ -2,7 +2,7 @@
 
     min over p, Q, R of  sum over samples of  z^T S^-1 z + log det S
 z is what a sample is off from its prediction by all samples before it, S its covariance, both by a
-Kalman filter (`likelihood`, `kalman`). A push that nobody measured moves a robot off the motion
+Kalman filter (`likelihood`). A push that nobody measured moves a robot off the motion
 that `identify` simulates, and never back: its error grows, hangs together over the whole recording
 and is no white noise, so estimates scatter far more than their intervals say. A prediction over one
 sample forgets the push. How large pushes and noise are is found with the numbers.
@@ -22,11 +22,11 @@ from rbjax.dynamics import mass_matrix
 from rbjax.dynamics.manifold import difference
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
+from rbjax.motion.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.identified import Identified
-from rbjax.sysid.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.sysid.least_squares import Minimum, convex_step, shown
 from rbjax.sysid.likelihood import DRIVES, Levels, Likelihood, Series, series_of
 from rbjax.sysid.rank import Combinations, combinations

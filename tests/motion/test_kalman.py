@@ -8,9 +8,9 @@ from scipy import stats
 
 import rbjax as rb
 from rbjax.errors import InputError
+from rbjax.motion.kalman import StateSpace, kalman_filter, kalman_smoother
 from rbjax.motion.linearise import apart, beside
 from rbjax.rotations import quaternion
-from rbjax.sysid import StateSpace, kalman_filter, kalman_smoother
 from tests.quickly import quick_jit
 
 N, n, l, m = 9, 3, 2, 2  # transitions, state, process noise, readings

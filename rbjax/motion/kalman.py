@@ -46,7 +46,7 @@ class StateSpace(NamedTuple):
     (x, dx) -> x (+) dx; apart, (x0, x1) -> x1 (-) x0 (n,).
 
     Example:
-        >>> from rbjax.sysid import StateSpace
+        >>> from rbjax.motion.kalman import StateSpace
         >>> walk = StateSpace.of(lambda x, u, w: x + u + w, lambda x: x)
         >>> walk.innovation(1.0, 3.0)
         2.0
@@ -130,7 +130,7 @@ def kalman_filter(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import StateSpace, kalman_filter
+        >>> from rbjax.motion.kalman import StateSpace, kalman_filter
         >>> walk = StateSpace.of(lambda x, u, w: x + w, lambda x: x)
         >>> seen = jnp.array([[1.0], [jnp.nan], [2.0]])
         >>> found = kalman_filter(walk, jnp.zeros(1), [1.0], jnp.zeros(2), seen, [1.0], [1.0])
@@ -141,7 +141,7 @@ def kalman_filter(
         _matrix(name, x)
         for name, x in (("covariance", covariance), ("process", process), ("noise", noise))
     )
-    n, l, m = P.shape[0], W.shape[0], R.shape[0]
+    m = R.shape[0]
     if arrived is None:
         readings = jnp.asarray(readings)
         arrived = ~jnp.isnan(readings)
@@ -154,45 +154,16 @@ def kalman_filter(
             f"kalman_filter: readings of {sorted(N)} samples (one more than inputs) and arrived of "
             f"shape {arrived.shape}, expected as many samples in all and {m} rows, as noise has"
         )
-    one = jnp.eye(n, dtype=P.dtype)
     # the last input twice: what it predicts after the last sample is not used
     inputs = jax.tree.map(lambda a: jnp.concatenate([jnp.asarray(a), a[-1:]]), inputs)
 
     def sample(carry: Any, given: Any) -> Any:
         x, P = carry
         u, y, there = given
-
-        def innovation(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
-            z = jnp.where(there, space.innovation(space.beside(x, dx), y), 0.0)
-            return z, z
-
-        H, z = jax.jacfwd(innovation, has_aux=True)(jnp.zeros(n, P.dtype))
-        H = -H
-        seen = jnp.where(there[:, None] & there, R, jnp.eye(m, dtype=P.dtype))
-        S = H @ P @ H.T + seen
-        L = jnp.linalg.cholesky(S)
-        K = cho_solve((L, True), H @ P).T
-        left = one - K @ H
-        updated = left @ P @ left.T + K @ seen @ K.T
-        state, turn = _moved(space, x, K @ z)
-        if turn is not None:
-            left, updated = turn @ left, turn @ updated @ turn.T
-
-        def move(dw: jax.Array) -> tuple[Any, Any]:
-            new = space.move(space.beside(state, dw[:n]), u, dw[n:])
-            return new, new
-
-        slopes, new = jax.jacfwd(move, has_aux=True)(jnp.zeros(n + l, P.dtype))
-        columns = jax.vmap(
-            lambda d: jax.jvp(lambda y: space.apart(new, y), (new,), (d,))[1], -1, -1
-        )
-        A, G = jnp.split(columns(slopes), [n], 1)
-        after = A @ updated @ A.T + G @ W @ G.T
-        r = jax.scipy.linalg.solve_triangular(L, z, lower=True)
-        log = -(r @ r) / 2 - jnp.log(jnp.diag(L)).sum() - there.sum() * jnp.log(2 * jnp.pi) / 2
-        symmetric = (after + after.T) / 2
-        said = KalmanFiltered(x, P, state, updated, z, S, log, A, H, left)
-        return (new, symmetric), said
+        found = _updated(space, x, P, y, there, R)
+        new, after, A = _predicted(space, found.state, found.covariance, u, W)
+        said = found._replace(slopes=A)
+        return (new, after), said
 
     found = jax.lax.scan(sample, (start, P), (inputs, readings, arrived))[1]
     return found._replace(log_likelihood=found.log_likelihood.sum())
@@ -219,7 +190,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import StateSpace, kalman_filter, kalman_smoother
+        >>> from rbjax.motion.kalman import StateSpace, kalman_filter, kalman_smoother
         >>> walk = StateSpace.of(lambda x, u, w: x + w, lambda x: x)
         >>> seen = jnp.array([[1.0], [jnp.nan], [2.0]])
         >>> found = kalman_filter(walk, jnp.zeros(1), [1.0], jnp.zeros(2), seen, [1.0], [1.0])
@@ -252,6 +223,135 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
     each = filtered._replace(log_likelihood=jnp.zeros(led.shape[0], zero.dtype))
     begin = (zero, jnp.zeros((n, n), zero.dtype))
     return jax.lax.scan(back, begin, (each, led), reverse=True)[1]
+
+
+def _updated(
+    space: StateSpace, x: Any, P: jax.Array, y: Any, there: jax.Array, R: jax.Array
+) -> KalmanFiltered:
+    """What one sample says; the slopes are blank."""
+    n, m = P.shape[0], R.shape[0]
+
+    def innovation(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
+        z = jnp.where(there, space.innovation(space.beside(x, dx), y), 0.0)
+        return z, z
+
+    H, z = jax.jacfwd(innovation, has_aux=True)(jnp.zeros(n, P.dtype))
+    H = -H
+    seen = jnp.where(there[:, None] & there, R, jnp.eye(m, dtype=P.dtype))
+    S = H @ P @ H.T + seen
+    L = jnp.linalg.cholesky(S)
+    K = cho_solve((L, True), H @ P).T
+    left = jnp.eye(n, dtype=P.dtype) - K @ H
+    updated = left @ P @ left.T + K @ seen @ K.T
+    state, turn = _moved(space, x, K @ z)
+    if turn is not None:
+        left, updated = turn @ left, turn @ updated @ turn.T
+    r = jax.scipy.linalg.solve_triangular(L, z, lower=True)
+    log = -(r @ r) / 2 - jnp.log(jnp.diag(L)).sum() - there.sum() * jnp.log(2 * jnp.pi) / 2
+    return KalmanFiltered(x, P, state, updated, z, S, log, jnp.zeros_like(P), H, left)
+
+
+def _predicted(
+    space: StateSpace, state: Any, P: jax.Array, u: Any, W: jax.Array
+) -> tuple[Any, jax.Array, jax.Array]:
+    """The next state, its covariance, and the slope A."""
+    n, l = P.shape[0], W.shape[0]
+
+    def move(dw: jax.Array) -> tuple[Any, Any]:
+        new = space.move(space.beside(state, dw[:n]), u, dw[n:])
+        return new, new
+
+    slopes, new = jax.jacfwd(move, has_aux=True)(jnp.zeros(n + l, P.dtype))
+    columns = jax.vmap(lambda d: jax.jvp(lambda y: space.apart(new, y), (new,), (d,))[1], -1, -1)
+    A, G = jnp.split(columns(slopes), [n], 1)
+    after = A @ P @ A.T + G @ W @ G.T
+    return new, (after + after.T) / 2, A
+
+
+class Estimate(NamedTuple):
+    """A state and its covariance (n, n), in the tangent space of the state."""
+
+    state: Any
+    covariance: jax.Array
+
+
+def kalman_update(
+    space: StateSpace,
+    estimate: Estimate,
+    reading: Any,
+    noise: Any,
+    *,
+    arrived: Any = None,
+) -> Estimate:
+    """One sample used: half a step of `kalman_filter`, for an estimate within a loop.
+
+        K = P H^T (H P H^T + R)^-1,   x (+) K (y (-) h(x)),   (1 - K H) P (1 - K H)^T + K R K^T
+
+    Args:
+        space: the model.
+        estimate: before the sample.
+        reading: y.
+        noise: R, (m, m) or the variances (m,), positive definite.
+        arrived: (m,), false for rows that were not measured; None: those of an array (m,) that are
+            not nan.
+
+    Returns:
+        `Estimate`.
+
+    Raises:
+        InputError: a noise that is neither a matrix nor variances.
+
+    Source: Bryson & Ho, 12.7; Bucy & Joseph 1968.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.motion.kalman import Estimate, StateSpace, kalman_update
+        >>> walk = StateSpace.of(lambda x, u, w: x + w, lambda x: x)
+        >>> found = kalman_update(walk, Estimate(jnp.zeros(1), jnp.eye(1)), jnp.ones(1), [1.0])
+        >>> round(float(found.state[0]), 6), round(float(found.covariance[0, 0]), 6)
+        (0.5, 0.5)
+    """
+    R = _matrix("noise", noise)
+    if arrived is None:
+        reading = jnp.asarray(reading)
+        arrived = ~jnp.isnan(reading)
+        reading = jnp.where(arrived, reading, 0.0)
+    there = jnp.broadcast_to(jnp.asarray(arrived, bool), R.shape[:1])
+    P = _matrix("covariance", estimate.covariance)
+    found = _updated(space, estimate.state, P, reading, there, R)
+    return Estimate(found.state, found.covariance)
+
+
+def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: Any) -> Estimate:
+    """One step predicted: the other half of a step of `kalman_filter`.
+
+        x+ = f(x, u, 0),   P+ = A P A^T + G W G^T
+
+    Args:
+        space: the model.
+        estimate: after the last sample.
+        given: u, the inputs of the step.
+        process: W, (l, l) or the variances (l,).
+
+    Returns:
+        `Estimate`.
+
+    Raises:
+        InputError: a process noise that is neither a matrix nor variances.
+
+    Source: Bryson & Ho, 12.7.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.motion.kalman import Estimate, StateSpace, kalman_predict
+        >>> walk = StateSpace.of(lambda x, u, w: x + u + w, lambda x: x)
+        >>> found = kalman_predict(walk, Estimate(jnp.zeros(1), jnp.eye(1)), jnp.ones(1), [2.0])
+        >>> float(found.state[0]), float(found.covariance[0, 0])
+        (1.0, 3.0)
+    """
+    P = _matrix("covariance", estimate.covariance)
+    state, after, _ = _predicted(space, estimate.state, P, given, _matrix("process", process))
+    return Estimate(state, after)
 
 
 def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | None]:

@@ -1,0 +1,36 @@
+"""What the solvers of linear systems say: results, which are numbers inside of a program."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+
+
+class LINEAR_RESULTS(eqx.Enumeration):
+    """How a Lyapunov or Riccati equation ended. Only `successful` is the empty sentence."""
+
+    successful = ""
+    not_finite = "A number of the problem is not finite, or the solution is too large."
+    indefinite_control_cost = (
+        "The Hessian by the controls is not positive definite: R in continuous time, R + B'PB in "
+        "discrete time. Give every control a cost."
+    )
+    not_stabilisable = (
+        "No feedback stabilises the system: a mode that does not decay is out of reach of the "
+        "controls. See controllability for its direction."
+    )
+    no_stabilising_solution = (
+        "The iteration found no stabilising solution. Either a mode on the edge of stability has "
+        "no cost, or the cost is not bounded from below."
+    )
+    not_stable = "The matrix is not stable, so the sum over all time has no limit."
+    unreachable = "The controls do not reach the target within the horizon."
+
+
+def first_of(*cases: tuple[Any, Any]) -> Any:
+    """The result of the first case that is true, else `successful`."""
+    found: Any = LINEAR_RESULTS.successful
+    for wrong, result in reversed(cases):
+        found = LINEAR_RESULTS.where(wrong, result, found)
+    return found

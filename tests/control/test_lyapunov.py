@@ -1,0 +1,71 @@
+"""Lyapunov equations beside SciPy, and their derivatives."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+
+from rbjax.control import LINEAR_RESULTS, lyapunov
+from rbjax.errors import InputError, UnknownName
+from tests.composing import check_composes
+from tests.tolerances import relative_error
+
+RNG = np.random.default_rng(0)
+N = 5
+CONTRACTION = RNG.normal(size=(N, N)) / np.sqrt(N)
+CONTRACTION *= 0.95 / np.abs(np.linalg.eigvals(CONTRACTION)).max()
+DECAY = RNG.normal(size=(N, N))
+DECAY -= (np.linalg.eigvals(DECAY).real.max() + 0.2) * np.eye(N)
+Q = RNG.normal(size=(N, N))
+
+
+def scipys(A, Q, discrete):
+    if discrete:
+        return scipy.linalg.solve_discrete_lyapunov(A, Q, method="direct")
+    return scipy.linalg.solve_continuous_lyapunov(A, -Q)
+
+
+@pytest.mark.parametrize("method", ["doubling", "kronecker"])
+@pytest.mark.filterwarnings("ignore:An ill-conditioned matrix")  # of SciPy's Kronecker form
+@pytest.mark.parametrize("discrete", [False, True])
+def test_stable_matrices_beside_scipy(method, discrete):
+    scales = np.array([1.0, 1e3, 1e-3, 1.0, 10.0])
+    first = CONTRACTION if discrete else DECAY
+    for A in (first, first * scales[:, None] / scales):  # the second badly scaled
+        found = lyapunov(A, Q, discrete=discrete, method=method)
+        assert found.result == LINEAR_RESULTS.successful and found.residual < 1e-15
+        assert relative_error(found.X, scipys(A, Q, discrete)) < (1e-12 if A is first else 1e-10)
+
+
+@pytest.mark.filterwarnings("ignore:An ill-conditioned matrix")
+@pytest.mark.parametrize("discrete", [False, True])
+def test_on_the_edge_and_beyond(discrete):
+    edge = np.diag([1.0, 0.5, 0.1, 0.2, 0.3]) if discrete else np.diag([0.0, -1, -2, -3, -4])
+    near = edge + 1e-9 * np.diag([-1.0, 0, 0, 0, 0])
+    for A, stable in ((edge, False), (edge * 1.5 + 0.2, False), (near, True)):
+        found = lyapunov(A, np.eye(N), discrete=discrete)
+        assert bool(found.result == LINEAR_RESULTS.successful) == stable
+        assert bool(found.result == LINEAR_RESULTS.not_stable) != stable
+        assert np.isfinite(found.X).all()
+    assert relative_error(found.X, scipys(near, np.eye(N), discrete)) < 1e-6  # condition 1e9
+    # of a matrix that is not stable the Kronecker form knows the solution
+    A = DECAY + 4 * np.eye(N)
+    found = lyapunov(A, Q, discrete=discrete, method="kronecker")
+    assert relative_error(found.X, scipys(A, Q, discrete)) < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("discrete", [False, True])
+def test_composes(discrete):
+    A = CONTRACTION if discrete else DECAY
+    xs = [np.stack([A, 0.9 * A, 0.8 * A]), np.stack([Q, Q.T, Q + Q.T])]
+    check_composes(lambda A, Q: lyapunov(A, Q, discrete=discrete).X, xs)
+
+
+def test_bad_arguments():
+    with pytest.raises(InputError, match=r"A has shape \(2, 3\)"):
+        lyapunov(np.zeros((2, 3)), np.zeros((2, 2)))
+    with pytest.raises(InputError, match="Q has shape"):
+        lyapunov(jnp.eye(2), jnp.ones(2))
+    with pytest.raises(UnknownName, match="doubling"):
+        lyapunov(jnp.eye(2), jnp.eye(2), method="schur")
