@@ -164,4 +164,5 @@ __all__ = [
     "kalman_gain",
     "kalman_predict",
     "kalman_update",
+    "observed",
 ]

@@ -43,7 +43,6 @@ LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation
 TRIALS = 10  # steps of 1 to 2^-9
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
-CURVED = lambda acc,best,stop,cost: acc & (best==0)
 GAP = 1e-9  # a motion obeys the dynamics
 PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
 
@@ -65,7 +64,6 @@ class Iterate(NamedTuple):
     outcome: jax.Array
     gains: Gains
     costs: jax.Array  # (history,) of each iteration
-    curved: jax.Array  # 1 where second derivatives of the dynamics count, else 0
 
 
 class Expanded(NamedTuple):
@@ -82,7 +80,7 @@ def by_ddp(
     exact: bool = False,
 ) -> Found:  # fmt: skip
     """`solve` by differential dynamic programming. exact: with second derivatives of dynamics and
-    residuals, where full steps are taken."""
+    residuals, where they leave the control Hessians positive definite."""
     last = optimised(problem, start, knots, ctrls, options, history, exact)
     return Found(
         last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), last.outcome,
@@ -140,10 +138,9 @@ def expand(
 
 
 def with_curvature(
-    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded,
-    share: jax.Array,
-) -> Expanded:  # fmt: skip
-    """All knots with a share of what Gauss and Newton leave out."""
+    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
+) -> Expanded:
+    """All knots with what Gauss and Newton leave out."""
     N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
     body = jax.tree.map(lambda x: x[:-1], knots)
     last = jax.tree.map(lambda x: x[-1], knots)
@@ -157,7 +154,7 @@ def with_curvature(
 
     def added(cost: Quadratic, more: tuple) -> Quadratic:
         Q, R, S = more
-        return cost._replace(Q=cost.Q + share * Q, R=cost.R + share * R, S=cost.S + share * S)
+        return cost._replace(Q=cost.Q + Q, R=cost.R + R, S=cost.S + S)
 
     l = threads(costates)(found.path, found.end)
     ks = jnp.arange(N, dtype=dtype)
@@ -215,7 +212,7 @@ def optimised(
         found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
         gaps = jnp.where(now.feasible, 0.0, found.gaps)
         if exact:
-            full = with_curvature(problem, now.knots, now.ctrls, now.multipliers, found, now.curved)
+            full = with_curvature(problem, now.knots, now.ctrls, now.multipliers, found)
             gains, reg = gains_of(problem, now.knots, now.ctrls, full, gaps, now.reg), now.reg
             gains, reg = jax.lax.cond(
                 gains.ok, lambda: (gains, reg), lambda: direction(now, found, gaps)
@@ -248,7 +245,7 @@ def optimised(
             knots=knots, ctrls=ctrls, reg=reg, cost=cost, stop=stop, turns=turns,
             feasible=now.feasible | (accepted & (best == 0)), gains=gains,
             costs=now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost),
-            outcome=outcome, curved=jnp.where(CURVED(accepted,best,stop,cost), 1.0, 0.0).astype(dtype),
+            outcome=outcome,
         )  # fmt: skip
         return _judged(problem, after, still, options)
 
@@ -345,5 +342,5 @@ def _begun(
         Multipliers(jnp.zeros((N, sizes[0]), dtype), jnp.zeros(sizes[1], dtype), number(PENALTY)),
         number(LEAST), number(jnp.inf), number(jnp.inf), number(0), number(jnp.inf),
         first.astype(dtype), jnp.asarray(0), jnp.asarray(GOING), none,
-        jnp.full(history, jnp.nan, dtype), number(0),
+        jnp.full(history, jnp.nan, dtype),
     )  # fmt: skip

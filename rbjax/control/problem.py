@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.system import Linearised, System, system_of
-from rbjax.control.terms import Constraint, Cost, Term, cost_of
+from rbjax.control.terms import Constraint, Cost, Term, cost_of, looked_at
 from rbjax.dynamics.arguments import check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -280,21 +280,21 @@ def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
             raise InputError(
                 f"Problem: bounds is {bounds!r}, expected 'model', None or (low, high)"
             ) from error
+    lowest, highest = looked_at(low), looked_at(high)
     low, high = (jnp.broadcast_to(jnp.asarray(x, float), (system.nu,)) for x in (low, high))
-    if isinstance(low, jax.core.Tracer) or isinstance(high, jax.core.Tracer):
+    if lowest is None or highest is None:
         return low, high, True
-    if not bool((low < high).all()):
+    if not (lowest < highest).all():
         raise InputError(
-            f"Problem: bounds of controls are {low.tolist()} and {high.tolist()}, expected "
+            f"Problem: bounds of controls are {lowest.tolist()} and {highest.tolist()}, expected "
             "low < high"
         )
-    return low, high, bool((jnp.isfinite(low) | jnp.isfinite(high)).any())
+    return low, high, bool((np.isfinite(lowest) | np.isfinite(highest)).any())
 
 
 def _times(free_time: Any) -> jax.Array:
-    times = jnp.asarray(free_time, float)
-    known = not isinstance(times, jax.core.Tracer)
-    if times.shape != (2,) or (known and not 0 < times[0] < times[1]):
+    times, known = jnp.asarray(free_time, float), looked_at(free_time)
+    if times.shape != (2,) or (known is not None and not 0 < known[0] < known[1]):
         raise InputError(
             f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"
         )

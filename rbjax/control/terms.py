@@ -11,7 +11,7 @@ expanded by its gradient and its Hessian.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -62,14 +62,13 @@ class Cost(Record):
 
     def __init__(self, term: Any, weight: Any = 1.0) -> None:
         self.term = term_of("Cost", term)
-        if isinstance(weight, (int, float, Sequence, np.ndarray)):
-            weight = jnp.asarray(weight, float)
-            if bool((weight < 0).any()) or not bool(jnp.isfinite(weight).all()):
-                raise InputError(
-                    f"Cost({self.term.label}): the weight is {weight.tolist()}, expected finite "
-                    "numbers that are not negative"
-                )
-        self.weight = weight
+        known = looked_at(weight)
+        if known is not None and ((known < 0).any() or not np.isfinite(known).all()):
+            raise InputError(
+                f"Cost({self.term.label}): the weight is {known.tolist()}, expected finite "
+                "numbers that are not negative"
+            )
+        self.weight = jnp.asarray(weight, float)
 
 
 class Constraint(Record):
@@ -97,15 +96,20 @@ class Constraint(Record):
             raise InputError(
                 f"Constraint({self.name}): where is {where!r}, expected 'path', 'end' or 'all'"
             )
-        ends = (self.low, self.high)
-        if not any(isinstance(x, jax.core.Tracer) for x in ends):
-            if any(bool(jnp.isnan(x).any()) for x in ends):
+        lowest, highest = looked_at(low), looked_at(high)
+        for bound in (lowest, highest):
+            if bound is not None and np.isnan(bound).any():
                 raise InputError(f"Constraint({self.name}): a bound is nan, expected numbers")
-            if bool((self.low > self.high).any()):
-                raise InputError(
-                    f"Constraint({self.name}): low {self.low.tolist()} is above high "
-                    f"{self.high.tolist()}; give low <= high"
-                )
+        if lowest is not None and highest is not None and (lowest > highest).any():
+            raise InputError(
+                f"Constraint({self.name}): low {lowest.tolist()} is above high "
+                f"{highest.tolist()}; give low <= high"
+            )
+
+
+def looked_at(x: Any) -> np.ndarray | None:
+    """Numbers as numpy has them, or None where they are traced."""
+    return None if isinstance(x, jax.core.Tracer) else np.asarray(x, float)
 
 
 def term_of(where: str, f: Any) -> Term:
