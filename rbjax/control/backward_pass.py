@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from rbjax.control.box_qp import box_qp, solved
 from rbjax.control.expansion import Quadratic
-from rbjax.control.products import product
+from rbjax.control.products import in_registers, product
 
 
 class Gains(NamedTuple):
@@ -57,8 +57,8 @@ def backward_pass(
     eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
 
     def back(carry: tuple, knot: tuple) -> tuple:
-        V, v, slope, curvature, ok = carry
-        A, B, gap, cost, bound = knot
+        V, v, slope, curvature, ok = jax.tree.map(in_registers, carry)
+        A, B, gap, cost, bound = jax.tree.map(in_registers, knot)
         VA, VB = product(V, A), product(V, B)
         Qx, Qu = cost.q + product(A.T, v), cost.r + product(B.T, v)
         Qxx, Quu = cost.Q + product(A.T, VA), cost.R + product(B.T, VB) + reg * eye_u
