@@ -70,6 +70,8 @@ class InverseKinematics(Record):
         """A sentence on the outcome: "converged ..." or "closest pose ...". Of a batch, on all."""
         met = np.asarray(self.converged)
         rotation, position = np.asarray(self.rotation_error), np.asarray(self.position_error)
+        if met.ndim and met.all():
+            return f"converged: all {met.size}"
         if met.ndim:
             return (
                 f"{int(met.sum())} of {met.size} converged; the worst of the others is "

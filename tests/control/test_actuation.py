@@ -79,7 +79,7 @@ LAWS = {
 }  # fmt: skip
 
 
-SLOW = ("computed_torque", "operational_space", "cartesian_impedance")
+SLOW = set(LAWS) - {"gravity_compensation"}
 
 
 @pytest.mark.parametrize(

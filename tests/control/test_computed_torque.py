@@ -135,6 +135,17 @@ def test_reference_with_its_derivatives_is_the_same(arm):
     np.testing.assert_allclose(one, two, rtol=1e-12, atol=1e-12)
 
 
+def test_operations_of_a_derivative_are_counted(arm):
+    """A policy with the rate of an algorithm inside, as a moving reference has one, may run in a
+    thread: its size is known."""
+
+    def rate(t):
+        return jax.jvp(lambda t: rb.forward_kinematics(arm, wave(t)).p, (t,), (1.0,))[1]
+
+    values = rb.operation_count(lambda t: rb.forward_kinematics(arm, wave(t)).p, 0.1)
+    assert rb.operation_count(rate, 0.1).total > values.total > 0
+
+
 def test_bad_arguments(arm):
     with pytest.raises(InputError, match="nothing drives 'hinge'"):
         control.computed_torque(load_quietly("cart_pole"), jnp.zeros(2), stiffness=1.0)

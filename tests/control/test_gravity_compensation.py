@@ -46,8 +46,8 @@ def test_floating_base_on_a_known_wrench():
     tau = rb.applied_forces(model, state, found.ctrl)
     a = rb.forward_dynamics(model, state.q, state.v, tau, wrench)
     assert np.abs(a).max() < 1e-9
-    alone = control.gravity_compensation(model, undriven="least_squares").allocated(0.0, state)
-    np.testing.assert_allclose(alone.residual[:3], force, rtol=1e-10, atol=1e-10)
+    unheld = control.gravity_compensation(model, undriven="least_squares").allocated(0.0, state)
+    np.testing.assert_allclose(unheld.residual[:3], force, rtol=1e-10, atol=1e-10)
     with pytest.raises(InputError, match="nothing drives 'base'"):
         control.gravity_compensation(model)
 

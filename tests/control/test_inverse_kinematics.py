@@ -10,7 +10,7 @@ import rbjax as rb
 import rbjax.control
 from rbjax.control.joint_ranges import Ranges, random_configurations
 from rbjax.errors import InputError, UnknownName
-from tests.control.arms import arm7
+from tests.control.arms import ARM, arm7
 from tests.quickly import quick_jit
 from tests.robots import load_quietly
 
@@ -143,21 +143,22 @@ def test_posture_is_the_nearest_solution(arm):
     assert np.linalg.norm(posture - found.q) < np.linalg.norm(posture - CONFIGURATION)
 
 
-def test_derivatives_by_target_posture_and_model(arm):
+@pytest.mark.slow
+def test_derivatives_by_target_posture_and_model():
     """Reverse and forward derivatives of the solution against central differences of searches."""
-    q0 = jnp.asarray(CONFIGURATION)
-    R, p = rb.site_pose(arm, q0, "tool")
+    arm, q0 = load_quietly(ARM), jnp.array([0.2, -0.6, 1.2, 0.4])
+    _, p = rb.site_pose(arm, q0, "tip")
 
     def f(p, posture, position):
         model = arm.replace(bodies=arm.bodies.replace(position=position))
-        found = ik(model, (R, p), site="tool", posture=posture, start=q0, seeds=1,
-                   tolerance=1e-11, iterations=100)  # fmt: skip
+        found = ik(model, p, site="tip", posture=posture, start=q0, seeds=1, tolerance=1e-11,
+                   iterations=100)  # fmt: skip
         return found.q
 
     at = p, q0 + 0.2, arm.bodies.position
     rng = np.random.default_rng(0)
     by = [jnp.asarray(rng.normal(size=x.shape)) for x in at]
-    w = jnp.asarray(rng.normal(size=7))
+    w = jnp.asarray(rng.normal(size=4))
 
     def everything(at, by):
         h = 1e-5
@@ -190,7 +191,7 @@ def test_batch_is_a_loop_and_side_by_side_agrees(planar):
         beside = ik(planar, p, site="hand", seeds=8, side_by_side=4)
         assert beside.converged
         np.testing.assert_allclose(beside.q, one.q, atol=2e-6)
-    assert mapped.status.startswith("3 of 3")
+    assert mapped.status == "converged: all 3"
 
 
 def test_never_nan(planar):

@@ -53,6 +53,7 @@ def test_frame_accelerates_as_asked(arm):
         assert abs(null @ rest) <= 1e-9 * np.abs(rest).max()
 
 
+@pytest.mark.slow
 def test_pose_of_a_seven_joint_arm():
     """All six motions, by the forces themselves."""
     model = load_quietly("arm7")
