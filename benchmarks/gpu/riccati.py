@@ -4,7 +4,8 @@
 too. All programs are compiled first, several at a time.
 
 n = 12 states and m = 6 controls, horizons of 16 to 4,096 steps, 1 and 64 problems. Serial: a thread
-a problem (`rb.threads`), and a scan under XLA. Parallel: `parallel_backward`, under XLA.
+a problem (`rb.threads`), and a scan under XLA. Parallel: `parallel_backward`, under XLA, by
+doubling (and with `--tree` by a tree).
 Each result is compared with that of the thread; `difference` is the largest of K, k, P and p,
 relative to the largest entry of each. Times are the least of several, in ms a batch.
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import concurrent.futures
+import functools
 import itertools
 import json
 import os
@@ -50,7 +52,8 @@ def problems(batch: int, horizon: int, dtype: Any) -> LinearQuadratic:
 METHODS: dict[str, Callable] = {
     "serial, thread": jax.jit(jax.vmap(rb.threads(backward))),
     "serial, XLA": jax.jit(jax.vmap(backward)),
-    "parallel, XLA": jax.jit(jax.vmap(parallel_backward)),
+    "parallel, doubling": jax.jit(jax.vmap(parallel_backward)),
+    "parallel, tree": jax.jit(jax.vmap(functools.partial(parallel_backward, by="tree"))),
 }
 
 
@@ -85,16 +88,20 @@ def least(program: Callable, z: LinearQuadratic, seconds: float) -> tuple[float,
 
 
 def run(
-    horizons: tuple[int, ...], batches: list[int], precisions: list[str], seconds: float
+    horizons: tuple[int, ...],
+    batches: list[int],
+    precisions: list[str],
+    methods: list[str],
+    seconds: float,
 ) -> list[dict[str, Any]]:
-    cases = list(itertools.product(precisions, batches, horizons, METHODS))
+    cases = list(itertools.product(precisions, batches, horizons, methods))
     with concurrent.futures.ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
         programs = list(pool.map(compiled, cases))
     rows, want = [], None
     for case, (compiling, program) in zip(cases, programs, strict=True):
         precision, batch, horizon, name = case
         best, out = least(program, problems(batch, horizon, DTYPES[precision]), seconds)
-        want = out if name == next(iter(METHODS)) else want
+        want = out if name == methods[0] else want
         row = {
             "precision": precision, "batch": batch, "horizon": horizon, "method": name,
             "compile_s": compiling, "ms": 1e3 * best, "us a step": 1e6 * best / horizon / batch,
@@ -127,10 +134,14 @@ def main() -> None:
     parser.add_argument("--batches", type=int, nargs="+", default=(1, 64))
     parser.add_argument("--precision", nargs="+", default=["f32", "f64"])
     parser.add_argument("--seconds", type=float, default=0.5, help="of timing for each row")
+    parser.add_argument("--tree", action="store_true", help="the tree, too: minutes to compile")
     parser.add_argument("--save", action="store_true")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    rows = run(tuple(given.horizons), list(given.batches), given.precision, given.seconds)
+    methods = [x for x in METHODS if given.tree or not x.endswith("tree")]
+    rows = run(
+        tuple(given.horizons), list(given.batches), given.precision, methods, given.seconds
+    )
     print(markdown_table(rows, COLUMNS))
     said = crossings(rows)
     print("\n".join(said))
