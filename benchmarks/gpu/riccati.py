@@ -1,11 +1,11 @@
 """The Riccati recursion, serial and parallel in time: where the two cross.
 
-`python -m benchmarks.gpu.riccati [--small] [--precision f32 f64]` writes
-results/riccati-<device>.json. It runs on a CPU too, where the horizon is at most 1,024 unless
-`--all` is given.
+`python -m benchmarks.gpu.riccati --save` writes results/riccati-<device>.json. It runs on a CPU,
+too. All programs are compiled first, several at a time.
 
 n = 12 states and m = 6 controls, horizons of 16 to 4,096 steps, 1 and 64 problems. Serial: a thread
-a problem (`rb.threads`), and a scan under XLA. Parallel: `parallel_backward`, under XLA.
+a problem (`rb.threads`), and a scan under XLA. Parallel: `parallel_backward`, under XLA, by
+doubling (and with `--tree` by a tree).
 Each result is compared with that of the thread; `difference` is the largest of K, k, P and p,
 relative to the largest entry of each. Times are the least of several, in ms a batch.
 """
@@ -13,7 +13,11 @@ relative to the largest entry of each. Times are the least of several, in ms a b
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
+import functools
+import itertools
 import json
+import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +31,8 @@ from benchmarks.shared.timing import markdown_table, save
 from rbjax.control import Gains, LinearQuadratic, backward, parallel_backward
 
 COLUMNS = ("precision", "batch", "horizon", "method", "compile_s", "ms", "us a step", "difference")
-HORIZONS = (16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
+HORIZONS = (16, 64, 256, 1024, 4096)
+DTYPES = {"f32": jnp.float32, "f64": jnp.float64}
 N_STATES, N_CONTROLS = 12, 6
 
 
@@ -47,7 +52,8 @@ def problems(batch: int, horizon: int, dtype: Any) -> LinearQuadratic:
 METHODS: dict[str, Callable] = {
     "serial, thread": jax.jit(jax.vmap(rb.threads(backward))),
     "serial, XLA": jax.jit(jax.vmap(backward)),
-    "parallel, XLA": jax.jit(jax.vmap(parallel_backward)),
+    "parallel, doubling": jax.jit(jax.vmap(parallel_backward)),
+    "parallel, tree": jax.jit(jax.vmap(functools.partial(parallel_backward, by="tree"))),
 }
 
 
@@ -59,11 +65,17 @@ def difference(one: Gains, other: Gains) -> float:
     return max(largest(x, y) for x, y in zip(one[:4], other[:4], strict=True))
 
 
-def timed(f: Callable, z: LinearQuadratic, seconds: float) -> tuple[float, float, Gains]:
-    """Compile seconds, the least time of a call in s, and its result."""
+def compiled(case: tuple[str, int, int, str]) -> tuple[float, Callable]:
+    """Seconds to compile, beside others, and the program."""
+    precision, batch, horizon, name = case
+    z = jax.eval_shape(lambda: problems(batch, horizon, DTYPES[precision]))
     start = time.perf_counter()
-    program = f.lower(z).compile()
-    compiling = time.perf_counter() - start
+    program = METHODS[name].lower(z).compile()
+    return time.perf_counter() - start, program
+
+
+def least(program: Callable, z: LinearQuadratic, seconds: float) -> tuple[float, Gains]:
+    """The least time of a call in s, and its result."""
     out = jax.block_until_ready(program(z))
     best, end = np.inf, time.perf_counter() + seconds
     for turn in range(100):
@@ -72,28 +84,31 @@ def timed(f: Callable, z: LinearQuadratic, seconds: float) -> tuple[float, float
         best = min(best, time.perf_counter() - start)
         if turn >= 2 and time.perf_counter() > end:
             break
-    return compiling, best, out
+    return best, out
 
 
-def run(horizons: tuple[int, ...], precisions: list[str], seconds: float) -> list[dict[str, Any]]:
-    rows = []
-    for precision in precisions:
-        dtype = {"f32": jnp.float32, "f64": jnp.float64}[precision]
-        for batch in (1, 64):
-            for horizon in horizons:
-                z = problems(batch, horizon, dtype)
-                want = None
-                for name, f in METHODS.items():
-                    compiling, best, out = timed(f, z, seconds)
-                    want = out if want is None else want
-                    row = {
-                        "precision": precision, "batch": batch, "horizon": horizon, "method": name,
-                        "compile_s": compiling, "ms": 1e3 * best,
-                        "us a step": 1e6 * best / horizon / batch,
-                        "difference": difference(out, want), "ok": bool(jnp.all(out.ok)),
-                    }  # fmt: skip
-                    rows.append(row)
-                    print(json.dumps(row), flush=True)
+def run(
+    horizons: tuple[int, ...],
+    batches: list[int],
+    precisions: list[str],
+    methods: list[str],
+    seconds: float,
+) -> list[dict[str, Any]]:
+    cases = list(itertools.product(precisions, batches, horizons, methods))
+    with concurrent.futures.ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+        programs = list(pool.map(compiled, cases))
+    rows, want = [], None
+    for case, (compiling, program) in zip(cases, programs, strict=True):
+        precision, batch, horizon, name = case
+        best, out = least(program, problems(batch, horizon, DTYPES[precision]), seconds)
+        want = out if name == methods[0] else want
+        row = {
+            "precision": precision, "batch": batch, "horizon": horizon, "method": name,
+            "compile_s": compiling, "ms": 1e3 * best, "us a step": 1e6 * best / horizon / batch,
+            "difference": difference(out, want), "ok": bool(jnp.all(out.ok)),
+        }  # fmt: skip
+        rows.append(row)
+        print(json.dumps(row), flush=True)
     return rows
 
 
@@ -115,20 +130,22 @@ def crossings(rows: list[dict[str, Any]]) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--small", action="store_true", help="horizons of 16 and 64")
-    parser.add_argument("--all", action="store_true", help="all horizons on a CPU")
+    parser.add_argument("--horizons", type=int, nargs="+", default=HORIZONS)
+    parser.add_argument("--batches", type=int, nargs="+", default=(1, 64))
     parser.add_argument("--precision", nargs="+", default=["f32", "f64"])
     parser.add_argument("--seconds", type=float, default=0.5, help="of timing for each row")
+    parser.add_argument("--tree", action="store_true", help="the tree, too: minutes to compile")
+    parser.add_argument("--save", action="store_true")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    cpu = jax.default_backend() == "cpu"
-    horizons = HORIZONS[:7] if cpu and not given.all else HORIZONS
-    horizons = (16, 64) if given.small else horizons
-    rows = run(horizons, given.precision, given.seconds)
+    methods = [x for x in METHODS if given.tree or not x.endswith("tree")]
+    rows = run(
+        tuple(given.horizons), list(given.batches), given.precision, methods, given.seconds
+    )
     print(markdown_table(rows, COLUMNS))
     said = crossings(rows)
     print("\n".join(said))
-    if not given.small:
+    if given.save:
         save("riccati", [*rows, *({"crossing": x} for x in said)])
 
 

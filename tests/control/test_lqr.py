@@ -61,12 +61,13 @@ def test_random_systems_beside_scipy(n, m, discrete):
         truth = polished(scipys, A, B, Q, R, S, discrete)
         error = relative_error(found.P, truth)
         worst = max(worst, float(error))
-        assert is_(found.result, "successful") and found.residual < 1e-14
-        # as near as SciPy, and as near as it says
-        assert error < max(1e-12, relative_error(scipys, truth)) and error <= found.error
+        assert is_(found.result, "successful") and found.residual < n * 2e-15
+        # as near as SciPy or as asked (24 states: ten times that), and as near as it says
+        asked = 1e-12 if n < 24 else 1e-11
+        assert error < max(asked, relative_error(scipys, truth)) and error <= found.error
         rates = np.linalg.eigvals(A - B @ np.asarray(found.K))
         assert (np.abs(rates).max() < 1) if discrete else (rates.real.max() < 0)
-    assert worst < 1e-12
+    assert worst < (1e-12 if n < 24 else 1e-11)
 
 
 CASES = {  # what SciPy solves

@@ -16,6 +16,7 @@ from rbjax.control import (
     roll,
     steer,
 )
+from rbjax.errors import UnknownName
 from tests.composing import check_composes
 from tests.control.problems import random_problem
 from tests.oracles import load
@@ -160,6 +161,16 @@ def test_gains_compose():
 def test_one_problem_is_small_enough_for_a_thread(dtype):
     said = rb.threads.explain(backward, random_problem(7, 16, 12, 6, dtype))
     assert said.statements < 20_000 and said.array_bytes < 16 * 1024
+
+
+@pytest.mark.slow
+def test_parallel_by_a_tree():
+    z = random_problem(9, 21, 3, 2)
+    by_tree = quick_jit(lambda z: parallel_backward(z, by="tree"))
+    for x, y in zip(serial(z), by_tree(z), strict=True):
+        assert relative_error(x, y) < 1e-12
+    with pytest.raises(UnknownName, match="doubling"):
+        parallel_backward(z, by="steps")
 
 
 @pytest.mark.slow
