@@ -15,7 +15,8 @@
 #
 # Two questions that come before any fit. Which sensor shows which number? And is the error that
 # remains noise of the sensors, or is the robot pushed by something that is not in the model? Both
-# parts use data whose truth is known: MuJoCo simulates an arm with an IMU, rbjax a pendulum in gusts.
+# parts use data whose truth is known: MuJoCo simulates an arm with an IMU, rbjax a pendulum in
+# gusts.
 
 # %%
 import warnings
@@ -40,7 +41,7 @@ BLUE, ORANGE, GREEN, *_ = PALETTE
 #
 # Two links swing under known torques. The joints have encoders at 50 Hz with a noise of 2 mrad. On
 # the lower link sits an IMU: a gyro at 200 Hz with a bias, and an accelerometer at 100 Hz. Sought
-# are the mass and the centre of mass of the lower link, the friction of both joints, and the biases.
+# are the mass and the centre of mass of the lower link, the friction of both joints, and the bias.
 
 # %%
 T, N = 0.005, 400
@@ -143,9 +144,7 @@ fits = {
 # %%
 names = list(fits["encoders"].values)
 fig, ax = plt.subplots(figsize=(9, 3), layout="constrained")
-for k, ((label, found), color) in enumerate(
-    zip(fits.items(), (BLUE, ORANGE, GREEN), strict=True)
-):
+for k, ((label, found), color) in enumerate(zip(fits.items(), (BLUE, ORANGE, GREEN), strict=True)):
     for j, name in enumerate(names):
         of = found.estimates.interval(name)
         size = abs(list(true.values())[j])
@@ -175,10 +174,10 @@ for label, found in fits.items():
 # ## A pendulum in gusts
 #
 # Now a pendulum, whose mass and friction are sought, moves in a wind: an unknown torque, another in
-# each period of 20 ms. `identify` simulates from the first sample and calls all that remains noise of
-# the sensor. But a gust moves the pendulum for long, so these errors are not independent, and the
-# intervals are far too small. `prediction_error` predicts each sample from those before it (a Kalman
-# filter), so that a gust counts once, and finds how strong the gusts are.
+# each period of 20 ms. `identify` simulates from the first sample and calls all that remains noise
+# of the sensor. But a gust moves the pendulum for long, so these errors are not independent, and
+# the intervals are far too small. `prediction_error` predicts each sample from those before it (a
+# Kalman filter), so that a gust counts once, and finds how strong the gusts are.
 
 # %%
 STEP, PUSH, SIGMA = 0.02, 0.3, 1e-3
@@ -261,5 +260,6 @@ axes[1].legend()
 plt.show()
 
 # %% [markdown]
-# Errors of the simulation are alike for a second: they are a motion that the model does not have. Those of
-# the one-step prediction are white, as noise should be. `sysid.whiteness` says the same as a test.
+# Errors of the simulation are alike for a second: they are a motion that the model does not have.
+# Those of the one-step prediction are white, as noise should be. `sysid.whiteness` says the same as
+# a test.
