@@ -49,6 +49,11 @@ def element(tag: str, words: str, kind: str = "") -> str:
     return f"<{tag}{attribute}>{html.escape(words)}</{tag}>"
 
 
+def link(to: str, words: str) -> str:
+    """A paragraph that leads to a file beside the page."""
+    return f'<p><a href="{html.escape(to)}">{html.escape(words)}</a></p>'
+
+
 def code(text: str) -> str:
     """Text as it stands."""
     return f"<pre><code>{html.escape(text)}</code></pre>"

@@ -1,11 +1,15 @@
-"""Wrong data on a leg of a quadruped in the air: what is found and named, what the fit survives.
+"""Wrong data of a quadruped in the air: what is found and named, what the fit survives.
 
-`python -m benchmarks.cpu.wrong_data` prints the table of docs/wrong_data.md. The error is the
-largest of nine numbers (armature, viscous friction, bias of three joints) against the truth: of the
-fit to the wrong data, and of one to what `diagnose` mended.
+`python -m benchmarks.cpu.wrong_data [leg] [quadruped] [--data FOLDER]` prints the tables of
+docs/wrong_data.md. The error is the largest of all numbers against the truth (of the leg armature,
+viscous friction and bias of three joints; of the quadruped those and Coulomb friction of twelve
+joints, and the delay): of the fit to the wrong data, and of one to what `diagnose` mended. The
+quadruped's files lie beside the repository, or in FOLDER.
 """
 
+import argparse
 import time
+from pathlib import Path
 
 import jax
 
@@ -14,33 +18,58 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np  # noqa: E402
 
 from benchmarks.shared.timing import markdown_table  # noqa: E402
-from rbjax.sysid import Grid, Identified, diagnose, identify  # noqa: E402
-from tests.sysid.wrong_data import TRUTH, UNKNOWNS, WRONG, T, leg  # noqa: E402
+from rbjax.sysid import Grid, diagnose, identify  # noqa: E402
+from tests.sysid import problems  # noqa: E402
+from tests.sysid.problems import Problem, quadruped  # noqa: E402
+from tests.sysid.wrong_data import TRUTH, UNKNOWNS, WRONG, T, Wrong, leg, ways  # noqa: E402
 
 COLUMNS = ("wrong", "loss", "named", "error", "error_mended", "seconds")
+#: of the quadruped's recording, s
+PIECE = 4.0
 
 
-def error(found: Identified) -> float:
-    return float(np.abs(np.array([*found.values.values()]) - TRUTH).max())
-
-
-if __name__ == "__main__":
+def of_leg() -> tuple[Problem, dict[str, Wrong]]:
     setup, run = leg()
+    return Problem(setup, run, UNKNOWNS, TRUTH, {"grid": Grid(T)}), WRONG
+
+
+def of_quadruped() -> tuple[Problem, dict[str, Wrong]]:
+    problem = quadruped()
+    run = problem.run.piece(0.0, PIECE)
+    return problem._replace(run=run), ways(tuple(problem.setup.model.joint_names), 1, 11)
+
+
+def table(problem: Problem, wrongs: dict[str, Wrong]) -> list[dict]:
+    def error(found) -> float:
+        return float(np.abs(np.array([*found.values.values()]) - problem.truth).max())
+
     cases = [("nothing", lambda run: run, "squares")]
-    cases += [(name, wrong, "squares") for name, (wrong, *_) in WRONG.items()]
-    cases.append(("5 % outliers", WRONG["5 % outliers"][0], "huber"))
+    cases += [(name, wrong.make, "squares") for name, wrong in wrongs.items()]
+    cases.append(("5 % outliers", wrongs["5 % outliers"].make, "huber"))
     rows = []
-    for name, wrong, loss in cases:
-        found = identify(setup, wrong(run), UNKNOWNS, grid=Grid(T), loss=loss, steps=40)
+    for name, make, loss in cases:
         start = time.perf_counter()
+        wrong = make(problem.run)
+        found = identify(problem.setup, wrong, problem.unknowns, loss=loss, steps=40, **problem.how)
         said = diagnose(found)
         seconds = time.perf_counter() - start
-        mended = identify(setup, said.recordings, UNKNOWNS, grid=Grid(T))
+        mended = identify(problem.setup, said.recordings, problem.unknowns, **problem.how)
         named = "; ".join(
             " ".join([cause.kind, *cause.channels, *cause.columns]) for cause in said.causes
         )
         rows.append({"wrong": name, "loss": loss, "named": named or "nothing",
                      "error": error(found), "error_mended": error(mended),
                      "seconds": seconds})  # fmt: skip
-        print(said.words(), flush=True)
-    print(markdown_table(rows, COLUMNS))
+        print(rows[-1], said.words(), sep="\n", flush=True)
+    return rows
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("parts", nargs="*", default=["leg", "quadruped"])
+    parser.add_argument("--data", type=Path, default=problems.GO2)
+    asked = parser.parse_args()
+    problems.GO2 = asked.data
+    for part, make in (("leg", of_leg), ("quadruped", of_quadruped)):
+        if part in asked.parts and (part == "leg" or problems.GO2.exists()):
+            print(f"\n{part}\n{markdown_table(table(*make()), COLUMNS)}", flush=True)

@@ -101,8 +101,8 @@ def identify(folder: Path, say: Callable[[str], None], *, steps: int = 1000) -> 
           "fit. Right: estimates minus truth, in standard errors."),),
         ("number", "file", "estimate (95 % interval)", "truth", "unit"),
         tuple(rows),
-        note="The measurement was simulated by MuJoCo C with the numbers under 'truth'. "
-        "identification.html, in the same folder, is the report of the fit.",
+        note="The measurement was simulated by MuJoCo C with the numbers under 'truth'.",
+        links=(("identification.html", "The report of the fit"),),
         code=_CODE,
     )  # fmt: skip
 

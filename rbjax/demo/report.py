@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rbjax.html_page import code, element, page, picture, table
+from rbjax.html_page import code, element, link, page, picture, table
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report: title, paragraphs, pictures (file, caption), a table, its seconds."""
+    """A part of the report: title, paragraphs, pictures (file, caption), a table, its seconds;
+    links, files in the same folder and what they are."""
 
     title: str
     text: tuple[str, ...]
@@ -20,6 +21,7 @@ class Section:
     rows: tuple[tuple[str, ...], ...] = ()
     note: str = ""
     code: str = ""
+    links: tuple[tuple[str, str], ...] = ()
     seconds: float = field(default=0.0)
 
 
@@ -43,6 +45,7 @@ def _markdown(title: str, lead: str, sections: Sequence[Section], footer: str) -
             out.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
         if s.note:
             out.append(f"*{s.note}*")
+        out += [f"[{words}]({name})" for name, words in s.links]
     return "\n\n".join([*out, "---", footer]) + "\n"
 
 
@@ -58,4 +61,5 @@ def _html(folder: Path, title: str, lead: str, sections: Sequence[Section], foot
             body.append(table(s.columns, s.rows))
         if s.note:
             body.append(element("p", s.note, "note"))
+        body += [link(name, words) for name, words in s.links]
     return page(title, lead, body, footer)

@@ -335,17 +335,17 @@ def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
 
 
 def _rate(seen: Traces) -> tuple[float, float]:
-    """The least error of positions and the rate of their clock at which it is."""
+    """The least error of all sensors with enough samples and the rate of their clock at which it
+    is."""
     rates = np.arange(-CLOCK, CLOCK + CLOCK_STEP / 2, CLOCK_STEP)
     squares = np.zeros(len(rates))
-    for sensors in seen.values():
-        q = sensors["q"]
-        spread = _spread(q.recorded)
+    for _, _, trace in _each(seen):
+        spread = _spread(trace.recorded)
         for k, rate in enumerate(rates):
-            t = q.t * (1 + rate)
-            inside = t <= q.t[-1]
-            for j in range(len(q.names)):
-                off = np.interp(t, q.t, q.simulated[:, j]) - q.recorded[:, j]
+            t = trace.t * (1 + rate)
+            inside = t <= trace.t[-1]
+            for j in range(len(trace.names)):
+                off = np.interp(t, trace.t, trace.simulated[:, j]) - trace.recorded[:, j]
                 squares[k] += np.nanmean((off[inside] / spread[j]) ** 2)
     k = int(np.argmin(squares))
     return float(squares[k]), float(rates[k])

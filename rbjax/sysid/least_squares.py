@@ -151,8 +151,10 @@ def searching(
             expected = now - float(linear @ linear) + pull
             gain = (now - after + pull) / max(expected, 1e-300)
             calm = damping <= 1e-6 and expected < (FLAT if last else COARSE) * now
-            if gain > 0:
-                x, now, R = trial, after, (yield Asked(trial, True))
+            # where slopes are not finite no step could begin: such a point is refused
+            there = (yield Asked(trial, True)) if gain > 0 else np.array(np.nan)
+            if np.isfinite(there).all():
+                x, now, R = trial, after, there
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
                 ended = near or calm
             else:
@@ -163,10 +165,11 @@ def searching(
         after = np.inf
         if np.isfinite(D(trial, x).value):
             after = yield from cost(trial)
-        if not after < now:
+        there = (yield Asked(trial, True)) if after < now else np.array(np.nan)
+        if not np.isfinite(there).all():
             break
         ends = after > now / 10  # what is left is rounding, or hidden by noise
-        x, now, R = trial, after, (yield Asked(trial, True))
+        x, now, R = trial, after, there
         if ends:
             break
     message = "converged" if ended else f"not converged in {count} evaluations"

@@ -264,13 +264,19 @@ def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:
     if isinstance(model, Identified):
         model, grid = model.setup, model.grid if grid is None else grid
     setup = model if isinstance(model, Setup) else Setup.of(model)
-    late = [f"sensor {s}" for s, sensor in setup.sensors.items() if float(sensor.delay) != 0]
+    late = [
+        f"{s} {float(sensor.delay):g} s, so Channel(c.t - {float(sensor.delay):g}, ...)"
+        for s, sensor in setup.sensors.items() if float(sensor.delay) != 0
+    ]  # fmt: skip
     if setup.delay is not None:
-        late.append("controls")
+        seconds = float(setup.delay)
+        late.append(f"ctrl {seconds:g} s, so Channel(c.t + {seconds:g}, ...)")
     if late:
         raise InputError(
-            f"prediction_error: the set-up has delays ({', '.join(late)}), expected none: a filter "
-            "would need the states of before; find them by `identify`, and shift the clocks"
+            "prediction_error: the set-up has delays, expected none: a filter would need the "
+            "states of before. Find them by `identify`, take them out of the set-up (delay=None, "
+            f"a sensor's delay 0) and off the recordings' clocks: {'; '.join(late)}. Samples must "
+            "lie at instants of the grid, so choose a period of which each delay is a multiple"
         )
     return setup, grid
 

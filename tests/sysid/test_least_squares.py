@@ -37,3 +37,22 @@ def test_a_fit_ends(noise, tolerance):
     J, r = least.triangle[:, :2], least.triangle[:, 2]
     if noise:
         assert np.linalg.norm(J @ np.linalg.lstsq(J, r)[0]) < 1e-4 * np.linalg.norm(r)
+
+
+class Torn(Decay):
+    """Slopes that overflow where x[1] is below a half, though residuals do not."""
+
+    refused = 0
+
+    def triangle(self, x):
+        self.refused += x[1] < 0.5
+        return super().triangle(x) * (1.0 if x[1] >= 0.5 else np.nan)
+
+
+def test_a_point_without_slopes_is_refused():
+    of = Torn(0.0)
+    least = minimise(of, np.array([3.0, 3.0]), steps=80)
+    assert least.ok and of.refused
+    np.testing.assert_allclose(least.x, [2.0, 0.7], atol=1e-9)
+    never = minimise(Torn(0.0), np.array([2.0, 0.4]))
+    assert not never.ok and "not finite" in never.message

@@ -111,7 +111,7 @@ BETWEEN = Recording("between", {"q": Channel([0.0, 0.02, 0.035, 0.06], np.zeros(
         ({"driven": ["elbow"]}, "elbow"),
         ({"recordings": []}, "expected one Recording"),
         ({"recordings": BETWEEN, "grid": GRID}, "at 0.035 s after its start, between instants"),
-        ({"model": Setup.of(GUESS, delay=0.01)}, "delays .controls., expected none"),
+        ({"model": Setup.of(GUESS, delay=0.01)}, r"delays, .* ctrl 0.01 s, so Channel.c.t . 0.01"),
     ],
 )
 def test_bad_arguments_are_named(change, error):

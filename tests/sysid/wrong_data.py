@@ -1,4 +1,4 @@
-"""A leg of the quadruped in the air, and ways in which its recording can be wrong."""
+"""A leg of the quadruped in the air, and ways in which a recording of joints can be wrong."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import warnings
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -79,14 +80,6 @@ def _changed(sensor: str, change: Callable[[np.ndarray, np.ndarray], tuple]) -> 
     return wrong
 
 
-def _flipped(t, x):
-    return t, x * np.array([1, -1, 1])
-
-
-def _swapped(t, x):
-    return t, x[:, [0, 2, 1]]
-
-
 def _slow(t, x):
     return t * 1.02, x
 
@@ -98,19 +91,41 @@ def _outliers(t, x):
     return t, np.where(far, x + rng.choice([-1, 1], x.shape) * rng.uniform(0.2, 1.0, x.shape), x)
 
 
-def _dead(t, x):
-    k = len(t) // 2
-    x[k:, 2] = x[k, 2] + NOISE * np.random.default_rng(1).normal(size=len(t) - k)
-    return t, x
+class Wrong(NamedTuple):
+    """What makes a recording wrong, and the kind of the cause, its channels and columns."""
+
+    make: Callable[[Recording], Recording]
+    kind: str
+    channels: tuple[str, ...]
+    columns: tuple[str, ...]
 
 
-#: name -> what makes a recording wrong so, the kind of the cause, its channels and columns
-WRONG: dict[str, tuple[Callable, str, tuple[str, ...], tuple[str, ...]]] = {
-    "sign of a sensor": (_changed("q", _flipped), "sign", ("q",), ("hip",)),
-    "sign of a command": (_changed("ctrl", _flipped), "sign", ("ctrl",), ("hip",)),
-    "joints swapped": (_changed("q", _swapped), "swap", ("q",), ("hip", "knee")),
-    "commands swapped": (_changed("ctrl", _swapped), "swap", ("ctrl",), ("hip", "knee")),
-    "clock 2 % off": (_changed("q", _slow), "clock", ("q",), ()),
-    "5 % outliers": (_changed("q", _outliers), "outliers", ("q",), JOINTS),
-    "sensor dead": (_changed("q", _dead), "dead", ("q",), ("knee",)),
-}
+def ways(names: tuple[str, ...], one: int, other: int) -> dict[str, Wrong]:
+    """Ways in which the recording of joints can be wrong, in one column, or in two."""
+
+    def flipped(t, x):
+        x[:, one] *= -1
+        return t, x
+
+    def swapped(t, x):
+        x[:, [one, other]] = x[:, [other, one]]
+        return t, x
+
+    def dead(t, x):
+        k = len(t) // 2
+        x[k:, other] = x[k, other] + NOISE * np.random.default_rng(1).normal(size=len(t) - k)
+        return t, x
+
+    a, b = names[one], names[other]
+    return {
+        "sign of a sensor": Wrong(_changed("q", flipped), "sign", ("q",), (a,)),
+        "sign of a command": Wrong(_changed("ctrl", flipped), "sign", ("ctrl",), (a,)),
+        "joints swapped": Wrong(_changed("q", swapped), "swap", ("q",), (a, b)),
+        "commands swapped": Wrong(_changed("ctrl", swapped), "swap", ("ctrl",), (a, b)),
+        "clock 2 % off": Wrong(_changed("q", _slow), "clock", ("q",), ()),
+        "5 % outliers": Wrong(_changed("q", _outliers), "outliers", ("q",), names),
+        "sensor dead": Wrong(_changed("q", dead), "dead", ("q",), (b,)),
+    }
+
+
+WRONG = ways(JOINTS, 1, 2)
