@@ -10,7 +10,7 @@ driven DDP); bounds of controls enter k and K (Tassa, Mansard & Todorov 2014).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,14 +44,14 @@ class Bounds(NamedTuple):
 
 def backward_pass(
     A: jax.Array, B: jax.Array, gaps: jax.Array, path: Quadratic, end: Quadratic,
-    bounds: Bounds | None, first: tuple | None, reg: jax.Array,
+    bounds: Bounds | None, first: tuple | None, reg: jax.Array, h: Any = None,
 ) -> Gains:  # fmt: skip
     """The gains.
 
     A: (N, n, n). B: (N, n, m). gaps: (N + 1, n), the first from the first knot to the start.
     path: (N, ...). end. bounds: of du, None for none. first: of what is free of the first knot:
     free (n,) of 0 and 1, low and high (n,) of dx0; None for nothing. reg: added to the diagonals of
-    control Hessians and of V.
+    control Hessians and of V. h: the step, where dq+ = dq + h dv+; None where it is not so.
     """
     m, n = path.r.shape[-1], end.q.shape[0]
     eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
@@ -59,10 +59,10 @@ def backward_pass(
     def back(carry: tuple, knot: tuple) -> tuple:
         V, v, slope, curvature, ok = jax.tree.map(in_registers, carry)
         A, B, gap, cost, bound = jax.tree.map(in_registers, knot)
-        VA, VB = product(V, A), product(V, B)
-        Qx, Qu = cost.q + product(A.T, v), cost.r + product(B.T, v)
-        Qxx, Quu = cost.Q + product(A.T, VA), cost.R + product(B.T, VB) + reg * eye_u
-        Qux = cost.S.T + product(B.T, VA)
+        more = carried(V, v, A, B) if h is None else carried_by_velocities(V, v, A, B, h)
+        Qxx, Quu, Qux, Qx, Qu = more
+        Qxx, Quu, Qux = cost.Q + Qxx, cost.R + Quu + reg * eye_u, cost.S.T + Qux
+        Qx, Qu = cost.q + Qx, cost.r + Qu
         if bound is None:
             L = jnp.linalg.cholesky(Quu)
             k, K, fine = -solved(L, Qu), -solved(L, Qux), jnp.isfinite(L).all()
@@ -85,7 +85,8 @@ def backward_pass(
     V = end.Q + reg * eye_x
     begin = (V, v, (v * last).sum(), -(last * product(end.Q, last)).sum(), zero == 0)
     knots = (A, B, gaps[:-1], path, bounds)
-    (V, v, slope, curvature, ok), (K, k, Vs, vs) = jax.lax.scan(back, begin, knots, reverse=True)
+    carry, (K, k, Vs, vs) = jax.lax.scan(back, begin, knots, reverse=True)
+    V, v, slope, curvature, ok = carry
     dx0 = gaps[0]
     if first is not None:
         free, low, high = first
@@ -100,3 +101,32 @@ def backward_pass(
     return Gains(K, k, Vs, vs, dx0, slope, curvature, ok)
 
 
+
+
+def carried(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
+    """A'VA, B'VB, B'VA, A'v and B'v."""
+    VA = product(V, A)
+    return (
+        product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA), product(A.T, v),
+        product(B.T, v),
+    )  # fmt: skip
+
+
+def carried_by_velocities(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any) -> tuple:
+    """The same of dv+ = [C D] dx + E du, dq+ = dq + h dv+: half the work.
+
+    A = T (1 + [0; F]),  B = T [0; E],  T = [1 h; 0 1],  F = [C D - 1]
+    """
+    n = len(v) // 2
+    F, E = A[n:] - jnp.eye(n, 2 * n, n, dtype=A.dtype), B[n:]
+    q, c, w = V[:n, :n], V[:n, n:], V[n:, n:]
+    across = c + h * q
+    w = w + h * (c + c.T) + h * h * q
+    columns = jnp.concatenate([across, w])  # of T'VT, those of the velocities
+    W = jnp.concatenate([jnp.concatenate([q, across.T]), columns], 1) + product(columns, F)
+    slope = v[n:] + h * v[:n]
+    Qx = jnp.concatenate([v[:n], slope]) + product(F.T, slope)
+    return (
+        W + product(F.T, W[n:]), product(E.T, product(w, E)), product(E.T, W[n:]), Qx,
+        product(E.T, slope),
+    )  # fmt: skip

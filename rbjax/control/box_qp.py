@@ -62,12 +62,12 @@ def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSo
         done = ~better | ((best == 0) & (free_of(new) == free).all())
         return new, free, L, turns + 1, done
 
-    start = jnp.clip(jnp.zeros_like(g), low, high)
-    free = free_of(start)
-    begin = (start, free, factor_of(free), 0, jnp.asarray(False))
-    d, *_ = jax.lax.while_loop(lambda now: (now[3] < TURNS) & ~now[4], turn, begin)
-    free = free_of(d)
-    L = factor_of(free)
+    L = jnp.linalg.cholesky(H)
+    inner = -solved(L, g)  # most often within the box
+    inside = ((inner >= low) & (inner <= high)).all()
+    d = jnp.where(inside, inner, jnp.clip(jnp.zeros_like(g), low, high))
+    begin = (d, jnp.ones_like(g), L, 0, inside)
+    d, free, L, *_ = jax.lax.while_loop(lambda now: (now[3] < TURNS) & ~now[4], turn, begin)
     return BoxSolution(d, free, L, jnp.isfinite(L).all())
 
 

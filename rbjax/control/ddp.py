@@ -39,7 +39,7 @@ from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost
 from rbjax.threads import threads
 
-LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation
+LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
 TRIALS = 10  # steps of 1 to 2^-9
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
@@ -179,9 +179,11 @@ def gains_of(
         low, high = problem.start_bounds(ctrls.dtype)
         numbers = jnp.concatenate([jnp.zeros(problem.system.n, ctrls.dtype), knots.numbers[0]])
         first = (free, low - numbers, high - numbers)
+    reg = jnp.where(reg > LEAST, reg, 0.0)
     return threads(backward_pass)(
-        found.path.A, found.path.B, gaps, found.path.cost, found.end, bounds, first, reg
-    )
+        found.path.A, found.path.B, gaps, found.path.cost, found.end, bounds, first, reg,
+        problem.at(knots.numbers[0])[1] if problem.by_velocities else None,
+    )  # fmt: skip
 
 
 def optimised(

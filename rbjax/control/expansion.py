@@ -208,7 +208,7 @@ def second_order(
         for part in parts(problem, rows, mu, where)
         if (value := part(k, knot, ctrl)).ndim
     ]
-    after = None if costate is None else problem.step(k, knot, ctrl)
+    after = problem.step(k, knot, ctrl)
 
     def curved(d: jax.Array) -> jax.Array:
         there, u = problem.plus(knot, d[:n]), ctrl + d[n:]

@@ -157,6 +157,11 @@ class Problem(Record):
         """Whether anything of the first knot is free."""
         return any(self.free) or self.numbers > 0
 
+    @property
+    def by_velocities(self) -> bool:
+        """Whether dq+ = dq + h dv+ of a knot's tangent (dq, dv)."""
+        return self.system.by_velocities and not self.numbers
+
     # what depends on the numbers of a knot
 
     def first_numbers(self, dtype: Any) -> jax.Array:

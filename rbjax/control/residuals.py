@@ -165,6 +165,6 @@ def pose_of(
     """R (3, 3) and p (3,) of a site or body in the world."""
     if site is not None:
         return site_pose(model, q, site)
-    k = model.body(body)
+    k = model.body(body or "")
     poses = forward_kinematics(model, q)
     return poses.R[k], poses.p[k]

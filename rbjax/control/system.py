@@ -62,6 +62,11 @@ class System(Record):
         """The smallest and the largest controls (nu,) that the system takes."""
         return jnp.full(self.nu, -jnp.inf), jnp.full(self.nu, jnp.inf)
 
+    @property
+    def by_velocities(self) -> bool:
+        """Whether a step is dq+ = dq + dt dv+ of the tangent (dq, dv)."""
+        return False
+
     def spans(self) -> list[slice]:
         """Of each leaf of a state, the coordinates of the tangent space that it can change."""
         leaves = jax.tree.leaves(self.example(jnp.zeros(()).dtype))
@@ -160,6 +165,11 @@ class Robot(System):
         m = self.robot
         x = m.start(dtype)
         return State(jnp.zeros(m.nq, dtype), jnp.zeros(m.nv, dtype), x)
+
+    @property
+    def by_velocities(self) -> bool:
+        plain = self.integrator is semi_implicit_euler and self.law is free_motion
+        return plain and not self.robot.nx and not self.robot.topology.turn_starts
 
     def spans(self) -> list[slice]:
         nv, n = self.robot.nv, self.n
