@@ -17,11 +17,13 @@ import jax.numpy as jnp
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.derivatives import forward_dynamics_derivatives
-from rbjax.dynamics.forward import acceleration
-from rbjax.dynamics.link_forces import LinkForces
+from rbjax.dynamics.forward import forward_dynamics
 from rbjax.dynamics.manifold import difference, integrate
-from rbjax.forces.acting import applied
+from rbjax.dynamics.packing import pack
+from rbjax.forces.acting import loads
 from rbjax.forces.inputs import Inputs
+from rbjax.forces.instant import Instant
+from rbjax.lanes import add
 from rbjax.lanes.products import matmat
 from rbjax.model import Model, State
 from rbjax.motion.field import Field, Law, free_motion, law_of
@@ -190,7 +192,7 @@ def euler_linearised(
     model: Model, t: Any, state: State, ctrl: jax.Array, dt: Any
 ) -> tuple[State, jax.Array, jax.Array] | None:
     """The state after a semi-implicit Euler step of free motion, A and B, by the closed form of
-    the derivatives of forward dynamics; None where forces act on links or elements have states.
+    the derivatives of forward dynamics; None where elements have states.
 
     dv+ = dv + dt da,   dq+ = E dq + dt J dv+,   da = a_q dq + a_v dv + M^-1 dtau
     """
@@ -198,17 +200,18 @@ def euler_linearised(
         return None
     n, dtype = model.nv, state.q.dtype
 
-    def forces(dx: jax.Array, du: jax.Array) -> tuple[jax.Array, LinkForces]:
-        tau, pushes, _ = applied(model, t, beside(model, state, dx), Inputs(ctrl + du), dt)
-        return tau, pushes
+    def forces(dx: jax.Array, du: jax.Array) -> jax.Array:
+        now = Instant.of(model, t, beside(model, state, dx), ctrl + du, dt)
+        tau, pushes = loads(model, now)
+        if pushes:
+            tau = [add(x, y) for x, y in zip(tau, now.generalized_of(pushes), strict=True)]
+        return pack(tau, state.v)
 
     zero, none = jnp.zeros(2 * n, dtype), jnp.zeros_like(ctrl)
-    tau, pushes = forces(zero, none)
-    if pushes:
-        return None
-    tau_x, tau_u = jax.jacfwd(lambda *d: forces(*d)[0], (0, 1))(zero, none)
+    tau = forces(zero, none)
+    tau_x, tau_u = jax.jacfwd(forces, (0, 1))(zero, none)
     by = forward_dynamics_derivatives(model, state.q, state.v, tau)
-    v = state.v + dt * acceleration(model, state.q, state.v, tau, pushes)
+    v = state.v + dt * forward_dynamics(model, state.q, state.v, tau)
     q = integrate(model, state.q, dt * v)
     direct = jnp.concatenate([by.q, by.v], 1)
     a_x, a_u = direct + matmat(by.tau, tau_x), matmat(by.tau, tau_u)
