@@ -163,7 +163,6 @@ def child_motions_on_lanes():
     child_rollouts(False)
 
 
-@pytest.mark.slow
 def test_algorithms():
     on_eight_devices(child_algorithms)
 
