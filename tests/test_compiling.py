@@ -33,6 +33,7 @@ def simulated(model, start):
     return rb.simulate(model, start, jnp.array([0.0, 0.08]), **solve).q[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("march", [rolled, pytest.param(simulated, marks=pytest.mark.slow)])
 def test_motion_is_the_same_alone_within_jit_and_differentiated(march) -> None:
     """Alone it is compiled with options, which JAX refuses inside of another `jit`."""
