@@ -6,6 +6,8 @@ STAMP  := $(VENV)/.installed
 # worksteal: a worker gets a half of the files in a row, so what a file's tests share is compiled once
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Each process of the tests would compile every source once more.
+unexport PYTHONDONTWRITEBYTECODE
 
 # Tests and the demo compile the same programs again and again: keep them between runs.
 # Tests that are not slow compile without optimizations, or not at all: tests/conftest.py, quickly.py.
@@ -13,7 +15,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test test-gpu test-all lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
+.PHONY: help setup test quick test-gpu test-all lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -31,7 +33,10 @@ $(STAMP): pyproject.toml
 	@$(BIN)/pip install -qq --editable '.[test]'
 	@touch $@
 
-test: lint types ## lint, types, tests, doctests, notebooks; not the slow ones
+test: $(STAMP) ## lint, types, tests, doctests, notebooks; not the slow ones
+	@$(MAKE) --no-print-directory --jobs 3 lint types quick
+
+quick: $(STAMP)
 	$(PYTEST) -m "not slow"
 
 test-gpu: $(STAMP) ## on an NVIDIA GPU: the threads compiler's tests as kernels, beside XLA's CPU

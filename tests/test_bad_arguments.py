@@ -281,7 +281,7 @@ def cases() -> list[Case]:
     return every
 
 
-@pytest.mark.parametrize("count", [100, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [50, pytest.param(300, marks=pytest.mark.slow)])
 def test_bad_arguments_end_in_a_sentence_or_in_a_right_result(count: int) -> None:
     every = cases()
     assert len(every) > 3000

@@ -33,6 +33,7 @@ def simulated(model, start):
     return rb.simulate(model, start, jnp.array([0.0, 0.08]), **solve).q[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("march", [rolled, pytest.param(simulated, marks=pytest.mark.slow)])
 def test_motion_is_the_same_alone_within_jit_and_differentiated(march) -> None:
     """Alone it is compiled with options, which JAX refuses inside of another `jit`."""
@@ -52,14 +53,17 @@ def test_motion_is_the_same_alone_within_jit_and_differentiated(march) -> None:
 
 
 def test_rbjax_may_be_imported_within_a_program() -> None:
-    """An outer trace of a call is found even if the import was inside a trace."""
+    """An outer trace of a call is found even if the import was inside a trace. It leaves matplotlib
+    to the plots."""
     code = """
-import jax
+import sys, jax
 def f(x):
     import rbjax as rb
     model = rb.load("pendulum")
     return x * rb.mass_matrix(model, model.default_state().q)
 print(jax.jit(f)(0.0), f(0.0))
+assert 'matplotlib' not in sys.modules
+import rbjax; rbjax.plotting.Camera
 """
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert out.stdout.split() == ["[[0.]]", "[[0.]]"], out.stderr

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-PAGES = ["docs/extending.md", "docs/wheeled.md"]
+PAGES = [pytest.param("docs/extending.md", marks=pytest.mark.slow), "docs/wheeled.md"]
 
 
 @pytest.mark.parametrize("page", PAGES)

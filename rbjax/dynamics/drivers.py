@@ -26,6 +26,7 @@ from rbjax.dynamics.rolled import Rolled
 from rbjax.dynamics.rolled import allocate_slots as allocate_slots
 from rbjax.dynamics.unrolled import Unrolled
 from rbjax.model import DRIVER_NAMES, Model, Prepared, partition, prepare
+from rbjax.threads.backend import gpu
 
 #: above this many velocity coordinates "auto" rolls. On the CPU unrolled code runs two to three
 #: times as fast, but its gradient compiles in 0.8 s a link; that of rolled code in 4 s for any
@@ -42,6 +43,11 @@ VALUES_UNROLLED_UP_TO = 40
 #: the others have 190 at most
 THREADS_UNROLLED_UP_TO = {4: 26, 8: 12}
 SHORT_UNROLLED_UP_TO = {4: 42, 8: 20}
+
+#: at least so many where there is no GPU: as machine code a humanoid's forward dynamics takes 0.85
+#: of the time it takes in limbs, its derivatives a quarter, and the gradient of a rollout compiles
+#: in two thirds, since JAX differentiates no loops; G1's take the same time, and twice to compile
+CPU_UNROLLED_UP_TO = 26
 
 #: above this many velocity coordinates, algorithms with a row of numbers for each pair of links run
 #: as several kernels, with a thread for each link of each sample
@@ -72,5 +78,5 @@ def on_threads(model: Model, dtype: Any, *, pairs: bool = False, long: bool = Tr
     if model.driver != "auto":
         return model
     most = THREADS_UNROLLED_UP_TO if pairs or long else SHORT_UNROLLED_UP_TO
-    few = model.nv <= most[np.dtype(dtype).itemsize]
+    few = model.nv <= max(most[np.dtype(dtype).itemsize], 0 if gpu() else CPU_UNROLLED_UP_TO)
     return model.replace(driver="unrolled" if few else "rolled" if pairs else "limbs")

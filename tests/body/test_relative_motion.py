@@ -1,5 +1,6 @@
 """Moving frames against the path itself, differentiated twice."""
 
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -52,22 +53,37 @@ def everything():
     both = rm.compose(frame, rm.moving_frame(inner, TIME))
     whole = rm.moving_frame(lambda t: se3.compose(outer(t), inner(t)), TIME)
     back = rm.moving_frame(lambda t: se3.inverse(outer(t)), TIME)
-    return r, twice(seen_from(outer)), frame, both, whole, rm.inverse(frame), back
+    seen = twice(seen_from(outer))
+    return Found(r, seen, frame, both, whole, rm.inverse(frame), back)
 
 
-R, SEEN, FRAME, BOTH, WHOLE, INVERSE, BACK = (
-    jax.tree.map(np.asarray, x) for x in everything()
-)  # fmt: skip
+class Found(NamedTuple):
+    """The point in the inner frame, and as the outer one sees it; frames."""
+
+    r: Any
+    seen: Any
+    frame: Any
+    both: Any
+    whole: Any
+    inverse: Any
+    back: Any
 
 
-def test_velocity_and_acceleration_of_a_point() -> None:
-    assert relative_error(rm.position(FRAME, R[0]), SEEN[0]) < CLOSE
-    assert relative_error(rm.velocity(FRAME, *R[:2]), SEEN[1]) < CLOSE
-    assert relative_error(rm.acceleration(FRAME, *R), SEEN[2]) < CLOSE
+@pytest.fixture(scope="module")
+def found() -> Found:
+    return jax.tree.map(np.asarray, everything())
 
 
-def test_who_turns_with_the_frame_meets_the_apparent_forces() -> None:
-    assert relative_error(rm.relative_acceleration(FRAME, R[0], R[1], SEEN[2]), R[2]) < CLOSE
+def test_velocity_and_acceleration_of_a_point(found: Found) -> None:
+    r, seen, frame, *_ = found
+    assert relative_error(rm.position(frame, r[0]), seen[0]) < CLOSE
+    assert relative_error(rm.velocity(frame, *r[:2]), seen[1]) < CLOSE
+    assert relative_error(rm.acceleration(frame, *r), seen[2]) < CLOSE
+
+
+def test_who_turns_with_the_frame_meets_the_apparent_forces(found: Found) -> None:
+    r, seen, frame, *_ = found
+    assert relative_error(rm.relative_acceleration(frame, r[0], r[1], seen[2]), r[2]) < CLOSE
     # signs, written out: on a wheel turning left, what goes outward is pushed right
     wheel = rm.MovingFrame(np.eye(3), *np.zeros((5, 3)))
     wheel = wheel._replace(omega=np.array([0, 0, 2.0]), alpha=np.array([0, 0, 3.0]))
@@ -76,9 +92,10 @@ def test_who_turns_with_the_frame_meets_the_apparent_forces() -> None:
     assert relative_error(np.array(seen), want) < CLOSE
 
 
-@pytest.mark.parametrize("got, want", [(BOTH, WHOLE), (INVERSE, BACK)], ids=["chain", "inverse"])
-def test_frames_of_frames(got, want) -> None:
-    for x, y, name in zip(got, want, want._fields, strict=True):
+@pytest.mark.parametrize("got, want", [("both", "whole"), ("inverse", "back")])
+def test_frames_of_frames(got: str, want: str, found: Found) -> None:
+    a, b = getattr(found, got), getattr(found, want)
+    for x, y, name in zip(a, b, b._fields, strict=True):
         assert relative_error(x, y) < CLOSE, name
 
 
@@ -95,8 +112,8 @@ def test_foucault_turns_with_the_sine_of_the_latitude() -> None:
     assert relative_error(terms.coriolis[:2], turn + rise) < CLOSE
 
 
-def test_wrong_shapes_are_refused_in_a_sentence() -> None:
+def test_wrong_shapes_are_refused_in_a_sentence(found: Found) -> None:
     with pytest.raises(rb.InputError, match=r"velocity: got shape \(2,\), expected \(3,\)"):
-        rm.velocity(FRAME, np.zeros(2), np.zeros(3))
+        rm.velocity(found.frame, np.zeros(2), np.zeros(3))
     with pytest.raises(rb.InputError, match=r"expected a pose \(4, 4\)"):
         rm.moving_frame(lambda t: t * jnp.eye(3), 0.0)

@@ -51,7 +51,7 @@ def top_of(inertia, weight: float = 0.0) -> Situation:
 # (test_formulations.py runs every one).
 ALIKE = {
     "newton_euler_origin", "spatial_body", "spatial_world", "momentum_body", "momentum_world",
-    "quasi_lagrange",
+    "quasi_lagrange", "newton_euler",
 }  # fmt: skip
 TOPS = [pytest.param(n, marks=pytest.mark.slow if n in ALIKE else ()) for n in ATTITUDE_FREE]
 

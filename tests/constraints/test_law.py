@@ -72,6 +72,7 @@ def test_constrained_dynamics_with_wrenches_on_bodies() -> None:
     np.testing.assert_allclose(l, multipliers, atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", ["unrolled", pytest.param("rolled", marks=pytest.mark.slow)])
 def test_derivatives(driver: str) -> None:
     """Forward against differences, reverse against forward, by state, torque and model."""

@@ -67,6 +67,7 @@ ENTRIES = [("bodies", n) for n in PUBLIC] + [("joints", n) for n in (*JOINT, *AP
 ENTRIES += [("actuators", n) for n in ("gear", "gain", "bias")] + [("", "gravity")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [aligned, pytest.param(generic, marks=pytest.mark.slow)])
 def test_every_leaf_has_the_right_derivative(make) -> None:
     model = make()

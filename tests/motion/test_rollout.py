@@ -80,6 +80,7 @@ def test_order_with_free_attitudes(integrator, order, steps):
     assert abs(np.log2(coarse / fine) - order) < 0.45
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("integrator", "solver"), [
     ("tsit5", "Tsit5"), pytest.param("dopri8", "Dopri8", marks=pytest.mark.slow)
 ])

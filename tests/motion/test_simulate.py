@@ -22,6 +22,7 @@ def test_free_fall_is_a_parabola():
     np.testing.assert_allclose(out.q[:, :3], fall, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "solver", [diffrax.Tsit5(), pytest.param(diffrax.Dopri8(), marks=pytest.mark.slow)]
 )

@@ -139,6 +139,7 @@ def test_order_two_with_forces(which):
     assert abs(np.log2(coarse / fine) - 2) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["cart_pole", pytest.param("spinning_top", marks=SLOW)])
 def test_gradients_are_difference_quotients(scene):
     """In reverse, by state, controls and masses, with evaluations enough to converge."""
@@ -251,6 +252,7 @@ def test_at_rest_corrections_are_rounding(dtype):
     assert path.ok and np.abs(path.v[-1]).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_springs_and_dampers_of_joints_may_be_stiff():
     model = rb.load("double_pendulum")
     stiff = model.joints.replace(damping=1e4 * jnp.ones(2), stiffness=1e6 * jnp.ones(2))

@@ -96,11 +96,3 @@ def test_a_mesh_keeps_its_outermost_points() -> None:
     assert kept.max(0) == pytest.approx(points.max(0)) and kept.min(0) == pytest.approx(
         points.min(0)
     )
-
-
-def test_importing_rbjax_leaves_matplotlib_alone() -> None:
-    import subprocess
-    import sys
-
-    program = "import rbjax, sys; assert 'matplotlib' not in sys.modules; rbjax.plotting.Camera"
-    subprocess.run([sys.executable, "-c", program], check=True)

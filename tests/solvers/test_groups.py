@@ -67,6 +67,7 @@ def test_derivatives_are_finite_and_right_at_every_size(size: float) -> None:
     np.testing.assert_allclose(jacobian, np.eye(6), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_constant_twist_is_followed_exactly() -> None:
     """A screw: one step of any method on the group, and dense output between."""
     y, u = draw(4, 1.1)

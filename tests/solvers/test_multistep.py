@@ -71,6 +71,7 @@ def test_order_at_unequal_steps(solver, order: int) -> None:
     assert abs(np.log2(found[:-1] / found[1:]) - order).max() < 0.2, found
 
 
+@pytest.mark.slow
 def test_a_jump_starts_anew() -> None:
     """A kink in the field costs nothing if its time is given."""
 

@@ -68,6 +68,7 @@ def linearly_implicit(**options):
     return end
 
 
+@pytest.mark.slow
 def test_a_linearly_implicit_step_without_a_matrix() -> None:
     """Its values and its gradients are those with one."""
     (got, slope), (want, exact) = (

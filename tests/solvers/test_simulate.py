@@ -53,6 +53,7 @@ def program(scene: str, name: str):
     return jax.jit(lambda state, dt: rb.simulate(model, state, TS, solver=solver, dt0=dt))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["rkmk4", pytest.param("generalized_alpha", marks=pytest.mark.slow)]
 )

@@ -128,6 +128,7 @@ def test_a_stiff_robot_with_large_steps(name: str) -> None:
             assert abs(stirred.q[-1, 0] - locked(1.0)) < 2e-2 + bound, dt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["radau_iia3", *(pytest.param(n, marks=pytest.mark.slow) for n in SLOW_IN_F32)]
 )

@@ -14,7 +14,7 @@ from tests.tolerances import F64_TRANSFORM, relative_error
 
 DERIVATIVE = 1e-8  # reverse, forward, and a difference of fourth order with h = 2e-3
 STEPS, H = 12, 2e-3
-QUICK = "radau_iia2 pece3".split()  # noqa: SIM905
+QUICK = ("radau_iia2",)
 NAMES = [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in SOLVERS]
 
 
@@ -83,6 +83,7 @@ def test_a_step_compiled_is_a_step_op_by_op(name: str) -> None:
     assert relative_error(eager, compiled) < F64_TRANSFORM
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=() if n == "newmark" else pytest.mark.slow) for n in SOLVERS

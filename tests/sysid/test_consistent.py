@@ -61,6 +61,7 @@ def test_without_noise_base_parameters_are_exact_and_the_rest_stays_at_the_prior
     assert (found.values[50:65] > 0).all()
 
 
+@pytest.mark.slow
 def test_the_prior_pulls_only_what_is_open():
     """Of noisy torques: base parameters as those of linear least squares, to a part of their
     errors, the smaller the better the data determine them."""

@@ -382,6 +382,7 @@ MOTIONS: dict[str, Callable[[], Case]] = {
     "prediction error, noise of q and v": levels,
 }
 CASES = QUICK | MOTIONS
+LONG = [*MOTIONS, "prediction error"]
 #: whose loss is JAX's
 TRACED = [*(n for n in QUICK if n.startswith(("torques", "balance"))), "log-determinant prior"]
 
@@ -392,7 +393,7 @@ def case(name: str) -> Case:
 
 
 @pytest.mark.parametrize(
-    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in MOTIONS)]
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in CASES]
 )
 def test_the_derivatives_are_those_of_the_loss(name):
     of = case(name)

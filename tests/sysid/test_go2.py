@@ -18,6 +18,7 @@ def mrad(residuals):
     return 1e3 * float(np.sqrt(np.mean(np.square(residuals))))
 
 
+@pytest.mark.slow
 def test_curves_of_a_joint_are_found():
     """Torque and friction by position, from angles without noise: to the last digits."""
     model, T = rb.load("pendulum"), 0.02

@@ -52,6 +52,7 @@ def test_noise_free_recordings_give_the_numbers():
     assert verdict.rms < 1e-8
 
 
+@pytest.mark.slow
 def test_noise_is_estimated_and_intervals_are_those_of_the_slopes():
     """Three recordings, positions only, starts sought; sigma of the mass by an independent
     Jacobian."""

@@ -41,6 +41,7 @@ def shot(runs, seconds, grid=GRID):
     return of, np.append(np.asarray(sought.read(setup)), np.zeros(of.size - 2))
 
 
+@pytest.mark.slow
 def test_the_slopes_of_pieces_and_gaps():
     of, x = shot([swing(ONE, 24, 1e-3), swing(ONE, 13, 1e-3, seed=1)], 8 * T)
     assert of.pieces.count == 5 and of.firsts.tolist() == [0, 3] and of.gaps(x).shape == (3, 2)

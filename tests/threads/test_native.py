@@ -247,8 +247,8 @@ def test_the_gil_is_released():
 
 def test_objects_are_kept_beside_jax_s_cache(monkeypatch, tmp_path):
     made, before = [], jax.config.jax_compilation_cache_dir
-    make = llvm_jit._object
-    monkeypatch.setattr(llvm_jit, "_object", lambda m, *how: made.append(m) or make(m, *how))
+    make = llvm_jit.object_of
+    monkeypatch.setattr(llvm_jit, "object_of", lambda m, *how: made.append(m) or make(m, *how))
     try:
         jax.config.update("jax_compilation_cache_dir", str(tmp_path))
         for _ in range(2):

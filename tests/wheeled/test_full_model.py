@@ -185,6 +185,7 @@ def test_formulations_agree_and_velocities_off_the_rows_are_put_on_them():
     assert relative_error(a, b) < F64_IDENTITY
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_robots_numbers():
     robot = on_a_slope("differential_drive")
     first = Constrained(robot)

@@ -238,6 +238,7 @@ def test_a_car_turns_about_the_axle_of_its_rear_wheels() -> None:
     np.testing.assert_allclose(w, x * np.tan(0.5) / 2.6, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_of_a_manoeuvre_with_respect_to_every_number() -> None:
     """Reverse against forward mode and central differences, through a rollout of a car."""
     robot = wheeled.kinds()["bicycle"].make()

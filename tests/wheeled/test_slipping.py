@@ -18,6 +18,7 @@ KINDS = wheeled.kinds()
 SOME = ["differential_drive", "car_trailer"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["differential_drive", "omni_3"])
 def test_stiff_tyres_roll_without_slip(kind) -> None:
     """As the stiffness grows ten times, the distance from the ideal motion falls ten times."""

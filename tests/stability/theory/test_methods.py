@@ -61,6 +61,7 @@ def test_code_and_polynomials_agree_on_an_oscillation() -> None:
     assert xi[0] == pytest.approx(xi[1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_tableau_without_error_weights_takes_constant_steps() -> None:
     assert stability.measured_order(THETA).order == pytest.approx(1, abs=SLOPE)
     solver = rb.solvers.ImplicitRungeKutta(THETA)
