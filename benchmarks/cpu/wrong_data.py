@@ -25,7 +25,7 @@ from tests.sysid.wrong_data import TRUTH, UNKNOWNS, WRONG, T, Wrong, leg, ways  
 
 COLUMNS = ("wrong", "loss", "named", "error", "error_mended", "seconds")
 #: of the quadruped's recording, s
-PIECE = 4.0
+PIECE = 3.0
 
 
 def of_leg() -> tuple[Problem, dict[str, Wrong]]:
