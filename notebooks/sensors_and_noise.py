@@ -39,9 +39,10 @@ BLUE, ORANGE, GREEN, *_ = PALETTE
 # %% [markdown]
 # ## An arm with an IMU
 #
-# Two links swing for a second under known torques. The joints have encoders at 50 Hz with a noise of 2 mrad. On
-# the lower link sits an IMU: a gyro at 200 Hz with a bias, and an accelerometer at 100 Hz. Sought
-# are the mass and the centre of mass of the lower link, the friction of both joints, and the bias.
+# Two links swing for a second under known torques. The joints have encoders at 50 Hz with a noise
+# of 2 mrad. On the lower link sits an IMU: a gyro at 200 Hz with a bias, and an accelerometer at
+# 100 Hz. Sought are the mass and the centre of mass of the lower link, the friction of both joints,
+# and the bias.
 
 # %%
 T, N = 0.005, 200
@@ -162,9 +163,12 @@ found = fits["both"]
 print("gyro bias:", [f"{found.values[n]:.4f}" for n in found.values if n.startswith("gyro")])
 
 # %% [markdown]
-# The IMU by itself finds the link, with no encoder after the start. It shows the centre of mass
-# better than encoders do, since accelerations are near to forces. Both together are better than
-# either. The gyro's bias is one more unknown, and costs nothing.
+# The IMU by itself finds the link, with no encoder after the start, and better than encoders do:
+# its samples are many, and accelerations are near to forces. With it the encoders hardly add
+# anything. The gyro's bias is one more unknown, and is found with the rest.
+#
+# A poor first guess would lose such a motion: an IMU tells no angles, so there is nothing to begin
+# short pieces from. `many_starts` tries several.
 
 # %%
 for label, found in fits.items():
@@ -232,7 +236,8 @@ plt.show()
 
 # %% [markdown]
 # The intervals of the simulation error miss the truth (black) in most recordings. Those of the
-# prediction error are wider, and hold it about as often as they say. The strength of the gusts is found beside them.
+# prediction error are wider, and hold it about as often as they say. The strength of the gusts is
+# found beside them.
 #
 # The smoother says how the pendulum moved, and how fast, which no sensor read.
 
@@ -242,10 +247,9 @@ print(f"gusts: {interval.value:.3f} N m ({interval.low:.3f} to {interval.high:.3
 smooth = predicted[-1].smoothed()[run.name]
 speed = np.diff(run["q"].values[:, 0]) / STEP
 fig, axes = plt.subplots(1, 2, figsize=(10, 3.2), layout="constrained")
-axes[0].plot(
-    clock[1:], speed - np.asarray(path.v)[1:, 0], color=ORANGE, lw=1, label="differences of q"
-)
-off = np.asarray(smooth.state.v)[:, 0] - np.asarray(path.v)[:, 0]
+true_speed = np.asarray(path.v)[:, 0]
+axes[0].plot(clock[1:], speed - true_speed[1:], color=ORANGE, lw=1, label="differences of q")
+off = np.asarray(smooth.state.v)[:, 0] - true_speed
 axes[0].plot(clock, off, color=BLUE, lw=1, label="smoother")
 axes[0].set(title="error of the speed, rad/s", xlabel="t, s")
 axes[0].legend()
