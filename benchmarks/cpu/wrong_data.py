@@ -1,7 +1,7 @@
 """Wrong data of a quadruped in the air: what is found and named, what the fit survives.
 
-`python -m benchmarks.cpu.wrong_data [leg] [quadruped] [--data FOLDER]` prints the tables of
-docs/wrong_data.md. The error is the largest of all numbers against the truth (of the leg armature,
+`python -m benchmarks.cpu.wrong_data [leg] [quadruped] [--data FOLDER] [--cases ...]` prints the
+tables of docs/wrong_data.md. The error is the largest of all numbers against the truth (of the leg armature,
 viscous friction and bias of three joints; of the quadruped those and Coulomb friction of twelve
 joints, and the delay): of the fit to the wrong data, and of one to what `diagnose` mended. The
 quadruped's files lie beside the repository, or in FOLDER.
@@ -25,7 +25,7 @@ from tests.sysid.wrong_data import TRUTH, UNKNOWNS, WRONG, T, Wrong, leg, ways  
 
 COLUMNS = ("wrong", "loss", "named", "error", "error_mended", "seconds")
 #: of the quadruped's recording, s
-PIECE = 4.0
+PIECE = 3.0
 
 
 def of_leg() -> tuple[Problem, dict[str, Wrong]]:
@@ -39,7 +39,7 @@ def of_quadruped() -> tuple[Problem, dict[str, Wrong]]:
     return problem._replace(run=run), ways(tuple(problem.setup.model.joint_names), 1, 11)
 
 
-def table(problem: Problem, wrongs: dict[str, Wrong]) -> list[dict]:
+def table(problem: Problem, wrongs: dict[str, Wrong], some: list[str]) -> list[dict]:
     def error(found) -> float:
         return float(np.abs(np.array([*found.values.values()]) - problem.truth).max())
 
@@ -47,7 +47,7 @@ def table(problem: Problem, wrongs: dict[str, Wrong]) -> list[dict]:
     cases += [(name, wrong.make, "squares") for name, wrong in wrongs.items()]
     cases.append(("5 % outliers", wrongs["5 % outliers"].make, "huber"))
     rows = []
-    for name, make, loss in cases:
+    for name, make, loss in (case for case in cases if not some or case[0] in some):
         start = time.perf_counter()
         wrong = make(problem.run)
         found = identify(problem.setup, wrong, problem.unknowns, loss=loss, steps=40, **problem.how)
@@ -68,8 +68,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("parts", nargs="*", default=["leg", "quadruped"])
     parser.add_argument("--data", type=Path, default=problems.GO2)
+    parser.add_argument("--cases", nargs="*", default=[], help="of the first column; all if none")
     asked = parser.parse_args()
     problems.GO2 = asked.data
     for part, make in (("leg", of_leg), ("quadruped", of_quadruped)):
         if part in asked.parts and (part == "leg" or problems.GO2.exists()):
-            print(f"\n{part}\n{markdown_table(table(*make()), COLUMNS)}", flush=True)
+            print(f"\n{part}\n{markdown_table(table(*make(), asked.cases), COLUMNS)}", flush=True)

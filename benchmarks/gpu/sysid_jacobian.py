@@ -13,6 +13,7 @@ rbjax: rates beside each motion, one thread each (`identify`'s own residual). MJ
 steps in `lax.scan` under `vmap` over recordings and directions. All recordings are one program, or
 parts of as many as `--chunks` says, in turn. An engine that does not fit is tried with a part of
 `--fewer` recordings; `of 1024 s` is then multiplied up from it, which the row says.
+slopes_s is J alone, written out; motion_s the rates of all states alone, which is the kernel.
 program GB is what the compiled program holds beside its arguments; peak GB is the device's peak in
 the process so far, where JAX reports it. The rows of rbjax come first, so theirs is their own.
 The two are compared in f64 on two recordings of 50 steps, and in f32 on all.
@@ -44,8 +45,8 @@ from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.unknowns import Unknowns
 
 COLUMNS = (
-    "engine", "recordings", "chunk", "lower_s", "compile_s", "run_s", "of 1024 s", "ratio",
-    "peak GB", "program GB", "difference f64", "difference f32", "note",
+    "engine", "recordings", "chunk", "lower_s", "compile_s", "run_s", "slopes_s", "motion_s",
+    "of 1024 s", "ratio", "peak GB", "program GB", "difference f64", "difference f32", "note",
 )  # fmt: skip
 RECORDINGS, STEPS, T, MOMENTS = 1024, 1000, 0.002, 8
 
@@ -87,11 +88,14 @@ def states(m: mujoco.MjModel, count: int, steps: int, dtype: Any) -> tuple[jax.A
 def normal(r: jax.Array, J: jax.Array) -> jax.Array:
     """[J r]^T [J r] of r (recordings, rows) and J (recordings, rows, n): a product for each
     recording, since one of all would have one small result and little to share out."""
-    rows = jnp.concatenate([J, r[..., None]], -1)
-    return jnp.einsum("kri,krj->kij", rows, rows, precision="highest").sum(0)
+    how = {"precision": "highest"}
+    A = jnp.einsum("kri,krj->kij", J, J, **how).sum(0)
+    b = jnp.einsum("kri,kr->ki", J, r, **how).sum(0)
+    return jnp.block([[A, b[:, None]], [b[None], (r * r).sum()[None, None]]])
 
 
-def by_rbjax(m: mujoco.MjModel, steps: int) -> Callable:
+def by_rbjax(m: mujoco.MjModel, steps: int, part: str = "") -> Callable:
+    """part: "slopes" or "motion", to time J alone, or the rates of the states alone."""
     model = as_model(m)
     first, moments = model.nb - 7, m.body_inertia[m.nbody - 7 :]
     quats = m.body_iquat[m.nbody - 7 :]
@@ -128,8 +132,18 @@ def by_rbjax(m: mujoco.MjModel, steps: int) -> Callable:
         runs = Run(State(q, v), ctrl, each, zero, one)
         if count not in made:
             made[count] = SimulationError(setup, sought, runs, grid)
-        x = jnp.broadcast_to(p, (count, p.size))
-        return normal(*made[count].programs.slopes(x, runs))
+        x, programs = jnp.broadcast_to(p, (count, p.size)), made[count].programs
+        if part == "motion":
+
+            def states(x: jax.Array, run: Run) -> Any:
+                def along(e: jax.Array) -> Any:
+                    return jax.jvp(lambda x: programs.path(x, run)[1][:2], (x,), (e,))[1]
+
+                return jax.vmap(along)(jnp.eye(p.size, dtype=p.dtype))
+
+            return jax.vmap(states)(x, runs)
+        r, J = programs.slopes(x, runs)
+        return (r, J) if part == "slopes" else normal(r, J)
 
     return jacobian
 
@@ -191,6 +205,17 @@ def parity(count: int = 2, steps: int = 50) -> float:
         return apart(a, b, 1e-6)
 
 
+def median_of(f: Callable, repeats: int = 3) -> float:
+    """The median time of a call, after a first one."""
+    jax.block_until_ready(f())
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        jax.block_until_ready(f())
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
 def timed(
     engine: str, recordings: int, chunk: int, steps: int, repeats: int
 ) -> tuple[dict[str, Any], Any]:
@@ -217,13 +242,12 @@ def timed(
             return functools.reduce(jnp.add, [program(p, *part) for part in parts])
 
         found = np.asarray(whole(), float)
-        times = []
-        for _ in range(repeats):
-            start = time.perf_counter()
-            jax.block_until_ready(whole())
-            times.append(time.perf_counter() - start)
-        row["run_s"] = float(np.median(times))
+        row["run_s"] = median_of(whole, repeats)
         row["of 1024 s"] = row["run_s"] * RECORDINGS / recordings
+        if engine == "rbjax" and chunk == recordings:
+            for part in ("slopes", "motion") if repeats > 1 else ():
+                f = jitted(by_rbjax(m, steps, part)).lower(p, *parts[0]).compile()
+                row[f"{part}_s"] = median_of(lambda f=f: f(p, *parts[0]))
         if recordings != RECORDINGS:
             row["note"] = f"multiplied up from {recordings} recordings"
     except Exception as error:  # the other engine is still of interest

@@ -28,6 +28,8 @@ SMALL = 1e-18
 COARSE = 1e-2
 #: an expected decrease of this fraction ends the last: less than noise can tell
 FLAT = 1e-8
+#: slopes from here on are those of a motion that ran away
+HUGE = 1e100
 #: Newton's steps of one convex problem
 NEWTON = 60
 
@@ -132,7 +134,7 @@ def searching(
 
     R = (yield Asked(x, True)) if triangle is None else triangle
     ended = False
-    if not np.isfinite(R).all():
+    if not _has_squares(R):
         message = "the motion of the first guess is not finite"
         yield Minimum(x, R, np.inf, count, False, message)
         return
@@ -151,9 +153,9 @@ def searching(
             expected = now - float(linear @ linear) + pull
             gain = (now - after + pull) / max(expected, 1e-300)
             calm = damping <= 1e-6 and expected < (FLAT if last else COARSE) * now
-            # where slopes are not finite no step could begin: such a point is refused
+            # where slopes have no squares no step could begin: such a point is refused
             there = (yield Asked(trial, True)) if gain > 0 else np.array(np.nan)
-            if np.isfinite(there).all():
+            if _has_squares(there):
                 x, now, R = trial, after, there
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
                 ended = near or calm
@@ -166,7 +168,7 @@ def searching(
         if np.isfinite(D(trial, x).value):
             after = yield from cost(trial)
         there = (yield Asked(trial, True)) if after < now else np.array(np.nan)
-        if not np.isfinite(there).all():
+        if not _has_squares(there):
             break
         ends = after > now / 10  # what is left is rounding, or hidden by noise
         x, now, R = trial, after, there
@@ -174,6 +176,11 @@ def searching(
             break
     message = "converged" if ended else f"not converged in {count} evaluations"
     yield Minimum(x, R, now, count, ended, message)
+
+
+def _has_squares(R: np.ndarray) -> bool:
+    """Whether slopes are finite, and their squares too, whatever their scale."""
+    return bool((np.abs(R) < HUGE).all())
 
 
 def convex_step(

@@ -74,14 +74,19 @@ def cut(setup: Setup, part: Part) -> Setup:
     """The set-up of a part. Its names are numbers, so that equal parts are equal programs."""
     model, top, at = setup.model, setup.model.topology, part.joints
     parents, kinds, bodies, driven, acting = _shape(model, part)
-    names: list[Any] = [tuple(map(str, range(len(x)))) for x in (parents, kinds, driven)]
-    topology = Topology(parents, kinds, bodies, *names, joints=tuple(top.joints[j] for j in at))
+    of_bodies, of_joints, of_controls = (
+        tuple(map(str, range(len(x)))) for x in (parents, kinds, driven)
+    )
+    topology = Topology(
+        parents, kinds, bodies, of_bodies, of_joints, of_controls,
+        joints=tuple(top.joints[j] for j in at),
+    )  # fmt: skip
 
     def rows(record: Any, kind: Any, which: np.ndarray, **more: Any) -> Any:
         taken = {k: _taken(x, which) for k, x in _leaves(record) if k not in more}
         return kind(**taken, **more)
 
-    zero = np.zeros
+    zero: Any = np.zeros
     n, nu = len(at), len(driven)
     act = rows(model.actuators, Actuators, part.actuators, joints=driven, sites=(-1,) * nu)
     small = Model(
@@ -160,10 +165,8 @@ def _split(each: list[list[Any]]) -> tuple[list[Callable], jax.Array, jax.Array]
                 column[0] if alike else (traced, kept(column, moving if traced else still))
             )
         plan.append(_maker(entries, np.shape(leaves[0]), _array(leaves[0]).dtype))
-    dtype = jnp.result_type(float)
-    return plan, *(
-        jnp.stack(x, 1) if x else jnp.zeros((len(each), 0), dtype) for x in (still, moving)
-    )
+    vectors = [jnp.stack(x, 1) if x else jnp.zeros((len(each), 0)) for x in (still, moving)]
+    return plan, vectors[0], vectors[1]
 
 
 def _maker(entries: list[Any], shape: tuple[int, ...], dtype: Any) -> Callable:

@@ -269,9 +269,10 @@ def _between(model: Model, path: Path, T: float, t: Any) -> State:
     k = jnp.clip(jnp.floor(t / T + 1e-9).astype(int), 0, last)
     s = jnp.clip(t / T - k, 0.0, 1.0)
     q0, q1, v0, v1 = path.q[k], path.q[k + 1], path.v[k], path.v[k + 1]
-    d = difference(model, q0, q1)
+    adds = model.nq == model.nv  # without attitudes XLA makes one pass of all this
+    d = q1 - q0 if adds else difference(model, q0, q1)
     a, b = T * v0 - d, d - T * v1
     along = s * d + s * (1 - s) * ((1 - s) * a + s * b)
     v = (d + (1 - 2 * s) * ((1 - s) * a + s * b) + s * (1 - s) * (b - a)) / T
     x = None if path.x is None else (1 - s) * path.x[k] + s * path.x[k + 1]
-    return State(integrate(model, q0, along), v, x)
+    return State(q0 + along if adds else integrate(model, q0, along), v, x)

@@ -97,8 +97,8 @@ def programs(
     def along_which(sensors: frozenset[str]) -> Directions | None:
         return directions(setup, unknowns, own, sensors)
 
-    each = (jax.jit(jax.vmap(f)) for f in (readings, residual, sloped))
-    return Programs(path, compared, *each, along_which)
+    read_all, residuals, slopes = (jax.jit(jax.vmap(f)) for f in (readings, residual, sloped))
+    return Programs(path, compared, read_all, residuals, slopes, along_which)
 
 
 class SimulationError:
@@ -185,14 +185,15 @@ class SimulationError:
         """R of the residuals (runs, rows) and their slopes along the programs' directions."""
         r, J, n = np.asarray(r), np.asarray(J), self.shared + self.own
         some = self.directions
-        parts = [(slice(None), np.arange(n), np.arange(n))]
+        parts: list[Any] = [(slice(None), np.arange(n), np.arange(n))]
         if some is not None:
             at = self._islands(some)
             each = [(np.flatnonzero(at == k), some.numbers(k)) for k in np.unique(at)]
             parts = [(rows, some.place[which], which) for rows, which in each]
         blocks = []
         for rows, places, which in parts:  # a run's own numbers must not be mixed with another's
-            for k in range(self.count) if self.own else [slice(None)]:
+            each_run: Any = range(self.count) if self.own else [slice(None)]
+            for k in each_run:
                 those = np.concatenate([J[k][..., rows, :][..., places], r[k][..., rows, None]], -1)
                 R = triangle_of(those.reshape(-1, len(which) + 1))
                 wide = np.zeros((R.shape[0], n + 1))

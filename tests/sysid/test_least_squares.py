@@ -42,15 +42,17 @@ def test_a_fit_ends(noise, tolerance):
 class Torn(Decay):
     """Slopes that overflow where x[1] is below a half, though residuals do not."""
 
-    refused = 0
+    refused, there = 0, np.nan
 
     def triangle(self, x):
         self.refused += x[1] < 0.5
-        return super().triangle(x) * (1.0 if x[1] >= 0.5 else np.nan)
+        return super().triangle(x) * (1.0 if x[1] >= 0.5 else self.there)
 
 
-def test_a_point_without_slopes_is_refused():
+@pytest.mark.parametrize("there", [np.nan, np.inf, 1e200])
+def test_a_point_without_slopes_is_refused(there):
     of = Torn(0.0)
+    of.there = there
     least = minimise(of, np.array([3.0, 3.0]), steps=80)
     assert least.ok and of.refused
     np.testing.assert_allclose(least.x, [2.0, 0.7], atol=1e-9)

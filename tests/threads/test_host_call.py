@@ -198,3 +198,10 @@ def test_a_back_end_that_is_none(monkeypatch):
             backend.on_cpu()
     finally:
         backend.on_cpu.cache_clear()
+
+
+@pytest.mark.parametrize("size", [5, 9])
+def test_long_samples_beyond_whole_vectors_are_a_part_of_their_own(size):
+    x, turns = jnp.arange(1.0, size + 1), 80_000
+    run = jax.jit(jax.vmap(threaded(lambda x: jax.lax.fori_loop(0, turns, lambda i, y: y + x, x))))
+    np.testing.assert_allclose(run(x), (turns + 1) * x, rtol=1e-13)
