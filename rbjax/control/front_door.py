@@ -50,7 +50,11 @@ def solve(
         violation: of constraints, in their units.
 
     Returns:
-        `Solution`. `outcome` says whether it converged; `status` says so in words.
+        `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
+        controls, numbers, cost and multipliers have derivatives, forward and reverse, by all arrays
+        of the problem, by what its functions close over, and by the start, those of active bounds
+        and constraints included (`implicit`). Its gains and the account of the iterations are
+        constants to derivatives.
 
     Raises:
         InputError: wrong types or shapes. UnknownName: no such method.

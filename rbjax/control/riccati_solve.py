@@ -15,7 +15,7 @@ Golub & Van Loan, *Matrix Computations*, 3.5.3 (refinement).
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -134,11 +134,12 @@ def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 def solved(e: Equations, f: Factor, r: Unknowns) -> Unknowns:
     """z of K z = r."""
-    z = _once(e, f, r)
-    for _ in range(TURNS):
+
+    def refined(_: Any, z: Unknowns) -> Unknowns:
         left = jax.tree.map(jnp.subtract, r, times_matrix(e, z))
-        z = jax.tree.map(jnp.add, z, _once(e, f, left))
-    return z
+        return jax.tree.map(jnp.add, z, _once(e, f, left))
+
+    return jax.lax.fori_loop(0, TURNS + 1, refined, jax.tree.map(jnp.zeros_like, r))
 
 
 def _once(e: Equations, f: Factor, r: Unknowns) -> Unknowns:
