@@ -50,7 +50,9 @@ from rbjax.control.observer import SteadyFilter, kalman_gain, observed
 from rbjax.control.operational_space import OperationalSpace, operational_space
 from rbjax.control.outcomes import LINEAR_RESULTS
 from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
+from rbjax.control.mpc import Controller, mpc
 from rbjax.control.problem import Design, Problem
+from rbjax.control.real_time import RealTime
 from rbjax.control.residuals import (
     Acceleration,
     CenterOfMass,
@@ -87,6 +89,11 @@ __all__ = [
     "Solution",
     "methods",
     "Method",
+    # the loop closed
+    "mpc",
+    "Controller",
+    "RealTime",
+    # what is controlled
     "System",
     "Equations",
     # costs and constraints

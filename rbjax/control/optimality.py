@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from rbjax.control.problem import Knot
 from rbjax.control.riccati_solve import (
@@ -86,9 +87,15 @@ class View(NamedTuple):
 def solution(view: View, r: Unknowns) -> Unknowns:
     """z of K z = r."""
     e, f = view.equations, view.factor
-    return jax.lax.custom_linear_solve(
-        lambda z: times_matrix(e, z), r, lambda _, r: solved(e, f, r), symmetric=True
-    )
+    flat, whole = ravel_pytree(r)  # of one array: a transpose wants all of them linear, or none
+
+    def matrix(z: jax.Array) -> jax.Array:
+        return ravel_pytree(times_matrix(e, whole(z)))[0]
+
+    def inverse(_: Any, r: jax.Array) -> jax.Array:
+        return ravel_pytree(solved(e, f, whole(r)))[0]
+
+    return whole(jax.lax.custom_linear_solve(matrix, flat, inverse, symmetric=True))
 
 
 class Near:

@@ -60,7 +60,8 @@ def test_active_bounds_and_constraints_forward_reverse_and_within_programs():
     p = jnp.asarray([0.5, 1.0, 2.2, 1.1, 0.7, 0.05])
     s = bounded(p)
     assert bool(s.converged)
-    assert (jnp.abs(s.ctrls) == p[2]).sum() > 3 and (jnp.abs(s.states[:, 1] - p[3]) < 1e-9).sum() > 1
+    assert (jnp.abs(s.ctrls) == p[2]).sum() > 3
+    assert (jnp.abs(s.states[:, 1] - p[3]) < 1e-9).sum() > 1
     run = lambda p: parts(bounded(p))  # noqa: E731
     forward = jax.jacfwd(run)(p)
     np.testing.assert_allclose(forward, differences(run, p), atol=1e-6)
