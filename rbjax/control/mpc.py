@@ -7,8 +7,8 @@ as long as a computation takes). They are played ahead, and the plan begins wher
     shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    when that tick comes
 
 The feedback K answers what the prediction missed (Diehl, Bock & Schloder 2005, the real-time
-iteration; Mayne et al. 2000). A plan that is not finite, or cannot hold the constraints, is refused:
-the last one goes on, for so many ticks as `patience` says, then a fallback policy acts.
+iteration; Mayne et al. 2000). A plan that is not finite, or that cannot hold the constraints, is
+refused: the last one goes on, for so many ticks as `patience` says, then a fallback policy acts.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from rbjax.control.system import system_of
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_whole
+from rbjax.threads import threads
 
 PLANNED, KEPT, FALLBACK = range(3)
 RESULTS = {
@@ -111,8 +112,8 @@ class Controller:
         knots, us = first_guess(problem, x, ctrls=ctrls)
         found = self._search(problem, x, knots, us, self.first)
         whole = _finite((found.knots, found.ctrls, found.K)) & (found.outcome != NOT_FINITE)
-        pick = lambda new, old: jax.tree.map(lambda a, b: jnp.where(whole, a, b), new, old)  # noqa: E731
-        knots, us = pick((found.knots, found.ctrls), (knots, us))
+        given, planned = (knots, us), (found.knots, found.ctrls)
+        knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, Decided(*(None,) * 4), jnp.where(whole, 0, self.patience),
@@ -139,10 +140,11 @@ class Controller:
             jax.tree.map(lambda a: a[1:], memory.decided),
         )
         u = self._acted(problem, now, t, x)
-        ahead = problem.system.step(t * 0, x, u, problem.dt)
+        step = threads(problem.system.step)
+        ahead = step(jnp.zeros_like(problem.dt), x, u, problem.dt)
         for k in range(self.delay - 1):
             entry = jax.tree.map(lambda a, k=k: a[k], later)
-            ahead = problem.system.step(t * 0, ahead, entry.u, problem.dt)
+            ahead = step(jnp.zeros_like(problem.dt), ahead, entry.u, problem.dt)
         memory = self._planned(problem, memory, ahead)
         new = self._entry(memory, 0)
         decided = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), later, new)
@@ -215,8 +217,8 @@ class Controller:
         good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
         good &= (found.outcome != NOT_FINITE) & (found.outcome != INFEASIBLE)
         new = memory._replace(
-            knots=found.knots, ctrls=found.ctrls, K=found.K, failures=jnp.zeros_like(memory.failures),
-            cost=found.cost, violation=found.violation,
+            knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
+            violation=found.violation, failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
         picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
@@ -228,7 +230,7 @@ class Controller:
         K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
         last = jax.tree.map(lambda a: a[-1], memory.knots)
         k = jnp.asarray(problem.horizon - 1, ctrls.dtype)
-        after = problem.step(k, last, ctrls[-1])
+        after = threads(problem.step)(k, last, ctrls[-1])
         after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
         knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
         return memory._replace(knots=knots, ctrls=ctrls, K=K)
@@ -301,7 +303,7 @@ def mpc(
     problem_at = _problem_at(problem)
     example = problem_at(0.0)
     if not isinstance(example, Problem):
-        raise InputError(f"mpc: problem gave {type(example).__name__}, expected an rb.control.Problem")
+        raise InputError(f"mpc: problem gave {type(example).__name__}, expected a Problem")
     if example.opens:
         raise InputError(
             "mpc: the start, a design or the final time of the problem is free, expected a problem "

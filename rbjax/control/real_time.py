@@ -37,8 +37,8 @@ class RealTime:
         state: the first state, from which the first plan is made.
         ctrls: a first guess of the controls.
 
-    The programs are compiled here, so that the first call is as fast as the others. `result` is that
-    of the last control (`rbjax.control.mpc.RESULTS`), `outcome` of the last search.
+    The programs are compiled here, so that the first call is as fast as the others. `result` is
+    that of the last control (`rbjax.control.mpc.RESULTS`), `outcome` of the last search.
 
     Raises:
         InputError: not a controller.

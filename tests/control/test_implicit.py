@@ -27,11 +27,15 @@ def one_step(weight, target, start):
 
 def test_the_closed_form_of_one_step():
     w, b, x = 0.5, 2.0, 0.3
-    found = jax.grad(lambda *p: one_step(*p).ctrls[0, 0], (0, 1, 2))(*map(jnp.asarray, (w, b, x)))
-    np.testing.assert_allclose(found, [-(b - x) / (1 + w) ** 2, 1 / (1 + w), -1 / (1 + w)], 1e-12)
-    found = jax.grad(lambda *p: one_step(*p).cost, (0, 1, 2))(*map(jnp.asarray, (w, b, x)))
+    def parts(*p):
+        s = one_step(*p)
+        return jnp.stack([s.ctrls[0, 0], s.cost])
+
+    found = np.stack(jax.jacrev(parts, (0, 1, 2))(*map(jnp.asarray, (w, b, x))), 1)
     slope = w * (b - x) / (1 + w)
-    np.testing.assert_allclose(found, [(b - x) ** 2 / (2 * (1 + w) ** 2), slope, -slope], 1e-12)
+    of_control = [-(b - x) / (1 + w) ** 2, 1 / (1 + w), -1 / (1 + w)]
+    of_cost = [(b - x) ** 2 / (2 * (1 + w) ** 2), slope, -slope]
+    np.testing.assert_allclose(found, [of_control, of_cost], 1e-12)
 
 
 def bounded(p):
@@ -73,13 +77,18 @@ def test_active_bounds_and_constraints_forward_reverse_and_within_programs():
         np.testing.assert_allclose(found, due, rtol=1e-10)
 
 
+def damped(model, by):
+    joints = model.joints
+    return model.replace(joints=joints.replace(damping=joints.damping + by))
+
+
 def reaching(p):
     """A pendulum whose damping, length of time and a number of its design are sought."""
     damping, goal, effort, start = p
     model = rb.load("pendulum")
-    model = model.replace(damping=jnp.full_like(model.damping, damping))
+    model = damped(model, damping)
     rest = model.default_state()
-    design = Design(lambda model, x: model.replace(damping=model.damping + x), [0.1], 0.0, 5.0)
+    design = Design(damped, [0.1], 0.0, 5.0)
     problem = Problem(
         model, 8, 0.05,
         running=[Cost(Control(), effort), lambda t, s, u: jnp.ones(1)],
@@ -103,6 +112,7 @@ def test_leaves_of_a_model_a_design_at_its_bound_and_a_free_final_time():
     np.testing.assert_allclose(jax.jacrev(run)(p), differences(run, p), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_search_that_has_not_converged_has_finite_derivatives():
     system = Equations(lambda t, x, u: x + u - 0.3 * x**3, 1, 1, discrete=True)
 
@@ -113,6 +123,7 @@ def test_a_search_that_has_not_converged_has_finite_derivatives():
     assert np.isfinite(jax.grad(cost)(2.0))
 
 
+@pytest.mark.slow
 def test_rows_that_say_the_same_twice_have_a_derivative():
     system = Equations(lambda t, x, u: x + u, 1, 1, discrete=True)
 
