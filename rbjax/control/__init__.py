@@ -10,12 +10,16 @@ terms (`terms`, `residuals`), bounds, and what of start, time and model is free.
 is a policy (t, state) -> ctrl: `computed_torque`, `operational_space`, `cartesian_impedance`,
 `joint_impedance`, `gravity_compensation`; `allocate` turns forces into controls (`actuation`).
 
+A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances to
+obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock.
+
 Linear systems: regulators of matrices, a model, a motion (`lqr`, `lqr_at`, `time_varying_lqr`);
 Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); controllability,
 observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
 """
 
 from rbjax.control.actuation import Allocation, allocate
+from rbjax.control.clearances import Capsule, Clearance, HalfSpace, Sphere
 from rbjax.control.computed_torque import ComputedTorque, computed_torque
 from rbjax.control.differential_inverse_kinematics import (
     DifferentialInverseKinematics,
@@ -50,7 +54,9 @@ from rbjax.control.observer import SteadyFilter, kalman_gain, observed
 from rbjax.control.operational_space import OperationalSpace, operational_space
 from rbjax.control.outcomes import LINEAR_RESULTS
 from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
+from rbjax.control.mpc import Controller, mpc
 from rbjax.control.problem import Design, Problem
+from rbjax.control.real_time import RealTime
 from rbjax.control.residuals import (
     Acceleration,
     CenterOfMass,
@@ -87,6 +93,11 @@ __all__ = [
     "Solution",
     "methods",
     "Method",
+    # the loop closed
+    "mpc",
+    "Controller",
+    "RealTime",
+    # what is controlled
     "System",
     "Equations",
     # costs and constraints
@@ -104,6 +115,10 @@ __all__ = [
     "Pose",
     "Point",
     "FrameVelocity",
+    "Clearance",
+    "Sphere",
+    "Capsule",
+    "HalfSpace",
     # inverse kinematics
     "Goal",
     "inverse_kinematics",

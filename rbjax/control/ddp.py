@@ -82,10 +82,15 @@ def by_ddp(
     """`solve` by differential dynamic programming. exact: with second derivatives of dynamics and
     residuals, where they leave the control Hessians positive definite."""
     last = optimised(problem, start, knots, ctrls, options, history, exact)
+    path, end = last.multipliers.path, last.multipliers.end
+    if problem.constraints:  # the gradient of the augmented Lagrangian is that with these
+        path, end, _ = threads(functools.partial(updated, problem))(
+            last.knots, last.ctrls, last.multipliers
+        )
     return Found(
         last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), last.outcome,
         last.turns, last.stop, largest_gap(problem, start, last.knots, last.ctrls),
-        last.violation, last.costs, last.gains.K, last.multipliers.path, last.multipliers.end,
+        last.violation, last.costs, last.gains.K, path, end,
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -9,10 +10,11 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiling import compiled, inside_jit
+from rbjax.control.implicit import differentiable
 from rbjax.control.methods import METHODS
 from rbjax.control.options import Options
 from rbjax.control.problem import Knot, Problem
-from rbjax.control.solution import Solution, solution_of, violations
+from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError, UnknownName
 from rbjax.motion.captured import with_captured
 from rbjax.solvers.arguments import check_whole
@@ -48,7 +50,11 @@ def solve(
         violation: of constraints, in their units.
 
     Returns:
-        `Solution`. `outcome` says whether it converged; `status` says so in words.
+        `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
+        controls, numbers, cost and multipliers have derivatives, forward and reverse, by all arrays
+        of the problem, by what its functions close over, and by the start, those of active bounds
+        and constraints included (`implicit`). Its gains and the account of the iterations are
+        constants to derivatives.
 
     Raises:
         InputError: wrong types or shapes. UnknownName: no such method.
@@ -100,8 +106,13 @@ def _solve(
     method: str, history: int,
 ) -> tuple:  # fmt: skip
     problem = eqx.combine(numeric, jax.tree.unflatten(key[0], key[1:]))
-    found = METHODS[method].solve(problem, start, knots, ctrls, options, history)
+    search = functools.partial(_searched, method, history)
+    found = differentiable(search, problem, start, knots, ctrls, options)
     return found, violations(problem, found.knots, found.ctrls)
+
+
+def _searched(method: str, history: int, *given: Any) -> Found:
+    return METHODS[method].solve(*given, history)
 
 
 _compiled = compiled(_solve, static_argnames=("key", "method", "history"))

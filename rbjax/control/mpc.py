@@ -1,0 +1,343 @@
+"""Model predictive control: a plan made again at every tick, and what happens where that fails.
+
+At tick k with the state x_k the controls u_k .. u_{k+d-1} are decided already (d: ticks of delay,
+as long as a computation takes). They are played ahead, and the plan begins where they end:
+
+    x' = f(... f(f(x_k, u_k), u_{k+1}) ...),    (us, xs) = a few iterations from the plan before,
+    shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    when that tick comes
+
+The feedback K answers what the prediction missed (Diehl, Bock & Schloder 2005, the real-time
+iteration; Mayne et al. 2000). A plan that is not finite, or that cannot hold the constraints, is
+refused: the last one goes on, for so many ticks as `patience` says, then a fallback policy acts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.front_door import first_guess
+from rbjax.control.methods import METHODS
+from rbjax.control.options import Options
+from rbjax.control.outcome import INFEASIBLE, NOT_FINITE
+from rbjax.control.problem import Knot, Problem
+from rbjax.control.products import times
+from rbjax.control.system import system_of
+from rbjax.dynamics.arguments import check_takes
+from rbjax.errors import InputError, UnknownName
+from rbjax.solvers.arguments import check_whole
+from rbjax.threads import threads
+
+PLANNED, KEPT, FALLBACK = range(3)
+RESULTS = {
+    PLANNED: "planned: from the plan of this tick",
+    KEPT: "kept: the plan failed, the last one goes on",
+    FALLBACK: "fallback: plans failed for longer than patience",
+}
+
+
+class Decided(NamedTuple):
+    """A control that is to come: u (nu,), gains K (nu, n), the state that it expects, and its
+    result ()."""
+
+    u: jax.Array
+    K: jax.Array
+    state: Any
+    result: jax.Array
+
+
+class Memory(NamedTuple):
+    """What a controller remembers: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) of the
+    last plan; decided, `Decided` of the ticks of delay; failures (), plans that failed in a row;
+    outcome (), of the last search; cost () and violation () of the plan."""
+
+    knots: Knot
+    ctrls: jax.Array
+    K: jax.Array
+    decided: Decided
+    failures: jax.Array
+    outcome: jax.Array
+    cost: jax.Array
+    violation: jax.Array
+
+
+class Run(NamedTuple):
+    """A closed loop: ts (T + 1,) s; states, with a leading axis T + 1; ctrls (T, nu); results (T,),
+    of `RESULTS`; outcomes (T,) of the searches; costs (T,) of the plans."""
+
+    ts: jax.Array
+    states: Any
+    ctrls: jax.Array
+    results: jax.Array
+    outcomes: jax.Array
+    costs: jax.Array
+
+
+class Controller:
+    """What `mpc` returns.
+
+    `begin(state)` gives the memory, `tick(memory, t, state)` the control of a tick and the memory
+    after it: both are pure, for jit and vmap. `closed_loop` runs both against a plant, `policy` is
+    for `rb.rollout`, and `rbjax.control.real_time` makes a callable with a clock.
+    """
+
+    def __init__(
+        self, problem_at: Callable[[Any], Problem], method: str, iterations: int, delay: int,
+        feedback: bool, patience: int, fallback: Callable[[Any, Any], Any], tolerance: float,
+        first: int,
+    ) -> None:  # fmt: skip
+        self.problem_at = problem_at
+        self.problem = problem_at(0.0)
+        self.method, self.iterations, self.delay = method, iterations, delay
+        self.feedback, self.patience, self.fallback = feedback, patience, fallback
+        self.tolerance, self.first = tolerance, first
+
+    @property
+    def dt(self) -> jax.Array:
+        """The length of a tick, s."""
+        return self.problem.dt
+
+    def begin(self, state: Any, ctrls: Any = None) -> Memory:
+        """The memory at the start: a plan from the state, by `first` iterations.
+
+        Args:
+            state: of the system.
+            ctrls: a first guess (N, nu) of the controls; None for zeros.
+        """
+        problem = self.problem
+        x = problem.system.checked("mpc", state)
+        knots, us = first_guess(problem, x, ctrls=ctrls)
+        found = self._search(problem, x, knots, us, self.first)
+        whole = _finite((found.knots, found.ctrls, found.K)) & (found.outcome != NOT_FINITE)
+        given, planned = (knots, us), (found.knots, found.ctrls)
+        knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
+        K = jnp.where(whole, found.K, 0.0)
+        memory = Memory(
+            knots, us, K, Decided(*(None,) * 4), jnp.where(whole, 0, self.patience),
+            found.outcome, found.cost, found.violation,
+        )  # fmt: skip
+        each = [self._entry(memory, k) for k in range(self.delay)]
+        decided = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else Decided(*(None,) * 4)
+        for _ in range(self.delay):
+            memory = self._shifted(problem, memory)
+        return memory._replace(decided=decided)
+
+    def tick(self, memory: Memory, t: Any, state: Any) -> tuple[jax.Array, Memory, jax.Array]:
+        """The control (nu,) of the tick that begins at t, the memory after it, and the result () of
+        that control. t: s. state: measured now."""
+        problem = self.problem_at(t)
+        x = problem.system.checked("mpc", state)
+        if not self.delay:
+            memory = self._planned(problem, memory, x)
+            entry = self._entry(memory, 0)
+            u = self._acted(problem, entry, t, x)
+            return u, self._shifted(problem, memory), entry.result
+        now, later = (
+            jax.tree.map(lambda a: a[0], memory.decided),
+            jax.tree.map(lambda a: a[1:], memory.decided),
+        )
+        u = self._acted(problem, now, t, x)
+        step = threads(problem.system.step)
+        ahead = step(jnp.zeros_like(problem.dt), x, u, problem.dt)
+        for k in range(self.delay - 1):
+            entry = jax.tree.map(lambda a, k=k: a[k], later)
+            ahead = step(jnp.zeros_like(problem.dt), ahead, entry.u, problem.dt)
+        memory = self._planned(problem, memory, ahead)
+        new = self._entry(memory, 0)
+        decided = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), later, new)
+        memory = self._shifted(problem, memory)
+        return u, memory._replace(decided=decided), now.result
+
+    def closed_loop(self, state: Any, steps: int, plant: Any = None) -> Run:
+        """The closed loop of so many ticks, one program.
+
+        Args:
+            state: where it begins.
+            steps: ticks.
+            plant: what is controlled: an `rb.Model`, a `System`, or a function
+                (t, state, ctrl, dt) -> state; None for the system of the problem.
+        """
+        check_whole("closed_loop", "steps", steps, 1)
+        if plant is None:
+            move = self.problem.system.step
+        elif callable(plant) and not hasattr(plant, "nq"):
+            check_takes("closed_loop", "plant", plant, "t", "state", "ctrl", "dt")
+            move = plant
+        else:
+            move = system_of("closed_loop", plant).step
+        x = self.problem.system.checked("closed_loop", state)
+        dt = self.dt
+        memory = self.begin(x)
+
+        def one(carry: tuple, k: jax.Array) -> tuple:
+            memory, x = carry
+            t = k * dt
+            u, memory, result = self.tick(memory, t, x)
+            after = move(t, x, u, dt)
+            return (memory, after), (x, u, result, memory.outcome, memory.cost)
+
+        ks = jnp.arange(steps, dtype=dt.dtype)
+        (_, last), (xs, us, results, outcomes, costs) = jax.lax.scan(one, (memory, x), ks)
+        states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
+        ts = dt * jnp.arange(steps + 1, dtype=dt.dtype)
+        return Run(ts, states, us, results, outcomes, costs)
+
+    def policy(self, memory: Memory) -> Callable[[Any, Any], jax.Array]:
+        """(t, state) -> ctrl for `rb.rollout`, which keeps no memory from step to step: each call
+        plans from the one plan of `memory`, shifted to the time t. There is no delay."""
+        N = self.problem.horizon
+
+        def act(t: Any, state: Any) -> jax.Array:
+            problem = self.problem_at(t)
+            x = problem.system.checked("mpc", state)
+            k = jnp.floor(t / problem.dt + 1e-6).astype(int)
+            late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
+            knots = jax.tree.map(lambda a: a[late], memory.knots)
+            ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
+            planned = self._planned(problem, memory._replace(knots=knots, ctrls=ctrls), x)
+            return self._acted(problem, self._entry(planned, 0), t, x)
+
+        return act
+
+    # the parts
+
+    def _search(
+        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, iterations: int
+    ) -> Any:
+        number = lambda x: jnp.asarray(x, ctrls.dtype)  # noqa: E731
+        options = Options(number(self.tolerance), number(1e-4), jnp.asarray(iterations))
+        return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
+
+    def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
+        """The memory with the plan of this tick, or with the last one where that fails."""
+        found = self._search(problem, start, memory.knots, memory.ctrls, self.iterations)
+        good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
+        good &= (found.outcome != NOT_FINITE) & (found.outcome != INFEASIBLE)
+        new = memory._replace(
+            knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
+            violation=found.violation, failures=jnp.zeros_like(memory.failures),
+        )  # fmt: skip
+        old = memory._replace(failures=memory.failures + 1)
+        picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
+        return picked._replace(outcome=found.outcome)
+
+    def _shifted(self, problem: Problem, memory: Memory) -> Memory:
+        """The plan one tick on: its last control is held for a tick more."""
+        ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
+        K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
+        last = jax.tree.map(lambda a: a[-1], memory.knots)
+        k = jnp.asarray(problem.horizon - 1, ctrls.dtype)
+        after = threads(problem.step)(k, last, ctrls[-1])
+        after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
+        knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
+        return memory._replace(knots=knots, ctrls=ctrls, K=K)
+
+    def _entry(self, memory: Memory, k: int) -> Decided:
+        """What the plan decides for its tick k."""
+        result = jnp.where(memory.failures > 0, KEPT, PLANNED)
+        result = jnp.where(memory.failures > self.patience, FALLBACK, result)
+        state = jax.tree.map(lambda a: a[k], memory.knots.state)
+        return Decided(memory.ctrls[k], memory.K[k], state, result)
+
+    def _acted(self, problem: Problem, entry: Decided, t: Any, state: Any) -> jax.Array:
+        """The control of a tick: what was decided, with feedback, or the fallback's."""
+        u = entry.u
+        if self.feedback:
+            back = times(entry.K, problem.system.minus(state, entry.state))
+            u = u + jnp.where(_finite(back), back, 0.0)
+        other = jnp.asarray(self.fallback(t, state), u.dtype)
+        u = jnp.where(entry.result == FALLBACK, other, u)
+        return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+
+
+def mpc(
+    problem: Problem | Callable[[Any], Problem],
+    *,
+    method: str = "ddp",
+    iterations: int = 1,
+    delay: int = 1,
+    feedback: bool = True,
+    patience: int = 5,
+    fallback: Callable[[Any, Any], Any] | None = None,
+    tolerance: float = 1e-9,
+    first: int = 100,
+) -> Controller:
+    """Model predictive control with a fixed number of iterations a tick.
+
+    Args:
+        problem: `Problem`, whose dt is the length of a tick; or a function t -> Problem for goals
+            that move: the problems may differ in numbers only.
+        method: one of `rb.control.methods()` with gains.
+        iterations: at a tick.
+        delay: ticks from the state that is measured to the control that answers it: 1 where the
+            computation takes up to a tick, 0 in a simulation that waits for it.
+        feedback: whether gains answer what the prediction missed, when the control is applied.
+        patience: how many ticks a plan goes on while new ones fail.
+        fallback: a policy (t, state) -> (nu,) after that; zeros within the bounds if None.
+        tolerance: at which iterations end early.
+        first: iterations of the first plan.
+
+    Returns:
+        `Controller`.
+
+    Raises:
+        InputError: wrong types; a problem whose start, design or final time is free. UnknownName:
+            no such method.
+
+    Source: Diehl, Bock & Schloder, *A real-time iteration scheme for nonlinear optimization in
+    optimal feedback control*, SIAM J. Control Optim. 2005; Mayne et al., Automatica 2000.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> C = rb.control
+        >>> cart = C.Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
+        >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()],
+        ...                     bounds=(-1.0, 1.0))
+        >>> run = C.mpc(problem).closed_loop(jnp.array([1.0, 0.0]), 80)
+        >>> bool((abs(run.states[-1]) < 0.1).all())
+        True
+    """
+    problem_at = _problem_at(problem)
+    example = problem_at(0.0)
+    if not isinstance(example, Problem):
+        raise InputError(f"mpc: problem gave {type(example).__name__}, expected a Problem")
+    if example.opens:
+        raise InputError(
+            "mpc: the start, a design or the final time of the problem is free, expected a problem "
+            "whose start is the state; remove free_start, design and free_time"
+        )
+    if method not in METHODS:
+        raise UnknownName("method of rb.control", method, METHODS)
+    for name, value, least in (
+        ("iterations", iterations, 1), ("delay", delay, 0), ("patience", patience, 0),
+        ("first", first, 1),
+    ):  # fmt: skip
+        check_whole("mpc", name, value, least)
+    if fallback is None:
+        nu = example.nu
+        fallback = lambda t, state: jnp.zeros(nu)  # noqa: E731
+    else:
+        check_takes("mpc", "fallback", fallback, "t", "state")
+    return Controller(
+        problem_at, method, iterations, delay, bool(feedback), patience, fallback, tolerance, first
+    )
+
+
+def _problem_at(problem: Any) -> Callable[[Any], Problem]:
+    if isinstance(problem, Problem):
+        return lambda t: problem
+    if not callable(problem):
+        raise InputError(
+            f"mpc: problem is {type(problem).__name__}, expected an rb.control.Problem or a "
+            "function t -> Problem"
+        )
+    check_takes("mpc", "problem", problem, "t")
+    return problem
+
+
+def _finite(tree: Any) -> jax.Array:
+    each = [jnp.isfinite(x).all() for x in jax.tree.leaves(tree)]
+    return jnp.stack(each).all()

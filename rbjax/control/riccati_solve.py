@@ -1,0 +1,176 @@
+"""The linear equations of an optimum, solved along the horizon.
+
+    [ H   G' ] [ w ]   [ r ]      w = (x_0, u_0, x_1, ..., x_N): H of blocks Q_k, S_k, R_k
+    [ G   0  ] [ y ] = [ s ]      rows of G: A_k x_k + B_k u_k - x_{k+1},  C_k x_k + D_k u_k,  E x_N
+
+y = (l, nu) are costates and multipliers. Active rows enter the recursion as penalties
+rho |C x + D u - s|^2 / 2 (a proximal step of the multipliers with -1/rho in the place of the zero
+block), which needs no row to be independent of others. The error of 1/rho falls by that factor in
+each turn of refinement, r <- r - K z. Work and memory are O(N).
+
+Source: Wright, *Interior point methods for optimal control of discrete time systems*, 1993;
+Golub & Van Loan, *Matrix Computations*, 3.5.3 (refinement).
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+TURNS = 4  # of refinement
+
+product = functools.partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
+
+
+def congruence(A: jax.Array, B: jax.Array) -> jax.Array:
+    """A' B."""
+    return product(A.T, B)
+
+
+class Unknowns(NamedTuple):
+    """x (N + 1, n), u (N, m), l (N + 1, n), and of constraints path (N, c), end (e,)."""
+
+    x: jax.Array
+    u: jax.Array
+    l: jax.Array
+    path: jax.Array
+    end: jax.Array
+
+
+class Equations(NamedTuple):
+    """Blocks of the matrix, and masks of 0 and 1: fixed (n,), of x_0; free (N, m), of controls;
+    path (N, c) and end (e,), the active rows. What is not free is zero, what is not active has no
+    multiplier."""
+
+    A: jax.Array
+    B: jax.Array
+    Q: jax.Array  # (N + 1, n, n)
+    S: jax.Array
+    R: jax.Array
+    C: jax.Array
+    D: jax.Array
+    E: jax.Array
+    fixed: jax.Array
+    free: jax.Array
+    path: jax.Array
+    end: jax.Array
+
+
+class Factor(NamedTuple):
+    """K (N, m, n) and the inverses (N, m, m) of control Hessians; V (N + 1, n, n); the inverse of
+    V_0 in what is not fixed; rho (); ok (), whether the inverted were positive definite."""
+
+    K: jax.Array
+    inverse: jax.Array
+    V: jax.Array
+    first: jax.Array
+    rho: jax.Array
+    ok: jax.Array
+
+
+def masked(e: Equations) -> Equations:
+    """The blocks without the columns and rows that masks leave out."""
+    free = e.free[:, None, :]
+    return e._replace(
+        B=e.B * free, S=e.S * free, R=e.R * free * e.free[:, :, None],
+        C=e.C * e.path[:, :, None], D=e.D * e.path[:, :, None] * free, E=e.E * e.end[:, None],
+    )  # fmt: skip
+
+
+def times_matrix(e: Equations, z: Unknowns) -> Unknowns:
+    """K z, of masked equations."""
+    x, after, l = z.x[:-1], z.x[1:], z.l[1:]
+    mul, mulT = jax.vmap(product), jax.vmap(lambda M, v: product(M.T, v))
+    gx = mul(e.Q[:-1], x) + mul(e.S, z.u) + mulT(e.A, l) + mulT(e.C, z.path)
+    before = jnp.concatenate([(e.fixed * z.l[0])[None], z.l[1:-1]])
+    last = product(e.Q[-1], z.x[-1]) + product(e.E.T, z.end) - z.l[-1]
+    gu = mulT(e.S, x) + mul(e.R, z.u) + mulT(e.B, l) + mulT(e.D, z.path) + (1 - e.free) * z.u
+    gap = mul(e.A, x) + mul(e.B, z.u) - after
+    opening = (1 - e.fixed) * z.l[0] - e.fixed * z.x[0]
+    return Unknowns(
+        jnp.concatenate([gx - before, last[None]]), gu, jnp.concatenate([opening[None], gap]),
+        mul(e.C, x) + mul(e.D, z.u) + (1 - e.path) * z.path,
+        product(e.E, z.x[-1]) + (1 - e.end) * z.end,
+    )  # fmt: skip
+
+
+def factorised(e: Equations) -> Factor:
+    """The Riccati recursion of masked equations."""
+    dtype = e.Q.dtype
+    rho = jnp.asarray(float(jnp.finfo(dtype).eps) ** -0.4, dtype)
+
+    def back(carry: tuple, knot: tuple) -> tuple:
+        V, ok = carry
+        A, B, Q, S, R, C, D, free = knot
+        VA, VB = product(V, A), product(V, B)
+        Quu = R + congruence(B, VB) + rho * congruence(D, D) + jnp.diag(1 - free)
+        Qux = S.T + product(B.T, VA) + rho * congruence(D, C)
+        inverse, fine = _inverse(Quu)
+        K = -product(inverse, Qux)
+        W = Q + congruence(A, VA) + rho * congruence(C, C) + congruence(Qux, K)
+        W = 0.5 * (W + W.T)
+        return (W, ok & fine), (K, inverse, W)
+
+    V_N = e.Q[-1] + rho * congruence(e.E, e.E)
+    knots = (e.A, e.B, e.Q[:-1], e.S, e.R, e.C, e.D, e.free)
+    (V, ok), (K, inverse, Vs) = jax.lax.scan(back, (V_N, jnp.asarray(True)), knots, reverse=True)
+    open_ = 1 - e.fixed
+    first, fine = _inverse(V * open_[:, None] * open_ + jnp.diag(e.fixed))
+    return Factor(K, inverse, jnp.concatenate([Vs, V_N[None]]), first, rho, ok & fine)
+
+
+def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The inverse of a symmetric matrix, with its least eigenvalues held off zero, and whether all
+    are positive."""
+    tiny = jnp.finfo(H.dtype).eps
+    values, vectors = jnp.linalg.eigh(H)
+    least = tiny * jnp.maximum(jnp.abs(values).max(), tiny)
+    held = jnp.where(values < 0, jnp.minimum(values, -least), jnp.maximum(values, least))
+    return product(vectors / held, vectors.T), (values > least).all()
+
+
+def solved(e: Equations, f: Factor, r: Unknowns) -> Unknowns:
+    """z of K z = r."""
+
+    def refined(_: Any, z: Unknowns) -> Unknowns:
+        left = jax.tree.map(jnp.subtract, r, times_matrix(e, z))
+        return jax.tree.map(jnp.add, z, _once(e, f, left))
+
+    return jax.lax.fori_loop(0, TURNS + 1, refined, jax.tree.map(jnp.zeros_like, r))
+
+
+def _once(e: Equations, f: Factor, r: Unknowns) -> Unknowns:
+    """z of the equations whose active rows have -1/rho on their diagonal."""
+    rho = f.rho
+    rows, ends = rho * e.path * r.path, rho * e.end * r.end
+
+    def back(v: jax.Array, knot: tuple) -> tuple:
+        A, B, C, D, V, K, inverse, qx, qu, gap, rows = knot
+        there = v - product(V, gap)  # the gradient after the step at x = 0, u = 0
+        Qu = product(B.T, there) - qu - product(D.T, rows)
+        Qx = product(A.T, there) - qx - product(C.T, rows)
+        return Qx + product(K.T, Qu), (-product(inverse, Qu), v)
+
+    v_N = -r.x[-1] - product(e.E.T, ends)
+    given = (e.A, e.B, e.C, e.D, f.V[1:], f.K, f.inverse, r.x[:-1], r.u, r.l[1:], rows)
+    v, (k, vs) = jax.lax.scan(back, v_N, given, reverse=True)
+    x0 = -e.fixed * r.l[0]
+    slope = product(f.V[0], x0) + v
+    x0 = x0 - (1 - e.fixed) * product(f.first, (1 - e.fixed) * slope)
+    l0 = e.fixed * (product(f.V[0], x0) + v) + (1 - e.fixed) * r.l[0]
+
+    def forth(x: jax.Array, knot: tuple) -> tuple:
+        A, B, K, k, gap, V, v = knot
+        u = k + product(K, x)
+        after = product(A, x) + product(B, u) - gap
+        return after, (x, u, product(V, after) + v)
+
+    x_N, (x, u, l) = jax.lax.scan(forth, x0, (e.A, e.B, f.K, k, r.l[1:], f.V[1:], vs))
+    mul = jax.vmap(product)
+    path = rho * (mul(e.C, x) + mul(e.D, u)) - rows + (1 - e.path) * r.path
+    end = rho * product(e.E, x_N) - ends + (1 - e.end) * r.end
+    x, l = jnp.concatenate([x, x_N[None]]), jnp.concatenate([l0[None], l])
+    return Unknowns(x, u, l, path, end)

@@ -1,0 +1,136 @@
+"""Constraints by the augmented Lagrangian: closed forms, limits along the path, obstacles."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.control import (
+    Capsule,
+    Clearance,
+    Configuration,
+    Constraint,
+    Control,
+    Cost,
+    Equations,
+    HalfSpace,
+    Problem,
+    Sphere,
+    StateError,
+    Velocity,
+    solve,
+)
+from rbjax.control.outcome import INFEASIBLE
+from rbjax.errors import InputError
+
+
+def rest_to_rest(n):
+    """x'' = u over a distance 1 in a time 1: J = h sum u^2 = 12 n^2 / (n^2 - 1)."""
+    h = 1.0 / n
+
+    def step(t, x, u):
+        v = x[1] + h * u[0]
+        return jnp.stack([x[0] + h * v, v])
+
+    goal = jnp.asarray([1.0, 0.0])
+    there = Constraint(lambda t, x, u: x - goal, where="end", name="there")
+    return Problem(
+        Equations(step, 2, 1, discrete=True), n, h, running=[Cost(Control(), 2.0)],
+        constraints=[there],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("n", [10, pytest.param(20, marks=pytest.mark.slow),
+                               pytest.param(50, marks=pytest.mark.slow)])  # fmt: skip
+def test_rest_to_rest_costs_what_the_closed_form_says(n):
+    s = solve(rest_to_rest(n), jnp.zeros(2), violation=1e-11, tolerance=1e-14)
+    assert s.status == "converged"
+    np.testing.assert_allclose(s.cost, 12 * n**2 / (n**2 - 1), rtol=1e-9)
+    np.testing.assert_allclose(np.diff(s.ctrls[:, 0], 2), 0.0, atol=1e-7)  # linear in time
+    np.testing.assert_allclose(s.ctrls[0, 0], -s.ctrls[-1, 0], rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_limits_of_joints_and_speeds_are_held_along_the_path():
+    model = rb.load("pendulum")
+    rest = model.default_state()
+    goal = rb.State(rest.q + 1.0, rest.v)
+    problem = Problem(
+        model, 30, 0.05, running=[Cost(Control(), 1e-3)], terminal=[Cost(StateError(goal), 100.0)],
+        bounds=None,
+        constraints=[Constraint(Velocity(), -0.9, 0.9, "all"),
+                     Constraint(Configuration(), -0.1, 0.8, "all")],
+    )  # fmt: skip
+    s = solve(problem, rest)
+    assert s.status == "converged"
+    assert jnp.abs(s.states.v).max() < 0.9 + 1e-6 and s.states.q.max() < 0.8 + 1e-6
+    assert jnp.abs(s.states.v).max() > 0.9 - 1e-4 and s.states.q.max() > 0.8 - 1e-4
+
+
+@pytest.mark.slow
+def test_a_point_goes_around_an_obstacle():
+    ball = Sphere([0.5, 0.05, 0.0], 0.2)
+
+    def clear(t, x, u):
+        return ball.distance(jnp.concatenate([x, jnp.zeros(1)]))[None]
+
+    problem = Problem(
+        Equations(lambda t, x, u: u, 2, 2), 20, 0.05, running=[Control()],
+        terminal=[Cost(lambda t, x, u: x - jnp.asarray([1.0, 0.0]), 1e3)],
+        constraints=[Constraint(clear, 0.0, jnp.inf, "all", "ball")],
+    )  # fmt: skip
+    s = solve(problem, jnp.zeros(2))
+    assert s.status == "converged"
+    off = np.linalg.norm(s.states - np.asarray([0.5, 0.05]), axis=1)
+    assert abs(off.min() - 0.2) < 1e-4
+    np.testing.assert_allclose(s.states[-1], [1.0, 0.0], atol=1e-2)
+
+
+@pytest.mark.slow
+def test_what_cannot_be_held_together_is_named():
+    def at(x, name):
+        return Constraint(lambda t, s, u: s - x, where="end", name=name)
+
+    system = Equations(lambda t, x, u: x + u, 1, 1, discrete=True)
+    problem = Problem(
+        system, 4, 1.0, running=[Cost(Control(), 1e-3)], bounds=(-1.0, 1.0),
+        constraints=[at(0.5, "near"), at(30.0, "far away")],
+    )  # fmt: skip
+    s = solve(problem, jnp.zeros(1))
+    assert s.outcome == INFEASIBLE
+    assert "infeasible" in s.status and "far away" in s.status
+
+
+def test_distances_are_those_of_the_shapes():
+    p = jnp.asarray([[2.0, 0.0, 0.0], [0.0, 3.0, 0.5], [0.0, 0.0, 0.1]])
+    np.testing.assert_allclose(Sphere([0, 0, 0.0], 0.5).distance(p)[0], 1.5, atol=2e-6)
+    capsule = Capsule([0, 0, -1.0], [0, 0, 1.0], 0.25)
+    np.testing.assert_allclose(capsule.distance(p), [1.75, 2.75, -0.25], atol=2e-6)
+    np.testing.assert_allclose(capsule.distance(jnp.asarray([0, 0, 3.0])), 1.75, atol=2e-6)
+    found = HalfSpace([0, 0, 2.0], 0.1).distance(p)
+    np.testing.assert_allclose(found, [-0.1, 0.4, 0.0], atol=1e-15)
+
+
+def test_spheres_move_with_their_bodies():
+    model = rb.load("arm7")
+    state = model.default_state()
+    tip = model.body_names[-1]
+    floor, ball = HalfSpace([0, 0, 1.0]), Sphere([0.0, 0.0, 5.0], 1.0)
+    term = Clearance([floor, ball], [tip, tip], [[0, 0, 0.0], [0.1, 0, 0]], [0.0, 0.05], 0.01)
+    poses = rb.forward_kinematics(model, state.q)
+    k = model.body(tip)
+    c = np.asarray([poses.p[k], poses.p[k] + poses.R[k] @ np.asarray([0.1, 0, 0])])
+    less = np.asarray([0.01, 0.06])
+    due = [*(c[:, 2] - less), *(np.linalg.norm(c - [0, 0, 5.0], axis=1) - 1.0 - less)]
+    np.testing.assert_allclose(term(model, 0.0, state, None), due, atol=3e-6)
+
+
+@pytest.mark.parametrize("make", [
+    lambda: Clearance([], "link1"), lambda: Clearance(HalfSpace([0, 0, 1.0]), []),
+    lambda: Clearance(HalfSpace([0, 0, 1.0]), "link1", offsets=[0.0, 0, 0]),
+    lambda: Clearance(HalfSpace([0, 0, 1.0]), "link1", radii=[0.1, 0.2]),
+    lambda: Sphere([0.0, 1.0], 1.0), lambda: Clearance("ball", "link1"),
+])  # fmt: skip
+def test_wrong_obstacles_are_refused(make):
+    with pytest.raises(InputError, match="expected"):
+        make()
