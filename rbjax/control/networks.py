@@ -2,11 +2,13 @@
 
     y_0 = x,    y_{k+1} = f(W_k y_k + b_k),    the last layer without f
 
-Weights begin orthogonal, W W^T = g^2 I or W^T W = g^2 I (Saxe et al. 2014), biases at zero.
+Weights begin normal with variance 2 / in (He et al. 2015), biases at zero.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -52,13 +54,15 @@ class Network(Record):
 def network(
     key: jax.Array, sizes: Sequence[int], activation: str = "tanh", last: float = 0.01
 ) -> Network:
-    """A `Network` with orthogonal weights.
+    """A `Network` with random weights.
+
+    W normal with variance 2 / in, b = 0.
 
     Args:
         key: of `jax.random`.
         sizes: of the input, each hidden layer, and the output.
         activation: "tanh", "elu" or "silu".
-        last: the scale of the last layer's weights; small, so that a policy begins near zero.
+        last: a factor of the last layer's weights; small, so that a policy begins near zero.
 
     Returns:
         `Network`.
@@ -66,8 +70,7 @@ def network(
     Raises:
         InputError: fewer than two sizes, or one below 1. UnknownName: no such activation.
 
-    Source: Saxe, McClelland & Ganguli, *Exact solutions to the nonlinear dynamics of learning in
-    deep linear neural networks*, 2014.
+    Source: He, Zhang, Ren & Sun, *Delving deep into rectifiers*, 2015.
 
     Example:
         >>> import jax
@@ -80,12 +83,18 @@ def network(
         raise InputError(f"network: sizes is {sizes}, expected two or more positive integers")
     if activation not in ACTIVATIONS:
         raise UnknownName("activation of network", activation, ACTIVATIONS)
-    keys = jax.random.split(key, len(sizes) - 1)
-    make = jax.nn.initializers.orthogonal
-    scales = [2**0.5] * (len(sizes) - 2) + [last]
-    dtype = jnp.zeros(()).dtype
-    weights = tuple(
-        make(scale)(k, (out, into), dtype)
-        for k, scale, into, out in zip(keys, scales, sizes, sizes[1:], strict=False)
-    )
-    return Network(weights, tuple(jnp.zeros(n, dtype) for n in sizes[1:]), activation)
+    weights, biases = _drawn(key, sizes, jnp.asarray(last))
+    return Network(weights, biases, activation)
+
+
+@functools.partial(jax.jit, static_argnames="sizes")
+def _drawn(key: jax.Array, sizes: tuple[int, ...], last: jax.Array) -> tuple:
+    pairs = list(itertools.pairwise(sizes))
+    dtype = last.dtype
+    normal = jax.random.normal(key, (sum(a * b for a, b in pairs),), dtype)
+    weights, at = [], 0
+    for k, (into, out) in enumerate(pairs):
+        scale = (2 / into) ** 0.5 * (last if k == len(pairs) - 1 else 1.0)
+        weights.append(scale * normal[at : at + into * out].reshape(out, into))
+        at += into * out
+    return tuple(weights), tuple(jnp.zeros(n, dtype) for n in sizes[1:])

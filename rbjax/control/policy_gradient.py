@@ -171,11 +171,14 @@ def actor_critic(
         after = Training(policy, values, behind, memory, value_memory, samples, key, skipped)
         return after, jnp.nanmean(segment.costs)
 
-    begin = Training(
-        numbers, values, values, optimiser.init(numbers), fitter.init(values),
-        drawn(env, two, batch), three, jnp.asarray(0),
-    )  # fmt: skip
-    last, costs = _turns("actor_critic", turn, begin, iterations, progress)
+    def begin(numbers: Any, values: Any, two: jax.Array, three: jax.Array) -> Training:
+        return Training(
+            numbers, values, values, optimiser.init(numbers), fitter.init(values),
+            drawn(env, two, batch), three, jnp.asarray(0),
+        )  # fmt: skip
+
+    given = (numbers, values, two, three)
+    last, costs = _turns("actor_critic", turn, begin, given, iterations, progress)
     trained = eqx.combine(last.policy, rest)
     return Trained(trained, eqx.combine(last.value, value_rest), costs, last.skipped)
 
@@ -245,8 +248,10 @@ def through_time(
         numbers, memory, fine = updated(optimiser, slope, memory, numbers)
         return (numbers, memory, key, skipped + (1 - fine.astype(int))), cost
 
-    begin = (numbers, optimiser.init(numbers), key, jnp.asarray(0))
-    last, costs = _turns("through_time", turn, begin, iterations, progress)
+    def begin(numbers: Any, key: jax.Array) -> tuple:
+        return numbers, optimiser.init(numbers), key, jnp.asarray(0)
+
+    last, costs = _turns("through_time", turn, begin, (numbers, key), iterations, progress)
     return Trained(eqx.combine(last[0], rest), None, costs, last[3])
 
 
@@ -332,19 +337,22 @@ def _check(where: str, env: Any, policy: Any, iterations: int, batch: int) -> No
 
 
 def _turns(
-    where: str, turn: Callable, begin: Any, iterations: int, progress: bool
+    where: str, turn: Callable, begin: Callable, given: tuple, iterations: int, progress: bool
 ) -> tuple[Any, jax.Array]:
-    """All iterations, in one program or in chunks that report."""
-    chunk = max(1, iterations // CHUNKS) if progress else iterations
-    run = jax.jit(lambda now, n: jax.lax.scan(turn, now, None, n), static_argnums=1)
-    costs, done = [], 0
-    with progress_line(where, progress) as say:
+    """All iterations from begin(*given), in one program, or in chunks that report."""
+    first = jax.jit(lambda count, *given: jax.lax.scan(turn, begin(*given), None, count),
+                    static_argnums=0)  # fmt: skip
+    if not progress:
+        return first(iterations, *given)
+    more = jax.jit(lambda now, count: jax.lax.scan(turn, now, None, count), static_argnums=1)
+    chunk = max(1, iterations // CHUNKS)
+    with progress_line(where) as say:
         say("compiling")
+        now, some = first(min(chunk, iterations), *given)
+        costs, done = [some], len(some)
         while done < iterations:
-            count = min(chunk, iterations - done)
-            begin, some = run(begin, count)
+            say(f"iteration {done} of {iterations}, cost of a step {float(some[-1]):.4g}")
+            now, some = more(now, min(chunk, iterations - done))
             costs.append(some)
-            done += count
-            if progress:
-                say(f"iteration {done} of {iterations}, cost of a step {float(some[-1]):.4g}")
-    return begin, jnp.concatenate(costs)
+            done += len(some)
+    return now, jnp.concatenate(costs)
