@@ -154,10 +154,7 @@ class Environment(Record):
             run = rollout(model, state, self.controller(policy), self.dt, **how)
             return State(run.q, run.v, run.x)
 
-        if models is None:
-            path = moved(self.model, states)
-        else:
-            path = jax.vmap(moved)(models, states)
+        path = moved(self.model, states) if models is None else jax.vmap(moved)(models, states)
         before = jax.tree.map(lambda x: x[:, :-1], path)
         ctrls = jax.vmap(jax.vmap(lambda state: self.act(policy, state)))(before)
         return Segment(path, ctrls, jax.vmap(jax.vmap(self.cost))(before, ctrls))

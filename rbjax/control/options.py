@@ -14,4 +14,4 @@ class Options(Record):
     tolerance: jax.Array
     violation: jax.Array
     iterations: jax.Array
-    seed: jax.Array
+    seed: jax.Array | int = 0

@@ -1,4 +1,4 @@
-"""Policies trained through the dynamics: short-horizon actor-critic, and back-propagation through time.
+"""Policies trained through the dynamics: short-horizon actor-critic, or through whole episodes.
 
     J(theta) = E[(1 - g) sum_{k<h} g^k c_k + g^h V(x_h)],     theta <- theta - a dJ/dtheta
 
@@ -39,7 +39,7 @@ class Trained(Record):
     """What training leaves.
 
     Fields: policy; value, a `Network`, or None; costs (iterations,), the mean of a step's cost over
-    batch and horizon; skipped (), the updates whose gradient was not finite and which were left out.
+    batch and horizon; skipped (), the updates that were left out: their gradients were not finite.
     """
 
     policy: Any
@@ -49,7 +49,7 @@ class Trained(Record):
 
 
 class Samples(NamedTuple):
-    """The batch between two iterations: models (B, ...) or None, states (B, ...), ages (B,) steps."""
+    """The batch between two iterations: models (B, ...) or None, states (B, ...), ages (B,)."""
 
     models: Any
     states: State
@@ -225,7 +225,8 @@ def through_time(
         ...     lambda key: rb.State(0.1 * jax.random.normal(key, (2,)), jnp.zeros(2)),
         ...     dt=0.02, episode=20)
         >>> gains = jax.tree_util.Partial(jnp.matmul, jnp.array([[0.1, 2.0, 0.2, 0.5]]))
-        >>> rb.control.through_time(env, gains, jax.random.key(0), iterations=2, batch=4).costs.shape
+        >>> found = rb.control.through_time(env, gains, jax.random.key(0), iterations=2, batch=4)
+        >>> found.costs.shape
         (2,)
     """
     _check("through_time", env, policy, iterations, batch)

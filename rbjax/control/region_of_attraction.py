@@ -50,7 +50,7 @@ class RegionMap(Record):
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """left, right, bottom, top, as `matplotlib.pyplot.imshow(back, origin="lower")` takes it."""
+        """left, right, bottom, top: for `imshow(back, origin="lower", extent=...)`."""
         sides = []
         for x in (np.asarray(self.x), np.asarray(self.y)):
             half = 0.5 * (x[-1] - x[0]) / max(len(x) - 1, 1)
