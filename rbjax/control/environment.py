@@ -143,7 +143,10 @@ class Environment(Record):
         """A model, None where it is not randomised, and a state to begin with."""
         one, two = jax.random.split(key)
         model = None if self.randomise is None else self.randomise(one, self.model)
-        return model, self.start(two)
+        state = self.start(two)
+        if state.x is None and self.model.nx:
+            state = State(state.q, state.v, self.model.start(state.q.dtype))
+        return model, state
 
     def unroll(self, policy: Any, models: Any, states: State, steps: int) -> Segment:
         """Motions of a batch under a policy. models: of each sample, None for that of the

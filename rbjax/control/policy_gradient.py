@@ -116,9 +116,9 @@ def actor_critic(
     2022.
     """
     one, two, three = jax.random.split(key, 3)
-    if value is None:
-        value = network(one, (env.observation_size, 64, 64, 1), "elu", last=1.0)
     _check("actor_critic", env, policy, iterations, batch)
+    if value is None:  # near zero to begin with: else its first slopes lead the policy astray
+        value = network(one, (env.observation_size, 64, 64, 1), "elu", last=0.01)
     check_whole("actor_critic", "horizon", horizon, 1)
     check_whole("actor_critic", "value_steps", value_steps, 1)
     for what, x in (("discount", discount), ("trace", trace), ("slow", slow)):
