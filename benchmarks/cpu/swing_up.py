@@ -1,7 +1,7 @@
 """Swing-up of cart-pole and acrobot from 1,000 starts: `python -m benchmarks.cpu.swing_up`.
 
 `[--tasks NAME ...] [--starts N]`. What counts as solved, and the method:
-`benchmarks.shared.swing_up`. Writes results/cpu-swing-up-<processor>.json, with each start that failed.
+`benchmarks.shared.swing_up`. Writes results/cpu-swing-up-<processor>.json, with each failure.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ COLUMNS = ("method", "seed", "iterations", "batch", "seconds", "M steps", "succe
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--iterations", type=int, default=400)
-    parser.add_argument("--batch", type=int, default=256)
+    parser.add_argument("--iterations", type=int, default=300)
+    parser.add_argument("--batch", type=int, default=128)
     parser.add_argument("--pairs", type=int, default=512)
     parser.add_argument("--episodes", type=int, default=8)
     parser.add_argument("--seeds", type=int, default=3)

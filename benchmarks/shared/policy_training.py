@@ -52,7 +52,7 @@ def environment() -> Any:
 
     return rb.control.Environment(
         model, cost, start, dt=DT, observe=observe, episode=EPISODE,
-        lost=lambda state: jnp.abs(state.q[0]) > 4.0,
+        lost=lambda state: jnp.abs(state.q[0]) > 3.0,
     )  # fmt: skip
 
 
@@ -75,7 +75,7 @@ def by_gradients(env: Any, seed: int, iterations: int, batch: int, horizon: int 
     begin = time.perf_counter()
     found = rb.control.actor_critic(
         env, untrained(seed), jax.random.key(seed), iterations=iterations, batch=batch,
-        horizon=horizon, rate=1e-2, value_rate=1e-3, value_steps=16,
+        horizon=horizon, rate=1.5e-2, value_rate=2e-3, value_steps=16,
     )  # fmt: skip
     jax.block_until_ready(found.costs)
     seconds = time.perf_counter() - begin

@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Environment, actor_critic, network, through_time
-from rbjax.control.environment import squashed
+from rbjax.control.environment import Segment, squashed
 from rbjax.control.policy_gradient import Samples, drawn, policy_loss, renewed, returns, updated
 from rbjax.errors import InputError, UnknownName
 from tests.quickly import quick_jit
@@ -37,24 +37,23 @@ def environment(**more):
 
 
 def test_the_gradient_of_the_loss_is_that_of_differences():
-    """Through five steps, the squashing, the value function; each weight and bias of a network."""
-    env = environment(randomise=heavier)
+    """Through four steps, the squashing, the value function, along three random directions."""
+    env = environment()
     policy = network(KEY, (4, 3, 1), last=1.0)
     value = network(jax.random.key(1), (4, 3, 1), "elu", last=1.0)
-    models, states = jax.vmap(env.begun)(jax.random.split(KEY, 2))
+    _, states = jax.vmap(env.begun)(jax.random.split(KEY, 2))
     flat, shaped = jax.flatten_util.ravel_pytree(policy)
 
     def loss(theta):
-        segment = env.unroll(shaped(theta), models, states, 5)
+        segment = env.unroll(shaped(theta), None, states, 4)
         last = jax.tree.map(lambda x: x[:, -1], segment.states)
         return policy_loss(segment.costs, jax.vmap(lambda s: value(env.observe(s))[0])(last), 0.9)
 
     slope = quick_jit(jax.grad(loss))(flat)
-    h = 6e-6
-    sides = flat + h * jnp.stack([jnp.eye(flat.size), -jnp.eye(flat.size)])
-    ends = quick_jit(jax.vmap(jax.vmap(loss)))(sides)
-    assert relative_error(slope, (ends[0] - ends[1]) / (2 * h)) < 1e-6
-    assert np.abs(slope).min() > 0
+    h, ask = 6e-6, quick_jit(loss)
+    for direction in np.random.default_rng(0).normal(size=(3, flat.size)):
+        change = (ask(flat + h * direction) - ask(flat - h * direction)) / (2 * h)
+        assert abs(slope @ direction - change) < 1e-6 * abs(change)
 
 
 def test_a_batch_of_models_is_a_loop_over_them():
@@ -62,11 +61,11 @@ def test_a_batch_of_models_is_a_loop_over_them():
     policy = network(KEY, (4, 3, 1), last=1.0)
     models, states = jax.vmap(env.begun)(jax.random.split(KEY, 3))
     assert len(np.unique(models.bodies.mass[:, 0])) == 3
-    segment = quick_jit(lambda m, s: env.unroll(policy, m, s, 4))(models, states)
+    segment = quick_jit(lambda m, s: env.unroll(policy, m, s, 2))(models, states)
     for k in range(3):
         model, state = jax.tree.map(lambda x, k=k: x[k], (models, states))
         x, total = state, []
-        for i in range(4):
+        for i in range(2):
             u = env.act(policy, x)
             assert np.abs(u - segment.ctrls[k, i]).max() < 1e-12
             total.append(cost(x, u))
@@ -115,11 +114,9 @@ def test_samples_begin_anew():
     env = environment(lost=lambda state: state.q[0] > 9.0, episode=10)
     samples = drawn(env, KEY, 4)
     assert samples.models is None and (samples.ages < 10).all()
-    states = rb.State(jnp.zeros((4, 1, 2)), jnp.full((4, 1, 2), 0.25))
-    q = states.q.at[1, 0, 0].set(10.0).at[2, 0, 0].set(jnp.nan)
-    states = rb.State(q, states.v)
-    segment = env.unroll(lambda o: jnp.zeros(1), None, samples.states, 1)
-    segment = segment._replace(states=states)
+    q = jnp.zeros((4, 1, 2)).at[1, 0, 0].set(10.0).at[2, 0, 0].set(jnp.nan)
+    states = rb.State(q, jnp.full((4, 1, 2), 0.25))
+    segment = Segment(states, None, None)
     some = Samples(None, samples.states, jnp.array([8, 0, 0, 3]))
     after = renewed(env, KEY, some, segment, 2)
     assert after.ages.tolist() == [0, 0, 0, 5]
@@ -161,8 +158,8 @@ def test_a_swing_up_is_learned():
     from benchmarks.shared import policy_training as training
 
     env = training.environment()
-    row = training.by_gradients(env, 0, 400, 64)
-    assert row["success"] > 0.8 and row["skipped"] == 0
+    row = training.by_gradients(env, 0, 300, 128)
+    assert row["success"] > 0.9 and row["skipped"] == 0
 
 
 def test_all_runs_once():
