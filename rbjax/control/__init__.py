@@ -3,7 +3,10 @@
 A `Problem` (`problem`) says what is to be found: a system (`system`), costs and constraints of
 terms (`terms`, `residuals`), bounds, and what of start, time and model is free. `solve`
 (`front_door`) finds it by any of `methods`: `ddp` (expanded by `expansion`, `backward_pass`,
-`forward_pass`).
+`forward_pass`), or samples (`sampling`).
+
+Policies (`networks`) are trained through the dynamics of an `environment` (`policy_gradient`);
+`region_of_attraction` maps which starts come back under a feedback.
 
 `inverse_kinematics` finds configurations in which frames meet `Goal`s, one search a thread
 (`restarts`, `damped_least_squares`); `differential_inverse_kinematics` velocities. A feedback `Law`
@@ -25,6 +28,7 @@ from rbjax.control.differential_inverse_kinematics import (
     DifferentialInverseKinematics,
     differential_inverse_kinematics,
 )
+from rbjax.control.environment import Environment
 from rbjax.control.front_door import solve
 from rbjax.control.goals import Goal
 from rbjax.control.gravity_compensation import GravityCompensation, gravity_compensation
@@ -50,13 +54,16 @@ from rbjax.control.lqr import Regulator, feedback, lqr, lqr_at, lqr_finite
 from rbjax.control.lyapunov import Lyapunov, lyapunov
 from rbjax.control.margins import Margins, margins
 from rbjax.control.methods import Method, methods
+from rbjax.control.mpc import Controller, mpc
+from rbjax.control.networks import Network, network
 from rbjax.control.observer import SteadyFilter, kalman_gain, observed
 from rbjax.control.operational_space import OperationalSpace, operational_space
 from rbjax.control.outcomes import LINEAR_RESULTS
 from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
-from rbjax.control.mpc import Controller, mpc
+from rbjax.control.policy_gradient import Trained, actor_critic, through_time
 from rbjax.control.problem import Design, Problem
 from rbjax.control.real_time import RealTime
+from rbjax.control.region_of_attraction import RegionMap, region_of_attraction
 from rbjax.control.residuals import (
     Acceleration,
     CenterOfMass,
@@ -80,6 +87,7 @@ from rbjax.control.riccati import (
     roll,
     steer,
 )
+from rbjax.control.sampling import SampledStart, Sampling
 from rbjax.control.solution import Solution
 from rbjax.control.system import Equations, System
 from rbjax.control.terms import Constraint, Cost, Term
@@ -100,6 +108,17 @@ __all__ = [
     # what is controlled
     "System",
     "Equations",
+    "Sampling",
+    "SampledStart",
+    # policies
+    "Environment",
+    "Network",
+    "network",
+    "actor_critic",
+    "through_time",
+    "Trained",
+    "region_of_attraction",
+    "RegionMap",
     # costs and constraints
     "Cost",
     "Constraint",

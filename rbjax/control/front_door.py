@@ -11,11 +11,11 @@ import jax.numpy as jnp
 
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.implicit import differentiable
-from rbjax.control.methods import METHODS
+from rbjax.control.methods import METHODS, method_of, name_of
 from rbjax.control.options import Options
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, Solution, solution_of, violations
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.motion.captured import with_captured
 from rbjax.solvers.arguments import check_whole
 
@@ -24,13 +24,14 @@ def solve(
     problem: Problem,
     start: Any,
     *,
-    method: str = "ddp",
+    method: Any = "ddp",
     states: Any = None,
     ctrls: Any = None,
     numbers: Any = None,
     iterations: int = 200,
     tolerance: float = 1e-9,
     violation: float = 1e-6,
+    seed: Any = 0,
 ) -> Solution:
     """The controls that cost least from a start.
 
@@ -40,7 +41,8 @@ def solve(
         problem: `Problem`.
         start: `State` of a model or a wheeled robot, (n,) of `Equations`; the first guess where it
             is free.
-        method: one of `rb.control.methods()`.
+        method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with numbers of its
+            own.
         states: a first guess of the states, with a leading axis N + 1. It need not obey the
             dynamics. None: the start, at all knots.
         ctrls: a first guess (N, nu) of the controls; None for zeros.
@@ -48,6 +50,7 @@ def solve(
         iterations: at most.
         tolerance: of the change of the cost that an iteration foresees.
         violation: of constraints, in their units.
+        seed: of what a method draws, an integer; with `jax.vmap` over it many are tried.
 
     Returns:
         `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
@@ -75,14 +78,14 @@ def solve(
         raise InputError(
             f"solve: problem is {type(problem).__name__}, expected an rb.control.Problem"
         )
-    if method not in METHODS:
-        raise UnknownName("method of rb.control", method, METHODS)
-    if problem.constraints and not METHODS[method].constraints:
+    if problem.constraints and not method_of(method).constraints:
         able = [name for name, m in METHODS.items() if m.constraints]
         raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
     knots, us = first_guess(problem, start, states, ctrls, numbers)
-    options = Options(jnp.asarray(tolerance), jnp.asarray(violation), jnp.asarray(iterations))
+    options = Options(
+        *map(jnp.asarray, (tolerance, violation, iterations)), jnp.asarray(seed, jnp.uint32)
+    )
     first = problem.system.checked("solve", start)
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
@@ -96,14 +99,14 @@ def solve(
         key = (other_tree, *others)
         program = _solve if inside_jit() else _compiled
         found = program(numeric, first, knots, us, options, key, method, int(iterations))
-        return solution_of(problem, *found, method)
+        return solution_of(problem, *found, name_of(method))
 
     return with_captured(run, *(leaves[i] for i in places))
 
 
 def _solve(
     numeric: Any, start: Any, knots: Knot, ctrls: jax.Array, options: Options, key: tuple,
-    method: str, history: int,
+    method: Any, history: int,
 ) -> tuple:  # fmt: skip
     problem = eqx.combine(numeric, jax.tree.unflatten(key[0], key[1:]))
     search = functools.partial(_searched, method, history)
@@ -111,8 +114,8 @@ def _solve(
     return found, violations(problem, found.knots, found.ctrls)
 
 
-def _searched(method: str, history: int, *given: Any) -> Found:
-    return METHODS[method].solve(*given, history)
+def _searched(method: Any, history: int, *given: Any) -> Found:
+    return method_of(method).solve(*given, history)
 
 
 _compiled = compiled(_solve, static_argnames=("key", "method", "history"))

@@ -9,8 +9,9 @@ from rbjax.model.record import Record
 
 class Options(Record):
     """tolerance of the foreseen change of the cost; violation of constraints; iterations at most;
-    each ()."""
+    seed of what is drawn; each ()."""
 
     tolerance: jax.Array
     violation: jax.Array
     iterations: jax.Array
+    seed: jax.Array | int = 0

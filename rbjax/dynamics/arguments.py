@@ -257,7 +257,7 @@ def shape_of(where: str, name: str, value: Any) -> tuple[int, ...]:
 def check_step(where: str, name: str, value: Any, dtype: Any) -> jax.Array:
     """A positive step as a number of the dtype."""
     step = check_array(where, name, value, (), fix=": a positive step in seconds")
-    if not isinstance(step, jax.core.Tracer) and not step > 0:
+    if not isinstance(step, jax.core.Tracer) and not np.asarray(step) > 0:  # also while tracing
         raise InputError(f"{where}: {name} is {value}, expected a positive step in seconds")
     return step.astype(dtype)
 
