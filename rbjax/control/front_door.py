@@ -101,7 +101,8 @@ def _solve(
 ) -> tuple:  # fmt: skip
     problem = eqx.combine(numeric, jax.tree.unflatten(key[0], key[1:]))
     found = METHODS[method].solve(problem, start, knots, ctrls, options, history)
-    return found, violations(problem, found.knots, found.ctrls)
+    off = found.violations
+    return found, violations(problem, found.knots, found.ctrls) if off is None else off
 
 
 _compiled = compiled(_solve, static_argnames=("key", "method", "history"))

@@ -6,7 +6,9 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from rbjax.control.collocation import by_collocation
 from rbjax.control.ddp import by_ddp
+from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
 
 class Method(NamedTuple):
@@ -17,6 +19,11 @@ class Method(NamedTuple):
     constraints: bool
     derivatives: bool
     sentence: str
+
+
+def collocating(table: Tableau, sentence: str) -> Method:
+    """Collocation by a tableau."""
+    return Method(functools.partial(by_collocation, table=table), True, True, sentence)
 
 
 METHODS: dict[str, Method] = {
@@ -30,6 +37,20 @@ METHODS: dict[str, Method] = {
         "the same with second derivatives of the dynamics: fewer iterations to the last digits, "
         "each more expensive; for small robots, or where ddp is slow to settle",
     ),
+    "hermite_simpson": collocating(
+        lobatto_iiia(3),
+        "collocation of order 4, controls at both ends and in the middle of each step: free final "
+        "times, constraints on the path, and guesses of the states that no controls follow",
+    ),
+    "gauss_legendre": collocating(
+        gauss(3), "the same of order 6, with three stages inside each step: few long steps"
+    ),
+    "gauss_legendre_4": collocating(gauss(2), "the same with two stages, of order 4"),
+    "gauss_legendre_8": collocating(gauss(4), "the same with four stages, of order 8"),
+    "radau": collocating(
+        radau_iia(3), "the same of order 5; damps what is stiff, and holds constraints at knots"
+    ),
+    "trapezoidal": collocating(lobatto_iiia(2), "the same of order 2: rough and cheap"),
 }  # fmt: skip
 
 
