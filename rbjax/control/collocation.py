@@ -53,11 +53,12 @@ from rbjax.control.transcription import (
 )
 from rbjax.lanes.products import matvec
 from rbjax.solvers.tableau import Tableau
+from rbjax.threads import threads
 
 FIRST_MU = 0.1
 LEAST_REG, MOST_REG, HARDER, EASIER = 1e-4, 1e10, 8.0, 3.0
 TRIALS = 16  # halvings of a step
-STIFF = 0.1  # soft of constraints is this times mu
+STIFF = 1e-3  # soft of constraints is this times mu
 FALLS, OFTEN = 0.5, 4  # constraints that do not fall to this share so often contradict each other
 SOLVED = 0.5  # of mu: the foreseen change at which mu falls
 GAP = 0.57  # motions obey the dynamics to eps^0.57: 1e-9 in f64
@@ -201,7 +202,7 @@ class Transcribed(NamedTuple):
             return found.cost, found.rows, jnp.concatenate([gap, dt * found.miss.reshape(-1)])
 
         ks = jnp.arange(problem.horizon, dtype=dtype)
-        costs, rows, gaps = jax.vmap(one)(ks, body, point.inner, following)
+        costs, rows, gaps = jax.vmap(threads(one))(ks, body, point.inner, following)
         cost, end = at_end(problem, jax.tree.map(lambda x: x[-1], knots))
         gaps = jnp.concatenate([gaps.reshape(-1), self.off_start(knots)])
         wall = sum(barrier.value(x, jnp.ones((), dtype)) for x in self.bounded(point))
@@ -232,7 +233,7 @@ class Transcribed(NamedTuple):
         one = functools.partial(condensed, problem, self.table, w)
         ks = jnp.arange(problem.horizon, dtype=dtype)
         rows, closing = self.rows(point, l)
-        path = jax.vmap(one)(
+        path = jax.vmap(threads(one))(
             ks, body, point.inner, following, l.costates[1:], self.us(point), l.us, rows
         )
         last = jax.tree.map(lambda x: x[-1], knots)
@@ -254,7 +255,7 @@ class Transcribed(NamedTuple):
             free = jnp.asarray([*problem.free, *[True] * problem.numbers], gaps.dtype)
             none = jnp.full_like(free, jnp.inf)
             first = (free, -none, none)
-        return backward_pass(path.A, path.B, gaps, path.cost, end.cost, None, first, reg)
+        return threads(backward_pass)(path.A, path.B, gaps, path.cost, end.cost, None, first, reg)
 
     def step(
         self, point: Point, l: Multipliers, w: Weights, path: Condensed, end: End,
