@@ -8,6 +8,7 @@ of sequential quadratic programming: the Lagrangian to second order with its sta
     mu <- min(0.2 mu, mu^1.5)   where the problem with the barrier mu is solved; then, too,
     centre <- y,  soft <- mu    of the constraints, down to the root of a rounding
     reg <- 8 reg    where a control Hessian is not positive definite, or no step is taken
+    where the filter takes no step and gaps are left, steps that close them are taken for a while
 
 The motion need not obey the dynamics before the end, so that a guess of the states alone is enough
 to begin with. Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter &
@@ -59,6 +60,7 @@ FIRST_MU = 0.1
 LEAST_REG, MOST_REG, HARDER, EASIER = 1e-4, 1e10, 8.0, 3.0
 TRIALS = 16  # halvings of a step
 STIFF = 1e-3  # soft of constraints is this times mu
+CLOSED, CLOSING_REG = 0.1, 1.0  # to this share of them, with this regularisation
 FALLS, OFTEN = 0.5, 4  # constraints that do not fall to this share so often contradict each other
 SOLVED = 0.5  # of mu: the foreseen change at which mu falls
 GAP = 0.57  # motions obey the dynamics to eps^0.57: 1e-9 in f64
@@ -126,6 +128,7 @@ class Iterate(NamedTuple):
     K: jax.Array
     violation: jax.Array  # at the last change of the centre
     vain: jax.Array  # changes in a row that did not lower it
+    closing: jax.Array  # gaps to close to before the filter decides again; infinite: it decides
 
 
 class Transcribed(NamedTuple):
@@ -368,7 +371,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
         point, multipliers, measured, mu, number(0), number(0),
         filter_search.empty(measured.theta), number(jnp.inf), jnp.asarray(0),
         jnp.where(jnp.isfinite(total), GOING, NOT_FINITE), jnp.full(history, jnp.nan, dtype),
-        jnp.zeros((N, problem.nu, n), dtype), number(jnp.inf), jnp.asarray(0),
+        jnp.zeros((N, problem.nu, n), dtype), number(jnp.inf), jnp.asarray(0), number(jnp.inf),
     )  # fmt: skip
 
 
@@ -414,14 +417,16 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
 
         zero = jnp.zeros((), dtype)
         slope = jax.jvp(total, (zero,), (jnp.ones((), dtype),))[1]
-        pair = phi(before)
+        pair, closing = phi(before), jnp.isfinite(now.closing)
 
         def tries(x: tuple) -> tuple:
             a, _, _, count = x
             a = jnp.where(count == 0, a, 0.5 * a)
             m = t.measured(t.moved(now.point, step, a), l)
             good = filter_search.accepts(now.filter, pair, phi(m), slope, a)
-            return a, m, gains.ok & good, count + 1
+            nearer = (m.theta <= (1 - filter_search.ARMIJO * a) * pair.theta) & jnp.isfinite(m.cost)
+            nearer = nearer & jnp.isfinite(m.barrier)
+            return a, m, gains.ok & jnp.where(closing, nearer, good), count + 1
 
         def goes_on(x: tuple) -> jax.Array:
             return ~x[2] & (x[3] < TRIALS)
@@ -448,6 +453,12 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         l = _chosen(solved, l._replace(centre=both), l)
         kept = _chosen(solved, filter_search.cleared(kept), kept)
         floor = jnp.where(taken, 0.0, jnp.maximum(LEAST_REG, HARDER * reg))
+        begins = ~taken & ~closing & gains.ok & (before.gap > jnp.maximum(mu, eps**GAP))
+        goal = jnp.where(begins, CLOSED * before.theta, now.closing)
+        ends = closing & (m.theta <= now.closing)
+        goal = jnp.where(ends, jnp.inf, goal)
+        kept = _chosen(ends, filter_search.cleared(kept), kept)
+        floor = jnp.where(begins | (closing & taken & ~ends), CLOSING_REG, floor)
 
         turns = now.turns + 1
         lost = ~taken & (reg >= MOST_REG / HARDER)
@@ -460,7 +471,7 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         return Iterate(
             point, l, m, less, jnp.where(reg > 0, reg, now.reg), floor.astype(dtype), kept, stop,
             turns, outcome, now.costs.at[jnp.minimum(now.turns, history - 1)].set(m.cost), K,
-            jnp.where(solved, m.violation, now.violation), vain,
+            jnp.where(solved, m.violation, now.violation), vain, goal,
         )  # fmt: skip
 
     return jax.lax.while_loop(lambda now: now.outcome == GOING, turn, begin)

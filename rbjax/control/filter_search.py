@@ -18,7 +18,7 @@ KEPT = 64
 SHARE = 1e-5  # gamma: a margin in terms of the infeasibility
 ARMIJO = 1e-4
 POWER_SLOPE, POWER_THETA = 2.3, 1.1
-MOST, NEAR = 1e4, 1e-4  # of the first infeasibility, or of 1
+MOST, NEAR = 10.0, 1e-4  # of the first infeasibility, or of 1
 ROUNDING = 10.0  # units in the last place
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from rbjax.control.collocation import by_collocation
 from rbjax.control.ddp import by_ddp
+from rbjax.control.single_shooting import by_adam, by_bfgs, by_shooting, by_squares
 from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
 
@@ -49,6 +50,19 @@ METHODS: dict[str, Method] = {
     "gauss_legendre_8": collocating(gauss(4), "the same with four stages, of order 8"),
     "radau": collocating(
         radau_iia(3), "the same of order 5; damps what is stiff, and holds constraints at knots"
+    ),
+    "adam": Method(
+        functools.partial(by_shooting, inner=by_adam), True, True,
+        "single shooting by the gradient: cheap iterations, many of them (1,000 or more); for "
+        "costs with kinks or noise, and as a rough first guess",
+    ),
+    "bfgs": Method(
+        functools.partial(by_shooting, inner=by_bfgs), True, True,
+        "single shooting by BFGS: few controls and a short, tame horizon",
+    ),
+    "levenberg_marquardt": Method(
+        functools.partial(by_shooting, inner=by_squares), True, True,
+        "single shooting by Levenberg and Marquardt's method: costs that are all residuals",
     ),
     "trapezoidal": collocating(lobatto_iiia(2), "the same of order 2: rough and cheap"),
 }  # fmt: skip
