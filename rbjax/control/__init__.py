@@ -13,8 +13,8 @@ Policies (`networks`) are trained through the dynamics of an `environment` (`pol
 is a policy (t, state) -> ctrl: `computed_torque`, `operational_space`, `cartesian_impedance`,
 `joint_impedance`, `gravity_compensation`; `allocate` turns forces into controls (`actuation`).
 
-A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances to
-obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock.
+A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances
+to obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock.
 
 Linear systems: regulators of matrices, a model, a motion (`lqr`, `lqr_at`, `time_varying_lqr`);
 Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); controllability,

@@ -110,8 +110,27 @@ def _solve(
 ) -> tuple:  # fmt: skip
     problem = eqx.combine(numeric, jax.tree.unflatten(key[0], key[1:]))
     search = functools.partial(_searched, method, history)
-    found = differentiable(search, problem, start, knots, ctrls, options)
-    return found, violations(problem, found.knots, found.ctrls)
+    if method_of(method).steps:
+        found = differentiable(search, problem, start, knots, ctrls, options)
+    else:
+        found = _without_derivative(search(problem, start, knots, ctrls, options))
+    off = found.violations
+    return found, violations(problem, found.knots, found.ctrls) if off is None else off
+
+
+@jax.custom_jvp
+def _without_derivative(found: Found) -> Found:
+    """What a method found whose equations are not steps of the system."""
+    return found
+
+
+@_without_derivative.defjvp
+def _refuse(primals: Any, tangents: Any) -> Any:
+    able = [name for name, m in METHODS.items() if m.steps]
+    raise InputError(
+        f"solve: the optimum of this method has no derivative; those of {able} have: solve again by "
+        "one of them, from the states and controls found"
+    )
 
 
 def _searched(method: Any, history: int, *given: Any) -> Found:

@@ -16,12 +16,23 @@ from rbjax.errors import InputError
 from rbjax.model.record import Record
 
 
+class Between(NamedTuple):
+    """What a collocation found within the steps: c (s,), where, from 0 to 1; states with leading
+    axes N and s; ctrls (N, s, m)."""
+
+    c: jax.Array
+    states: Any
+    ctrls: jax.Array
+
+
 class Found(NamedTuple):
     """What every method returns: knots (N + 1, ...), ctrls (N, m), cost (), outcome (),
     iterations (); stop (), the change of the cost that was still foreseen; gap (), the largest
     between a step and the next state; violation (), the largest of a constraint; costs
     (history,) of the iterations, nan after the last; K (N, m, n), gains of the feedback; and the
-    multipliers of the constraints at the knots with controls (N, c) and at the end (e,)."""
+    multipliers of the constraints at the knots with controls (N, c) and at the end (e,). between:
+    a collocation's stages; violations of each constraint, where it knows them better than by
+    controls that are held."""
 
     knots: Knot
     ctrls: jax.Array
@@ -35,6 +46,8 @@ class Found(NamedTuple):
     K: jax.Array
     path: jax.Array
     end: jax.Array
+    between: Between | None = None
+    violations: jax.Array | None = None
 
 
 class Solution(Record):
@@ -46,7 +59,7 @@ class Solution(Record):
     gap (), the largest between a step and the next state, on the tangent space; violation () of
     constraints, and violations (number of constraints,) of each; costs (history,) of the
     iterations; K (N, nu, n), gains of the feedback u = ctrls + K (x (-) states); multipliers, a
-    pair.
+    pair; between, the stages of a collocation, whose `ctrls` are means over the steps.
     """
 
     problem: Problem
@@ -64,6 +77,7 @@ class Solution(Record):
     costs: jax.Array
     K: jax.Array
     multipliers: tuple[jax.Array, jax.Array]
+    between: Between | None
     method: str = eqx.field(static=True)
 
     @property
@@ -124,7 +138,7 @@ def solution_of(problem: Problem, found: Found, off: jax.Array, method: str) -> 
         problem, ts, found.knots.state, found.ctrls, numbers, found.cost, found.outcome,
         found.iterations, found.stop, found.gap, found.violation,
         off, found.costs, found.K,
-        (found.path, found.end), method,
+        (found.path, found.end), found.between, method,
     )  # fmt: skip
 
 

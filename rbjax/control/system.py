@@ -92,6 +92,13 @@ class System(Record):
         """dx (n,) from `other` to `one`: other (+) dx = one."""
         raise NotImplementedError(f"{type(self).__name__} has no method minus")
 
+    def rates(self, t: Any, base: Any, dx: jax.Array, ctrl: jax.Array) -> jax.Array:
+        """dx' (n,) of the motion base (+) dx in continuous time, for collocation."""
+        raise InputError(
+            f"{type(self).__name__} has steps only, and collocation needs rates in continuous "
+            "time; take another method, such as 'ddp', or write the rates as rb.control.Equations"
+        )
+
     def linear(self, t: Any, state: Any, ctrl: jax.Array, dt: Any) -> Linearised:
         """The step and its derivatives, by forward differentiation of `step`."""
         after = self.step(t, state, ctrl, dt)
@@ -179,6 +186,13 @@ class Robot(System):
         field = Field(self.robot, self.law, dt)
         return advanced(self.integrator, field, t, state, Inputs(ctrl), dt)
 
+    def rates(self, t: Any, base: State, dx: jax.Array, ctrl: jax.Array) -> jax.Array:
+        field = Field(self.robot, self.law)
+        now = self.plus(base, dx)
+        a, x = field.rates(t, now, Inputs(ctrl))
+        turning = field.increment_rate(dx[: self.robot.nv], now.v)
+        return jnp.concatenate([turning, a] if x is None else [turning, a, x])
+
     def plus(self, state: State, dx: jax.Array) -> State:
         return beside(self.robot, state, dx)
 
@@ -245,6 +259,14 @@ class Equations(System):
         for k in range(self.parts):
             state = self._rk4(t + k * h, state, ctrl, h)
         return state
+
+    def rates(self, t: Any, base: jax.Array, dx: jax.Array, ctrl: jax.Array) -> jax.Array:
+        if self.discrete:
+            raise InputError(
+                "Equations: discrete=True gives the next state, and collocation needs rates in "
+                "continuous time; take another method, such as 'ddp'"
+            )
+        return self._value(t, base + dx, ctrl)
 
     def _rk4(self, t: Any, x: jax.Array, u: jax.Array, h: Any) -> jax.Array:
         k1 = self._value(t, x, u)

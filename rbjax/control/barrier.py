@@ -1,0 +1,116 @@
+"""The barrier of a primal-dual interior point, entry by entry.
+
+    min f - mu sum log(v - low) - mu sum log(high - v)
+    zl = mu / (v - low),  zu = mu / (high - v)   are the multipliers of the bounds, and the Newton
+    step of both conditions adds  Sigma = zl / (v - low) + zu / (high - v)  to the Hessian
+
+Steps stay a share of the distance from the bounds (Waechter & Biegler 2006, *Ipopt*). An infinite
+bound has no barrier.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+PUSH = 1e-2  # of a first guess from its bounds
+FAR = 1e10  # multipliers stay within this factor of mu / distance
+
+
+class Duals(NamedTuple):
+    """zl and zu, of the shape of v."""
+
+    zl: jax.Array
+    zu: jax.Array
+
+
+class Bounded(NamedTuple):
+    """v with its bounds."""
+
+    v: jax.Array
+    low: jax.Array
+    high: jax.Array
+
+    @property
+    def below(self) -> jax.Array:
+        """v - low; 1 where there is no bound."""
+        return jnp.where(jnp.isfinite(self.low), self.v - self.low, 1.0)
+
+    @property
+    def above(self) -> jax.Array:
+        """high - v; 1 where there is no bound."""
+        return jnp.where(jnp.isfinite(self.high), self.high - self.v, 1.0)
+
+
+def inside(v: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """v, pushed into the bounds."""
+    width = jnp.where(jnp.isfinite(high - low), high - low, jnp.inf)
+    at_low = jnp.minimum(PUSH * jnp.maximum(1.0, jnp.abs(low)), PUSH * width)
+    at_high = jnp.minimum(PUSH * jnp.maximum(1.0, jnp.abs(high)), PUSH * width)
+    v = jnp.where(jnp.isfinite(low), jnp.maximum(v, low + at_low), v)
+    return jnp.where(jnp.isfinite(high), jnp.minimum(v, high - at_high), v)
+
+
+def count(x: Bounded) -> jax.Array:
+    """The number of bounds."""
+    return jnp.isfinite(x.low).sum() + jnp.isfinite(x.high).sum()
+
+
+def value(x: Bounded, mu: jax.Array) -> jax.Array:
+    """The barrier (); infinite outside."""
+
+    def log(d: jax.Array) -> jax.Array:
+        good = d > 0
+        return jnp.where(good, jnp.log(jnp.where(good, d, 1.0)), -jnp.inf).sum()
+
+    return -mu * (log(x.below) + log(x.above))
+
+
+def gradient(x: Bounded, mu: jax.Array) -> jax.Array:
+    """Of the barrier."""
+    low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
+    return jnp.where(high, mu / x.above, 0.0) - jnp.where(low, mu / x.below, 0.0)
+
+
+def stiffness(x: Bounded, z: Duals) -> jax.Array:
+    """Sigma."""
+    return z.zl / x.below + z.zu / x.above
+
+
+def first_duals(x: Bounded, mu: jax.Array) -> Duals:
+    """mu over the distances."""
+    low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
+    return Duals(jnp.where(low, mu / x.below, 0.0), jnp.where(high, mu / x.above, 0.0))
+
+
+def reach(x: Bounded, dv: jax.Array, tau: jax.Array) -> jax.Array:
+    """The longest part () of a step, 1 at most, that leaves a share 1 - tau of each distance."""
+    down = jnp.where(jnp.isfinite(x.low) & (dv < 0), tau * x.below / jnp.where(dv < 0, -dv, 1.0), 1)
+    up = jnp.where(jnp.isfinite(x.high) & (dv > 0), tau * x.above / jnp.where(dv > 0, dv, 1.0), 1)
+    return jnp.minimum(1.0, jnp.minimum(down.min(initial=1.0), up.min(initial=1.0)))
+
+
+def dual_step(x: Bounded, dv: jax.Array, z: Duals, mu: jax.Array) -> Duals:
+    """dz where v moves by dv."""
+    low, high = jnp.isfinite(x.low), jnp.isfinite(x.high)
+    zl = jnp.where(low, mu / x.below - z.zl - z.zl / x.below * dv, 0.0)
+    zu = jnp.where(high, mu / x.above - z.zu + z.zu / x.above * dv, 0.0)
+    return Duals(zl, zu)
+
+
+def dual_reach(z: Duals, dz: Duals, tau: jax.Array) -> jax.Array:
+    """The longest part () of a step of the multipliers that keeps them positive."""
+    shares = [
+        jnp.where(d < 0, tau * y / jnp.where(d < 0, -d, 1.0), 1.0).min(initial=1.0)
+        for y, d in zip(z, dz, strict=True)
+    ]
+    return jnp.minimum(1.0, jnp.minimum(*shares))
+
+
+def dual_moved(x: Bounded, z: Duals, dz: Duals, a: jax.Array, mu: jax.Array) -> Duals:
+    """z + a dz at the new v, near mu / distance."""
+    near = first_duals(x, mu)
+    moved = (y + a * d for y, d in zip(z, dz, strict=True))
+    return Duals(*(jnp.clip(y, n / FAR, n * FAR) for y, n in zip(moved, near, strict=True)))

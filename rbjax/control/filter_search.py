@@ -1,0 +1,95 @@
+"""Which steps a line search takes: a filter of pairs (infeasibility, cost).
+
+A trial is taken if neither the current pair nor one of the filter is better than it in both; where
+the search is nearly feasible and descends, the cost must fall as its slope foresees (Armijo).
+Every pair that was left by a step which did not have to lower the cost enters the filter
+(Waechter & Biegler 2006, *On the implementation of an interior-point filter line-search
+algorithm*, Math. Program. 106, eqs. 18 to 22; without its restoration phase).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+KEPT = 64
+SHARE = 1e-5  # gamma: a margin in terms of the infeasibility
+ARMIJO = 1e-4
+POWER_SLOPE, POWER_THETA = 2.3, 1.1
+MOST, NEAR = 10.0, 1e-4  # of the first infeasibility, or of 1
+ROUNDING = 10.0  # units in the last place
+
+
+class Filter(NamedTuple):
+    """theta and phi (KEPT,), where nothing is kept infinite; used (); most () and near ()."""
+
+    theta: jax.Array
+    phi: jax.Array
+    used: jax.Array
+    most: jax.Array
+    near: jax.Array
+
+
+def empty(theta: jax.Array) -> Filter:
+    """A filter without pairs. theta: the infeasibility of the first guess."""
+    none = jnp.full(KEPT, jnp.inf, theta.dtype)
+    size = jnp.maximum(1.0, theta)
+    return Filter(none, none, jnp.asarray(0), MOST * size, NEAR * size)
+
+
+def cleared(kept: Filter) -> Filter:
+    """The same without its pairs, for another cost."""
+    none = jnp.full_like(kept.theta, jnp.inf)
+    return kept._replace(theta=none, phi=none, used=jnp.zeros_like(kept.used))
+
+
+class Pair(NamedTuple):
+    """Infeasibility and cost, each ()."""
+
+    theta: jax.Array
+    phi: jax.Array
+
+
+def descends(kept: Filter, now: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
+    """Whether a step of length a must lower the cost."""
+    falls = jnp.maximum(-slope, 0.0)
+    switch = a * falls**POWER_SLOPE > now.theta**POWER_THETA
+    return (now.theta <= kept.near) & (slope < 0) & switch
+
+
+def accepts(kept: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
+    """Whether a trial of length a is taken."""
+    slack = ROUNDING * jnp.finfo(now.phi.dtype).eps * jnp.abs(now.phi)
+    armijo = trial.phi - now.phi - slack <= ARMIJO * a * slope
+    less = (trial.theta <= (1 - SHARE) * now.theta) | (
+        trial.phi - slack <= now.phi - SHARE * now.theta
+    )
+    return beside(kept, trial) & jnp.where(descends(kept, now, slope, a), armijo, less)
+
+
+def beside(kept: Filter, trial: Pair) -> jax.Array:
+    """Whether no pair of the filter is better than a trial in both."""
+    slack = ROUNDING * jnp.finfo(trial.phi.dtype).eps * jnp.abs(trial.phi)
+    good = jnp.isfinite(trial.phi) & jnp.isfinite(trial.theta) & (trial.theta <= kept.most)
+    return good & ((trial.theta < kept.theta) | (trial.phi - slack <= kept.phi)).all()
+
+
+def put(kept: Filter, pair: Pair) -> Filter:
+    """The filter with another pair."""
+    at = kept.used % KEPT
+    return kept._replace(
+        theta=kept.theta.at[at].set((1 - SHARE) * pair.theta),
+        phi=kept.phi.at[at].set(pair.phi - SHARE * pair.theta),
+        used=kept.used + 1,
+    )
+
+
+def extended(
+    kept: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
+) -> Filter:
+    """The filter after a step that was taken."""
+    armijo = trial.phi - now.phi <= ARMIJO * a * slope
+    enters = ~(descends(kept, now, slope, a) & armijo)
+    return jax.tree.map(lambda new, old: jnp.where(enters, new, old), put(kept, now), kept)
