@@ -128,8 +128,8 @@ def _without_derivative(found: Found) -> Found:
 def _refuse(primals: Any, tangents: Any) -> Any:
     able = [name for name, m in METHODS.items() if m.steps]
     raise InputError(
-        f"solve: the optimum of this method has no derivative; those of {able} have: solve again by "
-        "one of them, from the states and controls found"
+        f"solve: the optimum of this method has no derivative; those of {able} have: solve again "
+        "by one of them, from the states and controls found"
     )
 
 

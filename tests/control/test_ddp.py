@@ -22,7 +22,7 @@ LONG = [
     pytest.param(oracle.double_pendulum, "exact_ddp", id="double_pendulum"),
     pytest.param(oracle.pendulum_with_limits, "ddp", id="pendulum_with_limits"),
     pytest.param(functools.partial(oracle.quadrotor, False), "exact_ddp", id="quadrotor"),
-    pytest.param(functools.partial(oracle.quadrotor, True), "ddp", id="quadrotor_bounded"),
+    pytest.param(functools.partial(oracle.quadrotor, True), "exact_ddp", id="quadrotor_bounded"),
     *[
         pytest.param(functools.partial(oracle.kinova_reach, v), "ddp", id=v)
         for v in ("as_in_crocoddyl", "plain_difference", "plain_with_terminal_velocity")
