@@ -151,10 +151,11 @@ class Environment(Record):
     def unroll(self, policy: Any, models: Any, states: State, steps: int) -> Segment:
         """Motions of a batch under a policy. models: of each sample, None for that of the
         environment."""
-        how = {"steps": steps, "integrator": self.integrator}
+        dt: Any = self.dt
 
         def moved(model: Model, state: State) -> Any:
-            run = rollout(model, state, self.controller(policy), self.dt, **how)
+            act, how = self.controller(policy), self.integrator
+            run = rollout(model, state, act, dt, steps=steps, integrator=how)
             return State(run.q, run.v, run.x)
 
         path = moved(self.model, states) if models is None else jax.vmap(moved)(models, states)

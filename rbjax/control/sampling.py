@@ -88,7 +88,7 @@ class SampledStart:
     Fields: sampling, a `Sampling`; rounds of it, before DDP takes its iterations.
     """
 
-    sampling: Sampling = Sampling()
+    sampling: Any = Sampling()  # checked below
     rounds: int = 30
 
     def __post_init__(self) -> None:
