@@ -63,14 +63,14 @@ class Environment(Record):
 
     model: Model
     dt: jax.Array
-    cost: Callable[[State, jax.Array], jax.Array] = eqx.field(static=True)
-    start: Callable[[jax.Array], State] = eqx.field(static=True)
-    observe: Callable[[State], jax.Array] = eqx.field(static=True)
-    randomise: Callable[[jax.Array, Model], Model] | None = eqx.field(static=True)
-    lost: Callable[[State], jax.Array] | None = eqx.field(static=True)
+    cost: Callable[[State, jax.Array], jax.Array]
+    start: Callable[[jax.Array], State]
+    observe: Callable[[State], jax.Array]
+    randomise: Callable[[jax.Array, Model], Model] | None
+    lost: Callable[[State], jax.Array] | None
+    integrator: Any
     episode: int = eqx.field(static=True)
     squash: bool = eqx.field(static=True)
-    integrator: Any = eqx.field(static=True)
 
     def __init__(
         self, model: Model, cost: Any, start: Any, *, dt: Any = None, observe: Any = None,
@@ -151,10 +151,11 @@ class Environment(Record):
     def unroll(self, policy: Any, models: Any, states: State, steps: int) -> Segment:
         """Motions of a batch under a policy. models: of each sample, None for that of the
         environment."""
-        how = {"steps": steps, "integrator": self.integrator}
+        dt: Any = self.dt
 
         def moved(model: Model, state: State) -> Any:
-            run = rollout(model, state, self.controller(policy), self.dt, **how)
+            act, how = self.controller(policy), self.integrator
+            run = rollout(model, state, act, dt, steps=steps, integrator=how)
             return State(run.q, run.v, run.x)
 
         path = moved(self.model, states) if models is None else jax.vmap(moved)(models, states)

@@ -83,9 +83,8 @@ def solve(
         raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
     knots, us = first_guess(problem, start, states, ctrls, numbers)
-    options = Options(
-        *map(jnp.asarray, (tolerance, violation, iterations)), jnp.asarray(seed, jnp.uint32)
-    )
+    limits = map(jnp.asarray, (tolerance, violation, iterations))
+    options = Options(*limits, jnp.asarray(seed, jnp.uint32))
     first = problem.system.checked("solve", start)
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]

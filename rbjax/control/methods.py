@@ -17,7 +17,7 @@ from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 class Method(NamedTuple):
     """solve: (problem, start, knots, ctrls, options, history) -> `Found`; constraints: whether it
     holds `Constraint`s; derivatives: whether it needs them; sentence: when to take it; steps:
-    whether its motions are steps of the system, so that its optima have derivatives."""
+    whether it ends at optima whose motions are steps of the system, which have derivatives."""
 
     solve: Callable[..., Any]
     constraints: bool
@@ -46,15 +46,18 @@ METHODS: dict[str, Method] = {
         Sampling("predictive"), True, False,
         "the best of many random motions, again and again: needs no derivative; the simplest start "
         "for another method",
+        False,
     ),
     "mppi": Method(
         Sampling("mppi"), True, False,
         "random motions weighed by their costs: needs no derivative, smoother than predictive",
+        False,
     ),
     "cross_entropy": Method(
         Sampling("cross_entropy"), True, False,
         "random motions drawn ever closer to the best tenth: needs no derivative; finds its way "
         "where ddp is stuck, ends at a few digits",
+        False,
     ),
     "sampled_ddp": Method(
         SampledStart(), True, True,
@@ -107,7 +110,8 @@ def method_of(method: Any) -> Method:
     if isinstance(method, Method):
         return method
     if isinstance(method, (Sampling, SampledStart)):
-        return Method(method, True, isinstance(method, SampledStart), "the caller's own numbers")
+        exact = isinstance(method, SampledStart)
+        return Method(method, True, exact, "the caller's own numbers", exact)
     if method not in METHODS:
         raise UnknownName("method of rb.control", method, METHODS)
     return METHODS[method]

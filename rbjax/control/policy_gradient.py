@@ -114,6 +114,15 @@ def actor_critic(
 
     Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, ICLR
     2022.
+
+    Example:
+        >>> import jax
+        >>> import rbjax as rb
+        >>> model, key = rb.load("pendulum"), jax.random.key(0)
+        >>> env = rb.control.Environment(
+        ...     model, lambda state, ctrl: (state.q**2).sum(), model.random_state, dt=0.05)
+        >>> policy = rb.control.network(key, (2, 16, 1))
+        >>> trained = rb.control.actor_critic(env, policy, key)  # doctest: +SKIP
     """
     one, two, three = jax.random.split(key, 3)
     _check("actor_critic", env, policy, iterations, batch)

@@ -121,7 +121,7 @@ def region_of_attraction(
         )
     check_between(where, "tolerance", tolerance, 0.0, 1e12)
     dtype = equilibrium.q.dtype
-    step = check_step(where, "dt", model.timestep if dt is None else dt, dtype)
+    step: Any = check_step(where, "dt", model.timestep if dt is None else dt, dtype)
     steps = round(float(duration) / float(step))
     check_whole(where, "the number of steps duration / dt", steps, 1)
     places, names, lines = _axes(where, model, axes, points, dtype)

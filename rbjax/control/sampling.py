@@ -49,6 +49,16 @@ class Sampling:
     controls' own units where there are none; cooling, the factor of the deviation after a round;
     temperature of MPPI; smoothing, the share of the old deviation that the cross-entropy method
     keeps; penalty of constraints.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> line = rb.control.Equations(lambda t, x, u: x + u, 1, 1, discrete=True)
+        >>> problem = rb.control.Problem(line, 3, 1.0, terminal=[lambda t, x, u: x], bounds=(-1, 1))
+        >>> few = rb.control.Sampling("mppi", samples=50, points=3)
+        >>> found = rb.control.solve(problem, jnp.ones(1), method=few, iterations=20)
+        >>> bool(found.cost < 1e-3)
+        True
     """
 
     update: str = "cross_entropy"
@@ -88,7 +98,7 @@ class SampledStart:
     Fields: sampling, a `Sampling`; rounds of it, before DDP takes its iterations.
     """
 
-    sampling: Sampling = Sampling()
+    sampling: Any = Sampling()  # checked below
     rounds: int = 30
 
     def __post_init__(self) -> None:

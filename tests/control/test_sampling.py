@@ -1,9 +1,11 @@
 """Optimal control by samples: splines, costs, optima, seeds, penalties, bad input."""
 
 import functools
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
@@ -198,3 +200,25 @@ def test_swing_ups_at_the_first_try(name, share):
 
     row = swing_up.run(swing_up.tasks()[name], 20, 20, attempts=1)
     assert row["solved"] >= share, row["failures"]
+
+
+@pytest.mark.slow
+def test_mujoco_swings_up_too():
+    """The controls of an acrobot's swing-up, rolled by MuJoCo C, end where the solution does."""
+    from benchmarks.shared import swing_up
+
+    task = swing_up.tasks()["acrobot"]
+    state = rb.State(task.hanging, jnp.zeros(2))
+    found = rb.control.solve(
+        task.problem, state, method=swing_up.METHOD, iterations=300, tolerance=1e-7, seed=3
+    )
+    path = Path(rb.loading.__file__).parent / "scenes" / "acrobot.xml"
+    robot = mujoco.MjModel.from_xml_path(str(path))
+    robot.opt.timestep, robot.opt.disableflags = 0.025, mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(robot)
+    data.qpos[:] = state.q
+    for u in np.asarray(found.ctrls):
+        data.ctrl[:] = u
+        mujoco.mj_step(robot, data)
+    assert np.abs(data.qpos - found.states.q[-1]).max() < 1e-8
+    assert np.abs(data.qvel - found.states.v[-1]).max() < 1e-8
