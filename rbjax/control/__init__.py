@@ -10,13 +10,17 @@ terms (`terms`, `residuals`), bounds, and what of start, time and model is free.
 is a policy (t, state) -> ctrl: `computed_torque`, `operational_space`, `cartesian_impedance`,
 `joint_impedance`, `gravity_compensation`; `allocate` turns forces into controls (`actuation`).
 
-A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances to
-obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock.
+A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances
+to obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock. `recommend` tries
+the methods on a problem.
 
 Linear systems: regulators of matrices, a model, a motion (`lqr`, `lqr_at`, `time_varying_lqr`);
 Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); controllability,
 observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
 """
+
+from collections.abc import Callable
+from typing import Any
 
 from rbjax.control.actuation import Allocation, allocate
 from rbjax.control.clearances import Capsule, Clearance, HalfSpace, Sphere
@@ -50,11 +54,11 @@ from rbjax.control.lqr import Regulator, feedback, lqr, lqr_at, lqr_finite
 from rbjax.control.lyapunov import Lyapunov, lyapunov
 from rbjax.control.margins import Margins, margins
 from rbjax.control.methods import Method, methods
+from rbjax.control.mpc import Controller, mpc
 from rbjax.control.observer import SteadyFilter, kalman_gain, observed
 from rbjax.control.operational_space import OperationalSpace, operational_space
 from rbjax.control.outcomes import LINEAR_RESULTS
 from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
-from rbjax.control.mpc import Controller, mpc
 from rbjax.control.problem import Design, Problem
 from rbjax.control.real_time import RealTime
 from rbjax.control.residuals import (
@@ -85,6 +89,17 @@ from rbjax.control.system import Equations, System
 from rbjax.control.terms import Constraint, Cost, Term
 from rbjax.control.tracking import Tracking, time_varying_lqr
 from rbjax.motion.kalman import Estimate, StateSpace, kalman_predict, kalman_update
+
+#: names offered here whose module imports this package; `rbjax` fills this table
+FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+
+
+def __getattr__(name: str) -> Any:
+    """`recommend` solves problems, so its module imports this package; it is loaded on use."""
+    if name in FROM_ABOVE:
+        return FROM_ABOVE[name]()
+    raise AttributeError(f"module 'rbjax.control' has no attribute {name!r}")
+
 
 __all__ = [
     "Problem",

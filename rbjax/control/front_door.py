@@ -17,6 +17,7 @@ from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError, UnknownName
 from rbjax.motion.captured import with_captured
+from rbjax.progress import Say, progress_line
 from rbjax.solvers.arguments import check_whole
 
 
@@ -31,6 +32,7 @@ def solve(
     iterations: int = 200,
     tolerance: float = 1e-9,
     violation: float = 1e-6,
+    progress: bool = False,
 ) -> Solution:
     """The controls that cost least from a start.
 
@@ -48,6 +50,7 @@ def solve(
         iterations: at most.
         tolerance: of the change of the cost that an iteration foresees.
         violation: of constraints, in their units.
+        progress: show the iterations on a terminal; within a program it is ignored.
 
     Returns:
         `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
@@ -82,7 +85,11 @@ def solve(
         raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
     knots, us = first_guess(problem, start, states, ctrls, numbers)
-    options = Options(jnp.asarray(tolerance), jnp.asarray(violation), jnp.asarray(iterations))
+    show = progress and not inside_jit()
+    options = Options(
+        jnp.asarray(tolerance), jnp.asarray(violation), jnp.asarray(iterations),
+        _say if show else None,
+    )  # fmt: skip
     first = problem.system.checked("solve", start)
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
@@ -98,7 +105,25 @@ def solve(
         found = program(numeric, first, knots, us, options, key, method, int(iterations))
         return solution_of(problem, *found, method)
 
-    return with_captured(run, *(leaves[i] for i in places))
+    if not show:
+        return with_captured(run, *(leaves[i] for i in places))
+    with progress_line(f"solve ({method})") as line:
+        _lines.append(line)
+        try:
+            return jax.block_until_ready(with_captured(run, *(leaves[i] for i in places)))
+        finally:
+            jax.effects_barrier()
+            _lines.pop()
+
+
+_lines: list[Say] = []  # of the searches that run now
+
+
+def _say(iterations: Any, cost: Any, violation: Any) -> None:
+    """One function for all searches: programs are known by it."""
+    if _lines:
+        held = f", violation {float(violation):.2g}" if violation else ""
+        _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")
 
 
 def _solve(

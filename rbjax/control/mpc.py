@@ -24,7 +24,7 @@ from rbjax.control.methods import METHODS
 from rbjax.control.options import Options
 from rbjax.control.outcome import INFEASIBLE, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
-from rbjax.control.products import times
+from rbjax.control.products import product
 from rbjax.control.system import system_of
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
@@ -246,7 +246,7 @@ class Controller:
         """The control of a tick: what was decided, with feedback, or the fallback's."""
         u = entry.u
         if self.feedback:
-            back = times(entry.K, problem.system.minus(state, entry.state))
+            back = product(entry.K, problem.system.minus(state, entry.state))
             u = u + jnp.where(_finite(back), back, 0.0)
         other = jnp.asarray(self.fallback(t, state), u.dtype)
         u = jnp.where(entry.result == FALLBACK, other, u)

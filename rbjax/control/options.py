@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
 import jax
 
 from rbjax.model.record import Record
@@ -9,8 +13,9 @@ from rbjax.model.record import Record
 
 class Options(Record):
     """tolerance of the foreseen change of the cost; violation of constraints; iterations at most;
-    each ()."""
+    each (). say: called with (iterations, cost, violation) after each; None for nothing."""
 
     tolerance: jax.Array
     violation: jax.Array
     iterations: jax.Array
+    say: Callable[[Any, Any, Any], None] | None = eqx.field(static=True, default=None)
