@@ -73,6 +73,7 @@ def _of(module: str, name: str) -> Any:
 for _name in ("recommend", "Recommendation"):
     wheeled.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.fidelity", _name)
     solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.solver", _name)
+    control.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.control", _name)
     constraints.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.formulation", _name)
 
 

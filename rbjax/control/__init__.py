@@ -14,12 +14,16 @@ is a policy (t, state) -> ctrl: `computed_torque`, `operational_space`, `cartesi
 `joint_impedance`, `gravity_compensation`; `allocate` turns forces into controls (`actuation`).
 
 A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances
-to obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock.
+to obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock. `recommend` tries
+the methods on a problem.
 
 Linear systems: regulators of matrices, a model, a motion (`lqr`, `lqr_at`, `time_varying_lqr`);
 Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); controllability,
 observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
 """
+
+from collections.abc import Callable
+from typing import Any
 
 from rbjax.control.actuation import Allocation, allocate
 from rbjax.control.clearances import Capsule, Clearance, HalfSpace, Sphere
@@ -93,6 +97,17 @@ from rbjax.control.system import Equations, System
 from rbjax.control.terms import Constraint, Cost, Term
 from rbjax.control.tracking import Tracking, time_varying_lqr
 from rbjax.motion.kalman import Estimate, StateSpace, kalman_predict, kalman_update
+
+#: names offered here whose module imports this package; `rbjax` fills this table
+FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+
+
+def __getattr__(name: str) -> Any:
+    """`recommend` solves problems, so its module imports this package; it is loaded on use."""
+    if name in FROM_ABOVE:
+        return FROM_ABOVE[name]()
+    raise AttributeError(f"module 'rbjax.control' has no attribute {name!r}")
+
 
 __all__ = [
     "Problem",

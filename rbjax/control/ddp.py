@@ -247,13 +247,16 @@ def optimised(
         turns = now.turns + 1
         outcome = jnp.where(turns >= options.iterations, BUDGET, GOING)
         outcome = jnp.where(stuck, STUCK, outcome)
-        outcome = jnp.where(jnp.isfinite(found.cost), outcome, NOT_FINITE)
+        known = jnp.isfinite(found.cost) & jnp.isfinite(found.gaps).all()
+        outcome = jnp.where(known, outcome, NOT_FINITE)
         after = now._replace(
             knots=knots, ctrls=ctrls, reg=reg, cost=cost, stop=stop, turns=turns,
             feasible=now.feasible | (accepted & (best == 0)), gains=gains,
             costs=now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost),
             outcome=outcome,
         )  # fmt: skip
+        if options.say is not None:
+            jax.debug.callback(options.say, turns, cost, now.violation)
         return _judged(problem, after, still, options)
 
     begin = _begun(problem, knots, ctrls, options, history)

@@ -20,6 +20,7 @@ from jax.extend.core import Var
 
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.products import product
+from rbjax.errors import InputError
 
 
 class Multipliers(NamedTuple):
@@ -76,7 +77,14 @@ def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
                 system, _ = problem.at(knot.numbers)
                 return jnp.ravel(c.term(system.model, 0.0, knot.state, ctrl))
 
-            out.append((c, jax.eval_shape(value, knot, ctrl).shape[0]))
+            size = jax.eval_shape(value, knot, ctrl).shape[0]
+            for name, end in (("low", c.low), ("high", c.high)):
+                if jnp.size(end) not in (1, size):
+                    raise InputError(
+                        f"Constraint({c.name}): bounds and term differ in size: {name} has "
+                        f"{jnp.size(end)} numbers, the term {size}; give one, or one for each"
+                    )
+            out.append((c, size))
     return out
 
 

@@ -17,6 +17,7 @@ from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError
 from rbjax.motion.captured import with_captured
+from rbjax.progress import Say, progress_line
 from rbjax.solvers.arguments import check_whole
 
 
@@ -32,6 +33,7 @@ def solve(
     tolerance: float = 1e-9,
     violation: float = 1e-6,
     seed: Any = 0,
+    progress: bool = False,
 ) -> Solution:
     """The controls that cost least from a start.
 
@@ -51,6 +53,7 @@ def solve(
         tolerance: of the change of the cost that an iteration foresees.
         violation: of constraints, in their units.
         seed: of what a method draws, an integer; with `jax.vmap` over it many are tried.
+        progress: show the iterations on a terminal; within a program it is ignored.
 
     Returns:
         `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
@@ -84,7 +87,8 @@ def solve(
     check_whole("solve", "iterations", iterations, 1)
     knots, us = first_guess(problem, start, states, ctrls, numbers)
     limits = map(jnp.asarray, (tolerance, violation, iterations))
-    options = Options(*limits, jnp.asarray(seed, jnp.uint32))
+    show = progress and not inside_jit()
+    options = Options(*limits, jnp.asarray(seed, jnp.uint32), _say if show else None)
     first = problem.system.checked("solve", start)
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
@@ -100,7 +104,25 @@ def solve(
         found = program(numeric, first, knots, us, options, key, method, int(iterations))
         return solution_of(problem, *found, name_of(method))
 
-    return with_captured(run, *(leaves[i] for i in places))
+    if not show:
+        return with_captured(run, *(leaves[i] for i in places))
+    with progress_line(f"solve ({method})") as line:
+        _lines.append(line)
+        try:
+            return jax.block_until_ready(with_captured(run, *(leaves[i] for i in places)))
+        finally:
+            jax.effects_barrier()
+            _lines.pop()
+
+
+_lines: list[Say] = []  # of the searches that run now
+
+
+def _say(iterations: Any, cost: Any, violation: Any) -> None:
+    """One function for all searches: programs are known by it."""
+    if _lines:
+        held = f", violation {float(violation):.2g}" if violation else ""
+        _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")
 
 
 def _solve(

@@ -49,14 +49,14 @@ def differentiable(
     def path(arrays: Any, d: jax.Array, k: Any, knot: Knot, ctrl: jax.Array, following: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d[:n]), ctrl + d[n:]
-        r, beside = p.values(p.running, k, there, u)
+        r, beside = _values(p, p.running, "path", k, there, u)
         c = p.rows(k, there, u, "path")
         return Seen(r, beside, p.minus(p.step(k, there, u), following), c, *limits(p, "path", c))
 
     def end(arrays: Any, d: jax.Array, knot: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d), jnp.zeros(m, d.dtype)
-        r, beside = p.values(p.terminal, N, there, u)
+        r, beside = _values(p, p.terminal, "end", N, there, u)
         c = p.rows(N, there, u, "end")
         return Seen(r, beside, jnp.zeros(0, d.dtype), c, *limits(p, "end", c))
 
@@ -82,6 +82,20 @@ def differentiable(
         return out, _moved(functions, whole, out, numbers, directions)
 
     return optimum(found, *given)
+
+
+def _values(
+    problem: Problem, costs: tuple, where: str, k: Any, knot: Knot, ctrl: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """All residuals (r,) of a knot, and what costs beside them."""
+    residuals, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
+    for cost in costs:
+        value = problem.value(cost, where, k, knot, ctrl)
+        if value.ndim:
+            residuals.append(value)
+        else:
+            rest = rest + value
+    return jnp.concatenate(residuals), rest
 
 
 # ------------------------------------------------------------ functions that close over tracers

@@ -296,9 +296,10 @@ def mpc(
         >>> cart = C.Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
         >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()],
         ...                     bounds=(-1.0, 1.0))
-        >>> run = C.mpc(problem).closed_loop(jnp.array([1.0, 0.0]), 80)
-        >>> bool((abs(run.states[-1]) < 0.1).all())
-        True
+        >>> controller, x = C.mpc(problem, delay=0), jnp.array([1.0, 0.0])
+        >>> u, memory, result = controller.tick(controller.begin(x), 0.0, x)
+        >>> float(u[0]) < 0, int(result)
+        (True, 0)
     """
     problem_at = _problem_at(problem)
     example = problem_at(0.0)

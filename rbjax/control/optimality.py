@@ -24,8 +24,8 @@ from jax.flatten_util import ravel_pytree
 
 from rbjax.control.problem import Knot
 from rbjax.control.riccati_solve import (
-    Equations,
     Factor,
+    Saddle,
     Unknowns,
     congruence,
     factorised,
@@ -80,7 +80,7 @@ class View(NamedTuple):
     first_low: jax.Array
     first_high: jax.Array
     gradient: Unknowns
-    equations: Equations
+    equations: Saddle
     factor: Factor
 
 
@@ -195,11 +195,11 @@ class Near:
         H = jax.vmap(second)(l[1:], point.path, *at)
         H_N = L(seen_end, jnp.zeros(0, dtype), point.end)(jnp.zeros(n, dtype))
 
-        def made(H: jax.Array, H_N: jax.Array) -> Equations:
+        def made(H: jax.Array, H_N: jax.Array) -> Saddle:
             Q = jnp.concatenate([H[:, :n, :n], H_N[None]])
             jacobians = F[:, :, :n], F[:, :, n:], G[:, :, :n], G[:, :, n:], E
             A, B, C, D, end = jacobians
-            return masked(Equations(A, B, Q, H[:, :n, n:], H[:, n:, n:], C, D, end, *masks))
+            return masked(Saddle(A, B, Q, H[:, :n, n:], H[:, n:, n:], C, D, end, *masks))
 
         e, factor = _of_a_minimum(made(H, H_N), made(gauss, gauss_N))
         opening = (1 - fixed) * l_0
@@ -282,7 +282,7 @@ class Near:
         return jax.vmap(one)(view.l[1:], point.path, *at).sum() + closing + opening
 
 
-def _of_a_minimum(exact: Equations, gauss: Equations) -> tuple[Equations, Factor]:
+def _of_a_minimum(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
     """The equations with exact Hessians where these are of a minimum, else of Gauss and Newton."""
     fixed = jax.lax.stop_gradient
     found = factorised(fixed(exact))

@@ -240,6 +240,11 @@ class Problem(Record):
                 f"Problem: the cost {cost.term.label} returned shape {value.shape}, expected a "
                 "number or a vector"
             )
+        if w.shape not in ((), value.shape):
+            raise InputError(
+                f"Problem: the weight of {cost.term.label} has shape {w.shape}, expected () or "
+                f"that of its value, {value.shape}"
+            )
         if value.ndim:
             return _root(jnp.broadcast_to(w, value.shape)) * value
         return w * value

@@ -34,6 +34,9 @@ class StateError(Term):
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         if not isinstance(model, Model):
+            due, got = (jax.tree.map(jnp.shape, x) for x in (state, self.reference))
+            if got != due:
+                raise InputError(f"StateError: the reference has shape {got}, expected {due}")
             return model.minus(state, self.reference)
         reference = self.reference
         if reference.x is None and state.x is not None:

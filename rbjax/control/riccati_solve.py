@@ -14,16 +14,14 @@ Golub & Van Loan, *Matrix Computations*, 3.5.3 (refinement).
 
 from __future__ import annotations
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.products import product
+
 TURNS = 4  # of refinement
-
-product = functools.partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
-
 
 def congruence(A: jax.Array, B: jax.Array) -> jax.Array:
     """A' B."""
@@ -40,7 +38,7 @@ class Unknowns(NamedTuple):
     end: jax.Array
 
 
-class Equations(NamedTuple):
+class Saddle(NamedTuple):
     """Blocks of the matrix, and masks of 0 and 1: fixed (n,), of x_0; free (N, m), of controls;
     path (N, c) and end (e,), the active rows. What is not free is zero, what is not active has no
     multiplier."""
@@ -71,7 +69,7 @@ class Factor(NamedTuple):
     ok: jax.Array
 
 
-def masked(e: Equations) -> Equations:
+def masked(e: Saddle) -> Saddle:
     """The blocks without the columns and rows that masks leave out."""
     free = e.free[:, None, :]
     return e._replace(
@@ -80,7 +78,7 @@ def masked(e: Equations) -> Equations:
     )  # fmt: skip
 
 
-def times_matrix(e: Equations, z: Unknowns) -> Unknowns:
+def times_matrix(e: Saddle, z: Unknowns) -> Unknowns:
     """K z, of masked equations."""
     x, after, l = z.x[:-1], z.x[1:], z.l[1:]
     mul, mulT = jax.vmap(product), jax.vmap(lambda M, v: product(M.T, v))
@@ -97,7 +95,7 @@ def times_matrix(e: Equations, z: Unknowns) -> Unknowns:
     )  # fmt: skip
 
 
-def factorised(e: Equations) -> Factor:
+def factorised(e: Saddle) -> Factor:
     """The Riccati recursion of masked equations."""
     dtype = e.Q.dtype
     rho = jnp.asarray(float(jnp.finfo(dtype).eps) ** -0.4, dtype)
@@ -132,7 +130,7 @@ def _inverse(H: jax.Array) -> tuple[jax.Array, jax.Array]:
     return product(vectors / held, vectors.T), (values > least).all()
 
 
-def solved(e: Equations, f: Factor, r: Unknowns) -> Unknowns:
+def solved(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
     """z of K z = r."""
 
     def refined(_: Any, z: Unknowns) -> Unknowns:
@@ -142,7 +140,7 @@ def solved(e: Equations, f: Factor, r: Unknowns) -> Unknowns:
     return jax.lax.fori_loop(0, TURNS + 1, refined, jax.tree.map(jnp.zeros_like, r))
 
 
-def _once(e: Equations, f: Factor, r: Unknowns) -> Unknowns:
+def _once(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
     """z of the equations whose active rows have -1/rho on their diagonal."""
     rho = f.rho
     rows, ends = rho * e.path * r.path, rho * e.end * r.end
