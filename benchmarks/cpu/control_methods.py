@@ -115,10 +115,11 @@ def row(name: str, method: str, problem: Problem, start: Any, guesses: jax.Array
     good = outcome == 1
     costs = np.unique(np.round(cost[good], 3)) if good.any() else np.array([np.nan])
     each = 1e3 * spent / (len(outcome) * iterations.max())
+    turns = f"{np.median(iterations):.0f} ({iterations.max()})"
     others = {int(k): int((outcome == k).sum()) for k in np.unique(outcome[~good])}
     print(
         f"| {name} | {method} | {good.sum()} of {len(good)} {others or ''} | {len(costs)} "
-        f"| {np.nanmin(cost):.6g} | {np.median(iterations):.0f} ({iterations.max()}) | {each:.2f} |",
+        f"| {np.nanmin(cost):.6g} | {turns} | {each:.2f} |",
         flush=True,
     )
 
