@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.system import Controlled
 from rbjax.control.terms import Term
 from rbjax.dynamics.energy import center_of_mass
 from rbjax.dynamics.forward import forward_dynamics
@@ -27,21 +28,22 @@ from rbjax.rotations import se3
 
 
 class StateError(Term):
-    """x (-) reference, (n,): dq on the tangent space, dv, and states of force elements; of a system
-    of `Equations` x - reference."""
+    """x (-) reference, (n,): dq on the tangent space, dv, and states of force elements; of a
+    wheeled robot dq, dv and states of tyres; of `Equations` x - reference."""
 
     reference: Any
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        if not isinstance(model, Model):
-            due, got = (jax.tree.map(jnp.shape, x) for x in (state, self.reference))
-            if got != due:
-                raise InputError(f"StateError: the reference has shape {got}, expected {due}")
-            return model.minus(state, self.reference)
         reference = self.reference
-        if reference.x is None and state.x is not None:
+        due, got = (jax.tree.map(jnp.shape, x) for x in (state, reference))
+        if not isinstance(state, State) and got != due:
+            raise InputError(f"StateError: the reference has shape {got}, expected {due}")
+        if isinstance(reference, State) and reference.x is None and state.x is not None:
             reference = State(reference.q, reference.v, state.x)
-        return apart(model, reference, state)
+        if isinstance(model, Model):
+            return apart(model, reference, state)
+        system = model.controlled() if isinstance(model, Controlled) else model
+        return system.minus(state, reference)
 
 
 class Velocity(Term):

@@ -7,6 +7,7 @@
     as a file      write_mjcf, with wheels that touch a plane
     motion         start, rates, rollout, simulate, contacts
     following      commands, pure_pursuit, stanley, tracking_gains
+    control        controlled, the system of an rb.control.Problem
     odometry       poses by the angles of wheels; HeadingSlip, of floors where they slip
     motors         TorqueSource, SpeedServo, DCMotor
     tyres          Linear, Coulomb, Fiala, Pacejka, TMeasy; Relaxing; RollingResistance
@@ -20,6 +21,7 @@ from typing import Any
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.constrained import full_model_state
 from rbjax.wheeled.contacts import Contacts, contacts
+from rbjax.wheeled.controlled import Vehicle, controlled
 from rbjax.wheeled.fidelity import Fidelity
 from rbjax.wheeled.following import (
     Commands,
@@ -81,10 +83,12 @@ __all__ = [
     "TorqueSource",
     "Tyre",
     "TyreOnGround",
+    "Vehicle",
     "Wheel",
     "at",
     "commands",
     "contacts",
+    "controlled",
     "fidelities",
     "from_file",
     "full_model",

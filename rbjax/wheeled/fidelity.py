@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
+from rbjax.control.system import System
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, inner, mul, neg, sub, total
 from rbjax.model import State
@@ -97,6 +98,12 @@ class Fidelity(Record):
         """q', v', x'."""
         rates = self.coordinate_rates(n, now)
         return rates, self.accelerations(n, now), self.relaxation(n, now)
+
+    def controlled(self) -> System:
+        """The system that `rb.control.Problem` makes of it: steps of "rk4" (`controlled`)."""
+        from rbjax.wheeled.controlled import Vehicle  # stands on `motion`, which stands on this
+
+        return Vehicle(self)
 
     def instant(self, state: State, u: Any = None) -> tuple[Numbers, Instant]:
         """The robot's numbers and a state as lanes."""

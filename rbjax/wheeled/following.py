@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiling import compiled
+from rbjax.control.tracking import regulator_along
 from rbjax.dynamics.arguments import check_array, check_step, shape_of
 from rbjax.errors import InputError
-from rbjax.lanes.products import matmat, matrix_transpose
 from rbjax.model import State
+from rbjax.wheeled.controlled import Vehicle
 from rbjax.wheeled.fidelity import Fidelity
-from rbjax.wheeled.motion import rollout
 from rbjax.wheeled.numbers import stacked
 from rbjax.wheeled.planar import Twist, dot, left
 from rbjax.wheeled.robot import Robot
@@ -225,7 +225,7 @@ def tracking_gains(
     """Gains K of a time-varying linear quadratic regulator along a trajectory: u + K (z - z_ref).
 
     z = (q, v) is linearised over each step of `rollout` (rk4), z+ = A z + B u. Backwards from
-    P = Q at the end,
+    P = Q at the end (`rb.control.backward`),
 
         K = -(R + B^T P B)^-1 B^T P A,    P = Q + A^T P (A + B K)
 
@@ -270,26 +270,14 @@ def tracking_gains(
     Q = check_array("tracking_gains", "Q", Q, (size,)).astype(q.dtype)
     R = check_array("tracking_gains", "R", R, (vehicle.nu,)).astype(q.dtype)
     dt = check_step("tracking_gains", "dt", dt, q.dtype)
-    return _gains(vehicle, jnp.concatenate([q, v], -1), u.astype(q.dtype), dt, Q, R)
+    return _gains(vehicle, State(q[:-1], v[:-1]), u.astype(q.dtype), dt, Q, R)
 
 
 @compiled
 def _gains(
-    vehicle: Fidelity, z: jax.Array, u: jax.Array, dt: jax.Array, Q: jax.Array, R: jax.Array
+    vehicle: Fidelity, states: State, u: jax.Array, dt: jax.Array, Q: jax.Array, R: jax.Array
 ) -> jax.Array:
-    nq = vehicle.nq
-
-    def step(z: jax.Array, u: jax.Array) -> jax.Array:
-        path = rollout(vehicle, State(z[:nq], z[nq:]), u[None], dt)
-        return jnp.concatenate([path.q[-1], path.v[-1]])
-
-    A, B = jax.vmap(jax.jacfwd(step, (0, 1)))(z[:-1], u)
-
-    def back(P: jax.Array, AB: Any) -> tuple[jax.Array, jax.Array]:
-        A, B = AB
-        PB = matmat(P, B)
-        K = -jnp.linalg.solve(jnp.diag(R) + matmat(B.T, PB), matmat(matrix_transpose(PB), A))
-        P = jnp.diag(Q) + matmat(A.T, matmat(P, A + matmat(B, K)))
-        return (P + P.T) / 2, K
-
-    return jax.lax.scan(back, jnp.diag(Q), (A, B), reverse=True)[1]
+    system = Vehicle(vehicle)
+    along = jax.vmap(lambda state, ctrl: system.linear(0.0, state, ctrl, dt))(states, u)
+    Q, R = jnp.diag(Q), jnp.diag(R)
+    return -regulator_along(along.A, along.B, Q, R, Q).K

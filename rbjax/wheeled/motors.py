@@ -40,6 +40,11 @@ class Motor(Record):
         """What it adds to the inertia of the shaft, kg m^2."""
         return 0.0
 
+    @property
+    def command_range(self) -> tuple[Lane, Lane]:
+        """The smallest and the largest command that make a difference."""
+        return -math.inf, math.inf
+
     @abc.abstractmethod
     def torque(self, u: Lane, speed: Lane) -> Lane:
         """The torque on the shaft, N m, of a command u at the shaft's speed, rad/s."""
@@ -147,6 +152,11 @@ class DCMotor(Motor):
 
     def may_be_endless(self, name: str) -> bool:
         return name == "battery"
+
+    @property
+    def command_range(self) -> tuple[Lane, Lane]:
+        """Three times the battery: there V is within 0.5 % of its limit."""
+        return -3 * self.battery, 3 * self.battery
 
     @property
     def inertia(self) -> Lane:
