@@ -64,12 +64,13 @@ print("off the gate", gate(quad, 1.0, flight.state(40), flight.ctrls[40]).round(
 
 # %% [markdown]
 # ## Seen from the side and over time
-# It climbs and rolls at once, falls through the gate on its side, and catches itself. Thrusts meet
-# their bounds: the solver holds them exactly.
+# It climbs, rolls onto its side with two rotors at rest, passes the gate, and catches itself.
+# Thrusts of zero are bounds: the solver holds them exactly.
 
 # %%
 poses = jax.vmap(lambda q: rb.forward_kinematics(quad, q))
-arms = np.array([[0.17, 0.17, 0], [-0.17, -0.17, 0], [0, 0, 0], [-0.17, 0.17, 0], [0.17, -0.17, 0]])
+a = 0.17  # m, from the hub to a rotor along each axis
+arms = np.array([[a, a, 0], [-a, -a, 0], [0, 0, 0], [-a, a, 0], [a, -a, 0]])
 
 
 def draw(axis, states, every=5):
@@ -81,10 +82,12 @@ def draw(axis, states, every=5):
     axis.plot(*at.T, color="0.5", lw=0.8)
     frame = np.array([[0, y, z] for y, z in ((-0.4, -0.15), (0.4, -0.15), (0.4, 0.15),
                                              (-0.4, 0.15), (-0.4, -0.15))])  # fmt: skip
-    axis.plot(*(frame @ np.asarray(gate.rotation).T + np.asarray(gate.position)).T, color="tab:red", lw=3)
+    frame = frame @ np.asarray(gate.rotation).T + np.asarray(gate.position)
+    axis.plot(*frame.T, color="tab:red", lw=3)
     axis.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", zlim=(0.5, 2.0), ylim=(-0.8, 0.8))
-    axis.set_box_aspect((4, 1.6, 1.5), zoom=1.25)
-    axis.view_init(18, -65)
+    axis.set(yticks=[-0.5, 0.5], zticks=[0.5, 1.0, 1.5, 2.0])
+    axis.set_box_aspect((4, 1.6, 1.5), zoom=1.2)
+    axis.view_init(12, -50)
 
 
 figure = plt.figure(figsize=(11, 4))
