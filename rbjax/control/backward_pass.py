@@ -85,8 +85,8 @@ def backward_pass(
     V = end.Q + reg * eye_x
     begin = (V, v, (v * last).sum(), -(last * product(end.Q, last)).sum(), zero == 0)
     knots = (A, B, gaps[:-1], path, bounds)
-    carry, (K, k, Vs, vs) = jax.lax.scan(back, begin, knots, reverse=True)
-    V, v, slope, curvature, ok = carry
+    found: Any = jax.lax.scan(back, begin, knots, reverse=True)
+    (V, v, slope, curvature, ok), (K, k, Vs, vs) = found
     dx0 = gaps[0]
     if first is not None:
         free, low, high = first

@@ -325,9 +325,8 @@ def updated(
     body = jax.tree.map(lambda x: x[:-1], knots)
     last = jax.tree.map(lambda x: x[-1], knots)
     ks = jnp.arange(N, dtype=dtype)
-    worst, path = jax.lax.scan(
-        look, jnp.zeros((), dtype), (ks, body, ctrls, multipliers.path)
-    )
+    found: Any = jax.lax.scan(look, jnp.zeros((), dtype), (ks, body, ctrls, multipliers.path))
+    worst, path = found
     none = jnp.zeros(problem.nu, dtype)
     end, off = one(problem.rows(N, last, none, "end"), multipliers.end, "end")
     return path, end, jnp.maximum(worst, off)

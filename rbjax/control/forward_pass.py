@@ -9,7 +9,7 @@ With a = 1 the motion obeys the dynamics; with less, gaps close in proportion (M
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -55,7 +55,8 @@ def forward_pass(
     ks = jnp.arange(N, dtype=dtype)
     given = (ks, body, ctrls, gains.K, gains.k, gaps[:-1], gains.V[:-1], multipliers.path, gaps[1:])
     zero = jnp.zeros((), dtype)
-    (last, total, cross), (before, us) = jax.lax.scan(forth, (now, zero, zero), given)
+    tried: Any = jax.lax.scan(forth, (now, zero, zero), given)
+    (last, total, cross), (before, us) = tried
     none = jnp.zeros(problem.nu, dtype)
     total = total + merit(problem, N, last, none, multipliers.end, mu, "end")
     end = jax.tree.map(lambda x: x[-1], knots)

@@ -86,9 +86,11 @@ def solve(
         raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
     knots, us = first_guess(problem, start, states, ctrls, numbers)
-    limits = map(jnp.asarray, (tolerance, violation, iterations))
     show = progress and not inside_jit()
-    options = Options(*limits, jnp.asarray(seed, jnp.uint32), _say if show else None)
+    options = Options(
+        jnp.asarray(tolerance), jnp.asarray(violation), jnp.asarray(iterations),
+        jnp.asarray(seed, jnp.uint32), _say if show else None,
+    )  # fmt: skip
     first = problem.system.checked("solve", start)
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
@@ -101,8 +103,8 @@ def solve(
         others, other_tree = jax.tree.flatten(rest)
         key = (other_tree, *others)
         program = _solve if inside_jit() else _compiled
-        found = program(numeric, first, knots, us, options, key, method, int(iterations))
-        return solution_of(problem, *found, name_of(method))
+        found, off = program(numeric, first, knots, us, options, key, method, int(iterations))
+        return solution_of(problem, found, off, name_of(method))
 
     if not show:
         return with_captured(run, *(leaves[i] for i in places))

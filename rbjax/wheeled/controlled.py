@@ -95,8 +95,10 @@ class Vehicle(System):
 
         y = now.q, now.v, now.x
         if self.parts == 1:
-            return as_state(*once(y, None)[0], dtype)
-        return as_state(*jax.lax.scan(once, y, length=self.parts)[0], dtype)
+            q, v, x = once(y, None)[0]
+        else:
+            q, v, x = jax.lax.scan(once, y, length=self.parts)[0]
+        return as_state(q, v, x, dtype)
 
     def plus(self, state: State, dx: jax.Array) -> State:
         return self._state(self._flat(state) + dx)
