@@ -33,7 +33,7 @@ FLOORS = {
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys("wheeled planning sysid control stability flexible".split(), "motion")  # noqa: SIM905
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
-FLOORS |= {"recommend": "stability wheeled"}  # runs motions to choose how
+FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how
 # Inside a room: what the first folder holds knows nothing of the second.
 STOREYS = {"stability/theory/": "rbjax.stability.runs"}
 TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" is __init__.py
