@@ -145,7 +145,7 @@ def test_gains_come_to_those_of_the_regulator():
         lambda key: rb.State(*jax.random.normal(key, (2, 1))), dt=dt, episode=200, squash=False,
     )  # fmt: skip
     gains = jax.tree_util.Partial(jnp.matmul, jnp.array([[-0.5, -0.5]]))
-    found = through_time(env, gains, KEY, iterations=300, batch=32, rate=0.02)
+    found = through_time(env, gains, KEY, iterations=600, batch=32, rate=0.05)
     A, B = np.array([[1, dt], [0, 1.0]]), np.array([[dt * dt], [dt]])  # semi-implicit Euler
     want = rb.control.lqr(A, B, dt * np.eye(2), dt * np.eye(1), discrete=True).K
     assert np.abs(found.policy.args[0] - -np.abs(want)).max() < 0.03
