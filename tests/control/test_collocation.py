@@ -151,7 +151,8 @@ def test_a_brachistochrone_is_a_cycloid():
     angles = found.between.ctrls[..., 0]
     t = found.ts[:-1, None] + found.duration / N * found.between.c
     exact = np.pi / 2 - 0.5 * t * np.sqrt(9.81 / case["radius"])
-    np.testing.assert_allclose(angles, exact, atol=1e-4)
+    off = jnp.arctan2(jnp.sin(angles - exact), jnp.cos(angles - exact))  # whole turns are alike
+    np.testing.assert_allclose(off, 0, atol=1e-6)
 
 
 def smooth(N, method):
@@ -234,7 +235,7 @@ def test_a_goal_out_of_reach():
         DOUBLE, 4, 0.25, running=[Control()], constraints=[goal([1, 0])], bounds=(-1, 1)
     )
     found = solve(problem, jnp.zeros(2), method="gauss_legendre_4")
-    assert found.status.startswith("infeasible; ") or found.status.startswith("infeasible:")
+    assert found.status.startswith("infeasible")
     assert np.abs(found.between.ctrls).max() <= 1
 
 
