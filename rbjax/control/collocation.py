@@ -504,7 +504,7 @@ def of_each(t: Transcribed, point: Point) -> jax.Array:
     ks = jnp.arange(problem.horizon, dtype=dtype)
     rows = jax.vmap(functools.partial(stages, problem, t.table))(ks, body, point.inner).rows
     _, end = at_end(problem, jax.tree.map(lambda x: x[-1], point.knots))
-    off = {}
+    off: dict[int, jax.Array] = {}
     for where, values in (("path", rows), ("end", end)):
         low, high = limits(problem, where, jnp.zeros(values.shape[-1], dtype))
         away = jnp.abs(values - jnp.clip(values, low, high))

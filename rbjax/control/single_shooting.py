@@ -212,6 +212,7 @@ def minimised(squares: bool) -> Inner:
         costs: jax.Array,
     ) -> Ended:  # fmt: skip
         tol = 1e-6 if w.us.dtype == jnp.float64 else 1e-3
+        found: Any
         begin = total(s, w, l)
         budget = costs.shape[0]
         if squares:

@@ -151,7 +151,8 @@ def test_a_brachistochrone_is_a_cycloid():
     angles = found.between.ctrls[..., 0]
     t = found.ts[:-1, None] + found.duration / N * found.between.c
     exact = np.pi / 2 - 0.5 * t * np.sqrt(9.81 / case["radius"])
-    np.testing.assert_allclose(angles, exact, atol=1e-4)
+    off = jnp.arctan2(jnp.sin(angles - exact), jnp.cos(angles - exact))  # whole turns are alike
+    np.testing.assert_allclose(off, 0, atol=1e-6)
 
 
 def smooth(N, method):
@@ -187,20 +188,21 @@ def test_orders_over_four_halvings(method, order, first):
 
 
 def test_an_attitude_turns_on_its_manifold():
+    motors = "".join(f"<motor joint='b' gear='{g}'/>" for g in ("1 0 0", "0 1 0", "0 0 1"))
     model = rb.load(
-        "<mujoco><worldbody><body><freejoint/><inertial pos='0 0 0' mass='1' "
-        "diaginertia='.1 .2 .3'/></body></worldbody></mujoco>"
+        "<mujoco><option gravity='0 0 0'/><worldbody><body><joint name='b' type='ball'/><inertial "
+        f"pos='0 0 0' mass='1' diaginertia='.1 .1 .1'/></body></worldbody><actuator>{motors}"
+        "</actuator></mujoco>"
     )
-    start = model.default_state()
-    turned = rb.integrate(model, start.q, jnp.array([0.0, 0, 0, 0.3, -0.2, 0.4]))
-    assert model.nu == 0
-    error = rb.control.StateError(rb.State(turned, start.v))
-    problem = Problem(model, 3, 0.2, running=[Cost(error, 0.1)], terminal=[error], free_start=True)
-    guess = rb.State(start.q, start.v + 0.3)
-    found = solve(problem, guess, method="gauss_legendre_4")
-    assert found.converged and found.cost < 1e-8 and found.gap < 1e-9
-    norms = (found.states.q[:, 3:7] ** 2).sum(-1)
-    np.testing.assert_allclose(norms, 1, atol=1e-12)
+    start, turn = model.default_state(), jnp.array([0.3, -0.2, 0.4])
+    end = rb.State(rb.integrate(model, start.q, turn), start.v)
+    there = Constraint(rb.control.StateError(end), where="end", name="turned")
+    problem = Problem(model, 4, 0.25, running=[Cost(Control(), 2.0)], constraints=[there])
+    found = solve(problem, start, method="gauss_legendre_4")
+    assert found.converged and found.gap < 1e-9
+    # a sphere turns about one axis: 12 (I angle)^2
+    assert abs(found.cost - 12 * 0.1**2 * (turn**2).sum()) < 1e-8
+    np.testing.assert_allclose((found.states.q**2).sum(-1), 1, atol=1e-12)
 
 
 def test_constraints_on_the_path():
@@ -234,7 +236,7 @@ def test_a_goal_out_of_reach():
         DOUBLE, 4, 0.25, running=[Control()], constraints=[goal([1, 0])], bounds=(-1, 1)
     )
     found = solve(problem, jnp.zeros(2), method="gauss_legendre_4")
-    assert found.status.startswith("infeasible; ") or found.status.startswith("infeasible:")
+    assert found.status.startswith("infeasible")
     assert np.abs(found.between.ctrls).max() <= 1
 
 
