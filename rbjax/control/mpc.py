@@ -51,13 +51,13 @@ class Decided(NamedTuple):
 
 class Memory(NamedTuple):
     """What a controller remembers: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) of the
-    last plan; decided, `Decided` of the ticks of delay; failures (), plans that failed in a row;
-    outcome (), of the last search; cost () and violation () of the plan."""
+    last plan; decided, `Decided` of the ticks of delay, None without; failures (), plans that
+    failed in a row; outcome (), of the last search; cost () and violation () of the plan."""
 
     knots: Knot
     ctrls: jax.Array
     K: jax.Array
-    decided: Decided
+    decided: Decided | None
     failures: jax.Array
     outcome: jax.Array
     cost: jax.Array
@@ -116,11 +116,11 @@ class Controller:
         knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
-            knots, us, K, Decided(*(None,) * 4), jnp.where(whole, 0, self.patience),
+            knots, us, K, None, jnp.where(whole, 0, self.patience),
             found.outcome, found.cost, found.violation,
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
-        decided = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else Decided(*(None,) * 4)
+        decided = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
         for _ in range(self.delay):
             memory = self._shifted(problem, memory)
         return memory._replace(decided=decided)
@@ -135,10 +135,8 @@ class Controller:
             entry = self._entry(memory, 0)
             u = self._acted(problem, entry, t, x)
             return u, self._shifted(problem, memory), entry.result
-        now, later = (
-            jax.tree.map(lambda a: a[0], memory.decided),
-            jax.tree.map(lambda a: a[1:], memory.decided),
-        )
+        now: Decided = jax.tree.map(lambda a: a[0], memory.decided)
+        later: Decided = jax.tree.map(lambda a: a[1:], memory.decided)
         u = self._acted(problem, now, t, x)
         step = threads(problem.system.step)
         ahead = step(jnp.zeros_like(problem.dt), x, u, problem.dt)
@@ -180,7 +178,8 @@ class Controller:
             return (memory, after), (x, u, result, memory.outcome, memory.cost)
 
         ks = jnp.arange(steps, dtype=dt.dtype)
-        (_, last), (xs, us, results, outcomes, costs) = jax.lax.scan(one, (memory, x), ks)
+        run: tuple = jax.lax.scan(one, (memory, x), ks)
+        (_, last), (xs, us, results, outcomes, costs) = run
         states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
         ts = dt * jnp.arange(steps + 1, dtype=dt.dtype)
         return Run(ts, states, us, results, outcomes, costs)

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from rbjax.control.problem import Knot
+from rbjax.control.products import product
 from rbjax.control.riccati_solve import (
     Factor,
     Saddle,
@@ -30,7 +31,6 @@ from rbjax.control.riccati_solve import (
     congruence,
     factorised,
     masked,
-    product,
     solved,
     times_matrix,
 )
@@ -167,18 +167,19 @@ class Near:
             g = g + product(F.T, l)
             return g[:n], (l, g[n:])
 
-        l_0, (l, gu) = jax.lax.scan(back, l_N, (F, g), reverse=True)
+        swept: tuple = jax.lax.scan(back, l_N, (F, g), reverse=True)
+        l_0, (l, gu) = swept
         l = jnp.concatenate([l_0[None], l])
 
         at_low, at_high = _held(point.ctrls, *self._bounds(self.numbers), gu)
         numbers = point.knots.numbers[0]
         first_low, first_high = _held(numbers, *self._first_bounds(self.numbers), l_0[system.n :])
-        fixed = [~jnp.asarray(self.problem.free, bool), first_low | first_high]
-        masks = (
-            jnp.concatenate(fixed), ~(at_low | at_high), (point.path != 0) | equal,
+        held = [~jnp.asarray(self.problem.free, bool), first_low | first_high]
+        holds = (
+            jnp.concatenate(held), ~(at_low | at_high), (point.path != 0) | equal,
             (point.end != 0) | equal_N,
         )  # fmt: skip
-        masks = tuple(x.astype(dtype) for x in masks)
+        masks = tuple(x.astype(dtype) for x in holds)
         fixed, free, rows, rows_N = masks
 
         def L(seen: Callable[[jax.Array], Seen], l: jax.Array, nu: jax.Array) -> Callable:

@@ -19,10 +19,10 @@ from rbjax.errors import InputError
 
 
 class Timing(NamedTuple):
-    """Of the calls: count; median, p99 (99 %) and worst, ms; late, how many took longer than a
+    """Of the calls: how many; median, p99 (99 %) and worst, ms; late, how many took longer than a
     tick."""
 
-    count: int
+    calls: int
     median: float
     p99: float
     worst: float
@@ -49,7 +49,7 @@ class RealTime:
         >>> cart = C.Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
         >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()])
         >>> act = C.RealTime(C.mpc(problem), jnp.array([1.0, 0.0]))
-        >>> act(0.0, jnp.array([1.0, 0.0])).shape, act.timing().count
+        >>> act(0.0, jnp.array([1.0, 0.0])).shape, act.timing().calls
         ((1,), 1)
     """
 

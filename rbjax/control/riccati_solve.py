@@ -114,7 +114,8 @@ def factorised(e: Saddle) -> Factor:
 
     V_N = e.Q[-1] + rho * congruence(e.E, e.E)
     knots = (e.A, e.B, e.Q[:-1], e.S, e.R, e.C, e.D, e.free)
-    (V, ok), (K, inverse, Vs) = jax.lax.scan(back, (V_N, jnp.asarray(True)), knots, reverse=True)
+    found: tuple = jax.lax.scan(back, (V_N, jnp.asarray(True)), knots, reverse=True)
+    (V, ok), (K, inverse, Vs) = found
     open_ = 1 - e.fixed
     first, fine = _inverse(V * open_[:, None] * open_ + jnp.diag(e.fixed))
     return Factor(K, inverse, jnp.concatenate([Vs, V_N[None]]), first, rho, ok & fine)
@@ -154,7 +155,8 @@ def _once(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
 
     v_N = -r.x[-1] - product(e.E.T, ends)
     given = (e.A, e.B, e.C, e.D, f.V[1:], f.K, f.inverse, r.x[:-1], r.u, r.l[1:], rows)
-    v, (k, vs) = jax.lax.scan(back, v_N, given, reverse=True)
+    found: tuple = jax.lax.scan(back, v_N, given, reverse=True)
+    v, (k, vs) = found
     x0 = -e.fixed * r.l[0]
     slope = product(f.V[0], x0) + v
     x0 = x0 - (1 - e.fixed) * product(f.first, (1 - e.fixed) * slope)
@@ -166,7 +168,8 @@ def _once(e: Saddle, f: Factor, r: Unknowns) -> Unknowns:
         after = product(A, x) + product(B, u) - gap
         return after, (x, u, product(V, after) + v)
 
-    x_N, (x, u, l) = jax.lax.scan(forth, x0, (e.A, e.B, f.K, k, r.l[1:], f.V[1:], vs))
+    played: tuple = jax.lax.scan(forth, x0, (e.A, e.B, f.K, k, r.l[1:], f.V[1:], vs))
+    x_N, (x, u, l) = played
     mul = jax.vmap(product)
     path = rho * (mul(e.C, x) + mul(e.D, u)) - rows + (1 - e.path) * r.path
     end = rho * product(e.E, x_N) - ends + (1 - e.end) * r.end

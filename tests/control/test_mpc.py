@@ -86,7 +86,7 @@ def test_as_a_policy_of_rollout_and_with_a_clock():
         x = rb.step(model, x, jnp.asarray(u), 0.05)
     assert abs(float(x.q[0] - goal.q[0])) < 0.05
     timing = act.timing()
-    assert timing.count == 30 and 0 < timing.median <= timing.p99 <= timing.worst
+    assert timing.calls == 30 and 0 < timing.median <= timing.p99 <= timing.worst
     assert act.histogram(5)[0].sum() == 30
 
 
