@@ -46,8 +46,8 @@ print(found.q.round(3))
 
 # %% [markdown]
 # ## Many answers to one pose
-# Five hundred searches begin at random. More than half find the pose from where they begin, each in
-# a posture of its own: the elbow is free. The others go on from a second start, which is the same
+# Five hundred searches begin at random. More than half find the pose from where they begin, in many
+# postures: the elbow is free. The others go on from a second start, which is the same
 # for all, and end there. All stay within the ranges.
 
 # %%
