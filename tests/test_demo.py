@@ -65,10 +65,10 @@ def test_swing_up_comes_up(tmp_path: Path) -> None:
     check(section, tmp_path)
     values = {row[0]: float(row[1].split()[0]) for row in section.rows}
     assert abs(values["pole angle from upright"]) < 1 and abs(values["cart position"]) < 0.01
-    assert values["largest force"] <= 8.0
+    assert values["largest force"] == 5.0
     assert values["MuJoCo C under the same forces, final difference"] < 1e-6
     assert abs(values["the same with feedback"]) < 10
-    assert abs(values["pole angle from another start, open loop"]) > 30
+    assert abs(values["pole angle from another start, open loop"]) > 20
 
 
 def test_integrators_converge(tmp_path: Path) -> None:

@@ -24,11 +24,11 @@ from rbjax.motion.rollout import rollout
 from rbjax.plotting import BLUE, GREEN, INK, ORANGE, STYLE, Camera, strobe
 from rbjax.validation.reference import smooth, trajectory
 
-DT, STEPS, FORCE, OFF = 0.02, 150, 8.0, 0.05
+DT, STEPS, FORCE, OFF = 0.02, 150, 5.0, 0.1
 
 _CODE = """\
 effort, end = Cost(Control(), 0.02), Cost(StateError(model.keyframe("up")), 100.0)
-problem = Problem(model, 150, 0.02, bounds=(-8, 8), running=[effort], terminal=[end])
+problem = Problem(model, 150, 0.02, bounds=(-5, 5), running=[effort], terminal=[end])
 found = rb.control.solve(problem, model.keyframe("down"))
 rb.rollout(model, elsewhere, found.policy(), dt=0.02, steps=150)     # with its feedback"""
 
