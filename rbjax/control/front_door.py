@@ -13,6 +13,7 @@ from rbjax.compiling import compiled, inside_jit
 from rbjax.control.implicit import differentiable
 from rbjax.control.methods import METHODS, method_of, name_of
 from rbjax.control.options import Options
+from rbjax.control.outcome import CONVERGED, INFEASIBLE
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError
@@ -137,8 +138,12 @@ def _solve(
         found = differentiable(search, problem, start, knots, ctrls, options)
     else:
         found = _without_derivative(search(problem, start, knots, ctrls, options))
-    off = found.violations
-    return found, violations(problem, found.knots, found.ctrls) if off is None else off
+    if found.violations is not None:
+        return found, found.violations
+    off = violations(problem, found.knots, found.ctrls)
+    # a method that weighs constraints against costs may come to rest where they do not hold
+    broken = (off > options.violation).any() & (found.outcome == CONVERGED)
+    return found._replace(outcome=jnp.where(broken, INFEASIBLE, found.outcome)), off
 
 
 @jax.custom_jvp

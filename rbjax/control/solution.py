@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.outcome import CONVERGED, INFEASIBLE, SENTENCES
+from rbjax.control.outcome import BUDGET, CONVERGED, INFEASIBLE, SENTENCES
 from rbjax.control.problem import Knot, Problem
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -92,10 +92,10 @@ class Solution(Record):
             raise InputError("status: the solution is a batch, expected one; look at `outcome`")
         outcome = int(self.outcome)
         said = SENTENCES[outcome]
-        if outcome == INFEASIBLE:
-            names = [c.name for c in self.problem.constraints]
+        names = [c.name for c in self.problem.constraints]
+        if outcome == INFEASIBLE or (outcome == BUDGET and names and self.violations.max() > 1e-6):
             worst = int(jnp.argmax(self.violations))
-            said += f"; the worst is {names[worst]!r}, by {float(self.violations[worst]):.3g}"
+            said += f"; the constraint worst held is {names[worst]!r}, by {float(self.violations[worst]):.3g}"
         return said
 
     @property

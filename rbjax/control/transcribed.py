@@ -226,9 +226,10 @@ class Transcribed(NamedTuple):
             du = k + matvec(K, dx)
             return matvec(A, dx) + matvec(B, du) + gap, (dx, du)
 
-        last, (dx, du) = jax.lax.scan(
+        found: Any = jax.lax.scan(
             forth, gains.first, (path.A, path.B, gaps[1:], gains.K, gains.k)
         )
+        last, (dx, du) = found
         e = jnp.concatenate([dx, du], 1)
         rates = (matvec(path.Z, e) + path.offset).reshape(point.inner.rates.shape)
         d_path = (matvec(path.C, e) + path.more).reshape(point.path.shape)

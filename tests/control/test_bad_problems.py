@@ -11,11 +11,9 @@ from rbjax.control.outcome import BUDGET, CONVERGED, INFEASIBLE, NOT_FINITE, STU
 from rbjax.errors import InputError, UnknownName
 
 METHODS = [m if m == "ddp" else pytest.param(m, marks=pytest.mark.slow) for m in methods()]
-LATE = pytest.mark.xfail(reason="ends as converged or with its budget spent, not as infeasible")
-HOLDING = [
-    pytest.param(m, marks=LATE) if m in ("predictive", "mppi", "cross_entropy", "adam") else m
-    for m in methods() if methods()[m].constraints
-]  # fmt: skip
+HOLDING = [m for m in methods() if methods()[m].constraints]
+# these weigh constraints against costs, and cannot tell what is infeasible from what is not found
+WEIGHING = ("predictive", "mppi", "cross_entropy", "adam")
 START = jnp.ones(1)
 
 
@@ -87,7 +85,7 @@ def test_constraints_that_contradict_each_other_are_named(method):
     both = [Constraint(lambda t, x, u: x, 2.0, 3.0, "end", "above"),
             Constraint(lambda t, x, u: x, -3.0, -2.0, "end", "below")]  # fmt: skip
     s = solve(problem(constraints=both), START, method=method, iterations=500)
-    assert s.outcome == INFEASIBLE
+    assert s.outcome == INFEASIBLE or (method in WEIGHING and s.outcome == BUDGET)
     assert "above" in s.status or "below" in s.status
     assert whole(s)
 
@@ -97,7 +95,8 @@ def test_constraints_that_contradict_each_other_are_named(method):
 def test_a_goal_held_as_a_constraint_out_of_reach_is_named(method):
     far = Constraint(lambda t, x, u: x - 30.0, where="end", name="far")
     s = solve(problem(constraints=[far]), START, method=method, iterations=500)
-    assert s.outcome == INFEASIBLE and "'far'" in s.status
+    assert s.outcome == INFEASIBLE or (method in WEIGHING and s.outcome == BUDGET)
+    assert "'far'" in s.status
 
 
 def test_a_start_that_is_nan_is_named():
