@@ -21,8 +21,8 @@ from tests.wheeled.laws import LAWS, numbers
 
 # those that take no arrays, or only known ones (an arrangement of wheels depends on them), and the
 # adaptive solution, whose steps are no smooth function
-ELSEWHERE = {"at", "fidelities", "from_file", "kinds", "recommend", "simulate", "with_trailers",
-             "write_mjcf"}  # fmt: skip
+ELSEWHERE = {"at", "controlled", "fidelities", "from_file", "kinds", "recommend", "simulate",
+             "with_trailers", "write_mjcf"}  # fmt: skip
 
 CART = wheeled.kinds()["differential_drive"].make(caster=None)
 TRICYCLE = wheeled.kinds()["tricycle"].make(motor=SpeedServo(5.0, 20.0), lag=0.2)
