@@ -13,7 +13,7 @@ from rbjax.compiling import compiled, inside_jit
 from rbjax.control.implicit import differentiable
 from rbjax.control.methods import METHODS, method_of, name_of
 from rbjax.control.options import Options
-from rbjax.control.outcome import CONVERGED, INFEASIBLE
+from rbjax.control.outcome import CONVERGED, INFEASIBLE, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError
@@ -143,7 +143,9 @@ def _solve(
     off = violations(problem, found.knots, found.ctrls)
     # a method that weighs constraints against costs may come to rest where they do not hold
     broken = (off > options.violation).any() & (found.outcome == CONVERGED)
-    return found._replace(outcome=jnp.where(broken, INFEASIBLE, found.outcome)), off
+    outcome = jnp.where(broken, INFEASIBLE, found.outcome)
+    outcome = jnp.where(jnp.isfinite(found.cost), outcome, NOT_FINITE)
+    return found._replace(outcome=outcome), off
 
 
 @jax.custom_jvp

@@ -95,7 +95,8 @@ class Solution(Record):
         names = [c.name for c in self.problem.constraints]
         if outcome == INFEASIBLE or (outcome == BUDGET and names and self.violations.max() > 1e-6):
             worst = int(jnp.argmax(self.violations))
-            said += f"; the constraint worst held is {names[worst]!r}, by {float(self.violations[worst]):.3g}"
+            off = float(self.violations[worst])
+            said += f"; the constraint worst held is {names[worst]!r}, by {off:.3g}"
         return said
 
     @property

@@ -36,7 +36,7 @@ def whole(solution):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("cost", [
-    lambda t, x, u: jnp.nan * x, lambda t, x, u: jnp.log(x - 5.0).sum(),
+    lambda t, x, u: jnp.nan * x, lambda t, x, u: jnp.log(x - 5.0),
 ], ids=["nan", "log of a negative number"])  # fmt: skip
 def test_a_cost_that_is_nan_is_named(method, cost):
     s = solve(problem(terminal=[cost]), START, method=method, iterations=20)
