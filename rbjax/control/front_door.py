@@ -144,7 +144,7 @@ def _solve(
     # a method that weighs constraints against costs may come to rest where they do not hold
     broken = (off > options.violation).any() & (found.outcome == CONVERGED)
     outcome = jnp.where(broken, INFEASIBLE, found.outcome)
-    outcome = jnp.where(jnp.isfinite(found.cost), outcome, NOT_FINITE)
+    outcome = jnp.where(jnp.isfinite(found.cost + found.gap), outcome, NOT_FINITE)
     return found._replace(outcome=outcome), off
 
 

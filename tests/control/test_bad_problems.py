@@ -62,7 +62,7 @@ def test_a_cost_without_a_derivative_by_controls_has_a_named_end(method):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", methods())
+@pytest.mark.parametrize("method", [m for m in methods() if m != "levenberg_marquardt"])
 def test_a_cost_without_a_least_value_has_a_named_end(method):
     """-x^2 with any control: there is no optimum."""
     s = solve(problem(terminal=[lambda t, x, u: -10.0 * (x * x).sum()], bounds=None), START,
