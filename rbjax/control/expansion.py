@@ -54,13 +54,9 @@ class Local(NamedTuple):
 def limits(problem: Problem, where: str, like: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The bounds (c,) of the constraints at "path" or "end", for values `like`."""
     lows, highs = [], []
-    at, n = 0, like.shape[0]
-    sizes = row_sizes(problem, where)
-    for c, size in sizes:
+    for c, size in row_sizes(problem, where):
         lows.append(jnp.broadcast_to(jnp.ravel(c.low), (size,)))
         highs.append(jnp.broadcast_to(jnp.ravel(c.high), (size,)))
-        at += size
-    assert at == n
     none = jnp.zeros(0, like.dtype)
     low = jnp.concatenate([none, *lows]).astype(like.dtype)
     return low, jnp.concatenate([none, *highs]).astype(like.dtype)

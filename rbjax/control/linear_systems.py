@@ -26,7 +26,7 @@ import numpy as np
 
 from rbjax.compiling import compiled
 from rbjax.control.lyapunov import Lyapunov, lyapunov
-from rbjax.control.riccati import product
+from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model

@@ -27,7 +27,7 @@ import jax.numpy as jnp
 from rbjax.compiling import compiled
 from rbjax.control.linear_systems import pair
 from rbjax.control.lyapunov import cayley, is_stable, pace
-from rbjax.control.riccati import product
+from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_step
 
 CROSSINGS = 16  # of each kind that are refined

@@ -23,7 +23,8 @@ from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
 from rbjax.control.linear_systems import pair
 from rbjax.control.lqr import weights
-from rbjax.control.riccati import definite_factor, product
+from rbjax.control.products import product
+from rbjax.control.riccati import definite_factor
 from rbjax.dynamics.arguments import check_model, check_takes
 from rbjax.model import Model, State
 from rbjax.motion.field import Law, free_motion

@@ -31,7 +31,8 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-from rbjax.control.riccati import Gains, LinearQuadratic, definite_factor, product
+from rbjax.control.products import product
+from rbjax.control.riccati import Gains, LinearQuadratic, definite_factor
 from rbjax.errors import UnknownName
 from rbjax.lanes.products import matrix_transpose, matvec
 

@@ -17,15 +17,13 @@ Quadratic Methods*, 2; Tassa, Erez & Todorov, IROS 2012 (affine terms).
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
-#: products of f32 in full, on every device
-product = functools.partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
+from rbjax.control.products import product
 
 
 class LinearQuadratic(NamedTuple):
@@ -98,7 +96,8 @@ def backward(problem: LinearQuadratic) -> Gains:
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.control import backward, constant_problem
+        >>> from rbjax.control.products import product
+from rbjax.control import backward, constant_problem
         >>> one = jnp.eye(1)
         >>> gains = backward(constant_problem(one, one, one, one, 20))
         >>> round(float(gains.K[0, 0, 0]), 6)  # the golden ratio less one
