@@ -12,8 +12,10 @@ from rbjax.threads.arrays import Small, View, each, get, in_memory, put
 from rbjax.threads.lowering import Lowering, dtype_of, rule
 from rbjax.threads.program import Builder, Value
 
-#: products with more terms are loops; on a GPU a loop waits for its two loads at each term
-UNROLL_UP_TO = {"cpu": 512, "cuda": 2048}
+#: products with more terms are loops
+UNROLL_UP_TO = 512
+#: the same of two matrices on a GPU, where a loop waits for its two loads at each term
+MATRICES_UP_TO = 2048
 #: sums of a product that run together on a CPU: with what they read they fit into 16 registers
 SIDE_BY_SIDE = 12
 
@@ -28,7 +30,8 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
     nb, na, ny = len(ba), len(fa), len(fb)
     shape = (*x.shape[:nb], *x.shape[nb : nb + na], *y.shape[nb : nb + ny])
     contracted = x.shape[nb + na :]
-    if math.prod(shape) * math.prod(contracted) > UNROLL_UP_TO[low.b.platform]:
+    limit = MATRICES_UP_TO if fa and fb and low.b.platform == "cuda" else UNROLL_UP_TO
+    if math.prod(shape) * math.prod(contracted) > limit:
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     a, c = low.scalars(x), low.scalars(y)
     b, out = low.b, np.empty(shape, object)
