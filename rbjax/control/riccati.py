@@ -96,8 +96,7 @@ def backward(problem: LinearQuadratic) -> Gains:
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.control.products import product
-from rbjax.control import backward, constant_problem
+        >>> from rbjax.control import backward, constant_problem
         >>> one = jnp.eye(1)
         >>> gains = backward(constant_problem(one, one, one, one, 20))
         >>> round(float(gains.K[0, 0, 0]), 6)  # the golden ratio less one
