@@ -187,6 +187,7 @@ def test_orders_over_four_halvings(method, order, first):
     assert seen[above][-1] > order - 0.3
 
 
+@pytest.mark.slow
 def test_an_attitude_turns_on_its_manifold():
     motors = "".join(f"<motor joint='b' gear='{g}'/>" for g in ("1 0 0", "0 1 0", "0 0 1"))
     model = rb.load(
