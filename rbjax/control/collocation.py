@@ -10,7 +10,7 @@ of sequential quadratic programming: the Lagrangian to second order with its sta
     reg <- 8 reg    where a control Hessian is not positive definite, or no step is taken
     where the filter takes no step and gaps are left, steps that close them are taken for a while
 
-The motion need not obey the dynamics before the end, so that a guess of the states alone is enough
+The motion need not obey the dynamics before the end, so that a guess of only the states is enough
 to begin with. Source: Betts, *Practical Methods for Optimal Control*, chs. 2 and 4; Waechter &
 Biegler 2006 (*Ipopt*), whose rules of barrier and filter these are.
 """

@@ -29,7 +29,7 @@ from rbjax.control.expansion import (
     limits,
     local,
     quadratic,
-    row_sizes,
+    row_count,
     second_order,
 )
 from rbjax.control.forward_pass import Tried, forward_pass
@@ -43,7 +43,6 @@ LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as non
 TRIALS = 10  # steps of 1 to 2^-9
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
-GAP = 1e-9  # a motion obeys the dynamics
 PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
 
 
@@ -337,7 +336,7 @@ def _begun(
 ) -> Iterate:
     dtype = ctrls.dtype
     N, n, m = problem.horizon, problem.n, problem.nu
-    sizes = [sum(size for _, size in row_sizes(problem, w)) for w in ("path", "end")]
+    sizes = [row_count(problem, where) for where in ("path", "end")]
     number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
     none = Gains(
         jnp.zeros((N, m, n), dtype), jnp.zeros((N, m), dtype), jnp.zeros((N + 1, n, n), dtype),

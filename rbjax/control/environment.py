@@ -43,7 +43,7 @@ class Environment(Record):
         observe: state -> (o,), what the policy sees; q and v if None.
         randomise: (key, model) -> model, for each sample and episode; None for the model itself.
         lost: state -> bool, where an episode ends before its time; a state that is not finite does.
-        episode: steps after which a sample begins anew.
+        episode: steps after which a sample begins again.
         squash: whether controls are drawn into the model's control ranges, where those are finite.
         integrator: as `rb.rollout`.
 

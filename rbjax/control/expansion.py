@@ -62,6 +62,11 @@ def limits(problem: Problem, where: str, like: jax.Array) -> tuple[jax.Array, ja
     return low, jnp.concatenate([none, *highs]).astype(like.dtype)
 
 
+def row_count(problem: Problem, where: str) -> int:
+    """How many rows the constraints have at "path" or "end"."""
+    return sum(size for _, size in row_sizes(problem, where))
+
+
 def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
     """Each constraint at "path" or "end" with the number of its rows."""
     knot, ctrl = example(problem)

@@ -206,7 +206,7 @@ def through_time(
     """A policy trained by back-propagation through whole episodes: for gains and short motions.
 
     min over theta of the mean of c(x_k, pi(o(x_k))) over env.episode steps and a batch of starts,
-    drawn anew in each iteration.
+    drawn again in each iteration.
 
     Args:
         env: `Environment`; `episode` is the number of steps.
@@ -308,7 +308,7 @@ def drawn(env: Environment, key: jax.Array, batch: int) -> Samples:
 def renewed(
     env: Environment, key: jax.Array, samples: Samples, segment: Segment, steps: int
 ) -> Samples:
-    """The batch after a segment: samples that are old, lost or not finite begin anew."""
+    """The batch after a segment: samples that are old, lost or not finite begin again."""
     last = jax.tree.map(lambda x: x[:, -1], segment.states)
     ages = samples.ages + steps
     batch = ages.shape[0]

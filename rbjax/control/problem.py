@@ -256,12 +256,9 @@ class Problem(Record):
 
     def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
-        system, dt = self.at(knot.numbers)
-        found = [jnp.zeros(0, dt.dtype)]
-        for c in self.constraints:
-            if c.where in (where, "all"):
-                found.append(jnp.ravel(c.term(system.model, k * dt, knot.state, ctrl)))
-        return jnp.concatenate(found)
+        held = [c for c in self.constraints if c.where in (where, "all")]
+        none = jnp.zeros(0, knot.numbers.dtype)
+        return jnp.concatenate([none, *(self.row(c, k, knot, ctrl) for c in held)])
 
 
 def _root(w: jax.Array) -> jax.Array:

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.ddp import by_ddp, largest_gap
-from rbjax.control.expansion import merit, row_sizes
+from rbjax.control.expansion import merit, row_count
 from rbjax.control.options import Options
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
@@ -183,7 +183,7 @@ def by_sampling(
     last = jax.lax.while_loop(lambda now: now.outcome == GOING, turn, begin)
     found, us = threads(lambda draw, start: motion(how, problem, start, draw))(last.best, start)
     N, n, m = problem.horizon, problem.n, problem.nu
-    rows = [sum(size for _, size in row_sizes(problem, where)) for where in ("path", "end")]
+    rows = [row_count(problem, where) for where in ("path", "end")]
     return Found(
         found, us, plain_cost(problem, found, us), last.outcome, last.turns, last.stop,
         largest_gap(problem, jax.tree.map(lambda x: x[0], found.state), found, us),
@@ -303,7 +303,7 @@ def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array
     dtype, N = draw.points.dtype, problem.horizon
     mu = jnp.asarray(how.penalty, dtype)
     rows = [
-        jnp.zeros(sum(size for _, size in row_sizes(problem, where)), dtype)
+        jnp.zeros(row_count(problem, where), dtype)
         for where in ("path", "end")
     ]
 

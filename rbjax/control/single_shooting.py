@@ -1,4 +1,4 @@
-"""Single shooting: the controls alone are unknowns, the states follow by the system's steps.
+"""Single shooting: only the controls are unknowns, the states follow by the system's steps.
 
     min over us of  J(us) = sum l_k(x_k, u_k) + Phi(x_N),    x_{k+1} = f(x_k, u_k)
     u = middle + half sin(w)          within bounds, of unknowns w that have none
@@ -24,7 +24,7 @@ import optax
 import optimistix as optx
 
 from rbjax.control.ddp import largest_gap
-from rbjax.control.expansion import example, limits, row_sizes
+from rbjax.control.expansion import example, limits, row_count
 from rbjax.control.options import Options
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.control.problem import Knot, Problem
@@ -254,7 +254,7 @@ def by_shooting(
     low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
     dx = jnp.zeros(n, dtype).at[problem.system.n :].set(outside(first.numbers, low, high))
     w = Unknowns(outside(ctrls, problem.low, problem.high), dx)
-    sizes = [sum(size for _, size in row_sizes(problem, at)) for at in ("path", "end")]
+    sizes = [row_count(problem, at) for at in ("path", "end")]
     l = Multipliers(
         jnp.zeros((problem.horizon, sizes[0]), dtype), jnp.zeros(sizes[1], dtype),
         jnp.asarray(FIRST_PENALTY, dtype),
