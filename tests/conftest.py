@@ -16,6 +16,8 @@ import jax
 import pytest
 from jaxlib.version import __version_info__ as jaxlib_version
 
+from tests import slow_list
+
 jax.config.update("jax_enable_x64", True)
 
 # Nearly all that the tests take is XLA compiling programs that then run for milliseconds. Without
@@ -62,6 +64,14 @@ class ByMachineCode:
             backend.usual = wanted
             backend.on_cpu.cache_clear()
         yield
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks as slow what a measured run found to be so."""
+    names = slow_list.listed()
+    for item in items:
+        if item.nodeid in names:
+            item.add_marker(pytest.mark.slow)
 
 
 def pytest_collection_finish() -> None:
