@@ -3,10 +3,10 @@
     pytest --junitxml times.xml -m "not slow"
     python -m tests.slow_list times.xml [SHARE]
 
-writes the list from the times of the tests that ran, and keeps what it has of others. SHARE is what a
-worker had of a core, 1 on a quiet machine. `conftest` marks what is listed as slow. A test is listed if it took more than `LIMIT` seconds; the cheapest case
-of each function stays quick up to `CHEAPEST`. So every function that is not long by itself still has
-a case in `make test`.
+writes the list from the times of the tests that ran, and keeps what it has of others. SHARE is
+what a worker had of a core, 1 on a quiet machine. `conftest` marks what is listed as slow. A test
+is listed if it took more than `LIMIT` seconds; the cheapest case of each function stays quick up to
+`CHEAPEST`. So every function that is not long by itself still has a case in `make test`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The list of slow tests names tests that there are, and leaves each function of several cases one."""
+"""The list of slow tests names tests that there are, and leaves each function a case."""
 
 from pathlib import Path
 
