@@ -35,6 +35,12 @@ HEAD = """
 #define RSQRTf(x) rsqrtf(x)
 #define RSQRT(x) rsqrt(x)
 #define AT_ONCE 16
+// what does not fit into registers goes to shared memory: local memory that L1 cannot hold is L2's
+#if __CUDACC_VER_MAJOR__ >= 13
+#define SPILL_TO_SHARED asm volatile(".pragma \\"enable_smem_spilling\\";");
+#else
+#define SPILL_TO_SHARED
+#endif
 typedef float c_float;
 typedef double c_double;
 template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, int rows) {
@@ -144,7 +150,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
         left -= array.size * array.dtype.itemsize
         yield table(array, "static __constant__" if left >= 0 else "static __device__ const")
     yield f'extern "C" __global__ void __launch_bounds__({BLOCK}) {name}('
-    yield parameters(program, "__restrict__") + "){"
+    yield parameters(program, "__restrict__") + "){SPILL_TO_SHARED"
     yield f"const long long first=(long long)blockIdx.x*{BLOCK};"
     yield f"const int rows={size}ll-first<{BLOCK}?(int)({size}ll-first):{BLOCK};"
     # a thread beyond the batch repeats the last sample, which does no harm

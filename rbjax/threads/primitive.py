@@ -286,23 +286,28 @@ batching.primitive_batchers[threads_p] = _batched
 
 # ------------------------------------------------------------------- derivatives
 
+#: so many directions fill a sector of a GPU's memory
+DIRECTIONS = 8
+
 tangent_p = Primitive("threads_tangent")
 tangent_p.multiple_results = True
 """Operands: arguments, values that the program keeps, and the tangents of moving arguments."""
 
 
-def _as_threads(program, moving, batch, ins):
-    outs = (tuple(range(len(batch))),) * len(program.outputs)
+def _as_threads(program, moving, batch, ins, outs):
     return {"program": program.tangent(moving), "batch": batch, "ins": ins, "outs": outs}
 
 
 @tangent_p.def_abstract_eval
-def _(*operands, program, moving, batch, ins):
-    return [_result((*batch, *a.shape), a.dtype, operands) for a in program.outputs]
+def _(*operands, program, moving, batch, ins, outs):
+    return [
+        _result(_shape(a.shape, batch, axes), a.dtype, operands)
+        for a, axes in zip(program.outputs, outs, strict=True)
+    ]
 
 
-def _evaluate(*operands, program, moving, batch, ins):
-    return threads_p.bind(*operands, **_as_threads(program, moving, batch, ins))
+def _evaluate(*operands, program, moving, batch, ins, outs):
+    return threads_p.bind(*operands, **_as_threads(program, moving, batch, ins, outs))
 
 
 tangent_p.def_impl(_evaluate)
@@ -310,11 +315,18 @@ mlir.register_lowering(tangent_p, mlir.lower_fun(_evaluate, multiple_results=Tru
 knows_devices(tangent_p)
 
 
-def _batched_tangent(operands, dims, program, moving, batch, ins):
+def _batched_tangent(operands, dims, program, moving, batch, ins, outs):
     size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
     moved = tuple(_with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
-    out = tangent_p.bind(*operands, program=program, moving=moving, batch=(size, *batch), ins=moved)
-    return out, [0] * len(out)
+    # many directions of one sample lie last, as in a Jacobian: threads write side by side
+    fixed = len(moving) + len(program.kept(moving))
+    last = size >= DIRECTIONS and all(d is None for d in dims[:fixed])
+    at = [len(a.shape) + len(batch) if last else 0 for a in program.outputs]
+    new = tuple(_with_axis(k, axes) for k, axes in zip(at, outs, strict=True))
+    out = tangent_p.bind(
+        *operands, program=program, moving=moving, batch=(size, *batch), ins=moved, outs=new
+    )
+    return out, at
 
 
 batching.primitive_batchers[tangent_p] = _batched_tangent
@@ -355,26 +367,28 @@ def _jvp(primals, tangents, *, program, batch, ins, outs):
         kept = found[program.reads :]
     kept_axes = places[program.reads :] if kept else ()
     axes = (*ins, *kept_axes, *(a for a, m in zip(ins, moving, strict=True) if m))
+    first = tuple(range(len(batch)))
+    whole = tuple(first if None in a else a for a in outs)  # sums over samples are taken here
     rate = tangent_p.bind(
-        *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes
+        *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes, outs=whole
     )
     return found[:n], [
-        placed(t, a) if _is_float(t) else _zero(x)
-        for t, a, x in zip(rate, outs, found[:n], strict=True)
+        (t if own == a else placed(t, a)) if _is_float(t) else _zero(x)
+        for t, own, a, x in zip(rate, whole, outs, found[:n], strict=True)
     ]
 
 
 ad.primitive_jvps[threads_p] = _jvp
 
 
-def _jvp_of_tangent(primals, tangents, *, program, moving, batch, ins):
-    return _jvp(primals, tangents, **_as_threads(program, moving, batch, ins))
+def _jvp_of_tangent(primals, tangents, *, program, moving, batch, ins, outs):
+    return _jvp(primals, tangents, **_as_threads(program, moving, batch, ins, outs))
 
 
 ad.primitive_jvps[tangent_p] = _jvp_of_tangent
 
 
-def _transpose(bars, *operands, program, moving, batch, ins):
+def _transpose(bars, *operands, program, moving, batch, ins, outs):
     n = len(moving) + len(program.kept(moving))
     weighed = tuple(type(bar) is not ad.Zero for bar in bars)
     if not any(weighed):
@@ -382,15 +396,16 @@ def _transpose(bars, *operands, program, moving, batch, ins):
                              for x in operands[n:]]  # fmt: skip
     given = [bar for bar, w in zip(bars, weighed, strict=True) if w]
     first = tuple(range(len(batch)))
-    axes, outs = ins[n:], []
+    there = [a for a, w in zip(outs, weighed, strict=True) if w]
+    axes, places = ins[n:], []
     for a in axes:  # summed in the kernel if an operand has no batch at all
         whole = all(k is not None for k in a) or all(k is None for k in a)
-        outs.append(a if whole else first)
+        places.append(a if whole else first)
     found = run(
-        program.transposed(moving, weighed), [*operands[:n], *given], batch,
-        [*ins[:n], *(first,) * len(given)], outs,
+        program.transposed(moving, weighed), [*operands[:n], *given], batch, [*ins[:n], *there],
+        places,
     )  # fmt: skip
-    found = [x if o == a else placed(x, a) for x, o, a in zip(found, outs, axes, strict=True)]
+    found = [x if o == a else placed(x, a) for x, o, a in zip(found, places, axes, strict=True)]
     return [None] * n + [
         x if ad.is_undefined_primal(y) else None for x, y in zip(found, operands[n:], strict=True)
     ]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.threads import wanted
+from rbjax.threads import primitive, wanted
 from rbjax.threads.function import threaded, threads
 from tests.compilations import compilations
 from tests.tolerances import F64_TRANSFORM, relative_error
@@ -116,6 +116,23 @@ def jitted():
 @pytest.mark.parametrize("name", TRANSFORMED)
 def test_jitted(name, jitted):
     agree(*jitted[name])
+
+
+def bent(h):
+    """The gradient of a Jacobian's size, for each sample: through directions in reverse."""
+    J = jax.jacfwd(first(h))
+    return jax.vmap(jax.grad(lambda x: sum((leaf**2).sum() for leaf in J(x))))
+
+
+def test_directions_that_lie_last(monkeypatch):
+    """As many directions do, the last axis of a Jacobian."""
+    monkeypatch.setattr(primitive, "DIRECTIONS", 1)
+    cases = {"hessian": TRANSFORMED["vmap of hessian"], "bent": (bent, (X,))}
+
+    def every(g):
+        return {name: make(g)(*args) for name, (make, args) in cases.items()}
+
+    agree(jax.jit(lambda: every(threaded(f)))(), jax.jit(lambda: every(f))())
 
 
 EAGER = ("one sample", "batch first", "empty", "jvp", "grad, own and shared", "grad, closed over")
