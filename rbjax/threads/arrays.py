@@ -1,7 +1,8 @@
 """Small arrays of a thread.
 
 They have three forms: a numpy array whose entries are known; an object array of `Value`s, each in a
-register; a `View` of memory. Only a `View` may have indices that are not known.
+register; a `View` of memory. Only a `View` may have indices that are not known. A team of threads
+has a fourth, `Delayed`: entries that are computed where they are read.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.program import I32, Array, Builder, Value
+from rbjax.threads.program import I32, Array, Builder, Value, Var
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +144,81 @@ class View:
         return replace(self, strides=tuple(strides), shape=tuple(shape))
 
 
-Small = Any  # np.ndarray of numbers, np.ndarray of Values, or View
+@dataclass(frozen=True, slots=True, eq=False)
+class Delayed:
+    """Entries that are computed where they are read: entry(*index), from some arrays, by about
+    `cost` operations. A chain of operations on entries so becomes one loop of a team.
+
+    Source: pull arrays (Keller et al. 2010, *Regular, shape-polymorphic, parallel arrays in
+    Haskell*).
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    entry: Callable[..., Value]
+    sources: frozenset[Array]
+    cost: int
+
+    @property
+    def ndim(self) -> int:
+        return len(self.shape)
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def work(self) -> int:
+        return self.size * self.cost
+
+    def moved(self, shape: Sequence[int], index: Callable[..., Sequence[Value]]) -> Delayed:
+        """Other entries of it: index(*i) is the place of entry i."""
+        entry = self.entry
+        return replace(self, shape=tuple(shape), entry=lambda *i: entry(*index(*i)))
+
+    def transposed(self, permutation: Sequence[int]) -> Delayed:
+        order = np.argsort(permutation)
+        shape = [self.shape[k] for k in permutation]
+        return self.moved(shape, lambda *i: [i[k] for k in order])
+
+    def broadcast(self, shape: Sequence[int], axes: Sequence[int]) -> Delayed:
+        """As `jax.lax.broadcast_in_dim`."""
+        wide = [self.shape[k] == shape[axis] for k, axis in enumerate(axes)]
+        zero = I32.type(0)
+        return self.moved(shape, lambda *i: [
+            i[axis] if w else zero for axis, w in zip(axes, wide, strict=True)
+        ])  # fmt: skip
+
+    def sliced(self, b: Builder, slices: Sequence[slice]) -> Delayed:
+        """A rectangle of it."""
+        shape = [len(range(s.start, s.stop, s.step or 1)) for s in slices]
+        return self.moved(shape, lambda *i: [
+            _along(b, k, s.start, s.step or 1) for k, s in zip(i, slices, strict=True)
+        ])  # fmt: skip
+
+    def reshaped(self, shape: Sequence[int]) -> Delayed | None:
+        """With more or fewer axes of one entry; else None."""
+        own, new = ([k for k, n in enumerate(s) if n != 1] for s in (self.shape, shape))
+        if [self.shape[k] for k in own] != [shape[k] for k in new]:
+            return None
+        place = dict(zip(own, new, strict=True))
+        zero = I32.type(0)
+        return self.moved(
+            shape, lambda *i: [i[place[k]] if k in place else zero for k in range(self.ndim)]
+        )
+
+
+def _along(b: Builder, k: Value, start: int, step: int) -> Value:
+    """start + k step."""
+    return b.op("index_add", I32, b.op("index_mul", I32, k, I32.type(step)), I32.type(start))
+
+
+Small = Any  # np.ndarray of numbers, np.ndarray of Values, View, or Delayed
+
+#: a team keeps arrays of at most so many entries in registers, the same in each of its threads
+FEW = 16
+#: work from which on the threads of a team share it, in operations
+SHARED_ABOVE = 64
 
 
 def row_major(shape: Sequence[int]) -> tuple[int, ...]:
@@ -176,6 +251,13 @@ def filled(shape: Sequence[int], value: Value) -> np.ndarray:
 
 def scalars(b: Builder, x: Small) -> np.ndarray:
     """The entries as an array of Values; those in memory are read."""
+    if isinstance(x, Delayed):
+        if not b.teamed or x.work <= SHARED_ABOVE or x.size == 1:
+            out = np.empty(x.shape, object)
+            for i in np.ndindex(x.shape):
+                out[i] = x.entry(*map(I32.type, i))
+            return out
+        x = stored(b, x)
     if not isinstance(x, View):
         return objects(x)
     out = np.empty(x.shape, object)
@@ -201,18 +283,63 @@ def in_memory(b: Builder, x: Small, dtype: Any) -> View:
     """The entries in memory: a table of known numbers, or a local copy of registers."""
     if isinstance(x, View):
         return x
+    if isinstance(x, Delayed):
+        return stored(b, x)
     x = tidy(x, dtype)
     if is_known(x):
         return View.of(b.table(np.ascontiguousarray(x)), x.shape)
+    if b.teamed:
+        return _kept(b, x, dtype)
     view = View.of(b.local(dtype, x.size), x.shape)
     write(b, view, x)
     return view
+
+
+def _kept(b: Builder, x: np.ndarray, dtype: Any) -> View:
+    """Values of a team's threads in memory that does not change; equal ones once. Axes along which
+    they repeat have no entries of their own."""
+    repeats = [n > 1 and s == 0 for n, s in zip(x.shape, x.strides, strict=True)]
+    own = x[tuple(slice(0, 1) if r else slice(None) for r in repeats)]
+
+    def make() -> View:
+        view = View.of(b.local(dtype, own.size), own.shape)
+        write(b, view, own)
+        view.array.owners += 1
+        return view
+
+    values = tuple(v.id if isinstance(v, Var) else (v.dtype.char, v.tobytes()) for v in own.flat)
+    return b.once(("kept", own.shape, values), make).broadcast(x.shape, range(x.ndim))
+
+
+def stored(b: Builder, x: Delayed) -> View:
+    """Delayed entries in memory that does not change, once."""
+
+    def make() -> tuple[View, Delayed]:
+        view = View.of(b.local(x.dtype, max(x.size, 1)), x.shape)
+        write(b, view, x)
+        view.array.owners += 1
+        return view, x  # x lives as long as its number is a key
+
+    return b.once(("stored", id(x)), make)[0]
+
+
+def settled(b: Builder, x: Small) -> Small:
+    """A delayed array in registers if it is small, else in memory; another as it is."""
+    if not isinstance(x, Delayed):
+        return x
+    few = x.size <= FEW and x.work <= SHARED_ABOVE or x.size == 1
+    return scalars(b, x) if few else stored(b, x)
 
 
 def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
     """Copy x to a place in memory; large pieces by a loop."""
     if isinstance(x, View) and x.same(to):
         return
+    if isinstance(x, Delayed) or b.teamed and isinstance(x, View) and x.size > 1:
+        each(b, to.shape, lambda *i: put(b, to, i, get(b, x, i)))
+        return
+    if b.teamed and is_known(x) and x.size > FEW:
+        loop_above = 0
     if x.size > loop_above and (isinstance(x, View) or is_known(x)):
         source = in_memory(b, x, to.dtype)
         each(b, to.shape, lambda *i: put(b, to, i, get(b, source, i)))
@@ -231,12 +358,14 @@ def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
 
 def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View:
     """x in memory, broadcast to a shape as numpy does."""
-    view = in_memory(b, x, dtype)
+    view = x if isinstance(x, Delayed) else in_memory(b, x, dtype)
     return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))
 
 
-def get(b: Builder, view: View, index: Sequence[Value]) -> Value:
+def get(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Value:
     """One entry."""
+    if isinstance(view, Delayed):
+        return view.entry(*index)
     there = view.moved(b, *zip(index, view.strides, strict=True))
     return b.load(there.array, there.base, there.offset)
 
@@ -248,11 +377,31 @@ def put(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
 
 
 def each(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
-    """f(*index) for every index of a shape, in nested loops."""
-    if not shape:
+    """f(*index) for every index of a shape, in nested loops; by a team in one loop. What f does for
+    an index does not depend on what it does for others."""
+    if b.teamed and not math.prod(shape):
+        return
+    if b.teamed and math.prod(shape) != 1:
+        with b.spread(math.prod(shape)) as counter:
+            f(*index, *unravelled(b, counter, shape))
+    elif not shape:
         f(*index)
     elif shape[0] == 1:
         each(b, shape[1:], f, *index, I32.type(0))
     else:
         with b.loop(shape[0]) as counter:
             each(b, shape[1:], f, *index, counter)
+
+
+def unravelled(b: Builder, counter: Value, shape: Sequence[int]) -> list[Value]:
+    """The index along each axis of a shape, from a place row by row."""
+    out: list[Value] = []
+    wide = [n for n in shape if n > 1]
+    for n in reversed(shape):
+        if n == 1:
+            out.append(I32.type(0))
+            continue
+        wide.pop()
+        out.append(b.op("index_mod", I32, counter, I32.type(n)) if wide else counter)
+        counter = b.op("index_div", I32, counter, I32.type(n)) if wide else counter
+    return out[::-1]

@@ -28,15 +28,17 @@ STATEMENTS_UP_TO = 100_000
 #: the driver reserves a thread's arrays for all threads that the device can hold at once: 17 GB
 ARRAY_BYTES_UP_TO = 64 * 1024
 
-HEAD = """
+BASICS = """
 #define QUALIFIED static __device__ inline
 #define NAN __int_as_float(0x7fffffff)
 #define INFINITY __int_as_float(0x7f800000)
 #define RSQRTf(x) rsqrtf(x)
 #define RSQRT(x) rsqrt(x)
-#define AT_ONCE 16
 typedef float c_float;
 typedef double c_double;
+"""
+HEAD = """
+#define AT_ONCE 16
 template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, int rows) {
   if (rows < BLOCK) {
     for (int k = threadIdx.x; k < rows * N; k += BLOCK) to[PITCH == N ? k : k + k / N] = from[k];
@@ -138,7 +140,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield f"#define BLOCK {BLOCK}"
-    yield HEAD + stores.HEAD + PREAMBLE
+    yield BASICS + HEAD + stores.HEAD + PREAMBLE
     left = CONSTANT_BYTES
     for array in program.builder.tables:
         left -= array.size * array.dtype.itemsize

@@ -122,9 +122,11 @@ def write_program(
     results: Sequence[Layout],
     summed: Sequence[bool] = (),
     platform: str = "cuda",
+    team: bool = False,
 ) -> Written:
-    """The program of one sample of a batch. Summed results are sums over the batch."""
-    b = Builder(platform)
+    """The program of one sample of a batch. Summed results are sums over the batch. team: for a
+    team of threads a sample (`team.kernel`)."""
+    b = Builder(platform, team)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
     summed = tuple(summed) or (False,) * len(results)

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from rbjax.threads.arrays import Small, View, scalars, tidy, write
+from rbjax.threads.arrays import Delayed, Small, View, scalars, settled, tidy, write
 from rbjax.threads.program import Builder
 
 Rule = Callable[["Lowering", Any, list], list]
@@ -39,6 +39,16 @@ class Unsupported(Exception):
 
 #: the dtypes that a thread supports
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
+
+
+#: primitives whose rules take delayed arrays as they are
+TAKES_DELAYED: set[str] = set()
+#: operations up to which the entries of a delayed array are computed at each of its uses
+CHEAP = 4
+
+
+def takes_delayed(*names: str) -> None:
+    TAKES_DELAYED.update(names)
 
 
 #: arguments that the rule of a primitive does not read; they are passed as None
@@ -71,11 +81,12 @@ class Needs:
     """The part of a jaxpr that its results need.
 
     last: for each variable that is read, the last equation that reads it. equations: for each, its
-    number, itself and the inputs that it reads.
+    number, itself and the inputs that it reads. uses: how often each variable is read.
     """
 
     jaxpr: Jaxpr
     last: dict[Any, int]
+    uses: Counter
     equations: list[tuple[int, Any, list]]
 
 
@@ -105,6 +116,8 @@ class Lowering:
 
         def bind(var: Any, value: Small) -> None:
             if var in last:
+                if isinstance(value, Delayed) and needs.uses[var] > 1 and value.cost > CHEAP:
+                    value = settled(self.b, value)
                 env[var] = value
                 _own(value, 1)
 
@@ -112,7 +125,7 @@ class Lowering:
             return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
 
         for var, const in zip(jaxpr.constvars, consts, strict=True):
-            held = isinstance(const, View) or _is_objects(const)
+            held = isinstance(const, View | Delayed) or _is_objects(const)
             bind(var, const if held else known(const, var.aval))
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
@@ -141,6 +154,8 @@ class Lowering:
             fits = dtype is None or dtype in DTYPES
             if not fits and (name in RULES or called(eqn) is None):  # a call names it inside
                 raise Unsupported(f"{name} of type {dtype}")
+        if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
+            ins = [settled(self.b, x) for x in ins]
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)
         if name in RULES:
@@ -164,6 +179,7 @@ class Lowering:
         end = len(jaxpr.eqns)
         last: dict[Any, int] = {v: end for v in jaxpr.outvars if not isinstance(v, Literal)}
         equations = []
+        uses = Counter(v for v in jaxpr.outvars if not isinstance(v, Literal))
         for n, eqn in reversed(list(enumerate(jaxpr.eqns))):
             if not eqn.effects and not any(v in last for v in eqn.outvars):
                 continue
@@ -173,8 +189,9 @@ class Lowering:
             for atom in atoms:
                 if atom is not None and not isinstance(atom, Literal):
                     last.setdefault(atom, n)
+                    uses[atom] += 1
             equations.append((n, eqn, atoms))
-        return Needs(jaxpr, last, equations[::-1])
+        return Needs(jaxpr, last, uses, equations[::-1])
 
     def _unread(self, eqn: Any) -> Sequence[int]:
         inner = called(eqn)
@@ -248,6 +265,9 @@ def _is_objects(x: Any) -> bool:
 def _own(value: Small, change: int) -> None:
     if isinstance(value, View):
         value.array.owners += change
+    elif isinstance(value, Delayed):
+        for array in value.sources:
+            array.owners += change
 
 
 def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:

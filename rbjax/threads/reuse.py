@@ -30,7 +30,8 @@ def share_memory(block: Block) -> None:
     shared: dict[Array, Array] = {}
     for array, span in sorted(spans.items(), key=lambda x: -x[0].size):
         for place, taken in places:
-            if place.dtype == array.dtype and not any(span.meets(x) for x in taken):
+            alike = place.dtype == array.dtype and place.shared == array.shared
+            if alike and not any(span.meets(x) for x in taken):
                 break
         else:
             place, taken = array, []

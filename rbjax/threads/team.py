@@ -1,0 +1,272 @@
+"""The CUDA source of a program that a team of threads runs: a block a sample.
+
+Arrays lie in the block's shared memory. The turns of a loop over entries are independent, and thread
+i of n takes turns i, i + n, ... . All threads run what is outside of such loops, with the same
+values, so they take the same branches. Where a loop reads what other threads have written, or
+writes what they may still read, the threads meet at a barrier first. Matrices of ten to thirty rows,
+which are too many numbers for the registers of one thread, are worked on so.
+
+Source: bulk-synchronous steps (Valiant 1990, *A bridging model for parallel computation*); a warp a
+small matrix as in MAGMA (Haidar et al. 2015, *Batched matrix computations on hardware accelerators*).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
+from rbjax.threads.cuda import BASICS, STATEMENTS_UP_TO, Kernel
+from rbjax.threads.frame import Written, offset, parameters, sample_index
+from rbjax.threads.lowering import Unsupported
+from rbjax.threads.program import (
+    Array,
+    Await,
+    Barrier,
+    Block,
+    If,
+    Load,
+    Loop,
+    Op,
+    Reserve,
+    Store,
+    While,
+    walk,
+)
+
+#: threads of a team where there are fewer samples than this; a warp where there are more
+TEAMS = {600: 128, 1200: 64}
+WARP = 32
+#: bytes of a block's shared memory
+SHARED_BYTES = 47 * 1024
+#: operations up to which the turns of a thread are written out
+WRITTEN_OUT = 600
+
+HEAD = """
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+// copies that go on while the thread does other things
+template <class T> QUALIFIED void early(T* to, const T* from) {
+  asm volatile("cp.async.ca.shared.global [%0], [%1], %2;"
+    :: "r"((unsigned)__cvta_generic_to_shared(to)), "l"(from), "n"((int)sizeof(T)) : "memory");
+}
+QUALIFIED void arrived() { asm volatile("cp.async.wait_all;" ::: "memory"); }
+#else
+template <class T> QUALIFIED void early(T* to, const T* from) { *to = *from; }
+QUALIFIED void arrived() {}
+#endif
+"""
+
+
+def size_of(samples: int) -> int:
+    """The threads of a team."""
+    return next((n for most, n in TEAMS.items() if samples <= most), WARP)
+
+
+def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
+    """The kernel of a program that was written for a team; raises `Unsupported` if its arrays do not
+    fit into shared memory."""
+    if program.statements > STATEMENTS_UP_TO:
+        raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
+    bytes = shared_bytes(program.builder.block)
+    if bytes > SHARED_BYTES:
+        raise Unsupported(f"{bytes} bytes of a team's arrays, more than {SHARED_BYTES}")
+    samples = math.prod(program.batch)
+    team = team or size_of(samples)
+    source = "\n".join(_lines(program, name, team))
+    return Kernel(source, name, team, samples, program.summed)
+
+
+def shared_bytes(block: Block) -> int:
+    """Bytes of the arrays that a team shares."""
+    arrays = [s.array for s in walk(block) if isinstance(s, Reserve) and s.array.shared]
+    return sum(-(-max(a.size, 1) * a.dtype.itemsize // 16) * 16 for a in arrays)
+
+
+def _lines(program: Written, name: str, team: int) -> Iterator[str]:
+    ins, outs = program.layouts
+    index = sample_index(program.batch)
+    yield BASICS + HEAD + PREAMBLE
+    for array in program.builder.tables:
+        yield table(array, "static __device__ const")
+    yield f'extern "C" __global__ void __launch_bounds__({team}) {name}('
+    yield parameters(program, "__restrict__") + "){"
+    yield "const long long b=blockIdx.x;"
+    yield "const int lane=threadIdx.x;"
+    names: dict[int, str] = {}
+    for k, (array, layout) in enumerate(zip(program.operands, ins, strict=True)):
+        names[array.id] = f"x{k}"
+        yield f"const {c_type(array.dtype)}* __restrict__ x{k}=p{k}+({offset(layout, index)});"
+    for k, (array, layout) in enumerate(zip(program.results, outs, strict=True)):
+        names[array.id] = f"y{k}"
+        # of a sum over the batch each block writes its own part
+        start = f"b*{array.size}" if program.summed[k] else offset(layout, index)
+        yield f"{c_type(array.dtype)}* __restrict__ y{k}=r{k}+({start});"
+    yield from TeamPrinter(names, team).lines(synchronised(program.builder.block))
+    yield "}"
+
+
+class TeamPrinter(Printer):
+    """Prints statements for one thread of a team."""
+
+    def __init__(self, names: dict[int, str], team: int):
+        super().__init__(names)
+        self.team = team
+        self.barrier = "__syncwarp();" if team == WARP else "__syncthreads();"
+        self._early = False
+
+    def _lines(self, statement: Any) -> Iterator[str]:
+        match statement:
+            case Barrier():
+                yield self.barrier
+            case Await():
+                yield f"arrived();{self.barrier}"
+            case Reserve(array=array) if array.shared:
+                yield f"__shared__ {c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
+            case Loop(team=True):
+                yield from self._turns(statement)
+            case Load(dest=dest, array=array, base=base, offset=offset) if self._early:
+                yield f"const auto* {self.value(dest)}=&{self.place(array, base, offset)};"
+            case Store(array=array, base=base, offset=offset, value=value) if self._early:
+                yield f"early(&{self.place(array, base, offset)},{self.value(value)});"
+            case _:
+                yield from super()._lines(statement)
+
+    def _turns(self, loop: Loop) -> Iterator[str]:
+        """The turns of this thread."""
+        i, count, team = self.value(loop.counter), loop.count, self.team
+        self._early = loop.early
+        body = list(self.lines(loop.body))
+        self._early = False
+        rounds = -(-count // team)
+        if rounds == 1:
+            yield "{" if count == team else f"if(lane<{count}){{"
+            yield f"const int {i}=lane;"
+        else:
+            ops = sum(isinstance(s, (Op, Load, Store)) for s in walk(loop.body))
+            yield "#pragma unroll" if rounds * ops <= WRITTEN_OUT else "#pragma unroll 1"
+            yield f"for(int r{i}=0;r{i}<{rounds};r{i}++){{"
+            yield f"const int {i}=r{i}*{team}+lane;"
+            if count % team:
+                yield f"if(r{i}<{rounds - 1}||{i}<{count}){{"
+            else:
+                yield "{"
+        yield from body
+        yield "}" if rounds == 1 else "}}"
+
+
+# ------------------------------------------------------------------- barriers
+
+
+@dataclass
+class Pending:
+    """Accesses since the last barrier: arrays that were read; places that all threads wrote; arrays
+    that loops of a team wrote, and the part of each loop."""
+
+    read: set[Array] = field(default_factory=set)
+    alike: dict[Array, set] = field(default_factory=dict)
+    spread: dict[Array, set[int]] = field(default_factory=dict)
+
+    def copy(self) -> Pending:
+        return Pending().joined(self)
+
+    def joined(self, other: Pending) -> Pending:
+        self.read |= other.read
+        for mine, more in ((self.alike, other.alike), (self.spread, other.spread)):
+            for array, places in more.items():
+                mine.setdefault(array, set()).update(places)
+        return self
+
+    def clear(self) -> None:
+        self.read.clear()
+        self.alike.clear()
+        self.spread.clear()
+
+    def may_store(self, store: Store) -> bool:
+        """Whether all threads may write a value here without a barrier."""
+        here = self.alike.get(store.array, set())
+        apart = all(base is store.base and at != store.offset for base, at in here)
+        return apart and store.array not in self.read and store.array not in self.spread
+
+    def may_run(self, loads: set[Array], stores: set[Array], part: int) -> bool:
+        """The same of a loop of a team."""
+        if any(x in self.spread for x in loads):
+            return False
+        return all(
+            x not in self.read and x not in self.alike
+            and (part and self.spread.get(x, {part}) == {part} or x not in self.spread)
+            for x in stores
+        )  # fmt: skip
+
+
+def synchronised(block: Block) -> Block:
+    """The statements with barriers between accesses of several threads to one array."""
+    return _synchronised(block, Pending())
+
+
+def _is_seen(array: Array) -> bool:
+    """Whether several threads access an array that changes."""
+    return array.shared or array.space == "result"
+
+
+def _touched(*blocks: Block) -> tuple[set[Array], set[Array]]:
+    """The arrays that statements read, and those that they write."""
+    every = [s for block in blocks for s in walk(block)]
+    loads = {s.array for s in every if isinstance(s, Load) and _is_seen(s.array)}
+    return loads, {s.array for s in every if isinstance(s, Store) and _is_seen(s.array)}
+
+
+def _synchronised(block: Block, now: Pending) -> Block:
+    out: list[Any] = []
+
+    def barrier() -> None:
+        out.append(Barrier())
+        now.clear()
+
+    for s in block.statements:
+        match s:
+            case Load(array=array) if _is_seen(array):
+                if array in now.spread:
+                    barrier()
+                now.read.add(array)
+            case Store(array=array) if _is_seen(array):
+                if not now.may_store(s):
+                    barrier()
+                now.alike.setdefault(array, set()).add((s.base, s.offset))
+            case Loop(team=True, part=part):
+                loads, stores = _touched(s.body)
+                if not now.may_run(loads, stores, part):
+                    barrier()
+                now.read |= loads
+                if not s.early:
+                    for array in stores:
+                        now.spread.setdefault(array, set()).add(part)
+            case Loop(body=body):
+                s = Loop(s.counter, s.count, s.reverse, _turn(body, now))
+            case While(test=test, body=body):
+                test = _turn(test, now, body)
+                after = now.copy()
+                s = While(test, s.condition, _synchronised(body, now))
+                now.clear()
+                now.joined(after)
+            case If(then=then, otherwise=otherwise):
+                other = now.copy()
+                s = If(
+                    s.condition, _synchronised(then, now), _synchronised(otherwise, other)
+                )
+                now.joined(other)
+            case Await():
+                now.clear()
+        out.append(s)
+    return Block(out)
+
+
+def _turn(block: Block, now: Pending, *others: Block) -> Block:
+    """The first statements of a loop's turn, before which the threads meet if it changes arrays."""
+    if not any(_touched(block, *others)):
+        return _synchronised(block, now)
+    now.clear()
+    waits = block.statements and isinstance(block.statements[0], Await)
+    found = _synchronised(block, now)
+    return found if waits else Block([Barrier(), *found.statements])
