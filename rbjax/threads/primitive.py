@@ -22,7 +22,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import NamedSharding, PartitionSpec
 
-from rbjax.threads import backend, cuda, host_call, launch
+from rbjax.threads import backend, cuda, host_call, launch, team
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
@@ -165,6 +165,13 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
         Layout(a.shape, ()) if s else Layout(_shape(a.shape, batch, axes), axes)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
+    if program.team and platform == "cuda":
+        try:
+            return team.kernel(
+                write_program(program.closed, batch, operands, results, summed, platform, True)
+            )
+        except Unsupported:
+            pass  # a thread a sample needs no shared memory
     written = write_program(program.closed, batch, operands, results, summed, platform)
     return cuda.kernel(written) if platform == "cuda" else host_call.host_kernel(
         written, program.once and not batch

@@ -39,8 +39,10 @@ from rbjax.threads.program import (
 #: threads of a team where there are fewer samples than this; a warp where there are more
 TEAMS = {600: 128, 1200: 64}
 WARP = 32
-#: bytes of a block's shared memory
-SHARED_BYTES = 47 * 1024
+#: bytes of a block's shared memory; of a multiprocessor's, and those that the driver takes a block
+SHARED_BYTES, SHARED_BYTES_IN_ALL, DRIVERS_BYTES = 47 * 1024, 227 * 1024, 1024
+#: blocks for which a multiprocessor should have registers: of a warp, and of larger teams
+RESIDENT, RESIDENT_LARGE = 27, 4
 #: operations up to which the turns of a thread are written out
 WRITTEN_OUT = 600
 
@@ -78,6 +80,13 @@ def kernel(program: Written, name: str = "threads", team: int | None = None) -> 
     return Kernel(source, name, team, samples, program.summed)
 
 
+def _resident(bytes: int, team: int) -> int:
+    """The blocks for which a multiprocessor should have registers: not more than its shared memory
+    holds."""
+    wanted = RESIDENT if team == WARP else RESIDENT_LARGE
+    return min(wanted, SHARED_BYTES_IN_ALL // (bytes + DRIVERS_BYTES))
+
+
 def shared_bytes(block: Block) -> int:
     """Bytes of the arrays that a team shares."""
     arrays = [s.array for s in walk(block) if isinstance(s, Reserve) and s.array.shared]
@@ -90,7 +99,8 @@ def _lines(program: Written, name: str, team: int) -> Iterator[str]:
     yield BASICS + HEAD + PREAMBLE
     for array in program.builder.tables:
         yield table(array, "static __device__ const")
-    yield f'extern "C" __global__ void __launch_bounds__({team}) {name}('
+    least = _resident(shared_bytes(program.builder.block), team)
+    yield f'extern "C" __global__ void __launch_bounds__({team},{least}) {name}('
     yield parameters(program, "__restrict__") + "){"
     yield "const long long b=blockIdx.x;"
     yield "const int lane=threadIdx.x;"
