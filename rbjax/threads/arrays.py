@@ -327,7 +327,7 @@ def settled(b: Builder, x: Small) -> Small:
     """A delayed array in registers if it is small, else in memory; another as it is."""
     if not isinstance(x, Delayed):
         return x
-    few = x.size <= FEW and x.work <= SHARED_ABOVE or x.size == 1
+    few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1
     return scalars(b, x) if few else stored(b, x)
 
 
@@ -335,7 +335,7 @@ def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
     """Copy x to a place in memory; large pieces by a loop."""
     if isinstance(x, View) and x.same(to):
         return
-    if isinstance(x, Delayed) or b.teamed and isinstance(x, View) and x.size > 1:
+    if isinstance(x, Delayed) or (b.teamed and isinstance(x, View) and x.size > 1):
         each(b, to.shape, lambda *i: put(b, to, i, get(b, x, i)))
         return
     if b.teamed and is_known(x) and x.size > FEW:
@@ -356,7 +356,7 @@ def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
     return view
 
 
-def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View:
+def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View | Delayed:
     """x in memory, broadcast to a shape as numpy does."""
     view = x if isinstance(x, Delayed) else in_memory(b, x, dtype)
     return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))

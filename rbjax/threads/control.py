@@ -220,9 +220,9 @@ def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable
 
     def rows(counter: Value) -> list[View]:
         b.block.statements.append(Await())
-        more = b.op("gt" if reverse else "lt", BOOL, counter, I32.type(0 if reverse else length - 1))
-        with b.when(more):
-            fetch(b.op("index_add", I32, counter, I32.type(-1 if reverse else 1)))
+        last, step = (0, -1) if reverse else (length - 1, 1)
+        with b.when(b.op("ne", BOOL, counter, I32.type(last))):
+            fetch(b.op("index_add", I32, counter, I32.type(step)))
         half = b.op("and", I32, counter, one)
         return [
             to.at(b, 0, half if o else counter) for to, o in zip(both, own, strict=True)

@@ -107,8 +107,8 @@ def _delayed(b: Builder, dtype: Any, shape: tuple, f: Callable, xs: tuple) -> De
 
 
 def source(b: Builder, x: Small, shape: tuple) -> Delayed:
-    """The entries of an array, broadcast to a shape as numpy does. Values in registers are in memory
-    as well, for an index that is not known."""
+    """The entries of an array, broadcast to a shape as numpy does. Values in registers are also in
+    memory, for an index that is not known."""
     if not isinstance(x, np.ndarray):
         wide = x.broadcast(shape, range(len(shape) - x.ndim, len(shape)))
         if isinstance(wide, Delayed):

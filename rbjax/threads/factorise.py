@@ -222,8 +222,6 @@ def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
         return [_solved_by_team(low, eqn, *ins)]
     ins = [settled(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
-    if low.b.teamed and ins[0].ndim == 2:
-        return [_columns_of_a_team(low, eqn, *ins)]
     return mapped(low, eqn, ins, f, (2,))
 
 

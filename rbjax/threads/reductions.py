@@ -58,6 +58,7 @@ def _delayed(
         longest = max(axes, key=lambda k: x.shape[k])
         rest = [k for k in axes if k != longest]
         rows = _delayed(low, x, [longest], rest, dtype, f)
+        assert rows is not None
         kept, axes, s = [], [0], source(low.b, in_memory(low.b, rows, dtype), rows.shape)
     shape, count = tuple(s.shape[k] for k in kept), tuple(s.shape[k] for k in axes)
 

@@ -1,13 +1,13 @@
 """The CUDA source of a program that a team of threads runs: a block a sample.
 
-Arrays lie in the block's shared memory. The turns of a loop over entries are independent, and thread
-i of n takes turns i, i + n, ... . All threads run what is outside of such loops, with the same
-values, so they take the same branches. Where a loop reads what other threads have written, or
-writes what they may still read, the threads meet at a barrier first. Matrices of ten to thirty rows,
-which are too many numbers for the registers of one thread, are worked on so.
+Arrays lie in the block's shared memory. The turns of a loop over entries are independent, and
+thread i of n takes turns i, i + n, ... . All threads run what is outside of such loops, with the
+same values, so they take the same branches. Where a loop reads what other threads have written, or
+writes what they may still read, the threads meet at a barrier first. So a sample may have matrices
+of ten to thirty rows, which are too many numbers for the registers of one thread.
 
-Source: bulk-synchronous steps (Valiant 1990, *A bridging model for parallel computation*); a warp a
-small matrix as in MAGMA (Haidar et al. 2015, *Batched matrix computations on hardware accelerators*).
+Source: steps between barriers (Valiant 1990, *A bridging model for parallel computation*); a block
+a small matrix (Haidar et al. 2015, *Batched matrix computations on hardware accelerators*).
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def size_of(samples: int) -> int:
 
 
 def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
-    """The kernel of a program that was written for a team; raises `Unsupported` if its arrays do not
-    fit into shared memory."""
+    """The kernel of a program that was written for a team; raises `Unsupported` if its arrays do
+    not fit into shared memory."""
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
     bytes = shared_bytes(program.builder.block)
@@ -205,7 +205,7 @@ class Pending:
             return False
         return all(
             x not in self.read and x not in self.alike
-            and (part and self.spread.get(x, {part}) == {part} or x not in self.spread)
+            and ((part and self.spread.get(x, {part}) == {part}) or x not in self.spread)
             for x in stores
         )  # fmt: skip
 

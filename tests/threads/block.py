@@ -1,7 +1,7 @@
 """A CUDA kernel's source run on the host: the threads of a block are threads of the host.
 
-They run together, or one at a time: each from barrier to barrier, in a given order. A missing barrier
-then shows every time.
+They run together, or one at a time: each from barrier to barrier, in a given order. A missing
+barrier then shows every time.
 """
 
 from __future__ import annotations
