@@ -55,19 +55,18 @@ def _exchanged(x: jax.Array, k: Any, p: Any, first: Any = 0) -> jax.Array:
 
 
 def cholesky(a: jax.Array, inverse: bool = False) -> jax.Array:
-    """L of A = L L^T, from the lower triangle; nan if A is not positive definite. inverse: a column
-    is multiplied by the inverse of its root, which is one division."""
+    """L of A = L L^T, from the lower triangle; nan if A is not positive definite. inverse: by the
+    inverse of each root, which on a GPU takes a third of a root's and a division's time."""
     n = len(a)
     rows = np.arange(n)
-
-    def over(x: jax.Array, root: jax.Array) -> jax.Array:
-        return x * (1 / root) if inverse else x / root
 
     def step(k: Any, a: jax.Array, bad: jax.Array) -> tuple:
         pivot = a[k, k]
         bad = bad | ~(pivot > 0)
-        root = jnp.sqrt(pivot)
-        column = jnp.where(rows == k, root, jnp.where(rows > k, over(a[:, k], root), 0))
+        factor = lax.rsqrt(pivot) if inverse else 1
+        root = pivot * factor if inverse else jnp.sqrt(pivot)
+        below = a[:, k] * factor if inverse else a[:, k] / root
+        column = jnp.where(rows == k, root, jnp.where(rows > k, below, 0))
         below = (rows[:, None] > k) & (rows > k) & (rows[:, None] >= rows)
         a = jnp.where(below, a - column[:, None] * column, a)
         return jnp.where(rows == k, column[:, None], a), bad
