@@ -48,7 +48,8 @@ class View:
     def changeable(self) -> bool:
         """Whether it may be updated in place: no two entries share a place, and no one reads it."""
         apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
-        return apart and self.array.space == "local" and not self.array.owners
+        own = self.array.space == "local" and not self.array.pieces
+        return apart and own and not self.array.owners
 
     def same(self, other: Any) -> bool:
         """Whether the other is a view of the same place."""

@@ -65,8 +65,8 @@ def cholesky(a: jax.Array, inverse: bool = False) -> jax.Array:
         bad = bad | ~(pivot > 0)
         factor = lax.rsqrt(pivot) if inverse else 1
         root = pivot * factor if inverse else jnp.sqrt(pivot)
-        below = a[:, k] * factor if inverse else a[:, k] / root
-        column = jnp.where(rows == k, root, jnp.where(rows > k, below, 0))
+        scaled = a[:, k] * factor if inverse else a[:, k] / root
+        column = jnp.where(rows == k, root, jnp.where(rows > k, scaled, 0))
         below = (rows[:, None] > k) & (rows > k) & (rows[:, None] >= rows)
         a = jnp.where(below, a - column[:, None] * column, a)
         return jnp.where(rows == k, column[:, None], a), bad

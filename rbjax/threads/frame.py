@@ -34,6 +34,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
 from rbjax.threads.arrays import View, row_major
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
+from rbjax.threads.phases import synchronised
 from rbjax.threads.program import I32, I64, Array, Builder, Op, Reserve, walk
 from rbjax.threads.prune import prune
 from rbjax.threads.reuse import share_memory
@@ -141,6 +142,8 @@ def write_program(
     with Lowering(b).held(args):
         Lowering(b).closed(closed, args, places)
     prune(b.block)
+    if team:
+        b.block = synchronised(b.block)
     share_memory(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)

@@ -63,14 +63,14 @@ def _transposed(x: Small, order: tuple) -> Small:
 def _delayed(
     low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
 ) -> Small:
-    """Each sum where it is read. What several sums read is in memory."""
+    """Each sum where it is read. What several sums read is in memory, or as good as there."""
     b, (nb, na, ny) = low.b, sizes
     terms = math.prod(contracted)
     if not terms:
         return np.zeros(shape, dtype)
     ways = math.prod(y.shape[nb : nb + ny]), math.prod(x.shape[nb : nb + na])
     x, y = (
-        in_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) else z
+        in_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) and z.cost > 2 else z
         for z, n in zip((x, y), ways, strict=True)
     )
     s, t = source(b, x, x.shape), source(b, y, y.shape)

@@ -18,9 +18,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
-from rbjax.threads.arrays import Delayed, Small, View, scalars, settled, tidy, write
+from rbjax.threads.arrays import FEW, Delayed, Small, View, scalars, settled, tidy, write
 from rbjax.threads.program import Builder
 
 Rule = Callable[["Lowering", Any, list], list]
@@ -129,7 +129,10 @@ class Lowering:
             bind(var, const if held else known(const, var.aval))
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
-        wanted = _places(jaxpr, places)
+        if self.b.teamed:
+            wanted = _places(jaxpr, places, lambda v: v in last and self._joined(v))
+        else:
+            wanted = _places(jaxpr, places)
         for n, eqn, atoms in needs.equations:
             ins = [None if atom is None else read(atom) for atom in atoms]
             for atom in atoms:
@@ -137,6 +140,10 @@ class Lowering:
                     _own(env.pop(atom), -1)
             outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
             for var, out in zip(eqn.outvars, outs, strict=True):
+                place = wanted.get(var)
+                if isinstance(out, Delayed) and place is not None and place.array.shared:
+                    write(self.b, place, out)  # a piece of a larger array, where it belongs
+                    out = place
                 bind(var, out)
         outs = [read(atom) for atom in jaxpr.outvars]
         for value in env.values():
@@ -167,6 +174,15 @@ class Lowering:
         if inner is None:
             raise Unsupported(name)
         return self.closed(inner, ins, places)
+
+    def _joined(self, var: Any) -> View | None:
+        """A place for a concatenation of a team, for the pieces to be written there."""
+        aval = var.aval
+        if aval.size <= FEW or dtype_of(aval) not in DTYPES:
+            return None
+        array = self.b.local(dtype_of(aval), aval.size)
+        array.pieces = True
+        return View.of(array, aval.shape)
 
     def needed(self, jaxpr: Jaxpr) -> Needs:
         """The part of a jaxpr that its results need."""
@@ -270,8 +286,17 @@ def _own(value: Small, change: int) -> None:
             array.owners += change
 
 
-def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
-    """The places of results, passed back through equations that only move entries."""
+#: equations that only move entries
+MOVES = {
+    "slice", "transpose", "reshape", "squeeze", "expand_dims", "broadcast_in_dim", "rev", "iota",
+}  # fmt: skip
+
+
+def _places(
+    jaxpr: Jaxpr, places: Sequence[View | None], joined: Callable | None = None
+) -> dict[Any, View]:
+    """The places of results, passed back through equations that only move entries. joined: a place
+    for another concatenation with computed pieces."""
     wanted: dict[Any, View] = {}
     inputs = {*jaxpr.invars, *jaxpr.constvars}
 
@@ -284,8 +309,9 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
 
     for var, place in zip(jaxpr.outvars, places, strict=False):
         want(var, place)
-    if not wanted:
+    if not wanted and joined is None:
         return wanted
+    moved = {v for eqn in jaxpr.eqns if eqn.primitive.name in MOVES for v in eqn.outvars}
     uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
     uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
     for eqn in reversed(jaxpr.eqns):
@@ -295,6 +321,11 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
                 want(var, wanted.get(made) if shape else None)
             continue
         place = wanted.get(eqn.outvars[0]) if eqn.outvars else None
+        if place is None and joined is not None and eqn.primitive.name == "concatenate":
+            pieces: list[Any] = eqn.invars
+            if any(v not in moved and v not in inputs for v in pieces if isinstance(v, Var)):
+                place = joined(eqn.outvars[0])
+                want(eqn.outvars[0], place)
         if place is None:
             continue
         match eqn.primitive.name:

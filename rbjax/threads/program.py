@@ -52,6 +52,8 @@ class Array:
     #: the `Builder` time of its last write
     version: int = 0
     shared: bool = False
+    #: each entry is written once (in a turn of a loop), by one of several statements
+    pieces: bool = False
 
     @property
     def mutable(self) -> bool:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any
 
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
@@ -22,17 +21,14 @@ from rbjax.threads.cuda import BASICS, STATEMENTS_UP_TO, Kernel
 from rbjax.threads.frame import Written, offset, parameters, sample_index
 from rbjax.threads.lowering import Unsupported
 from rbjax.threads.program import (
-    Array,
     Await,
     Barrier,
     Block,
-    If,
     Load,
     Loop,
     Op,
     Reserve,
     Store,
-    While,
     walk,
 )
 
@@ -113,7 +109,7 @@ def _lines(program: Written, name: str, team: int) -> Iterator[str]:
         # of a sum over the batch each block writes its own part
         start = f"b*{array.size}" if program.summed[k] else offset(layout, index)
         yield f"{c_type(array.dtype)}* __restrict__ y{k}=r{k}+({start});"
-    yield from TeamPrinter(names, team).lines(synchronised(program.builder.block))
+    yield from TeamPrinter(names, team).lines(program.builder.block)
     yield "}"
 
 
@@ -123,8 +119,11 @@ class TeamPrinter(Printer):
     def __init__(self, names: dict[int, str], team: int):
         super().__init__(names)
         self.team = team
-        self.barrier = "__syncwarp();" if team == WARP else "__syncthreads();"
         self._early = False
+
+    @property
+    def barrier(self) -> str:
+        return "__syncwarp();" if self.team == WARP else "__syncthreads();"
 
     def _lines(self, statement: Any) -> Iterator[str]:
         match statement:
@@ -164,119 +163,3 @@ class TeamPrinter(Printer):
                 yield "{"
         yield from body
         yield "}" if rounds == 1 else "}}"
-
-
-# ------------------------------------------------------------------- barriers
-
-
-@dataclass
-class Pending:
-    """Accesses since the last barrier: arrays that were read; places that all threads wrote; arrays
-    that loops of a team wrote, and the part of each loop."""
-
-    read: set[Array] = field(default_factory=set)
-    alike: dict[Array, set] = field(default_factory=dict)
-    spread: dict[Array, set[int]] = field(default_factory=dict)
-
-    def copy(self) -> Pending:
-        return Pending().joined(self)
-
-    def joined(self, other: Pending) -> Pending:
-        self.read |= other.read
-        for mine, more in ((self.alike, other.alike), (self.spread, other.spread)):
-            for array, places in more.items():
-                mine.setdefault(array, set()).update(places)
-        return self
-
-    def clear(self) -> None:
-        self.read.clear()
-        self.alike.clear()
-        self.spread.clear()
-
-    def may_store(self, store: Store) -> bool:
-        """Whether all threads may write a value here without a barrier."""
-        here = self.alike.get(store.array, set())
-        apart = all(base is store.base and at != store.offset for base, at in here)
-        return apart and store.array not in self.read and store.array not in self.spread
-
-    def may_run(self, loads: set[Array], stores: set[Array], part: int) -> bool:
-        """The same of a loop of a team."""
-        if any(x in self.spread for x in loads):
-            return False
-        return all(
-            x not in self.read and x not in self.alike
-            and ((part and self.spread.get(x, {part}) == {part}) or x not in self.spread)
-            for x in stores
-        )  # fmt: skip
-
-
-def synchronised(block: Block) -> Block:
-    """The statements with barriers between accesses of several threads to one array."""
-    return _synchronised(block, Pending())
-
-
-def _is_seen(array: Array) -> bool:
-    """Whether several threads access an array that changes."""
-    return array.shared or array.space == "result"
-
-
-def _touched(*blocks: Block) -> tuple[set[Array], set[Array]]:
-    """The arrays that statements read, and those that they write."""
-    every = [s for block in blocks for s in walk(block)]
-    loads = {s.array for s in every if isinstance(s, Load) and _is_seen(s.array)}
-    return loads, {s.array for s in every if isinstance(s, Store) and _is_seen(s.array)}
-
-
-def _synchronised(block: Block, now: Pending) -> Block:
-    out: list[Any] = []
-
-    def barrier() -> None:
-        out.append(Barrier())
-        now.clear()
-
-    for s in block.statements:
-        match s:
-            case Load(array=array) if _is_seen(array):
-                if array in now.spread:
-                    barrier()
-                now.read.add(array)
-            case Store(array=array) if _is_seen(array):
-                if not now.may_store(s):
-                    barrier()
-                now.alike.setdefault(array, set()).add((s.base, s.offset))
-            case Loop(team=True, part=part):
-                loads, stores = _touched(s.body)
-                if not now.may_run(loads, stores, part):
-                    barrier()
-                now.read |= loads
-                if not s.early:
-                    for array in stores:
-                        now.spread.setdefault(array, set()).add(part)
-            case Loop(body=body):
-                s = Loop(s.counter, s.count, s.reverse, _turn(body, now))
-            case While(test=test, body=body):
-                test = _turn(test, now, body)
-                after = now.copy()
-                s = While(test, s.condition, _synchronised(body, now))
-                now.clear()
-                now.joined(after)
-            case If(then=then, otherwise=otherwise):
-                other = now.copy()
-                s = If(
-                    s.condition, _synchronised(then, now), _synchronised(otherwise, other)
-                )
-                now.joined(other)
-            case Await():
-                now.clear()
-        out.append(s)
-    return Block(out)
-
-
-def _turn(block: Block, now: Pending, *others: Block) -> Block:
-    """The first statements of a loop's turn, before which the threads meet if it changes arrays."""
-    if not any(_touched(block, *others)):
-        return _synchronised(block, now)
-    now.clear()
-    waits = block.statements and isinstance(block.statements[0], Await)
-    found = _synchronised(block, now)
-    return found if waits else Block([Barrier(), *found.statements])
