@@ -10,7 +10,6 @@ from jax.extend.core import ClosedJaxpr, Literal
 
 from rbjax.threads.arrays import (
     FEW,
-    Delayed,
     Small,
     View,
     get,
@@ -23,6 +22,7 @@ from rbjax.threads.arrays import (
     unravelled,
     write,
 )
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.effects import only_reports
 from rbjax.threads.gather import COMBINE
 from rbjax.threads.lowering import Lowering, called, dtype_of, rule, writer

@@ -15,7 +15,6 @@ from rbjax.lanes import polynomial_sincos
 from rbjax.threads.arrays import (
     FEW,
     SHARED_ABOVE,
-    Delayed,
     Small,
     View,
     each,
@@ -26,6 +25,7 @@ from rbjax.threads.arrays import (
     put,
     spread,
 )
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.folding import FOLD
 from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule, takes_delayed
 from rbjax.threads.program import BOOL, Builder, Value

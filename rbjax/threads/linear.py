@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import SHARED_ABOVE, Delayed, Small, View, each, get, in_memory, put
+from rbjax.threads.arrays import SHARED_ABOVE, Small, View, each, get, in_memory, put
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.elementwise import source
 from rbjax.threads.lowering import Lowering, dtype_of, rule, takes_delayed
 from rbjax.threads.program import BOOL, I32, Builder, Value

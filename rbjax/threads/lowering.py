@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
-from rbjax.threads.arrays import FEW, Delayed, Small, View, scalars, settled, tidy, write
+from rbjax.threads.arrays import FEW, Small, View, scalars, settled, tidy, write
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.program import Builder
 
 Rule = Callable[["Lowering", Any, list], list]

@@ -10,7 +10,6 @@ import numpy as np
 
 from rbjax.threads.arrays import (
     SHARED_ABOVE,
-    Delayed,
     Small,
     View,
     each,
@@ -19,6 +18,7 @@ from rbjax.threads.arrays import (
     in_memory,
     put,
 )
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.elementwise import LOOP_ABOVE, source
 from rbjax.threads.linear import summed
 from rbjax.threads.lowering import Lowering, dtype_of, rule, takes_delayed

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import FEW, Delayed, Small, View, filled, owned_copy, stored, tidy, write
+from rbjax.threads.arrays import FEW, Small, View, filled, owned_copy, stored, tidy, write
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.elementwise import LOOP_ABOVE
 from rbjax.threads.lowering import Lowering, rule, takes_delayed, writer
 

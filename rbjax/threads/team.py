@@ -19,7 +19,6 @@ from typing import Any
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.cuda import BASICS, STATEMENTS_UP_TO, Kernel
 from rbjax.threads.frame import Written, offset, parameters, sample_index
-from rbjax.threads.lowering import Unsupported
 from rbjax.threads.program import (
     Await,
     Barrier,
@@ -63,17 +62,17 @@ def size_of(samples: int) -> int:
 
 
 def kernel(program: Written, name: str = "threads", team: int | None = None) -> Kernel:
-    """The kernel of a program that was written for a team; raises `Unsupported` if its arrays do
-    not fit into shared memory."""
-    if program.statements > STATEMENTS_UP_TO:
-        raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
-    bytes = shared_bytes(program.builder.block)
-    if bytes > SHARED_BYTES:
-        raise Unsupported(f"{bytes} bytes of a team's arrays, more than {SHARED_BYTES}")
+    """The kernel of a program that was written for a team, and that fits."""
     samples = math.prod(program.batch)
     team = team or size_of(samples)
     source = "\n".join(_lines(program, name, team))
     return Kernel(source, name, team, samples, program.summed)
+
+
+def fits(program: Written) -> bool:
+    """Whether the program's arrays fit into shared memory, and its text into a kernel."""
+    bytes = shared_bytes(program.builder.block)
+    return bytes <= SHARED_BYTES and program.statements <= STATEMENTS_UP_TO
 
 
 def _resident(bytes: int, team: int) -> int:

@@ -16,7 +16,6 @@ from rbjax.control.expansion import Quadratic
 from rbjax.threads import team
 from rbjax.threads.frame import batch_first, batch_last, write_program
 from rbjax.threads.function import threaded
-from rbjax.threads.lowering import Unsupported
 from rbjax.threads.program import Barrier, Loop, walk
 from tests.threads.block import emulated
 from tests.threads.host import COMPILER, GPU_ASKED, by_xla, many_on_host, written
@@ -335,9 +334,7 @@ def test_arrays_that_do_not_fit(monkeypatch):
     f = jax.vmap(threaded(large, team=True))
     (source,) = kernels(f, monkeypatch, numbers(2, 60))
     assert "lane=threadIdx.x" not in source
-    program = written(large, numbers(2, 60), team=True)[0]
-    with pytest.raises(Unsupported, match="bytes of a team's arrays"):
-        team.kernel(program)
+    assert not team.fits(written(large, numbers(2, 60), team=True)[0])
 
 
 @host_alone
