@@ -268,6 +268,8 @@ def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
     """Copy x to a place in memory; large pieces by a loop."""
     if isinstance(x, View) and x.same(to):
         return
+    if b.teamed and isinstance(x, View):
+        to, x = in_a_row(to, x)
     if isinstance(x, Delayed) or (b.teamed and isinstance(x, View) and x.size > 1):
         each(b, to.shape, lambda *i: put(b, to, i, get(b, x, i)))
         return
@@ -280,6 +282,12 @@ def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
     values, places = scalars(b, x), to.places()
     for i in np.ndindex(to.shape):
         b.store(to.array, to.base, int(places[i]), values[i])
+
+
+def in_a_row(*views: View) -> Sequence[View]:
+    """The views with one axis, if the entries of each are in a row."""
+    flat = [x.reshaped((x.size,)) for x in views]
+    return [x for x in flat if x is not None] if None not in flat else views
 
 
 def owned_copy(b: Builder, x: Small, dtype: Any) -> View:

@@ -13,6 +13,7 @@ from rbjax.threads.arrays import (
     Small,
     View,
     get,
+    in_a_row,
     in_memory,
     is_known,
     owned_copy,
@@ -232,6 +233,7 @@ def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable
 
 
 def _copied_early(b: Builder, to: View, x: View) -> None:
+    to, x = in_a_row(to, x)
     with b.spread(max(x.size, 1), early=True) as counter:
         index = unravelled(b, counter, x.shape)
         put(b, to, index, get(b, x, index))
