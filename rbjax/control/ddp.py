@@ -184,7 +184,7 @@ def gains_of(
         numbers = jnp.concatenate([jnp.zeros(problem.system.n, ctrls.dtype), knots.numbers[0]])
         first = (free, low - numbers, high - numbers)
     reg = jnp.where(reg > LEAST, reg, 0.0)
-    return threads(backward_pass)(
+    return threads(backward_pass, team=True)(
         found.path.A, found.path.B, gaps, found.path.cost, found.end, bounds, first, reg,
         problem.at(knots.numbers[0])[1] if problem.by_velocities else None,
     )  # fmt: skip

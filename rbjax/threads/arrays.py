@@ -1,7 +1,8 @@
 """Small arrays of a thread.
 
 They have three forms: a numpy array whose entries are known; an object array of `Value`s, each in a
-register; a `View` of memory. Only a `View` may have indices that are not known.
+register; a `View` of memory. Only a `View` may have indices that are not known. A team of threads
+has a fourth, `Delayed`: entries that are computed where they are read.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.program import I32, Array, Builder, Value
+from rbjax.threads.delayed import Delayed
+from rbjax.threads.program import I32, Array, Builder, Value, Var
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +49,8 @@ class View:
     def changeable(self) -> bool:
         """Whether it may be updated in place: no two entries share a place, and no one reads it."""
         apart = all(s or n <= 1 for s, n in zip(self.strides, self.shape, strict=True))
-        return apart and self.array.space == "local" and not self.array.owners
+        own = self.array.space == "local" and not self.array.pieces
+        return apart and own and not self.array.owners
 
     def same(self, other: Any) -> bool:
         """Whether the other is a view of the same place."""
@@ -143,7 +146,12 @@ class View:
         return replace(self, strides=tuple(strides), shape=tuple(shape))
 
 
-Small = Any  # np.ndarray of numbers, np.ndarray of Values, or View
+Small = Any  # np.ndarray of numbers, np.ndarray of Values, View, or Delayed
+
+#: a team keeps arrays of at most so many entries in registers, the same in each of its threads
+FEW = 16
+#: work from which on the threads of a team share it, in operations
+SHARED_ABOVE = 64
 
 
 def row_major(shape: Sequence[int]) -> tuple[int, ...]:
@@ -176,6 +184,13 @@ def filled(shape: Sequence[int], value: Value) -> np.ndarray:
 
 def scalars(b: Builder, x: Small) -> np.ndarray:
     """The entries as an array of Values; those in memory are read."""
+    if isinstance(x, Delayed):
+        if not b.teamed or x.work <= SHARED_ABOVE or x.size == 1:
+            out = np.empty(x.shape, object)
+            for i in np.ndindex(x.shape):
+                out[i] = x.entry(*map(I32.type, i))
+            return out
+        x = stored(b, x)
     if not isinstance(x, View):
         return objects(x)
     out = np.empty(x.shape, object)
@@ -201,18 +216,65 @@ def in_memory(b: Builder, x: Small, dtype: Any) -> View:
     """The entries in memory: a table of known numbers, or a local copy of registers."""
     if isinstance(x, View):
         return x
+    if isinstance(x, Delayed):
+        return stored(b, x)
     x = tidy(x, dtype)
     if is_known(x):
         return View.of(b.table(np.ascontiguousarray(x)), x.shape)
+    if b.teamed:
+        return _kept(b, x, dtype)
     view = View.of(b.local(dtype, x.size), x.shape)
     write(b, view, x)
     return view
+
+
+def _kept(b: Builder, x: np.ndarray, dtype: Any) -> View:
+    """Values of a team's threads in memory that does not change; equal ones once. Axes along which
+    they repeat have no entries of their own."""
+    repeats = [n > 1 and s == 0 for n, s in zip(x.shape, x.strides, strict=True)]
+    own = x[tuple(slice(0, 1) if r else slice(None) for r in repeats)]
+
+    def make() -> View:
+        view = View.of(b.local(dtype, own.size), own.shape)
+        write(b, view, own)
+        view.array.owners += 1
+        return view
+
+    values = tuple(v.id if isinstance(v, Var) else (v.dtype.char, v.tobytes()) for v in own.flat)
+    return b.once(("kept", own.shape, values), make).broadcast(x.shape, range(x.ndim))
+
+
+def stored(b: Builder, x: Delayed) -> View:
+    """Delayed entries in memory that does not change, once."""
+
+    def make() -> tuple[View, Delayed]:
+        view = View.of(b.local(x.dtype, max(x.size, 1)), x.shape)
+        write(b, view, x)
+        view.array.owners += 1
+        return view, x  # x lives as long as its number is a key
+
+    return b.once(("stored", id(x)), make)[0]
+
+
+def settled(b: Builder, x: Small) -> Small:
+    """A delayed array in registers if it is small, else in memory; another as it is."""
+    if not isinstance(x, Delayed):
+        return x
+    few = (x.size <= FEW and x.work <= SHARED_ABOVE) or x.size == 1
+    return scalars(b, x) if few else stored(b, x)
 
 
 def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
     """Copy x to a place in memory; large pieces by a loop."""
     if isinstance(x, View) and x.same(to):
         return
+    if b.teamed and isinstance(x, View):
+        to, x = in_a_row(to, x)
+    if isinstance(x, Delayed) or (b.teamed and isinstance(x, View) and x.size > 1):
+        each(b, to.shape, lambda *i: put(b, to, i, get(b, x, i)))
+        return
+    if b.teamed and is_known(x) and x.size > FEW:
+        loop_above = 0
     if x.size > loop_above and (isinstance(x, View) or is_known(x)):
         source = in_memory(b, x, to.dtype)
         each(b, to.shape, lambda *i: put(b, to, i, get(b, source, i)))
@@ -222,6 +284,12 @@ def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
         b.store(to.array, to.base, int(places[i]), values[i])
 
 
+def in_a_row(*views: View) -> Sequence[View]:
+    """The views with one axis, if the entries of each are in a row."""
+    flat = [x.reshaped((x.size,)) for x in views]
+    return [x for x in flat if x is not None] if None not in flat else views
+
+
 def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
     """A local copy that may be changed."""
     view = View.of(b.local(dtype, x.size), x.shape)
@@ -229,14 +297,16 @@ def owned_copy(b: Builder, x: Small, dtype: Any) -> View:
     return view
 
 
-def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View:
+def spread(b: Builder, x: Small, dtype: Any, shape: tuple[int, ...]) -> View | Delayed:
     """x in memory, broadcast to a shape as numpy does."""
-    view = in_memory(b, x, dtype)
+    view = x if isinstance(x, Delayed) else in_memory(b, x, dtype)
     return view.broadcast(shape, range(len(shape) - view.ndim, len(shape)))
 
 
-def get(b: Builder, view: View, index: Sequence[Value]) -> Value:
+def get(b: Builder, view: View | Delayed, index: Sequence[Value]) -> Value:
     """One entry."""
+    if isinstance(view, Delayed):
+        return view.entry(*index)
     there = view.moved(b, *zip(index, view.strides, strict=True))
     return b.load(there.array, there.base, there.offset)
 
@@ -248,11 +318,31 @@ def put(b: Builder, view: View, index: Sequence[Value], value: Value) -> None:
 
 
 def each(b: Builder, shape: Sequence[int], f: Callable[..., None], *index: Value) -> None:
-    """f(*index) for every index of a shape, in nested loops."""
-    if not shape:
+    """f(*index) for every index of a shape, in nested loops; by a team in one loop. What f does for
+    an index does not depend on what it does for others."""
+    if b.teamed and not math.prod(shape):
+        return
+    if b.teamed and math.prod(shape) != 1:
+        with b.spread(math.prod(shape)) as counter:
+            f(*index, *unravelled(b, counter, shape))
+    elif not shape:
         f(*index)
     elif shape[0] == 1:
         each(b, shape[1:], f, *index, I32.type(0))
     else:
         with b.loop(shape[0]) as counter:
             each(b, shape[1:], f, *index, counter)
+
+
+def unravelled(b: Builder, counter: Value, shape: Sequence[int]) -> list[Value]:
+    """The index along each axis of a shape, from a place row by row."""
+    out: list[Value] = []
+    wide = [n for n in shape if n > 1]
+    for n in reversed(shape):
+        if n == 1:
+            out.append(I32.type(0))
+            continue
+        wide.pop()
+        out.append(b.op("index_mod", I32, counter, I32.type(n)) if wide else counter)
+        counter = b.op("index_div", I32, counter, I32.type(n)) if wide else counter
+    return out[::-1]

@@ -14,6 +14,8 @@ from rbjax.threads.lowering import Unsupported
 from rbjax.threads.program import (
     Array,
     Assign,
+    Await,
+    Barrier,
     Block,
     Declare,
     If,
@@ -34,7 +36,8 @@ C_TYPES = {
 }  # fmt: skip
 
 INFIX = {
-    "index_add": "+", "index_mul": "*", "add": "+", "sub": "-", "mul": "*", "div": "/",
+    "index_add": "+", "index_mul": "*", "index_div": "/", "index_mod": "%", "add": "+", "sub": "-",
+    "mul": "*", "div": "/",
     "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=", "and": "&", "or": "|",
     "xor": "^",
 }  # fmt: skip
@@ -176,6 +179,8 @@ class Printer:
                     yield "}else{"
                     yield from self.lines(otherwise)
                 yield "}"
+            case Await() | Barrier():  # of a team
+                return
             case _:
                 raise TypeError(f"no such statement: {statement}")
 

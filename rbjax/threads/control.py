@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from rbjax.threads.arrays import Small, View, in_memory, is_known, owned_copy, write
+from rbjax.threads.arrays import (
+    FEW,
+    Small,
+    View,
+    get,
+    in_a_row,
+    in_memory,
+    is_known,
+    owned_copy,
+    put,
+    settled,
+    stored,
+    unravelled,
+    write,
+)
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.effects import only_reports
 from rbjax.threads.gather import COMBINE
 from rbjax.threads.lowering import Lowering, called, dtype_of, rule, writer
-from rbjax.threads.program import BOOL, I32, Block, If, Value, Var, While
+from rbjax.threads.program import BOOL, I32, Await, Block, Builder, If, Value, Var, While
 
 #: the most entries of a loop's carry that are kept in registers
 REGISTERS = 256
+#: the most entries of a row that a team fetches
+ROW_UP_TO = 512
 INDEXED = {"dynamic_slice", "dynamic_update_slice", "gather", *COMBINE}
 
 
@@ -78,7 +95,7 @@ class Carry:
         self.low = low
         self.values: list[Any] = []
         for k, (x, aval) in enumerate(zip(init, avals, strict=True)):
-            if k in memory or aval.size > REGISTERS:
+            if k in memory or aval.size > (_most(x) if low.b.teamed else REGISTERS):
                 self.values.append(self._array(x, aval))
             else:
                 entries, out = low.scalars(x), np.empty(aval.shape, object)
@@ -105,6 +122,8 @@ class Carry:
                     continue
                 if isinstance(x, View) and x.array in arrays:
                     x = owned_copy(b, x, to.dtype)
+                elif isinstance(x, Delayed) and not arrays.isdisjoint(x.sources):
+                    x = stored(b, x)
                 copies.append((to, x))
                 continue
             for var, value in zip(to.flat, self.low.scalars(x).flat, strict=True):
@@ -117,6 +136,11 @@ class Carry:
             write(b, to, x)
         for var, value in moves:
             b.assign(var, value)
+
+
+def _most(x: Small) -> int:
+    """The most entries that a team keeps in registers."""
+    return 4 * FEW if isinstance(x, np.ndarray) and not is_known(x) else FEW // 2
 
 
 @writer("scan")
@@ -157,11 +181,13 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     with low.held([*consts, *xs, *ys]):  # one of these may also be the initial carry
         memory = {k - nc for k in wanted if nc <= k < nc + nk}
         carry = Carry(low, init, avals[nc : nc + nk], memory)
+    begin, rows_at = _fetched(b, xs, length, P["reverse"])
+    begin()
     with (
         low.held([*consts, *xs, *ys]),
         b.loop(length, reverse=P["reverse"]) as counter,
     ):
-        rows = [x.at(b, 0, counter) for x in xs]
+        rows = rows_at(counter)
         spots = [
             y.at(b, 0, counter) if given is None else None
             for y, given in zip(ys, same, strict=True)
@@ -169,6 +195,48 @@ def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         out = low.closed(body, [*consts, *carry.values, *rows], [*[None] * nk, *spots])
         carry.advance(out[:nk])
     return [*carry.values, *ys]
+
+
+def _fetched(b: Builder, xs: list, length: int, reverse: bool) -> tuple[Callable, Callable]:
+    """What comes before a loop over the rows of arrays, and its rows at a counter. A team copies
+    those of operands to its memory a turn before they are read."""
+    own = [
+        b.teamed and x.array.space == "operand" and x.dtype.itemsize >= 4
+        and x.size > length and x.size // length <= ROW_UP_TO
+        for x in xs
+    ]  # fmt: skip
+    if not any(own):
+        return lambda: None, lambda counter: [x.at(b, 0, counter) for x in xs]
+    both = [
+        View.of(b.local(x.dtype, 2 * (x.size // length)), (2, *x.shape[1:])) if o else x
+        for x, o in zip(xs, own, strict=True)
+    ]
+    one = I32.type(1)
+
+    def fetch(row: Value) -> None:
+        half = b.op("and", I32, row, one)
+        for x, to, o in zip(xs, both, own, strict=True):
+            if o:
+                _copied_early(b, to.at(b, 0, half), x.at(b, 0, row))
+
+    def rows(counter: Value) -> list[View]:
+        b.block.statements.append(Await())
+        last, step = (0, -1) if reverse else (length - 1, 1)
+        with b.when(b.op("ne", BOOL, counter, I32.type(last))):
+            fetch(b.op("index_add", I32, counter, I32.type(step)))
+        half = b.op("and", I32, counter, one)
+        return [
+            to.at(b, 0, half if o else counter) for to, o in zip(both, own, strict=True)
+        ]
+
+    return lambda: fetch(I32.type(length - 1 if reverse else 0)), rows
+
+
+def _copied_early(b: Builder, to: View, x: View) -> None:
+    to, x = in_a_row(to, x)
+    with b.spread(max(x.size, 1), early=True) as counter:
+        index = unravelled(b, counter, x.shape)
+        put(b, to, index, get(b, x, index))
 
 
 def over_time(outside: list, inside: list) -> int:
@@ -232,7 +300,7 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
         spots = [
             x if isinstance(x, View) and k not in updated else None for k, x in enumerate(outs)
         ]
-        found = low.closed(branch, args, spots)
+        found = [settled(b, x) for x in low.closed(branch, args, spots)]
         for to, x in zip(outs, found, strict=True):
             if not isinstance(to, View):
                 for var, value in zip(to.flat, low.scalars(x).flat, strict=True):

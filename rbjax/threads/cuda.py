@@ -28,12 +28,16 @@ STATEMENTS_UP_TO = 100_000
 #: the driver reserves a thread's arrays for all threads that the device can hold at once: 17 GB
 ARRAY_BYTES_UP_TO = 64 * 1024
 
-HEAD = """
+BASICS = """
 #define QUALIFIED static __device__ inline
 #define NAN __int_as_float(0x7fffffff)
 #define INFINITY __int_as_float(0x7f800000)
 #define RSQRTf(x) rsqrtf(x)
 #define RSQRT(x) rsqrt(x)
+typedef float c_float;
+typedef double c_double;
+"""
+HEAD = """
 #define AT_ONCE 16
 // what does not fit into registers goes to shared memory: local memory that L1 cannot hold is L2's
 #if __CUDACC_VER_MAJOR__ >= 13
@@ -41,8 +45,6 @@ HEAD = """
 #else
 #define SPILL_TO_SHARED
 #endif
-typedef float c_float;
-typedef double c_double;
 template <class T, int N, int PITCH> QUALIFIED void fetch(T* to, const T* from, int rows) {
   if (rows < BLOCK) {
     for (int k = threadIdx.x; k < rows * N; k += BLOCK) to[PITCH == N ? k : k + k / N] = from[k];
@@ -144,7 +146,7 @@ def _lines(program: Written, name: str, room: Room) -> Iterator[str]:
     size, index = math.prod(program.batch), sample_index(program.batch)
     ins, outs = program.layouts
     yield f"#define BLOCK {BLOCK}"
-    yield HEAD + stores.HEAD + PREAMBLE
+    yield BASICS + HEAD + stores.HEAD + PREAMBLE
     left = CONSTANT_BYTES
     for array in program.builder.tables:
         left -= array.size * array.dtype.itemsize

@@ -12,10 +12,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.lanes import polynomial_sincos
-from rbjax.threads.arrays import Small, View, each, filled, get, is_known, put, spread
+from rbjax.threads.arrays import (
+    FEW,
+    SHARED_ABOVE,
+    Small,
+    View,
+    each,
+    filled,
+    get,
+    in_memory,
+    is_known,
+    put,
+    spread,
+)
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.folding import FOLD
-from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule
-from rbjax.threads.program import BOOL, Value
+from rbjax.threads.lowering import Lowering, Unsupported, dtype_of, rule, takes_delayed
+from rbjax.threads.program import BOOL, Builder, Value
 
 #: larger arrays use loops over memory
 LOOP_ABOVE = 1024
@@ -47,6 +60,11 @@ def entrywise(
         out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalars(x)[()] for x in xs))
         return out
     size = math.prod(shape)
+    if low.b.teamed and _is_wide(xs, size):
+        delayed = _delayed(low.b, dtype, shape, f, xs)
+        if size > FEW or delayed.work > SHARED_ABOVE:
+            return delayed
+        xs = tuple(low.scalars(x) for x in xs)
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
     if size > LOOP_ABOVE or in_memory_now:
         b = low.b
@@ -60,6 +78,58 @@ def entrywise(
     for i in np.ndindex(shape):
         out[i] = f(*(x[i] for x in arrays))
     return out
+
+
+def _is_wide(xs: tuple, size: int) -> bool:
+    """Whether threads of a team may share the entries: not where registers hold as many."""
+    if all(isinstance(x, np.ndarray) for x in xs):
+        entries = sum(own_entries(x).size for x in xs if not is_known(x))
+        return size > FEW and 0 < entries < size
+    return size > FEW or any(isinstance(x, Delayed) for x in xs)
+
+
+def own_entries(x: np.ndarray) -> np.ndarray:
+    """The entries of an array without those that broadcasting repeats."""
+    own = (slice(0, 1) if s == 0 else slice(None) for s in x.strides)
+    return x[tuple(own)] if x.size and x.ndim else x
+
+
+def _delayed(b: Builder, dtype: Any, shape: tuple, f: Callable, xs: tuple) -> Delayed:
+    """The same of a team, entry by entry when they are read."""
+    sources = [source(b, x, shape) for x in xs]
+    arrays = frozenset().union(*(s.sources for s in sources))
+    cost = 1 + sum(s.cost for s in sources)
+
+    def entry(*i: Value) -> Value:
+        return f(*(s.entry(*i) for s in sources))
+
+    return Delayed(shape, np.dtype(dtype), entry, arrays, cost)
+
+
+def source(b: Builder, x: Small, shape: tuple) -> Delayed:
+    """The entries of an array, broadcast to a shape as numpy does. Values in registers are also in
+    memory, for an index that is not known."""
+    if not isinstance(x, np.ndarray):
+        wide = x.broadcast(shape, range(len(shape) - x.ndim, len(shape)))
+        if isinstance(wide, Delayed):
+            return wide
+        view = wide
+        return Delayed(
+            shape, view.dtype, lambda *i: get(b, view, i), frozenset({view.array}), 1
+        )
+    x = np.broadcast_to(x, shape)
+    own = own_entries(x)
+    dtype = x.dtype if x.dtype != object else _dtype(x)
+    if own.size == 1:
+        value = own.reshape(-1)[0]
+        return Delayed(shape, dtype, lambda *i: value, frozenset(), 0)
+    memory = in_memory(b, x, dtype)
+
+    def entry(*i: Value) -> Value:
+        known = all(isinstance(k, np.generic) for k in i)
+        return x[tuple(map(int, i))] if known else get(b, memory, i)
+
+    return Delayed(shape, dtype, entry, frozenset(), 1)
 
 
 def _dtype(x: np.ndarray) -> np.dtype:
@@ -80,6 +150,10 @@ def _one(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 rule(*SAME)(_one)
+takes_delayed(
+    *SAME, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round", "clamp",
+    "select_n", "convert_element_type",
+)  # fmt: skip
 
 
 @rule("div")

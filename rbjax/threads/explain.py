@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.threads import backend, device
+from rbjax.threads.counting import operations
 from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.function import flattened, threaded
 from rbjax.threads.launch import capability, works
 from rbjax.threads.nvrtc import ptx
-from rbjax.threads.program import operations
 
 
 @dataclass(frozen=True)

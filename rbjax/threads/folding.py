@@ -66,7 +66,7 @@ def simpler(builder: Builder, name: str, args: tuple) -> Value | None:
             return b
         case ("sub", (a, b)) if is_number(b, 0):
             return a
-        case ("mul" | "index_mul" | "div", (a, b)) if is_number(b, 1):
+        case ("mul" | "index_mul" | "index_div" | "div", (a, b)) if is_number(b, 1):
             return a
         case ("mul" | "index_mul", (a, b)) if is_number(a, 1):
             return b

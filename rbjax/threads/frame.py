@@ -34,6 +34,7 @@ from rbjax.threads import (  # noqa: F401 (rules)
 from rbjax.threads.arrays import View, row_major
 from rbjax.threads.c_source import PREAMBLE, Printer, c_type, table
 from rbjax.threads.lowering import DTYPES, Lowering, Unsupported
+from rbjax.threads.phases import synchronised
 from rbjax.threads.program import I32, I64, Array, Builder, Op, Reserve, walk
 from rbjax.threads.prune import prune
 from rbjax.threads.reuse import share_memory
@@ -122,9 +123,11 @@ def write_program(
     results: Sequence[Layout],
     summed: Sequence[bool] = (),
     platform: str = "cuda",
+    team: bool = False,
 ) -> Written:
-    """The program of one sample of a batch. Summed results are sums over the batch."""
-    b = Builder(platform)
+    """The program of one sample of a batch. Summed results are sums over the batch. team: for a
+    team of threads a sample (`team.kernel`)."""
+    b = Builder(platform, team)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
     summed = tuple(summed) or (False,) * len(results)
@@ -139,6 +142,8 @@ def write_program(
     with Lowering(b).held(args):
         Lowering(b).closed(closed, args, places)
     prune(b.block)
+    if team:
+        b.block = synchronised(b.block)
     share_memory(b.block)
     layouts = tuple(operands), tuple(results)
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)

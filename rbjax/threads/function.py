@@ -20,7 +20,7 @@ from rbjax.threads.uncollected import uncollected
 from rbjax.threads.uniform import unnamed
 
 
-def threads(f: Callable) -> Callable:
+def threads(f: Callable, *, team: bool = False) -> Callable:
     """f of one sample, whose `vmap` on a GPU is one kernel, one thread a sample; on a CPU it is
     machine code, one sample a lane.
 
@@ -34,6 +34,9 @@ def threads(f: Callable) -> Callable:
     Args:
         f: a function from arrays, or pytrees of them, to the same, for one sample and small. It may
             close over arrays that all samples share (weights, a model).
+        team: on a GPU a block of threads runs a sample, with its arrays in shared memory: for
+            recursions of matrices of some ten rows, which are too many numbers for one thread.
+            Elsewhere, and for derivatives, it changes nothing.
 
     Returns:
         The same function of one sample. Batch it with `jax.vmap`.
@@ -56,7 +59,7 @@ def threads(f: Callable) -> Callable:
     def call(*args: Any, **kwargs: Any) -> Any:
         return whole(*args, **kwargs) if wanted() else f(*args, **kwargs)
 
-    whole = threaded(f)
+    whole = threaded(f, team=team)
     return call
 
 
@@ -75,7 +78,7 @@ def flattened(f: Callable, args: tuple, kwargs: dict) -> tuple[list, Callable, l
     return [jnp.asarray(x) for x in leaves], flat, shape
 
 
-def threaded(f: Callable, apart: Callable | None = None) -> Callable:
+def threaded(f: Callable, apart: Callable | None = None, team: bool = False) -> Callable:
     """`threads`, with or without a GPU. `apart`: the same function as several kernels. Neither may
     close over traced values."""
 
@@ -85,6 +88,8 @@ def threaded(f: Callable, apart: Callable | None = None) -> Callable:
         program, closed_over = trace(flat, leaves)
         if apart is not None:
             program = dataclasses.replace(program, apart=flattened(apart, args, kwargs)[1])
+        if team:
+            program = dataclasses.replace(program, team=True)
         return jax.tree.unflatten(shape[0], run(program, [*closed_over, *leaves]))
 
     compiled = jax.jit(bound)

@@ -233,7 +233,8 @@ def _scatter_looped(low: Lowering, eqn: Any, ins: list, combine: Callable) -> Vi
         with b.when(inside):
             put(b, out, place, combine(get(b, out, place), new))
 
-    each(b, updates.shape, one)
+    with b.alone():  # several updates may meet in one place
+        each(b, updates.shape, one)
     return out
 
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import Small, View, each, get, in_memory, put
-from rbjax.threads.lowering import Lowering, dtype_of, rule
-from rbjax.threads.program import Builder, Value
+from rbjax.threads.arrays import SHARED_ABOVE, Small, View, each, get, in_memory, put
+from rbjax.threads.delayed import Delayed
+from rbjax.threads.elementwise import source
+from rbjax.threads.lowering import Lowering, dtype_of, rule, takes_delayed
+from rbjax.threads.program import BOOL, I32, Builder, Value
 
 #: products with more terms are loops
 UNROLL_UP_TO = 512
 #: the same of two matrices on a GPU, where a loop waits for its two loads at each term
 MATRICES_UP_TO = 2048
+#: terms of a sum that a thread of a team writes out
+TERMS_UP_TO = 32
 #: sums of a product that run together on a CPU: with what they read they fit into 16 registers
 SIDE_BY_SIDE = 12
 
@@ -30,6 +36,9 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
     nb, na, ny = len(ba), len(fa), len(fb)
     shape = (*x.shape[:nb], *x.shape[nb : nb + na], *y.shape[nb : nb + ny])
     contracted = x.shape[nb + na :]
+    terms = math.prod(contracted)
+    if low.b.teamed and 2 * math.prod(shape) * terms > SHARED_ABOVE:
+        return [_delayed(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     limit = MATRICES_UP_TO if fa and fb and low.b.platform == "cuda" else UNROLL_UP_TO
     if math.prod(shape) * math.prod(contracted) > limit:
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
@@ -45,8 +54,57 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
     return [out]
 
 
+takes_delayed("dot_general")
+
+
 def _transposed(x: Small, order: tuple) -> Small:
-    return x.transposed(order) if isinstance(x, View) else x.transpose(order)
+    return x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)
+
+
+def _delayed(
+    low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
+) -> Small:
+    """Each sum where it is read. What several sums read is in memory, or as good as there."""
+    b, (nb, na, ny) = low.b, sizes
+    terms = math.prod(contracted)
+    if not terms:
+        return np.zeros(shape, dtype)
+    ways = math.prod(y.shape[nb : nb + ny]), math.prod(x.shape[nb : nb + na])
+    x, y = (
+        in_memory(b, z, dtype) if n > 1 and isinstance(z, Delayed) and z.cost > 2 else z
+        for z, n in zip((x, y), ways, strict=True)
+    )
+    s, t = source(b, x, x.shape), source(b, y, y.shape)
+
+    def entry(*i: Value) -> Value:
+        left, right = i[: nb + na], (*i[:nb], *i[nb + na :])
+
+        def term(*k: Value) -> Value:
+            pair = (b.cast(z.entry(*at, *k), dtype) for z, at in ((s, left), (t, right)))
+            return b.op("mul", dtype, *pair)
+
+        return summed(b, contracted, term, functools.partial(b.op, "add", dtype), dtype)
+
+    return Delayed(shape, dtype, entry, s.sources | t.sources, terms * (2 + s.cost + t.cost))
+
+
+def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) -> Value:
+    """term(*index) of each index of a shape, which has entries, put together by add."""
+    if math.prod(shape) <= TERMS_UP_TO:
+        every = [term(*map(I32.type, k)) for k in np.ndindex(shape)]
+        return functools.reduce(add, every)
+    first = term(*(I32.type(0) for _ in shape))
+    total = b.declare(dtype, first)
+    started = b.declare(BOOL, np.bool_(False))
+
+    def more(*k: Value) -> None:
+        value = term(*k)
+        b.assign(total, b.select(started, add(total, value), value))
+        b.assign(started, np.bool_(True))
+
+    with b.alone():
+        each(b, shape, more)
+    return total
 
 
 def _looped(

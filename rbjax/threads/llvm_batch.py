@@ -12,12 +12,13 @@ from collections import Counter
 from dataclasses import dataclass
 
 from rbjax.threads.arrays import row_major
+from rbjax.threads.counting import accesses, operations
 from rbjax.threads.frame import Layout, Written
 from rbjax.threads.llvm_jit import register_bytes
 from rbjax.threads.llvm_samples import Lines
 from rbjax.threads.llvm_statements import ALIGNMENT, MALLOC, one_sample, stored
 from rbjax.threads.llvm_vectors import Step, many_samples
-from rbjax.threads.program import Array, Load, Op, Store, accesses, operations, walk
+from rbjax.threads.program import Array, Load, Op, Store, walk
 
 #: operations that are worth a part of their own: some ten microseconds
 OPERATIONS_A_PART = 50_000

@@ -18,9 +18,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
-from rbjax.threads.arrays import Small, View, scalars, tidy, write
+from rbjax.threads.arrays import FEW, Small, View, scalars, settled, tidy, write
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.program import Builder
 
 Rule = Callable[["Lowering", Any, list], list]
@@ -39,6 +40,16 @@ class Unsupported(Exception):
 
 #: the dtypes that a thread supports
 DTYPES = {np.dtype(x) for x in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "?")}
+
+
+#: primitives whose rules take delayed arrays as they are
+TAKES_DELAYED: set[str] = set()
+#: operations up to which the entries of a delayed array are computed at each of its uses
+CHEAP = 4
+
+
+def takes_delayed(*names: str) -> None:
+    TAKES_DELAYED.update(names)
 
 
 #: arguments that the rule of a primitive does not read; they are passed as None
@@ -71,11 +82,12 @@ class Needs:
     """The part of a jaxpr that its results need.
 
     last: for each variable that is read, the last equation that reads it. equations: for each, its
-    number, itself and the inputs that it reads.
+    number, itself and the inputs that it reads. uses: how often each variable is read.
     """
 
     jaxpr: Jaxpr
     last: dict[Any, int]
+    uses: Counter
     equations: list[tuple[int, Any, list]]
 
 
@@ -105,6 +117,8 @@ class Lowering:
 
         def bind(var: Any, value: Small) -> None:
             if var in last:
+                if isinstance(value, Delayed) and needs.uses[var] > 1 and value.cost > CHEAP:
+                    value = settled(self.b, value)
                 env[var] = value
                 _own(value, 1)
 
@@ -112,11 +126,14 @@ class Lowering:
             return known(atom.val, atom.aval) if isinstance(atom, Literal) else env[atom]
 
         for var, const in zip(jaxpr.constvars, consts, strict=True):
-            held = isinstance(const, View) or _is_objects(const)
+            held = isinstance(const, View | Delayed) or _is_objects(const)
             bind(var, const if held else known(const, var.aval))
         for var, arg in zip(jaxpr.invars, args, strict=True):
             bind(var, arg)
-        wanted = _places(jaxpr, places)
+        if self.b.teamed:
+            wanted = _places(jaxpr, places, lambda v: v in last and self._joined(v))
+        else:
+            wanted = _places(jaxpr, places)
         for n, eqn, atoms in needs.equations:
             ins = [None if atom is None else read(atom) for atom in atoms]
             for atom in atoms:
@@ -124,6 +141,10 @@ class Lowering:
                     _own(env.pop(atom), -1)
             outs = self._equation(eqn, ins, [wanted.get(v) for v in eqn.outvars])
             for var, out in zip(eqn.outvars, outs, strict=True):
+                place = wanted.get(var)
+                if isinstance(out, Delayed) and place is not None and place.array.shared:
+                    write(self.b, place, out)  # a piece of a larger array, where it belongs
+                    out = place
                 bind(var, out)
         outs = [read(atom) for atom in jaxpr.outvars]
         for value in env.values():
@@ -141,6 +162,8 @@ class Lowering:
             fits = dtype is None or dtype in DTYPES
             if not fits and (name in RULES or called(eqn) is None):  # a call names it inside
                 raise Unsupported(f"{name} of type {dtype}")
+        if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
+            ins = [settled(self.b, x) for x in ins]
         if name in WRITERS:
             return WRITERS[name](self, eqn, ins, places)
         if name in RULES:
@@ -153,6 +176,15 @@ class Lowering:
             raise Unsupported(name)
         return self.closed(inner, ins, places)
 
+    def _joined(self, var: Any) -> View | None:
+        """A place for a concatenation of a team, for the pieces to be written there."""
+        aval = var.aval
+        if aval.size <= FEW or dtype_of(aval) not in DTYPES:
+            return None
+        array = self.b.local(dtype_of(aval), aval.size)
+        array.pieces = True
+        return View.of(array, aval.shape)
+
     def needed(self, jaxpr: Jaxpr) -> Needs:
         """The part of a jaxpr that its results need."""
         known = self.needs.get(id(jaxpr))
@@ -164,6 +196,7 @@ class Lowering:
         end = len(jaxpr.eqns)
         last: dict[Any, int] = {v: end for v in jaxpr.outvars if not isinstance(v, Literal)}
         equations = []
+        uses = Counter(v for v in jaxpr.outvars if not isinstance(v, Literal))
         for n, eqn in reversed(list(enumerate(jaxpr.eqns))):
             if not eqn.effects and not any(v in last for v in eqn.outvars):
                 continue
@@ -173,8 +206,9 @@ class Lowering:
             for atom in atoms:
                 if atom is not None and not isinstance(atom, Literal):
                     last.setdefault(atom, n)
+                    uses[atom] += 1
             equations.append((n, eqn, atoms))
-        return Needs(jaxpr, last, equations[::-1])
+        return Needs(jaxpr, last, uses, equations[::-1])
 
     def _unread(self, eqn: Any) -> Sequence[int]:
         inner = called(eqn)
@@ -248,10 +282,22 @@ def _is_objects(x: Any) -> bool:
 def _own(value: Small, change: int) -> None:
     if isinstance(value, View):
         value.array.owners += change
+    elif isinstance(value, Delayed):
+        for array in value.sources:
+            array.owners += change
 
 
-def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
-    """The places of results, passed back through equations that only move entries."""
+#: equations that only move entries
+MOVES = {
+    "slice", "transpose", "reshape", "squeeze", "expand_dims", "broadcast_in_dim", "rev", "iota",
+}  # fmt: skip
+
+
+def _places(
+    jaxpr: Jaxpr, places: Sequence[View | None], joined: Callable | None = None
+) -> dict[Any, View]:
+    """The places of results, passed back through equations that only move entries. joined: a place
+    for another concatenation with computed pieces."""
     wanted: dict[Any, View] = {}
     inputs = {*jaxpr.invars, *jaxpr.constvars}
 
@@ -264,8 +310,9 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
 
     for var, place in zip(jaxpr.outvars, places, strict=False):
         want(var, place)
-    if not wanted:
+    if not wanted and joined is None:
         return wanted
+    moved = {v for eqn in jaxpr.eqns if eqn.primitive.name in MOVES for v in eqn.outvars}
     uses = Counter(v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal))
     uses.update(v for v in jaxpr.outvars if not isinstance(v, Literal))
     for eqn in reversed(jaxpr.eqns):
@@ -275,6 +322,11 @@ def _places(jaxpr: Jaxpr, places: Sequence[View | None]) -> dict[Any, View]:
                 want(var, wanted.get(made) if shape else None)
             continue
         place = wanted.get(eqn.outvars[0]) if eqn.outvars else None
+        if place is None and joined is not None and eqn.primitive.name == "concatenate":
+            pieces: list[Any] = eqn.invars
+            if any(v not in moved and v not in inputs for v in pieces if isinstance(v, Var)):
+                place = joined(eqn.outvars[0])
+                want(eqn.outvars[0], place)
         if place is None:
             continue
         match eqn.primitive.name:

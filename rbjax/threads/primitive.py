@@ -22,7 +22,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jax.sharding import NamedSharding, PartitionSpec
 
-from rbjax.threads import backend, cuda, host_call, launch
+from rbjax.threads import backend, cuda, host_call, launch, team
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
@@ -138,8 +138,7 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
         ShapedArray((code.grid, *a.shape) if s else _shape(a.shape, batch, axes), a.dtype)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
-    run = launch.launch if platform == "cuda" else host_call.launch
-    found = run(code, operands, results)
+    found = (launch if platform == "cuda" else host_call).launch(code, operands, results)
     return [x.sum(0) if s else x for x, s in zip(found, summed, strict=True)]
 
 
@@ -165,10 +164,12 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
         Layout(a.shape, ()) if s else Layout(_shape(a.shape, batch, axes), axes)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
-    written = write_program(program.closed, batch, operands, results, summed, platform)
-    return cuda.kernel(written) if platform == "cuda" else host_call.host_kernel(
-        written, program.once and not batch
-    )
+    how = program.closed, batch, operands, results, summed, platform
+    if platform == "cpu":
+        return host_call.host_kernel(write_program(*how), program.once and not batch)
+    if program.team and team.fits(written := write_program(*how, team=True)):
+        return team.kernel(written)
+    return cuda.kernel(write_program(*how))
 
 
 @functools.cache

@@ -8,8 +8,7 @@ equal expressions once.
 from __future__ import annotations
 
 import itertools
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -37,7 +36,7 @@ class Array:
     """Memory of one thread, addressed by element.
 
     space: "local" (of the thread), "constant" (known numbers, `data`), "operand" (read only) or
-    "result" (what the thread returns).
+    "result" (what the thread returns). shared: local, of a team of threads.
     """
 
     id: int
@@ -51,6 +50,9 @@ class Array:
     owners: int = 0
     #: the `Builder` time of its last write
     version: int = 0
+    shared: bool = False
+    #: each entry is written once (in a turn of a loop), by one of several statements
+    pieces: bool = False
 
     @property
     def mutable(self) -> bool:
@@ -111,12 +113,30 @@ class Reserve:
 
 @dataclass(slots=True)
 class Loop:
-    """`counter` runs over 0 ... count - 1, or backwards."""
+    """`counter` runs over 0 ... count - 1, or backwards.
+
+    team: its turns do not depend on each other, and the threads of a team share them. early: it
+    copies entries that are first read after the next `Await`. part: loops of the same number write
+    different entries.
+    """
 
     counter: Var
     count: int
     reverse: bool
     body: Block
+    team: bool = False
+    early: bool = False
+    part: int = 0
+
+
+@dataclass(slots=True)
+class Await:
+    """Until here, early copies have arrived."""
+
+
+@dataclass(slots=True)
+class Barrier:
+    """The threads of a team wait for each other (`team.synchronised`)."""
 
 
 @dataclass(slots=True)
@@ -159,46 +179,17 @@ def walk(block: Block) -> Iterator[Any]:
                 yield from walk(otherwise)
 
 
-def operations(block: Block, turns: int = 1) -> int:
-    """The operations that run: the longer branch, a loop's once a turn, a `while` `turns` times."""
-    total = 0
-    for statement in block.statements:
-        match statement:
-            case Op():
-                total += 1
-            case Loop(count=count, body=body):
-                total += count * operations(body, turns)
-            case While(test=test, body=body):
-                total += turns * (operations(test, turns) + operations(body, turns))
-            case If(then=then, otherwise=otherwise):
-                total += max(operations(then, turns), operations(otherwise, turns))
-    return total
-
-
-def accesses(block: Block) -> Counter[int]:
-    """How often each array is read or written; in a `while` each statement counts once."""
-    total: Counter[int] = Counter()
-    for statement in block.statements:
-        match statement:
-            case Load(array=array) | Store(array=array):
-                total[array.id] += 1
-            case Loop(count=count, body=body):
-                total.update({k: count * n for k, n in accesses(body).items()})
-            case While(test=test, body=body):
-                total += accesses(test) + accesses(body)
-            case If(then=then, otherwise=otherwise):
-                total += accesses(then) + accesses(otherwise)
-    return total
-
-
 class Builder:
     """Writes statements. Equal expressions in scope of each other become one variable.
 
-    platform: where the program runs, "cuda" or "cpu", for functions that depend on it.
+    platform: where the program runs, "cuda" or "cpu", for functions that depend on it. team:
+    whether a team of threads runs it.
     """
 
-    def __init__(self, platform: str = "cuda") -> None:
+    def __init__(self, platform: str = "cuda", team: bool = False) -> None:
         self.platform = platform
+        self.teamed = team  # here; not in what each thread of a team does by itself
+        self._part, self._parts = 0, itertools.count(1)
         self.block = Block()
         self.ids = itertools.count()
         self.time = 0  # advances whenever earlier loads may be out of date
@@ -256,7 +247,7 @@ class Builder:
     # ---------------------------------------------------------------- memory
 
     def local(self, dtype: Any, size: int) -> Array:
-        array = Array(next(self.ids), np.dtype(dtype), size, "local")
+        array = Array(next(self.ids), np.dtype(dtype), size, "local", shared=self.teamed)
         self.block.statements.append(Reserve(array))
         return array
 
@@ -326,6 +317,33 @@ class Builder:
             yield counter
 
     @contextmanager
+    def spread(self, count: int, early: bool = False) -> Iterator[Var]:
+        """A loop over a counter whose turns a team shares."""
+        counter, body = self.var(I32), Block()
+        loop = Loop(counter, count, False, body, True, early, self._part)
+        self.block.statements.append(loop)
+        with self.inside(body), self.alone():
+            yield counter
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """What each thread of a team does by itself."""
+        before, self.teamed = self.teamed, False
+        try:
+            yield
+        finally:
+            self.teamed = before
+
+    @contextmanager
+    def parts(self) -> Iterator[None]:
+        """Loops of a team that write different entries of one array."""
+        before, self._part = self._part, next(self._parts)
+        try:
+            yield
+        finally:
+            self._part = before
+
+    @contextmanager
     def when(self, condition: Value) -> Iterator[None]:
         """Statements that run where a condition holds."""
         then = Block()
@@ -336,6 +354,12 @@ class Builder:
     def _remember(self, key: tuple, value: Value) -> None:
         self._known[key] = value
         self._scopes[-1].append(key)
+
+    def once(self, key: tuple, make: Callable[[], Any]) -> Any:
+        """make(), or what it gave for this key in the same scope."""
+        if key not in self._known:
+            self._remember(key, make())
+        return self._known[key]
 
     def index(self, array: Array, *terms: tuple[Value, int]) -> Value | None:
         """Sum of value * stride over the terms, in the array's type of index; None for 0."""

@@ -33,6 +33,8 @@ class Program:
         for derivatives, the traced one is used.
     once: it runs once where others run many times, so that on a CPU its compile time matters more
         than its run time; on a GPU XLA runs it. Its derivatives run once, too.
+    team: on a GPU a team of threads runs a sample, if its arrays fit into shared memory. Of
+        derivatives a thread does.
     """
 
     closed: ClosedJaxpr
@@ -42,6 +44,7 @@ class Program:
     sized: Callable[[int, Moving], Program] | None = None
     apart: Callable | None = None
     once: bool = False
+    team: bool = False
     derived: dict[Any, Any] = field(default_factory=dict)
     split: dict[Any, Any] = field(default_factory=dict)
 

@@ -7,6 +7,7 @@ from typing import Any
 from rbjax.threads.program import (
     Array,
     Assign,
+    Await,
     Block,
     Declare,
     If,
@@ -72,6 +73,8 @@ def _keep(block: Block, needed: set[Var | Array]) -> None:
                 _keep(then, needed)
                 _keep(otherwise, needed)
                 keep = bool(then.statements or otherwise.statements)
+            case Await():
+                keep = True
             case _:
                 raise TypeError(f"no such statement: {statement}")
         if keep:

@@ -8,9 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import Small, View, each, filled, get, in_memory, put
-from rbjax.threads.elementwise import LOOP_ABOVE
-from rbjax.threads.lowering import Lowering, dtype_of, rule
+from rbjax.threads.arrays import (
+    SHARED_ABOVE,
+    Small,
+    View,
+    each,
+    filled,
+    get,
+    in_memory,
+    put,
+)
+from rbjax.threads.delayed import Delayed
+from rbjax.threads.elementwise import LOOP_ABOVE, source
+from rbjax.threads.linear import summed
+from rbjax.threads.lowering import Lowering, dtype_of, rule, takes_delayed
 from rbjax.threads.program import BOOL, Value
 
 
@@ -20,6 +31,10 @@ def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Sm
     kept = [k for k in range(x.ndim) if k not in axes]
     shape = tuple(x.shape[k] for k in kept)
     count = int(np.prod([x.shape[k] for k in axes], dtype=int))
+    if low.b.teamed and count and not isinstance(x, np.ndarray):
+        delayed = _delayed(low, x, kept, list(axes), dtype, f)
+        if delayed is not None:
+            return delayed
     if x.size > LOOP_ABOVE and count:
         return _looped(low, in_memory(low.b, x, dtype), kept, list(axes), dtype, f)
     entries = low.scalars(x).transpose(*kept, *axes).reshape(*shape, count)
@@ -27,6 +42,35 @@ def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Sm
     for i in np.ndindex(shape):
         out[i] = functools.reduce(f, entries[i])
     return out
+
+
+def _delayed(
+    low: Lowering, x: Small, kept: list, axes: list, dtype: Any, f: Callable
+) -> Delayed | None:
+    """Reductions of a team, each where it is read; None if a thread does them sooner. One of more
+    than one axis is first of all but the longest."""
+    s = source(low.b, x, x.shape)
+    if s.work <= SHARED_ABOVE:
+        return None
+    if not kept:
+        if len(axes) == 1:
+            return None
+        longest = max(axes, key=lambda k: x.shape[k])
+        rest = [k for k in axes if k != longest]
+        rows = _delayed(low, x, [longest], rest, dtype, f)
+        assert rows is not None
+        kept, axes, s = [], [0], source(low.b, in_memory(low.b, rows, dtype), rows.shape)
+    shape, count = tuple(s.shape[k] for k in kept), tuple(s.shape[k] for k in axes)
+
+    def entry(*i: Value) -> Value:
+        def term(*k: Value) -> Value:
+            at = dict(zip((*kept, *axes), (*i, *k), strict=True))
+            return s.entry(*(at[j] for j in range(s.ndim)))
+
+        return summed(low.b, count, term, f, dtype)
+
+    cost = int(np.prod(count, dtype=int)) * (1 + s.cost)
+    return Delayed(shape, np.dtype(dtype), entry, s.sources, cost)
 
 
 @rule("reduce")
@@ -100,6 +144,7 @@ def _reduce(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 rule(*REDUCTIONS)(_reduce)
+takes_delayed(*REDUCTIONS)
 
 
 @rule("argmax", "argmin")

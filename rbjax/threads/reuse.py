@@ -2,14 +2,29 @@
 
 An array is needed from its declaration to its last use. A loop in which it is used, and which does
 not declare it, needs it to its end. Arrays of one type are placed largest first, each in the first
-place that is free while it is needed: the usual greedy colouring of intervals, by size.
+place that is free while it is needed: the usual greedy colouring of intervals, by size. What a
+team of threads shares is needed until the next barrier: some of them may still read it.
 """
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
-from rbjax.threads.program import Array, Block, If, Load, Loop, Reserve, Store, While, walk
+from rbjax.threads.program import (
+    Array,
+    Await,
+    Barrier,
+    Block,
+    If,
+    Load,
+    Loop,
+    Reserve,
+    Store,
+    While,
+    walk,
+)
 
 
 @dataclass
@@ -17,7 +32,7 @@ class Span:
     """The statements, by their numbers, during which an array is needed."""
 
     first: int
-    last: int
+    last: float
 
     def meets(self, other: Span) -> bool:
         return self.first <= other.last and other.first <= self.last
@@ -30,7 +45,8 @@ def share_memory(block: Block) -> None:
     shared: dict[Array, Array] = {}
     for array, span in sorted(spans.items(), key=lambda x: -x[0].size):
         for place, taken in places:
-            if place.dtype == array.dtype and not any(span.meets(x) for x in taken):
+            alike = place.dtype == array.dtype and place.shared == array.shared
+            if alike and not any(span.meets(x) for x in taken):
                 break
         else:
             place, taken = array, []
@@ -44,11 +60,12 @@ def share_memory(block: Block) -> None:
 def _spans(block: Block) -> dict[Array, Span]:
     """The span of each local array of a block."""
     spans: dict[Array, Span] = {}
-    count = 0
+    barriers: list[float] = []  # those that every run meets
+    count = unsure = 0
 
     def visit(block: Block) -> set[Array]:
         """Numbers the statements; the arrays that are used in them."""
-        nonlocal count
+        nonlocal count, unsure
         used: set[Array] = set()
         for statement in block.statements:
             count += 1
@@ -58,12 +75,18 @@ def _spans(block: Block) -> dict[Array, Span]:
                 case Load(array=array) | Store(array=array) if array in spans:
                     spans[array].last = count
                     used.add(array)
+                case Barrier() | Await() if not unsure:
+                    barriers.append(count)
                 case Loop(body=body):
                     used |= turns(body)
                 case While(test=test, body=body):
+                    unsure += 1
                     used |= turns(test, body)
+                    unsure -= 1
                 case If(then=then, otherwise=otherwise):
+                    unsure += 1
                     used |= visit(then) | visit(otherwise)
+                    unsure -= 1
         return used
 
     def turns(*blocks: Block) -> set[Array]:
@@ -78,6 +101,10 @@ def _spans(block: Block) -> dict[Array, Span]:
         return used
 
     visit(block)
+    for array, span in spans.items():
+        if array.shared:
+            at = bisect_left(barriers, span.last)
+            span.last = barriers[at] if at < len(barriers) else math.inf
     return spans
 
 

@@ -6,9 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import Small, View, filled, owned_copy, tidy, write
+from rbjax.threads.arrays import FEW, Small, View, filled, owned_copy, stored, tidy, write
+from rbjax.threads.delayed import Delayed
 from rbjax.threads.elementwise import LOOP_ABOVE
-from rbjax.threads.lowering import Lowering, rule, writer
+from rbjax.threads.lowering import Lowering, rule, takes_delayed, writer
+
+takes_delayed(
+    "fusion_barrier", "copy", "copy_p", "stop_gradient", "name", "batch_first", "batch_last",
+    "slice", "squeeze", "reshape", "expand_dims", "transpose", "rev", "broadcast_in_dim",
+    "concatenate", "stack", "split", "unstack",
+)  # fmt: skip
 
 
 @rule("fusion_barrier", "copy", "copy_p", "stop_gradient",
@@ -29,7 +36,14 @@ def _slice(low: Lowering, eqn: Any, ins: list) -> list:
     P = eqn.params
     steps = P["strides"] or [1] * len(P["start_indices"])
     box = tuple(map(slice, P["start_indices"], P["limit_indices"], steps))
-    return [ins[0].sliced(box) if isinstance(ins[0], View) else ins[0][box]]
+    return [cut(low, ins[0], box)]
+
+
+def cut(low: Lowering, x: Small, box: tuple[slice, ...]) -> Small:
+    """A rectangle of x."""
+    if isinstance(x, Delayed):
+        return x.sliced(low.b, box)
+    return x.sliced(box) if isinstance(x, View) else x[box]
 
 
 @rule("squeeze", "reshape", "expand_dims")
@@ -39,6 +53,11 @@ def _reshape(low: Lowering, eqn: Any, ins: list) -> list:
 
 def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
     """x with another shape."""
+    if isinstance(x, Delayed):
+        delayed = x.reshaped(shape)
+        if delayed is not None:
+            return delayed
+        x = stored(low.b, x)
     if isinstance(x, View):
         out = x.reshaped(shape)
         return owned_copy(low.b, x, x.dtype).reshaped(shape) if out is None else out
@@ -48,22 +67,22 @@ def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
 @rule("transpose")
 def _transpose(low: Lowering, eqn: Any, ins: list) -> list:
     x, order = ins[0], eqn.params["permutation"]
-    return [x.transposed(order) if isinstance(x, View) else x.transpose(order)]
+    return [x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)]
 
 
 @rule("rev")
 def _rev(low: Lowering, eqn: Any, ins: list) -> list:
     x, axes = ins[0], eqn.params["dimensions"]
-    if not isinstance(x, View):
+    if isinstance(x, np.ndarray):
         return [np.flip(x, axes)]
     box = [slice(n - 1, -1, -1) if k in axes else slice(0, n, 1) for k, n in enumerate(x.shape)]
-    return [x.sliced(box)]
+    return [cut(low, x, tuple(box))]
 
 
 @rule("broadcast_in_dim")
 def _broadcast(low: Lowering, eqn: Any, ins: list) -> list:
     x, shape, axes = ins[0], eqn.params["shape"], eqn.params["broadcast_dimensions"]
-    if isinstance(x, View):
+    if not isinstance(x, np.ndarray):
         return [x.broadcast(shape, axes)]
     wide = [1] * len(shape)
     for k, axis in enumerate(axes):
@@ -74,17 +93,37 @@ def _broadcast(low: Lowering, eqn: Any, ins: list) -> list:
 @writer("concatenate")
 def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
-    if place is None and out.size > LOOP_ABOVE:
+    whole = _in_a_row(ins, axis) if low.b.teamed else None
+    if place is None and whole is not None:
+        return [whole]
+    if place is None and out.size > (FEW if low.b.teamed else LOOP_ABOVE):
         place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
         return [tidy(np.concatenate([low.scalars(x) for x in ins], axis), out.dtype)]
     start = 0
-    for x in ins:
-        box = [slice(0, n, 1) for n in place.shape]
-        box[axis] = slice(start, start + x.shape[axis], 1)
-        write(low.b, place.sliced(box), x)
-        start += x.shape[axis]
+    with low.b.parts():
+        for x in ins:
+            box = [slice(0, n, 1) for n in place.shape]
+            box[axis] = slice(start, start + x.shape[axis], 1)
+            write(low.b, place.sliced(box), x)
+            start += x.shape[axis]
     return [place]
+
+
+def _in_a_row(xs: list, axis: int) -> View | None:
+    """Pieces of one array, side by side along an axis as they were, as one view; else None."""
+    first = xs[0]
+    if not all(isinstance(x, View) and x.array is first.array for x in xs):
+        return None
+    at, step = first.offset, first.strides[axis]
+    for x in xs:
+        own = (x.base, x.offset, x.strides)
+        if own[0] is not first.base or own[1:] != (at, first.strides):
+            return None
+        at += x.shape[axis] * step
+    shape = list(first.shape)
+    shape[axis] = sum(x.shape[axis] for x in xs)
+    return View(first.array, first.base, first.offset, first.strides, tuple(shape))
 
 
 @rule("tile")
@@ -95,11 +134,35 @@ def _tile(low: Lowering, eqn: Any, ins: list) -> list:
 @writer("stack")
 def _stack(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     axis, place = eqn.params.get("axis", eqn.params.get("dimension", 0)), places[0]
+    out = eqn.outvars[0].aval
+    if place is None and low.b.teamed and out.size > FEW:
+        whole = _rows_of_one(ins, axis)
+        if whole is not None:
+            return [whole]
+        place = View.of(low.b.local(out.dtype, out.size), out.shape)
     if place is None:
         return [tidy(np.stack([low.scalars(x) for x in ins], axis), eqn.outvars[0].aval.dtype)]
-    for k, x in enumerate(ins):
-        write(low.b, place.at(low.b, axis, np.int32(k)), x)
+    with low.b.parts():
+        for k, x in enumerate(ins):
+            write(low.b, place.at(low.b, axis, np.int32(k)), x)
     return [place]
+
+
+def _rows_of_one(xs: list, axis: int) -> View | None:
+    """Rows of one array, at equal distances, as one view; else None."""
+    first = xs[0]
+    if len(xs) < 2 or not all(isinstance(x, View) for x in xs):
+        return None
+    step = xs[1].offset - first.offset
+    for k, x in enumerate(xs):
+        if x.array is not first.array or x.base is not first.base or x.strides != first.strides:
+            return None
+        if x.offset != first.offset + k * step:
+            return None
+    strides, shape = list(first.strides), list(first.shape)
+    strides.insert(axis, step)
+    shape.insert(axis, len(xs))
+    return View(first.array, first.base, first.offset, tuple(strides), tuple(shape))
 
 
 @rule("unstack")
@@ -118,7 +181,7 @@ def _split(low: Lowering, x: Small, axis: int, sizes: Any, squeeze: bool = False
     for size in sizes:
         box = [slice(0, n, 1) for n in x.shape]
         box[axis] = slice(start, start + size, 1)
-        part = x.sliced(box) if isinstance(x, View) else x[tuple(box)]
+        part = cut(low, x, tuple(box))
         shape = tuple(n for k, n in enumerate(part.shape) if k != axis)
         out.append(reshaped(low, part, shape) if squeeze else part)
         start += size

@@ -78,7 +78,8 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
     frontier = list(needed)
     moved = [eqn for eqn in before if id(eqn) in moves]
     first = _closed(before, alike, frontier, program)
-    rest = Program(_closed([*moved, *after], [*own, *frontier], jaxpr.outvars, program))
+    closed = _closed([*moved, *after], [*own, *frontier], jaxpr.outvars, program)
+    rest = Program(closed, team=program.team)
     plain = jaxpr_as_fun(first)
     return rest, plain, Program(first, once=True) if _is_short(first.jaxpr) else None
 

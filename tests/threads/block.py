@@ -1,4 +1,8 @@
-"""A CUDA kernel's source run on the host: the threads of a block are threads of the host."""
+"""A CUDA kernel's source run on the host: the threads of a block are threads of the host.
+
+They run together, or one at a time: each from barrier to barrier, in a given order. A missing
+barrier then shows every time.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +23,14 @@ HEAD = """
 #include <cmath>
 #include <cstring>
 #include <memory>
+#include <semaphore>
 #include <thread>
 #include <vector>
 #define __device__
 #define __global__
 #define __constant__
 #define __restrict__
-#define __launch_bounds__(n)
+#define __launch_bounds__(...)
 #define __shared__ static
 struct Index { int x; };
 struct alignas(16) uint4 { unsigned x, y, z, w; };
@@ -39,8 +44,18 @@ static double rsqrt(double x) { return 1 / sqrt(x); }
 using std::isfinite;
 template <class T> static void __stcs(T* to, T x) { *to = x; }
 template <class T> static T __ldcs(const T* from) { return *from; }
+#ifdef IN_TURN  // 1, or -1 for the last first
+static std::counting_semaphore<1> turns[THREADS]{@ZEROS@};
+static void pass_on() { turns[(threadIdx.x + THREADS + IN_TURN) % THREADS].release(); }
+static void wait_for_turn() { turns[threadIdx.x].acquire(); }
+static void __syncthreads() { pass_on(); wait_for_turn(); }
+static void __syncwarp() { __syncthreads(); }
+#else
+static void pass_on() {}
+static void wait_for_turn() {}
 static void __syncthreads() { whole.arrive_and_wait(); }
 static void __syncwarp() { warps[threadIdx.x / 32]->arrive_and_wait(); }
+#endif
 template <class T> static T __shfl_down_sync(unsigned, T x, int by) {
   passed[threadIdx.x] = x;
   __syncwarp();
@@ -62,21 +77,32 @@ extern "C" void run(int blocks, void** p) {{
       all.emplace_back([=] {{
         blockIdx.x = b;
         threadIdx.x = t;
+        wait_for_turn();
         {name}({pointers});
+        if (t != LAST) pass_on();
       }});
+    START;
     for (auto& thread : all) thread.join();
   }}
 }}
 """
 
 
-def emulated(kernel: Kernel, operands: Sequence[Any], results: Sequence[Any]) -> list[np.ndarray]:
-    """What the kernel writes: arrays of these shapes and types; partial sums one a block."""
+def emulated(
+    kernel: Kernel, operands: Sequence[Any], results: Sequence[Any], in_turn: int = 0
+) -> list[np.ndarray]:
+    """What the kernel writes: arrays of these shapes and types; partial sums one a block. in_turn:
+    1 or -1, one thread at a time, the first or the last thread of the block first."""
     signature = kernel.source.split(f"{kernel.name}(", 1)[1].split("){", 1)[0]
     types = [p.replace("const ", "").split("*")[0].strip() for p in signature.split(",")]
     pointers = ",".join(f"({kind}*)p[{k}]" for k, kind in enumerate(types))
+    first, last = (0, kernel.block - 1)[::in_turn or 1]
+    turns = f"#define IN_TURN {in_turn}\n#define START turns[{first}].release()"
+    zeros = ",".join(["std::counting_semaphore<1>(0)"] * kernel.block)
     source = "\n".join([
-        f"#define THREADS {kernel.block}", HEAD, kernel.source,
+        f"#define THREADS {kernel.block}\n#define LAST {last}",
+        turns if in_turn else "#define START",
+        HEAD.replace("@ZEROS@", zeros), kernel.source,
         LAUNCH.format(name=kernel.name, pointers=pointers),
     ])  # fmt: skip
     run = library(source, ("-std=c++20", "-O1", "-ffp-contract=off", "-pthread")).run

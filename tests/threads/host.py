@@ -31,6 +31,7 @@ from rbjax.threads.function import threaded
 from rbjax.threads.llvm_batch import Parts, parts
 from rbjax.threads.llvm_ir import Module
 from rbjax.threads.native import compile
+from rbjax.threads.program import Loop, walk
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 FLAGS = ("-O1", "-ffp-contract=off")
@@ -55,7 +56,8 @@ def compiled(source: str, flags: Sequence[str] = FLAGS) -> Any:
 
 
 def written(
-    f: Callable, *args: Any, layout: Callable = batch_first, platform: str = "cuda"
+    f: Callable, *args: Any, layout: Callable = batch_first, platform: str = "cuda",
+    team: bool = False,
 ) -> tuple[Written, Any, list]:
     """The program of f, the tree of its results, and their shapes and types."""
     leaves, tree = jax.tree.flatten(args)
@@ -72,14 +74,23 @@ def written(
     closed = jax.make_jaxpr(flat)(*one)
     ins = [layout(x.shape, (size,)) for x in one]
     outs = [layout(v.aval.shape, (size,)) for v in closed.jaxpr.outvars]
-    return write_program(closed, (size,), ins, outs, platform=platform), shape[0], closed.out_avals
+    program = write_program(closed, (size,), ins, outs, platform=platform, team=team)
+    return program, shape[0], closed.out_avals
 
 
-def many_on_host(cases: Sequence[Case], flags: Sequence[str] = FLAGS) -> list:
-    """Each function's results for its batch, by the emitted C of all in one translation unit."""
+def many_on_host(
+    cases: Sequence[Case], flags: Sequence[str] = FLAGS, team: bool = False, backwards: bool = False
+) -> list:
+    """Each function's results for its batch, by the emitted C of all in one translation unit. team:
+    of a team's programs, the turns of its loops one after the other, or backwards."""
     if GPU_ASKED:
-        return [as_kernel(f, *args) for f, args in cases]
-    programs = [written(f, *args) for f, args in cases]
+        return [as_kernel(f, *args, team=team) for f, args in cases]
+    programs = [written(f, *args, team=team) for f, args in cases]
+    if backwards:
+        for program, _, _ in programs:
+            for s in walk(program.builder.block):
+                if isinstance(s, Loop) and s.team:
+                    s.reverse = True
     head = f"{HOST_HEAD}\n{PREAMBLE}"
     texts = [head]
     for k, (program, _, _) in enumerate(programs):
@@ -97,10 +108,10 @@ def many_on_host(cases: Sequence[Case], flags: Sequence[str] = FLAGS) -> list:
     return out
 
 
-def as_kernel(f: Callable, *args: Any) -> Any:
+def as_kernel(f: Callable, *args: Any, team: bool = False) -> Any:
     """f of each sample of a batch, batch first, by a kernel of the GPU."""
     placed = jax.device_put(args, jax.devices("cuda")[0])
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(threaded(f)))(*placed))
+    return jax.tree.map(np.asarray, jax.jit(jax.vmap(threaded(f, team=team)))(*placed))
 
 
 def by_xla(cases: Sequence[Case]) -> list:
