@@ -16,6 +16,7 @@ from rbjax.meshes import automatic
 from rbjax.threads.backend import wanted
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
+from rbjax.threads.tangents import tangent_p  # noqa: F401 (its rules)
 from rbjax.threads.uncollected import uncollected
 from rbjax.threads.uniform import unnamed
 

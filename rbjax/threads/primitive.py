@@ -10,7 +10,6 @@ the arguments are stored in memory, and the values that a `Program` keeps.
 from __future__ import annotations
 
 import functools
-import math
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -19,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import batching, mlir
 from jax.sharding import NamedSharding, PartitionSpec
 
 from rbjax.threads import backend, cuda, host_call, launch, team
@@ -50,14 +49,14 @@ def run(
     return threads_p.bind(*_alike(operands), program=program, batch=batch, ins=ins, outs=outs)
 
 
-def _varies(aval: Any) -> frozenset:
+def varies(aval: Any) -> frozenset:
     """The axes of a mesh along which an array varies, if `shard_map` tracks them."""
     return aval.manual_axis_type.varying
 
 
 def _alike(operands: Sequence[Any]) -> list[Any]:
     """The operands, all varying along the same axes of a mesh."""
-    own = [_varies(jax.typeof(x)) for x in operands]
+    own = [varies(jax.typeof(x)) for x in operands]
     every = frozenset().union(*own)
     return [
         jax.lax.pcast(x, tuple(every - v), to="varying") if every - v else x
@@ -65,16 +64,16 @@ def _alike(operands: Sequence[Any]) -> list[Any]:
     ]
 
 
-def _result(shape: tuple[int, ...], dtype: Any, operands: Sequence[Any]) -> ShapedArray:
+def result(shape: tuple[int, ...], dtype: Any, operands: Sequence[Any]) -> ShapedArray:
     """A result, which varies along the axes of the operands."""
-    if not any(_varies(x) for x in operands):
+    if not any(varies(x) for x in operands):
         return ShapedArray(shape, dtype)
     mesh = operands[0].sharding.mesh
     whole = NamedSharding(mesh, PartitionSpec(*[None] * len(shape)))
     return operands[0].update(shape=shape, dtype=dtype, weak_type=False, sharding=whole)
 
 
-def _shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple[int, ...]:
+def batched_shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple[int, ...]:
     """The shape of an array with these axes of the batch."""
     sizes = {axis: n for axis, n in zip(axes, batch, strict=True) if axis is not None}
     rest = iter(sample)
@@ -84,7 +83,7 @@ def _shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple
 @threads_p.def_abstract_eval
 def _(*operands, program, batch, ins, outs):
     return [
-        _result(_shape(a.shape, batch, axes), a.dtype, operands)
+        result(batched_shape(a.shape, batch, axes), a.dtype, operands)
         for a, axes in zip(program.outputs, outs, strict=True)
     ]
 
@@ -135,7 +134,7 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
         _say(str(reason))
         return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
     results = [
-        ShapedArray((code.grid, *a.shape) if s else _shape(a.shape, batch, axes), a.dtype)
+        ShapedArray((code.grid, *a.shape) if s else batched_shape(a.shape, batch, axes), a.dtype)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
     found = (launch if platform == "cuda" else host_call).launch(code, operands, results)
@@ -161,7 +160,7 @@ def on_cpu(*operands, **how):
 def _kernel(platform, program, batch, ins, outs, shapes, summed):
     operands = [Layout(shape, axes) for shape, axes in zip(shapes, ins, strict=True)]
     results = [
-        Layout(a.shape, ()) if s else Layout(_shape(a.shape, batch, axes), axes)
+        Layout(a.shape, ()) if s else Layout(batched_shape(a.shape, batch, axes), axes)
         for a, axes, s in zip(program.outputs, outs, summed, strict=True)
     ]
     how = program.closed, batch, operands, results, summed, platform
@@ -225,16 +224,11 @@ def _inside(low: Lowering, eqn: Any, ins: list) -> list:
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
 
 
-@rule("threads_tangent")
-def _tangent_inside(low: Lowering, eqn: Any, ins: list) -> list:
-    f = functools.partial(_evaluate, **eqn.params)
-    return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
-
 
 # ------------------------------------------------------------------- batches
 
 
-def _with_axis(new: int | None, axes: Axes) -> Axes:
+def with_axis(new: int | None, axes: Axes) -> Axes:
     """The places of the axes of a batch after a new first one is added at `new`."""
     return (new, *(a if a is None or new is None or a < new else a + 1 for a in axes))
 
@@ -245,7 +239,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     known = tuple(
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
-    varying = any(_varies(jax.typeof(x)) for x in operands)
+    varying = any(varies(jax.typeof(x)) for x in operands)
     own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are
     if any(known) and not varying and own_ways == (None, None, None):
         program, more = divided(program, known, operands, run)
@@ -253,14 +247,14 @@ def _batched(operands, dims, program, batch, ins, outs):
         dims = [d for d, k in zip(dims, known, strict=True) if not k] + [None] * len(more)
         nowhere = (None,) * len(batch)
         ins = [a for a, k in zip(ins, known, strict=True) if not k] + [nowhere] * len(more)
-    moved = tuple(_with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
+    moved = tuple(with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
     last = _lies_last(operands, dims, ins)
     new, where = [], []
     for a, axes in zip(program.outputs, outs, strict=True):
         if all(x is None for x in axes) and batch:  # the sum over samples is taken afterwards
             axes = tuple(range(len(batch)))
         at = len(a.shape) + sum(x is not None for x in axes) if last else 0
-        new.append(_with_axis(at, axes))
+        new.append(with_axis(at, axes))
         where.append(at)
     found = run(program, operands, (size, *batch), moved, new)
     out: list[Any] = []
@@ -284,132 +278,3 @@ def _lies_last(operands, dims, ins) -> bool:
 
 
 batching.primitive_batchers[threads_p] = _batched
-
-# ------------------------------------------------------------------- derivatives
-
-#: so many directions fill a sector of a GPU's memory
-DIRECTIONS = 8
-
-tangent_p = Primitive("threads_tangent")
-tangent_p.multiple_results = True
-"""Operands: arguments, values that the program keeps, and the tangents of moving arguments."""
-
-
-def _as_threads(program, moving, batch, ins, outs):
-    return {"program": program.tangent(moving), "batch": batch, "ins": ins, "outs": outs}
-
-
-@tangent_p.def_abstract_eval
-def _(*operands, program, moving, batch, ins, outs):
-    return [
-        _result(_shape(a.shape, batch, axes), a.dtype, operands)
-        for a, axes in zip(program.outputs, outs, strict=True)
-    ]
-
-
-def _evaluate(*operands, program, moving, batch, ins, outs):
-    return threads_p.bind(*operands, **_as_threads(program, moving, batch, ins, outs))
-
-
-tangent_p.def_impl(_evaluate)
-mlir.register_lowering(tangent_p, mlir.lower_fun(_evaluate, multiple_results=True))
-knows_devices(tangent_p)
-
-
-def _batched_tangent(operands, dims, program, moving, batch, ins, outs):
-    size = next(x.shape[d] for x, d in zip(operands, dims, strict=True) if d is not None)
-    moved = tuple(_with_axis(d, axes) for d, axes in zip(dims, ins, strict=True))
-    # many directions of one sample lie last, as in a Jacobian: threads write side by side
-    fixed = len(moving) + len(program.kept(moving))
-    last = size >= DIRECTIONS and all(d is None for d in dims[:fixed])
-    at = [len(a.shape) + len(batch) if last else 0 for a in program.outputs]
-    new = tuple(_with_axis(k, axes) for k, axes in zip(at, outs, strict=True))
-    out = tangent_p.bind(
-        *operands, program=program, moving=moving, batch=(size, *batch), ins=moved, outs=new
-    )
-    return out, at
-
-
-batching.primitive_batchers[tangent_p] = _batched_tangent
-
-
-def _rates(primals, tangents):
-    """Which arguments have tangents, and these tangents."""
-    moving = tuple(type(t) is not ad.Zero and _is_float(x) for x, t in zip(
-        primals, tangents, strict=True))  # fmt: skip
-    return moving, [t for t, m in zip(tangents, moving, strict=True) if m]
-
-
-def _zero(x: Any) -> ad.Zero:
-    """The zero tangent of an argument that does not move."""
-    return ad.Zero(jax.typeof(x).to_tangent_aval())
-
-
-def _is_float(x: Any) -> bool:
-    return jnp.issubdtype(jnp.result_type(x), jnp.floating)
-
-
-def _jvp(primals, tangents, *, program, batch, ins, outs):
-    moving, rates = _rates(primals, tangents)
-    if not any(moving):
-        found = run(program, primals, batch, ins, outs)
-        return found, [_zero(x) for x in found]
-    if program.sized is not None:
-        program = program.sized(math.prod(batch), moving)
-    n, kept = len(program.outputs), []
-    if program.keeping is None:
-        found = run(program, primals, batch, ins, outs)
-    else:
-        # internal values have the layout that threads read fastest
-        keeping = program.keeping(moving)
-        last = [tuple(range(a.ndim, a.ndim + len(batch))) for a in keeping.outputs[n:]]
-        places = (*outs, *last)
-        found = run(keeping, primals, batch, ins, places)
-        kept = found[program.reads :]
-    kept_axes = places[program.reads :] if kept else ()
-    axes = (*ins, *kept_axes, *(a for a, m in zip(ins, moving, strict=True) if m))
-    first = tuple(range(len(batch)))
-    whole = tuple(first if None in a else a for a in outs)  # sums over samples are taken here
-    rate = tangent_p.bind(
-        *primals, *kept, *rates, program=program, moving=moving, batch=batch, ins=axes, outs=whole
-    )
-    return found[:n], [
-        (t if own == a else placed(t, a)) if _is_float(t) else _zero(x)
-        for t, own, a, x in zip(rate, whole, outs, found[:n], strict=True)
-    ]
-
-
-ad.primitive_jvps[threads_p] = _jvp
-
-
-def _jvp_of_tangent(primals, tangents, *, program, moving, batch, ins, outs):
-    return _jvp(primals, tangents, **_as_threads(program, moving, batch, ins, outs))
-
-
-ad.primitive_jvps[tangent_p] = _jvp_of_tangent
-
-
-def _transpose(bars, *operands, program, moving, batch, ins, outs):
-    n = len(moving) + len(program.kept(moving))
-    weighed = tuple(type(bar) is not ad.Zero for bar in bars)
-    if not any(weighed):
-        return [None] * n + [ad.Zero(x.aval) if ad.is_undefined_primal(x) else None
-                             for x in operands[n:]]  # fmt: skip
-    given = [bar for bar, w in zip(bars, weighed, strict=True) if w]
-    first = tuple(range(len(batch)))
-    there = [a for a, w in zip(outs, weighed, strict=True) if w]
-    axes, places = ins[n:], []
-    for a in axes:  # summed in the kernel if an operand has no batch at all
-        whole = all(k is not None for k in a) or all(k is None for k in a)
-        places.append(a if whole else first)
-    found = run(
-        program.transposed(moving, weighed), [*operands[:n], *given], batch, [*ins[:n], *there],
-        places,
-    )  # fmt: skip
-    found = [x if o == a else placed(x, a) for x, o, a in zip(found, places, axes, strict=True)]
-    return [None] * n + [
-        x if ad.is_undefined_primal(y) else None for x, y in zip(found, operands[n:], strict=True)
-    ]
-
-
-ad.primitive_transposes[tangent_p] = _transpose

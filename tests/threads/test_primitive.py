@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.threads import primitive, wanted
+from rbjax.threads import tangents, wanted
 from rbjax.threads.function import threaded, threads
 from tests.compilations import compilations
 from tests.tolerances import F64_TRANSFORM, relative_error
@@ -126,7 +126,7 @@ def bent(h):
 
 def test_directions_that_lie_last(monkeypatch):
     """As many directions do, the last axis of a Jacobian."""
-    monkeypatch.setattr(primitive, "DIRECTIONS", 1)
+    monkeypatch.setattr(tangents, "DIRECTIONS", 1)
     cases = {"hessian": TRANSFORMED["vmap of hessian"], "bent": (bent, (X,))}
 
     def every(g):
