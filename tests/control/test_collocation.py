@@ -127,7 +127,8 @@ def test_a_pendulum_swings_up_in_the_least_time(limit, count):
         return jnp.stack([x[1], -9.81 * jnp.sin(x[0]) + u[0]])
 
     signs = case["u_first"] * (-1.0) ** np.arange(count)
-    found = phases(rates, [0, 0], [np.pi, 0], signs, durations, 4, "gauss_legendre_8")
+    # 12 steps a phase: four, of 0.3 s, are 1e-6 off by themselves
+    found = phases(rates, [0, 0], [np.pi, 0], signs, durations, 12, "gauss_legendre_8")
     assert found.converged
     assert abs(found.numbers.sum() - case["T"]) < 1e-8
 
