@@ -7,15 +7,17 @@ small products only,
 
 and trials x (+) a dx, u + a du of all lengths a are measured at all knots at once: no motion is
 rolled out, so nothing waits for N steps of the dynamics in a row. Gaps close in proportion, and
-exactly where the dynamics is linear. A trial must lower
+exactly where the dynamics is linear. The trial with the least
 
-    phi(a) = J(a) + sum over k of  l_k'gap_k(a) + gap_k(a)'V_k gap_k(a) / 2
+    phi(a) = J(a) + sum over k of  l_k'gap_k(a) + rho/2 gap_k(a)'V_k gap_k(a)
 
-with the costates l_k = v_k + V_k dx_k and the Hessians V_k of the value function that the backward
-pass leaves: phi is the cost with what it would cost to close the gaps. It is an augmented
-Lagrangian whose multipliers are those of the step (Gill, Murray, Saunders & Wright 1992), so that
-full steps are taken near an optimum, which a sum of |gap| would refuse (Maratos 1978). Its slope
-at a = 0 is that of J less sum of l'gap + gap'V gap.
+is taken, if it lowers phi as its slope at a = 0 foresees (Armijo): that of J less the sum of
+l'gap + rho gap'V gap. l_k = v_k + V_k dx_k are the costates of the step and V_k the Hessians of the
+value function, both from the backward pass, so that with rho = 1 phi is the cost with what the
+gaps will cost once they are closed. It is an augmented Lagrangian with the multipliers of the step
+(Gill, Murray, Saunders & Wright 1992). A cost of sum mu |gap| instead shortens the steps near an
+optimum (Maratos 1978): of the listed problems it took 116 iterations for 30 on an arm, and more
+than 300 for 86 on a double pendulum.
 
 Source: Bock & Plitt, *A multiple shooting algorithm for direct solution of optimal control
 problems*, IFAC 1984; Nocedal & Wright, *Numerical Optimization*, 18.
@@ -29,10 +31,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.augmented_lagrangian import Multipliers
 from rbjax.control.backward_pass import Gains
 from rbjax.control.ddp import Iterate, Way, searched
-from rbjax.control.expansion import Local, Quadratic, merit
+from rbjax.control.expansion import Local, merit
 from rbjax.control.knots import BODY, NEXT, Expanded, violation
 from rbjax.control.options import Options
 from rbjax.control.problem import Knot, Problem
@@ -42,12 +43,13 @@ from rbjax.control.verdict import TRIALS, Measures, Rules, Verdict
 from rbjax.threads import threads
 
 ARMIJO = 1e-4
+RHO = 3.0
 ROUNDING = 10.0  # units in the last place
 
 
 class Step(NamedTuple):
-    """dx (N + 1, n) and du (N, m) of the linear model; opening (2,): l_0'gap_0 and gap_0'V_0 gap_0
-    of the gap of the start."""
+    """dx (N + 1, n) and du (N, m) of the linear model; opening (2,): l_0'gap_0 and rho gap_0'V_0
+    gap_0 of the gap of the start."""
 
     dx: jax.Array
     du: jax.Array
@@ -84,10 +86,9 @@ def linear_step(
     given = (path.A, path.B, gaps[1:], ctrls, gains.K, gains.k)
     found: Any = jax.lax.scan(forth, gains.first, given)
     last, (dx, du) = found
-    first = gaps[0]
-    pull = product(gains.V[0], first)
-    l = gains.v[0] + product(gains.V[0], gains.first - first)
-    opening = jnp.stack([(l * first).sum(), (first * pull).sum()])
+    V, first = gains.V[0], gaps[0]
+    l = gains.v[0] + product(V, gains.first - first)
+    opening = jnp.stack([(l * first).sum(), RHO * (first * product(V, first)).sum()])
     return Step(jnp.concatenate([dx, last[None]]), du, opening)
 
 
@@ -125,9 +126,9 @@ def _trials(
         last = jax.lax.cond(k >= N - 1, closing, nothing)
         left = problem.minus(problem.step(k, there, u), after)
         l = v + product(V, ahead - gap)
-        lift = (l * (left - gap)).sum()
-        lift = lift + 0.5 * ((left * product(V, left)).sum() - (gap * product(V, gap)).sum())
-        slope = slope + last[1] - (gap * (l + product(V, gap))).sum()
+        square = RHO * (gap * product(V, gap)).sum()
+        lift = (l * (left - gap)).sum() + 0.5 * (RHO * (left * product(V, left)).sum() - square)
+        slope = slope + last[1] - (l * gap).sum() - square
         return change + last[0], lift, slope, jnp.maximum(off, last[2])
 
     each = jax.vmap(threads(one), (0,) * 12 + (None,) * 4)
@@ -158,14 +159,16 @@ def _moved(
     return knots, now.ctrls + jnp.where(accepted, a * tried.step.du, 0.0)
 
 
-def _lowers(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Armijo's rule."""
+def _least(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The trial of the least phi, by Armijo's rule."""
     change, slope, opening = seen.more
     pull, square = opening[0], opening[1]
-    change = change + (-lengths) * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
+    change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
     slope = slope - pull - square
     slack = ROUNDING * jnp.finfo(change.dtype).eps * jnp.abs(seen.cost)
-    return change - slack <= ARMIJO * lengths * jnp.minimum(slope, 0.0), 0.5 * jnp.abs(slope)
+    good = (change - slack <= ARMIJO * lengths * slope) & (slope <= slack)
+    change = jnp.where(good & jnp.isfinite(change), change, jnp.inf)
+    return good & (change <= change.min()), 0.5 * jnp.abs(slope)
 
 
-BY_LINEAR_MODEL = Way(Rules(_lowers, False), _trials, _moved)
+BY_LINEAR_MODEL = Way(Rules(_least, False), _trials, _moved)
