@@ -120,7 +120,7 @@ def optimised(
     history: int, exact: bool,
 ) -> Iterate:  # fmt: skip
     """The iterations, from states and controls."""
-    dtype, constrained = ctrls.dtype, bool(problem.constraints)
+    constrained = bool(problem.constraints)
     limits = Limits(options.tolerance, options.violation, options.iterations)
     judge = threads(functools.partial(verdict, way.rules, constrained))
 

@@ -27,7 +27,6 @@ from rbjax.control.expansion import (
 from rbjax.control.problem import Knot, Problem
 from rbjax.threads import threads
 
-
 BODY, NEXT = slice(-1), slice(1, None)  # knots with controls, and those after them
 
 

@@ -25,7 +25,6 @@ problems*, IFAC 1984; Nocedal & Wright, *Numerical Optimization*, 18.
 
 from __future__ import annotations
 
-import functools
 from typing import Any, NamedTuple
 
 import jax
