@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control.augmented_lagrangian import Multipliers, no_multipliers
-from rbjax.control.backward_pass import Bounds, Gains, backward_pass
+from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.expansion import row_count
 from rbjax.control.forward_pass import Tried, forward_pass
 from rbjax.control.knots import Expanded, expand, largest_gap, updated, with_curvature
@@ -95,7 +95,7 @@ def searched(
 
 def gains_of(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any
-) -> Gains:
+) -> Feedback:
     """The backward pass at knots."""
     bounds = None
     if problem.bounded:
@@ -124,7 +124,7 @@ def optimised(
     limits = Limits(options.tolerance, options.violation, options.iterations)
     judge = threads(functools.partial(verdict, way.rules, constrained))
 
-    def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Gains:
+    def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
         reg = now.standing.reg
         plain = functools.partial(gains_of, problem, now.knots, now.ctrls)
         if not exact:
@@ -183,7 +183,7 @@ def _begun(
 
 
 def _rolled(
-    problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Gains
+    problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Tried:
     """The motions of all lengths."""
     lengths = jnp.asarray([0.5**k for k in range(TRIALS)], now.ctrls.dtype)

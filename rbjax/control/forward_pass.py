@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control.augmented_lagrangian import Multipliers
-from rbjax.control.backward_pass import Gains
+from rbjax.control.backward_pass import Feedback
 from rbjax.control.expansion import merit
 from rbjax.control.knots import violation
 from rbjax.control.problem import Knot, Problem
@@ -34,7 +34,7 @@ class Tried(NamedTuple):
 
 
 def forward_pass(
-    problem: Problem, knots: Knot, ctrls: jax.Array, gains: Gains, gaps: jax.Array,
+    problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
     multipliers: Multipliers, a: jax.Array,
 ) -> Tried:  # fmt: skip
     """The motion of a step of length a."""

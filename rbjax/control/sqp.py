@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.backward_pass import Gains
+from rbjax.control.backward_pass import Feedback
 from rbjax.control.ddp import Iterate, Way, searched
 from rbjax.control.expansion import Local, merit
 from rbjax.control.knots import BODY, NEXT, Expanded, violation
@@ -73,7 +73,7 @@ def by_sqp(
 
 
 def linear_step(
-    path: Local, gaps: jax.Array, ctrls: jax.Array, gains: Gains, low: jax.Array, high: jax.Array
+    path: Local, gaps: jax.Array, ctrls: jax.Array, gains: Feedback, low: jax.Array, high: jax.Array
 ) -> Step:
     """The step of the linear model, low <= ctrls + du <= high."""
 
@@ -92,7 +92,7 @@ def linear_step(
 
 
 def _trials(
-    problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Gains
+    problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Measured:
     """All lengths at all knots."""
     dtype, N = now.ctrls.dtype, problem.horizon
