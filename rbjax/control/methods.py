@@ -45,9 +45,13 @@ METHODS: dict[str, Method] = {
     ),
     "sqp": Method(
         by_sqp, True, True,
-        "sequential quadratic programming with multiple shooting, boxes and an augmented "
-        "Lagrangian: ddp without its rollouts, all knots side by side; from guesses of the states "
-        "that no controls follow, and on a GPU",
+        "ddp without its rollouts, all knots side by side: sequential quadratic programming with "
+        "multiple shooting; from guesses of the states that no controls follow, for MPC, and for "
+        "one problem on a GPU; from a rough guess under tight bounds it ends in worse optima",
+    ),
+    "exact_sqp": Method(
+        functools.partial(by_sqp, exact=True), True, True,
+        "the same with second derivatives of the dynamics: the fewest iterations; for small robots",
     ),
     "predictive": Method(
         Sampling("predictive"), True, False,
