@@ -24,14 +24,17 @@ import rbjax as rb
 from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.control import ddp, sqp
+from rbjax.control import knots as knots_of
 from rbjax.control.front_door import first_guess
 from rbjax.control.options import Options
 from rbjax.control.verdict import Limits
 from rbjax.threads import threads
 from tests.oracles.optimal_control import given, reach, target_of
 
-COLUMNS = ("robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s")
-COLUMNS += ("M/s median", "note")
+COLUMNS = (
+    "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",
+    "note",
+)  # fmt: skip
 LIMITS = np.array([431.97, 431.97, 197.23, 79.79, 79.79, 79.79], np.float32)
 
 
@@ -96,7 +99,7 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
 
     def expand(state: rb.State, target: jax.Array) -> Any:
         problem, now = begun(state, target)
-        return ddp.expand(problem, state, now.knots, now.ctrls, now.multipliers)
+        return knots_of.expand(problem, state, now.knots, now.ctrls, now.multipliers)
 
     def backward(state: rb.State, target: jax.Array, found: Any) -> Any:
         problem, now = begun(state, target)

@@ -170,8 +170,8 @@ def _begun(
     dtype, N = ctrls.dtype, problem.horizon
     if problem.bounded:
         ctrls = jnp.clip(ctrls, problem.low.astype(dtype), problem.high.astype(dtype))
-    sizes = [row_count(problem, where) for where in ("path", "end")]
-    multipliers = no_multipliers(N, *sizes, dtype)
+    path, end = (row_count(problem, where) for where in ("path", "end"))
+    multipliers = no_multipliers(N, path, end, dtype)
     return Iterate(
         knots, ctrls, multipliers, jnp.zeros((N, problem.nu, problem.n), dtype),
         begun(limits, bool(problem.constraints), multipliers.penalty),

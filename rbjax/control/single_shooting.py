@@ -253,8 +253,8 @@ def by_shooting(
     low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
     dx = jnp.zeros(n, dtype).at[problem.system.n :].set(outside(first.numbers, low, high))
     w = Unknowns(outside(ctrls, problem.low, problem.high), dx)
-    sizes = [row_count(problem, at) for at in ("path", "end")]
-    l = no_multipliers(problem.horizon, *sizes, dtype)
+    path, closing = (row_count(problem, at) for at in ("path", "end"))
+    l = no_multipliers(problem.horizon, path, closing, dtype)
     costs = jnp.full(history, jnp.nan, dtype)
     if not problem.constraints:
         end = search(s, w, l, options, jnp.asarray(0), costs)

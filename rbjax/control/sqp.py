@@ -56,11 +56,12 @@ class Step(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Of trials: costs, offs, their violations; change of phi; and slope of phi (). step: of 1."""
+    """Of trials (T,): costs; offs, their violations; more, the changes of phi, its slope () and the
+    opening of the step, both without each other. step: of length 1."""
 
     costs: jax.Array
     offs: jax.Array
-    more: tuple[jax.Array, jax.Array]
+    more: tuple[jax.Array, jax.Array, jax.Array]
     step: Step
 
 
@@ -159,7 +160,7 @@ def _moved(
 
 
 def _least(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The trial of the least phi, by Armijo's rule."""
+    """The longest trial of the least phi, but for rounding, by Armijo's rule."""
     change, slope, opening = seen.more
     pull, square = opening[0], opening[1]
     change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
@@ -167,7 +168,7 @@ def _least(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
     slack = ROUNDING * jnp.finfo(change.dtype).eps * jnp.abs(seen.cost)
     good = (change - slack <= ARMIJO * lengths * slope) & (slope <= slack)
     change = jnp.where(good & jnp.isfinite(change), change, jnp.inf)
-    return good & (change <= change.min()), 0.5 * jnp.abs(slope)
+    return good & (change <= change.min() + slack), 0.5 * jnp.abs(slope)
 
 
 BY_LINEAR_MODEL = Way(Rules(_least, False), _trials, _moved)
