@@ -113,14 +113,16 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
         problem, now = begun(state, target)
         return WAYS["sqp"].tries(problem, now, found, found.gaps, gains)
 
-    def linear(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
+    def linear(by_team: bool, state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
         problem, now = begun(state, target)
         low, high = (x.astype(jnp.float32) for x in (problem.low, problem.high))
-        return threads(sqp.linear_step)(found.path, found.gaps, now.ctrls, gains, low, high)
+        run = threads(sqp.linear_step, team=by_team)
+        return run(found.path, found.gaps, now.ctrls, gains, low, high)
 
     return {
         "expand": expand, "backward": backward, "forward": forward,
-        "linear step": linear, "linear step and trials": trials,
+        "linear step": functools.partial(linear, False),
+        "linear step by a team": functools.partial(linear, True), "linear step and trials": trials,
     }  # fmt: skip
 
 
