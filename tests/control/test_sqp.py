@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, solve
 from rbjax.control.outcome import INFEASIBLE, NOT_FINITE
 from tests.oracles import optimal_control as oracle
@@ -42,18 +41,6 @@ def test_a_listed_cost_or_a_lower_one(make, most: int) -> None:
     lower = float(found.cost) < min(case.costs)
     assert lower or float(found.cost) < due * (1 + DIGITS)
     assert int(found.iterations) <= most
-
-
-@pytest.mark.slow
-def test_a_quadrotor_with_bounded_thrusts_from_a_hover() -> None:
-    """From no thrust at all the linear model tumbles, and SQP ends in worse optima than DDP."""
-    case = oracle.quadrotor(True)
-    model = rb.load(oracle.given("quadrotor_pose")["model_mjcf"])
-    hover = model.gravity[2] * model.bodies.mass.sum() / -4
-    us = jnp.full((case.problem.horizon, 4), hover)
-    found = solve(case.problem, case.start, ctrls=us, method="sqp", iterations=300)
-    assert found.status == "converged"
-    assert float(found.cost) < case.costs[0] * (1 + DIGITS)
 
 
 N, H = 10, 0.1
