@@ -1,32 +1,40 @@
-"""Optimal control on a GPU: iterations of DDP a second, a batch of six-joint arms, and one arm.
+"""Optimal control on a GPU: iterations of DDP and SQP, of a batch of arms and of one arm.
 
 `python -m benchmarks.gpu.control` writes results/gpu-control-<device>.json. The six-joint Indy7
 reaches to points, its torques within bounds, in f32 (problems of tests/oracles/optimal_control.py,
 GATO's robot and weights). An iteration is what a search of 12 iterations takes longer than one of
-2, over 10. The parts of an iteration are timed by themselves, too.
+2, over 10; both are one program. The parts of an iteration are timed by themselves, too: those of
+both methods, and those of DDP ("forward") and of SQP ("linear step", "trials") alone. One arm of 7
+joints (the scene arm7) reaches over 64 knots.
 """
 
 from __future__ import annotations
 
 import argparse
 import functools
-from typing import Any
+import json
+import time
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from benchmarks.shared.gpu_timing import timed
-from benchmarks.shared.timing import markdown_table, save
-from rbjax.control import ddp
-from rbjax.control.forward_pass import forward_pass
+from benchmarks.shared.gpu_timing import CALLS, alone, timed
+from benchmarks.shared.timing import markdown_table, measure, save
+from rbjax.control import ddp, sqp
+from rbjax.control import knots as knots_of
 from rbjax.control.front_door import first_guess
 from rbjax.control.options import Options
+from rbjax.control.verdict import Limits
 from rbjax.threads import threads
 from tests.oracles.optimal_control import given, reach, target_of
 
-COLUMNS = ("what", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median", "note")
+COLUMNS = (
+    "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",
+    "note",
+)  # fmt: skip
 LIMITS = np.array([431.97, 431.97, 197.23, 79.79, 79.79, 79.79], np.float32)
 
 
@@ -40,76 +48,162 @@ def starts(batch: int) -> tuple[rb.State, jax.Array]:
     return rb.State(f32(q), f32(v)), f32(jax.vmap(target_of)(jnp.arange(batch)))
 
 
-def search(model: rb.Model, N: int, count: int, state: rb.State, target: jax.Array) -> Any:
-    """So many iterations of one problem: cost and gap."""
-    problem = reach(model, N, target, (-LIMITS, LIMITS))
-    tau = rb.gravity_forces(model, state.q)
-    knots, us = first_guess(problem, state, None, jnp.broadcast_to(tau, (N, 6)))
+WAYS = {"ddp": ddp.ALONG_DYNAMICS, "sqp": sqp.BY_LINEAR_MODEL}
+MOST = 12  # iterations
+
+
+class Arm(NamedTuple):
+    """A robot, the site of its hand, bounds of its controls, and (model, q) -> a first guess of
+    them."""
+
+    model: rb.Model
+    site: str
+    bounds: Any
+    guess: Any
+
+    def given(self, N: int, state: rb.State, target: jax.Array) -> tuple:
+        """A problem, and knots and controls to begin with."""
+        problem = reach(self.model, N, target, self.bounds, self.site)
+        us = jnp.broadcast_to(self.guess(self.model, state.q), (N, problem.nu))
+        return problem, *first_guess(problem, state, None, us)
+
+
+def indy7() -> Arm:
+    """GATO's arm, its torques bounded."""
+    model = rb.load(given("indy7_batch_reach")["model_mjcf"]).astype(jnp.float32)
+    return Arm(model, "tcp", (-LIMITS, LIMITS), rb.gravity_forces)
+
+
+def arm7() -> Arm:
+    """An arm of seven joints with servos."""
+    return Arm(rb.load("arm7").astype(jnp.float32), "tool", "model", lambda model, q: q)
+
+
+def search(arm: Arm, N: int, way: str, count: jax.Array, state: rb.State, target: jax.Array) -> Any:
+    """So many iterations of one problem."""
+    problem, knots, us = arm.given(N, state, target)
     zero = jnp.zeros((), jnp.float32)
-    options = Options(zero, zero, jnp.asarray(count))
-    last = ddp.optimised(problem, state, knots, us, options, count, False)
-    return last.cost, last.stop, last.turns, last.ctrls
+    options = Options(zero, zero, count)
+    last = ddp.optimised(WAYS[way], problem, state, knots, us, options, MOST, False)
+    at = last.standing
+    return at.cost, at.stop, at.turns, last.ctrls
 
 
-def parts(model: rb.Model, N: int, state: rb.State, target: jax.Array) -> dict[str, Any]:
-    """Expansion, backward pass and forward passes of one problem, as functions of its start."""
-    del state, target
+def parts(arm: Arm, N: int) -> dict[str, Any]:
+    """The parts of an iteration of one problem, as functions of its start."""
+
+    def begun(state: rb.State, target: jax.Array) -> tuple:
+        problem, knots, us = arm.given(N, state, target)
+        zero = jnp.zeros((), jnp.float32)
+        return problem, ddp._begun(problem, knots, us, Limits(zero, zero, jnp.asarray(1)), 1)
 
     def expand(state: rb.State, target: jax.Array) -> Any:
-        problem = reach(model, N, target, (-LIMITS, LIMITS))
-        knots, us = first_guess(problem, state)
-        begin = ddp._begun(problem, knots, us, Options(*jnp.zeros(3)), 1)
-        return ddp.expand(problem, state, knots, us, begin.multipliers)
+        problem, now = begun(state, target)
+        return knots_of.expand(problem, state, now.knots, now.ctrls, now.multipliers)
 
     def backward(state: rb.State, target: jax.Array, found: Any) -> Any:
-        problem = reach(model, N, target, (-LIMITS, LIMITS))
-        knots, us = first_guess(problem, state)
-        return ddp.gains_of(problem, knots, us, found, found.gaps, jnp.float32(1e-9))
+        problem, now = begun(state, target)
+        return ddp.gains_of(problem, now.knots, now.ctrls, found, found.gaps, now.standing.reg)
 
-    def forward(state: rb.State, target: jax.Array, gains: Any, gaps: jax.Array) -> Any:
-        problem = reach(model, N, target, (-LIMITS, LIMITS))
-        knots, us = first_guess(problem, state)
-        begin = ddp._begun(problem, knots, us, Options(*jnp.zeros(3)), 1)
-        lengths = jnp.asarray([0.5**k for k in range(ddp.TRIALS)], jnp.float32)
-        run = threads(functools.partial(forward_pass, problem))
-        return jax.vmap(run, (None,) * 5 + (0,))(
-            knots, us, gains, gaps, begin.multipliers, lengths
-        ).cost
+    def forward(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
+        problem, now = begun(state, target)
+        return WAYS["ddp"].tries(problem, now, found, found.gaps, gains).costs
 
-    return {"expand": expand, "backward": backward, "forward": forward}
+    def trials(state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
+        problem, now = begun(state, target)
+        return WAYS["sqp"].tries(problem, now, found, found.gaps, gains)
+
+    def linear(by_team: bool, state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
+        problem, now = begun(state, target)
+        low, high = (x.astype(jnp.float32) for x in (problem.low, problem.high))
+        run = threads(sqp.linear_step, team=by_team)
+        return run(found.path, found.gaps, now.ctrls, gains, low, high)
+
+    return {
+        "expand": expand, "backward": backward, "forward": forward,
+        "linear step": functools.partial(linear, False),
+        "linear step by a team": functools.partial(linear, True), "linear step and trials": trials,
+    }  # fmt: skip
+
+
+def failure(error: Exception) -> str:
+    """What went wrong, in short."""
+    return f"{type(error).__name__}: {error}"[:200]
+
+
+def iterations(about: dict[str, Any], run: Any, *given: Any, work: int) -> list[dict[str, Any]]:
+    """Rows of 2 and 12 iterations, and of one."""
+    rows: list[dict[str, Any]] = []
+    try:
+        start = time.perf_counter()
+        lowered = jax.jit(run).lower(jnp.asarray(2), *given)
+        lower_s = time.perf_counter() - start
+        start = time.perf_counter()
+        program = lowered.compile()
+        compile_s = time.perf_counter() - start
+        for count in (2, MOST):
+            at = jnp.asarray(count)
+
+            def calls(at: jax.Array = at) -> Any:
+                return [program(at, *given) for _ in range(CALLS)][-1]
+
+            with alone():
+                times = measure(calls, budget_s=0.3, jit=False)
+            done = float(jnp.mean(program(at, *given)[2]))
+            rows.append({
+                **about, "what": f"{count} iterations", "run_s": times["run_s"] / CALLS,
+                "lower_s": lower_s, "compile_s": compile_s, "note": f"{done:.4g} done",
+            })  # fmt: skip
+        each = (rows[1]["run_s"] - rows[0]["run_s"]) / (MOST - 2)
+        rows.append({**about, "what": "iteration", "run_s": each, "M/s median": work / each / 1e6})
+    except Exception as error:  # a benchmark goes on
+        rows.append({**about, "what": "iteration", "note": failure(error)})
+    for row in rows:
+        print(json.dumps(row), flush=True)
+    return rows
+
+
+def measured(arm: Arm, about: dict[str, Any], N: int, batch: int, state: Any, target: Any) -> list:
+    """All rows of a horizon and a batch."""
+    rows: list[dict[str, Any]] = []
+    for way in WAYS:
+        run = jax.vmap(functools.partial(search, arm, N, way), (None, 0, 0))
+        rows += iterations({**about, "method": way}, run, state, target, work=batch)
+    own = parts(arm, N)
+    try:
+        found = jax.jit(jax.vmap(own["expand"]))(state, target)
+        gains = jax.jit(jax.vmap(own["backward"]))(state, target, found)
+    except Exception as error:  # a benchmark goes on
+        return [*rows, {**about, "what": "parts", "note": failure(error)}]
+    for what, f in own.items():
+        given = {"expand": (), "backward": (found,)}.get(what, (found, gains))
+        rows.append(timed({**about, "what": what}, jax.vmap(f), state, target, *given, work=batch,
+                          budget_s=0.3))  # fmt: skip
+    return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--horizons", nargs="*", type=int, default=[16, 64])
-    parser.add_argument("--batches", nargs="*", type=int, default=[1, 512, 4096])
+    parser.add_argument("--horizons", nargs="*", type=int, default=[64, 16])
+    parser.add_argument("--batches", nargs="*", type=int, default=[1, 4096, 512])
+    parser.add_argument("--seconds", type=float, default=200.0, help="no row begins after that")
     args = parser.parse_args()
-    model = rb.load(given("indy7_batch_reach")["model_mjcf"]).astype(jnp.float32)
+    begin = time.perf_counter()
     rows = []
+    seven = arm7()
+    q = seven.model.default_state().q[None] + 0.3
+    one = rb.State(q, jnp.zeros_like(q))
+    about = {"robot": "arm7", "horizon": 64, "batch": 1}
+    rows += measured(seven, about, 64, 1, one, jnp.asarray([[0.4, 0.2, 0.5]], jnp.float32))
+    arm = indy7()
     for N in args.horizons:
         for batch in args.batches:
-            state, target = starts(batch)
-            own = parts(model, N, state, target)
-            about = {"horizon": N, "batch": batch}
-            found = jax.jit(jax.vmap(own["expand"]))(state, target)
-            gains = jax.jit(jax.vmap(own["backward"]))(state, target, found)
-            rows.append(timed({"what": "expand", **about}, jax.vmap(own["expand"]), state, target,
-                              work=batch))  # fmt: skip
-            rows.append(timed({"what": "backward", **about}, jax.vmap(own["backward"]), state,
-                              target, found, work=batch))  # fmt: skip
-            rows.append(timed({"what": "forward", **about}, jax.vmap(own["forward"]), state, target,
-                              gains, found.gaps, work=batch))  # fmt: skip
-            times = {}
-            for count in (2, 12):
-                run = jax.vmap(functools.partial(search, model, N, count))
-                row = timed({"what": f"{count} iterations", **about}, run, state, target,
-                            work=batch * count)  # fmt: skip
-                rows.append(row)
-                times[count] = row.get("run_s", np.nan)
-            each = (times[12] - times[2]) / 10
-            rate = batch / each / 1e6
-            rows.append({"what": "iteration", **about, "run_s": each, "M/s median": rate})
-            print(rows[-1], flush=True)
+            if time.perf_counter() - begin > args.seconds:
+                print(f"time is over: no rows of horizon {N}, batch {batch}", flush=True)
+                continue
+            about = {"robot": "indy7", "horizon": N, "batch": batch}
+            rows += measured(arm, about, N, batch, *starts(batch))
+            save("gpu-control", rows)
     save("gpu-control", rows)
     print(markdown_table(rows, COLUMNS))
 

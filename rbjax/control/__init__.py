@@ -62,7 +62,7 @@ from rbjax.control.mpc import Controller, mpc
 from rbjax.control.networks import Network, network
 from rbjax.control.observer import SteadyFilter, kalman_gain, observed
 from rbjax.control.operational_space import OperationalSpace, operational_space
-from rbjax.control.outcomes import LINEAR_RESULTS
+from rbjax.control.outcome import LINEAR_RESULTS
 from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
 from rbjax.control.policy_gradient import Trained, actor_critic, through_time
 from rbjax.control.problem import Design, Problem

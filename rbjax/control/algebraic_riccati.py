@@ -32,7 +32,7 @@ from jax.scipy.linalg import cho_solve, solve_triangular
 
 from rbjax.compiling import compiled
 from rbjax.control.lyapunov import cayley, continuous, is_stable, pace, stein
-from rbjax.control.outcomes import LINEAR_RESULTS, first_of
+from rbjax.control.outcome import LINEAR_RESULTS, first_of
 from rbjax.control.products import product
 from rbjax.control.riccati import definite_factor
 

@@ -20,7 +20,7 @@ from rbjax.control.expansion import Quadratic
 from rbjax.control.products import in_registers, product
 
 
-class Gains(NamedTuple):
+class Feedback(NamedTuple):
     """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
     v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
     step; ok (), whether all control Hessians were positive definite."""
@@ -45,7 +45,7 @@ class Bounds(NamedTuple):
 def backward_pass(
     A: jax.Array, B: jax.Array, gaps: jax.Array, path: Quadratic, end: Quadratic,
     bounds: Bounds | None, first: tuple | None, reg: jax.Array, h: Any = None,
-) -> Gains:  # fmt: skip
+) -> Feedback:  # fmt: skip
     """The gains.
 
     A: (N, n, n). B: (N, n, m). gaps: (N + 1, n), the first from the first knot to the start.
@@ -98,7 +98,7 @@ def backward_pass(
         curvature = curvature + (step * product(H, step)).sum()
         dx0, ok = dx0 + step, ok & box.ok
     Vs, vs = (jnp.concatenate([x, y[None]]) for x, y in ((Vs, end.Q), (vs, begin[1])))
-    return Gains(K, k, Vs, vs, dx0, slope, curvature, ok)
+    return Feedback(K, k, Vs, vs, dx0, slope, curvature, ok)
 
 
 

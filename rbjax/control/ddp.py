@@ -1,77 +1,70 @@
 """Differential dynamic programming with multiple shooting, boxes and constraints.
 
-Each iteration expands the problem at its knots (`expansion`), finds gains (`backward_pass`), tries
+Each iteration expands the problem at its knots (`knots`), finds gains (`backward_pass`), tries
 steps of 1, 1/2, 1/4 ... side by side (`forward_pass`), and takes the longest that lowers the cost
-as foreseen. States may begin anywhere: gaps close as steps are taken (Mastalli et al. 2020,
-*Crocoddyl*, whose rules of acceptance and regularisation these are). Around it, constraints are
-held by an augmented Lagrangian:
+as foreseen (`verdict`). States may begin anywhere: gaps close as steps are taken (Mastalli et al.
+2020, *Crocoddyl*, whose rules of acceptance and regularisation these are). Around it, constraints
+are held by an augmented Lagrangian (`augmented_lagrangian`).
 
-    lambda <- mu (s - clip(s, low, high)),     mu <- 10 mu where the violation did not fall
-
-Expansion, passes and trials are programs of one sample (`rb.threads`): of a knot, of a problem, of
-a trial.
+Expansion, passes, trials and the verdict are programs of one sample (`rb.threads`): of a knot, of a
+problem, of a trial. What a method tries is a `Way`: here motions along the dynamics, in `sqp` steps
+of the linear model.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.backward_pass import Bounds, Gains, backward_pass
-from rbjax.control.expansion import (
-    Local,
-    Multipliers,
-    Quadratic,
-    costates,
-    limits,
-    local,
-    quadratic,
-    row_count,
-    second_order,
-)
+from rbjax.control.augmented_lagrangian import Multipliers, no_multipliers
+from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
+from rbjax.control.expansion import row_count
 from rbjax.control.forward_pass import Tried, forward_pass
+from rbjax.control.knots import Expanded, expand, largest_gap, updated, with_curvature
 from rbjax.control.options import Options
-from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
+from rbjax.control.outcome import GOING
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost
+from rbjax.control.verdict import (
+    LEAST,
+    TRIALS,
+    Limits,
+    Measures,
+    Rules,
+    Standing,
+    Verdict,
+    begun,
+    verdict,
+)
 from rbjax.threads import threads
 
-LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
-TRIALS = 10  # steps of 1 to 2^-9
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
-LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
-PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
 
 
 class Iterate(NamedTuple):
-    """What an iteration leaves to the next."""
+    """What an iteration leaves to the next: knots (N + 1, ...), ctrls (N, m), multipliers, the
+    gains K (N, m, n), where it stands, and the costs (history,) of each iteration."""
 
     knots: Knot
     ctrls: jax.Array
-    feasible: jax.Array
     multipliers: Multipliers
-    reg: jax.Array
-    cost: jax.Array
-    stop: jax.Array
-    violation: jax.Array
-    before: jax.Array  # the violation at the last change of multipliers
-    inner: jax.Array  # tolerance of this turn of multipliers
-    turns: jax.Array
-    outcome: jax.Array
-    gains: Gains
-    costs: jax.Array  # (history,) of each iteration
+    K: jax.Array
+    standing: Standing
+    costs: jax.Array
 
 
-class Expanded(NamedTuple):
-    """All knots to second order, and the gaps (N + 1, n)."""
+class Way(NamedTuple):
+    """How a method steps. rules: of its verdict. tries: (problem, now, expanded, gaps, gains) ->
+    what it tried, which has costs, offs and more of `Measures`. moved: (problem, now, tried,
+    verdict) -> knots and controls."""
 
-    path: Local
-    end: Quadratic
-    gaps: jax.Array
-    cost: jax.Array
+    rules: Rules
+    tries: Callable[..., Any]
+    moved: Callable[..., tuple[Knot, jax.Array]]
 
 
 def by_ddp(
@@ -80,97 +73,29 @@ def by_ddp(
 ) -> Found:  # fmt: skip
     """`solve` by differential dynamic programming. exact: with second derivatives of dynamics and
     residuals, where they leave the control Hessians positive definite."""
-    last = optimised(problem, start, knots, ctrls, options, history, exact)
+    return searched(ALONG_DYNAMICS, problem, start, knots, ctrls, options, history, exact)
+
+
+def searched(
+    way: Way, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
+    history: int, exact: bool = False,
+) -> Found:  # fmt: skip
+    """`solve` in a way."""
+    last = optimised(way, problem, start, knots, ctrls, options, history, exact)
     path, end = last.multipliers.path, last.multipliers.end
     if problem.constraints:  # the gradient of the augmented Lagrangian is that with these
-        path, end, _ = threads(functools.partial(updated, problem))(
-            last.knots, last.ctrls, last.multipliers
-        )
+        path, end = updated(problem, last.knots, last.ctrls, last.multipliers)
+    at = last.standing
     return Found(
-        last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), last.outcome,
-        last.turns, last.stop, largest_gap(problem, start, last.knots, last.ctrls),
-        last.violation, last.costs, last.gains.K, path, end,
+        last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), at.outcome, at.turns,
+        at.stop, largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
+        last.K, path, end,
     )  # fmt: skip
-
-
-def largest_gap(problem: Problem, start: Any, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The largest entry of a gap between a step and the next state, and of the start's."""
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    following = jax.tree.map(lambda x: x[1:], knots)
-
-    def one(k: Any, knot: Knot, ctrl: jax.Array, after: Knot) -> jax.Array:
-        return jnp.abs(problem.minus(problem.step(k, knot, ctrl), after)).max()
-
-    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
-    gap = jax.vmap(threads(one))(ks, body, ctrls, following).max()
-    first = problem.system.minus(start, jax.tree.map(lambda x: x[0], knots.state))
-    return jnp.maximum(gap, jnp.abs(jnp.where(jnp.asarray(problem.free), 0.0, first)).max())
-
-
-def expand(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
-) -> Expanded:
-    """All knots to second order, side by side."""
-    N, dtype = problem.horizon, ctrls.dtype
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    end = jax.tree.map(lambda x: x[-1], knots)
-
-    def one(k, knot, ctrl, rows, mu, following):
-        found = local(problem, k, knot, ctrl, rows, mu)
-        return found, problem.minus(found.after, following)
-
-    def last(knot, rows, mu):
-        none = jnp.zeros(problem.nu, dtype)
-        return quadratic(problem, jnp.asarray(N, dtype), knot, none, rows, mu, "end")
-
-    def opening(start, knot):
-        return problem.system.minus(start, knot.state)
-
-    ks = jnp.arange(N, dtype=dtype)
-    following = jax.tree.map(lambda x: x[1:], knots)
-    path, gaps = jax.vmap(threads(one), (0, 0, 0, 0, None, 0))(
-        ks, body, ctrls, multipliers.path, multipliers.penalty, following
-    )
-    terminal = threads(last)(end, multipliers.end, multipliers.penalty)
-    free = jnp.asarray(problem.free)
-    first = threads(opening)(start, jax.tree.map(lambda x: x[0], knots))
-    first = jnp.where(free, 0.0, first)
-    first = jnp.concatenate([first, jnp.zeros(problem.numbers, dtype)])
-    return Expanded(
-        path, terminal, jnp.concatenate([first[None], gaps]), path.cost.c.sum() + terminal.c
-    )
-
-
-def with_curvature(
-    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
-) -> Expanded:
-    """All knots with what Gauss and Newton leave out."""
-    N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    last = jax.tree.map(lambda x: x[-1], knots)
-
-    def one(k, knot, ctrl, rows, costate):
-        return second_order(problem, k, knot, ctrl, rows, mu, "path", costate)
-
-    def closing(knot, rows):
-        none = jnp.zeros(problem.nu, dtype)
-        return second_order(problem, jnp.asarray(N, dtype), knot, none, rows, mu, "end")
-
-    def added(cost: Quadratic, more: tuple) -> Quadratic:
-        Q, R, S = more
-        return cost._replace(Q=cost.Q + Q, R=cost.R + R, S=cost.S + S)
-
-    l = threads(costates)(found.path, found.end)
-    ks = jnp.arange(N, dtype=dtype)
-    more = jax.vmap(threads(one))(ks, body, ctrls, multipliers.path, l)
-    path = found.path._replace(cost=added(found.path.cost, more))
-    end = added(found.end, threads(closing)(last, multipliers.end))
-    return found._replace(path=path, end=end)
 
 
 def gains_of(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any
-) -> Gains:
+) -> Feedback:
     """The backward pass at knots."""
     bounds = None
     if problem.bounded:
@@ -191,164 +116,104 @@ def gains_of(
 
 
 def optimised(
-    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, history: int,
-    exact: bool,
+    way: Way, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
+    history: int, exact: bool,
 ) -> Iterate:  # fmt: skip
     """The iterations, from states and controls."""
-    dtype = ctrls.dtype
-    lengths = jnp.asarray([0.5**k for k in range(TRIALS)], dtype)
-    if problem.bounded:
-        ctrls = jnp.clip(ctrls, problem.low.astype(dtype), problem.high.astype(dtype))
+    constrained = bool(problem.constraints)
+    limits = Limits(options.tolerance, options.violation, options.iterations)
+    judge = threads(functools.partial(verdict, way.rules, constrained))
 
-    def direction(now: Iterate, found: Expanded, gaps: jax.Array) -> tuple[Gains, jax.Array]:
-        """The gains, with as much regularisation as they need."""
-
-        def harder(state):
-            _, reg = state
-            reg = jnp.minimum(reg * FACTOR, MOST)
-            return gains_of(problem, now.knots, now.ctrls, found, gaps, reg), reg
-
-        def fails(state):
-            return ~state[0].ok & (state[1] < MOST)
-
-        begin = gains_of(problem, now.knots, now.ctrls, found, gaps, now.reg), now.reg
-        return jax.lax.while_loop(fails, harder, begin)
+    def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
+        reg = now.standing.reg
+        plain = functools.partial(gains_of, problem, now.knots, now.ctrls)
+        if not exact:
+            return plain(found, gaps, reg)
+        full = plain(
+            with_curvature(problem, now.knots, now.ctrls, now.multipliers, found), gaps, reg
+        )
+        return jax.lax.cond(full.ok, lambda: full, lambda: plain(found, gaps, reg))
 
     def turn(now: Iterate) -> Iterate:
+        at = now.standing
         found = expand(problem, start, now.knots, now.ctrls, now.multipliers)
-        gaps = jnp.where(now.feasible, 0.0, found.gaps)
-        if exact:
-            full = with_curvature(problem, now.knots, now.ctrls, now.multipliers, found)
-            gains, reg = gains_of(problem, now.knots, now.ctrls, full, gaps, now.reg), now.reg
-            gains, reg = jax.lax.cond(
-                gains.ok, lambda: (gains, reg), lambda: direction(now, found, gaps)
+        gaps = jnp.where(at.feasible, 0.0, found.gaps) if way.rules.closes else found.gaps
+        gains = gains_at(now, found, gaps)
+        tried = way.tries(problem, now, found, gaps, gains)
+        decided = judge(
+            at, limits,
+            Measures(
+                found.cost, found.gap, found.violation, gains.slope, gains.curvature, gains.ok,
+                tried.costs, tried.offs, tried.more,
+            ),
+        )  # fmt: skip
+        knots, ctrls = way.moved(problem, now, tried, decided)
+        after, multipliers = decided.standing, now.multipliers
+        if constrained:
+            new = updated(problem, knots, ctrls, multipliers)
+            path, end = jax.tree.map(
+                lambda x, old: jnp.where(decided.change, x, old), new, multipliers[:2]
             )
-        else:
-            gains, reg = direction(now, found, gaps)
-        tried = jax.vmap(threads(functools.partial(forward_pass, problem)), (None,) * 5 + (0,))(
-            now.knots, now.ctrls, gains, gaps, now.multipliers, lengths
-        )
-        best, accepted = _chosen(found.cost, gains, tried, lengths)
-        a = lengths[best]
-        step = jax.tree.map(lambda x: x[best], tried)
-        knots, ctrls = jax.tree.map(
-            lambda new, old: jnp.where(accepted, new, old),
-            (step.knots, step.ctrls), (now.knots, now.ctrls),
-        )  # fmt: skip
-        cost = jnp.where(accepted, step.cost, found.cost)
-        stop = jnp.abs(gains.slope + 0.5 * gains.curvature)
-        eased = jnp.maximum(reg / FACTOR, LEAST)
-        reg = jnp.where(accepted & (a > LONG), eased, reg)
-        raised = ~accepted | (a <= SHORT)
-        stuck = ~gains.ok | (raised & (reg >= MOST))
-        reg = jnp.where(raised, jnp.minimum(reg * FACTOR, MOST), reg)
-        still = now.feasible & (stop < now.inner)
-        turns = now.turns + 1
-        outcome = jnp.where(turns >= options.iterations, BUDGET, GOING)
-        outcome = jnp.where(stuck, STUCK, outcome)
-        known = jnp.isfinite(found.cost) & jnp.isfinite(found.gaps).all()
-        outcome = jnp.where(known, outcome, NOT_FINITE)
-        after = now._replace(
-            knots=knots, ctrls=ctrls, reg=reg, cost=cost, stop=stop, turns=turns,
-            feasible=now.feasible | (accepted & (best == 0)), gains=gains,
-            costs=now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost),
-            outcome=outcome,
-        )  # fmt: skip
+            multipliers = Multipliers(path, end, after.penalty)
         if options.say is not None:
-            jax.debug.callback(options.say, turns, cost, now.violation)
-        return _judged(problem, after, still, options)
+            jax.debug.callback(options.say, after.turns, after.cost, after.violation)
+        costs = now.costs.at[jnp.minimum(at.turns, history - 1)].set(after.cost)
+        return Iterate(knots, ctrls, multipliers, gains.K, after, costs)
 
-    begin = _begun(problem, knots, ctrls, options, history)
-    return jax.lax.while_loop(lambda now: now.outcome == GOING, turn, begin)
-
-
-def _chosen(
-    cost: jax.Array, gains: Gains, tried: Tried, lengths: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """The longest step whose change of the cost is as foreseen, and whether there is one."""
-    slope, curvature = gains.slope + tried.cross, gains.curvature - 2 * tried.cross
-    foreseen = lengths * (slope + 0.5 * lengths * curvature)
-    change = tried.cost - cost
-    tiny = 1e-12
-    falls = (foreseen <= 0) & ((jnp.abs(slope) < tiny) | (change < ACCEPTED * foreseen))
-    rises = (foreseen > 0) & (change < ASCENT * foreseen)
-    # closing the gaps may cost something: then the rise must be less than twice what is foreseen
-    good = jnp.isfinite(tried.cost) & gains.ok & (falls | rises)
-    return jnp.argmax(good), good.any()
-
-
-def _judged(problem: Problem, now: Iterate, still: jax.Array, options: Options) -> Iterate:
-    """Whether an iterate ends the search; else, where it is still, with new multipliers."""
-    if not problem.constraints:
-        return now._replace(outcome=jnp.where(still, CONVERGED, now.outcome))
-
-    look = threads(functools.partial(updated, problem))
-    path, end, violation = look(now.knots, now.ctrls, now.multipliers)
-    held = violation <= options.violation
-    done = still & held & (now.inner <= options.tolerance)
-    mu = now.multipliers.penalty
-    change = still & ~done
-    failing = (violation > 0.25 * now.before) & ~held
-    hopeless = change & failing & (mu >= PENALTY_MOST)
-    pick = lambda new, old: jnp.where(change, new, old)  # noqa: E731
-    harder = jnp.where(failing, jnp.minimum(mu * HARDER, PENALTY_MOST), mu)
-    multipliers = Multipliers(
-        pick(path, now.multipliers.path), pick(end, now.multipliers.end), pick(harder, mu)
-    )
-    outcome = jnp.where(hopeless, INFEASIBLE, now.outcome)
-    return now._replace(
-        multipliers=multipliers, violation=violation, before=pick(violation, now.before),
-        inner=pick(jnp.maximum(0.03 * now.inner, options.tolerance), now.inner),
-        reg=pick(jnp.asarray(LEAST, now.reg.dtype), now.reg),
-        outcome=jnp.where(done, CONVERGED, outcome),
-    )  # fmt: skip
-
-
-def updated(
-    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The next multipliers of path and end, and the largest violation."""
-    N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
-
-    def one(c: jax.Array, rows: jax.Array, where: str) -> tuple[jax.Array, jax.Array]:
-        low, high = limits(problem, where, c)
-        s = c + rows / mu
-        off = jnp.abs(c - jnp.clip(c, low, high))
-        return mu * (s - jnp.clip(s, low, high)), off.max(initial=0.0)
-
-    def look(worst: jax.Array, x: tuple) -> tuple:
-        k, knot, ctrl, rows = x
-        new, off = one(problem.rows(k, knot, ctrl, "path"), rows, "path")
-        return jnp.maximum(worst, off), new
-
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    last = jax.tree.map(lambda x: x[-1], knots)
-    ks = jnp.arange(N, dtype=dtype)
-    found: Any = jax.lax.scan(look, jnp.zeros((), dtype), (ks, body, ctrls, multipliers.path))
-    worst, path = found
-    none = jnp.zeros(problem.nu, dtype)
-    end, off = one(problem.rows(N, last, none, "end"), multipliers.end, "end")
-    return path, end, jnp.maximum(worst, off)
+    begin = _begun(problem, knots, ctrls, limits, history)
+    return jax.lax.while_loop(lambda now: now.standing.outcome == GOING, turn, begin)
 
 
 def _begun(
-    problem: Problem, knots: Knot, ctrls: jax.Array, options: Options, history: int
+    problem: Problem, knots: Knot, ctrls: jax.Array, limits: Limits, history: int
 ) -> Iterate:
-    dtype = ctrls.dtype
-    N, n, m = problem.horizon, problem.n, problem.nu
-    sizes = [row_count(problem, where) for where in ("path", "end")]
-    number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
-    none = Gains(
-        jnp.zeros((N, m, n), dtype), jnp.zeros((N, m), dtype), jnp.zeros((N + 1, n, n), dtype),
-        jnp.zeros((N + 1, n), dtype), jnp.zeros(n, dtype), number(0), number(0), jnp.asarray(True),
-    )  # fmt: skip
-    first = options.tolerance if not problem.constraints else jnp.maximum(
-        options.tolerance, 1e-3
-    )
+    dtype, N = ctrls.dtype, problem.horizon
+    if problem.bounded:
+        ctrls = jnp.clip(ctrls, problem.low.astype(dtype), problem.high.astype(dtype))
+    path, end = (row_count(problem, where) for where in ("path", "end"))
+    multipliers = no_multipliers(N, path, end, dtype)
     return Iterate(
-        knots, ctrls, jnp.asarray(False),
-        Multipliers(jnp.zeros((N, sizes[0]), dtype), jnp.zeros(sizes[1], dtype), number(PENALTY)),
-        number(LEAST), number(jnp.inf), number(jnp.inf), number(0), number(jnp.inf),
-        first.astype(dtype), jnp.asarray(0), jnp.asarray(GOING), none,
+        knots, ctrls, multipliers, jnp.zeros((N, problem.nu, problem.n), dtype),
+        begun(limits, bool(problem.constraints), multipliers.penalty),
         jnp.full(history, jnp.nan, dtype),
     )  # fmt: skip
+
+
+# ------------------------------------------------------------ along the dynamics
+
+
+def _rolled(
+    problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
+) -> Tried:
+    """The motions of all lengths."""
+    lengths = jnp.asarray([0.5**k for k in range(TRIALS)], now.ctrls.dtype)
+    run = threads(functools.partial(forward_pass, problem))
+    return jax.vmap(run, (None,) * 5 + (0,))(
+        now.knots, now.ctrls, gains, gaps, now.multipliers, lengths
+    )
+
+
+def _picked(
+    problem: Problem, now: Iterate, tried: Tried, decided: Verdict
+) -> tuple[Knot, jax.Array]:
+    """The motion that was taken."""
+    return jax.tree.map(
+        lambda new, old: jnp.where(decided.accepted, new[decided.best], old),
+        (tried.knots, tried.ctrls), (now.knots, now.ctrls),
+    )  # fmt: skip
+
+
+def _as_foreseen(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Whether the cost changes as foreseen."""
+    cross = seen.more
+    slope, curvature = seen.slope + cross, seen.curvature - 2 * cross
+    foreseen = lengths * (slope + 0.5 * lengths * curvature)
+    change = seen.costs - seen.cost
+    tiny = 1e-12
+    falls = (foreseen <= 0) & ((jnp.abs(slope) < tiny) | (change < ACCEPTED * foreseen))
+    # closing the gaps may cost something: then the rise must be less than twice what is foreseen
+    rises = (foreseen > 0) & (change < ASCENT * foreseen)
+    return falls | rises, jnp.abs(seen.slope + 0.5 * seen.curvature)
+
+
+ALONG_DYNAMICS = Way(Rules(_as_foreseen, True), _rolled, _picked)

@@ -3,9 +3,7 @@
     dx+ = A dx + B du + gap,      cost = c + q.dx + r.du + dx'Q dx/2 + du'R du/2 + dx'S du
 
 Costs of residuals by Gauss and Newton, costs that are numbers by their Hessians. Constraints are
-in the augmented Lagrangian, a residual too:
-
-    mu/2 |s - clip(s, low, high)|^2,     s = c(x, u) + lambda / mu
+residuals too, those of the augmented Lagrangian (`augmented_lagrangian`).
 """
 
 from __future__ import annotations
@@ -18,17 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Var
 
+from rbjax.control.augmented_lagrangian import penalised
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.products import product
 from rbjax.errors import InputError
-
-
-class Multipliers(NamedTuple):
-    """Of constraints: path (N, c) and end (e,), and the penalty mu ()."""
-
-    path: jax.Array
-    end: jax.Array
-    penalty: jax.Array
 
 
 class Quadratic(NamedTuple):
@@ -160,9 +151,9 @@ def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[
         at += size
 
         def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
-            s = problem.row(c, k, knot, ctrl) + own / mu
-            low, high = (jnp.ravel(jnp.asarray(x, s.dtype)) for x in (c.low, c.high))
-            return jnp.sqrt(mu) * (s - jnp.clip(s, low, high))
+            value = problem.row(c, k, knot, ctrl)
+            low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
+            return penalised(value, own, mu, low, high)
 
         found.append(penalty)
     return found

@@ -14,23 +14,27 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.backward_pass import Gains
-from rbjax.control.expansion import Multipliers, merit
+from rbjax.control.augmented_lagrangian import Multipliers
+from rbjax.control.backward_pass import Feedback
+from rbjax.control.expansion import merit
+from rbjax.control.knots import violation
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.products import product
 
 
 class Tried(NamedTuple):
-    """knots (N + 1, ...), ctrls (N, m), cost (), and cross (): sum of gap' V dx."""
+    """knots (N + 1, ...), ctrls (N, m), costs (), offs (), the largest violation of a constraint,
+    and more (): sum of gap' V dx."""
 
     knots: Knot
     ctrls: jax.Array
-    cost: jax.Array
-    cross: jax.Array
+    costs: jax.Array
+    offs: jax.Array
+    more: jax.Array
 
 
 def forward_pass(
-    problem: Problem, knots: Knot, ctrls: jax.Array, gains: Gains, gaps: jax.Array,
+    problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
     multipliers: Multipliers, a: jax.Array,
 ) -> Tried:  # fmt: skip
     """The motion of a step of length a."""
@@ -39,27 +43,29 @@ def forward_pass(
     mu = multipliers.penalty
 
     def forth(carry: tuple, x: tuple) -> tuple:
-        now, total, cross = carry
+        now, total, off, cross = carry
         k, knot, ctrl, K, du, gap, V, rows, closing = x
         dx = problem.minus(now, knot)
         u = ctrl + a * du + product(K, dx)
         if problem.bounded:
             u = jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
         total = total + merit(problem, k, now, u, rows, mu, "path")
+        off = jnp.maximum(off, violation(problem, k, now, u, "path"))
         cross = cross + (gap * product(V, dx)).sum()
         after = problem.plus(problem.step(k, now, u), (a - 1) * closing)
-        return (after, total, cross), (now, u)
+        return (after, total, off, cross), (now, u)
 
     N, dtype = problem.horizon, ctrls.dtype
     body = jax.tree.map(lambda x: x[:-1], knots)
     ks = jnp.arange(N, dtype=dtype)
     given = (ks, body, ctrls, gains.K, gains.k, gaps[:-1], gains.V[:-1], multipliers.path, gaps[1:])
     zero = jnp.zeros((), dtype)
-    tried: Any = jax.lax.scan(forth, (now, zero, zero), given)
-    (last, total, cross), (before, us) = tried
+    tried: Any = jax.lax.scan(forth, (now, zero, zero, zero), given)
+    (last, total, off, cross), (before, us) = tried
     none = jnp.zeros(problem.nu, dtype)
     total = total + merit(problem, N, last, none, multipliers.end, mu, "end")
+    off = jnp.maximum(off, violation(problem, N, last, none, "end"))
     end = jax.tree.map(lambda x: x[-1], knots)
     cross = cross + (gaps[-1] * product(gains.V[-1], problem.minus(last, end))).sum()
     found = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
-    return Tried(found, us, total, cross)
+    return Tried(found, us, total, off, cross)

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiling import compiled
-from rbjax.control.outcomes import LINEAR_RESULTS, first_of
+from rbjax.control.outcome import LINEAR_RESULTS, first_of
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError, UnknownName

@@ -10,6 +10,7 @@ from rbjax.control.collocation import by_collocation
 from rbjax.control.ddp import by_ddp
 from rbjax.control.sampling import SampledStart, Sampling
 from rbjax.control.single_shooting import by_adam, by_bfgs, by_shooting, by_squares
+from rbjax.control.sqp import by_sqp
 from rbjax.errors import UnknownName
 from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
@@ -41,6 +42,16 @@ METHODS: dict[str, Method] = {
         functools.partial(by_ddp, exact=True), True, True,
         "the same with second derivatives of the dynamics: fewer iterations to the last digits, "
         "each more expensive; for small robots, or where ddp is slow to settle",
+    ),
+    "sqp": Method(
+        by_sqp, True, True,
+        "ddp without its rollouts, all knots side by side: sequential quadratic programming with "
+        "multiple shooting; from guesses of the states that no controls follow, for MPC, and for "
+        "one problem on a GPU; from a rough guess under tight bounds it ends in worse optima",
+    ),
+    "exact_sqp": Method(
+        functools.partial(by_sqp, exact=True), True, True,
+        "the same with second derivatives of the dynamics: the fewest iterations; for small robots",
     ),
     "predictive": Method(
         Sampling("predictive"), True, False,

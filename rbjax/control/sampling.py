@@ -24,8 +24,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.ddp import by_ddp, largest_gap
+from rbjax.control.ddp import by_ddp
 from rbjax.control.expansion import merit, row_count
+from rbjax.control.knots import largest_gap
 from rbjax.control.options import Options
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, NOT_FINITE
 from rbjax.control.problem import Knot, Problem

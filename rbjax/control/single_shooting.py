@@ -23,15 +23,23 @@ import jax.numpy as jnp
 import optax
 import optimistix as optx
 
-from rbjax.control.ddp import largest_gap
+from rbjax.control.augmented_lagrangian import (
+    PENALTY_MOST,
+    Multipliers,
+    next_multipliers,
+    next_penalty,
+    no_multipliers,
+    penalised,
+    violated,
+)
 from rbjax.control.expansion import example, limits, row_count
+from rbjax.control.knots import largest_gap
 from rbjax.control.options import Options
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost
 from rbjax.errors import InputError
 
-FIRST_PENALTY, HARDER, MOST_PENALTY = 10.0, 10.0, 1e8
 VAIN = 0.9  # a violation that does not fall to this share at the last penalty stays
 EDGE = 0.98  # a first guess lies within this share of its bounds
 RATE = 0.03  # of Adam
@@ -124,14 +132,6 @@ def outside(u: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     return jnp.where(has_low & has_high, between, jnp.where(has_low | has_high, beside, u))
 
 
-class Multipliers(NamedTuple):
-    """Of the constraints of path and end, and the penalty."""
-
-    path: jax.Array
-    end: jax.Array
-    penalty: jax.Array
-
-
 def augmented(s: Shooting, w: Unknowns, l: Multipliers) -> tuple[list[jax.Array], jax.Array]:
     """Residuals and the rest of the augmented Lagrangian."""
     knots, us = s.knots(w)
@@ -139,8 +139,7 @@ def augmented(s: Shooting, w: Unknowns, l: Multipliers) -> tuple[list[jax.Array]
     if s.problem.constraints:
         for rows, y, where in zip(s.rows(knots, us), l[:2], ("path", "end"), strict=True):
             low, high = limits(s.problem, where, jnp.zeros(rows.shape[-1], us.dtype))
-            at = rows + y / l.penalty
-            found.append((jnp.sqrt(l.penalty) * (at - jnp.clip(at, low, high))).reshape(-1))
+            found.append(penalised(rows, y, l.penalty, low, high).reshape(-1))
     return found, rest
 
 
@@ -254,11 +253,8 @@ def by_shooting(
     low, high = (x[problem.system.n :] for x in problem.start_bounds(dtype))
     dx = jnp.zeros(n, dtype).at[problem.system.n :].set(outside(first.numbers, low, high))
     w = Unknowns(outside(ctrls, problem.low, problem.high), dx)
-    sizes = [row_count(problem, at) for at in ("path", "end")]
-    l = Multipliers(
-        jnp.zeros((problem.horizon, sizes[0]), dtype), jnp.zeros(sizes[1], dtype),
-        jnp.asarray(FIRST_PENALTY, dtype),
-    )  # fmt: skip
+    path, closing = (row_count(problem, at) for at in ("path", "end"))
+    l = no_multipliers(problem.horizon, path, closing, dtype)
     costs = jnp.full(history, jnp.nan, dtype)
     if not problem.constraints:
         end = search(s, w, l, options, jnp.asarray(0), costs)
@@ -281,9 +277,8 @@ def violation_of(
     worst, ys = jnp.zeros((), us.dtype), []
     for rows, y, where in zip(s.rows(knots, us), l[:2], ("path", "end"), strict=True):
         low, high = limits(s.problem, where, jnp.zeros(rows.shape[-1], us.dtype))
-        worst = jnp.maximum(worst, jnp.abs(rows - jnp.clip(rows, low, high)).max(initial=0.0))
-        at = rows + y / l.penalty
-        ys.append(l.penalty * (at - jnp.clip(at, low, high)))
+        worst = jnp.maximum(worst, violated(rows, low, high))
+        ys.append(next_multipliers(rows, y, l.penalty, low, high))
     return worst, Multipliers(ys[0], ys[1], l.penalty)
 
 
@@ -298,11 +293,9 @@ def _turns(
         end = search(s, end.w, l, options, end.iterations, end.costs)
         off, after = violation_of(s, *s.knots(end.w), l)
         held = off <= options.violation
-        failing = ~held & (off > 0.25 * before)
-        after = after._replace(
-            penalty=jnp.where(failing, jnp.minimum(HARDER * l.penalty, MOST_PENALTY), l.penalty)
-        )
-        hopeless = failing & (off > VAIN * before) & (l.penalty >= MOST_PENALTY)
+        penalty, failing = next_penalty(l.penalty, off, before, held)
+        after = after._replace(penalty=penalty)
+        hopeless = failing & (off > VAIN * before) & (l.penalty >= PENALTY_MOST)
         outcome = jnp.where(held & (end.outcome == CONVERGED), CONVERGED, GOING)
         outcome = jnp.where(hopeless, INFEASIBLE, outcome)
         spent = (end.iterations >= options.iterations) & (outcome == GOING)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control import barrier
-from rbjax.control.backward_pass import Gains, backward_pass
+from rbjax.control.backward_pass import Feedback, backward_pass
 from rbjax.control.barrier import Bounded, Duals
 from rbjax.control.condensing import (
     Condensed,
@@ -205,7 +205,7 @@ class Transcribed(NamedTuple):
         gaps = jnp.concatenate([self.off_start(knots)[None], path.gap])
         return path, end, gaps
 
-    def gains(self, path: Condensed, end: End, gaps: jax.Array, reg: jax.Array) -> Gains:
+    def gains(self, path: Condensed, end: End, gaps: jax.Array, reg: jax.Array) -> Feedback:
         """The backward pass."""
         problem, first = self.problem, None
         if problem.opens:
@@ -216,7 +216,7 @@ class Transcribed(NamedTuple):
 
     def step(
         self, point: Point, l: Multipliers, w: Weights, path: Condensed, end: End,
-        gaps: jax.Array, gains: Gains,
+        gaps: jax.Array, gains: Feedback,
     ) -> tuple[Step, Multipliers]:  # fmt: skip
         """Newton's step of the unknowns, and of the multipliers."""
         N, s, m = point.inner.us.shape

@@ -118,3 +118,27 @@ def test_what_is_free_of_the_start() -> None:
     assert found.status == "converged"
     assert abs(float(found.states[0, 1]) - 1.0) < 1e-6
     assert np.abs(found.ctrls).max() < 1e-6
+
+
+def test_second_derivatives_make_the_end_quadratic() -> None:
+    """Residuals that do not vanish, and dynamics that bend: Gauss and Newton leave out what is as
+    large as what they keep. Errors e of an iteration become C e^2, those of the cost likewise."""
+    system = Equations(lambda t, x, u: jnp.stack([x[1], 4 * jnp.sin(x[0]) + u[0]]), 2, 1)
+    problem = Problem(
+        system, 12, 0.1, running=[Cost(Control(), 0.1)],
+        terminal=[Cost(lambda t, x, u: jnp.stack([jnp.cos(x[0]) + 1.5, x[1]]), 5.0)],
+    )  # fmt: skip
+    count, off = {}, {}
+    for method in ("ddp", "exact_ddp", "exact_sqp"):
+        found = solve(problem, jnp.array([0.5, 0.0]), method=method, tolerance=1e-13)
+        assert found.status == "converged"
+        count[method] = int(found.iterations)
+        off[method] = np.asarray(found.costs)[: count[method]] - float(found.cost)
+    print(count, off)
+    assert count["exact_ddp"] < 0.5 * count["ddp"]
+    e = off["exact_ddp"]
+    last = np.flatnonzero(e > 1e-12)[-1]
+    assert e[last] < 10 * e[last - 1] ** 2
+    slow = off["ddp"]
+    last = np.flatnonzero(slow > 1e-12)[-1]
+    assert slow[last] > 0.01 * slow[last - 1]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from rbjax.control.backward_pass import Bounds, Gains, backward_pass
+from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.expansion import Quadratic
 from rbjax.threads import team
 from rbjax.threads.frame import batch_first, batch_last, write_program
@@ -209,9 +209,9 @@ CASES = {
 }
 
 
-def close(got: Gains, want: Gains, tolerance: float = 1e-11) -> None:
+def close(got: Feedback, want: Feedback, tolerance: float = 1e-11) -> None:
     """Of problems whose numbers are of order one."""
-    for name, g, w in zip(Gains._fields, got, want, strict=True):
+    for name, g, w in zip(Feedback._fields, got, want, strict=True):
         assert np.shape(g) == np.shape(w), name
         assert np.max(relative_error(g, w)) < tolerance, name
 

@@ -1,0 +1,67 @@
+"""Constraints by the method of multipliers.
+
+low <= c <= high is held by a penalty about a moved centre, a residual of the cost:
+
+    L = mu/2 |s - clip(s, low, high)|^2,     s = c + lambda / mu
+
+Where the cost with L is least, its gradient is that of the cost with the multipliers
+
+    lambda <- mu (s - clip(s, low, high)),     mu <- 10 mu where the violation did not fall
+
+Source: Hestenes 1969, Powell 1969; Bertsekas, *Constrained Optimization and Lagrange Multiplier
+Methods*, 2.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+PENALTY, HARDER, PENALTY_MOST = 10.0, 10.0, 1e8
+FALLS = 0.25  # a violation that does not fall to this share wants a harder penalty
+
+
+class Multipliers(NamedTuple):
+    """Of constraints: path (N, c) and end (e,), and the penalty mu ()."""
+
+    path: jax.Array
+    end: jax.Array
+    penalty: jax.Array
+
+
+def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> Multipliers:
+    """Zeros for so many rows, and the first penalty."""
+    zero = jnp.zeros((N, path), dtype), jnp.zeros(end, dtype)
+    return Multipliers(*zero, jnp.asarray(PENALTY, dtype))
+
+
+def penalised(
+    c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
+) -> jax.Array:
+    """The residuals of L: sqrt(mu) (s - clip(s))."""
+    s = c + y / mu
+    return jnp.sqrt(mu) * (s - jnp.clip(s, low, high))
+
+
+def next_multipliers(
+    c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
+) -> jax.Array:
+    """mu (s - clip(s))."""
+    s = c + y / mu
+    return mu * (s - jnp.clip(s, low, high))
+
+
+def violated(c: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """The largest violation ()."""
+    return jnp.abs(c - jnp.clip(c, low, high)).max(initial=0.0)
+
+
+def next_penalty(
+    mu: jax.Array, violation: jax.Array, before: jax.Array, held: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The penalty after a turn of multipliers, and whether the violation did not fall as it should.
+    before: the violation a turn ago; held: whether it is small enough."""
+    failing = ~held & (violation > FALLS * before)
+    return jnp.where(failing, jnp.minimum(HARDER * mu, PENALTY_MOST), mu), failing

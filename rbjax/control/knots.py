@@ -1,0 +1,146 @@
+"""A problem to second order at all of its knots, and the gaps between its steps.
+
+    gap_0 = start (-) x_0,      gap_{k+1} = f(x_k, u_k) (-) x_{k+1}
+
+States are unknowns beside the controls (multiple shooting, Bock & Plitt 1984), so a step need not
+end where the next knot lies. Each knot is a program of one sample (`rb.threads`).
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.augmented_lagrangian import Multipliers, next_multipliers, violated
+from rbjax.control.expansion import (
+    Local,
+    Quadratic,
+    costates,
+    limits,
+    local,
+    quadratic,
+    second_order,
+)
+from rbjax.control.problem import Knot, Problem
+from rbjax.threads import threads
+
+BODY, NEXT = slice(-1), slice(1, None)  # knots with controls, and those after them
+
+
+class Expanded(NamedTuple):
+    """All knots to second order; gaps (N + 1, n), the first from the first knot to the start;
+    cost (), with the augmented Lagrangian; gap () and violation (), the largest."""
+
+    path: Local
+    end: Quadratic
+    gaps: jax.Array
+    cost: jax.Array
+    gap: jax.Array
+    violation: jax.Array
+
+
+def expand(
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
+) -> Expanded:
+    """All knots to second order, side by side."""
+    N, dtype = problem.horizon, ctrls.dtype
+    body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
+
+    def one(k, knot, ctrl, rows, mu, following):
+        found = local(problem, k, knot, ctrl, rows, mu)
+        gap = problem.minus(found.after, following)
+        return found, gap, violation(problem, k, knot, ctrl, "path")
+
+    def ends(start, first, last, rows, mu):
+        """The gap of the start, and the end."""
+        gap = problem.system.minus(start, first.state)
+        gap = jnp.where(jnp.asarray(problem.free), 0.0, gap)
+        gap = jnp.concatenate([gap, jnp.zeros(problem.numbers, dtype)])
+        none = jnp.zeros(problem.nu, dtype)
+        cost = quadratic(problem, jnp.asarray(N, dtype), last, none, rows, mu, "end")
+        return gap, cost, violation(problem, jnp.asarray(N, dtype), last, none, "end")
+
+    ks, mu = jnp.arange(N, dtype=dtype), multipliers.penalty
+    path, gaps, off = jax.vmap(threads(one), (0, 0, 0, 0, None, 0))(
+        ks, body, ctrls, multipliers.path, mu, following
+    )
+    first, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (0, -1))
+    gap, end, off_end = threads(ends)(start, first, last, multipliers.end, mu)
+    gaps = jnp.concatenate([gap[None], gaps])
+    return Expanded(
+        path, end, gaps, path.cost.c.sum() + end.c, jnp.abs(gaps).max(),
+        jnp.maximum(off.max(), off_end),
+    )  # fmt: skip
+
+
+def violation(problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
+    """The largest violation () of the constraints of a knot."""
+    if not problem.constraints:
+        return jnp.zeros((), ctrl.dtype)
+    c = problem.rows(k, knot, ctrl, where)
+    return violated(c, *limits(problem, where, c))
+
+
+def with_curvature(
+    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
+) -> Expanded:
+    """All knots with what Gauss and Newton leave out."""
+    N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
+    body = jax.tree.map(lambda x: x[:-1], knots)
+    last = jax.tree.map(lambda x: x[-1], knots)
+
+    def one(k, knot, ctrl, rows, costate):
+        return second_order(problem, k, knot, ctrl, rows, mu, "path", costate)
+
+    def closing(knot, rows):
+        none = jnp.zeros(problem.nu, dtype)
+        return second_order(problem, jnp.asarray(N, dtype), knot, none, rows, mu, "end")
+
+    def added(cost: Quadratic, more: tuple) -> Quadratic:
+        Q, R, S = more
+        return cost._replace(Q=cost.Q + Q, R=cost.R + R, S=cost.S + S)
+
+    l = threads(costates)(found.path, found.end)
+    ks = jnp.arange(N, dtype=dtype)
+    more = jax.vmap(threads(one))(ks, body, ctrls, multipliers.path, l)
+    path = found.path._replace(cost=added(found.path.cost, more))
+    end = added(found.end, threads(closing)(last, multipliers.end))
+    return found._replace(path=path, end=end)
+
+
+def updated(
+    problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
+) -> tuple[jax.Array, jax.Array]:
+    """The next multipliers of path and end, side by side."""
+    N, dtype = problem.horizon, ctrls.dtype
+
+    def one(where, k, knot, ctrl, y, mu):
+        c = problem.rows(k, knot, ctrl, where)
+        return next_multipliers(c, y, mu, *limits(problem, where, c))
+
+    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
+    ks, mu = jnp.arange(N, dtype=dtype), multipliers.penalty
+    path = multipliers.path
+    if path.size:
+        along = threads(functools.partial(one, "path"))
+        path = jax.vmap(along, (0, 0, 0, 0, None))(ks, body, ctrls, path, mu)
+    none = jnp.zeros(problem.nu, dtype)
+    closing = threads(functools.partial(one, "end"))
+    end = closing(jnp.asarray(N, dtype), last, none, multipliers.end, mu)
+    return path, end
+
+
+def largest_gap(problem: Problem, start: Any, knots: Knot, ctrls: jax.Array) -> jax.Array:
+    """The largest entry of a gap between a step and the next state, and of the start's."""
+    body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
+
+    def one(k: Any, knot: Knot, ctrl: jax.Array, after: Knot) -> jax.Array:
+        return jnp.abs(problem.minus(problem.step(k, knot, ctrl), after)).max()
+
+    ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
+    gap = jax.vmap(threads(one))(ks, body, ctrls, following).max()
+    first = problem.system.minus(start, jax.tree.map(lambda x: x[0], knots.state))
+    return jnp.maximum(gap, jnp.abs(jnp.where(jnp.asarray(problem.free), 0.0, first)).max())

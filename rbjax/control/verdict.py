@@ -1,0 +1,152 @@
+"""What an iteration decides once its trials are measured: which of them is taken, the next
+regularisation, the next penalty of the constraints, and whether the search ends.
+
+The longest trial is taken that a method accepts. The regularisation falls tenfold after a step
+longer than half and rises tenfold after one of a hundredth, none, or gains that do not exist
+(Mastalli et al. 2020). Where the foreseen change of the cost is small, the constraints get new
+multipliers, or the search is over. All of it is one program of one sample (`rb.threads`), so one
+kernel on a GPU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.augmented_lagrangian import PENALTY_MOST, next_penalty
+from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
+
+LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
+TRIALS = 10  # steps of 1 to 2^-9
+LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
+LOOSE, CLOSER = 1e-3, 0.03  # the tolerance before the first multipliers, and its fall a turn
+
+
+class Standing(NamedTuple):
+    """Where a search stands, numbers (): whether the motion is free of gaps; the regularisation;
+    cost; stop, the change that was foreseen; violation; before, that at the last change of
+    multipliers; inner, the tolerance of this turn of multipliers; iterations; outcome; penalty."""
+
+    feasible: jax.Array
+    reg: jax.Array
+    cost: jax.Array
+    stop: jax.Array
+    violation: jax.Array
+    before: jax.Array
+    inner: jax.Array
+    turns: jax.Array
+    outcome: jax.Array
+    penalty: jax.Array
+
+
+class Limits(NamedTuple):
+    """tolerance of the foreseen change; violation; iterations at most; each ()."""
+
+    tolerance: jax.Array
+    violation: jax.Array
+    iterations: jax.Array
+
+
+class Measures(NamedTuple):
+    """Of an iteration, for its verdict. Here: cost, gap and violation (). Of the step: slope and
+    curvature of the cost along it (), ok (), whether its gains exist. Of the trials (T,): costs,
+    offs, their violations, and more, what the method knows besides."""
+
+    cost: jax.Array
+    gap: jax.Array
+    violation: jax.Array
+    slope: jax.Array
+    curvature: jax.Array
+    ok: jax.Array
+    costs: jax.Array
+    offs: jax.Array
+    more: Any
+
+
+class Verdict(NamedTuple):
+    """standing after the iteration; best, the trial, its length a, and whether it is accepted;
+    change, whether multipliers are to change; each ()."""
+
+    standing: Standing
+    best: jax.Array
+    a: jax.Array
+    accepted: jax.Array
+    change: jax.Array
+
+
+class Rules(NamedTuple):
+    """Of a method. accepts: (measures, lengths) -> which trials (T,) may be taken, and the foreseen
+    change of the cost (). closes: whether a full step of a trial leaves no gap."""
+
+    accepts: Callable[[Measures, jax.Array], tuple[jax.Array, jax.Array]]
+    closes: bool
+
+
+def begun(limits: Limits, constrained: bool, penalty: jax.Array) -> Standing:
+    """Before the first iteration."""
+    dtype = penalty.dtype
+    number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
+    inner = jnp.maximum(limits.tolerance, LOOSE) if constrained else limits.tolerance
+    return Standing(
+        jnp.asarray(False), number(LEAST), number(jnp.inf), number(jnp.inf), number(0),
+        number(jnp.inf), inner.astype(dtype), jnp.asarray(0), jnp.asarray(GOING), penalty,
+    )  # fmt: skip
+
+
+def verdict(
+    rules: Rules, constrained: bool, now: Standing, limits: Limits, seen: Measures
+) -> Verdict:
+    """The verdict on one iteration."""
+    dtype = seen.cost.dtype
+    lengths = jnp.asarray([0.5**k for k in range(TRIALS)], dtype)
+    good, stop = rules.accepts(seen, lengths)
+    good = good & jnp.isfinite(seen.costs) & seen.ok
+    best, accepted = jnp.argmax(good), good.any()
+    a = lengths[best]
+    cost = jnp.where(accepted, seen.costs[best], seen.cost)
+    off = jnp.where(accepted, seen.offs[best], seen.violation)
+
+    reg = jnp.where(accepted & (a > LONG), jnp.maximum(now.reg / FACTOR, LEAST), now.reg)
+    raised = ~accepted | (a <= SHORT)
+    stuck = raised & (reg >= MOST)
+    reg = jnp.where(raised, jnp.minimum(reg * FACTOR, MOST), reg)
+
+    if rules.closes:
+        here, feasible = now.feasible, now.feasible | (accepted & (best == 0))
+    else:
+        here = feasible = seen.gap <= closed(dtype)
+    still = here & seen.ok & (stop < now.inner)
+    # gains that do not exist are asked for again with more regularisation: the same iteration
+    turns = now.turns + seen.ok.astype(now.turns.dtype)
+    outcome = jnp.where(turns >= limits.iterations, BUDGET, GOING)
+    outcome = jnp.where(stuck, STUCK, outcome)
+    finite = jnp.isfinite(seen.cost) & jnp.isfinite(seen.gap)
+    outcome = jnp.where(finite, outcome, NOT_FINITE)
+    if not constrained:
+        outcome = jnp.where(still, CONVERGED, outcome)
+        after = now._replace(
+            feasible=feasible, reg=reg, cost=cost, stop=stop, turns=turns, outcome=outcome
+        )
+        return Verdict(after, best, a, accepted, jnp.asarray(False))
+
+    held = off <= limits.violation
+    done = still & held & (now.inner <= limits.tolerance)
+    change = still & ~done
+    penalty, failing = next_penalty(now.penalty, off, now.before, held)
+    hopeless = change & failing & (now.penalty >= PENALTY_MOST)
+    outcome = jnp.where(hopeless, INFEASIBLE, outcome)
+    inner = jnp.maximum(CLOSER * now.inner, limits.tolerance.astype(dtype))
+    after = Standing(
+        feasible, jnp.where(change, LEAST, reg).astype(dtype), cost, stop, off,
+        jnp.where(change, off, now.before), jnp.where(change, inner, now.inner), turns,
+        jnp.where(done, CONVERGED, outcome), jnp.where(change, penalty, now.penalty),
+    )  # fmt: skip
+    return Verdict(after, best, a, accepted, change)
+
+
+def closed(dtype: Any) -> float:
+    """The largest gap that counts as none: 4e-10 in f64."""
+    return float(jnp.finfo(dtype).eps) ** 0.6
