@@ -98,7 +98,7 @@ def _trials(
     """All lengths at all knots."""
     dtype, N = now.ctrls.dtype, problem.horizon
     low, high = (x.astype(dtype) for x in (problem.low, problem.high))
-    step = threads(linear_step)(found.path, gaps, now.ctrls, gains, low, high)
+    step = threads(linear_step, team=True)(found.path, gaps, now.ctrls, gains, low, high)
     lengths = jnp.asarray([0.5**k for k in range(TRIALS)], dtype)
 
     def one(

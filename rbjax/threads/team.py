@@ -37,7 +37,7 @@ WARP = 32
 #: bytes of a block's shared memory; of a multiprocessor's, and those that the driver takes a block
 SHARED_BYTES, SHARED_BYTES_IN_ALL, DRIVERS_BYTES = 47 * 1024, 227 * 1024, 1024
 #: blocks for which a multiprocessor should have registers: of a warp, and of larger teams
-RESIDENT, RESIDENT_LARGE = 27, 4
+RESIDENT, RESIDENT_LARGE = 16, 4
 #: operations up to which the turns of a thread are written out
 WRITTEN_OUT = 600
 
