@@ -20,6 +20,7 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from rbjax.progress import Say, progress_line
+from rbjax.sysid.clocks import rate_of
 from rbjax.sysid.findings import FAR, hampel
 from rbjax.sysid.fits import FIRST_PULLS
 from rbjax.sysid.identified import Identified
@@ -32,7 +33,7 @@ from rbjax.sysid.traces import FEW, Trace, Traces, traces
 BETTER = 0.5  # error with a mend over that without, at which the cause is named
 SUSPECT = 0.3  # error of a column over its spread from which on its sign and place are doubted
 TRIED = 3  # mends that are worth a fit, the best of all
-CLOCK, CLOCK_STEP, SLOW = 0.05, 5e-4, 2e-3  # rates that are tried, and the least that is named
+NEAR, SLOW = 0.01, 2e-3  # a clock's rate is sought so near to the first one; the least named
 #: share of a recording during which a dead sensor stands still, within a part of the motion that
 #: is expected there, which must be much of the whole
 DEAD, QUIET, MUCH = 0.1, 0.02, 0.2
@@ -168,10 +169,12 @@ class _Bench:
         fitted = []
         for _, k, kind, channels, columns, mend, words in tried[:TRIED]:
             self.say(f"fit: {words}")
-            if kind == "clock":
-                mend, words = self.clock(runs, at[k])
             mended = [mend(run) for run in runs]
             y = self.fitted(mended, at[k])
+            if kind == "clock" and self.error(mended, y) < before:
+                mend, words = self.clock(runs, y)
+                mended = [mend(run) for run in runs]
+                y = self.fitted(mended, y)
             fitted.append((self.error(mended, y), kind, channels, columns, mend, words, y))
         if not fitted:
             return None
@@ -212,27 +215,33 @@ class _Bench:
                 yield "swap", group, pair, swap(group, i, j), (
                     f"{pair[0]} and {pair[1]} are swapped in channel {where}"
                 )  # fmt: skip
-        rate = self.rate(runs, x)
-        if abs(rate) >= SLOW:
-            sensors = tuple(s for s in first if s in doubted)
+        sensors = tuple(s for s in first if s in doubted)
+        for rate in self.rate(runs, x):
             yield "clock", sensors, (), stretch(rate), _of_clock(sensors, rate)
 
-    def rate(self, runs: Sequence[Recording], x: np.ndarray) -> float:
-        """The rate of the sensors' clock at which motions that are simulated fit best."""
-        return min(_rate(self.traces(runs, y)) for y in (self.guess, x))[1]
+    def rate(self, runs: Sequence[Recording], x: np.ndarray) -> list[float]:
+        """The rate of the sensors' clock, none if it is right. Numbers that were fitted to a wrong
+        clock hide it, so the first guess is asked as well."""
+
+        def error(rate: float) -> float:
+            mended = [stretch(rate)(run) for run in runs]
+            return min(self.error(mended, y) for y in (self.guess, x))
+
+        rates = {rate_of(self.traces(runs, y)) for y in (self.guess, x)}
+        return sorted((r for r in rates if abs(r) >= SLOW), key=error)[:1]
 
     def clock(self, runs: Sequence[Recording], x: np.ndarray) -> tuple[Mend, str]:
         """The rate at which the fit errs least: parameters can hide a part of a wrong one."""
 
-        def error(rate: float) -> float:
+        def square(rate: float) -> float:  # of the error: nearly a parabola
             mended = [stretch(rate)(run) for run in runs]
-            return self.error(mended, self.fitted(mended, x))
+            return self.error(mended, self.fitted(mended, x)) ** 2
 
-        rate = self.rate(runs, x)
-        near = (rate - CLOCK / 5, rate + CLOCK / 5)
+        rate = self.rate(runs, x)[0]
         found = optimize.minimize_scalar(
-            error, bounds=near, method="bounded", options={"xatol": SLOW / 40}
-        )
+            square, bounds=(rate - NEAR, rate + NEAR), method="bounded",
+            options={"xatol": SLOW / 40},
+        )  # fmt: skip
         sensors = tuple(_by_column(self.traces(runs, x)))
         return stretch(found.x), _of_clock(sensors, found.x)
 
@@ -332,23 +341,6 @@ def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
         for sensor, trace in sensors.items():
             if trace.measured:
                 yield run, sensor, trace
-
-
-def _rate(seen: Traces) -> tuple[float, float]:
-    """The least error of all sensors with enough samples and the rate of their clock at which it
-    is."""
-    rates = np.arange(-CLOCK, CLOCK + CLOCK_STEP / 2, CLOCK_STEP)
-    squares = np.zeros(len(rates))
-    for _, _, trace in _each(seen):
-        spread = _spread(trace.recorded)
-        for k, rate in enumerate(rates):
-            t = trace.t * (1 + rate)
-            inside = t <= trace.t[-1]
-            for j in range(len(trace.names)):
-                off = np.interp(t, trace.t, trace.simulated[:, j]) - trace.recorded[:, j]
-                squares[k] += np.nanmean((off[inside] / spread[j]) ** 2)
-    k = int(np.argmin(squares))
-    return float(squares[k]), float(rates[k])
 
 
 def _by_column(seen: Traces) -> dict[str, np.ndarray]:

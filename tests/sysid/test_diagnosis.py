@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rbjax.sysid import Channel, Grid, Recording, Trace, diagnose, identify
-from rbjax.sysid.diagnosis import _rate
+from rbjax.sysid.clocks import rate_of
 from rbjax.sysid.mends import flip, stretch, swap, without
 from tests.sysid.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
 
@@ -28,11 +28,23 @@ def test_a_mend_undoes_the_mistake():
     assert not left[7, 1] and left.sum() == left.size - 1
 
 
-def test_the_rate_of_a_clock_is_read_off_positions():
+@pytest.mark.parametrize("rate", [0.02, 0.0, -0.01])
+def test_the_rate_of_a_clock_is_read_off_positions(rate):
     t = np.arange(600) * T
-    q = np.sin(9 * t)[:, None]
-    trace = Trace(("a",), t, np.sin(9 * t / 1.02)[:, None], q)
-    assert abs(_rate({"a": {"q": trace}})[1] - (1 / 1.02 - 1)) < 6e-4
+    turn = lambda t: np.stack([np.sin(9 * t), np.sin(2 * t + t**2)], 1)  # noqa: E731
+    # wrong numbers of the first guess: a gain (of one a sign), a lag, an offset
+    q = np.array([0.8, -1.1]) * turn(t * (1 + rate) - 0.01) + np.array([0.1, 0.0])
+    q += 5e-4 * np.random.default_rng(0).normal(size=q.shape)
+    q[100:150, 0] = np.nan
+    trace = Trace(("a", "b"), t, q, turn(t))
+    assert abs(rate_of({"a": {"q": trace}}) - rate) < 6e-4
+
+
+def test_a_clock_is_not_read_off_steady_turning():
+    t = np.arange(600) * T
+    noise = 5e-4 * np.random.default_rng(0).normal(size=(600, 1))
+    trace = Trace(("a",), t, 1.02 * t[:, None] + noise, t[:, None])
+    assert rate_of({"a": {"q": trace}}) == 0
 
 
 @pytest.mark.slow
