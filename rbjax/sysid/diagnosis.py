@@ -157,14 +157,20 @@ class _Bench:
     def best(
         self, runs: list[Recording], x: np.ndarray, before: float
     ) -> tuple[Cause, Mend, np.ndarray] | None:
-        """The mend after which a fit errs least, if it is a cause."""
+        """The mend after which a fit errs least, if it is a cause. Worth a fit are those after
+        which the same numbers err least beside before: at numbers that were fitted to wrong data
+        every mend is a change for the worse, and the first guess errs more."""
         tried = []
         at = (self.guess, x)
+        unmended = [max(self.error(runs, y), 1e-300) for y in at]
         for kind, channels, columns, mend, words in self.hypotheses(runs, x):
             self.say(words)
             mended = [mend(run) for run in runs]
-            least = min((self.error(mended, y), k) for k, y in enumerate(at))
-            tried.append((*least, kind, channels, columns, mend, words))
+            shares = [self.error(mended, y) / e for y, e in zip(at, unmended, strict=True)]
+            shares = [np.inf if np.isnan(share) else share for share in shares]  # inf / inf
+            if not np.allclose(shares, 1.0, rtol=1e-6):  # of two commands that are alike
+                k = int(np.argmin(shares))
+                tried.append((shares[k], k, kind, channels, columns, mend, words))
         tried.sort(key=lambda one: one[0])
         fitted = []
         for _, k, kind, channels, columns, mend, words in tried[:TRIED]:
