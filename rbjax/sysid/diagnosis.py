@@ -289,22 +289,25 @@ class _Bench:
         return data._replace(weights=weights)
 
     def dead(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
-        """Samples that stand still for long while the first guess moves."""
+        """Samples that stand still for long while the first guess moves, and that no fit
+        explains."""
         lost: Lost = {}
-        seen = self.traces(runs, self.guess)
+        seen, fitted = self.traces(runs, self.guess), self.traces(runs, x)
         for run, sensor, trace in _each(seen):
             window = max(FEW, len(trace.t) // 40)
             for j, column in enumerate(trace.names):
-                x, y = trace.recorded[:, j], trace.simulated[:, j]
-                quiet, parts = ndimage.label(_scatter(x, window) < QUIET * y.std())
-                rows = np.zeros(len(x), bool)
+                z, y = trace.recorded[:, j], trace.simulated[:, j]
+                off = fitted[run][sensor].residual[:, j]
+                quiet, parts = ndimage.label(_scatter(z, window) < QUIET * y.std())
+                rows = np.zeros(len(z), bool)
                 for part in range(1, parts + 1):
                     at = np.flatnonzero(quiet == part)
-                    still = np.nanstd(x[at]) < MUCH * y[at].std()
-                    if len(at) > DEAD * len(x) and still and y[at].std() > MUCH * y.std():
-                        level, size = np.nanmedian(x[at]), np.nanmax(x[at]) - np.nanmin(x[at])
+                    still = np.nanstd(z[at]) < MUCH * y[at].std()
+                    still &= np.sqrt(np.nanmean(off[at] ** 2)) > 2 * np.nanstd(z[at])
+                    if len(at) > DEAD * len(z) and still and y[at].std() > MUCH * y.std():
+                        level, size = np.nanmedian(z[at]), np.nanmax(z[at]) - np.nanmin(z[at])
                         wide = slice(max(at[0] - window, 0), at[-1] + window)
-                        rows[wide] |= np.abs(x[wide] - level) <= 2 * size
+                        rows[wide] |= np.abs(z[wide] - level) <= 2 * size
                 rows[0] = False  # the start
                 if rows.any():
                     lost[run, sensor, j, column] = rows
