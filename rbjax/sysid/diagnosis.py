@@ -20,6 +20,7 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from rbjax.progress import Say, progress_line
+from rbjax.sysid.clocks import rate_of
 from rbjax.sysid.findings import FAR, hampel
 from rbjax.sysid.fits import FIRST_PULLS
 from rbjax.sysid.identified import Identified
@@ -32,7 +33,7 @@ from rbjax.sysid.traces import FEW, Trace, Traces, traces
 BETTER = 0.5  # error with a mend over that without, at which the cause is named
 SUSPECT = 0.3  # error of a column over its spread from which on its sign and place are doubted
 TRIED = 3  # mends that are worth a fit, the best of all
-CLOCK, CLOCK_STEP, SLOW = 0.05, 5e-4, 2e-3  # rates that are tried, and the least that is named
+NEAR, SLOW = 0.01, 2e-3  # a clock's rate is sought so near to the first one; the least named
 #: share of a recording during which a dead sensor stands still, within a part of the motion that
 #: is expected there, which must be much of the whole
 DEAD, QUIET, MUCH = 0.1, 0.02, 0.2
@@ -156,22 +157,30 @@ class _Bench:
     def best(
         self, runs: list[Recording], x: np.ndarray, before: float
     ) -> tuple[Cause, Mend, np.ndarray] | None:
-        """The mend after which a fit errs least, if it is a cause."""
+        """The mend after which a fit errs least, if it is a cause. Worth a fit are those after
+        which the same numbers err least beside before: at numbers that were fitted to wrong data
+        every mend is a change for the worse, and the first guess errs more."""
         tried = []
         at = (self.guess, x)
+        unmended = [max(self.error(runs, y), 1e-300) for y in at]
         for kind, channels, columns, mend, words in self.hypotheses(runs, x):
             self.say(words)
             mended = [mend(run) for run in runs]
-            least = min((self.error(mended, y), k) for k, y in enumerate(at))
-            tried.append((*least, kind, channels, columns, mend, words))
+            shares = [self.error(mended, y) / e for y, e in zip(at, unmended, strict=True)]
+            shares = [np.inf if np.isnan(share) else share for share in shares]  # inf / inf
+            if not np.allclose(shares, 1.0, rtol=1e-6):  # of two commands that are alike
+                k = int(np.argmin(shares))
+                tried.append((shares[k], k, kind, channels, columns, mend, words))
         tried.sort(key=lambda one: one[0])
         fitted = []
         for _, k, kind, channels, columns, mend, words in tried[:TRIED]:
             self.say(f"fit: {words}")
-            if kind == "clock":
-                mend, words = self.clock(runs, at[k])
             mended = [mend(run) for run in runs]
             y = self.fitted(mended, at[k])
+            if kind == "clock" and self.error(mended, y) < before:
+                mend, words = self.clock(runs, y)
+                mended = [mend(run) for run in runs]
+                y = self.fitted(mended, y)
             fitted.append((self.error(mended, y), kind, channels, columns, mend, words, y))
         if not fitted:
             return None
@@ -212,27 +221,33 @@ class _Bench:
                 yield "swap", group, pair, swap(group, i, j), (
                     f"{pair[0]} and {pair[1]} are swapped in channel {where}"
                 )  # fmt: skip
-        rate = self.rate(runs, x)
-        if abs(rate) >= SLOW:
-            sensors = tuple(s for s in first if s in doubted)
+        sensors = tuple(s for s in first if s in doubted)
+        for rate in self.rate(runs, x):
             yield "clock", sensors, (), stretch(rate), _of_clock(sensors, rate)
 
-    def rate(self, runs: Sequence[Recording], x: np.ndarray) -> float:
-        """The rate of the sensors' clock at which motions that are simulated fit best."""
-        return min(_rate(self.traces(runs, y)) for y in (self.guess, x))[1]
+    def rate(self, runs: Sequence[Recording], x: np.ndarray) -> list[float]:
+        """The rate of the sensors' clock, none if it is right. Numbers that were fitted to a wrong
+        clock hide it, so the first guess is asked as well."""
+
+        def error(rate: float) -> float:
+            mended = [stretch(rate)(run) for run in runs]
+            return min(self.error(mended, y) for y in (self.guess, x))
+
+        rates = {rate_of(self.traces(runs, y)) for y in (self.guess, x)}
+        return sorted((r for r in rates if abs(r) >= SLOW), key=error)[:1]
 
     def clock(self, runs: Sequence[Recording], x: np.ndarray) -> tuple[Mend, str]:
         """The rate at which the fit errs least: parameters can hide a part of a wrong one."""
 
-        def error(rate: float) -> float:
+        def square(rate: float) -> float:  # of the error: nearly a parabola
             mended = [stretch(rate)(run) for run in runs]
-            return self.error(mended, self.fitted(mended, x))
+            return self.error(mended, self.fitted(mended, x)) ** 2
 
-        rate = self.rate(runs, x)
-        near = (rate - CLOCK / 5, rate + CLOCK / 5)
+        rate = self.rate(runs, x)[0]
         found = optimize.minimize_scalar(
-            error, bounds=near, method="bounded", options={"xatol": SLOW / 40}
-        )
+            square, bounds=(rate - NEAR, rate + NEAR), method="bounded",
+            options={"xatol": SLOW / 40},
+        )  # fmt: skip
         sensors = tuple(_by_column(self.traces(runs, x)))
         return stretch(found.x), _of_clock(sensors, found.x)
 
@@ -274,22 +289,25 @@ class _Bench:
         return data._replace(weights=weights)
 
     def dead(self, runs: Sequence[Recording], x: np.ndarray) -> Lost:
-        """Samples that stand still for long while the first guess moves."""
+        """Samples that stand still for long while the first guess moves, and that no fit
+        explains."""
         lost: Lost = {}
-        seen = self.traces(runs, self.guess)
+        seen, fitted = self.traces(runs, self.guess), self.traces(runs, x)
         for run, sensor, trace in _each(seen):
             window = max(FEW, len(trace.t) // 40)
             for j, column in enumerate(trace.names):
-                x, y = trace.recorded[:, j], trace.simulated[:, j]
-                quiet, parts = ndimage.label(_scatter(x, window) < QUIET * y.std())
-                rows = np.zeros(len(x), bool)
+                z, y = trace.recorded[:, j], trace.simulated[:, j]
+                off = fitted[run][sensor].residual[:, j]
+                quiet, parts = ndimage.label(_scatter(z, window) < QUIET * y.std())
+                rows = np.zeros(len(z), bool)
                 for part in range(1, parts + 1):
                     at = np.flatnonzero(quiet == part)
-                    still = np.nanstd(x[at]) < MUCH * y[at].std()
-                    if len(at) > DEAD * len(x) and still and y[at].std() > MUCH * y.std():
-                        level, size = np.nanmedian(x[at]), np.nanmax(x[at]) - np.nanmin(x[at])
+                    still = np.nanstd(z[at]) < MUCH * y[at].std()
+                    still &= np.sqrt(np.nanmean(off[at] ** 2)) > 2 * np.nanstd(z[at])
+                    if len(at) > DEAD * len(z) and still and y[at].std() > MUCH * y.std():
+                        level, size = np.nanmedian(z[at]), np.nanmax(z[at]) - np.nanmin(z[at])
                         wide = slice(max(at[0] - window, 0), at[-1] + window)
-                        rows[wide] |= np.abs(x[wide] - level) <= 2 * size
+                        rows[wide] |= np.abs(z[wide] - level) <= 2 * size
                 rows[0] = False  # the start
                 if rows.any():
                     lost[run, sensor, j, column] = rows
@@ -332,23 +350,6 @@ def _each(seen: Traces) -> Iterator[tuple[str, str, Trace]]:
         for sensor, trace in sensors.items():
             if trace.measured:
                 yield run, sensor, trace
-
-
-def _rate(seen: Traces) -> tuple[float, float]:
-    """The least error of all sensors with enough samples and the rate of their clock at which it
-    is."""
-    rates = np.arange(-CLOCK, CLOCK + CLOCK_STEP / 2, CLOCK_STEP)
-    squares = np.zeros(len(rates))
-    for _, _, trace in _each(seen):
-        spread = _spread(trace.recorded)
-        for k, rate in enumerate(rates):
-            t = trace.t * (1 + rate)
-            inside = t <= trace.t[-1]
-            for j in range(len(trace.names)):
-                off = np.interp(t, trace.t, trace.simulated[:, j]) - trace.recorded[:, j]
-                squares[k] += np.nanmean((off[inside] / spread[j]) ** 2)
-    k = int(np.argmin(squares))
-    return float(squares[k]), float(rates[k])
 
 
 def _by_column(seen: Traces) -> dict[str, np.ndarray]:

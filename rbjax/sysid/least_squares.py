@@ -133,17 +133,20 @@ def searching(
         return found
 
     R = (yield Asked(x, True)) if triangle is None else triangle
-    ended = False
+    ended, half = False, _half(D, x)
     if not _has_squares(R):
         message = "the motion of the first guess is not finite"
         yield Minimum(x, R, np.inf, count, False, message)
         return
     now = float(R[:, -1] @ R[:, -1])
+    if half is None:
+        message = "the first guess is at the border of what is possible"
+        yield Minimum(x, R, now, count, False, message)
+        return
     for w in pulls:
         last, damping, growth, ended = w == pulls[-1], 1e-6, 2.0, False
         while not ended and count < steps:
-            curved = np.linalg.cholesky(D(x, x).curvature)
-            size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
+            size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
             terms = ((w * size, prior), (damping * size, x))
             trial = convex_step(R, x, D, terms)
             near = D(trial, x).value <= SMALL
@@ -153,25 +156,28 @@ def searching(
             expected = now - float(linear @ linear) + pull
             gain = (now - after + pull) / max(expected, 1e-300)
             calm = damping <= 1e-6 and expected < (FLAT if last else COARSE) * now
-            # where slopes have no squares no step could begin: such a point is refused
-            there = (yield Asked(trial, True)) if gain > 0 else np.array(np.nan)
-            if _has_squares(there):
-                x, now, R = trial, after, there
+            # where slopes have no squares, or the metric no root, no step could begin: such a point
+            # is refused
+            root = _half(D, trial) if gain > 0 else None
+            there = np.array(np.nan) if root is None else (yield Asked(trial, True))
+            if root is not None and _has_squares(there):
+                x, now, R, half = trial, after, there, root
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
                 ended = near or calm
             else:
                 damping, growth = damping * growth, growth * 2
                 ended = near or damping > 1e9
     for _ in range(4):  # without the prior
-        trial = x + shown(R, D(x, x).curvature)
+        trial = x + shown(R, half)
         after = np.inf
         if np.isfinite(D(trial, x).value):
             after = yield from cost(trial)
-        there = (yield Asked(trial, True)) if after < now else np.array(np.nan)
-        if not _has_squares(there):
+        root = _half(D, trial) if after < now else None
+        there = np.array(np.nan) if root is None else (yield Asked(trial, True))
+        if root is None or not _has_squares(there):
             break
         ends = after > now / 10  # what is left is rounding, or hidden by noise
-        x, now, R = trial, after, there
+        x, now, R, half = trial, after, there, root
         if ends:
             break
     message = "converged" if ended else f"not converged in {count} evaluations"
@@ -181,6 +187,14 @@ def searching(
 def _has_squares(R: np.ndarray) -> bool:
     """Whether slopes are finite, and their squares too, whatever their scale."""
     return bool((np.abs(R) < HUGE).all())
+
+
+def _half(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
+    """The Cholesky factor of the metric at x, None where rounding leaves none: a body so thin."""
+    try:
+        return np.linalg.cholesky(D(x, x).curvature)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def convex_step(
@@ -219,9 +233,8 @@ def convex_step(
     return y
 
 
-def shown(R: np.ndarray, metric: np.ndarray) -> np.ndarray:
-    """The shortest Gauss-Newton step in the directions that the data show."""
-    L = np.linalg.cholesky(metric)
+def shown(R: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """The shortest Gauss-Newton step in the directions that the data show; L L^T is the metric."""
     A = np.linalg.solve(L, R[:, :-1].T).T
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
     kept = s > RANK * s[0]

@@ -249,7 +249,7 @@ def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minim
             damping, growth = damping * growth, growth * 2
             ended = ended or damping > 1e9
     for _ in range(4):  # without the guess
-        trial = x + shown(R, D(x, x).curvature)
+        trial = x + shown(R, np.linalg.cholesky(D(x, x).curvature))
         after = of.cost(trial) if np.isfinite(D(trial, x).value) else np.inf
         count += 1
         if not after < now:

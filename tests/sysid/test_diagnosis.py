@@ -1,11 +1,16 @@
 """Wrong data are named, and mended they give the truth."""
 
+import warnings
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.sysid import Channel, Grid, Recording, Trace, diagnose, identify
-from rbjax.sysid.diagnosis import _rate
+import rbjax as rb
+from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Trace, Unknown, diagnose, identify
+from rbjax.sysid.clocks import rate_of
 from rbjax.sysid.mends import flip, stretch, swap, without
+from rbjax.sysid.simulation import motion
 from tests.sysid.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
 
 
@@ -28,11 +33,23 @@ def test_a_mend_undoes_the_mistake():
     assert not left[7, 1] and left.sum() == left.size - 1
 
 
-def test_the_rate_of_a_clock_is_read_off_positions():
+@pytest.mark.parametrize("rate", [0.02, 0.0, -0.01])
+def test_the_rate_of_a_clock_is_read_off_positions(rate):
     t = np.arange(600) * T
-    q = np.sin(9 * t)[:, None]
-    trace = Trace(("a",), t, np.sin(9 * t / 1.02)[:, None], q)
-    assert abs(_rate({"a": {"q": trace}})[1] - (1 / 1.02 - 1)) < 6e-4
+    turn = lambda t: np.stack([np.sin(9 * t), np.sin(2 * t + t**2)], 1)  # noqa: E731
+    # wrong numbers of the first guess: a gain (of one a sign), a lag, an offset
+    q = np.array([0.8, -1.1]) * turn(t * (1 + rate) - 0.01) + np.array([0.1, 0.0])
+    q += 5e-4 * np.random.default_rng(0).normal(size=q.shape)
+    q[100:150, 0] = np.nan
+    trace = Trace(("a", "b"), t, q, turn(t))
+    assert abs(rate_of({"a": {"q": trace}}) - rate) < 6e-4
+
+
+def test_a_clock_is_not_read_off_steady_turning():
+    t = np.arange(600) * T
+    noise = 5e-4 * np.random.default_rng(0).normal(size=(600, 1))
+    trace = Trace(("a",), t, 1.02 * t[:, None] + noise, t[:, None])
+    assert rate_of({"a": {"q": trace}}) == 0
 
 
 @pytest.mark.slow
@@ -69,3 +86,38 @@ def test_outliers_hardly_move_a_robust_fit():
     )
     off = [np.abs(np.array([*f.values.values()]) - TRUTH).max() for f in (plain, robust)]
     assert off[1] < 0.02 and off[1] < off[0] / 10
+
+
+@pytest.mark.slow
+def test_a_clock_that_like_joints_and_friction_hide_is_named():
+    """Commands that are alike, and a fit that takes the lag for friction and bias."""
+    one = """<body><joint name="{}" axis="0 1 0"/>
+      <inertial pos="0 0 -0.1" mass="0.5" diaginertia="3e-3 3e-3 3e-3"/></body>"""
+    with warnings.catch_warnings(action="ignore"):
+        model = rb.load(f"""<mujoco><worldbody>{"".join(map(one.format, "abc"))}</worldbody>
+          <actuator><motor joint="a"/><motor joint="b"/><motor joint="c"/></actuator></mujoco>""")
+
+    def setup(friction):
+        joints = model.joints.replace(damping=jnp.full(3, friction), armature=jnp.full(3, 0.01))
+        return Setup.of(model.replace(joints=joints), PD(jnp.full(3, 20.0), jnp.full(3, 1.5)))
+
+    t = np.arange(401) * T
+    asked = 0.4 * np.sin(2 * np.pi * (0.1 * t + 0.25 * t**2))[:, None] * np.array([1, 1, 1])
+    start = rb.State(jnp.asarray(asked[0]), jnp.zeros(3))
+    path = motion(lambda p: setup(0.2), jnp.zeros(1), start, jnp.asarray(asked[:-1]), Grid(T))
+    q = path.q + NOISE * np.random.default_rng(0).normal(size=path.q.shape)
+    q = q.at[0].set(path.q[0])
+    v = np.full(q.shape, np.nan)
+    v[0] = 0.0
+    run = Recording("alike", {
+        "q": Channel(1.02 * t, q), "v": Channel(t, v, dropped="nan"),
+        "ctrl": Channel(t[:-1], asked[:-1]),
+    })  # fmt: skip
+    unknowns = {
+        "viscous": Unknown("joints.damping", positive=True),
+        "bias": Unknown("sensors.q.bias", scale=0.1),
+    }
+    said = diagnose(identify(setup(0.1), run, unknowns, grid=Grid(T)))
+    assert [(cause.kind, cause.channels) for cause in said.causes] == [("clock", ("q",))]
+    mended = said.recordings[0]["q"].t[-1]
+    assert abs(mended / t[-1] - 1) < 1e-3
