@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 PATH = Path(__file__).parent / "slow.txt"
 #: seconds of a test
-LIMIT, CHEAPEST = 1.0, 2.0
+LIMIT, CHEAPEST = 0.8, 1.5
 #: files whose tests are always quick: every public function composes
 KEPT = ("tests/test_registry.py",)
 
