@@ -33,7 +33,7 @@ from rbjax.control.expansion import limits
 from rbjax.control.filter_search import Filter, Pair
 from rbjax.control.options import Options
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
-from rbjax.control.problem import Knot, Problem
+from rbjax.control.problem import BODY, Knot, Problem
 from rbjax.control.solution import Between, Found
 from rbjax.control.transcribed import (
     Measured,
@@ -43,7 +43,6 @@ from rbjax.control.transcribed import (
     of_each,
 )
 from rbjax.control.transcription import (
-    BODY,
     at_end,
     chords,
     combined,

@@ -31,7 +31,7 @@ from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost
 from rbjax.control.verdict import (
     LEAST,
-    TRIALS,
+    LENGTHS,
     Limits,
     Measures,
     Rules,
@@ -186,7 +186,7 @@ def _rolled(
     problem: Problem, now: Iterate, found: Expanded, gaps: jax.Array, gains: Feedback
 ) -> Tried:
     """The motions of all lengths."""
-    lengths = jnp.asarray([0.5**k for k in range(TRIALS)], now.ctrls.dtype)
+    lengths = jnp.asarray(LENGTHS, now.ctrls.dtype)
     run = threads(functools.partial(forward_pass, problem))
     return jax.vmap(run, (None,) * 5 + (0,))(
         now.knots, now.ctrls, gains, gaps, now.multipliers, lengths

@@ -45,6 +45,11 @@ def cleared(kept: Filter) -> Filter:
     return kept._replace(theta=none, phi=none, used=jnp.zeros_like(kept.used))
 
 
+def rounding(cost: jax.Array) -> jax.Array:
+    """By how much a cost may be off by rounding."""
+    return ROUNDING * jnp.finfo(cost.dtype).eps * jnp.abs(cost)
+
+
 class Pair(NamedTuple):
     """Infeasibility and cost, each ()."""
 
@@ -61,7 +66,7 @@ def descends(kept: Filter, now: Pair, slope: jax.Array, a: jax.Array) -> jax.Arr
 
 def accepts(kept: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array) -> jax.Array:
     """Whether a trial of length a is taken."""
-    slack = ROUNDING * jnp.finfo(now.phi.dtype).eps * jnp.abs(now.phi)
+    slack = rounding(now.phi)
     armijo = trial.phi - now.phi - slack <= ARMIJO * a * slope
     less = (trial.theta <= (1 - SHARE) * now.theta) | (
         trial.phi - slack <= now.phi - SHARE * now.theta
@@ -71,7 +76,7 @@ def accepts(kept: Filter, now: Pair, trial: Pair, slope: jax.Array, a: jax.Array
 
 def beside(kept: Filter, trial: Pair) -> jax.Array:
     """Whether no pair of the filter is better than a trial in both."""
-    slack = ROUNDING * jnp.finfo(trial.phi.dtype).eps * jnp.abs(trial.phi)
+    slack = rounding(trial.phi)
     good = jnp.isfinite(trial.phi) & jnp.isfinite(trial.theta) & (trial.theta <= kept.most)
     return good & ((trial.theta < kept.theta) | (trial.phi - slack <= kept.phi)).all()
 

@@ -24,10 +24,8 @@ from rbjax.control.expansion import (
     quadratic,
     second_order,
 )
-from rbjax.control.problem import Knot, Problem
+from rbjax.control.problem import BODY, NEXT, Knot, Problem
 from rbjax.threads import threads
-
-BODY, NEXT = slice(-1), slice(1, None)  # knots with controls, and those after them
 
 
 class Expanded(NamedTuple):
@@ -56,9 +54,7 @@ def expand(
 
     def ends(start, first, last, rows, mu):
         """The gap of the start, and the end."""
-        gap = problem.system.minus(start, first.state)
-        gap = jnp.where(jnp.asarray(problem.free), 0.0, gap)
-        gap = jnp.concatenate([gap, jnp.zeros(problem.numbers, dtype)])
+        gap = problem.off_start(start, first)
         none = jnp.zeros(problem.nu, dtype)
         cost = quadratic(problem, jnp.asarray(N, dtype), last, none, rows, mu, "end")
         return gap, cost, violation(problem, jnp.asarray(N, dtype), last, none, "end")
@@ -89,8 +85,7 @@ def with_curvature(
 ) -> Expanded:
     """All knots with what Gauss and Newton leave out."""
     N, dtype, mu = problem.horizon, ctrls.dtype, multipliers.penalty
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    last = jax.tree.map(lambda x: x[-1], knots)
+    body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
 
     def one(k, knot, ctrl, rows, costate):
         return second_order(problem, k, knot, ctrl, rows, mu, "path", costate)
@@ -142,5 +137,5 @@ def largest_gap(problem: Problem, start: Any, knots: Knot, ctrls: jax.Array) -> 
 
     ks = jnp.arange(problem.horizon, dtype=ctrls.dtype)
     gap = jax.vmap(threads(one))(ks, body, ctrls, following).max()
-    first = problem.system.minus(start, jax.tree.map(lambda x: x[0], knots.state))
-    return jnp.maximum(gap, jnp.abs(jnp.where(jnp.asarray(problem.free), 0.0, first)).max())
+    first = jax.tree.map(lambda x: x[0], knots)
+    return jnp.maximum(gap, jnp.abs(problem.off_start(start, first)).max())

@@ -54,6 +54,9 @@ class Knot(NamedTuple):
     numbers: jax.Array
 
 
+BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those after them
+
+
 class Problem(Record):
     """What is to be found: controls, and with them what is free of start, model and time.
 
@@ -203,6 +206,11 @@ class Problem(Record):
         """dx (n,) from `other` to `one`."""
         parts = [self.system.minus(one.state, other.state), one.numbers - other.numbers]
         return jnp.concatenate(parts)
+
+    def off_start(self, start: Any, first: Knot) -> jax.Array:
+        """From the first knot to the start (n,), 0 where it is free."""
+        off = jnp.where(jnp.asarray(self.free), 0.0, self.system.minus(start, first.state))
+        return jnp.concatenate([off, jnp.zeros(self.numbers, off.dtype)])
 
     def step(self, k: Any, knot: Knot, ctrl: jax.Array) -> Knot:
         """The knot after a step."""

@@ -33,17 +33,16 @@ import jax.numpy as jnp
 from rbjax.control.backward_pass import Feedback
 from rbjax.control.ddp import Iterate, Way, searched
 from rbjax.control.expansion import Local, merit
-from rbjax.control.knots import BODY, NEXT, Expanded, violation
+from rbjax.control.filter_search import ARMIJO, rounding
+from rbjax.control.knots import Expanded, violation
 from rbjax.control.options import Options
-from rbjax.control.problem import Knot, Problem
+from rbjax.control.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.products import product
 from rbjax.control.solution import Found
-from rbjax.control.verdict import TRIALS, Measures, Rules, Verdict
+from rbjax.control.verdict import LENGTHS, Measures, Rules, Verdict
 from rbjax.threads import threads
 
-ARMIJO = 1e-4
 RHO = 3.0
-ROUNDING = 10.0  # units in the last place
 
 
 class Step(NamedTuple):
@@ -99,7 +98,7 @@ def _trials(
     dtype, N = now.ctrls.dtype, problem.horizon
     low, high = (x.astype(dtype) for x in (problem.low, problem.high))
     step = threads(linear_step, team=True)(found.path, gaps, now.ctrls, gains, low, high)
-    lengths = jnp.asarray([0.5**k for k in range(TRIALS)], dtype)
+    lengths = jnp.asarray(LENGTHS, dtype)
 
     def one(
         k: Any, knot: Knot, ctrl: jax.Array, y: jax.Array, dx: jax.Array, du: jax.Array,
@@ -165,7 +164,7 @@ def _least(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
     pull, square = opening[0], opening[1]
     change = change - lengths * pull + 0.5 * ((1 - lengths) ** 2 - 1) * square
     slope = slope - pull - square
-    slack = ROUNDING * jnp.finfo(change.dtype).eps * jnp.abs(seen.cost)
+    slack = rounding(seen.cost)
     good = (change - slack <= ARMIJO * lengths * slope) & (slope <= slack)
     change = jnp.where(good & jnp.isfinite(change), change, jnp.inf)
     return good & (change <= change.min() + slack), 0.5 * jnp.abs(slope)

@@ -28,10 +28,8 @@ from rbjax.control.condensing import (
     row_step,
 )
 from rbjax.control.expansion import limits, row_sizes
-from rbjax.control.problem import Knot, Problem
+from rbjax.control.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.transcription import (
-    BODY,
-    NEXT,
     Inner,
     at_end,
     stages,
@@ -141,11 +139,8 @@ class Transcribed(NamedTuple):
     # what the unknowns give
 
     def off_start(self, knots: Knot) -> jax.Array:
-        """From the first knot to the start (n,), where it is not free."""
-        problem = self.problem
-        first = problem.system.minus(self.start, jax.tree.map(lambda x: x[0], knots.state))
-        first = jnp.where(jnp.asarray(problem.free), 0.0, first)
-        return jnp.concatenate([first, jnp.zeros(problem.numbers, first.dtype)])
+        """From the first knot to the start (n,), 0 where it is free."""
+        return self.problem.off_start(self.start, jax.tree.map(lambda x: x[0], knots))
 
     def measured(self, point: Point, l: Multipliers) -> Measured:
         """Cost, barrier and what is off."""

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.problem import Knot, Problem
+from rbjax.control.problem import BODY, NEXT, Knot, Problem
 from rbjax.solvers.tableau import Tableau
 
 
@@ -114,6 +114,3 @@ def chords(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> I
 
     body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
     return jax.vmap(one)(body, following, ctrls)
-
-
-BODY, NEXT = slice(None, -1), slice(1, None)

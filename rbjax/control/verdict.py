@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.control.augmented_lagrangian import PENALTY_MOST, next_penalty
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
-TRIALS = 10  # steps of 1 to 2^-9
+LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
 LOOSE, CLOSER = 1e-3, 0.03  # the tolerance before the first multipliers, and its fall a turn
 
@@ -101,7 +102,7 @@ def verdict(
 ) -> Verdict:
     """The verdict on one iteration."""
     dtype = seen.cost.dtype
-    lengths = jnp.asarray([0.5**k for k in range(TRIALS)], dtype)
+    lengths = jnp.asarray(LENGTHS, dtype)
     good, stop = rules.accepts(seen, lengths)
     good = good & jnp.isfinite(seen.costs) & seen.ok
     best, accepted = jnp.argmax(good), good.any()

@@ -134,7 +134,6 @@ def test_second_derivatives_make_the_end_quadratic() -> None:
         assert found.status == "converged"
         count[method] = int(found.iterations)
         off[method] = np.asarray(found.costs)[: count[method]] - float(found.cost)
-    print(count, off)
     assert count["exact_ddp"] < 0.5 * count["ddp"]
     e = off["exact_ddp"]
     last = np.flatnonzero(e > 1e-12)[-1]
