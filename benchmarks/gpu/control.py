@@ -4,7 +4,7 @@
 reaches to points, its torques within bounds, in f32 (problems of tests/oracles/optimal_control.py,
 GATO's robot and weights). An iteration is what a search of 12 iterations takes longer than one of
 2, over 10; both are one program. The parts of an iteration are timed by themselves, too: those of
-both methods, and those of DDP ("forward") and of SQP ("linear step", "trials") alone. One arm of 7
+both methods, those of DDP only ("forward") and of SQP only ("linear step", "trials"). One arm of 7
 joints (the scene arm7) reaches over 64 knots.
 """
 

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.delayed import Delayed
+from rbjax.threads.delayed import Delayed, Shaped
 from rbjax.threads.program import I32, Array, Builder, Value, Var
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class View(Shaped):
     """array[base + offset + sum of index * stride], with a shape."""
 
     array: Array
@@ -36,14 +36,6 @@ class View:
     @property
     def dtype(self) -> np.dtype:
         return self.array.dtype
-
-    @property
-    def ndim(self) -> int:
-        return len(self.shape)
-
-    @property
-    def size(self) -> int:
-        return math.prod(self.shape)
 
     @property
     def changeable(self) -> bool:
@@ -282,6 +274,11 @@ def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
     values, places = scalars(b, x), to.places()
     for i in np.ndindex(to.shape):
         b.store(to.array, to.base, int(places[i]), values[i])
+
+
+def transposed(x: Small, order: Sequence[int]) -> Small:
+    """x with its axes in another order."""
+    return x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)
 
 
 def in_a_row(*views: View) -> Sequence[View]:

@@ -17,15 +17,11 @@ import numpy as np
 from rbjax.threads.program import I32, Array, Builder, Value
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Delayed:
-    """entry(*index) of a shape, from some arrays, by about `cost` operations."""
+class Shaped:
+    """What has a shape."""
 
+    __slots__ = ()
     shape: tuple[int, ...]
-    dtype: np.dtype
-    entry: Callable[..., Value]
-    sources: frozenset[Array]
-    cost: int
 
     @property
     def ndim(self) -> int:
@@ -34,6 +30,17 @@ class Delayed:
     @property
     def size(self) -> int:
         return math.prod(self.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Delayed(Shaped):
+    """entry(*index) of a shape, from some arrays, by about `cost` operations."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    entry: Callable[..., Value]
+    sources: frozenset[Array]
+    cost: int
 
     @property
     def work(self) -> int:

@@ -196,9 +196,9 @@ def mapped(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ..
 
 @rule("cholesky")
 def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
-    if low.b.teamed and ins[0].ndim == 2 and len_of(ins[0]) <= UNROLL_UP_TO:
+    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.scalars(ins[0])
-        with low.b.alone():  # each thread the whole factor, in its registers
+        with low.b.by_itself():  # each thread the whole factor, in its registers
             return mapped(low, eqn, [a], functools.partial(cholesky, inverse=True), (2,))
     return mapped(low, eqn, ins, cholesky, (2,))
 
@@ -217,7 +217,7 @@ def _permutation(low: Lowering, eqn: Any, ins: list) -> list:
 @rule("triangular_solve")
 def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
     names = "left_side", "lower", "transpose_a", "unit_diagonal"
-    if low.b.teamed and ins[0].ndim == 2 and len_of(ins[0]) <= ROWS_UP_TO:
+    if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
         return [_solved_by_team(low, eqn, *ins)]
     ins = [settled(low.b, x) for x in ins]
     f = functools.partial(triangular_solve, **{name: eqn.params[name] for name in names})
@@ -227,14 +227,10 @@ def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
 takes_delayed("triangular_solve")
 
 
-def len_of(x: Small) -> int:
-    return x.shape[0]
-
-
 def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
     """Each thread solves for some columns of the right side (or its rows, from the right), which
     are in its registers, with the inverses of the diagonal."""
-    b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), len_of(a)
+    b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
     left, turned = P["left_side"], P["transpose_a"] == P["left_side"]
     forwards = P["lower"] != turned
     a = settled(b, a)

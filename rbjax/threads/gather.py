@@ -233,7 +233,7 @@ def _scatter_looped(low: Lowering, eqn: Any, ins: list, combine: Callable) -> Vi
         with b.when(inside):
             put(b, out, place, combine(get(b, out, place), new))
 
-    with b.alone():  # several updates may meet in one place
+    with b.by_itself():  # several updates may meet in one place
         each(b, updates.shape, one)
     return out
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import SHARED_ABOVE, Small, View, each, get, in_memory, put
+from rbjax.threads.arrays import SHARED_ABOVE, Small, View, each, get, in_memory, put, transposed
 from rbjax.threads.delayed import Delayed
 from rbjax.threads.elementwise import source
 from rbjax.threads.lowering import Lowering, dtype_of, rule, takes_delayed
@@ -31,8 +31,8 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
     ((ca, cb), (ba, bb)), dtype = eqn.params["dimension_numbers"], dtype_of(eqn.outvars[0].aval)
     fa = [k for k in range(len(ins[0].shape)) if k not in (*ca, *ba)]
     fb = [k for k in range(len(ins[1].shape)) if k not in (*cb, *bb)]
-    x = _transposed(ins[0], (*ba, *fa, *ca))
-    y = _transposed(ins[1], (*bb, *fb, *cb))
+    x = transposed(ins[0], (*ba, *fa, *ca))
+    y = transposed(ins[1], (*bb, *fb, *cb))
     nb, na, ny = len(ba), len(fa), len(fb)
     shape = (*x.shape[:nb], *x.shape[nb : nb + na], *y.shape[nb : nb + ny])
     contracted = x.shape[nb + na :]
@@ -55,10 +55,6 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 takes_delayed("dot_general")
-
-
-def _transposed(x: Small, order: tuple) -> Small:
-    return x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)
 
 
 def _delayed(
@@ -102,7 +98,7 @@ def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) 
         b.assign(total, b.select(started, add(total, value), value))
         b.assign(started, np.bool_(True))
 
-    with b.alone():
+    with b.by_itself():
         each(b, shape, more)
     return total
 

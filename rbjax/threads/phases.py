@@ -122,7 +122,7 @@ class _Phases:
             if self._waits(statements[first]):
                 for k in list(left):
                     s = statements[k]
-                    if k in left and isinstance(s, Loop) and s.team:
+                    if k in left and _is_shared(s):
                         self._forward(statements, before, left, k)
             if first in left:
                 self._write(statements[first])
@@ -140,9 +140,7 @@ class _Phases:
         trial = self.now.copy()
         for j in sorted(wanted):
             s = statements[j]
-            if isinstance(s, While | If | Await) or (isinstance(s, Loop) and not s.team):
-                return
-            if not trial.may(s):
+            if _has_phases(s) or not trial.may(s):
                 return
             trial.note(s)
         for j in sorted(wanted):
@@ -151,7 +149,7 @@ class _Phases:
 
     def _waits(self, s: Any) -> bool:
         """Whether the threads meet before a statement, or in it."""
-        return (isinstance(s, Loop | While | If | Await) and not _is_loop(s)) or not self.now.may(s)
+        return _has_phases(s) or not self.now.may(s)
 
     def _write(self, s: Any) -> None:
         now = self.now
@@ -189,8 +187,14 @@ class _Phases:
         return found if waits else Block([Barrier(), *found.statements])
 
 
-def _is_loop(s: Any) -> bool:
+def _is_shared(s: Any) -> bool:
+    """Whether the threads of a team share the turns of a loop."""
     return isinstance(s, Loop) and s.team
+
+
+def _has_phases(s: Any) -> bool:
+    """Whether the threads may meet in a statement."""
+    return isinstance(s, Loop | While | If | Await) and not _is_shared(s)
 
 
 def _declared(statements: list, own: set[Array]) -> list:

@@ -1,10 +1,10 @@
 """`threads`: a function of one sample, whose batch runs as one kernel.
 
-There are two primitives. `threads_p` evaluates a `Program` for a batch. `tangent_p` evaluates its
-derivative along tangents, in which it is linear. `vmap` adds an axis to the batch, and operands
-keep their layout. Values that depend on no sample are computed once, outside of the kernel. In
-reverse mode the kernel of the transposed function recomputes the forward values in registers. Only
-the arguments are stored in memory, and the values that a `Program` keeps.
+There are two primitives. `threads_p` evaluates a `Program` for a batch. `tangent_p` (`tangents`)
+evaluates its derivative along tangents, in which it is linear. `vmap` adds an axis to the batch,
+and operands keep their layout. Values that depend on no sample are computed once, outside of the
+kernel. In reverse mode the kernel of the transposed function recomputes the forward values in
+registers. Only the arguments are stored in memory, and the values that a `Program` keeps.
 """
 
 from __future__ import annotations
@@ -222,7 +222,6 @@ def _inside(low: Lowering, eqn: Any, ins: list) -> list:
         return low.closed(program.closed, ins)
     f = functools.partial(under_xla, **how)
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
-
 
 
 # ------------------------------------------------------------------- batches

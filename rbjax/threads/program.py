@@ -136,7 +136,7 @@ class Await:
 
 @dataclass(slots=True)
 class Barrier:
-    """The threads of a team wait for each other (`team.synchronised`)."""
+    """The threads of a team wait for each other (`phases.synchronised`)."""
 
 
 @dataclass(slots=True)
@@ -322,11 +322,11 @@ class Builder:
         counter, body = self.var(I32), Block()
         loop = Loop(counter, count, False, body, True, early, self._part)
         self.block.statements.append(loop)
-        with self.inside(body), self.alone():
+        with self.inside(body), self.by_itself():
             yield counter
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
+    def by_itself(self) -> Iterator[None]:
         """What each thread of a team does by itself."""
         before, self.teamed = self.teamed, False
         try:

@@ -6,7 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import FEW, Small, View, filled, owned_copy, stored, tidy, write
+from rbjax.threads.arrays import (
+    FEW,
+    Small,
+    View,
+    filled,
+    owned_copy,
+    stored,
+    tidy,
+    transposed,
+    write,
+)
 from rbjax.threads.delayed import Delayed
 from rbjax.threads.elementwise import LOOP_ABOVE
 from rbjax.threads.lowering import Lowering, rule, takes_delayed, writer
@@ -66,8 +76,7 @@ def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
 
 @rule("transpose")
 def _transpose(low: Lowering, eqn: Any, ins: list) -> list:
-    x, order = ins[0], eqn.params["permutation"]
-    return [x.transpose(order) if isinstance(x, np.ndarray) else x.transposed(order)]
+    return [transposed(ins[0], eqn.params["permutation"])]
 
 
 @rule("rev")
@@ -93,7 +102,7 @@ def _broadcast(low: Lowering, eqn: Any, ins: list) -> list:
 @writer("concatenate")
 def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     out, axis, place = eqn.outvars[0].aval, eqn.params["dimension"], places[0]
-    whole = _in_a_row(ins, axis) if low.b.teamed else None
+    whole = _pieces_of_one(ins, axis) if low.b.teamed else None
     if place is None and whole is not None:
         return [whole]
     if place is None and out.size > (FEW if low.b.teamed else LOOP_ABOVE):
@@ -110,7 +119,7 @@ def _concatenate(low: Lowering, eqn: Any, ins: list, places: list) -> list:
     return [place]
 
 
-def _in_a_row(xs: list, axis: int) -> View | None:
+def _pieces_of_one(xs: list, axis: int) -> View | None:
     """Pieces of one array, side by side along an axis as they were, as one view; else None."""
     first = xs[0]
     if not all(isinstance(x, View) and x.array is first.array for x in xs):

@@ -1,7 +1,7 @@
 """Derivatives of programs: tangents beside the values, and cotangents by transposing the tangents.
 
 A tangent is a primitive of its own, linear in the tangents of the arguments. So JAX transposes it
-for a reverse derivative, and a batch of directions of one sample is a batch of tangents alone.
+for a reverse derivative, and a batch of directions of one sample is a batch of tangents only.
 """
 
 from __future__ import annotations

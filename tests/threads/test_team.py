@@ -23,7 +23,7 @@ from tests.tolerances import F64_TRANSFORM, relative_error
 
 primitive = importlib.import_module("rbjax.threads.primitive")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
-host_alone = pytest.mark.skipif(GPU_ASKED, reason="counts what a GPU's kernel does on the host")
+host_only = pytest.mark.skipif(GPU_ASKED, reason="counts what a GPU's kernel does on the host")
 HOST = not GPU_ASKED
 RNG = np.random.default_rng(0)
 
@@ -243,7 +243,7 @@ def whole_kernel(f, args, size, in_turn, layout=batch_first):
     return jax.tree.unflatten(tree, found), program
 
 
-@host_alone
+@host_only
 @pytest.mark.parametrize(("size", "in_turn"), [
     (32, -1),
     pytest.param(32, 1, marks=pytest.mark.slow),
@@ -256,7 +256,7 @@ def test_threads_run_far_ahead_of_each_other(size, in_turn):
     close(found, by_xla([(backward_pass, args)])[0])
 
 
-@host_alone
+@host_only
 @pytest.mark.parametrize("name", [
     name if name == "while and cond" else pytest.param(name, marks=pytest.mark.slow) for name in ZOO
 ])  # fmt: skip
@@ -270,7 +270,7 @@ def test_small_functions_with_threads_far_ahead(name):
             assert np.max(relative_error(g, w)) < tolerance
 
 
-@host_alone
+@host_only
 def test_without_barriers_a_kernel_is_wrong(monkeypatch):
     """So the tests above see that they are there."""
     args = CASES["14/7, by velocities"]
@@ -280,7 +280,7 @@ def test_without_barriers_a_kernel_is_wrong(monkeypatch):
     assert not np.allclose(found.V, want.V)
 
 
-@host_alone
+@host_only
 def test_what_a_knot_takes():
     """Barriers of a knot, each some 20 to 40 cycles of a GPU; bytes of shared memory."""
     program, _, _ = written(backward_pass, *problem(14, 7, bounded=False), team=True)
@@ -312,7 +312,7 @@ def by_team(A, x):
     return lax.scan(step, x, None, 3)[0]
 
 
-@host_alone
+@host_only
 def test_values_by_a_team_derivatives_by_a_thread(monkeypatch):
     f = threaded(by_team, team=True)
     is_team = [
@@ -325,7 +325,7 @@ def test_values_by_a_team_derivatives_by_a_thread(monkeypatch):
     assert len(shared) == 1 and "lane=threadIdx.x" in shared[0]
 
 
-@host_alone
+@host_only
 def test_arrays_that_do_not_fit(monkeypatch):
     def large(x):
         A = jnp.outer(x, x) + 1
@@ -337,7 +337,7 @@ def test_arrays_that_do_not_fit(monkeypatch):
     assert not team.fits(written(large, numbers(2, 60), team=True)[0])
 
 
-@host_alone
+@host_only
 def test_other_layouts_and_sums():
     """Samples last; a result that is summed over the batch is one partial sum a block."""
     w, xs = numbers(12, 12), numbers(5, 12)
