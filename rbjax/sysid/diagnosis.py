@@ -177,8 +177,9 @@ class _Bench:
             self.say(f"fit: {words}")
             mended = [mend(run) for run in runs]
             y = self.fitted(mended, at[k])
-            if kind == "clock" and self.error(mended, y) < before:
-                mend, words = self.clock(runs, y)
+            helps = kind == "clock" and self.error(mended, y) < before
+            for rate in self.rate(runs, y) if helps else ():  # one, or none that is still seen
+                mend, words = self.clock(runs, y, rate)
                 mended = [mend(run) for run in runs]
                 y = self.fitted(mended, y)
             fitted.append((self.error(mended, y), kind, channels, columns, mend, words, y))
@@ -236,14 +237,14 @@ class _Bench:
         rates = {rate_of(self.traces(runs, y)) for y in (self.guess, x)}
         return sorted((r for r in rates if abs(r) >= SLOW), key=error)[:1]
 
-    def clock(self, runs: Sequence[Recording], x: np.ndarray) -> tuple[Mend, str]:
-        """The rate at which the fit errs least: parameters can hide a part of a wrong one."""
+    def clock(self, runs: Sequence[Recording], x: np.ndarray, rate: float) -> tuple[Mend, str]:
+        """The rate near to one at which the fit errs least: parameters can hide a part of a wrong
+        one."""
 
         def square(rate: float) -> float:  # of the error: nearly a parabola
             mended = [stretch(rate)(run) for run in runs]
             return self.error(mended, self.fitted(mended, x)) ** 2
 
-        rate = self.rate(runs, x)[0]
         found = optimize.minimize_scalar(
             square, bounds=(rate - NEAR, rate + NEAR), method="bounded",
             options={"xatol": SLOW / 40},
