@@ -18,6 +18,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
 from rbjax.threads import llvm_jit, self_test
+from rbjax.threads.custom_call import typed_call
 from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.llvm_xla import handler
 from rbjax.threads.lowering import Unsupported
@@ -64,7 +65,7 @@ def launch(kernel: HostKernel, operands: Sequence[Any], results: Sequence[Any]) 
 
 
 def _lower(ctx: Any, *operands: Any, results: Any, name: str) -> Any:
-    return jax.ffi.ffi_lowering(name)(ctx, *operands)
+    return typed_call(name, ctx, *operands)
 
 
 mlir.register_lowering(_kernel, _lower, platform="cpu")

@@ -20,6 +20,7 @@ from jax.interpreters import mlir
 
 from rbjax.threads import self_test
 from rbjax.threads.cuda import Kernel
+from rbjax.threads.custom_call import typed_call
 from rbjax.threads.nvrtc import ptx
 
 TARGET = "__gpu$xla.gpu.ptx"
@@ -46,8 +47,8 @@ def launch(
 
 def _lower(ctx: Any, *operands: Any, results: Any, name: str, code: str, grid: int, block: int):
     one = np.int32(1)
-    return jax.ffi.ffi_lowering(TARGET)(
-        ctx, *operands, name=name, kernel_type="ptx", kernel_data=code,
+    return typed_call(
+        TARGET, ctx, *operands, name=name, kernel_type="ptx", kernel_data=code,
         grid_x=np.int32(grid), grid_y=one, grid_z=one,
         block_x=np.int32(block), block_y=one, block_z=one, shared_mem_bytes=np.int32(0),
     )  # fmt: skip

@@ -205,3 +205,10 @@ def test_long_samples_beyond_whole_vectors_are_a_part_of_their_own(size):
     x, turns = jnp.arange(1.0, size + 1), 80_000
     run = jax.jit(jax.vmap(threaded(lambda x: jax.lax.fori_loop(0, turns, lambda i, y: y + x, x))))
     np.testing.assert_allclose(run(x), (turns + 1) * x, rtol=1e-13)
+
+
+def test_the_call_says_that_its_handler_is_typed():
+    """XLA of jax 0.11 loses JAX's own note of it in some programs (`custom_call`)."""
+    lowered = jax.jit(jax.vmap(threaded(lambda x: x * jnp.sin(x)))).lower(jnp.ones((4, 3)))
+    (call,) = [line for line in lowered.as_text().splitlines() if "rbjax_" in line]
+    assert "api_version = 4" in call and "mhlo" not in call
