@@ -5,7 +5,7 @@ B(I, V) = (V x* I - I V x + (I V) x-bar*) / 2,
 
     C = sum over bodies of J^T (I J' + B J),   J'_i = V_i x S_i,
 
-so that C v + g = b and M' = C + C^T. Two of B's four blocks are zero (`coriolis_block`).
+so that C v + g = b and M' = C + C^T. Two of B's four blocks are zero (`Coriolis`).
 
 Regressor: the Newton-Euler equations are linear in each body's ten inertial parameters (Khalil &
 Dombre, *Modeling, Identification and Control of Robots*, ch. 12).
@@ -22,15 +22,13 @@ import numpy as np
 from rbjax.dynamics.aba import velocity_step
 from rbjax.dynamics.arguments import algorithm, check_model
 from rbjax.dynamics.composites import (
+    Coriolis,
     axis_rates,
     carried,
-    coriolis_block,
     link_axes,
     link_inertias,
     link_twists,
     tree_poses,
-    twice_coriolis,
-    twice_coriolis_transposed,
 )
 from rbjax.dynamics.drivers import driver, on_threads
 from rbjax.dynamics.jacobians import ancestor_mask
@@ -71,14 +69,13 @@ def coriolis_matrix(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
     S, inertias = link_axes(d, poses, joints), link_inertias(d, poses)
     V = link_twists(d, S, v)
     S_rate = axis_rates(d, V, S, poses, joints)
-    B = d.each(coriolis_block, inertias, V)
-    nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), (Sym3.zero(), Force.zero()))
+    B = d.each(Coriolis.of, inertias, V)
+    nothing = (RigidInertia(0.0, Vec3.zero(), Sym3.zero()), Coriolis.zero())
     composite = carried(d, d.each(lambda *x: x, inertias, B), nothing)
 
     def forces(S, S_rate, composite):
-        inertia, block = composite
-        outer = inertia(S_rate) + twice_coriolis(block, S.ang) * 0.5
-        return outer, (*inertia(S), *(twice_coriolis_transposed(block, S) * 0.5))
+        inertia, B = composite
+        return inertia(S_rate) + B(S.ang), (*inertia(S), *B.transposed(S))
 
     both = d.each(forces, S, S_rate, composite)
     outer, inner = d.each(lambda x: x[0], both), d.each(lambda x: x[1], both)

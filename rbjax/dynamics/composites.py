@@ -5,14 +5,14 @@ The origin of each tree is that of its first link, so that f32 keeps its digits.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 
 from rbjax.dynamics.drivers import Driver
 from rbjax.dynamics.joints import axes, own_axes
 from rbjax.dynamics.kinematics import world_poses
-from rbjax.lanes import Mat3, Sym3, Vec3, add
+from rbjax.lanes import Mat3, Sym3, Vec3, add, mul, total
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
 
 
@@ -61,26 +61,41 @@ def link_inertias(d: Driver, poses: Any) -> Any:
     )
 
 
-def coriolis_block(inertia: RigidInertia, V: Motion) -> tuple[Sym3, Force]:
-    """B(I, V) = [D - [n], 0; -2 [f], 0] / 2 as (D, [n; f]), with [n; f] = I V the momentum and
+class Coriolis(NamedTuple):
+    """B(I, V) = (V x* I - I V x + (I V) x-bar*) / 2 of an inertia I that moves with the twist V.
 
-    D = [w] J - J [w] - [u] [h] - [h] [u] symmetric; so B V = V x* I V and B + B^T = dI/dt.
+    B = [K, 0; -[f], 0] with f the linear part of I V, so B V = V x* I V and B + B^T = dI/dt.
     """
-    W, U, H = (Mat3.skew(x) for x in (V.ang, V.lin, inertia.h))
-    half = W @ inertia.J - (U @ H)
-    return Sym3.upper(half + half.T), inertia(V)
 
+    K: Mat3
+    f: Vec3
 
-def twice_coriolis(block: tuple[Sym3, Force], w: Vec3) -> Force:
-    """2 B [w; u], which does not depend on u."""
-    D, h = block
-    return Force(D @ w - h.ang.cross(w), w.cross(h.lin) * 2.0)
+    @classmethod
+    def of(cls, inertia: RigidInertia, V: Motion) -> Coriolis:
+        """K = [w] (J - tr(J) / 2) + (h . u) 1 - u h^T, where V = [w; u]."""
+        (w, u), h, J = (V.ang, V.lin), inertia.h, inertia.J
+        half = mul(-0.5, total(J[:3]))
+        turning = Mat3.skew(w) @ Sym3(*(add(x, half) for x in J[:3]), *J[3:])
+        xx, yy, zz = (mul(a, b) for a, b in zip(u, h, strict=True))
+        (ux, uy, uz), (hx, hy, hz) = -u, h
+        sliding = Mat3(
+            add(yy, zz), mul(ux, hy), mul(ux, hz),
+            mul(uy, hx), add(xx, zz), mul(uy, hz),
+            mul(uz, hx), mul(uz, hy), add(xx, yy),
+        )  # fmt: skip
+        return cls(turning + sliding, u * inertia.m - h.cross(w))
 
+    @classmethod
+    def zero(cls) -> Coriolis:
+        return cls(Mat3.zero(), Vec3.zero())
 
-def twice_coriolis_transposed(block: tuple[Sym3, Force], S: Motion) -> Vec3:
-    """2 B^T S, whose linear part is zero."""
-    D, h = block
-    return D @ S.ang + h.ang.cross(S.ang) + h.lin.cross(S.lin) * 2.0
+    def __call__(self, w: Vec3) -> Force:
+        """B [w; u], which does not depend on u."""
+        return Force(self.K @ w, w.cross(self.f))
+
+    def transposed(self, S: Motion) -> Vec3:
+        """B^T S, whose linear part is zero."""
+        return self.K.T @ S.ang + self.f.cross(S.lin)
 
 
 def carried(d: Driver, values: Any, zero: Any) -> Any:

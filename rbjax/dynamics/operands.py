@@ -7,7 +7,7 @@ Russell & Wensing 2022)
     df_k / dq_j = S_j x* f_k + I_k (A x S_j + V x V x S_j) + 2 B_k (V x S_j)
     df_k / dv_j = I_k (V x S_j + S_j') + 2 B_k S_j
 
-with B of `coriolis_block`. Sums of these over a subtree are composites, and an entry (i, j) is a
+with B of `Coriolis`. Sums of these over a subtree are composites, and an entry (i, j) is a
 product with S_i: O(n) for the composites, and O(depth) a column. If j moves i, the rotations of f
 and of S_i cancel.
 """
@@ -20,11 +20,9 @@ from typing import Any, NamedTuple
 import jax
 
 from rbjax.dynamics.composites import (
-    coriolis_block,
+    Coriolis,
     link_twists,
     turning,
-    twice_coriolis,
-    twice_coriolis_transposed,
 )
 from rbjax.dynamics.drivers import Driver
 from rbjax.lanes import Lane, Sym3, Vec3, add
@@ -66,25 +64,25 @@ def operands(
     def gather(x, children):
         link, (pose, S, V, A, T, V_before, A_before), *more = x
         inertia = pose.rigid_to_parent(link.inertia)
-        block = coriolis_block(inertia, V)
-        own = inertia, block, inertia(A) + V.cross_force(block[1])
-        inertia, block, force = composite = jax.tree.map(add, own, children)
+        own = inertia, (B := Coriolis.of(inertia, V)), inertia(A) + B(V.ang)
+        inertia, B, force = composite = jax.tree.map(add, own, children)
         drift = V_before.cross(S)
         bend = A_before.cross(S) + V_before.cross(drift)
         both = drift * 2.0 if no_balls else drift + T.cross(S)
+        turn, axis = both.ang if no_balls else drift.ang * 2.0, S.ang * 2.0
         IS = inertia(S)
         out = Operands(
-            S.cross_force(force) + inertia(bend) + twice_coriolis(block, drift.ang),
-            inertia(both) + twice_coriolis(block, S.ang),
+            S.cross_force(force) + inertia(bend) + B(turn),
+            inertia(both) + B(axis),
             IS,
-            (*IS, *twice_coriolis_transposed(block, S)),
-            (*bend, *drift.ang),
-            (*both, *S.ang),
+            (*IS, *B.transposed(S)),
+            (*bend, *turn),
+            (*both, *axis),
         )
         return composite, out if kept is None else kept(pose, S, out, *more)
 
     massless = RigidInertia(0.0, Vec3.zero(), Sym3.zero())
-    nothing = massless, (Sym3.zero(), Force.zero()), Force.zero()
+    nothing = massless, Coriolis.zero(), Force.zero()
     rows = d.zip(*map(d.rows, (poses, S, V, A, T, V_before, A_before)))
     return d.inward(gather, nothing, d.zip(d.constants, rows, *given))
 
