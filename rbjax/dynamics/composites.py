@@ -73,9 +73,9 @@ class Coriolis(NamedTuple):
     @classmethod
     def of(cls, inertia: RigidInertia, V: Motion) -> Coriolis:
         """K = [w] (J - tr(J) / 2) + (h . u) 1 - u h^T, where V = [w; u]."""
-        (w, u), h, J = (V.ang, V.lin), inertia.h, inertia.J
-        half = mul(-0.5, total(J[:3]))
-        turning = Mat3.skew(w) @ Sym3(*(add(x, half) for x in J[:3]), *J[3:])
+        w, u, h, (*diagonal, xy, xz, yz) = V.ang, V.lin, inertia.h, inertia.J
+        half = mul(-0.5, total(diagonal))
+        turning = Mat3.skew(w) @ Sym3(*(add(x, half) for x in diagonal), xy, xz, yz)
         xx, yy, zz = (mul(a, b) for a, b in zip(u, h, strict=True))
         (ux, uy, uz), (hx, hy, hz) = -u, h
         sliding = Mat3(

@@ -15,7 +15,7 @@ from jax.interpreters import mlir
 
 def typed_call(target: str, ctx: Any, *operands: Any, **attributes: Any) -> Any:
     """The results of the call. attributes: numbers and strings that the handler reads."""
-    results = jax.ffi.ffi_lowering(target)(ctx, *operands, **attributes)
+    results: Any = jax.ffi.ffi_lowering(target)(ctx, *operands, **attributes)
     written = results[0].owner.attributes
     if "mhlo.backend_config" in written:
         written["backend_config"] = written["mhlo.backend_config"]

@@ -9,17 +9,21 @@ import ctypes
 import ctypes.util
 import functools
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from rbjax.threads.disk_cache import cached
 from rbjax.threads.llvm_ir import Module
 
-#: of the passes on the IR, and of the instruction selection; 2 takes longer and the code is no
-#: faster. Without passes the code of loops takes 1.2 times as long
-LEVELS = 1, 1
+#: Passes on the IR: places on the stack become registers, and instructions are combined. Our code
+#: has little else to improve: all of LLVM's level 1 takes five times as long, and the code is no
+#: faster. Without passes the code of loops takes 1.2 times as long.
+PASSES = "sroa", "instruction_combine"
+#: of the instruction selection; 2 takes longer and the code is no faster
+LEVEL = 1
 #: where only the compile time matters: a tenth of the time, and code of three times the size
-QUICK_LEVELS = None, 0
+QUICK_PASSES, QUICK_LEVEL = (), 0
 
 
 class NoCompiler(RuntimeError):
@@ -87,14 +91,15 @@ def compiled(module: Module, quickly: bool = False) -> Code:
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
     """
-    llvm, levels = _llvm(), QUICK_LEVELS if quickly else LEVELS
+    llvm = _llvm()
+    passes, level = (QUICK_PASSES, QUICK_LEVEL) if quickly else (PASSES, LEVEL)
     try:
-        how = (*_processor(), str((llvm.llvm_version_info, levels)))
+        how = (*_processor(), str((llvm.llvm_version_info, passes, level)))
         key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
-        code = cached(f"{key}.o", lambda: object_of(module.text, levels[0], _machine(levels[1])))
+        code = cached(f"{key}.o", lambda: object_of(module.text, passes, _machine(level)))
         for function in module.symbols:
             llvm.add_symbol(function, _address(function))
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(levels[1]))
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(level))
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         return Code(engine.get_function_address("run"), engine, key)
@@ -102,13 +107,16 @@ def compiled(module: Module, quickly: bool = False) -> Code:
         raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
 
 
-def object_of(text: str, passes: int | None, machine: Any) -> bytes:
+def object_of(text: str, passes: Sequence[str], machine: Any) -> bytes:
     """The object file of IR for a target machine."""
     llvm = _llvm()
     parsed = llvm.parse_assembly(text)
-    if passes is not None:
-        options = llvm.create_pipeline_tuning_options(speed_level=passes)
-        options.loop_unrolling = False
-        builder = llvm.create_pass_builder(machine, options)
-        builder.getModulePassManager().run(parsed, builder)
+    if passes:
+        manager = llvm.create_new_function_pass_manager()
+        for name in passes:
+            getattr(manager, f"add_{name}_pass")()
+        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options())
+        for function in parsed.functions:
+            if not function.is_declaration:
+                manager.run(function, builder)
     return machine.emit_object(parsed)
