@@ -13,6 +13,8 @@
    with costs Q = q 1, R = r 1 is. There is none only where (A, B) cannot be stabilised.
 3. Newton's method (Kleinman, Hewer) from that gain: P of a closed loop by a Lyapunov equation, the
    gain of that P. It converges quadratically, to rounding, and stays stabilising.
+4. Two turns of refinement: the remainder for that gain with 1.5 times the digits (`double_words`),
+   and what it does to P by a Lyapunov equation. P ends within rounding of itself.
 
 The derivative solves one Lyapunov equation of the closed loop, by the implicit function theorem.
 Source: Chu, Fan, Lin & Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
@@ -31,12 +33,14 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
 from rbjax.compiling import compiled
+from rbjax.control.double_words import Double
 from rbjax.control.lyapunov import cayley, continuous, is_stable, pace, stein
 from rbjax.control.outcome import LINEAR_RESULTS, first_of
 from rbjax.control.products import product
 from rbjax.control.riccati import definite_factor
 
 TURNS = 60  # of doubling
+REFINED = 2  # the first turn leaves the square of the error
 NEWTON = 60  # a start far above the solution is halved each time
 EDGE = 0.02  # of P's change by one more turn; 0.5 on the edge
 Problem = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
@@ -117,6 +121,9 @@ def _solution(discrete: bool, *matrices: jax.Array) -> tuple[jax.Array, tuple[ja
     problem = A, B, Q, R, S
     K, started = _start(discrete, problem)
     P, converged, definite = _newton(discrete, problem, K, started)
+    refined = _refined(discrete, problem, P)
+    good = started & converged & definite & jnp.isfinite(refined).all()
+    P = jnp.where(good, refined, P)
     return P, (started, converged, definite)
 
 
@@ -251,8 +258,24 @@ def _newton(discrete: bool, problem: Problem, K: jax.Array, started: jax.Array) 
     return P, good, definite
 
 
+def _refined(discrete: bool, problem: Problem, P: jax.Array) -> jax.Array:
+    """The cost to go of P's gain. That gain's error enters it squared."""
+    rounded = (*problem, gain(discrete, problem, P)[0])
+    A, B, Q, R, S, K = (Double.of(x) for x in rounded)
+    closed, SK = A - B @ K, S @ K
+    cost = Q - (SK + SK.T) + K.T @ (R @ K)
+    for _ in range(REFINED):
+        at = Double.of(P)
+        moved = closed.T @ at
+        off = (moved @ closed - at if discrete else moved + moved.T) + cost
+        more, _ = (stein if discrete else continuous)(closed.hi.T, (off.hi + off.hi.T) / 2)
+        P = P + more
+    return P
+
+
 def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> jax.Array:
-    """What rounding of the equation's terms can do to P, relative to P."""
+    """What rounding can leave of P's error, relative to P: the square of what rounding of the
+    equation's terms does to it."""
     A, B, Q, R, _ = problem
     closed, size = A - product(B, K), jnp.abs
     H = R + product(B.T, product(P, B)) if discrete else R
@@ -261,4 +284,5 @@ def _rounding(discrete: bool, problem: Problem, P: jax.Array, K: jax.Array) -> j
     rows = jnp.diag((terms + size(Q) + square).sum(1)) * jnp.finfo(P.dtype).eps
     X, stable = (stein if discrete else continuous)(closed.T, rows)
     error = size(X).max() / jnp.maximum(size(P).max(), jnp.finfo(P.dtype).tiny)
-    return jnp.where(stable, error, jnp.inf)
+    refined = error**2 + 4 * jnp.finfo(P.dtype).eps
+    return jnp.where(stable, jnp.minimum(error, refined), jnp.inf)
