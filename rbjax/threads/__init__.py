@@ -6,6 +6,7 @@ from typing import Any
 from rbjax.threads.backend import wanted as wanted
 from rbjax.threads.explain import Explanation as Explanation
 from rbjax.threads.explain import explain as explain
+from rbjax.threads.function import in_parts as in_parts
 from rbjax.threads.function import side_by_side as side_by_side
 from rbjax.threads.function import threaded as threaded
 from rbjax.threads.function import threads as _threads

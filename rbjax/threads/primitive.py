@@ -9,7 +9,9 @@ registers. Only the arguments are stored in memory, and the values that a `Progr
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -144,9 +146,9 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
 def on_gpu(*operands, program, batch, ins, outs):
     """The same by one or more kernels of a GPU."""
     how = {"batch": batch, "ins": ins, "outs": outs}
-    apart = program if program.once else program.apart
-    if apart is not None and 0 not in batch:
-        return under_xla(*operands, program=apart, **how)
+    samples = math.prod(batch)
+    if samples and (program.once or program.goes_apart(samples)):
+        return under_xla(*operands, program=program if program.once else program.apart, **how)
     return as_kernel("cuda", *operands, program=program, **how)
 
 
@@ -239,6 +241,8 @@ def _batched(operands, dims, program, batch, ins, outs):
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
     varying = any(varies(jax.typeof(x)) for x in operands)
+    if program.up_to is not None and not program.goes_apart(size * math.prod(batch)):
+        program = dataclasses.replace(program, apart=None, up_to=None)
     own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are
     if any(known) and not varying and own_ways == (None, None, None):
         program, more = divided(program, known, operands, run)

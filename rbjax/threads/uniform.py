@@ -84,6 +84,17 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
     return rest, plain, Program(first, once=True) if _is_short(first.jaxpr) else None
 
 
+def halves(program: Program) -> tuple[Program, Program]:
+    """The programs of the first and the second half of the results."""
+    jaxpr = program.closed.jaxpr
+    ins, outs = list(jaxpr.invars), jaxpr.outvars
+    half = len(outs) // 2
+    first, second = (
+        _closed(jaxpr.eqns, ins, some, program) for some in (outs[:half], outs[half:])
+    )
+    return Program(first), Program(second)
+
+
 def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> ClosedJaxpr:
     """Some equations of a program, as a function."""
     jaxpr, consts = program.closed.jaxpr, program.closed.consts
