@@ -3,9 +3,9 @@
 `python -m benchmarks.gpu.control` writes results/gpu-control-<device>.json. The six-joint Indy7
 reaches to points, its torques within bounds, in f32 (problems of tests/oracles/optimal_control.py,
 GATO's robot and weights). An iteration is what a search of 12 iterations takes longer than one of
-2, over 10; both are one program. A batch of one is one problem, without `vmap`. The parts of an iteration are timed by themselves, too: those of
-both methods, those of DDP only ("forward") and of SQP only ("linear step", "trials"). One arm of 7
-joints (the scene arm7) reaches over 64 knots.
+2, over 10; both are one program. A batch of one is one problem, without `vmap`. The parts of an
+iteration are timed by themselves, too: those of both methods, those of DDP only ("forward") and of
+SQP only ("linear step", "trials"). One arm of 7 joints (the scene arm7) reaches over 64 knots.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from rbjax.threads.function import threaded as threaded
 from rbjax.threads.function import threads as _threads
 from rbjax.threads.lowering import Unsupported as Unsupported
 from rbjax.threads.native import compile as compile
+from rbjax.threads.nvrtc import quickly as quickly
 
 threads: Any = _threads
 threads.explain = explain  # in `rbjax` the function hides this package's name
