@@ -23,7 +23,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jax.sharding import NamedSharding, PartitionSpec
 
-from rbjax.threads import backend, cuda, host_call, launch, team
+from rbjax.threads import backend, cuda, host_call, launch, llvm_jit, team
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
@@ -167,7 +167,9 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
     ]
     how = program.closed, batch, operands, results, summed, platform
     if platform == "cpu":
-        return host_call.host_kernel(write_program(*how), program.once and not batch)
+        levels = llvm_jit.MATRIX_LEVELS if program.team else llvm_jit.LEVELS
+        levels = llvm_jit.QUICK_LEVELS if program.once and not batch else levels
+        return host_call.host_kernel(write_program(*how), levels)
     if program.team and team.fits(written := write_program(*how, team=True)):
         return team.kernel(written)
     return cuda.kernel(write_program(*how))

@@ -12,7 +12,7 @@ import rbjax as rb
 from rbjax.control import Control, Cost, Problem, StateError
 from rbjax.control.augmented_lagrangian import no_multipliers
 from rbjax.control.knots import Expanded, columns, expand, numbers
-from rbjax.control.problem import Knot
+from rbjax.control.problem import BODY, NEXT, Knot
 from tests.quickly import quick_jit
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -39,7 +39,7 @@ def test_columns_are_those_of_the_linearised_step() -> None:
     problem, _, knots, ctrls = given()
     ks = numbers(N, ctrls.dtype)
     A, B, gaps = quick_jit(jax.vmap(lambda k, u: columns(problem, k, knots, u)))(ks, ctrls)
-    body, after = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (slice(-1), slice(1, None)))
+    body, after = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
     due = quick_jit(jax.vmap(problem.linear))(ks, body, ctrls)
     apart = jax.vmap(problem.minus)(due.after, after)
     for got, want in ((A, due.A), (B, due.B), (gaps, apart)):
