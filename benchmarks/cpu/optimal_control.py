@@ -7,7 +7,7 @@ example-robot-data`): its wheels crash with the pin 4.1 that the other benchmark
 turns, and each figure is the fewest CPU seconds of several solves over the number of iterations.
 """
 
-from __future__ import annotations
+import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)
 
 import argparse
 import json
@@ -18,7 +18,6 @@ from typing import Any
 
 import jax
 
-import benchmarks.shared.one_core  # noqa: F401, before jax
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.control import solve
 from tests.oracles import optimal_control as oracle

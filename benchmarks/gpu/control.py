@@ -3,9 +3,9 @@
 `python -m benchmarks.gpu.control` writes results/gpu-control-<device>.json. The six-joint Indy7
 reaches to points, its torques within bounds, in f32 (problems of tests/oracles/optimal_control.py,
 GATO's robot and weights). An iteration is what a search of 12 iterations takes longer than one of
-2, over 10; both are one program. The parts of an iteration are timed by themselves, too: those of
-both methods, those of DDP only ("forward") and of SQP only ("linear step", "trials"). One arm of 7
-joints (the scene arm7) reaches over 64 knots.
+2, over 10; both are one program. A batch of one is one problem, without `vmap`. The parts of an
+iteration are timed by themselves, too: those of both methods, those of DDP only ("forward") and of
+SQP only ("linear step", "trials"). One arm of 7 joints (the scene arm7) reaches over 64 knots.
 """
 
 from __future__ import annotations
@@ -166,19 +166,23 @@ def iterations(about: dict[str, Any], run: Any, *given: Any, work: int) -> list[
 def measured(arm: Arm, about: dict[str, Any], N: int, batch: int, state: Any, target: Any) -> list:
     """All rows of a horizon and a batch."""
     rows: list[dict[str, Any]] = []
+    side_by_side: Any = jax.vmap
+    if batch == 1:
+        state, target = jax.tree.map(lambda x: x[0], (state, target))
+        side_by_side = lambda f, *axes: f  # noqa: E731
     for way in WAYS:
-        run = jax.vmap(functools.partial(search, arm, N, way), (None, 0, 0))
+        run = side_by_side(functools.partial(search, arm, N, way), (None, 0, 0))
         rows += iterations({**about, "method": way}, run, state, target, work=batch)
     own = parts(arm, N)
     try:
-        found = jax.jit(jax.vmap(own["expand"]))(state, target)
-        gains = jax.jit(jax.vmap(own["backward"]))(state, target, found)
+        found = jax.jit(side_by_side(own["expand"]))(state, target)
+        gains = jax.jit(side_by_side(own["backward"]))(state, target, found)
     except Exception as error:  # a benchmark goes on
         return [*rows, {**about, "what": "parts", "note": failure(error)}]
     for what, f in own.items():
         given = {"expand": (), "backward": (found,)}.get(what, (found, gains))
-        rows.append(timed({**about, "what": what}, jax.vmap(f), state, target, *given, work=batch,
-                          budget_s=0.3))  # fmt: skip
+        rows.append(timed({**about, "what": what}, side_by_side(f), state, target, *given,
+                          work=batch, budget_s=0.3))  # fmt: skip
     return rows
 
 

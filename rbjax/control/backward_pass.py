@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.box_qp import box_qp, solved
+from rbjax.control.box_qp import box_gains, box_qp, gains
 from rbjax.control.expansion import Quadratic
 from rbjax.control.products import in_registers, product
 
@@ -64,26 +64,22 @@ def backward_pass(
         Qxx, Quu, Qux = cost.Q + Qxx, cost.R + Quu + reg * eye_u, cost.S.T + Qux
         Qx, Qu = cost.q + Qx, cost.r + Qu
         if bound is None:
-            L = jnp.linalg.cholesky(Quu)
-            k, K, fine = -solved(L, Qu), -solved(L, Qux), jnp.isfinite(L).all()
+            both, fine = gains(Quu, Qu, Qux)
+            k, K = both[:, -1], both[:, :-1]
         else:
-            box = box_qp(Quu, Qu, *bound)
-            free = box.free[:, None]
-            k, K, fine = box.d, -free * solved(box.factor, free * Qux), box.ok
-        V = Qxx + product(Qux.T, K)
-        V = 0.5 * (V + V.T) + reg * eye_x
-        Quu_k = product(Quu, k)
+            k, K, fine = box_gains(Quu, Qu, Qux, *bound)
+        V = Qxx + reg * eye_x + product(Qux.T, K)
+        V = 0.5 * (V + V.T)
         v = Qx + product(Qux.T, k)
         v_gap = v + product(V, gap)
         slope = slope + (Qu * k).sum() + (v_gap * gap).sum()
-        curvature = curvature + (k * Quu_k).sum() - (gap * (v_gap - v)).sum()
+        curvature = curvature + (k * product(Quu, k)).sum() - (gap * (v_gap - v)).sum()
         return (V, v_gap, slope, curvature, ok & fine), (K, k, V, v_gap)
 
     last = gaps[-1]
     v = end.q + product(end.Q, last)
-    zero = jnp.zeros((), reg.dtype)
-    V = end.Q + reg * eye_x
-    begin = (V, v, (v * last).sum(), -(last * product(end.Q, last)).sum(), zero == 0)
+    curvature = -(last * product(end.Q, last)).sum()
+    begin = (end.Q + reg * eye_x, v, (v * last).sum(), curvature, jnp.asarray(True))
     knots = (A, B, gaps[:-1], path, bounds)
     found: Any = jax.lax.scan(back, begin, knots, reverse=True)
     (V, v, slope, curvature, ok), (K, k, Vs, vs) = found
@@ -99,8 +95,6 @@ def backward_pass(
         dx0, ok = dx0 + step, ok & box.ok
     Vs, vs = (jnp.concatenate([x, y[None]]) for x, y in ((Vs, end.Q), (vs, begin[1])))
     return Feedback(K, k, Vs, vs, dx0, slope, curvature, ok)
-
-
 
 
 def carried(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
@@ -120,10 +114,10 @@ def carried_by_velocities(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array
     n = len(v) // 2
     F, E = A[n:] - jnp.eye(n, 2 * n, n, dtype=A.dtype), B[n:]
     q, c, w = V[:n, :n], V[:n, n:], V[n:, n:]
-    across = c + h * q
     w = w + h * (c + c.T) + h * h * q
-    columns = jnp.concatenate([across, w])  # of T'VT, those of the velocities
-    W = jnp.concatenate([jnp.concatenate([q, across.T]), columns], 1) + product(columns, F)
+    columns = jnp.concatenate([c + h * q, w])  # of T'VT, those of the velocities
+    rows = jnp.concatenate([q, V[n:, :n] + h * q])
+    W = jnp.concatenate([rows, columns], 1) + product(columns, F)
     slope = v[n:] + h * v[:n]
     Qx = jnp.concatenate([v[:n], slope]) + product(F.T, slope)
     return (

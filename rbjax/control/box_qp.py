@@ -33,6 +33,41 @@ class BoxSolution(NamedTuple):
 
 def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSolution:
     """The minimum in the box. low < high; H (m, m) positive definite in the free entries."""
+    L = factor_of(H)
+    d = -solved(L, g)  # most often within the box
+    return jax.lax.cond(
+        ((d >= low) & (d <= high)).all(),
+        lambda: BoxSolution(d, jnp.ones_like(g), L, is_factor(L)),
+        lambda: _projected(H, g, low, high),
+    )
+
+
+def box_gains(
+    H: jax.Array, g: jax.Array, G: jax.Array, low: jax.Array, high: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """d of `box_qp` and K = -H^-1 G (m, n) in its free entries, 0 in the others; and its ok."""
+    both, ok = gains(H, g, G)
+    d = both[:, -1]
+    inside = ((d >= low) & (d <= high)).all()
+
+    def held(_: tuple) -> tuple:
+        box = _projected(H, g, low, high)
+        free = box.free[:, None]
+        K = -free * solved(box.factor, free * G)
+        return jnp.concatenate([K, box.d[:, None]], 1), box.ok, jnp.asarray(True)
+
+    # once at most; the results of two branches would be copied in both
+    both, ok, _ = jax.lax.while_loop(lambda now: ~now[2], held, (both, ok, inside))
+    return both[:, -1], both[:, :-1], ok
+
+
+def gains(H: jax.Array, g: jax.Array, G: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """-H^-1 (G, g) without a box, and whether H is positive definite."""
+    L = factor_of(H)
+    return solved(L, -jnp.concatenate([G, g[:, None]], 1)), is_factor(L)
+
+
+def _projected(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSolution:
     dtype = g.dtype
     eye = jnp.eye(len(g), dtype=dtype)
     halvings = jnp.asarray(HALVINGS, dtype)
@@ -45,13 +80,10 @@ def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSo
         held = ((d <= low) & (slope > 0)) | ((d >= high) & (slope < 0))
         return jnp.where(held, 0.0, 1.0).astype(dtype)
 
-    def factor_of(free: jax.Array) -> jax.Array:
-        return jnp.linalg.cholesky(H * free[:, None] * free + eye * (1 - free))
-
     def turn(now: tuple) -> tuple:
         d, _, _, turns, _ = now
         free = free_of(d)
-        L = factor_of(free)
+        L = factor_of(H * free[:, None] * free + eye * (1 - free))
         step = -free * solved(L, free * (g + matvec(H, d)))
         tries = jnp.clip(d + halvings[:, None] * step, low, high)
         costs = jax.vmap(cost)(tries)
@@ -62,13 +94,20 @@ def box_qp(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> BoxSo
         done = ~better | ((best == 0) & (free_of(new) == free).all())
         return new, free, L, turns + 1, done
 
-    L = jnp.linalg.cholesky(H)
-    inner = -solved(L, g)  # most often within the box
-    inside = ((inner >= low) & (inner <= high)).all()
-    d = jnp.where(inside, inner, jnp.clip(jnp.zeros_like(g), low, high))
-    begin = (d, jnp.ones_like(g), L, 0, inside)
+    d = jnp.clip(jnp.zeros_like(g), low, high)
+    begin = (d, jnp.ones_like(g), eye, 0, jnp.asarray(False))
     d, free, L, *_ = jax.lax.while_loop(lambda now: (now[3] < TURNS) & ~now[4], turn, begin)
-    return BoxSolution(d, free, L, jnp.isfinite(L).all())
+    return BoxSolution(d, free, L, is_factor(L))
+
+
+def factor_of(H: jax.Array) -> jax.Array:
+    """L of H = L L', of which the lower half is read."""
+    return jax.lax.linalg.cholesky(H, symmetrize_input=False)
+
+
+def is_factor(L: jax.Array) -> jax.Array:
+    """Whether there was a factor: all of it is nan else."""
+    return jnp.isfinite(jnp.diagonal(L)).all()
 
 
 def solved(L: jax.Array, b: jax.Array) -> jax.Array:

@@ -34,9 +34,8 @@ class Quadratic(NamedTuple):
 
 
 class Local(NamedTuple):
-    """A knot with controls: the next one by the dynamics, A, B, and its cost."""
+    """A knot with controls: A and B of its step, and its cost."""
 
-    after: Knot
     A: jax.Array
     B: jax.Array
     cost: Quadratic
@@ -185,14 +184,6 @@ def arguments_read(f: Any, args: list) -> list[bool]:
         if any(v in live for v in eqn.outvars):
             live |= {v for v in eqn.invars if isinstance(v, Var)}
     return [v in live for v in jaxpr.invars]
-
-
-def local(
-    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array
-) -> Local:
-    """A knot with controls to second order."""
-    after, A, B = problem.linear(k, knot, ctrl)
-    return Local(after, A, B, quadratic(problem, k, knot, ctrl, rows, mu, "path"))
 
 
 def second_order(

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.control.augmented_lagrangian import Multipliers, next_multipliers, violated
 from rbjax.control.expansion import (
@@ -20,12 +21,14 @@ from rbjax.control.expansion import (
     Quadratic,
     costates,
     limits,
-    local,
     quadratic,
     second_order,
 )
 from rbjax.control.problem import BODY, NEXT, Knot, Problem
-from rbjax.threads import threads
+from rbjax.threads import in_parts, side_by_side, threads
+
+#: knots, of all problems together, up to which a GPU has a thread a column
+FEW = 2048
 
 
 class Expanded(NamedTuple):
@@ -47,29 +50,77 @@ def expand(
     N, dtype = problem.horizon, ctrls.dtype
     body, following = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
 
-    def one(k, knot, ctrl, rows, mu, following):
-        found = local(problem, k, knot, ctrl, rows, mu)
-        gap = problem.minus(found.after, following)
-        return found, gap, violation(problem, k, knot, ctrl, "path")
+    def cost_of(k, knot, ctrl, rows, mu):
+        cost = quadratic(problem, k, knot, ctrl, rows, mu, "path")
+        return cost, violation(problem, k, knot, ctrl, "path")
 
-    def ends(start, first, last, rows, mu):
+    def one(k, knot, ctrl, rows, mu, following):
+        after, A, B = problem.linear(k, knot, ctrl)
+        cost, off = cost_of(k, knot, ctrl, rows, mu)
+        return Local(A, B, cost), problem.minus(after, following), off
+
+    def by_columns(k, knot, ctrl, rows, mu, following):
+        def of_whole(k, ctrl, rows, mu):
+            return cost_of(k, *at_places(knots, k)[:1], ctrl, rows, mu)
+
+        A, B, gap = columns(problem, k, knots, ctrl)
+        cost, off = threads(of_whole)(k, ctrl, rows, mu)
+        return Local(A, B, cost), gap, off
+
+    def ends(start, knots, rows, mu):
         """The gap of the start, and the end."""
+        first, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (0, -1))
         gap = problem.off_start(start, first)
         none = jnp.zeros(problem.nu, dtype)
         cost = quadratic(problem, jnp.asarray(N, dtype), last, none, rows, mu, "end")
         return gap, cost, violation(problem, jnp.asarray(N, dtype), last, none, "end")
 
-    ks, mu = jnp.arange(N, dtype=dtype), multipliers.penalty
-    path, gaps, off = jax.vmap(threads(one), (0, 0, 0, 0, None, 0))(
+    ks, mu = numbers(N, dtype), multipliers.penalty
+    path, gaps, off = jax.vmap(in_parts(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
         ks, body, ctrls, multipliers.path, mu, following
     )
-    first, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (0, -1))
-    gap, end, off_end = threads(ends)(start, first, last, multipliers.end, mu)
+    gap, end, off_end = threads(ends)(start, knots, multipliers.end, mu)
     gaps = jnp.concatenate([gap[None], gaps])
-    return Expanded(
-        path, end, gaps, path.cost.c.sum() + end.c, jnp.abs(gaps).max(),
-        jnp.maximum(off.max(), off_end),
-    )  # fmt: skip
+    off = jnp.maximum(off.max(), off_end) if problem.constraints else jnp.zeros((), dtype)
+    return Expanded(path, end, gaps, path.cost.c.sum() + end.c, jnp.abs(gaps).max(), off)
+
+
+def columns(
+    problem: Problem, k: jax.Array, knots: Knot, ctrl: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A, B and the gap of knot k, a thread a column."""
+    n, none = problem.n, np.zeros(problem.n + problem.nu, ctrl.dtype)
+
+    def column(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
+        knot, following = at_places(knots, k)
+        after = problem.step(k, knot, ctrl)
+
+        def moved(d: jax.Array) -> jax.Array:
+            there = problem.step(k, problem.plus(knot, d[:n]), ctrl + d[n:])
+            return problem.minus(there, after)
+
+        return jax.jvp(moved, (jnp.asarray(none),), (direction,))[1], problem.minus(
+            after, following
+        )
+
+    both, gap = side_by_side(column, [jnp.asarray(np.eye(len(none), dtype=none.dtype))], [1])
+    return both[:, :n], both[:, n:], gap[:, 0]
+
+
+def numbers(N: int, dtype: Any) -> jax.Array:
+    """The numbers of the knots with controls, as a constant of the program."""
+    return jnp.asarray(np.arange(N, dtype=dtype))
+
+
+def at_places(knots: Any, k: jax.Array) -> tuple[Any, Any]:
+    """Knot k and the next one, read in a program of one sample: slices of arrays outside of it are
+    copies, and each copy is a kernel."""
+    k = k.astype(np.uint32)
+    here, following = (
+        jax.tree.map(lambda x, i=i: jax.lax.dynamic_index_in_dim(x, i, keepdims=False), knots)
+        for i in (k, k + np.uint32(1))
+    )
+    return here, following
 
 
 def violation(problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:

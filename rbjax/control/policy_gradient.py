@@ -16,7 +16,7 @@ policy is deterministic; random starts, and random models, explore.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,14 +25,14 @@ import jax.numpy as jnp
 import optax
 
 from rbjax.control.environment import Environment, Segment
+from rbjax.control.iterations import iterated
 from rbjax.control.networks import network
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.model.record import Record
-from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_between, check_whole
 
-CHUNKS = 10  # reports of progress
+GROUPS = 32  # of samples, whose gradients are computed side by side
 
 
 class Trained(Record):
@@ -124,21 +124,27 @@ def actor_critic(
         >>> policy = rb.control.network(key, (2, 16, 1))
         >>> trained = rb.control.actor_critic(env, policy, key)  # doctest: +SKIP
     """
-    one, two, three = jax.random.split(key, 3)
     _check("actor_critic", env, policy, iterations, batch)
-    if value is None:  # near zero to begin with: else its first slopes lead the policy astray
-        value = network(one, (env.observation_size, 64, 64, 1), "elu", last=0.01)
+    layers = (env.observation_size, 64, 64, 1)
+
+    def fresh(key: jax.Array) -> Any:
+        # near zero to begin with: else its first slopes lead the policy astray
+        return network(key, layers, "elu", last=0.01)
+
     check_whole("actor_critic", "horizon", horizon, 1)
     check_whole("actor_critic", "value_steps", value_steps, 1)
     for what, x in (("discount", discount), ("trace", trace), ("slow", slow)):
         check_between("actor_critic", what, x, 0.0, 1.0)
     numbers, rest = eqx.partition(policy, eqx.is_inexact_array)
-    values, value_rest = eqx.partition(value, eqx.is_inexact_array)
+    values, value_rest = eqx.partition(
+        eqx.filter_eval_shape(fresh, key) if value is None else value, _is_number
+    )
     if optimiser is None:
         optimiser = optax.chain(
-            optax.clip_by_global_norm(1.0), optax.adam(_falling(rate, iterations), 0.7, 0.95)
+            optax.clip_by_global_norm(1.0),
+            optax.flatten(optax.adam(_falling(rate, iterations), 0.7, 0.95)),
         )
-    fitter = optax.adam(_falling(value_rate, iterations * value_steps))
+    fitter = optax.flatten(optax.adam(_falling(value_rate, iterations * value_steps)))
 
     def worth(values: Any, states: State) -> jax.Array:
         V = eqx.combine(values, value_rest)
@@ -152,9 +158,18 @@ def actor_critic(
         return policy_loss(segment.costs, worth(values, last), discount), segment
 
     def fit(values: Any, memory: Any, states: State, targets: jax.Array) -> tuple:
+        # in groups: a GPU computes a sum over all samples in a few places only
+        states, targets = jax.tree.map(
+            lambda x: x.reshape(math.gcd(GROUPS, len(x)), -1, *x.shape[1:]), (states, targets)
+        )
+
+        def off(values: Any, states: State, targets: jax.Array) -> jax.Array:
+            return ((worth(values, states) - targets) ** 2).mean()
+
         def once(carry: tuple, _: None) -> tuple[tuple, None]:
             values, memory = carry
-            slope = jax.grad(lambda v: ((worth(v, states) - targets) ** 2).mean())(values)
+            slopes = jax.vmap(jax.grad(off), (None, 0, 0))(values, states, targets)
+            slope = jax.tree.map(lambda x: x.mean(0), slopes)
             update, memory = fitter.update(slope, memory, values)
             return (optax.apply_updates(values, update), memory), None
 
@@ -180,14 +195,17 @@ def actor_critic(
         after = Training(policy, values, behind, memory, value_memory, samples, key, skipped)
         return after, jnp.nanmean(segment.costs)
 
-    def begin(numbers: Any, values: Any, two: jax.Array, three: jax.Array) -> Training:
+    def begin(numbers: Any, values: Any, key: jax.Array) -> Training:
+        one, two, three = jax.random.split(key, 3)
+        if values is None:
+            values = eqx.filter(fresh(one), eqx.is_inexact_array)
         return Training(
             numbers, values, values, optimiser.init(numbers), fitter.init(values),
             drawn(env, two, batch), three, jnp.asarray(0),
         )  # fmt: skip
 
-    given = (numbers, values, two, three)
-    last, costs = _turns("actor_critic", turn, begin, given, iterations, progress)
+    given = (numbers, None if value is None else values, key)
+    last, costs = iterated("actor_critic", turn, begin, given, iterations, progress)
     trained = eqx.combine(last.policy, rest)
     return Trained(trained, eqx.combine(last.value, value_rest), costs, last.skipped)
 
@@ -261,7 +279,7 @@ def through_time(
     def begin(numbers: Any, key: jax.Array) -> tuple:
         return numbers, optimiser.init(numbers), key, jnp.asarray(0)
 
-    last, costs = _turns("through_time", turn, begin, (numbers, key), iterations, progress)
+    last, costs = iterated("through_time", turn, begin, (numbers, key), iterations, progress)
     return Trained(eqx.combine(last[0], rest), None, costs, last[3])
 
 
@@ -327,6 +345,11 @@ def renewed(
     return Samples(models, jax.tree.map(pick, states, last), jnp.where(over, 0, ages))
 
 
+def _is_number(x: Any) -> bool:
+    """Whether a leaf, or what stands for one, is an array of floating numbers."""
+    return hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)
+
+
 def _falling(rate: float, steps: int) -> Any:
     return optax.cosine_decay_schedule(rate, steps, 0.1)
 
@@ -344,25 +367,3 @@ def _check(where: str, env: Any, policy: Any, iterations: int, batch: int) -> No
         )
     check_whole(where, "iterations", iterations, 1)
     check_whole(where, "batch", batch, 1)
-
-
-def _turns(
-    where: str, turn: Callable, begin: Callable, given: tuple, iterations: int, progress: bool
-) -> tuple[Any, jax.Array]:
-    """All iterations from begin(*given), in one program, or in chunks that report."""
-    first = jax.jit(lambda count, *given: jax.lax.scan(turn, begin(*given), None, count),
-                    static_argnums=0)  # fmt: skip
-    if not progress:
-        return first(iterations, *given)
-    more = jax.jit(lambda now, count: jax.lax.scan(turn, now, None, count), static_argnums=1)
-    chunk = max(1, iterations // CHUNKS)
-    with progress_line(where) as say:
-        say("compiling")
-        now, some = first(min(chunk, iterations), *given)
-        costs, done = [some], len(some)
-        while done < iterations:
-            say(f"iteration {done} of {iterations}, cost of a step {float(some[-1]):.4g}")
-            now, some = more(now, min(chunk, iterations - done))
-            costs.append(some)
-            done += len(some)
-    return now, jnp.concatenate(costs)

@@ -254,7 +254,7 @@ class Problem(Record):
                 f"that of its value, {value.shape}"
             )
         if value.ndim:
-            return _root(jnp.broadcast_to(w, value.shape)) * value
+            return _root(w) * value
         return w * value
 
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:

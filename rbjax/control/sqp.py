@@ -34,13 +34,13 @@ from rbjax.control.backward_pass import Feedback
 from rbjax.control.ddp import Iterate, Way, searched
 from rbjax.control.expansion import Local, merit
 from rbjax.control.filter_search import ARMIJO, rounding
-from rbjax.control.knots import Expanded, violation
+from rbjax.control.knots import FEW, Expanded, at_places, numbers, violation
 from rbjax.control.options import Options
 from rbjax.control.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.products import product
 from rbjax.control.solution import Found
 from rbjax.control.verdict import LENGTHS, Measures, Rules, Verdict
-from rbjax.threads import threads
+from rbjax.threads import in_parts, threads
 
 RHO = 3.0
 
@@ -128,21 +128,30 @@ def _trials(
         square = RHO * (gap * product(V, gap)).sum()
         lift = (l * (left - gap)).sum() + 0.5 * (RHO * (left * product(V, left)).sum() - square)
         slope = slope + last[1] - (l * gap).sum() - square
-        return change + last[0], lift, slope, jnp.maximum(off, last[2])
+        return jnp.stack([change + last[0], lift, slope]), jnp.maximum(off, last[2])
 
-    each = jax.vmap(threads(one), (0,) * 12 + (None,) * 4)
+    def in_place(
+        k: Any, knot: Knot, ctrl: jax.Array, y: jax.Array, dx: jax.Array, du: jax.Array,
+        following: Knot, ahead: jax.Array, gap: jax.Array, V: jax.Array, v: jax.Array, *rest: Any,
+    ) -> tuple:  # fmt: skip
+        def read(k: Any, ctrl: jax.Array, y: jax.Array, du: jax.Array, *rest: Any) -> tuple:
+            (knot, following), (dx, ahead) = (at_places(x, k) for x in (now.knots, step.dx))
+            gap, V, v = (at_places(x, k)[1] for x in (gaps, gains.V, gains.v))
+            return one(k, knot, ctrl, y, dx, du, following, ahead, gap, V, v, *rest)
+
+        return threads(read)(k, ctrl, y, du, *rest)
+
+    each = jax.vmap(in_parts(one, in_place, FEW * len(LENGTHS)), (0,) * 12 + (None,) * 4)
     body, following = (jax.tree.map(lambda x, at=at: x[at], now.knots) for at in (BODY, NEXT))
     path, l = found.path.cost, now.multipliers
-    change, lift, slope, offs = jax.vmap(each, (None,) * 15 + (0,))(
-        jnp.arange(N, dtype=dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
+    sums, offs = jax.vmap(each, (None,) * 15 + (0,))(
+        numbers(N, dtype), body, now.ctrls, l.path, step.dx[:-1], step.du,
         following, step.dx[1:], gaps[1:], gains.V[1:], gains.v[1:],
         (path.c, path.q, path.r), l.end, (found.end.c, found.end.q), l.penalty, lengths,
     )  # fmt: skip
-    costs = change.sum(1)
-    return Measured(
-        found.cost + costs, offs.max(1),
-        (costs + lift.sum(1), slope[0].sum(), step.opening), step,
-    )  # fmt: skip
+    costs, lift, slope = jnp.moveaxis(sums.sum(1), 1, 0)
+    offs = offs.max(1) if problem.constraints else jnp.zeros_like(costs)
+    return Measured(found.cost + costs, offs, (costs + lift, slope[0], step.opening), step)
 
 
 def _moved(

@@ -5,6 +5,7 @@ Only the code around it (`frame`) depends on the compiler.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -98,6 +99,10 @@ def c_type(dtype: Any) -> str:
     return C_TYPES[np.dtype(dtype).name]
 
 
+#: turns of a loop that moves entries that run at a time, and statements of such a loop
+GROUP, SHORT_BODY = 16, 10
+
+
 def literal(x: Any) -> str:
     """A known number."""
     kind = x.dtype.kind
@@ -118,6 +123,19 @@ def literal(x: Any) -> str:
         return f"({'-' if x < 0 else ''}(c_{c_type(x.dtype)})INFINITY)"
     text = f"{float(x)!r}{f}"
     return f"({text})" if np.signbit(x) else text
+
+
+def _moves_entries(loop: Loop) -> bool:
+    """Whether a loop is a few loads and operations whose results go to local arrays that it does
+    not read: a thread waits for memory once for several turns, and not at each."""
+    body = loop.body.statements
+    if loop.count < GROUP or loop.reverse or len(body) > SHORT_BODY:
+        return False
+    if not all(isinstance(s, Op | Load | Store) for s in body):
+        return False
+    read = {s.array for s in body if isinstance(s, Load)}
+    written = {s.array for s in body if isinstance(s, Store)}
+    return bool(written) and not read & written and all(a.space == "local" for a in written)
 
 
 class Printer:
@@ -156,6 +174,8 @@ class Printer:
                 yield f"{v(var)}={v(value)};"
             case Reserve(array=array):
                 yield f"{c_type(array.dtype)} a{array.id}[{max(array.size, 1)}];"
+            case Loop() if _moves_entries(statement):
+                yield from self._in_groups(statement)
             case Loop(counter=counter, count=count, reverse=reverse, body=body):
                 i = v(counter)
                 yield "#pragma unroll 1"
@@ -183,6 +203,26 @@ class Printer:
                 return
             case _:
                 raise TypeError(f"no such statement: {statement}")
+
+    def _in_groups(self, loop: Loop) -> Iterator[str]:
+        """Some turns at a time, which read all that they read before they write."""
+        body, i = loop.body.statements, self.value(loop.counter)
+        own = {self.value(s.dest) for s in body if not isinstance(s, Store)} | {i}
+        name = re.compile("|".join(rf"\b{x}\b" for x in own))
+        first = [s for s in body if not isinstance(s, Store)]
+        last = [s for s in body if isinstance(s, Store)]
+        reads, writes = ([x for s in some for x in self._lines(s)] for some in (first, last))
+        rounds, rest = divmod(loop.count, GROUP)
+        for start, turns, size in ((0, rounds, GROUP), (rounds * GROUP, 1, rest)):
+            if not turns * size:
+                continue
+            yield "#pragma unroll 1"
+            yield f"for(int g{i}={start};g{i}<{start + turns * size};g{i}+={size}){{"
+            yield from (f"const int {i}_{k}=g{i}+{k};" for k in range(size))
+            for lines in (reads, writes):
+                for k in range(size):
+                    yield from (name.sub(rf"\g<0>_{k}", x) for x in lines)
+            yield "}"
 
     def expression(self, op: Op) -> str:
         x = [self.value(a) for a in op.args]

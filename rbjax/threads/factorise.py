@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -18,7 +19,7 @@ from jax import lax
 from rbjax.threads.arrays import Small, View, each, get, in_memory, put, settled
 from rbjax.threads.elementwise import source
 from rbjax.threads.lowering import Lowering, dtype_of, rule, takes_delayed
-from rbjax.threads.program import I32, Value
+from rbjax.threads.program import I32, Block, Value, Var
 
 #: matrices with more columns are factorised by a loop
 UNROLL_UP_TO = 8
@@ -54,26 +55,36 @@ def _exchanged(x: jax.Array, k: Any, p: Any, first: Any = 0) -> jax.Array:
     return jnp.where(there, _row(x, p, first), jnp.where(here, x[k], x))
 
 
-def cholesky(a: jax.Array, inverse: bool = False) -> jax.Array:
-    """L of A = L L^T, from the lower triangle; nan if A is not positive definite. inverse: by the
-    inverse of each root, which on a GPU takes a third of a root's and a division's time."""
+def cholesky(a: jax.Array) -> jax.Array:
+    """L of A = L L^T, from the lower triangle; nan if A is not positive definite."""
+    return _cholesky_by(a, False)[0]
+
+
+def cholesky_and_inverses(a: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The same by the inverse of each root, which on a GPU takes a third of a root's and a
+    division's time; and these inverses (n,) of the diagonal."""
+    return _cholesky_by(a, True)
+
+
+def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
     n = len(a)
     rows = np.arange(n)
 
-    def step(k: Any, a: jax.Array, bad: jax.Array) -> tuple:
+    def step(k: Any, a: jax.Array, factors: jax.Array, bad: jax.Array) -> tuple:
         pivot = a[k, k]
         bad = bad | ~(pivot > 0)
-        factor = lax.rsqrt(pivot) if inverse else 1
+        factor = lax.rsqrt(pivot) if inverse else jnp.ones_like(pivot)
+        factors = jnp.where(rows == k, factor, factors) if inverse else factors
         root = pivot * factor if inverse else jnp.sqrt(pivot)
         scaled = a[:, k] * factor if inverse else a[:, k] / root
         column = jnp.where(rows == k, root, jnp.where(rows > k, scaled, 0))
         below = (rows[:, None] > k) & (rows > k) & (rows[:, None] >= rows)
         a = jnp.where(below, a - column[:, None] * column, a)
-        return jnp.where(rows == k, column[:, None], a), bad
+        return jnp.where(rows == k, column[:, None], a), factors, bad
 
-    a, bad = _columns(n, step, a, jnp.asarray(False))
+    a, factors, bad = _columns(n, step, a, jnp.ones(n, a.dtype), jnp.asarray(False))
     lower = rows[:, None] >= rows
-    return jnp.where(lower, jnp.where(bad, jnp.nan, a), 0)
+    return jnp.where(lower, jnp.where(bad, jnp.nan, a), 0), jnp.where(bad, jnp.nan, factors)
 
 
 def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -199,7 +210,10 @@ def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
     if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.scalars(ins[0])
         with low.b.by_itself():  # each thread the whole factor, in its registers
-            return mapped(low, eqn, [a], functools.partial(cholesky, inverse=True), (2,))
+            L, inverses = mapped(low, eqn, [a], cholesky_and_inverses, (2,))
+        for root, inverse in zip(np.diagonal(L), inverses, strict=True):
+            low.b.inverses[root] = inverse
+        return [L]
     return mapped(low, eqn, ins, cholesky, (2,))
 
 
@@ -227,6 +241,24 @@ def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
 takes_delayed("triangular_solve")
 
 
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A loop of a team in which each thread has solved a system for a column (or row) of the right
+    side: its block, the column, and the entries x, in registers."""
+
+    block: Block
+    left: bool
+    column: Value
+    x: list[Value]
+
+    def goes_on(self, left: bool, used: list[Any], right: View) -> bool:
+        """Whether the same threads can solve the next system at once: with numbers that were
+        there before the loop, and the whole of the solutions."""
+        there = all(not isinstance(v, Var) or v.id < self.column.id for v in used)
+        known = not any(isinstance(v, View) for v in used)
+        return self.left == left and there and known and right.size == right.array.size
+
+
 def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
     """Each thread solves for some columns of the right side (or its rows, from the right), which
     are in its registers, with the inverses of the diagonal."""
@@ -240,9 +272,10 @@ def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
         j, k = (k, j) if turned else (j, k)
         return get(b, a, (I32.type(j), I32.type(k))) if isinstance(a, View) else a[j, k]
 
-    one = dtype.type(1)
-    inverse = [None if P["unit_diagonal"] else b.op("div", dtype, one, entry(k, k))
-               for k in range(n)]  # fmt: skip
+    def inverted(x: Value) -> Value:
+        return b.inverses[x] if x in b.inverses else b.op("div", dtype, dtype.type(1), x)
+
+    inverse = [None if P["unit_diagonal"] else inverted(entry(k, k)) for k in range(n)]
 
     def solve(x: list[Value]) -> list[Value]:
         for k in range(n) if forwards else reversed(range(n)):
@@ -257,12 +290,24 @@ def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
         out = np.empty(right.shape, object)
         out.reshape(-1)[:] = found
         return out
-    s, view = source(b, right, right.shape), View.of(b.local(dtype, right.size), right.shape)
+    view = View.of(b.local(dtype, right.size), right.shape)
+
+    def write(c: Value, x: list[Value]) -> None:
+        for k in range(n):
+            put(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
+        b.solved[view.array] = Solved(b.block, left, c, x)
+
+    before = b.solved.get(right.array) if isinstance(right, View) else None
+    used = [*inverse, *np.ravel(a)] if isinstance(a, np.ndarray) else [a]
+    if before is not None and before.goes_on(left, used, right):
+        with b.inside(before.block), b.by_itself():
+            write(before.column, solve(list(before.x)))
+        return view
+    s = source(b, right, right.shape)
 
     def column(c: Value) -> None:
-        at = [(I32.type(k), c) if left else (c, I32.type(k)) for k in range(n)]
-        for place, x in zip(at, solve([s.entry(*i) for i in at]), strict=True):
-            put(b, view, place, x)
+        write(c, solve([s.entry(*((I32.type(k), c) if left else (c, I32.type(k))))
+                        for k in range(n)]))  # fmt: skip
 
     each(b, (right.shape[1 if left else 0],), column)
     return view

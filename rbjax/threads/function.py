@@ -13,12 +13,12 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from rbjax.compiling import inside_jit
 from rbjax.meshes import automatic
-from rbjax.threads.backend import wanted
+from rbjax.threads.backend import gpu, wanted
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
 from rbjax.threads.tangents import tangent_p  # noqa: F401 (its rules)
 from rbjax.threads.uncollected import uncollected
-from rbjax.threads.uniform import unnamed
+from rbjax.threads.uniform import halves, unnamed
 
 
 def threads(f: Callable, *, team: bool = False) -> Callable:
@@ -99,6 +99,25 @@ def threaded(f: Callable, apart: Callable | None = None, team: bool = False) -> 
     def call(*args: Any, **kwargs: Any) -> Any:
         # outside of a trace JAX caches the compiled f
         return (bound if inside_jit() else compiled)(*args, **kwargs)
+
+    return call
+
+
+def in_parts(f: Callable, parts: Callable, samples: int) -> Callable:
+    """`threads(f)`; on a GPU a batch of up to so many samples runs `parts`, the same function as
+    several kernels, which have more threads. Both may close over traced values, and are traced
+    together."""
+    if not gpu():
+        return threads(f)
+
+    @functools.wraps(f)
+    def call(*args: Any) -> Any:
+        leaves, flat, shape = flattened(lambda *args: (f(*args), parts(*args)), args, {})
+        both, closed_over = trace(flat, leaves)
+        program, other = halves(both)
+        program = dataclasses.replace(program, apart=other, up_to=samples)
+        found = run(program, [*closed_over, *leaves])
+        return jax.tree.unflatten(shape[0], [*found, *found])[0]
 
     return call
 

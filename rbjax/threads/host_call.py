@@ -36,15 +36,15 @@ class HostKernel:
     grid: int
 
 
-def host_kernel(program: Written, quickly: bool = False) -> HostKernel:
-    """The handler of a program. quickly: it shall compile fast, and need not run fast.
+def host_kernel(program: Written, levels: llvm_jit.Levels = llvm_jit.LEVELS) -> HostKernel:
+    """The handler of a program.
 
     Raises:
         Unsupported: the program has an operation that LLVM lacks, or LLVM refuses it.
     """
     module, rows = handler(program)
     try:
-        code = llvm_jit.compiled(module, quickly)
+        code = llvm_jit.compiled(module, levels)
     except llvm_jit.NoCompiler as error:
         raise Unsupported(str(error)) from error
     name = f"rbjax_{code.key}"

@@ -21,6 +21,7 @@ from jax.interpreters import mlir
 from rbjax.threads import self_test
 from rbjax.threads.cuda import Kernel
 from rbjax.threads.custom_call import typed_call
+from rbjax.threads.driver_cache import compile_ahead
 from rbjax.threads.nvrtc import ptx
 
 TARGET = "__gpu$xla.gpu.ptx"
@@ -41,6 +42,7 @@ def launch(
 ) -> list[jax.Array]:
     """The kernel's results, with these shapes and types. Only for programs lowered for CUDA."""
     code = ptx(kernel.source, capability())
+    compile_ahead(code)
     how = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
     return _kernel.bind(*operands, results=tuple(results), **how)
 

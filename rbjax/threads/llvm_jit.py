@@ -9,21 +9,23 @@ import ctypes
 import ctypes.util
 import functools
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from rbjax.threads.disk_cache import cached
 from rbjax.threads.llvm_ir import Module
 
-#: Passes on the IR: places on the stack become registers, and instructions are combined. Our code
-#: has little else to improve: all of LLVM's level 1 takes five times as long, and the code is no
-#: faster. Without passes the code of loops takes 1.2 times as long.
-PASSES = "sroa", "instruction_combine"
-#: of the instruction selection; 2 takes longer and the code is no faster
-LEVEL = 1
+#: Passes on the IR, or a level of LLVM's own; and the level of the instruction selection
+Levels = tuple[tuple[str, ...] | int, int]
+#: Places on the stack become registers, and instructions are combined. There is little else to
+#: improve: all of LLVM's level 1 takes five times as long, and the code is no faster. Without
+#: passes the code of loops takes 1.2 times as long. Level 2 of the selection is no faster either.
+LEVELS: Levels = (("sroa", "instruction_combine"), 1)
 #: where only the compile time matters: a tenth of the time, and code of three times the size
-QUICK_PASSES, QUICK_LEVEL = (), 0
+QUICK_LEVELS: Levels = ((), 0)
+#: for products of matrices within one sample: from level 2 on neighbouring operations become those
+#: of vectors. DDP's backward pass takes 0.55 of the time, and twice as long to compile
+MATRIX_LEVELS: Levels = (2, 1)
 
 
 class NoCompiler(RuntimeError):
@@ -84,15 +86,14 @@ def _machine(level: int) -> Any:
 
 
 @functools.lru_cache(128)
-def compiled(module: Module, quickly: bool = False) -> Code:
-    """The machine code of a module's function `run`; equal programs share it. quickly: it shall
-    compile fast, and need not run fast.
+def compiled(module: Module, levels: Levels = LEVELS) -> Code:
+    """The machine code of a module's function `run`; equal programs share it.
 
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
     """
     llvm = _llvm()
-    passes, level = (QUICK_PASSES, QUICK_LEVEL) if quickly else (PASSES, LEVEL)
+    passes, level = levels
     try:
         how = (*_processor(), str((llvm.llvm_version_info, passes, level)))
         key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
@@ -107,15 +108,21 @@ def compiled(module: Module, quickly: bool = False) -> Code:
         raise NoCompiler(f"LLVM does not compile for this machine: {error}") from error
 
 
-def object_of(text: str, passes: Sequence[str], machine: Any) -> bytes:
+def object_of(text: str, passes: tuple[str, ...] | int, machine: Any) -> bytes:
     """The object file of IR for a target machine."""
     llvm = _llvm()
     parsed = llvm.parse_assembly(text)
-    if passes:
+    options = llvm.create_pipeline_tuning_options()
+    if isinstance(passes, int):
+        options.speed_level, options.loop_unrolling = passes, False
+        options.slp_vectorization = options.loop_vectorization = passes > 1
+        builder = llvm.create_pass_builder(machine, options)
+        builder.getModulePassManager().run(parsed, builder)
+    elif passes:
         manager = llvm.create_new_function_pass_manager()
         for name in passes:
             getattr(manager, f"add_{name}_pass")()
-        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options())
+        builder = llvm.create_pass_builder(machine, options)
         for function in parsed.functions:
             if not function.is_declaration:
                 manager.run(function, builder)

@@ -11,14 +11,36 @@ import functools
 import glob
 import hashlib
 import importlib.util
+from collections.abc import Iterator
+from contextvars import ContextVar
 
 from rbjax.threads.disk_cache import cached
 
 OPTIONS = ("--std=c++17", "--restrict", "-default-device")
+#: for programs that run for seconds only: several times as fast to compile; and since which NVRTC
+QUICK, QUICK_SINCE = ("--Ofast-compile=max",), (13, 0)
+_quick: ContextVar[bool] = ContextVar("quick", default=False)
 
 
 class CompileError(RuntimeError):
     """NVRTC is missing, or does not compile a program."""
+
+
+@contextlib.contextmanager
+def quickly(wanted: bool = True) -> Iterator[None]:
+    """Kernels of programs that are lowered within have a short compile time rather than the
+    shortest run time."""
+    before = _quick.set(wanted)
+    try:
+        yield
+    finally:
+        _quick.reset(before)
+
+
+def options() -> tuple[str, ...]:
+    """NVRTC's options, here."""
+    new = tuple(map(int, version().split("."))) >= QUICK_SINCE
+    return (*OPTIONS, *QUICK) if _quick.get() and new else OPTIONS
 
 
 @functools.cache
@@ -40,7 +62,7 @@ def library() -> ctypes.CDLL:
 def ptx(source: str, capability: str) -> str:
     """The PTX of a CUDA C source for a device of this compute capability ("9.0")."""
     arch = f"compute_{capability.replace('.', '')}"
-    key = hashlib.sha256("\n".join((source, arch, *OPTIONS, version())).encode()).hexdigest()
+    key = hashlib.sha256("\n".join((source, arch, *options(), version())).encode()).hexdigest()
     return cached(f"{key}.ptx", lambda: _compile(source, arch).encode()).decode()
 
 
@@ -57,9 +79,9 @@ def _compile(source: str, arch: str) -> str:
     _check(nvrtc.nvrtcCreateProgram(
         ctypes.byref(program), source.encode(), b"threads.cu", 0, None, None))  # fmt: skip
     try:
-        options = [f"--gpu-architecture={arch}".encode(), *(o.encode() for o in OPTIONS)]
+        words = [f"--gpu-architecture={arch}".encode(), *(o.encode() for o in options())]
         failed = nvrtc.nvrtcCompileProgram(
-            program, len(options), (ctypes.c_char_p * len(options))(*options)
+            program, len(words), (ctypes.c_char_p * len(words))(*words)
         )
         if failed:
             log = _text(nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, program)

@@ -9,7 +9,9 @@ registers. Only the arguments are stored in memory, and the values that a `Progr
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,7 +23,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
 from jax.sharding import NamedSharding, PartitionSpec
 
-from rbjax.threads import backend, cuda, host_call, launch, team
+from rbjax.threads import backend, cuda, host_call, launch, llvm_jit, team
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
@@ -144,9 +146,9 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
 def on_gpu(*operands, program, batch, ins, outs):
     """The same by one or more kernels of a GPU."""
     how = {"batch": batch, "ins": ins, "outs": outs}
-    apart = program if program.once else program.apart
-    if apart is not None and 0 not in batch:
-        return under_xla(*operands, program=apart, **how)
+    samples = math.prod(batch)
+    if samples and (program.once or program.goes_apart(samples)):
+        return under_xla(*operands, program=program if program.once else program.apart, **how)
     return as_kernel("cuda", *operands, program=program, **how)
 
 
@@ -165,7 +167,9 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
     ]
     how = program.closed, batch, operands, results, summed, platform
     if platform == "cpu":
-        return host_call.host_kernel(write_program(*how), program.once and not batch)
+        levels = llvm_jit.MATRIX_LEVELS if program.team else llvm_jit.LEVELS
+        levels = llvm_jit.QUICK_LEVELS if program.once and not batch else levels
+        return host_call.host_kernel(write_program(*how), levels)
     if program.team and team.fits(written := write_program(*how, team=True)):
         return team.kernel(written)
     return cuda.kernel(write_program(*how))
@@ -239,6 +243,8 @@ def _batched(operands, dims, program, batch, ins, outs):
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
     varying = any(varies(jax.typeof(x)) for x in operands)
+    if program.up_to is not None and not program.goes_apart(size * math.prod(batch)):
+        program = dataclasses.replace(program, apart=None, up_to=None)
     own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are
     if any(known) and not varying and own_ways == (None, None, None):
         program, more = divided(program, known, operands, run)

@@ -197,6 +197,8 @@ class Builder:
         self._known: dict[tuple, Value] = {}
         self._scopes: list[list[tuple]] = [[]]
         self.negated: dict[int, Value] = {}
+        self.inverses: dict[Value, Value] = {}  # of numbers whose inverses were computed first
+        self.solved: dict[Array, Any] = {}  # systems that a team has solved (`factorise`)
         self._entered = 0  # blocks entered and left: memory differs in a loop's second iteration
 
     # ---------------------------------------------------------------- scalars

@@ -31,6 +31,7 @@ class Program:
         arguments that move.
     apart: the same function as several kernels, for a batch on a GPU. Inside another program, and
         for derivatives, the traced one is used.
+    up_to: the largest batch for which `apart` is used; None for any.
     once: it runs once where others run many times, so that on a CPU its compile time matters more
         than its run time; on a GPU XLA runs it. Its derivatives run once, too.
     team: on a GPU a team of threads runs a sample, if its arrays fit into shared memory. Of
@@ -43,6 +44,7 @@ class Program:
     reads: int = 0
     sized: Callable[[int, Moving], Program] | None = None
     apart: Callable | None = None
+    up_to: int | None = None
     once: bool = False
     team: bool = False
     derived: dict[Any, Any] = field(default_factory=dict)
@@ -62,6 +64,10 @@ class Program:
 
     def __call__(self, *args: Any) -> list[Any]:
         return jaxpr_as_fun(self.closed)(*args)
+
+    def goes_apart(self, samples: int) -> bool:
+        """Whether a batch on a GPU runs as several kernels."""
+        return self.apart is not None and (self.up_to is None or samples <= self.up_to)
 
     def derive(self, key: Any, f: Callable, *avals: Any) -> Program:
         """Another program derived from this one, cached."""

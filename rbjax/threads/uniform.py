@@ -26,6 +26,8 @@ LIGHT = FREE | {
 }  # fmt: skip
 #: equations from which on, and entries up to which, shared work is a program of its own
 LONG_ENOUGH, SHORT = 30, 50_000
+#: entries up to which threads do shared work, too: a kernel of its own takes a microsecond
+FEW = 64
 
 
 def divided(
@@ -54,7 +56,9 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
         else:
             after.append(eqn)
     made = {v: eqn for eqn in before for v in eqn.outvars}
-    # threads do the equations that only move entries: small operands, wide arrays
+    size = _size(before)
+    free = None if size is not None and size <= FEW else FREE  # None: all of it
+    # threads do the equations that only move entries (small operands, wide arrays), and few others
     needed: dict[Any, None] = {}
     moves: dict[int, Any] = {}
 
@@ -62,7 +66,7 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
         if isinstance(var, Literal) or var in jaxpr.constvars or var not in uniform:
             return
         eqn = made.get(var)
-        if eqn is not None and eqn.primitive.name in FREE:
+        if eqn is not None and (free is None or eqn.primitive.name in free):
             if id(eqn) not in moves:
                 moves[id(eqn)] = eqn
                 for v in eqn.invars:
@@ -84,6 +88,17 @@ def _parts(program: Program, shared: Sequence[bool]) -> tuple[Program, Callable,
     return rest, plain, Program(first, once=True) if _is_short(first.jaxpr) else None
 
 
+def halves(program: Program) -> tuple[Program, Program]:
+    """The programs of the first and the second half of the results."""
+    jaxpr = program.closed.jaxpr
+    ins, outs = list(jaxpr.invars), jaxpr.outvars
+    half = len(outs) // 2
+    first, second = (
+        _closed(jaxpr.eqns, ins, some, program) for some in (outs[:half], outs[half:])
+    )
+    return Program(first), Program(second)
+
+
 def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> ClosedJaxpr:
     """Some equations of a program, as a function."""
     jaxpr, consts = program.closed.jaxpr, program.closed.consts
@@ -98,17 +113,17 @@ def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> Clo
 
 def _is_short(jaxpr: Jaxpr) -> bool:
     """Whether a thread computes it in some microseconds, and XLA would compile it for longer."""
-    size = _size(jaxpr)
+    size = _size(jaxpr.eqns)
     return size is not None and len(jaxpr.eqns) >= LONG_ENOUGH and size <= SHORT
 
 
-def _size(jaxpr: Jaxpr) -> int | None:
+def _size(eqns: Sequence[Any]) -> int | None:
     """The entries that equations compute; None with a loop, a product of matrices or the like."""
     size = 0
-    for eqn in jaxpr.eqns:
+    for eqn in eqns:
         outs: list[Any] = eqn.outvars
         if eqn.primitive.name == "jit":
-            inner = _size(eqn.params["jaxpr"].jaxpr)
+            inner = _size(eqn.params["jaxpr"].jaxpr.eqns)
         else:
             inner = sum(v.aval.size for v in outs) if eqn.primitive.name in LIGHT else None
         if inner is None:

@@ -7,7 +7,7 @@ from scipy.optimize import lsq_linear
 
 from rbjax.control import LinearQuadratic
 from rbjax.control.backward_pass import backward_pass, carried, carried_by_velocities
-from rbjax.control.box_qp import box_qp
+from rbjax.control.box_qp import box_gains, box_qp
 from rbjax.control.expansion import Quadratic
 from rbjax.control.riccati import backward
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
@@ -69,3 +69,25 @@ def test_a_program_in_a_box_beside_scipy(seed: int) -> None:
     assert bool(found.ok)
     inside = (due > low + 1e-9) & (due < high - 1e-9)
     assert (np.asarray(found.free, bool) == inside).all()
+
+
+@pytest.mark.parametrize("width", [0.05, 100.0])
+def test_gains_in_a_box(width: float) -> None:
+    """Some entries at bounds, and none."""
+    rng = np.random.default_rng(3)
+    H = rng.normal(size=(3, 3))
+    H, g, G = H @ H.T + np.eye(3), rng.normal(size=3), rng.normal(size=(3, 5))
+    low, high = -width * np.ones(3), width * np.ones(3)
+    d, K, ok = box_gains(*map(jnp.asarray, (H, g, G, low, high)))
+    free = (low < d) & (d < high)
+    assert bool(ok) and bool(free.all()) == (width > 1)
+    slope = H @ d + g
+    assert np.abs(slope[free]).max(initial=0.0) < F64_TRANSFORM
+    due = np.zeros((3, 5))
+    due[free] = -np.linalg.solve(H[np.ix_(free, free)], G[free])
+    assert relative_error(K, due) < F64_TRANSFORM
+
+
+def test_gains_of_an_indefinite_hessian_are_not_ok() -> None:
+    H, ones = -jnp.eye(2), jnp.ones(2)
+    assert not bool(box_gains(H, ones, jnp.ones((2, 3)), -ones, ones)[2])

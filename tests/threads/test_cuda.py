@@ -14,13 +14,14 @@ import pytest
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import rbjax as rb
-from rbjax.threads import stores
+from rbjax.threads import driver_cache, stores
+from rbjax.threads.c_source import Printer
 from rbjax.threads.cuda import Kernel, kernel
 from rbjax.threads.frame import Layout, Written, batch_first, write_program
 from rbjax.threads.function import threaded
 from rbjax.threads.program import Builder
 from tests.threads.block import emulated
-from tests.threads.host import COMPILER
+from tests.threads.host import COMPILER, many_on_host, written
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 cuda, launch, nvrtc, primitive = (
@@ -185,6 +186,44 @@ def test_ptx_is_kept_beside_jax_s_cache(monkeypatch, tmp_path):
         assert len(compiled) == 4
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
+
+
+@pytest.mark.parametrize("version", ["12.9", "13.0"])
+def test_kernels_compiled_quickly(version, monkeypatch):
+    monkeypatch.setattr(nvrtc, "version", lambda: version)
+    new = version == "13.0"
+    with nvrtc.quickly():
+        assert (nvrtc.options() != nvrtc.OPTIONS) == new
+        with nvrtc.quickly(False):
+            assert nvrtc.options() == nvrtc.OPTIONS
+    assert nvrtc.options() == nvrtc.OPTIONS
+
+
+class Driver:
+    """What stands for libcuda: each call succeeds, but for those of `fails`."""
+
+    def __init__(self, fails=""):
+        self.calls, self.fails = [], fails
+
+    def __getattr__(self, name):
+        return lambda *args: self.calls.append(name) or int(name == self.fails)
+
+
+@pytest.mark.parametrize("fails", ["", "cuCtxSetCurrent", "cuModuleLoadData"])
+def test_the_driver_compiles_long_ptx_once_beside_other_work(fails, monkeypatch):
+    driver = Driver(fails)
+    monkeypatch.setattr(driver_cache, "_library", lambda: driver)
+    monkeypatch.setattr(driver_cache, "_given", set())
+    monkeypatch.delenv("CUDA_CACHE_DISABLE", raising=False)
+    long = "x" * driver_cache.LONG
+    assert driver_cache.compile_ahead("short") is None
+    driver_cache.compile_ahead(long).join()
+    assert driver_cache.compile_ahead(long) is None
+    assert ("cuModuleLoadData" in driver.calls) == (fails != "cuCtxSetCurrent")
+    assert ("cuModuleUnload" in driver.calls) == (not fails)
+    assert driver.calls[-1] == "cuDevicePrimaryCtxRelease"
+    monkeypatch.setenv("CUDA_CACHE_DISABLE", "1")  # what it compiles would be lost
+    assert driver_cache.compile_ahead(2 * long) is None
 
 
 # ------------------------------------------------------------------- sources
@@ -360,3 +399,21 @@ def test_rows_meet_few_conflicts(size):
     """At most two threads of a warp meet a bank of shared memory."""
     pitch = stores.whole(np.dtype(np.float32), size).pitch
     assert max(np.bincount(np.arange(32) * pitch % 32)) <= 2
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
+def test_loops_that_move_entries_run_in_groups():
+    """Sums of 600 entries along a scan: 37 groups of 16 turns and one of 8."""
+
+    def f(x):
+        def step(total, k):
+            total = total + k * jnp.sin(x)
+            return total, total[0]
+
+        return jax.lax.scan(step, jnp.zeros_like(x), jnp.arange(3.0))
+
+    x = np.random.default_rng(0).normal(size=(2, 600))
+    source = "\n".join(Printer({}).lines(written(f, x)[0].builder.block))
+    assert re.search(r"\+=16\)\{", source) and re.search(r"\+=8\)\{", source)
+    for got, want in zip(many_on_host([(f, (x,))])[0], jax.vmap(f)(x), strict=True):
+        assert relative_error(got, want) < F64_TRANSFORM
