@@ -162,11 +162,12 @@ class SimulationError:
         names."""
         r, J = map(np.asarray, self.programs.slopes(self.by_run(x), self.runs))
         some = self.directions
-        return r, J if some is None else some.whole(J, self._islands(some))
+        return r, J if some is None else some.whole(J, self._times)
 
-    def _islands(self, some: Directions) -> np.ndarray:
-        """The island of each row."""
-        return some.rows({k: values.shape[1] for k, values in self.runs.values.items()})
+    @property
+    def _times(self) -> dict[str, int]:
+        """How many times each sensor is read."""
+        return {k: values.shape[1] for k, values in self.runs.values.items()}
 
     def unmoved(self, x: np.ndarray) -> tuple[str, ...]:
         """The sensors that no unknown moves."""
@@ -187,22 +188,23 @@ class SimulationError:
     def assembled(self, r: Any, J: Any) -> np.ndarray:
         """R of the residuals (runs, rows) and their slopes along the programs' directions."""
         r, J, n = np.asarray(r), np.asarray(J), self.shared + self.own
-        some = self.directions
-        parts: list[Any] = [(slice(None), np.arange(n), np.arange(n))]
+        some, weights = self.directions, np.eye(self.shared + self.own)
+        parts: list[Any] = [(slice(None), np.arange(n))]
         if some is not None:
-            at = self._islands(some)
-            each = [(np.flatnonzero(at == k), some.numbers(k)) for k in np.unique(at)]
-            parts = [(rows, some.place[which], which) for rows, which in each]
+            parts, weights = some.parts(self._times), some.weights
         blocks = []
-        for rows, places, which in parts:  # a run's own numbers must not be mixed with another's
+        for rows, which in parts:  # a run's own numbers must not be mixed with another's
+            by = weights[:, which]
+            used = by.any(1)
             each_run: Any = range(self.count) if self.own else [slice(None)]
             for k in each_run:
-                those = np.concatenate([J[k][..., rows, :][..., places], r[k][..., rows, None]], -1)
-                R = triangle_of(those.reshape(-1, len(which) + 1))
+                those = np.concatenate([J[k][..., rows, :][..., used], r[k][..., rows, None]], -1)
+                R = triangle_of(those.reshape(-1, those.shape[-1]))
                 wide = np.zeros((R.shape[0], n + 1))
-                wide[:, which], wide[:, -1] = R[:, :-1], R[:, -1]
+                wide[:, which], wide[:, -1] = R[:, :-1] @ by[used], R[:, -1]
                 blocks.append(self.widened(wide, k) if self.own else wide)
-        return blocks[0] if len(blocks) == 1 else triangle_of(np.concatenate(blocks))
+        one = len(blocks) == 1 and len(blocks[0]) == self.size + 1
+        return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
     def widened(self, rows: np.ndarray, k: int) -> np.ndarray:
         """Rows [J r] of run k by its own numbers, as rows by all of x."""
