@@ -221,12 +221,13 @@ def convex_step(
         return float(off @ off) + pulled, apart
 
     y, (now, apart) = x, at(x)
-    squared = 2 * J.T @ J
+    squared, weight = 2 * J.T @ J, sum(w for w, _ in terms)
     for _ in range(NEWTON):
-        g, H = 2 * J.T @ (J @ (y - x) + r), squared
+        g = 2 * J.T @ (J @ (y - x) + r)
         for (w, _), d in zip(terms, apart, strict=True):
-            g, H = g + w * d.slope, H + w * d.curvature
-        step = -np.linalg.solve(H, g)
+            g = g + w * d.slope
+        # D's curvature at y is the same from all x0
+        step = -np.linalg.solve(squared + weight * apart[0].curvature, g)
         decrease = -float(g @ step)
         if decrease <= 1e-13 * now:
             break
