@@ -24,6 +24,7 @@ from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.islands import Directions, directions
 from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run
+from rbjax.sysid.segments import segments
 from rbjax.sysid.side_by_side import equal_parts, motion_of_parts
 from rbjax.sysid.simulation import Grid, Path, Setup, reading
 from rbjax.sysid.unknowns import Unknowns
@@ -53,8 +54,8 @@ def programs(
     """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
     n, parts = sum(unknowns.sizes), equal_parts(setup)
 
-    def path(x: jax.Array, run: Run) -> tuple[Setup, Path]:
-        """The set-up with the numbers, and its motion."""
+    def path(x: jax.Array, run: Run, count: int = 1) -> tuple[Setup, Path]:
+        """The set-up with the numbers, and its motion, in so many segments side by side."""
         p, s = x[:n], x[n:]
         made = functools.partial(unknowns.write, setup)
         now = made(p)
@@ -62,7 +63,9 @@ def programs(
         if own:
             dq, dv = jnp.split(s, 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-        return now, motion_of_parts(parts, made, p, start, run.commands, grid, keep=keep)
+        return now, motion_of_parts(
+            parts, made, p, start, run.commands, grid, keep=keep, count=count
+        )
 
     def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
         return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
@@ -82,26 +85,41 @@ def programs(
             )
         return r
 
-    def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
-        return read(*path(x, run), run)
+    def simulated(x: jax.Array, runs: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """Residuals and readings, for which one program is enough."""
 
-    def residual(x: jax.Array, run: Run) -> jax.Array:
-        return compared(*path(x, run), run)
+        def each(x: jax.Array, run: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
+            now, path_ = path(x, run, count_of(runs, 1))
+            return compared(now, path_, run), read(now, path_, run)
 
-    def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
-        def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return jax.jvp(lambda x: residual(x, run), (x,), (e,))
+        return jax.vmap(each)(x, runs)
 
-        some = along_which(frozenset(run.values))
-        seeds = jnp.eye(n + own) if some is None else jnp.asarray(some.seeds)
-        return jax.vmap(along, out_axes=(None, 1))(seeds.astype(x.dtype))
+    def sloped(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
+        some = along_which(frozenset(runs.values))
+        seeds = np.eye(n + own) if some is None else some.seeds
+        count = count_of(runs, len(seeds))
+
+        def each(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
+            def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
+                return jax.jvp(lambda x: compared(*path(x, run, count), run), (x,), (e,))
+
+            return jax.vmap(along, out_axes=(None, 1))(jnp.asarray(seeds, x.dtype))
+
+        return jax.vmap(each)(x, runs)
+
+    def count_of(runs: Run, each: int) -> int:
+        """Segments of the motions of runs, each along so many directions."""
+        runs_, periods = runs.commands.shape[:2]
+        return segments(periods, runs_ * each * len(parts or [0]))
 
     @functools.cache
     def along_which(sensors: frozenset[str]) -> Directions | None:
         return directions(setup, unknowns, own, sensors)
 
-    read_all, residuals, slopes = (jax.jit(jax.vmap(f)) for f in (readings, residual, sloped))
-    return Programs(path, compared, read_all, residuals, slopes, along_which)
+    both = jax.jit(simulated)
+    return Programs(
+        path, compared, lambda *x: both(*x)[1], lambda *x: both(*x)[0], jax.jit(sloped), along_which
+    )
 
 
 class SimulationError:
