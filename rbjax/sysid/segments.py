@@ -108,19 +108,16 @@ def _settled_jvp(sweep: Callable, primals: Any, tangents: Any) -> tuple[Any, Any
         return jnp.zeros(d.shape, d.dtype) if isinstance(d, SymbolicZero) else d
 
     dfirst = jax.tree.map(known, tangents[1], is_leaf=lambda x: isinstance(x, SymbolicZero))
-    return shown, _swept(slope, dfirst, commands, jax.tree.map(jnp.zeros_like, starts))[1]
+    return shown, _swept(slope, dfirst, commands)[1]
 
 
 _settled.defjvp(_settled_jvp, symbolic_zeros=True)
 
 
-def _swept(
-    f: Callable[[Any], tuple[Any, Any]], first: Any, commands: Any, starts: Any = None
-) -> tuple[Any, Any]:
+def _swept(f: Callable[[Any], tuple[Any, Any]], first: Any, commands: Any) -> tuple[Any, Any]:
     """The starts, and what is shown from there: sweeps of f until the starts stay."""
     count = jax.tree.leaves(commands)[0].shape[0]
-    if starts is None:
-        starts = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), first)
+    starts = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), first)
 
     def again(value: Any) -> Any:
         k, _, starts, _ = value
@@ -140,4 +137,5 @@ def _swept(
 def _stays(before: jax.Array, after: jax.Array) -> jax.Array:
     """Whether starts (K, ...) moved by no more than rounding; what is not finite has moved."""
     size = jnp.max(jnp.abs(after), initial=0.0)
-    return jnp.all(jnp.abs(after - before) <= ROUNDINGS * jnp.finfo(after.dtype).eps * size)
+    near = jnp.abs(after - before) <= ROUNDINGS * jnp.finfo(after.dtype).eps * size
+    return jnp.isfinite(size) & jnp.all(near)
