@@ -10,11 +10,13 @@ Source: Gautier & Khalil, IEEE Trans. Robotics and Automation 6(3), 1990.
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from rbjax.compiling import inside_jit
 from rbjax.forces import JointFriction, JointLimits
 from rbjax.sysid.base_parameters import random_motions
 from rbjax.sysid.rank import combinations
@@ -47,7 +49,7 @@ def grouped(setup: Setup, unknowns: Unknowns) -> Grouped | None:
     model = setup.model
     samples = 20 + 2 * sum(unknowns.sizes) // min(model.nv, 6)
     q, v, a = random_motions(model, samples)
-    with jax.ensure_compile_time_eval():  # which numbers group is no part of a traced program
+    with no_part_of_a_program():
         Y = np.asarray(observation_matrix(model, q, v, a))
     Y = Y.reshape(samples * model.nv, -1)
     coordinates = (a[:, :, None] * np.eye(model.nv)).reshape(len(Y), -1)  # of armatures
@@ -70,6 +72,12 @@ def grouped(setup: Setup, unknowns: Unknowns) -> Grouped | None:
     B = np.eye(n)[kept]
     B[np.ix_(np.searchsorted(kept, at[list(found.kept)]), dropped)] = found.K
     return Grouped(kept, B)
+
+
+def no_part_of_a_program() -> Any:
+    """A context of numbers that are computed while a program is traced. Outside of a trace it is
+    none: within it each operation on known numbers would be compiled by itself."""
+    return jax.ensure_compile_time_eval() if inside_jit() else contextlib.nullcontext()
 
 
 def _plain(setup: Setup, unknowns: Unknowns) -> bool:

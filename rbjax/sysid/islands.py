@@ -21,7 +21,7 @@ import numpy as np
 import scipy.linalg
 
 from rbjax.model import WORLD, Model
-from rbjax.sysid.grouping import BY_JOINT, grouped
+from rbjax.sysid.grouping import BY_JOINT, grouped, no_part_of_a_program
 from rbjax.sysid.simulation import PD, Setup
 from rbjax.sysid.unknowns import Unknowns
 
@@ -29,6 +29,8 @@ from rbjax.sysid.unknowns import Unknowns
 OF_JOINTS = frozenset("qv")
 #: the island of what acts on all
 ALL = -1
+#: a number that differs by less than this share of itself was not changed but rounded
+SAME = 1e-12
 
 
 class Directions(NamedTuple):
@@ -74,7 +76,7 @@ def directions(
     n = sum(unknowns.sizes)
     of_numbers = np.zeros(n + own, int)
     if islands is not None:
-        with jax.ensure_compile_time_eval():  # whose numbers are whose is no part of a program
+        with no_part_of_a_program():
             of_numbers[:n] = _owners(setup, unknowns, islands)
         of_numbers[n:] = np.tile(islands, 2)[:own]
     kept, B = (np.arange(n), np.eye(n)) if group is None else group
@@ -121,18 +123,21 @@ def _owners(setup: Setup, unknowns: Unknowns, islands: np.ndarray) -> np.ndarray
         _of_entries(setup, jax.tree_util.keystr(path, simple=True, separator="."), x, islands)
         for path, x in paths if np.issubdtype(np.asarray(x).dtype, np.floating)
     ]  # fmt: skip
-    guess = np.asarray(unknowns.read(setup))
-    moves = [np.zeros((len(owner), guess.size), bool) for owner in owners]
-    rng, slopes = np.random.default_rng(0), jax.jit(jax.jacfwd(written))
-    for k in range(3):  # what is zero at one point by chance is not at another
-        p = guess + 0.01 * k * (np.abs(guess) + 0.01) * rng.normal(size=guess.size)
-        for moved, J in zip(moves, slopes(p), strict=True):
-            moved |= (np.asarray(J) != 0).reshape(len(moved), -1, guess.size).any(1)
-    found = []
-    for n in range(guess.size):
-        touched = {int(i) for m, at in zip(moves, owners, strict=True) for i in at[m[:, n]]}
-        found.append(touched.pop() if len(touched) == 1 else ALL)
-    return np.array(found)
+    guess, rng = np.asarray(unknowns.read(setup)), np.random.default_rng(0)
+    n, size = guess.size, 0.01 * (np.abs(guess) + 0.01)
+    # what is zero at one point by chance is not at another
+    points = guess + np.outer(np.arange(3), np.ones(n)) * size * rng.normal(size=(3, n))
+    steps = np.concatenate([np.zeros((1, n)), np.diag(size)])
+    found = jax.jit(jax.vmap(jax.vmap(written)))(points[:, None] + steps)
+    touched: list[set[int]] = [set() for _ in range(n)]
+    for leaf, at in zip(map(np.asarray, found), owners, strict=True):
+        rows = leaf.reshape(3, n + 1, len(at), -1)
+        before, after = rows[:, :1], rows[:, 1:]
+        with np.errstate(invalid="ignore"):  # limits may be infinite
+            moved = (after != before) & (np.abs(after - before) > SAME * np.abs(before))
+        for j, k in np.argwhere(moved.any((0, 3))):
+            touched[j].add(int(at[k]))
+    return np.array([only.pop() if len(only) == 1 else ALL for only in touched])
 
 
 def _of_entries(setup: Setup, path: str, leaf: Any, islands: np.ndarray) -> np.ndarray:

@@ -66,6 +66,7 @@ def in_segments(segment: Segment, theta: Any, first: Any, commands: Any, count: 
         x = jnp.concatenate([x, jnp.broadcast_to(x[-1:], (filled, *x.shape[1:]))])
         return x.reshape(count, length, *x.shape[1:])
 
+    @jax.jit  # traced once for all its uses
     def sweep(theta: Any, starts: Any, commands: Any) -> tuple[Any, Any]:
         def one(k: Any, start: Any, commands: Any) -> tuple[Any, Any]:
             return segment(theta, (k, start), commands)

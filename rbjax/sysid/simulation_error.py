@@ -144,11 +144,12 @@ class SimulationError:
         """Numbers of x."""
         return self.shared + self.count * self.own
 
-    def by_run(self, x: Any) -> jax.Array:
-        """x as (runs, n + l)."""
-        own = jnp.reshape(x[self.shared :], (self.count, self.own))
-        p = jnp.broadcast_to(jnp.asarray(x[: self.shared]), (self.count, self.shared))
-        return jnp.concatenate([p, own], -1)
+    def by_run(self, x: Any) -> Any:
+        """x as (runs, n + l), in numpy where x is: no program to compile."""
+        xp: Any = np if isinstance(x, np.ndarray) else jnp
+        own = xp.reshape(x[self.shared :], (self.count, self.own))
+        p = xp.broadcast_to(xp.asarray(x[: self.shared]), (self.count, self.shared))
+        return xp.concatenate([p, own], -1)
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
         """That of the unknowns, and of the starts' corrections as free numbers."""
@@ -178,8 +179,8 @@ class SimulationError:
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """r (runs, rows) and J (runs, rows, n + l), the sensors' rows in the order of their
         names."""
+        some = self.directions  # before the program is traced
         r, J = map(np.asarray, self.programs.slopes(self.by_run(x), self.runs))
-        some = self.directions
         return r, J if some is None else some.whole(J, self._times)
 
     @property
@@ -201,12 +202,16 @@ class SimulationError:
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        return self.assembled(*self.programs.slopes(self.by_run(x), self.runs))
+        some = self.directions  # before the program is traced
+        return self._assembled(*self.programs.slopes(self.by_run(x), self.runs), some)
 
     def assembled(self, r: Any, J: Any) -> np.ndarray:
         """R of the residuals (runs, rows) and their slopes along the programs' directions."""
+        return self._assembled(r, J, self.directions)
+
+    def _assembled(self, r: Any, J: Any, some: Directions | None) -> np.ndarray:
         r, J, n = np.asarray(r), np.asarray(J), self.shared + self.own
-        some, weights = self.directions, np.eye(self.shared + self.own)
+        weights = np.eye(n)
         parts: list[Any] = [(slice(None), np.arange(n))]
         if some is not None:
             parts, weights = some.parts(self._times), some.weights
