@@ -128,7 +128,7 @@ def _owners(setup: Setup, unknowns: Unknowns, islands: np.ndarray) -> np.ndarray
     # what is zero at one point by chance is not at another
     points = guess + np.outer(np.arange(3), np.ones(n)) * size * rng.normal(size=(3, n))
     steps = np.concatenate([np.zeros((1, n)), np.diag(size)])
-    found = jax.jit(jax.vmap(jax.vmap(written)))(points[:, None] + steps)
+    found = jax.jit(jax.vmap(written))((points[:, None] + steps).reshape(-1, n))
     touched: list[set[int]] = [set() for _ in range(n)]
     for leaf, at in zip(map(np.asarray, found), owners, strict=True):
         rows = leaf.reshape(3, n + 1, len(at), -1)
