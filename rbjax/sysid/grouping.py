@@ -48,12 +48,14 @@ def grouped(setup: Setup, unknowns: Unknowns) -> Grouped | None:
         return None
     model = setup.model
     samples = 20 + 2 * sum(unknowns.sizes) // min(model.nv, 6)
-    q, v, a = random_motions(model, samples)
+    drawn: Any = random_motions(model, samples)
     with no_part_of_a_program():
-        Y = np.asarray(observation_matrix(model, q, v, a))
+        Y = np.asarray(observation_matrix(model, *drawn))
     Y = Y.reshape(samples * model.nv, -1)
-    coordinates = (a[:, :, None] * np.eye(model.nv)).reshape(len(Y), -1)  # of armatures
-    columns, places, end = [], [], 0
+    coordinates = (drawn[2][:, :, None] * np.eye(model.nv)).reshape(len(Y), -1)  # of armatures
+    columns: list[np.ndarray] = []
+    places: list[int] = []
+    end = 0
     for u, size in zip(unknowns.members.values(), unknowns.sizes, strict=True):
         own = None
         if isinstance(u, Inertia):

@@ -47,12 +47,17 @@ class Directions(NamedTuple):
     of_columns: dict[str, np.ndarray] | None
 
     def parts(self, times: dict[str, int]) -> list[tuple[Any, np.ndarray]]:
-        """Which rows of a residual with so many times of each sensor show which numbers."""
-        if self.of_columns is None:
+        """For each island, which rows of a residual with so many times of each sensor show which
+        numbers."""
+        columns = self.of_columns
+        if columns is None:
             return [(slice(None), np.arange(len(self.of_numbers)))]
-        at = np.concatenate([np.tile(self.of_columns[s], times[s]) for s in sorted(times)])
-        mine = {k: (self.of_numbers == k) | (self.of_numbers == ALL) for k in np.unique(at)}
-        return [(np.flatnonzero(at == k), np.flatnonzero(which)) for k, which in mine.items()]
+        at = np.concatenate([np.tile(columns[s], times[s]) for s in sorted(times)])
+        found = []
+        for k in sorted({int(k) for s in times for k in columns[s]}):
+            mine = (self.of_numbers == k) | (self.of_numbers == ALL)
+            found.append((np.flatnonzero(at == k), np.flatnonzero(mine)))
+        return found
 
     def whole(self, J: np.ndarray, times: dict[str, int]) -> np.ndarray:
         """J (..., rows, n) of J (..., rows, K) along the seeds."""

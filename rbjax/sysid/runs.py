@@ -74,7 +74,8 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         weights[sensor] = arrived / sigma
     q, v = _start(model, run, start)
     x = None if model.nx == 0 else model.default_state().x
-    found = Run(State(q, v, x), commands, times, values, weights)
+    start_at: Any = (q, v, x)
+    found = Run(State(*start_at), commands, times, values, weights)
     # in numpy first: every shape of an operation of JAX is a program to compile
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, dtype)), found)
 

@@ -161,7 +161,8 @@ def stepped(
 ) -> tuple[State, jax.Array | None]:  # fmt: skip
     """`moved` of the set-up made(p), a thread a sample or a segment of it."""
     if count == 1 or keep is not None:
-        return threads(lambda *x: moved(made(x[0]), *x[1:], grid, keep))(p, start, commands)
+        run = threads(lambda p, start, commands: moved(made(p), start, commands, grid, keep))
+        return run(p, start, commands)
 
     def segment(p: Any, begins: Any, commands: jax.Array) -> Any:
         once = period(made(p), grid)

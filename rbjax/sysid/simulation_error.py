@@ -116,9 +116,15 @@ def programs(
     def along_which(sensors: frozenset[str]) -> Directions | None:
         return directions(setup, unknowns, own, sensors)
 
-    both = jax.jit(simulated)
+    both, along_all = jax.jit(simulated), jax.jit(sloped)
+
+    def slopes(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
+        along_which(frozenset(runs.values))  # before the trace, where it takes a tenth of the time
+        found: tuple[jax.Array, jax.Array] = along_all(x, runs)
+        return found
+
     return Programs(
-        path, compared, lambda *x: both(*x)[1], lambda *x: both(*x)[0], jax.jit(sloped), along_which
+        path, compared, lambda *x: both(*x)[1], lambda *x: both(*x)[0], slopes, along_which
     )
 
 
@@ -179,8 +185,8 @@ class SimulationError:
     def slopes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """r (runs, rows) and J (runs, rows, n + l), the sensors' rows in the order of their
         names."""
-        some = self.directions  # before the program is traced
         r, J = map(np.asarray, self.programs.slopes(self.by_run(x), self.runs))
+        some = self.directions
         return r, J if some is None else some.whole(J, self._times)
 
     @property
@@ -202,26 +208,26 @@ class SimulationError:
 
     def triangle(self, x: np.ndarray) -> np.ndarray:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
-        some = self.directions  # before the program is traced
-        return self._assembled(*self.programs.slopes(self.by_run(x), self.runs), some)
+        return self.assembled(*self.programs.slopes(self.by_run(x), self.runs))
 
     def assembled(self, r: Any, J: Any) -> np.ndarray:
         """R of the residuals (runs, rows) and their slopes along the programs' directions."""
-        return self._assembled(r, J, self.directions)
-
-    def _assembled(self, r: Any, J: Any, some: Directions | None) -> np.ndarray:
-        r, J, n = np.asarray(r), np.asarray(J), self.shared + self.own
+        n, some = self.shared + self.own, self.directions
+        both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
+        parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
         weights = np.eye(n)
-        parts: list[Any] = [(slice(None), np.arange(n))]
         if some is not None:
             parts, weights = some.parts(self._times), some.weights
         blocks = []
         for rows, which in parts:  # a run's own numbers must not be mixed with another's
             by = weights[:, which]
-            used = by.any(1)
+            used = np.flatnonzero(by.any(1))
             each_run: Any = range(self.count) if self.own else [slice(None)]
             for k in each_run:
-                those = np.concatenate([J[k][..., rows, :][..., used], r[k][..., rows, None]], -1)
+                # `take` copies several times faster than an index does
+                those = both[k] if isinstance(rows, slice) else np.take(both[k], rows, -2)
+                if len(used) < len(weights):
+                    those = np.take(those, np.append(used, len(weights)), -1)
                 R = triangle_of(those.reshape(-1, those.shape[-1]))
                 wide = np.zeros((R.shape[0], n + 1))
                 wide[:, which], wide[:, -1] = R[:, :-1] @ by[used], R[:, -1]

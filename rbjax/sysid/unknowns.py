@@ -10,7 +10,6 @@ leave open is a plane in p.
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -141,11 +140,7 @@ class Inertia:
         return with_leaf(target, "bodies", bodies.replace(**new))
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        return self.of_bodies(p, p0)
-
-    @staticmethod
-    def of_bodies(p: np.ndarray, p0: np.ndarray) -> Divergence:
-        """That of several bodies, ten numbers each."""
+        """Of one body, or the sum of several that follow each other, ten numbers each."""
         slopes = _pseudo_slopes()
         P, P0 = (np.tensordot(x.reshape(-1, 10), slopes, 1) for x in (p, p0))
         return Divergence.definite(P, P0, slopes)
@@ -331,14 +326,23 @@ class Unknowns:
         if not self.sizes:
             return Divergence.free(p, p0, 1.0)
         parts, end = [], 0
-        # bodies that follow each other at once, which takes as long as one
-        for kind, some in itertools.groupby(zip(self.members.values(), self.sizes, strict=True),
-                                            lambda pair: isinstance(pair[0], Inertia)):  # fmt: skip
-            for u, size in [(Inertia, sum(n for _, n in some))] if kind else some:
-                own = slice(end, end + size)
-                parts.append((u.of_bodies if kind else u.divergence)(p[own], p0[own]))
-                end += size
+        for u, size in self._joined:
+            own = slice(end, end + size)
+            parts.append(u.divergence(p[own], p0[own]))
+            end += size
         return Divergence.joined(parts)
+
+    @functools.cached_property
+    def _joined(self) -> list[tuple[Parametrisation, int]]:
+        """The unknowns with their sizes, bodies that follow each other as one: their divergence
+        takes as long as that of one."""
+        found: list[tuple[Parametrisation, int]] = []
+        for u, size in zip(self.members.values(), self.sizes, strict=True):
+            if isinstance(u, Inertia) and found and isinstance(found[-1][0], Inertia):
+                found[-1] = u, found[-1][1] + size
+            else:
+                found.append((u, size))
+        return found
 
     def _split(self, x: jax.Array) -> list[jax.Array]:
         return jnp.split(x, np.cumsum(self.sizes)[:-1]) if self.sizes else []
