@@ -11,7 +11,8 @@ Source: Lee, Wensing & Park, *Geometric robot dynamic identification*, IEEE T-RO
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,71 +23,97 @@ BORDER = 1e-7
 
 @dataclass(frozen=True)
 class Divergence:
-    """D >= 0, infinite where p is impossible; its slope (n,) and its curvature (n, n)."""
+    """D >= 0, infinite where p is impossible; its slope (n,) and its curvature (n, n), each made
+    when it is asked for. The curvature depends on p only."""
 
     value: float
-    slope: np.ndarray
-    curvature: np.ndarray
+    sloped: Callable[[], np.ndarray]
+    curved: Callable[[], np.ndarray]
+
+    @functools.cached_property
+    def slope(self) -> np.ndarray:
+        return self.sloped()
+
+    @functools.cached_property
+    def curvature(self) -> np.ndarray:
+        return self.curved()
 
     @classmethod
     def impossible(cls, n: int) -> Divergence:
-        return cls(np.inf, np.full(n, np.nan), np.full((n, n), np.nan))
+        return cls(np.inf, lambda: np.full(n, np.nan), lambda: np.full((n, n), np.nan))
 
     @classmethod
     def free(cls, p: np.ndarray, p0: np.ndarray, scale: float) -> Divergence:
         """sum ((p - p0) / scale)^2 / 2"""
         off = (p - p0) / scale
-        return cls(float(off @ off) / 2, off / scale, np.eye(p.size) / scale**2)
+        return cls(float(off @ off) / 2, lambda: off / scale, lambda: np.eye(p.size) / scale**2)
 
     @classmethod
     def positive(cls, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """sum p / p0 - log(p / p0) - 1"""
         if not ((p > 0) & (p0 > 0)).all():
             return cls.impossible(p.size)
-        return cls(_excess((p - p0) / p0), 1 / p0 - 1 / p, np.diag(p**-2))
+        excess = _excess((p - p0) / p0)
+        return cls(float(excess.sum()), lambda: 1 / p0 - 1 / p, lambda: np.diag(p**-2))
 
     @classmethod
-    def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> list[Divergence]:
-        """tr(P0^-1 P) - log det(P0^-1 P) - 4, of P linear in p, along = dP/dp (n, 4, 4), for each
-        of several P (k, 4, 4)."""
-        n = len(along)
-        try:
-            half, inverse = np.linalg.inv(np.linalg.cholesky(P0)), np.linalg.inv(P)
-        except np.linalg.LinAlgError:
-            return [cls.impossible(n)] * len(P)
-        turn = half.transpose(0, 2, 1)
-        off = np.linalg.eigvalsh(half @ (P - P0) @ turn)
+    def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
+        """The sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over P (k, 4, 4), each linear in n numbers
+        of its own, along = dP/dp (n, 4, 4)."""
+        k, n = len(P), len(along)
         flat = along.reshape(n, -1)
-        slopes = (turn @ half - inverse).reshape(len(P), -1) @ flat.T
-        turned = inverse[:, None] @ along
-        rows, columns = (x.reshape(len(P), n, -1) for x in (turned, turned.swapaxes(2, 3)))
-        curved = rows @ columns.transpose(0, 2, 1)
-        return [
-            cls(_excess(e), g, H) if e[0] > BORDER - 1 else cls.impossible(n)
-            for e, g, H in zip(off, slopes, curved, strict=True)
-        ]
+        try:
+            half = np.linalg.inv(np.linalg.cholesky(P0))
+            turn = half.transpose(0, 2, 1)
+            off = np.linalg.eigvalsh(half @ (P - P0) @ turn)
+        except np.linalg.LinAlgError:
+            return cls.impossible(k * n)
+        if not off.min() > BORDER - 1:
+            return cls.impossible(k * n)
+
+        def sloped() -> np.ndarray:
+            found: np.ndarray = (turn @ half - np.linalg.inv(P)).reshape(k, -1) @ flat.T
+            return found.ravel()
+
+        def curved() -> np.ndarray:
+            turned = np.linalg.inv(P)[:, None] @ along
+            rows, columns = (x.reshape(k, n, -1) for x in (turned, turned.swapaxes(2, 3)))
+            return _diagonal(list(rows @ columns.transpose(0, 2, 1)))
+
+        return cls(float(_excess(off).sum()), sloped, curved)
 
     @classmethod
     def joined(cls, parts: Sequence[Divergence]) -> Divergence:
         """That of several vectors, one after the other."""
-        ends = np.cumsum([part.slope.size for part in parts])
-        curved = np.zeros((ends[-1], ends[-1]))
-        for end, part in zip(ends, parts, strict=True):
-            own = slice(end - part.slope.size, end)
-            curved[own, own] = part.curvature
-        slope = np.concatenate([part.slope for part in parts])
-        return cls(sum(part.value for part in parts), slope, curved)
+        return cls(
+            sum(part.value for part in parts),
+            lambda: np.concatenate([part.slope for part in parts]),
+            lambda: _diagonal([part.curvature for part in parts]),
+        )
 
     def through(self, A: np.ndarray) -> Divergence:
         """That of x, where p = A x + b."""
-        return Divergence(self.value, A.T @ self.slope, A.T @ self.curvature @ A)
+        return Divergence(self.value, lambda: A.T @ self.slope, lambda: A.T @ self.curvature @ A)
 
     def __add__(self, other: Divergence) -> Divergence:
-        slope, curvature = self.slope + other.slope, self.curvature + other.curvature
-        return Divergence(self.value + other.value, slope, curvature)
+        return Divergence(
+            self.value + other.value,
+            lambda: self.slope + other.slope,
+            lambda: self.curvature + other.curvature,
+        )
 
 
-def _excess(x: np.ndarray) -> float:
-    """sum x - log(1 + x), which is x^2 / 2 where x is small, without cancellation."""
+def _excess(x: np.ndarray) -> np.ndarray:
+    """x - log(1 + x), which is x^2 / 2 where x is small, without cancellation."""
     series = x * x * (1 / 2 - x * (1 / 3 - x * (1 / 4 - x / 5)))
-    return float(np.where(np.abs(x) < 1e-3, series, x - np.log1p(x)).sum())
+    return np.where(np.abs(x) < 1e-3, series, x - np.log1p(x))
+
+
+def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:
+    """A matrix of square blocks (scipy's takes ten times as long)."""
+    ends = np.cumsum([len(block) for block in blocks])
+    found = np.zeros((ends[-1], ends[-1]))
+    for end, block in zip(ends, blocks, strict=True):
+        own = slice(end - len(block), end)
+        found[own, own] = block
+    return found

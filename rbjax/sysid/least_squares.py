@@ -24,6 +24,8 @@ RANK = 1e-9
 PULLS = (1e-4, 1e-7, 1e-10)
 #: a step of this divergence ends a minimisation
 SMALL = 1e-18
+#: a damping up to which a step is as long as Gauss and Newton would have it
+CALM = 1e-6
 #: a decrease of this fraction ends one that is not the last
 COARSE = 1e-2
 #: an expected decrease of this fraction ends the last: less than noise can tell
@@ -143,19 +145,22 @@ def searching(
         message = "the first guess is at the border of what is possible"
         yield Minimum(x, R, now, count, False, message)
         return
-    for w in pulls:
-        last, damping, growth, ended = w == pulls[-1], 1e-6, 2.0, False
+    damping = CALM
+    for w in pulls:  # a weaker pull goes on with the damping of the last
+        last, damping, growth, ended = w == pulls[-1], min(damping, CALM), 2.0, False
         while not ended and count < steps:
             size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
             terms = ((w * size, prior), (damping * size, x))
             trial = convex_step(R, x, D, terms)
             near = D(trial, x).value <= SMALL
-            after = yield from cost(trial)
             linear = R[:, :-1] @ (trial - x) + R[:, -1]
             pull = w * size * (D(x, prior).value - D(trial, prior).value)
             expected = now - float(linear @ linear) + pull
+            calm = damping <= CALM and expected < (FLAT if last else COARSE) * now
+            if calm and not last:  # the next pull's first step does what this one would
+                break
+            after = yield from cost(trial)
             gain = (now - after + pull) / max(expected, 1e-300)
-            calm = damping <= 1e-6 and expected < (FLAT if last else COARSE) * now
             # where slopes have no squares, or the metric no root, no step could begin: such a point
             # is refused
             root = _half(D, trial) if gain > 0 else None
@@ -167,16 +172,20 @@ def searching(
             else:
                 damping, growth = damping * growth, growth * 2
                 ended = near or damping > 1e9
-    for _ in range(4):  # without the prior
+    for k in range(4):  # without the prior
         trial = x + shown(R, half)
         after = np.inf
         if np.isfinite(D(trial, x).value):
             after = yield from cost(trial)
+        # the first takes the pull away; what later ones change by less is rounding, or hidden by
+        # noise
+        if k and after > now / 10:
+            break
         root = _half(D, trial) if after < now else None
         there = np.array(np.nan) if root is None else (yield Asked(trial, True))
         if root is None or not _has_squares(there):
             break
-        ends = after > now / 10  # what is left is rounding, or hidden by noise
+        ends = after > now / 10
         x, now, R, half = trial, after, there, root
         if ends:
             break
@@ -212,12 +221,13 @@ def convex_step(
         return float(off @ off) + pulled, apart
 
     y, (now, apart) = x, at(x)
-    squared = 2 * J.T @ J
+    squared, weight = 2 * J.T @ J, sum(w for w, _ in terms)
     for _ in range(NEWTON):
-        g, H = 2 * J.T @ (J @ (y - x) + r), squared
+        g = 2 * J.T @ (J @ (y - x) + r)
         for (w, _), d in zip(terms, apart, strict=True):
-            g, H = g + w * d.slope, H + w * d.curvature
-        step = -np.linalg.solve(H, g)
+            g = g + w * d.slope
+        # D's curvature at y is the same from all x0
+        step = -np.linalg.solve(squared + weight * apart[0].curvature, g)
         decrease = -float(g @ step)
         if decrease <= 1e-13 * now:
             break

@@ -74,9 +74,10 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         weights[sensor] = arrived / sigma
     q, v = _start(model, run, start)
     x = None if model.nx == 0 else model.default_state().x
-    state = State(jnp.asarray(q, dtype), jnp.asarray(v, dtype), x)
-    found = Run(state, commands, times, values, weights)
-    return jax.tree.map(lambda a: jnp.asarray(a, dtype), found)
+    start_at: Any = (q, v, x)
+    found = Run(State(*start_at), commands, times, values, weights)
+    # in numpy first: every shape of an operation of JAX is a program to compile
+    return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, dtype)), found)
 
 
 def ordered(model: Model, run: Recording) -> Recording:
@@ -172,16 +173,16 @@ def batch(runs: Sequence[Run]) -> Run:
 
         def filled(a: Any) -> Any:
             rows = [(0, longest - a.shape[0])] + [(0, 0)] * (a.ndim - 1)
-            return jnp.pad(a, rows, mode="edge") if last else jnp.pad(a, rows)
+            return np.pad(a, rows, mode="edge") if last else np.pad(a, rows)
 
-        return jnp.stack([filled(a) for a in arrays])
+        return jnp.asarray(np.stack([filled(a) for a in arrays]))
 
     def each(field: str, last: bool) -> dict[str, Any]:
         first = getattr(runs[0], field)
         return {s: stacked([getattr(e, field)[s] for e in runs], last) for s in first}
 
     return Run(
-        jax.tree.map(lambda *x: jnp.stack(x), *(e.start for e in runs)),
+        jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *(e.start for e in runs)),
         stacked([e.commands for e in runs], True),
         each("times", True), each("values", False), each("weights", False),
     )  # fmt: skip

@@ -18,8 +18,7 @@ from rbjax.model import WORLD, Model, State, Topology
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.motion.integrators import looped
 from rbjax.sysid.islands import islands_of
-from rbjax.sysid.simulation import PD, Grid, Path, Sensor, Setup, motion, moved, ready
-from rbjax.threads import threads
+from rbjax.sysid.simulation import PD, Grid, Path, Sensor, Setup, motion, ready, stepped
 
 
 class Part(NamedTuple):
@@ -112,11 +111,11 @@ def cut(setup: Setup, part: Part) -> Setup:
 
 def motion_of_parts(
     parts: tuple[Part, ...] | None, made: Callable[[jax.Array], Setup], p: jax.Array, start: State,
-    commands: jax.Array, grid: Grid, *, keep: int | None = None,
+    commands: jax.Array, grid: Grid, *, keep: int | None = None, count: int = 1,
 ) -> Path:  # fmt: skip
     """As `motion`, of equal parts side by side; parts None: of the whole."""
     if parts is None:
-        return motion(made, p, start, commands, grid, keep=keep)
+        return motion(made, p, start, commands, grid, keep=keep, count=count)
     now = made(p)
     each = [jax.tree.flatten(cut(now, part)) for part in parts]
     tree: Any = each[0][1]
@@ -125,14 +124,17 @@ def motion_of_parts(
     if isinstance(grid.integrator, str):  # of a small part, too, a short program is what pays
         grid = grid._replace(integrator=looped(grid.integrator))
 
-    def one(still: jax.Array, moving: jax.Array, start: State, commands: jax.Array) -> Any:
-        setup = jax.tree.unflatten(tree, [f(still, moving) for f in plan])
-        return moved(ready(setup), start, commands, grid, keep)
+    def part(numbers: tuple[jax.Array, jax.Array]) -> Setup:
+        return ready(jax.tree.unflatten(tree, [f(*numbers) for f in plan]))
+
+    def one(numbers: tuple[jax.Array, jax.Array], start: State, commands: jax.Array) -> Any:
+        return stepped(part, numbers, start, commands, grid, keep, count)
 
     at = np.stack([part.joints for part in parts])
     driven = np.stack([part.actuators for part in parts])
     starts = State(start.q[at], start.v[at])
-    states, ctrls = jax.vmap(threads(one))(still, moving, starts, commands.T[driven].swapaxes(1, 2))
+    each_commands = commands.T[driven].swapaxes(1, 2)
+    states, ctrls = jax.vmap(one)((still, moving), starts, each_commands)
 
     def together(x: jax.Array, which: np.ndarray) -> jax.Array:
         """(T, n) of (parts, T, n of a part)."""

@@ -26,6 +26,7 @@ from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import step
 from rbjax.sysid.columns import Columns
 from rbjax.sysid.readings import Moment, Reading, reading_of
+from rbjax.sysid.segments import in_segments
 from rbjax.threads import threads, wanted
 
 #: (t, reading, command (n,)) -> ctrl (nu,), called once for each command
@@ -144,14 +145,36 @@ class Path(NamedTuple):
 
 def motion(
     made: Callable[[jax.Array], Setup], p: jax.Array, start: State, commands: jax.Array, grid: Grid,
-    *, keep: int | None = None,
+    *, keep: int | None = None, count: int = 1,
 ) -> Path:  # fmt: skip
     """The motion of the set-up made(p) under commands (N, n). Numbers that p does not change stay
     known, which the program needs to be fast. keep: a reverse derivative keeps every keep-th state
-    and simulates again what lies between; None: it keeps all that each period computes."""
-    run = threads(lambda p, start, commands: moved(ready(made(p)), start, commands, grid, keep))
-    states, ctrls = run(p, start, commands)
+    and simulates again what lies between; None: it keeps all that each period computes. count: of
+    segments that are simulated side by side; more than one have no reverse derivative."""
+    states, ctrls = stepped(lambda p: ready(made(p)), p, start, commands, grid, keep, count)
     return Path(states.q, states.v, states.x, commands if ctrls is None else ctrls)
+
+
+def stepped(
+    made: Callable[[Any], Setup], p: Any, start: State, commands: jax.Array, grid: Grid,
+    keep: int | None = None, count: int = 1,
+) -> tuple[State, jax.Array | None]:  # fmt: skip
+    """`moved` of the set-up made(p), a thread a sample or a segment of it."""
+    if count == 1 or keep is not None:
+        run = threads(lambda p, start, commands: moved(made(p), start, commands, grid, keep))
+        return run(p, start, commands)
+
+    def segment(p: Any, begins: Any, commands: jax.Array) -> Any:
+        once = period(made(p), grid)
+        (_, *carry), shown = jax.lax.scan(once, begins, commands)
+        return tuple(carry), shown
+
+    def one(p: Any, begins: Any, commands: jax.Array) -> Any:
+        return threads(segment)(p, (begins[0], *begins[1]), commands)
+
+    first = beginning(made(p), start, commands, grid)[1:]
+    after, ctrls = in_segments(one, p, first, commands, count)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after), ctrls
 
 
 def ready(setup: Setup) -> Setup:
@@ -169,20 +192,44 @@ def moved(
     setup: Setup, start: State, commands: jax.Array, grid: Grid, keep: int | None
 ) -> tuple[State, jax.Array | None]:
     """The states, and the controls where these are not the commands."""
+    carry = beginning(setup, start, commands, grid)
+    after, ctrls = _swept(period(setup, grid), carry, commands, keep)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after), ctrls
+
+
+def beginning(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> tuple[Any, ...]:
+    """What the first period starts from: its place, the state and, where controls come late, those
+    that wait."""
+    zero = jnp.zeros((), int)
+    if not _is_late(setup, grid):
+        return zero, start
+    ctrl = jax.eval_shape(functools.partial(_asked, setup, grid), zero, start, commands[0])
+    return zero, start, jnp.zeros((grid.longest_delay + 2, *ctrl.shape), ctrl.dtype)
+
+
+def _is_late(setup: Setup, grid: Grid) -> bool:
+    return setup.delay is not None and grid.longest_delay > 0
+
+
+def _asked(setup: Setup, grid: Grid, k: Any, state: State, command: jax.Array) -> jax.Array:
+    """The controls that the command of a period asks for."""
+    if setup.controller is None:
+        return command
+    read = [s.scale * x + s.bias for s, x in ((setup.sensors[i], getattr(state, i)) for i in "qv")]
+    return setup.controller(k * grid.period, State(*read), command)
+
+
+def period(setup: Setup, grid: Grid) -> Callable[[Any, jax.Array], Any]:
+    """A period as a step of `scan`: (what it starts from, its command) -> what the next one starts
+    from, and the state there with the controls, where these are not the commands."""
     model, T, n = setup.model, grid.period, grid.substeps
-    sensors, controller = setup.sensors, setup.controller
+    asked = functools.partial(_asked, setup, grid)
 
     def advanced(state: State, ctrl: jax.Array, h: Any, t: Any) -> State:
         return step(model, state, ctrl, h, t=t, integrator=grid.integrator)
 
-    def asked(k: Any, state: State, command: jax.Array) -> jax.Array:
-        if controller is None:
-            return command
-        read = [s.scale * x + s.bias for s, x in ((sensors[i], getattr(state, i)) for i in "qv")]
-        return controller(k * T, State(*read), command)
-
     def kept(ctrl: jax.Array) -> jax.Array | None:
-        return None if controller is None else ctrl
+        return None if setup.controller is None else ctrl
 
     def at_once(carry: Any, command: jax.Array) -> Any:
         k, state = carry
@@ -214,14 +261,7 @@ def moved(
         state = jax.lax.fori_loop(0, 2 * n, once, state)
         return (k + 1, state, queue), (state, kept(now))
 
-    zero = jnp.zeros((), int)
-    if setup.delay is None or not grid.longest_delay:
-        after, ctrls = _swept(at_once, (zero, start), commands, keep)
-    else:
-        ctrl = jax.eval_shape(asked, zero, start, commands[0])
-        queue = jnp.zeros((grid.longest_delay + 2, *ctrl.shape), ctrl.dtype)
-        after, ctrls = _swept(late, (zero, start, queue), commands, keep)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after), ctrls
+    return late if _is_late(setup, grid) else at_once
 
 
 def _swept(once: Callable, carry: Any, commands: jax.Array, keep: int | None) -> Any:

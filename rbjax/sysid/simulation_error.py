@@ -24,6 +24,7 @@ from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.islands import Directions, directions
 from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run
+from rbjax.sysid.segments import segments
 from rbjax.sysid.side_by_side import equal_parts, motion_of_parts
 from rbjax.sysid.simulation import Grid, Path, Setup, reading
 from rbjax.sysid.unknowns import Unknowns
@@ -53,8 +54,8 @@ def programs(
     """The programs of a set-up, with `own` corrections of each run's start; keep as in `motion`."""
     n, parts = sum(unknowns.sizes), equal_parts(setup)
 
-    def path(x: jax.Array, run: Run) -> tuple[Setup, Path]:
-        """The set-up with the numbers, and its motion."""
+    def path(x: jax.Array, run: Run, count: int = 1) -> tuple[Setup, Path]:
+        """The set-up with the numbers, and its motion, in so many segments side by side."""
         p, s = x[:n], x[n:]
         made = functools.partial(unknowns.write, setup)
         now = made(p)
@@ -62,7 +63,9 @@ def programs(
         if own:
             dq, dv = jnp.split(s, 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
-        return now, motion_of_parts(parts, made, p, start, run.commands, grid, keep=keep)
+        return now, motion_of_parts(
+            parts, made, p, start, run.commands, grid, keep=keep, count=count
+        )
 
     def read(now: Setup, path: Path, run: Run) -> dict[str, jax.Array]:
         return {k: reading(now, path, grid, k, run.times[k]) for k in run.values}
@@ -82,26 +85,47 @@ def programs(
             )
         return r
 
-    def readings(x: jax.Array, run: Run) -> dict[str, jax.Array]:
-        return read(*path(x, run), run)
+    def simulated(x: jax.Array, runs: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """Residuals and readings, for which one program is enough."""
 
-    def residual(x: jax.Array, run: Run) -> jax.Array:
-        return compared(*path(x, run), run)
+        def each(x: jax.Array, run: Run) -> tuple[jax.Array, dict[str, jax.Array]]:
+            now, path_ = path(x, run, count_of(runs, 1))
+            return compared(now, path_, run), read(now, path_, run)
 
-    def sloped(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
-        def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return jax.jvp(lambda x: residual(x, run), (x,), (e,))
+        return jax.vmap(each)(x, runs)
 
-        some = along_which(frozenset(run.values))
-        seeds = jnp.eye(n + own) if some is None else jnp.asarray(some.seeds)
-        return jax.vmap(along, out_axes=(None, 1))(seeds.astype(x.dtype))
+    def sloped(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
+        some = along_which(frozenset(runs.values))
+        seeds = np.eye(n + own) if some is None else some.seeds
+        count = count_of(runs, len(seeds))
+
+        def each(x: jax.Array, run: Run) -> tuple[jax.Array, jax.Array]:
+            def along(e: jax.Array) -> tuple[jax.Array, jax.Array]:
+                return jax.jvp(lambda x: compared(*path(x, run, count), run), (x,), (e,))
+
+            return jax.vmap(along, out_axes=(None, 1))(jnp.asarray(seeds, x.dtype))
+
+        return jax.vmap(each)(x, runs)
+
+    def count_of(runs: Run, each: int) -> int:
+        """Segments of the motions of runs, each along so many directions."""
+        runs_, periods = runs.commands.shape[:2]
+        return segments(periods, runs_ * each * len(parts or [0]))
 
     @functools.cache
     def along_which(sensors: frozenset[str]) -> Directions | None:
         return directions(setup, unknowns, own, sensors)
 
-    read_all, residuals, slopes = (jax.jit(jax.vmap(f)) for f in (readings, residual, sloped))
-    return Programs(path, compared, read_all, residuals, slopes, along_which)
+    both, along_all = jax.jit(simulated), jax.jit(sloped)
+
+    def slopes(x: jax.Array, runs: Run) -> tuple[jax.Array, jax.Array]:
+        along_which(frozenset(runs.values))  # before the trace, where it takes a tenth of the time
+        found: tuple[jax.Array, jax.Array] = along_all(x, runs)
+        return found
+
+    return Programs(
+        path, compared, lambda *x: both(*x)[1], lambda *x: both(*x)[0], slopes, along_which
+    )
 
 
 class SimulationError:
@@ -126,11 +150,12 @@ class SimulationError:
         """Numbers of x."""
         return self.shared + self.count * self.own
 
-    def by_run(self, x: Any) -> jax.Array:
-        """x as (runs, n + l)."""
-        own = jnp.reshape(x[self.shared :], (self.count, self.own))
-        p = jnp.broadcast_to(jnp.asarray(x[: self.shared]), (self.count, self.shared))
-        return jnp.concatenate([p, own], -1)
+    def by_run(self, x: Any) -> Any:
+        """x as (runs, n + l), in numpy where x is: no program to compile."""
+        xp: Any = np if isinstance(x, np.ndarray) else jnp
+        own = xp.reshape(x[self.shared :], (self.count, self.own))
+        p = xp.broadcast_to(xp.asarray(x[: self.shared]), (self.count, self.shared))
+        return xp.concatenate([p, own], -1)
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:
         """That of the unknowns, and of the starts' corrections as free numbers."""
@@ -162,11 +187,12 @@ class SimulationError:
         names."""
         r, J = map(np.asarray, self.programs.slopes(self.by_run(x), self.runs))
         some = self.directions
-        return r, J if some is None else some.whole(J, self._islands(some))
+        return r, J if some is None else some.whole(J, self._times)
 
-    def _islands(self, some: Directions) -> np.ndarray:
-        """The island of each row."""
-        return some.rows({k: values.shape[1] for k, values in self.runs.values.items()})
+    @property
+    def _times(self) -> dict[str, int]:
+        """How many times each sensor is read."""
+        return {k: values.shape[1] for k, values in self.runs.values.items()}
 
     def unmoved(self, x: np.ndarray) -> tuple[str, ...]:
         """The sensors that no unknown moves."""
@@ -186,23 +212,28 @@ class SimulationError:
 
     def assembled(self, r: Any, J: Any) -> np.ndarray:
         """R of the residuals (runs, rows) and their slopes along the programs' directions."""
-        r, J, n = np.asarray(r), np.asarray(J), self.shared + self.own
-        some = self.directions
-        parts: list[Any] = [(slice(None), np.arange(n), np.arange(n))]
+        n, some = self.shared + self.own, self.directions
+        both = np.concatenate([np.asarray(J), np.asarray(r)[..., None]], -1)
+        parts: list[tuple[Any, np.ndarray]] = [(slice(None), np.arange(n))]
+        weights = np.eye(n)
         if some is not None:
-            at = self._islands(some)
-            each = [(np.flatnonzero(at == k), some.numbers(k)) for k in np.unique(at)]
-            parts = [(rows, some.place[which], which) for rows, which in each]
+            parts, weights = some.parts(self._times), some.weights
         blocks = []
-        for rows, places, which in parts:  # a run's own numbers must not be mixed with another's
+        for rows, which in parts:  # a run's own numbers must not be mixed with another's
+            by = weights[:, which]
+            used = np.flatnonzero(by.any(1))
             each_run: Any = range(self.count) if self.own else [slice(None)]
             for k in each_run:
-                those = np.concatenate([J[k][..., rows, :][..., places], r[k][..., rows, None]], -1)
-                R = triangle_of(those.reshape(-1, len(which) + 1))
+                # `take` copies several times faster than an index does
+                those = both[k] if isinstance(rows, slice) else np.take(both[k], rows, -2)
+                if len(used) < len(weights):
+                    those = np.take(those, np.append(used, len(weights)), -1)
+                R = triangle_of(those.reshape(-1, those.shape[-1]))
                 wide = np.zeros((R.shape[0], n + 1))
-                wide[:, which], wide[:, -1] = R[:, :-1], R[:, -1]
+                wide[:, which], wide[:, -1] = R[:, :-1] @ by[used], R[:, -1]
                 blocks.append(self.widened(wide, k) if self.own else wide)
-        return blocks[0] if len(blocks) == 1 else triangle_of(np.concatenate(blocks))
+        one = len(blocks) == 1 and len(blocks[0]) == self.size + 1
+        return blocks[0] if one else triangle_of(np.concatenate(blocks))
 
     def widened(self, rows: np.ndarray, k: int) -> np.ndarray:
         """Rows [J r] of run k by its own numbers, as rows by all of x."""

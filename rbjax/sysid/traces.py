@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from rbjax.model import Model
@@ -56,21 +57,21 @@ def traces(
     setup: Setup, of: SimulationError, x: np.ndarray, recordings: Sequence[Recording]
 ) -> dict[str, dict[str, Trace]]:
     """The traces of the runs of `of`, which are those of the recordings, at x."""
-    data, read = of.runs, of.readings(x)
+    data, read = jax.tree.map(np.asarray, (of.runs, of.readings(x)))
     found: dict[str, dict[str, Trace]] = {}
     for k, run in enumerate(recordings):
         channels = ordered(setup.model, run).channels
         found[run.name] = {}
         for sensor in data.values:
-            there = np.asarray(data.weights[sensor][k]) > 0
+            there = data.weights[sensor][k] > 0
             T = int(np.flatnonzero(there.any(1))[-1]) + 1  # what follows fills the batch up
-            values = np.asarray(data.values[sensor][k])
+            values = data.values[sensor][k]
             recorded = np.where(there, values, np.nan)[:T]
-            simulated = np.asarray(read[sensor][k])[:T]
+            simulated = read[sensor][k][:T]
             columns, names = setup.columns(sensor), channels[sensor].names
             found[run.name][sensor] = Trace(
                 _names(setup.model, names) if sensor in JOINT_SENSORS else names,
-                np.asarray(data.times[sensor][k])[:T], columns.aligned(recorded, simulated),
+                data.times[sensor][k][:T], columns.aligned(recorded, simulated),
                 simulated, columns.turns,
             )  # fmt: skip
     return found

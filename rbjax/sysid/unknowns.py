@@ -133,19 +133,16 @@ class Inertia:
     def write(self, target: Any, p: jax.Array) -> Any:
         bodies, k = self._place(target)
         found = from_pseudo_inertia(pseudo_inertia_of(p))
-        for name, new in zip(("mass", "com", "inertia"), found, strict=True):
-            leaf = f"bodies.{name}"
-            target = with_leaf(target, leaf, getattr(bodies, name).at[k].set(new))
-        return target
+        new = {
+            name: jnp.asarray(getattr(bodies, name)).at[k].set(x)
+            for name, x in zip(("mass", "com", "inertia"), found, strict=True)
+        }
+        return with_leaf(target, "bodies", bodies.replace(**new))
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
-        return self.divergences(p[None], p0[None])[0]
-
-    @staticmethod
-    def divergences(p: np.ndarray, p0: np.ndarray) -> list[Divergence]:
-        """Those of several bodies (k, 10)."""
+        """Of one body, or the sum of several that follow each other, ten numbers each."""
         slopes = _pseudo_slopes()
-        P, P0 = (np.tensordot(x, slopes, 1) for x in (p, p0))
+        P, P0 = (np.tensordot(x.reshape(-1, 10), slopes, 1) for x in (p, p0))
         return Divergence.definite(P, P0, slopes)
 
     def _place(self, target: Any) -> tuple[Any, int]:
@@ -328,16 +325,24 @@ class Unknowns:
         """The sum of all."""
         if not self.sizes:
             return Divergence.free(p, p0, 1.0)
-        ends, members = np.cumsum(self.sizes)[:-1], list(self.members.values())
-        a, b = np.split(p, ends), np.split(p0, ends)
-        bodies = [k for k, u in enumerate(members) if isinstance(u, Inertia)]
-        found = {}
-        if bodies:  # all at once, which takes as long as one
-            pairs = np.array([a[k] for k in bodies]), np.array([b[k] for k in bodies])
-            found = dict(zip(bodies, Inertia.divergences(*pairs), strict=True))
-        return Divergence.joined(
-            [found.get(k) or u.divergence(a[k], b[k]) for k, u in enumerate(members)]
-        )
+        parts, end = [], 0
+        for u, size in self._joined:
+            own = slice(end, end + size)
+            parts.append(u.divergence(p[own], p0[own]))
+            end += size
+        return Divergence.joined(parts)
+
+    @functools.cached_property
+    def _joined(self) -> list[tuple[Parametrisation, int]]:
+        """The unknowns with their sizes, bodies that follow each other as one: their divergence
+        takes as long as that of one."""
+        found: list[tuple[Parametrisation, int]] = []
+        for u, size in zip(self.members.values(), self.sizes, strict=True):
+            if isinstance(u, Inertia) and found and isinstance(found[-1][0], Inertia):
+                found[-1] = u, found[-1][1] + size
+            else:
+                found.append((u, size))
+        return found
 
     def _split(self, x: jax.Array) -> list[jax.Array]:
         return jnp.split(x, np.cumsum(self.sizes)[:-1]) if self.sizes else []
