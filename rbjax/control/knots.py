@@ -61,7 +61,7 @@ def expand(
 
     def by_columns(k, knot, ctrl, rows, mu, following):
         def of_whole(k, ctrl, rows, mu):
-            return cost_of(k, *at_places(knots, k)[:1], ctrl, rows, mu)
+            return cost_of(k, at_places(knots, k)[0], ctrl, rows, mu)
 
         A, B, gap = columns(problem, k, knots, ctrl)
         cost, off = threads(of_whole)(k, ctrl, rows, mu)

@@ -83,7 +83,7 @@ def no_part_of_a_program() -> Any:
 
 
 def _plain(setup: Setup, unknowns: Unknowns) -> bool:
-    """Whether numbers of bodies act by the dynamics alone, and no other unknown changes Y."""
+    """Whether numbers of bodies act by nothing but the dynamics, and no other unknown changes Y."""
     model = setup.model
     by_joint = all(isinstance(e, BY_JOINT) for e in model.forces)
     leaves = [_leaf(one) for u in unknowns.members.values() for one in getattr(u, "members", (u,))]

@@ -174,7 +174,7 @@ def stepped(
 
     first = beginning(made(p), start, commands, grid)[1:]
     after, ctrls = in_segments(one, p, first, commands, count)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after), ctrls
+    return _begun(start, after), ctrls
 
 
 def ready(setup: Setup) -> Setup:
@@ -194,7 +194,12 @@ def moved(
     """The states, and the controls where these are not the commands."""
     carry = beginning(setup, start, commands, grid)
     after, ctrls = _swept(period(setup, grid), carry, commands, keep)
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after), ctrls
+    return _begun(start, after), ctrls
+
+
+def _begun(start: State, after: State) -> State:
+    """The states of a motion, of which the start is the first."""
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, after)
 
 
 def beginning(setup: Setup, start: State, commands: jax.Array, grid: Grid) -> tuple[Any, ...]:
