@@ -99,7 +99,8 @@ def peer(problem: Problem, numbers: int) -> dict[str, Any]:
     try:
         from mujoco.sysid import InertiaType, Parameter, optimize
     except ImportError as error:
-        return row | {"note": f"not run: {error}; pip install mujoco[sysid]"}
+        reason = str(error).removesuffix(f" ({error.path})")  # no path of this machine
+        return row | {"note": f"not run: {reason}; pip install mujoco[sysid]"}
     from mujoco import sysid
 
     spec = mujoco.MjSpec.from_string(json.loads((ORACLES / "arm5.json").read_text())["mjcf"])
