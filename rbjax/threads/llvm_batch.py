@@ -15,8 +15,9 @@ from rbjax.threads.arrays import row_major
 from rbjax.threads.counting import accesses, operations
 from rbjax.threads.frame import Layout, Written
 from rbjax.threads.llvm_jit import register_bytes
+from rbjax.threads.llvm_operations import ALIGNMENT
 from rbjax.threads.llvm_samples import Lines
-from rbjax.threads.llvm_statements import ALIGNMENT, MALLOC, one_sample, stored
+from rbjax.threads.llvm_statements import MALLOC, one_sample, stored
 from rbjax.threads.llvm_vectors import Step, many_samples
 from rbjax.threads.program import Array, Load, Op, Store, walk
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from rbjax.threads import elementary, error_function, powers
 from rbjax.threads.expressions import Number
-from rbjax.threads.llvm_operations import Operations, llvm_type, of_c
+from rbjax.threads.llvm_operations import ATTRIBUTES, Operations, llvm_type, of_c
 from rbjax.threads.program import Builder, Op, Var
 
 #: functions of two arguments
@@ -34,7 +34,7 @@ def _head(vectors: Operations, name: str, kind: np.dtype, takes: list[str]) -> s
     """How a function begins."""
     t = vectors.type(kind)
     given = ", ".join(f"{t} {x}" for x in takes)
-    return f"define internal {t} @{name}({given}) noinline nounwind willreturn memory(none) {{"
+    return f"define internal {t} @{name}({given}) noinline {ATTRIBUTES} willreturn memory(none) {{"
 
 
 def _lane_by_lane(vectors: Operations, what: str, kind: np.dtype, name: str) -> str:

@@ -15,7 +15,13 @@ import numpy as np
 
 from rbjax.threads.cutting import Cuts, Frame, cut
 from rbjax.threads.frame import Written
-from rbjax.threads.llvm_operations import Operations, literal, llvm_type
+from rbjax.threads.llvm_operations import (
+    ALIGNMENT,
+    ATTRIBUTES,
+    Operations,
+    literal,
+    llvm_type,
+)
 from rbjax.threads.program import (
     Array,
     Assign,
@@ -36,7 +42,6 @@ from rbjax.threads.program import (
 STACK_ARRAY_BYTES = 2048
 #: bytes of all local arrays on the stack
 STACK_BYTES = 128 * 1024
-ALIGNMENT = 64
 MALLOC = ("declare noalias ptr @malloc(i64)", "declare void @free(ptr)")
 
 
@@ -136,7 +141,7 @@ class Writer:
     def function(self, name: str, takes: list[str], more: str = "") -> list[str]:
         """What has been written, as a function."""
         return [
-            f"define internal void @{name}({', '.join(takes)}) {more}nounwind {{",
+            f"define internal void @{name}({', '.join(takes)}) {more}{ATTRIBUTES} {{",
             "entry:", *self.entry, "br label %start", "start:", *self.lines, "ret void", "}",
         ]  # fmt: skip
 

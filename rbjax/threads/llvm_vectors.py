@@ -17,9 +17,8 @@ from rbjax.threads.cutting import Cuts, cut
 from rbjax.threads.divergence import divergence, part_of
 from rbjax.threads.frame import Written
 from rbjax.threads.llvm_mathematics import definitions
-from rbjax.threads.llvm_operations import Operations, llvm_type, splat
+from rbjax.threads.llvm_operations import ALIGNMENT, Operations, llvm_type, splat
 from rbjax.threads.llvm_statements import (
-    ALIGNMENT,
     Function,
     Writer,
     stored,
