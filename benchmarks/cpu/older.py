@@ -1,0 +1,111 @@
+"""Algorithms of a batch of 1,024 on one core, beside those of an older commit.
+
+    python -m benchmarks.cpu.older [--commit COMMIT] [ROBOT ...]
+
+The default is the last commit before functions ran as machine code: XLA ran all of them. Each
+commit runs in processes of its own, by turns, with this Python and its packages. A figure is the
+best of all its processes: `jax.jit(jax.vmap(f))` with the model closed over, batch first.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parents[2]
+BEFORE_MACHINE_CODE = "8b31068"
+BATCH, SECONDS, TURNS = 1024, 2.0, 2
+COLUMNS = ("robot", "algorithm", "bits", "older_ns", "ns", "speedup")
+
+
+def measure(robot: str) -> None:
+    """Prints a row a line: this runs in a process with one commit's packages on its path."""
+    import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    import rbjax as rb
+    from benchmarks.shared.robots import as_model, compiled, states
+
+    algorithms = {
+        "forward dynamics": rb.forward_dynamics,
+        "RNEA": rb.inverse_dynamics,
+        "CRBA": lambda m, q, v, u: rb.mass_matrix(m, q),
+        "forward kinematics": lambda m, q, v, u: rb.forward_kinematics(m, q),
+        "derivatives of forward dynamics": rb.forward_dynamics_derivatives,
+        "derivatives of inverse dynamics": rb.inverse_dynamics_derivatives,
+    }
+    reference = compiled(robot)
+    for dtype in (np.float64, np.float32):
+        model = as_model(reference).astype(dtype)
+        args = [jnp.asarray(np.ascontiguousarray(x), dtype) for x in states(reference, BATCH)]
+        for name, f in algorithms.items():
+            jitted = jax.jit(jax.vmap(lambda *x, f=f, model=model: f(model, *x)))
+            jax.block_until_ready(jitted(*args))
+            best, end = np.inf, time.perf_counter() + SECONDS
+            while time.perf_counter() < end:
+                start = time.perf_counter()
+                jax.block_until_ready(jitted(*args))
+                best = min(best, time.perf_counter() - start)
+            ns = best / BATCH * 1e9
+            bits = np.dtype(dtype).itemsize * 8
+            print(json.dumps([robot, name, bits, ns]), flush=True)
+
+
+def measured(tree: Path, robot: str) -> dict[tuple[str, int], float]:
+    """Nanoseconds a sample of each algorithm, by the commit that lies in a folder."""
+    command = [sys.executable, __file__, "--measure", robot]
+    out = subprocess.run(
+        command, cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, check=True,
+        stdout=subprocess.PIPE, text=True,
+    ).stdout  # fmt: skip
+    rows = [json.loads(line) for line in out.splitlines() if line.startswith("[")]
+    return {(name, bits): ns for _, name, bits, ns in rows}
+
+
+def rows_of(older: Path, robot: str) -> list[dict[str, Any]]:
+    best: tuple[dict, dict] = {}, {}
+    for _ in range(TURNS):
+        for found, tree in zip(best, (older, HERE), strict=True):
+            for key, ns in measured(tree, robot).items():
+                found[key] = min(ns, found.get(key, ns))
+    return [
+        {"robot": robot, "algorithm": name, "bits": bits, "older_ns": best[0][name, bits],
+         "ns": ns, "speedup": best[0][name, bits] / ns}
+        for (name, bits), ns in best[1].items()
+    ]  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", nargs="*", default=["panda", "humanoid"])
+    parser.add_argument("--commit", default=BEFORE_MACHINE_CODE)
+    parser.add_argument("--measure", help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.measure:
+        measure(asked.measure)
+        return
+    from benchmarks.shared.timing import markdown_table, others, save
+
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        archive = subprocess.run(
+            ["git", "archive", asked.commit], cwd=HERE, check=True, stdout=subprocess.PIPE
+        ).stdout
+        subprocess.run(["tar", "-x", "-C", folder], input=archive, check=True)
+        for robot in asked.robots:
+            new = rows_of(Path(folder), robot)
+            rows += [row | {"commit": asked.commit} for row in new]
+            print(markdown_table(new, COLUMNS), flush=True)
+    kept = others("cpu-older", rows, ("robot", "algorithm", "bits", "commit"))
+    print(save("cpu-older", [*kept, *rows]))
+
+
+if __name__ == "__main__":
+    main()
