@@ -124,10 +124,11 @@ def write_program(
     summed: Sequence[bool] = (),
     platform: str = "cuda",
     team: bool = False,
+    matrices: bool = False,
 ) -> Written:
     """The program of one sample of a batch. Summed results are sums over the batch. team: for a
-    team of threads a sample (`team.kernel`)."""
-    b = Builder(platform, team)
+    team of threads a sample (`team.kernel`). matrices: those of one sample fill a CPU's vectors."""
+    b = Builder(platform, team, matrices)
     ins = [_array(b, v.aval.dtype, lay, "operand") for v, lay in zip(
         closed.jaxpr.invars, operands, strict=True)]  # fmt: skip
     summed = tuple(summed) or (False,) * len(results)

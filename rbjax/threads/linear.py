@@ -10,7 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.threads.arrays import SHARED_ABOVE, Small, View, each, get, in_memory, put, transposed
+from rbjax.threads.arrays import (
+    SHARED_ABOVE,
+    Small,
+    View,
+    each,
+    get,
+    in_memory,
+    put,
+    transposed,
+    write,
+)
 from rbjax.threads.delayed import Delayed
 from rbjax.threads.elementwise import source
 from rbjax.threads.lowering import Lowering, dtype_of, rule, takes_delayed
@@ -20,6 +30,8 @@ from rbjax.threads.program import BOOL, I32, Builder, Value
 UNROLL_UP_TO = 512
 #: the same of two matrices on a GPU, where a loop waits for its two loads at each term
 MATRICES_UP_TO = 2048
+#: the same where one sample's matrices fill a CPU's vectors: a loop over rows runs at their speed
+VECTORS_UP_TO = 100
 #: terms of a sum that a thread of a team writes out
 TERMS_UP_TO = 32
 #: sums of a product that run together on a CPU: with what they read they fit into 16 registers
@@ -39,8 +51,7 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
     terms = math.prod(contracted)
     if low.b.teamed and 2 * math.prod(shape) * terms > SHARED_ABOVE:
         return [_delayed(low, x, y, shape, contracted, (nb, na, ny), dtype)]
-    limit = MATRICES_UP_TO if fa and fb and low.b.platform == "cuda" else UNROLL_UP_TO
-    if math.prod(shape) * math.prod(contracted) > limit:
+    if math.prod(shape) * math.prod(contracted) > _unrolled(low.b, bool(fa and fb)):
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     a, c = low.scalars(x), low.scalars(y)
     b, out = low.b, np.empty(shape, object)
@@ -55,6 +66,13 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 takes_delayed("dot_general")
+
+
+def _unrolled(b: Builder, matrices: bool) -> int:
+    """The terms up to which a product, perhaps of two matrices, is no loop."""
+    if b.matrices:
+        return VECTORS_UP_TO
+    return MATRICES_UP_TO if matrices and b.platform == "cuda" else UNROLL_UP_TO
 
 
 def _delayed(
@@ -110,6 +128,8 @@ def _looped(
     others, and they share what they read of x."""
     b, (nb, na, ny) = low.b, sizes
     x, y = in_memory(b, x, dtype), in_memory(b, y, dtype)
+    if b.matrices and na and ny and y.strides[nb + ny - 1] != 1:
+        y = _side_by_side(b, y, nb, ny)
     out = View.of(b.local(dtype, math.prod(shape)), shape)
     if ny:
         inner = out
@@ -124,6 +144,18 @@ def _looped(
             rows = _in_tiles(y, y.ndim - len(contracted) - 1, start, stop, size)
             _sums(b, x, rows, _in_tiles(inner, inner.ndim - 1, start, stop, size), (nb, na))
     return out
+
+
+def _side_by_side(b: Builder, y: View, nb: int, ny: int) -> View:
+    """A copy in which the entries of y that a row of sums reads lie side by side."""
+    order = (*range(nb), *range(nb + ny, y.ndim), *range(nb, nb + ny))
+    rows = transposed(y, order)
+    assert isinstance(rows, View)
+    copy = View.of(b.local(y.dtype, y.size), rows.shape)
+    write(b, copy, rows)
+    back = transposed(copy, tuple(np.argsort(order)))
+    assert isinstance(back, View)
+    return back
 
 
 def _sums(b: Builder, x: View, y: View, out: View, sizes: tuple[int, int]) -> None:

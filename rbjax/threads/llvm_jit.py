@@ -10,22 +10,31 @@ import ctypes.util
 import functools
 import hashlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from rbjax.threads.disk_cache import cached
 from rbjax.threads.llvm_ir import Module
 
-#: Passes on the IR, or a level of LLVM's own; and the level of the instruction selection
-Levels = tuple[tuple[str, ...] | int, int]
+
+class Levels(NamedTuple):
+    """Passes on the IR, or a level of LLVM's own; the level of the instruction selection; and what
+    LLVM is told beside the processor's own features."""
+
+    passes: tuple[str, ...] | int
+    selection: int
+    features: str = ""
+
+
 #: Places on the stack become registers, and instructions are combined. There is little else to
 #: improve: all of LLVM's level 1 takes five times as long, and the code is no faster. Without
 #: passes the code of loops takes 1.2 times as long. Level 2 of the selection is no faster either.
-LEVELS: Levels = (("sroa", "instruction_combine"), 1)
+LEVELS = Levels(("sroa", "instruction_combine"), 1)
 #: where only the compile time matters: a tenth of the time, and code of three times the size
-QUICK_LEVELS: Levels = ((), 0)
+QUICK_LEVELS = Levels((), 0)
 #: for products of matrices within one sample: from level 2 on neighbouring operations become those
-#: of vectors. DDP's backward pass takes 0.55 of the time, and twice as long to compile
-MATRIX_LEVELS: Levels = (2, 1)
+#: of vectors. DDP's backward pass takes 0.55 of the time, and twice as long to compile. One
+#: instruction that reads a column (a gather) takes an AMD processor longer than eight that do
+MATRIX_LEVELS = Levels(2, 1, "+prefer-no-gather")
 
 
 class NoCompiler(RuntimeError):
@@ -77,12 +86,15 @@ def register_bytes() -> int:
     return 64 if "+avx512f" in features else 32 if "+avx" in features else 16
 
 
-def _machine(level: int) -> Any:
+def _machine(levels: Levels) -> Any:
     """A target machine; the engine that is given one destroys it."""
     triple, cpu, features = _processor()
+    if levels.features and triple.startswith("x86_64"):
+        features = f"{features},{levels.features}"
     return _llvm().Target.from_triple(triple).create_target_machine(
-        cpu=cpu, features=features, opt=level, jit=True, reloc="pic", codemodel="jitdefault"
-    )
+        cpu=cpu, features=features, opt=levels.selection, jit=True, reloc="pic",
+        codemodel="jitdefault",
+    )  # fmt: skip
 
 
 @functools.lru_cache(128)
@@ -93,14 +105,13 @@ def compiled(module: Module, levels: Levels = LEVELS) -> Code:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
     """
     llvm = _llvm()
-    passes, level = levels
     try:
-        how = (*_processor(), str((llvm.llvm_version_info, passes, level)))
+        how = (*_processor(), str((llvm.llvm_version_info, *levels)))
         key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
-        code = cached(f"{key}.o", lambda: object_of(module.text, passes, _machine(level)))
+        code = cached(f"{key}.o", lambda: object_of(module.text, levels.passes, _machine(levels)))
         for function in module.symbols:
             llvm.add_symbol(function, _address(function))
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(level))
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(levels))
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         engine.finalize_object()
         return Code(engine.get_function_address("run"), engine, key)

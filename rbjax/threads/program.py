@@ -183,11 +183,14 @@ class Builder:
     """Writes statements. Equal expressions in scope of each other become one variable.
 
     platform: where the program runs, "cuda" or "cpu", for functions that depend on it. team:
-    whether a team of threads runs it.
+    whether a team of threads runs it. matrices: whether one sample's matrices are to fill the
+    vectors of a CPU.
     """
 
-    def __init__(self, platform: str = "cuda", team: bool = False) -> None:
-        self.platform = platform
+    def __init__(
+        self, platform: str = "cuda", team: bool = False, matrices: bool = False
+    ) -> None:
+        self.platform, self.matrices = platform, matrices
         self.teamed = team  # here; not in what each thread of a team does by itself
         self._part, self._parts = 0, itertools.count(1)
         self.block = Block()

@@ -57,12 +57,12 @@ def machine(triple: str = "aarch64-unknown-linux-gnu", cpu: str = "generic") -> 
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple(triple)
-    return target.create_target_machine(cpu=cpu, opt=llvm_jit.LEVELS[1], reloc="pic")
+    return target.create_target_machine(cpu=cpu, opt=llvm_jit.LEVELS.selection, reloc="pic")
 
 
 def code_of(text: str, machine: Any) -> bytes:
     """The object file of IR, by the passes of `llvm_jit`."""
-    return llvm_jit.object_of(text, llvm_jit.LEVELS[0], machine)
+    return llvm_jit.object_of(text, llvm_jit.LEVELS.passes, machine)
 
 
 def emulated(made: Parts, arrays: list[np.ndarray], results: list[np.ndarray], at: Path) -> None:
