@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiling import compiled, inside_jit
+from rbjax.control.constants import Known
 from rbjax.control.implicit import differentiable
 from rbjax.control.methods import METHODS, method_of, name_of
 from rbjax.control.options import Options
@@ -86,26 +87,33 @@ def solve(
         able = [name for name, m in METHODS.items() if m.constraints]
         raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
-    knots, us = first_guess(problem, start, states, ctrls, numbers)
-    show = progress and not inside_jit()
+    inside = inside_jit()
+    show = progress and not inside
+    number = jnp.asarray if inside else _plain
     options = Options(
-        jnp.asarray(tolerance), jnp.asarray(violation), jnp.asarray(iterations),
-        jnp.asarray(seed, jnp.uint32), _say if show else None,
+        number(tolerance), number(violation), number(iterations), jnp.asarray(seed, jnp.uint32),
+        _say if show else None,
     )  # fmt: skip
-    first = problem.system.checked("solve", start)
+    if not all(map(eqx.is_array_like, jax.tree.leaves(start))):
+        start = problem.system.checked("solve", start)  # says what is wrong
+    guess = states, None if ctrls is None else jnp.asarray(ctrls), numbers
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
+    program, robot = (_solve if inside else _compiled), len(jax.tree.leaves(problem.system))
 
     def run(*functions: Any) -> Solution:
         filled = list(leaves)
         for i, f in zip(places, functions, strict=True):
             filled[i] = f
-        numeric, rest = eqx.partition(jax.tree.unflatten(tree, filled), eqx.is_array)
+        parts = filled[:robot], filled[robot:]
+        constants = None if inside else _robots.constants(parts[0])
+        numeric, rest = eqx.partition(parts[constants is not None :], eqx.is_array)
         others, other_tree = jax.tree.flatten(rest)
-        key = (other_tree, *others)
-        program = _solve if inside_jit() else _compiled
-        found, off = program(numeric, first, knots, us, options, key, method, int(iterations))
-        return solution_of(problem, found, off, name_of(method))
+        key = (tree, constants, other_tree, *others)
+        found, off, ts, numbers = program(
+            numeric, start, guess, options, key, method, int(iterations)
+        )
+        return solution_of(problem, found, off, ts, numbers, name_of(method))
 
     if not show:
         return with_captured(run, *(leaves[i] for i in places))
@@ -128,11 +136,36 @@ def _say(iterations: Any, cost: Any, violation: Any) -> None:
         _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")
 
 
+_robots = Known()
+
+
+def _plain(x: Any) -> Any:
+    """A number that a program may be given as it is."""
+    return x if isinstance(x, int | float) else jnp.asarray(x)
+
+
 def _solve(
-    numeric: Any, start: Any, knots: Knot, ctrls: jax.Array, options: Options, key: tuple,
-    method: Any, history: int,
-) -> tuple:  # fmt: skip
-    problem = eqx.combine(numeric, jax.tree.unflatten(key[0], key[1:]))
+    numeric: Any, start: Any, guess: tuple, options: Options, key: tuple, method: Any, history: int
+) -> tuple[Found, jax.Array, jax.Array, jax.Array]:
+    """What was found, the violation of each constraint, the times and the numbers."""
+    tree, constants, other_tree, *others = key
+    parts = eqx.combine(numeric, jax.tree.unflatten(other_tree, others))
+    if constants is not None:
+        parts = (constants.whole(), *parts)
+    problem = jax.tree.unflatten(tree, [x for part in parts for x in part])
+    start = problem.system.checked("solve", start)
+    knots, ctrls = first_guess(problem, start, *guess)
+    found, off = _judged(problem, start, knots, ctrls, options, method, history)
+    numbers = found.knots.numbers[0]
+    ts = problem.at(numbers)[1] * jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    return found, off, ts, numbers
+
+
+def _judged(
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
+    history: int,
+) -> tuple[Found, jax.Array]:  # fmt: skip
+    """What a method finds, with the outcome that its states and constraints show."""
     search = functools.partial(_searched, method, history)
     if method_of(method).steps:
         found = differentiable(search, problem, start, knots, ctrls, options)

@@ -37,7 +37,7 @@ def differentiable(
     """search(problem, start, knots, ctrls, options), with derivatives of the optimum by the arrays
     of the problem, what its functions close over, and the start. Gains and the account of the
     iterations are constants to them, and nothing depends on the first guess."""
-    arrays, rest = eqx.partition(problem, eqx.is_array)
+    arrays, rest = eqx.partition(problem, _traced)
     N, n, m = problem.horizon, problem.n, problem.nu
 
     def whole(arrays: Any) -> Problem:
@@ -82,6 +82,11 @@ def differentiable(
         return out, _moved(functions, whole, out, numbers, directions)
 
     return optimum(found, *given)
+
+
+def _traced(x: Any) -> bool:
+    """Whether a derivative by x may be asked for. Other numbers are constants of the program."""
+    return isinstance(x, jax.core.Tracer)
 
 
 def _values(

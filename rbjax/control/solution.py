@@ -130,11 +130,10 @@ class Solution(Record):
         return act
 
 
-def solution_of(problem: Problem, found: Found, off: jax.Array, method: str) -> Solution:
+def solution_of(
+    problem: Problem, found: Found, off: jax.Array, ts: jax.Array, numbers: jax.Array, method: str
+) -> Solution:
     """The public form of what a method found."""
-    numbers = found.knots.numbers[0]
-    _, dt = problem.at(numbers)
-    ts = dt * jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
     return Solution(
         problem, ts, found.knots.state, found.ctrls, numbers, found.cost, found.outcome,
         found.iterations, found.stop, found.gap, found.violation,
