@@ -1,6 +1,7 @@
 """Crocoddyl's own examples, solved on request; run by an interpreter that has it, not by ours.
 
 Each line of the input is a problem and a number of runs; each line of the output the best run.
+With "costs" for the number, it is the costs of all iterations until the optimum stays the same.
 """
 
 import json
@@ -75,12 +76,29 @@ def steps(state, forces, running, terminal, dt, count):
     return [step] * count, last
 
 
-made = {"arm": arm, "quadrotor": quadrotor}
+def bounded_quadrotor():
+    problem = quadrotor()
+    for model in problem.runningModels:
+        model.u_lb, model.u_ub = np.full(4, 0.1), np.full(4, 5.0)
+    return problem
+
+
+made = {"arm": arm, "quadrotor": quadrotor, "bounded quadrotor": bounded_quadrotor}
 problems = {}
 for line in sys.stdin:
-    name, runs = line.split()
+    name, runs = line.rsplit(maxsplit=1)
     if name not in problems:
         problems[name] = made[name]()
+    if runs == "costs":
+        solver = (crocoddyl.SolverBoxFDDP if "bounded" in name else crocoddyl.SolverFDDP)(
+            problems[name]
+        )
+        logger = crocoddyl.CallbackLogger()
+        solver.th_stop = 1e-20
+        solver.setCallbacks([logger])
+        solver.solve([], [], 1000)
+        print(json.dumps(list(logger.costs)), flush=True)
+        continue
     best = 1e9
     for _ in range(int(runs)):
         solver = crocoddyl.SolverFDDP(problems[name])
