@@ -3,7 +3,8 @@
 A `Problem` (`problem`) says what is to be found: a system (`system`), costs and constraints of
 terms (`terms`, `residuals`), bounds, and what of start, time and model is free. `solve`
 (`front_door`) finds it by any of `methods`: `ddp` (expanded by `expansion`, `backward_pass`,
-`forward_pass`), or samples (`sampling`).
+`forward_pass`), or samples (`sampling`). The first robots of a form are constants of its programs
+(`constants`).
 
 Policies (`networks`) are trained through the dynamics of an `environment` (`policy_gradient`);
 `region_of_attraction` maps which starts come back under a feedback.
