@@ -1,5 +1,7 @@
 """Products of matrices that fill a CPU's vectors, in programs of one sample, against numpy."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,6 @@ from rbjax.threads import backend
 from rbjax.threads.function import threaded
 from tests.tolerances import F64_TRANSFORM, relative_error
 
-pytestmark = pytest.mark.skipif(not backend.on_cpu(), reason="XLA runs functions here")
 RNG = np.random.default_rng(0)
 A, B, C = (RNG.normal(size=shape) for shape in ((12, 9), (9, 13), (13, 12)))
 MANY = RNG.normal(size=(5, 4, 6)), RNG.normal(size=(5, 6, 7))
@@ -29,7 +30,12 @@ PRODUCTS = {
 }
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(autouse=True)
+def _by_machine_code(monkeypatch, by_xla):
+    monkeypatch.setattr(backend, "on_cpu", lambda: True)
+
+
+@functools.cache
 def found():
     """All of them by one program."""
     every = threaded(lambda *x: {name: f(*x) for name, (f, _) in PRODUCTS.items()}, team=True)
@@ -37,8 +43,8 @@ def found():
 
 
 @pytest.mark.parametrize("name", PRODUCTS)
-def test_products(found, name):
-    assert relative_error(found[name], PRODUCTS[name][1]) < F64_TRANSFORM
+def test_products(name):
+    assert relative_error(found()[name], PRODUCTS[name][1]) < F64_TRANSFORM
 
 
 def test_a_batch_within_a_sample():
