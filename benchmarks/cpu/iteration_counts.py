@@ -1,4 +1,4 @@
-"""Iterations of DDP until it is as good as Crocoddyl's answers, from the same starts; f64.
+"""Iterations of DDP or SQP until it is as good as Crocoddyl's answer, from the same start; f64.
 
 `python -m benchmarks.cpu.iteration_counts [--crocoddyl PYTHON]` writes
 results/cpu-iteration-counts-<cpu>.json. The problems are those of tests/oracles, whose file has
@@ -36,7 +36,8 @@ CASES: dict[str, tuple[Callable[[], oracle.Case], str, float]] = {
     "arm to rest": (
         functools.partial(oracle.kinova_reach, "plain_with_terminal_velocity"), "ddp",
         8.0195984379492),
-    "double pendulum": (oracle.double_pendulum, "exact_ddp", 0.02058750842288562),
+    "double pendulum": (oracle.double_pendulum, "exact_sqp", 0.02058750842288562),
+    "double pendulum by DDP": (oracle.double_pendulum, "exact_ddp", 0.02058750842288562),
     "quadrotor": (functools.partial(oracle.quadrotor, False), "exact_ddp", 0.005208641329765494),
     "bounded quadrotor": (
         functools.partial(oracle.quadrotor, True), "exact_ddp", 0.006512949757359135),
