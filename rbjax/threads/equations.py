@@ -14,6 +14,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun, new_jaxpr_eqn
 
 Atom = Any  # a variable or a literal of a jaxpr
@@ -88,7 +89,12 @@ def rule_of(
 
 
 def _avals(atoms: Sequence[Atom]) -> tuple:
-    return tuple(a.aval for a in atoms)
+    """The kinds of values, without the axes of devices along which they vary: a rule is that of one
+    sample."""
+    return tuple(
+        ShapedArray(x.shape, x.dtype, weak_type=x.weak_type) if type(x) is ShapedArray else x
+        for x in (a.aval for a in atoms)
+    )
 
 
 @dataclass(frozen=True)
