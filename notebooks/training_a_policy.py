@@ -38,7 +38,7 @@ DT, EPISODE = 0.02, 250
 # %% [markdown]
 # ## The task
 # The force is at most 10 N. A state costs by the angle, the place of the cart, the velocities and
-# the force. Motions begin at any angle; one that leaves the track is lost and begins anew.
+# the force. Motions begin at any angle; one that leaves the track is lost and starts again.
 
 # %%
 model = rb.load("cart_pole")

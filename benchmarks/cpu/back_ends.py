@@ -16,22 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import rbjax as rb
 from benchmarks.shared.robots import NAMES, as_model, compiled, states
+from benchmarks.shared.timed_algorithms import ALGORITHMS
 from benchmarks.shared.timing import markdown_table, others, save
 from benchmarks.shared.under_xla import under_xla
 
 BATCH = 1024
 #: at least so many turns, for so many seconds: the best of them had the core for itself
 TURNS, SECONDS = 10, 4.0
-ALGORITHMS: dict[str, Callable] = {
-    "forward dynamics": rb.forward_dynamics,
-    "RNEA": rb.inverse_dynamics,
-    "CRBA": lambda m, q, v, u: rb.mass_matrix(m, q),
-    "forward kinematics": lambda m, q, v, u: rb.forward_kinematics(m, q),
-    "derivatives of forward dynamics": rb.forward_dynamics_derivatives,
-    "derivatives of inverse dynamics": rb.inverse_dynamics_derivatives,
-}
 COLUMNS = ("robot", "algorithm", "bits", "llvm_ns", "xla_ns", "speedup", "llvm_compile_s",
            "xla_compile_s", "difference")  # fmt: skip
 

@@ -12,14 +12,12 @@ import benchmarks.shared.one_core  # noqa: F401, I001 (before jax)
 
 import argparse
 import functools
-import subprocess
 from collections.abc import Callable
 from typing import Any
 
-import json
 import numpy as np
 
-from benchmarks.cpu.optimal_control import PEER
+from benchmarks.cpu.optimal_control import answer, started
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.control import solve
 from tests.oracles import optimal_control as oracle
@@ -67,9 +65,7 @@ def row(name: str, peer: Any) -> dict[str, Any]:
         "their cost": theirs, "their iterations": case.iterations,
     }  # fmt: skip
     if peer and "quadrotor" in name:
-        peer.stdin.write(f"{name} costs\n")
-        peer.stdin.flush()
-        more = np.asarray(json.loads(peer.stdout.readline()))[1:]  # the first is that of the start
+        more = np.asarray(answer(peer, f"{name} costs"))[1:]  # the first is that of the start
         out["theirs to 6 digits"] = reached(more, float(more.min()))
     return out
 
@@ -78,11 +74,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--crocoddyl", default=None, help="python with crocoddyl")
     asked = parser.parse_args()
-    peer = None
-    if asked.crocoddyl:
-        peer = subprocess.Popen(
-            [asked.crocoddyl, PEER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+    peer = started(asked.crocoddyl)
     rows = []
     for name in CASES:
         rows.append(row(name, peer))

@@ -10,6 +10,7 @@ best of all its processes: `jax.jit(jax.vmap(f))` with the model closed over, ba
 import argparse
 import json
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parents[2]
+ALGORITHMS = HERE / "benchmarks" / "shared" / "timed_algorithms.py"
 BEFORE_MACHINE_CODE = "8b31068"
 BATCH, SECONDS, TURNS = 1024, 2.0, 2
 COLUMNS = ("robot", "algorithm", "bits", "older_ns", "ns", "speedup")
@@ -30,17 +32,10 @@ def measure(robot: str) -> None:
     import jax.numpy as jnp
     import numpy as np
 
-    import rbjax as rb
     from benchmarks.shared.robots import as_model, compiled, states
 
-    algorithms = {
-        "forward dynamics": rb.forward_dynamics,
-        "RNEA": rb.inverse_dynamics,
-        "CRBA": lambda m, q, v, u: rb.mass_matrix(m, q),
-        "forward kinematics": lambda m, q, v, u: rb.forward_kinematics(m, q),
-        "derivatives of forward dynamics": rb.forward_dynamics_derivatives,
-        "derivatives of inverse dynamics": rb.inverse_dynamics_derivatives,
-    }
+    # by its path: an older commit lacks the file, and rbjax inside it is that commit's
+    algorithms = runpy.run_path(str(ALGORITHMS))["ALGORITHMS"]
     reference = compiled(robot)
     for dtype in (np.float64, np.float32):
         model = as_model(reference).astype(dtype)

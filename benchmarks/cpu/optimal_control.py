@@ -28,6 +28,22 @@ COLUMNS = (
 )  # fmt: skip
 
 
+def started(python: str | None) -> Any:
+    """The peer in a process of its own, if there is an interpreter for it."""
+    if python is None:
+        return None
+    return subprocess.Popen(
+        [python, PEER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+
+
+def answer(peer: Any, request: str) -> Any:
+    """What the peer says to a line."""
+    peer.stdin.write(f"{request}\n")
+    peer.stdin.flush()
+    return json.loads(peer.stdout.readline())
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--crocoddyl", default=None, help="python with crocoddyl")
@@ -37,11 +53,7 @@ def main() -> None:
         "arm": oracle.kinova_reach("plain_difference"),
         "quadrotor": oracle.quadrotor(False),
     }
-    peer = None
-    if args.crocoddyl:
-        peer = subprocess.Popen(
-            [args.crocoddyl, PEER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+    peer = started(args.crocoddyl)
     rows: list[dict[str, Any]] = []
     for name, case in cases.items():
         start = time.perf_counter()
@@ -53,10 +65,8 @@ def main() -> None:
                 begin = time.process_time()
                 jax.block_until_ready(solve(case.problem, case.start).ctrls)
                 ours.append((time.process_time() - begin) / count * 1e3)
-            if peer and peer.stdin and peer.stdout:
-                peer.stdin.write(f"{name} 3\n")
-                peer.stdin.flush()
-                theirs.append(json.loads(peer.stdout.readline()))
+            if peer:
+                theirs.append(answer(peer, f"{name} 3"))
         about = {"problem": name, "knots": case.problem.horizon}
         best = min((x["ms"] for x in theirs), default=None)
         rows.append({

@@ -1,8 +1,8 @@
 """The numbers of a robot as constants of a program.
 
 Most numbers of a model are zeros and ones. A program that knows them leaves half of its operations
-out: an iteration of a quadrotor's problem takes 0.55 of the time. But it has to be compiled again
-for other numbers. So the first few robots of a kind are constants, and all later ones arguments.
+out: expanding a quadrotor's problem and trying steps take 0.4 of the time. But it is compiled again
+for other numbers. So the first few robots of a kind are constants, and later ones arguments.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class Refined(Record):
             return "infeasible"
         if not bool(self.residuals.feasible) or self.motion.time > self.start_time * (1 + 1e-6):
             return "not converged"
-        faster = self.motion.time < self.start_time * (1 - 1e-9)  # not by rounding alone
+        faster = self.motion.time < self.start_time * (1 - 1e-9)  # not only by rounding
         return "refined" if int(self.steps_taken) and bool(faster) else "as it was"
 
 

@@ -17,8 +17,8 @@ from rbjax.threads.llvm_ir import Module
 
 
 class Levels(NamedTuple):
-    """Passes on the IR, or a level of LLVM's own; the level of the instruction selection; and what
-    LLVM is told beside the processor's own features."""
+    """Passes on the IR, or a level of LLVM's own; the level of the instruction selection; and
+    features that LLVM gets beside the processor's own."""
 
     passes: tuple[str, ...] | int
     selection: int

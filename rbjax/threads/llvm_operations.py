@@ -34,8 +34,8 @@ INTEGER = {
 LOGICAL = {**INTEGER, "add": "or", "mul": "and", "max": "or", "min": "and"}
 #: of a line of the cache, and of the largest vector
 ALIGNMENT = 64
-#: LLVM keeps vectors that find no register on the stack, and aligns them to 16 bytes if it is not
-#: told of their size. Most of them cross a line then: derivatives take 1.2 times as long.
+#: LLVM keeps vectors that find no register on the stack, and aligns them to 16 bytes unless a
+#: function asks for more. Most of them cross a line then: derivatives take 1.2 times as long.
 ATTRIBUTES = f"nounwind alignstack({ALIGNMENT})"
 COMPARISONS = ("lt", "le", "gt", "ge", "eq", "ne")
 

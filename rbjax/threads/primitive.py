@@ -169,8 +169,8 @@ def _kernel(platform, program, batch, ins, outs, shapes, summed):
     if platform == "cpu":
         levels = llvm_jit.MATRIX_LEVELS if program.team else llvm_jit.LEVELS
         levels = llvm_jit.QUICK_LEVELS if program.once and not batch else levels
-        alone = program.team and not batch
-        return host_call.host_kernel(write_program(*how, matrices=alone), levels)
+        single = program.team and not batch
+        return host_call.host_kernel(write_program(*how, matrices=single), levels)
     if program.team and team.fits(written := write_program(*how, team=True)):
         return team.kernel(written)
     return cuda.kernel(write_program(*how))
