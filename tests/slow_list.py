@@ -1,7 +1,7 @@
 """The list of slow test functions, made from a measured run: `slow.txt`, one function a line.
 
-    pytest --junitxml times.xml -m "not slow or listed"
-    python -m tests.slow_list times.xml
+    RBJAX_TEST_TIMES=times.txt pytest -m "not slow or listed"
+    python -m tests.slow_list times.txt
 
 writes the list from the CPU seconds of the tests that ran and keeps its entries for other tests.
 A function is listed as a whole if its cases take more than `LIMIT` CPU seconds on average or more
@@ -18,15 +18,14 @@ import re
 import sys
 from collections import defaultdict
 from pathlib import Path
-from xml.etree import ElementTree
 
 PATH = Path(__file__).parent / "slow.txt"
 #: CPU seconds of one case, on average, and of all cases of a function
 LIMIT, TOTAL = 1.5, 8.0
 #: files whose tests are always quick
 KEPT = ("tests/test_registry.py",)
-#: the name of the measured property of a test case in the XML file
-PROPERTY = "cpu_seconds"
+#: the environment variable that names the file of measured times
+VARIABLE = "RBJAX_TEST_TIMES"
 
 
 def listed() -> set[str]:
@@ -52,14 +51,9 @@ def function(name: str) -> str:
 
 
 def times(path: str) -> dict[str, float]:
-    """CPU seconds of each test of a run."""
-    found = {}
-    for case in ElementTree.parse(path).iter("testcase"):
-        file = case.get("classname", "").replace(".", "/") + ".py"
-        seconds = [p.get("value") for p in case.iter("property") if p.get("name") == PROPERTY]
-        if seconds:
-            found[f"{file}::{case.get('name')}"] = float(seconds[0])
-    return found
+    """CPU seconds of each test of a run: a line is "SECONDS NAME"."""
+    pairs = (line.split(" ", 1) for line in Path(path).read_text().splitlines())
+    return {name: float(seconds) for seconds, name in pairs}
 
 
 def main() -> None:
