@@ -18,7 +18,6 @@ from jax.lax import ScatterDimensionNumbers as Scatter
 
 from rbjax.lanes import sincos
 from rbjax.threads.lowering import Unsupported
-from tests import quickly
 from tests.threads.host import (
     COMPILER,
     GPU_ASKED,
@@ -54,8 +53,7 @@ def compare(cases: dict[str, Case], ulps: float = 4, absolute: float = 0.0) -> N
     found = {"C": many_on_host(every, ("-O0", "-ffp-contract=off"))}
     if not GPU_ASKED:
         found["LLVM"] = by_llvm(every)
-        if quickly.by_xla:  # in the long run; test_vectors.py has some programs
-            found["vectors"] = by_vectors(every)
+        found["vectors"] = by_vectors(every)
     wrong = [
         f"{name} by {how}, {bad}"
         for how, results in found.items()
