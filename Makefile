@@ -3,14 +3,16 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+# processes of pytest; `make test-all JOBS=16` on a machine with 16 cores and 4 GB of memory for each
+JOBS   ?= 2
 # worksteal: a worker gets a half of the files in a row, so what a file's tests share is compiled once
-PYTEST := $(BIN)/pytest -n 2 --dist worksteal
+PYTEST := $(BIN)/pytest -n $(JOBS) --dist worksteal
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Each process of the tests would compile every source once more.
 unexport PYTHONDONTWRITEBYTECODE
 
 # Tests and the demo compile the same programs again and again: keep them between runs.
-# Tests that are not slow compile without optimizations, or not at all: tests/conftest.py, quickly.py.
+# In quick tests XLA compiles without optimizations (tests/conftest.py); machine code is as for users.
 # (Benchmarks measure compilation, so they do without.)
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
@@ -42,8 +44,8 @@ quick: $(STAMP)
 test-gpu: $(STAMP) ## on an NVIDIA GPU: the threads compiler's tests as kernels, beside XLA's CPU
 	JAX_PLATFORMS=cpu,cuda $(PYTEST) -m "not slow" tests/threads tests/motion/test_march.py tests/dynamics/test_limbs.py
 
-test-all: lint types ## the same with the slow tests
-	$(PYTEST)
+test-all: lint types ## the same with the slow tests; JOBS=16 on many cores; a summary in .cache/test-all.xml
+	$(PYTEST) --durations=20 --junitxml=.cache/test-all.xml
 
 lint: $(STAMP) ## ruff
 	$(BIN)/ruff check --quiet .

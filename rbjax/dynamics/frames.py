@@ -48,6 +48,8 @@ def carried_point(
         placed = site_transform(model, i, like.dtype)
         at = placed.p + placed.R @ at
         b = model.topology.site_bodies[i]
+    elif body == "world" and body not in model.body_names:  # MuJoCo's name of the fixed frame
+        b = WORLD
     else:
         b = model.body(body)
     if b == WORLD:
@@ -116,7 +118,7 @@ def frame_velocity(
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        body: the name of a body.
+        body: the name of a body; "world" is the frame that does not move.
         point: (3,) m in the frame of the body or site; its origin if None.
         site: the name of a site, instead of a body.
 
@@ -167,7 +169,7 @@ def frame_bias_acceleration(
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        body: the name of a body.
+        body: the name of a body; "world" is the frame that does not move.
         point: (3,) m in the frame of the body or site; its origin if None.
         site: the name of a site, instead of a body.
 

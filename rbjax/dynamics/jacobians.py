@@ -45,7 +45,7 @@ def jacobian(
     Args:
         model: the robot.
         q: (nq,) configuration.
-        body: the name of a body.
+        body: the name of a body; "world" is the frame that does not move.
         point: (3,) m in the frame of the body or site; its origin if None.
         site: the name of a site, instead of a body.
 
@@ -100,7 +100,7 @@ def jacobian_rate(
         model: the robot.
         q: (nq,) configuration.
         v: (nv,) velocity.
-        body: the name of a body.
+        body: the name of a body; "world" is the frame that does not move.
         point: (3,) m in the frame of the body or site; its origin if None.
         site: the name of a site, instead of a body.
 

@@ -1,0 +1,118 @@
+"""One public function on the whole grid: f32 and f64, batches of 0, 1 and 3, every transformation.
+
+Files named test_composes or test_registry compare derivatives with differences in f64. Here the
+same functions must keep the dtype of their arguments, agree with f64 in f32, and work for a batch
+of no sample and of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
+
+BATCHES = (0, 1, 3)
+# f32 against f64: rounding of 6e-8 times a condition number of up to 1e4, as for mass matrices of
+# the tests' robots. A constant in f32, or TF32, would give 1e-3 and more.
+F32 = 1e-3
+# An inner product by the forward and by the reverse mode in f32.
+F32_ADJOINT = 2e-3
+
+
+@dataclass(frozen=True)
+class Case:
+    """A function of arrays.
+
+    make: dtype -> the function. Models that it closes over have this dtype.
+    arrays: three samples of each argument, stacked along the first axis.
+    f32: tolerance of f32 results relative to f64.
+    derivatives: whether the function is differentiable at the samples.
+    """
+
+    make: Callable[[Any], Callable[..., Any]]
+    arrays: Sequence[np.ndarray]
+    f32: float = F32
+    derivatives: bool = True
+
+
+def floats(tree: Any) -> list[jax.Array]:
+    """The floating arrays of a result."""
+    return [
+        x for x in map(jnp.asarray, jax.tree.leaves(tree)) if jnp.issubdtype(x.dtype, jnp.floating)
+    ]
+
+
+def check_default(case: Case) -> None:
+    """In f32, JAX's default: one sample outside of jit, and a batch of no sample."""
+    f = case.make(np.float32)
+    xs = [np.asarray(x, np.float32) for x in case.arrays]
+    one = floats(f(*(x[0] for x in xs)))
+    assert one, "no floating result"
+    wrong = [x.dtype for x in one if x.dtype != np.float32]
+    assert not wrong, f"one sample in f32 gives {wrong}"
+    assert all(np.isfinite(x).all() for x in one), "one sample is not finite"
+    none = floats(jax.jit(jax.vmap(f))(*(x[:0] for x in xs)))
+    assert [x.shape for x in none] == [(0, *x.shape) for x in one]
+    assert all(x.dtype == np.float32 for x in none)
+
+
+def check_grid(case: Case) -> None:
+    """f32 and f64; batches of 0, 1 and 3 within jit; both modes of differentiation."""
+    results = {}
+    for dtype in (np.float64, np.float32):
+        xs = [np.asarray(x, dtype) for x in case.arrays]
+        for n in BATCHES:
+            many = floats(jax.jit(jax.vmap(case.make(dtype)))(*(x[:n] for x in xs)))
+            results[dtype, n] = many
+            assert all(x.dtype == dtype for x in many), f"batch of {n}: dtype"
+        three = results[dtype, 3]
+        for n in BATCHES:
+            assert [x.shape for x in results[dtype, n]] == [(n, *x.shape[1:]) for x in three]
+        tolerance = F64_TRANSFORM if dtype == np.float64 else case.f32
+        for got, want in zip(results[dtype, 1], three, strict=True):
+            assert relative_error(got[0], want[0], floor=1.0) <= tolerance, "batches of 1 and 3"
+        if case.derivatives:
+            check_derivatives(case, dtype)
+    for got, want in zip(results[np.float32, 3], results[np.float64, 3], strict=True):
+        error = relative_error(got, want, batch_dims=1, floor=1.0)
+        assert error.max() <= case.f32, f"f32 beside f64: {error}"
+
+
+def check_derivatives(case: Case, dtype: Any) -> None:
+    """<w, J t> is the same by both modes, in the dtype of the arguments, for a batch of 3."""
+    f = case.make(dtype)
+    xs = tuple(jnp.asarray(x, dtype) for x in case.arrays)
+    rng = np.random.default_rng(2)
+    ts = tuple(jnp.asarray(rng.normal(size=x.shape), dtype) for x in xs)
+
+    def flat(*x):
+        return jnp.concatenate([jnp.ravel(y) for y in floats(f(*x))])
+
+    @jax.jit
+    def both(xs, ts):
+        values, rates = jax.vmap(lambda x, t: jax.jvp(flat, x, t))(xs, ts)
+        weights = jnp.sin(1.0 + jnp.arange(values.size, dtype=dtype)).reshape(values.shape)
+        return rates, weights, jax.vmap(lambda x, w: jax.vjp(flat, *x)[1](w))(xs, weights)
+
+    rates, weights, back = both(xs, ts)
+    assert rates.dtype == dtype and all(b.dtype == dtype for b in back)
+    for k in range(3):
+        forward = np.asarray(weights[k], float) * np.asarray(rates[k], float)
+        pairs = zip(back, ts, strict=True)
+        reverse = [np.asarray(b[k], float) * np.asarray(t[k], float) for b, t in pairs]
+        total = sum(x.sum() for x in reverse)
+        scale = 1.0 + np.abs(forward).sum() + sum(np.abs(x).sum() for x in reverse)
+        tolerance = F64_IDENTITY if dtype == np.float64 else F32_ADJOINT
+        assert np.isfinite(total), "the gradient is not finite"
+        assert abs(forward.sum() - total) <= tolerance * scale, (forward.sum(), total)
+
+
+def same(f: Callable) -> Callable[[Any], Callable]:
+    """make of a function that closes over no array."""
+    return lambda dtype: f

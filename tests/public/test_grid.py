@@ -1,0 +1,34 @@
+"""Every public function of arrays on the grid of dtypes, batches and transformations."""
+
+import inspect
+
+import pytest
+
+import rbjax as rb
+from tests.public.grid import check_default, check_grid
+from tests.public.tables import ELSEWHERE, TABLES
+
+NAMES = [(room, name) for room, cases in TABLES.items() for name in cases]
+every = pytest.mark.parametrize(("room", "name"), NAMES, ids=[f"{r}-{n}" for r, n in NAMES])
+
+
+@every
+def test_in_single_precision_and_for_no_sample(room: str, name: str) -> None:
+    check_default(TABLES[room][name])
+
+
+@pytest.mark.slow
+@every
+def test_on_the_grid(room: str, name: str) -> None:
+    check_grid(TABLES[room][name])
+
+
+@pytest.mark.parametrize("room", ELSEWHERE)
+def test_no_public_function_is_missing(room: str) -> None:
+    package = rb if room == "rb" else getattr(rb, room)
+    public = {name for name in package.__all__ if inspect.isroutine(getattr(package, name))}
+    cases = {name.split(",")[0].rpartition(".")[2] for table in TABLES.values() for name in table}
+    missing = public - cases - ELSEWHERE[room]
+    assert not missing, f"give {sorted(missing)} of {room} a case in tests/public/tables.py"
+    unknown = ELSEWHERE[room] - public
+    assert not unknown, f"{sorted(unknown)} are not public functions of {room}"
