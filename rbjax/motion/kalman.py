@@ -364,7 +364,9 @@ def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | N
 
 
 def _matrix(name: str, x: Any) -> jax.Array:
-    x = jnp.asarray(x, float) if not isinstance(x, jax.Array) else x
+    x = jnp.asarray(x) if hasattr(x, "dtype") else jnp.asarray(x, float)
+    if not jnp.issubdtype(x.dtype, jnp.floating):
+        x = x.astype(float)
     if x.ndim == 1:
         return jnp.diag(x)
     if x.ndim != 2 or x.shape[0] != x.shape[1]:

@@ -97,7 +97,8 @@ def pullback_distance(P: jax.Array, Q: jax.Array) -> jax.Array:
         >>> float(pullback_distance(2 * jnp.eye(4), jnp.eye(4)))
         2.0
     """
-    off = _relative(P, Q) - jnp.eye(4)
+    relative = _relative(P, Q)
+    off = relative - jnp.eye(4, dtype=relative.dtype)
     square = (off * off).sum((-1, -2))
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
@@ -120,7 +121,9 @@ def pullback_metric(phi: jax.Array) -> jax.Array:
         (10, 10)
     """
     V = upper_factor(to_log_cholesky(pseudo_inertia_of(phi)))
-    inverse = jax.scipy.linalg.solve_triangular(V, jnp.broadcast_to(jnp.eye(4), V.shape))
+    inverse = jax.scipy.linalg.solve_triangular(
+        V, jnp.broadcast_to(jnp.eye(4, dtype=V.dtype), V.shape)
+    )
     each = pseudo_inertia_of(jnp.eye(10, dtype=V.dtype))  # dP of each parameter
     whitened = jnp.einsum("...ij,kjl,...ml->...kim", inverse, each, inverse)
     return jnp.einsum("...kim,...lim->...kl", whitened, whitened)

@@ -165,20 +165,27 @@ def curve(name: str) -> Callable:
     return found
 
 
+def cast(tree: Any, dtype: Any) -> Any:
+    """The floating arrays of a record in a dtype."""
+    return jax.tree.map(
+        lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree
+    )
+
+
 @cache
 def field(dtype: Any) -> planning.DistanceField:
     cells = np.zeros((30, 30), bool)
     cells[18:24, 5:9] = True
     found = planning.OccupancyGrid(cells, 0.1, [-1.5, -1.5]).distance_field()
-    return jax.tree.map(
-        lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, found
-    )
+    return cast(found, dtype)
 
 
 DISC = planning.Footprint.disc(0.2)
+
+
 PLANNING = {name: Case(same(curve(name)), [POSES, FAR]) for name in ("dubins", "reeds_shepp")}
 PLANNING["clearance"] = Case(
-    lambda d: lambda p: planning.clearance(field(d), p, DISC), [0.5 * POSES]
+    lambda d: lambda p: planning.clearance(field(d), p, cast(DISC, d)), [0.5 * POSES]
 )
 
 # ---------------------------------------------------------------- control
