@@ -54,6 +54,7 @@ class GearLoss(Element):
     loss: jax.Array
     smoothing: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
+    positive = ("smoothing",)
 
     @classmethod
     def of(

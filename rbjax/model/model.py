@@ -25,6 +25,7 @@ from rbjax.model.record import Record as Record
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 from rbjax.rotations import quaternion
+from rbjax.rotations.arguments import FLOATS
 
 #: the axes that each number has in one model, in the order of the leaves
 AXES = {
@@ -289,7 +290,7 @@ class Model(Record):
         Algorithms compute in the dtype of q and v; states and keyframes come in the model's.
 
         Raises:
-            InputError: the dtype is not a floating one.
+            InputError: the dtype is neither float32 nor float64.
 
         Example:
             >>> import rbjax as rb, jax.numpy as jnp
@@ -297,7 +298,7 @@ class Model(Record):
             dtype('float32')
         """
         try:
-            floating = dtype is not None and jnp.issubdtype(np.dtype(dtype), jnp.floating)
+            floating = dtype is not None and np.dtype(dtype) in FLOATS
         except TypeError:  # numpy's, of what is no dtype
             floating = False
         if not floating:
