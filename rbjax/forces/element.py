@@ -121,6 +121,11 @@ class Element(Record):
         controls, and held within the force ranges of the joints."""
         return False
 
+    @property
+    def after_actuators(self) -> bool:
+        """Whether `loads` reads `now.driven`, the generalized forces of all actuators."""
+        return False
+
     def loads(self, now: Instant) -> Loads:
         """What it does to the robot at an instant."""
         raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")

@@ -7,7 +7,7 @@ Vectors are `Vec3` of lanes: they add, subtract, scale, have `dot`, `cross` and 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -42,6 +42,9 @@ class Instant:
     links: LinkMotion
     dt: Any = None
     a: Any = None
+    #: generalized forces of the actuators by velocity coordinate, within the joints' force ranges;
+    #: for elements with `after_actuators`
+    driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
     @property

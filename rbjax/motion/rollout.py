@@ -71,6 +71,7 @@ def rollout(
     Explicit Runge-Kutta methods on the manifold: `rk4`, `tsit5`, `dopri8`, `dop853`, of order 4, 5,
     8, 8 with 4, 6, 13, 12 evaluations. In f64 `dop853` needs 10 to 15 % fewer than `dopri8` for an
     error of 1e-6 (on an arm and a humanoid); in f32 it comes down to 1.1e-6, `dopri8` to 2.4e-7.
+    A body that turns by more than about 3 rad a step makes them diverge, and `ok` False.
 
     Force elements see the step dt. States of elements end each step within their ranges.
 
