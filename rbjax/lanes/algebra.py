@@ -160,9 +160,9 @@ class Vec3(Lanes):
         return Vec3(sub(mul(b, z), mul(c, y)), sub(mul(c, x), mul(a, z)), sub(mul(a, y), mul(b, x)))
 
     def __mul__(self, scalar: Lane):
-        if getattr(scalar, "shape", ()) == (3,) and not isinstance(scalar, Tracer):
-            if all(jnp.ndim(x) == 0 for x in self):  # no lane has a batch, so this is no batch of 3
-                raise TypeError("Vec3 * (3,): expected a scalar; use dot or cross for two vectors")
+        known = getattr(scalar, "shape", ()) == (3,) and not isinstance(scalar, Tracer)
+        if known and all(jnp.ndim(x) == 0 for x in self):  # no lane has a batch of 3
+            raise TypeError("Vec3 * (3,): expected a scalar; use dot or cross for two vectors")
         return Vec3(*(mul(scalar, a) for a in self))
 
     __rmul__ = __mul__

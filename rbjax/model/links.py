@@ -344,7 +344,8 @@ def _alignments(axis, xp, shortest=False):
 def _alignment_of_cells(row: np.ndarray, shortest: bool = False) -> np.ndarray:
     """`_alignments` of one axis: numbers where it is literal, cells where it is traced."""
     if all_literal(row):
-        return _alignments(np.array([[float(lane_of(x)) for x in row]]), np, shortest)[0].astype(object)
+        known = np.array([[float(lane_of(x)) for x in row]])
+        return _alignments(known, np, shortest)[0].astype(object)
     dense = _alignments(jnp.stack([jnp.asarray(lane_of(x)) for x in row])[None], jnp, shortest)[0]
     return np.array([[Cell(dense[i, j]) for j in range(3)] for i in range(3)], object)
 
