@@ -194,7 +194,7 @@ def test_urdf_meshes_are_not_needed(file: str) -> None:
     shape = f'<visual>{mesh}<material name="steel"/></visual><collision>{mesh}</collision>'
     text = urdf('<material name="steel"/>', link("base"), link("arm", 1, shape), ARM[2])
     model = load_quietly(text, floating_base=False)
-    assert model.nv == 1 and model.dropped == ()
+    assert model.nv == 1 and model.dropped == ("collision shapes of links (arm)",)
 
 
 def test_urdf_mass_is_never_that_of_a_shape() -> None:
@@ -363,7 +363,7 @@ def test_an_unknown_scene_lists_the_scenes() -> None:
 def test_a_folder_or_a_picture_is_not_a_robot(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_bytes(b"\xff\xfe\x00\x80picture")
     for path in (tmp_path, tmp_path / "robot.xml"):
-        with pytest.raises(rb.ModelError, match=r"cannot be read as text|not well-formed|not a regular"):
+        with pytest.raises(rb.ModelError, match=r"cannot be read as text|not a regular file"):
             rb.load(path)
 
 
