@@ -116,7 +116,7 @@ def operations(model: Model) -> dict[str, OperationCount]:
 def info(file: File, as_json: AsJson = False, floating_base: Floating = False) -> None:
     """Show a robot file: its tree, the features left out, the operations of each algorithm."""
     with _session():
-        model = rb.load(file, floating_base=floating_base)
+        model = rb.load(file, floating_base=floating_base or None)
         counts = operations(model)
     if as_json:
         found: dict[str, Any] = {"nq": model.nq, "nv": model.nv, "nu": model.nu, "nb": model.nb}

@@ -64,7 +64,7 @@ class NewtonEuler(Spinning):
             n = n - jnp.cross(omega, matvec(I_P, omega))
             f = f - body.mass * jnp.cross(omega, jnp.cross(omega, c))
             mc = body.mass * so3.hat(c)
-            M = jnp.block([[I_P, mc], [-mc, body.mass * jnp.eye(3)]])
+            M = jnp.block([[I_P, mc], [-mc, body.mass * jnp.eye(3, dtype=mc.dtype)]])
             if body.added_mass is not None:
                 A, drag = self._fluid(body, jnp.concatenate([omega, matvec(R.T, v)]))
                 M, n, f = M + A, n - drag[:3], f - drag[3:]

@@ -71,7 +71,7 @@ def inertia_matrix(body: Body) -> jax.Array:
 def total_wrench(situation: Situation, t: Any, T: jax.Array, V: jax.Array) -> jax.Array:
     """The sum (6,) of all forces, at the frame's origin in body axes."""
     body, forces = situation
-    return sum((f(t, body, T, V) for f in forces), start=jnp.zeros_like(V))
+    return sum((f(t, body, T, V).astype(V.dtype) for f in forces), start=jnp.zeros_like(V))
 
 
 def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
@@ -86,7 +86,8 @@ def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
     """The potential energy of all forces that have a potential."""
     conservative, _ = split(situation)
     body = situation[0]
-    return sum((f.potential(body, T) for f in conservative), start=jnp.zeros((), T.dtype))
+    energies = (f.potential(body, T).astype(T.dtype) for f in conservative)
+    return sum(energies, start=jnp.zeros((), T.dtype))
 
 
 def kinetic_energy(body: Body, V: jax.Array) -> jax.Array:

@@ -78,7 +78,11 @@ def check_places(constraint: Any) -> None:
 
 
 def turn_z_to(axis: jax.Array) -> jax.Array:
-    """The quaternion (4,) of the least turn that takes z to an axis (3,) of any length."""
+    """The quaternion (4,) of a rotation that takes z to an axis (3,) of any length.
+
+    It is the shortest one if the axis's z is not negative. Otherwise it is a half turn about x and
+    the shortest rotation from -z.
+    """
     length = jnp.sqrt((axis * axis).sum())
     if not isinstance(length, jax.core.Tracer) and not np.asarray(length) > 0:
         raise InputError(f"an axis is {np.asarray(axis).tolist()}, expected a direction")

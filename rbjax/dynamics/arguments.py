@@ -27,6 +27,7 @@ from rbjax.errors import InputError
 from rbjax.meshes import automatic
 from rbjax.model import Model, State
 from rbjax.model.record import FEW
+from rbjax.rotations.arguments import FLOATS
 from rbjax.threads import threaded, wanted
 
 #: argument name -> its shape in terms of the model
@@ -50,8 +51,8 @@ STATIC = ("body", "site", "integrator", "law", "constraints")
 
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")
-#: arguments that take the dtype of the others
-FOLLOWING = ("point", "t")
+#: arguments whose dtype is that of the computation; all others are cast to it
+LEADING = ("q", "q0", "q1", "v")
 
 
 def algorithm(
@@ -126,8 +127,8 @@ def check_arrays(
     batch: tuple[int, ...] = (),
     required: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The named arrays in one floating dtype, after checks of shapes and (where known) values. Each
-    may have batch axes before its own. `required` may not be None."""
+    """The named arrays in the dtype of q and v, after checks of shapes and (where known) values.
+    Each may have batch axes before its own. `required` may not be None."""
     check_model(where, model)
     given, stated = dict(given), "state" in given
     step = given.pop("dt", None)
@@ -144,7 +145,7 @@ def check_arrays(
     for name, value in given.items():
         if value is not None or name not in OPTIONAL or name in required:
             out[name] = check_array(where, name, value, (*batch, *SHAPES[name](model)))
-    leading = [x for name, x in out.items() if name not in FOLLOWING]
+    leading = [x for name, x in out.items() if name in LEADING]
     dtype = jnp.result_type(*leading) if leading else jnp.result_type(float)
     out = {name: value.astype(dtype) for name, value in out.items()}
     for name in ("q", "q0", "q1"):
@@ -220,7 +221,7 @@ def check_array(
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {expected}{hint}")
     if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
         x = x.astype(jnp.result_type(float))
-    if not jnp.issubdtype(x.dtype, jnp.floating):
+    if x.dtype not in FLOATS:
         raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
     if not isinstance(x, jax.core.Tracer):
         on_host = isinstance(value, np.ndarray) and value.dtype == x.dtype

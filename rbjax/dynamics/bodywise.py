@@ -199,7 +199,8 @@ def inertial_parameters(model: Model) -> jax.Array:
     check_model("inertial_parameters", model)
     bodies = as_declared(model).bodies
     m, c = bodies.mass, bodies.com
-    square = (c * c).sum(-1)[:, None, None] * jnp.eye(3) - c[:, :, None] * c[:, None, :]
+    one = np.eye(3, dtype=c.dtype)
+    square = (c * c).sum(-1)[:, None, None] * one - c[:, :, None] * c[:, None, :]
     J = bodies.inertia + m[:, None, None] * square
     six = [J[:, 0, 0], J[:, 0, 1], J[:, 1, 1], J[:, 0, 2], J[:, 1, 2], J[:, 2, 2]]
     return jnp.stack([m, *(m * c[:, k] for k in range(3)), *six], -1).reshape(-1)

@@ -7,6 +7,7 @@ Everything that moves a robot asks here, and nothing else knows an element by na
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -45,13 +46,17 @@ def sighted(model: Model, now: Instant) -> list[tuple[Element, Instant]]:
 
 def loads(model: Model, now: Instant) -> tuple[list[Lane], LinkForces]:
     """Generalized forces, one lane a velocity coordinate, and forces on links."""
-    passive, driven = Loads(), Loads()
+    passive, driven, later = Loads(), Loads(), []
     for element, seen in sighted(model, now):
-        if not element.actuates:
+        if element.after_actuators:
+            later.append((element, seen))
+        elif not element.actuates:
             passive = passive + _given(element, seen)
         elif now.u is not None:
             driven = driven + _given(element, seen)
     driven = _limited(model, driven, now)
+    for element, seen in later:
+        passive = passive + _given(element, replace(seen, driven=driven.tau))
     tau = [add(passive.tau.get(i, 0.0), driven.tau.get(i, 0.0)) for i in range(model.nv)]
     return tau, (passive + Loads({}, driven.wrenches)).wrenches
 

@@ -32,7 +32,7 @@ class Signals:
 
     def __init__(self, now: Instant, u: Sequence[Lane], transmission: Transmission):
         self.u, self.x, self.dtype = u, now.x, now.q.dtype
-        self.h = now.model.timestep if now.dt is None else now.dt
+        self.h = now.h
         self._now, self._transmission = now, transmission
 
     @property

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ from rbjax.dynamics.link_forces import LinkForces, added
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, mul
 from rbjax.model import Model
-from rbjax.model.record import Record, check_fields
+from rbjax.model.record import Record, check_above_zero, check_fields
 from rbjax.spatial import Force
 
 if TYPE_CHECKING:
@@ -94,8 +94,13 @@ class Element(Record):
         [40.0, 0.0, 0.0]
     """
 
+    #: fields whose numbers must be above zero
+    positive: ClassVar[tuple[str, ...]] = ()
+
     def __check_init__(self) -> None:
         check_fields(self)
+        for name in self.positive:
+            check_above_zero(f"{type(self).__name__}({name}=...)", getattr(self, name))
 
     def may_be_endless(self, name: str) -> bool:
         return True
@@ -114,6 +119,11 @@ class Element(Record):
     def actuates(self) -> bool:
         """Whether its generalized forces count as an actuator's: absent where there are no
         controls, and held within the force ranges of the joints."""
+        return False
+
+    @property
+    def after_actuators(self) -> bool:
+        """Whether `loads` reads `now.driven`, the generalized forces of all actuators."""
         return False
 
     def loads(self, now: Instant) -> Loads:
@@ -143,8 +153,7 @@ class Element(Record):
         return {}
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
-        """Its own state, within the range that it has: what a step of another integrator ends
-        with."""
+        """Clip its own state to its range. `rollout` calls it after each step of any integrator."""
         return list(x)
 
     def energy(self, now: Instant) -> Lane:

@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.arguments import check_array, check_model
-from rbjax.forces.actuators import Actuators
 from rbjax.forces.element import Element, Loads, Shapes, coordinates
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, is_zero, mul, neg
@@ -29,8 +28,8 @@ from rbjax.model.links import lane
 class GearLoss(Element):
     """What gears lose of the torques of their motors.
 
-    tau = -mu |tau_motor| tanh(v / v_0), with tau_motor the force of `model.actuators` on the joint.
-    Where there are no controls there is no loss.
+    tau = -mu |tau_motor| tanh(v / v_0), with tau_motor the force of all actuators on the joint,
+    within its force range. Without controls there is no loss.
 
     Fields, one entry for each velocity coordinate of the joints, in their order: loss mu (n,), a
     share; smoothing v_0 (n,) rad/s or m/s, above 0. Static: `joints`, their names or indices.
@@ -54,6 +53,7 @@ class GearLoss(Element):
     loss: jax.Array
     smoothing: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
+    positive = ("smoothing",)
 
     @classmethod
     def of(
@@ -72,13 +72,15 @@ class GearLoss(Element):
     def may_be_endless(self, name: str) -> bool:
         return False
 
+    @property
+    def after_actuators(self) -> bool:
+        return True
+
     def shapes(self, model: Model) -> Shapes:
         return dict.fromkeys(("loss", "smoothing"), (coordinates(model, self.joints),))
 
     def loads(self, now: Instant) -> Loads:
-        if now.u is None:
-            return Loads()
-        motors = Actuators().loads(now).tau
+        motors = now.driven
         loss, smoothing = (table(x, now.v.dtype) for x in (self.loss, self.smoothing))
         at = [(i, v) for j in map(now.joint, self.joints) for i, v in enumerate(j.v, j.start)]
         out: dict[int, Lane] = {}

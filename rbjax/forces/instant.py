@@ -7,7 +7,7 @@ Vectors are `Vec3` of lanes: they add, subtract, scale, have `dot`, `cross` and 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -21,7 +21,7 @@ from rbjax.dynamics.link_motion import LinkMotion
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, Mat3, Vec3, add
-from rbjax.model import WORLD, Model, State
+from rbjax.model import WORLD, Model, State, without_constants
 from rbjax.model.leaves import site_transform
 from rbjax.spatial import Force, Motion, Transform
 
@@ -42,7 +42,15 @@ class Instant:
     links: LinkMotion
     dt: Any = None
     a: Any = None
+    #: generalized forces of the actuators by velocity coordinate, within the joints' force ranges;
+    #: for elements with `after_actuators`
+    driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def h(self) -> Any:
+        """The length of the step: dt, or the model's timestep if none is fixed."""
+        return self.model.timestep if self.dt is None else self.dt
 
     @classmethod
     def of(
@@ -57,7 +65,8 @@ class Instant:
         """The instant of a state; its x is that of all elements. d: the driver, the model's if
         None."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
-        return cls(model, t, state.q, state.v, u, state.x, links, dt)
+        own = without_constants(model)  # elements of the user may change its leaves
+        return cls(own, t, state.q, state.v, u, state.x, links, dt)
 
     def accelerating(self, a: jax.Array) -> Instant:
         """The same with the accelerations a (nv,)."""
@@ -242,6 +251,12 @@ class Joint:
 
 def _vector(where: str, x: Any) -> Vec3:
     if isinstance(x, Vec3):
+        shapes = [np.shape(a) for a in x]
+        if any(shapes):
+            raise InputError(
+                f"{where}: a Vec3 has entries of the shapes {shapes}, expected scalars; a product "
+                "of two vectors is a.dot(b) or a.cross(b)"
+            )
         return x
     if np.shape(x) != (3,):
         raise InputError(f"{where}: a vector has shape {np.shape(x)}, expected (3,) or a Vec3")

@@ -39,7 +39,7 @@ class JointCurves(Element):
     tau = -c(x) - F(x) [1 + s exp(-(v / v_s)^2)] tanh(v / v_0),  c = sum of c_k T_k, F alike.
 
     Fields, one row for each joint: range (n, 2) rad or m, where x is -1 and 1; torque c_k (n, k)
-    N m or N; coulomb F_k (n, m) N m or N; breakaway s (n,); stribeck v_s (n,) rad/s or m/s;
+    N m or N; coulomb F_k (n, m) N m or N; breakaway s (n,); stribeck v_s (n,) and
     smoothing v_0 (n,) rad/s or m/s, above 0. Static: `joints`, their names or indices.
     `JointCurves.of` makes it from single numbers.
 
@@ -64,6 +64,7 @@ class JointCurves(Element):
     stribeck: jax.Array
     smoothing: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
+    positive = ("stribeck", "smoothing")
 
     def __check_init__(self) -> None:
         super().__check_init__()

@@ -37,7 +37,7 @@ class JointFriction(Element):
     tau = -[F_c + (F_s - F_c) exp(-(v / v_s)^2)] tanh(v / v_0) - d v.
 
     Fields, one entry for each velocity coordinate of the joints, in their order: coulomb F_c (n,)
-    N m or N; breakaway F_s (n,) N m or N, that of coulomb for none; stribeck v_s (n,) rad/s or m/s;
+    N m or N; breakaway F_s (n,) N m or N, that of coulomb for none; stribeck v_s (n,) and
     smoothing v_0 (n,) rad/s or m/s, above 0; viscous d (n,) N m s/rad or N s/m. Static: `joints`,
     their names or indices. `JointFriction.of` makes it from single numbers.
 
@@ -59,6 +59,7 @@ class JointFriction(Element):
     smoothing: jax.Array
     viscous: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
+    positive = ("stribeck", "smoothing")
 
     @classmethod
     def of(

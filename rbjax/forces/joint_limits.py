@@ -69,6 +69,7 @@ class JointLimits(Element):
     margin: jax.Array
     width: jax.Array
     joints: tuple[str | int, ...] = eqx.field(static=True)
+    positive = ("width",)
 
     def may_be_endless(self, name: str) -> bool:
         return False

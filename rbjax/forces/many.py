@@ -30,8 +30,9 @@ def on_each(now: Instant, bodies: Sequence[int], act: Callable[..., Loads], *num
     Args:
         now: the instant.
         bodies: their indices; one may come twice. Those that cannot move are left out.
-        act: from a body's frame and its numbers to what `frame.push` returns. It computes with
-            lanes, and asks nothing of their values.
+        act: from a body's frame and its numbers to `Loads`, a sum of results of `push`. It computes
+            with lanes and does not branch on their values. If it pushes only its body and reads
+            only the body's pose and velocity, it can be a loop; otherwise it is written out.
         numbers: arrays (n,), of which `act` is given a lane, arrays (n, 3), of which it is given a
             `Vec3`, and pytrees of such.
 
@@ -49,9 +50,13 @@ def on_each(now: Instant, bodies: Sequence[int], act: Callable[..., Loads], *num
     """
     moving = [i for i, b in enumerate(bodies) if now.model.topology.body_links[b] != WORLD]
     columns = jax.tree.map(lambda x: _lanes(table(x, now.q.dtype)), numbers)
-    if isinstance(now.links.driver, Unrolled) or not moving:
+
+    def written_out() -> Loads:
         each = ((bodies[i], _known(lane, columns, i)) for i in moving)
         return sum((act(now.body(b), *own) for b, own in each), Loads())
+
+    if isinstance(now.links.driver, Unrolled) or not moving:
+        return written_out()
     rows, index = np.array(moving), np.array(bodies)[moving]
     own = _known(now.links.column, columns, rows)
     leaves, tree = jax.tree.flatten((*now.links.columns(index), own))
@@ -61,15 +66,33 @@ def on_each(now: Instant, bodies: Sequence[int], act: Callable[..., Loads], *num
         given = [x if is_literal(x) else next(left) for x in leaves]
         pose, twist, weld, own = jax.tree.unflatten(tree, given)
         links: Any = _Still(pose, twist)
-        found: Any = act(Frame(links, 0, weld), *own).wrenches
-        return as_arrays(found.get(0, Force.zero()), jnp.zeros((), now.q.dtype))
+        found: Any = act(Frame(links, _OWN, weld), *own)
+        if found.tau or isinstance(found.wrenches, Force) or found.wrenches.keys() - {_OWN}:
+            raise _NotItsOwn
+        force = found.wrenches.get(_OWN, Force.zero())
+        return as_arrays(force, jnp.zeros((), now.q.dtype))
 
-    forces = jax.lax.map(one, [x for x in leaves if not is_literal(x)])
+    try:
+        forces = jax.lax.map(one, [x for x in leaves if not is_literal(x)])
+    except _NotItsOwn:
+        return written_out()
     return Loads({}, now.links.scattered(index, forces))
+
+
+#: the index of the link in a loop over links
+_OWN = -2
+
+
+class _NotItsOwn(Exception):
+    """A force that a loop over bodies does not cover: on something else than its body, or one that
+    reads more than the body's pose and twist."""
 
 
 class _Still:
     """The motion of one link, in place of `LinkMotion`."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise _NotItsOwn
 
     def __init__(self, pose: Transform, twist: Motion):
         self._pose, self._twist = pose, twist

@@ -108,7 +108,7 @@ class OrientationServo(Element):
                 return quaternion.exp_lanes(u)
             none = total(x * x for x in u) < 1e-30
             return [jnp.where(none, 1.0 if k == 0 else 0.0, x) for k, x in enumerate(u)]
-        phi = self._next(now, now.model.timestep) if self.early else list(now.x)
+        phi = self._next(now, now.h) if self.early else list(now.x)
         return quaternion.exp_lanes(phi)
 
     def _turned(self, now: Instant) -> tuple[list[Lane], list[Arms]]:

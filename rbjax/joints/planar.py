@@ -8,11 +8,12 @@ from rbjax.joints.slide import SLIDE
 class Planar(Chain):
     """q = [x, y, m; turn about the normal, rad]. The axis is the normal.
 
-    The shortest turn that takes z to the normal takes the body's x and y to the directions of x and
-    y. Where the normal is the body's z, these are the body's own.
+    The directions of x and y are the body's x and y after the shortest rotation that takes z to the
+    normal: the body's own if the normal is z. If it is -z, that is a half turn about x.
     """
 
     name = "planar"
+    shortest_turn = True
 
     def __init__(self) -> None:
         super().__init__((SLIDE, 0), (SLIDE, 1), (HINGE, 2))

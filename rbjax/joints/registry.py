@@ -15,6 +15,7 @@ from rbjax.joints.universal import Universal
 
 _ALL = (Hinge(), Slide(), Ball(), Free(), Screw(), Cylindrical(), Planar(), Universal())
 _KINDS: dict[str, Joint] = {joint.name: joint for joint in _ALL}
+_BUILT_IN = frozenset(_KINDS)
 
 
 def kinds() -> dict[str, Joint]:
@@ -50,8 +51,11 @@ def register(joint: Joint) -> None:
     Args:
         joint: an instance of a subclass of `Node`, or of `Joint` with links of its own.
 
+    A class that is defined again, as in a notebook, replaces the one of the same module and name.
+
     Raises:
-        InputError: not a joint; a name that another kind has.
+        InputError: not a joint; a name that is not a string; the name of a built-in kind or of
+            another class.
 
     Example: see `rbjax.joints.Node`.
     """
@@ -59,10 +63,17 @@ def register(joint: Joint) -> None:
         raise InputError(
             f"register: got {joint!r}, expected an instance of a subclass of rbjax.joints.Node"
         )
-    there = _KINDS.get(joint.name)
-    if there is not None and type(there).__qualname__ != type(joint).__qualname__:
+    name = getattr(joint, "name", None)
+    if not isinstance(name, str) or not name:
+        raise InputError(f"register: {type(joint).__name__}.name is {name!r}, expected a string")
+    there = _KINDS.get(name)
+    if there is not None and (name in _BUILT_IN or _class_of(there) != _class_of(joint)):
         raise InputError(
-            f"register: {joint.name!r} is the name of {type(there).__qualname__} already; "
+            f"register: {name!r} is the name of {'.'.join(_class_of(there))} already; "
             "give the new kind another name"
         )
     _KINDS[joint.name] = joint
+
+
+def _class_of(joint: Joint) -> tuple[str, str]:
+    return type(joint).__module__, type(joint).__qualname__

@@ -120,13 +120,13 @@ class Lanes:
         return self._lanes[i]
 
     def __add__(self, other):
-        return type(self)(*map(add, self, other))
+        return type(self)(*(add(a, b) for a, b in zip(self, other, strict=True)))
 
     def __radd__(self, other):
         return self + other if hasattr(other, "shape") else NotImplemented  # an array before it
 
     def __sub__(self, other):
-        return type(self)(*map(sub, self, other))
+        return type(self)(*(sub(a, b) for a, b in zip(self, other, strict=True)))
 
     def __rsub__(self, other):
         return -self + other if hasattr(other, "shape") else NotImplemented
@@ -158,6 +158,14 @@ class Vec3(Lanes):
     def cross(self, other: Vec3) -> Vec3:
         (a, b, c), (x, y, z) = self, other
         return Vec3(sub(mul(b, z), mul(c, y)), sub(mul(c, x), mul(a, z)), sub(mul(a, y), mul(b, x)))
+
+    def __mul__(self, scalar: Lane):
+        known = getattr(scalar, "shape", ()) == (3,) and not isinstance(scalar, Tracer)
+        if known and all(jnp.ndim(x) == 0 for x in self):  # no lane has a batch of 3
+            raise TypeError("Vec3 * (3,): expected a scalar; use dot or cross for two vectors")
+        return Vec3(*(mul(scalar, a) for a in self))
+
+    __rmul__ = __mul__
 
     def norm(self, least: float = 0.0) -> Lane:
         """sqrt(|v|^2 + least^2): smooth at zero, with finite derivatives, where least > 0."""

@@ -10,7 +10,22 @@ from rbjax.loading.actuator_kinds import is_at_joint, what_is_left_out
 from rbjax.loading.constraints import equalities_are_on, is_loaded
 
 _SHOWN = 4  # names listed before "and N more"
-_LAST_GROUP = 30  # of those that a file can disable
+#: how an entry about limits in the wrong order begins
+INVERTED = "joint limits whose lower end is above the upper one"
+#: how an entry about the root of a URDF begins
+FIXED = "fixed root link"
+#: how an entry begins -> what takes the feature
+_CURES = {
+    INVERTED: "swap them in the file",
+    "joint limits": "load(limits=True) takes them",
+    "joint friction loss": "load(friction=True) takes it",
+    "equality constraints (": "load(constraints=True) takes them",
+    "mimic joints": "load(constraints=True) takes those of hinges and slides",
+    "contacts": "rbjax has none; wheels on the ground: rbjax.wheeled",
+    "collision shapes": "rbjax has no contacts; wheels on the ground: rbjax.wheeled",
+    FIXED: "load(floating_base=True) frees it, and floating_base=False says that it is fixed",
+    "sensors": "rbjax.sysid.Setup.with_sensors makes readings",
+}
 
 
 def dropped_features(
@@ -43,8 +58,10 @@ def dropped_features(
     solved = enabled(bit.mjDSBL_CONSTRAINT)
     if solved and enabled(bit.mjDSBL_CONTACT) and _may_collide(m):
         out.append(f"contacts ({m.ngeom} geoms)")
+    inverted = inverted_limits(m)
     if solved and enabled(bit.mjDSBL_LIMIT) and not limits:
-        note("joint limits", m.jnt_limited, obj.mjOBJ_JOINT)
+        note("joint limits", m.jnt_limited & ~inverted, obj.mjOBJ_JOINT)
+    note(INVERTED, inverted, obj.mjOBJ_JOINT)
     if solved and enabled(bit.mjDSBL_FRICTIONLOSS) and not friction:
         note("joint friction loss", joints_of_dofs, obj.mjOBJ_JOINT)
     for why, which in _equalities_left_out(m, constraints=constraints).items():
@@ -63,6 +80,49 @@ def dropped_features(
          obj.mjOBJ_ACTUATOR)  # fmt: skip
     note("plugins", m.nplugin)
     return tuple(out)
+
+
+def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
+    """One entry for each feature that observes the motion and is not modelled."""
+    kinds = (("sensors", mujoco.mjtObj.mjOBJ_SENSOR, m.nsensor),
+             ("cameras", mujoco.mjtObj.mjOBJ_CAMERA, m.ncam))  # fmt: skip
+    return tuple(
+        f"{what} ({listed([mujoco.mj_id2name(m, kind, i) or f'#{i}' for i in range(n)], _SHOWN)})"
+        for what, kind, n in kinds
+        if n
+    )
+
+
+def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
+    """Which joints (nj,) have a lower limit above the upper one."""
+    return m.jnt_limited.astype(bool) & (m.jnt_range[:, 0] > m.jnt_range[:, 1])
+
+
+def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
+    """One entry for each kind of negative number by which a passive joint or tendon gains energy or
+    inertia."""
+    out = []
+    joint, tendon = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON
+    fields = [
+        ("damping", m.dof_damping, joint), ("armature", m.dof_armature, joint),
+        ("friction loss", m.dof_frictionloss, joint), ("stiffness", m.jnt_stiffness, joint),
+        ("tendon damping", m.tendon_damping, tendon),
+        ("tendon stiffness", m.tendon_stiffness, tendon),
+    ]  # fmt: skip
+    for what, values, kind in fields:
+        below = np.flatnonzero(np.asarray(values) < 0)
+        if len(below):
+            by_dof = kind == joint and what != "stiffness"
+            which = dict.fromkeys((m.dof_jntid[below] if by_dof else below).tolist())
+            names = [mujoco.mj_id2name(m, kind, i) or f"#{i}" for i in which]
+            out.append(f"negative {what} ({listed(names, _SHOWN)})")
+    return tuple(out)
+
+
+def cured(entry: str) -> str:
+    """The entry, and what to do about it where there is something."""
+    return next((f"{entry}: {cure}" for start, cure in _CURES.items() if entry.startswith(start)),
+                entry)  # fmt: skip
 
 
 def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, np.ndarray]:

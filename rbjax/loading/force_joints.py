@@ -29,6 +29,7 @@ from rbjax.forces import (
     JointPolynomials,
 )
 from rbjax.loading.actuator_kinds import reflected
+from rbjax.loading.dropped import inverted_limits
 from rbjax.loading.force_tendons import tendon_elements
 
 _BITS = mujoco.mjtDisableBit
@@ -73,7 +74,7 @@ def _polynomials(m: mujoco.MjModel) -> list[Element]:
 
 
 def _limits(m: mujoco.MjModel) -> list[Element]:
-    joints = np.flatnonzero(m.jnt_limited)
+    joints = np.flatnonzero(m.jnt_limited & ~inverted_limits(m))
     if not len(joints):
         return []
     rows = [_stop(m, int(j)) for j in joints]

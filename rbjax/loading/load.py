@@ -12,15 +12,15 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
+from rbjax.loading import dropped as features
 from rbjax.loading.actuator_kinds import is_affine, is_off, reflected
 from rbjax.loading.complaints import fix_of, sentence
 from rbjax.loading.constraints import constraints_of, mimicking
-from rbjax.loading.dropped import dropped_features
+from rbjax.loading.finite import refuse_nan_in, within_range
 from rbjax.loading.force_actuators import key_states
 from rbjax.loading.forces import elements
 from rbjax.loading.inertials import write_inertials
@@ -41,6 +41,7 @@ _KINDS = {
 }
 _SHOWN = 8  # names listed before "and N more"
 _LONG = 300  # characters of a path that a message shows
+_ACTIVE = "numbers that no passive joint has, used as the file gives them"
 _SCENES = Path(__file__).parent / "scenes"
 
 
@@ -58,7 +59,7 @@ def scenes() -> tuple[str, ...]:
 def load(
     source: Any,
     *,
-    floating_base: bool = False,
+    floating_base: bool | None = None,
     strict: bool = False,
     limits: bool = False,
     friction: bool = False,
@@ -70,8 +71,10 @@ def load(
 
     Args:
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
-        floating_base: give a URDF's root link a free joint, so that its mass counts.
-        strict: raise instead of warning about what the model leaves out of the file.
+        floating_base: give a URDF's root link a free joint, so that its mass counts. False and None
+            fix it to the world; None warns if it has a mass.
+        strict: raise instead of warning about what the model leaves out of the file, or about
+            negative damping, stiffness, armature or friction.
         limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
         motors: put a motor of gear 1, named as the joint, on each hinge and slide that has none.
         friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
@@ -95,7 +98,9 @@ def load(
         >>> model.joint_names
         ('shoulder', 'elbow')
     """
-    compiled, odd, mimics = _compile_source(source, floating_base=floating_base)
+    compiled, odd, mimics, lost = _compile_source(source, floating_base=bool(floating_base))
+    if floating_base is False:
+        lost = tuple(x for x in lost if not x.startswith(features.FIXED))
     if odd:
         warnings.warn(
             f"{_describe(source)}: inertials that no rigid body has, used as the file gives them: "
@@ -104,11 +109,17 @@ def load(
             stacklevel=2,
         )
     taken = {"limits": limits, "friction": friction, "constraints": constraints}
-    dropped = dropped_features(compiled, **taken) + mimics.left_out(constraints=constraints)
-    if dropped:
-        text = f"{_describe(source)}: left out of the model: {'; '.join(dropped)}"
-        if strict:
-            raise UnsupportedFeature(f"{text}. Load with strict=False to go without.")
+    dropped = features.dropped_features(compiled, **taken) + features.unread_features(compiled)
+    dropped += lost + mimics.left_out(constraints=constraints)
+    active = features.active_numbers(compiled)
+    texts = [
+        f"{_describe(source)}: {what}: {'; '.join(map(features.cured, entries))}"
+        for what, entries in (("left out of the model", dropped), (_ACTIVE, active))
+        if entries
+    ]
+    if texts and strict:
+        raise UnsupportedFeature(f"{'. '.join(texts)}. Load with strict=False to go without.")
+    for text in texts:
         warnings.warn(text, stacklevel=2)
     model = from_compiled(compiled, dropped, **taken, compliant=compliant)
     if constraints:
@@ -136,12 +147,13 @@ def compile_model(
 
 def _compile_source(
     source: Any, *, floating_base: bool | None, shapes: Collection[str] = ()
-) -> tuple[mujoco.MjModel, str, Mimics]:
-    """The compiled model; of a URDF also, in words, impossible inertials and joints that mimic."""
+) -> tuple[mujoco.MjModel, str, Mimics, tuple[str, ...]]:
+    """The compiled model; of a URDF also, in words, impossible inertials, joints that mimic, and
+    entries of `Model.dropped`."""
     if isinstance(source, mujoco.MjModel):
-        return source, "", Mimics()
+        return source, "", Mimics(), ()
     if isinstance(source, mujoco.MjSpec):
-        return _compile(source, "MjSpec"), "", Mimics()
+        return _compile(source, "MjSpec"), "", Mimics(), ()
     if not isinstance(source, (str, Path)):
         raise ModelError(
             f"load: got {type(source).__name__}, expected a path, an XML string, "
@@ -169,8 +181,9 @@ def _compile_source(
         add_floats(spec, urdf.floats)
     compiled = _compile(spec, name)
     if urdf is None:
-        return compiled, "", Mimics()
-    return compiled, write_inertials(compiled, urdf.inertials, name), urdf.mimics
+        return compiled, "", Mimics(), ()
+    odd = write_inertials(compiled, urdf.inertials, name)
+    return compiled, odd, urdf.mimics, urdf.left_out
 
 
 def _read(source: str | Path) -> tuple[str, Path | None]:
@@ -185,6 +198,8 @@ def _read(source: str | Path) -> tuple[str, Path | None]:
         if isinstance(source, str) and path.suffix == "":
             raise UnknownName("scene", _describe(source), scenes())
         raise ModelError(f"{_describe(path)}: no such file; give an existing MJCF or URDF path")
+    if not path.is_file():  # reading a device or a pipe may never end
+        raise ModelError(f"{path}: not a regular file; give an MJCF or URDF file")
     try:
         raw = path.read_bytes()
         declared = re.match(rb"""\s*<\?xml[^>]*\sencoding=["']([\w.-]+)""", raw)
@@ -236,10 +251,10 @@ def from_compiled(
     compliant: bool = False,
 ) -> Model:
     """The `Model` of a compiled MuJoCo model."""
-    _refuse_nan(m)
+    refuse_nan_in(m)
 
     def array(x):
-        return jnp.asarray(np.asarray(x, np.float64))
+        return within_range(np.asarray(x, np.float64))
 
     off = m.opt.disableflags
     bit = mujoco.mjtDisableBit
@@ -272,7 +287,8 @@ def from_compiled(
     inertia = np.einsum("bij,bj,bkj->bik", turn, m.body_inertia, turn)
     limited = m.jnt_actfrclimited.astype(bool)[:, None]
     armature, damping, _ = reflected(m)
-    ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool)[:, None]
+    ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool) & ~features.inverted_limits(m)
+    ranged = ranged[:, None]
     return Model(
         bodies=Bodies(
             mass=array(m.body_mass[1:]),
@@ -303,30 +319,6 @@ def from_compiled(
         forces=elements(m, limits=limits, friction=friction),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
     )
-
-
-def _refuse_nan(m: mujoco.MjModel) -> None:
-    """MuJoCo only warns of a nan in a file, and compiles it."""
-    fields = "qpos0 qpos_spring body_mass body_ipos body_iquat body_inertia body_pos body_quat"
-    fields += " jnt_pos jnt_axis jnt_stiffness dof_armature dof_damping site_pos site_quat"
-    fields += " actuator_gear actuator_gainprm actuator_biasprm key_qpos key_qvel key_ctrl"
-    for name in fields.split():
-        values = np.asarray(getattr(m, name))
-        bad = np.argwhere(~np.isfinite(values))
-        if len(bad):
-            raise ModelError(
-                f"the compiled model has {name}[{int(bad[0][0])}] = {values[bad[0][0]]}, which is "
-                f"not finite; correct that number in the file"
-            )
-    for name in ["jnt_range", "jnt_actfrcrange", "actuator_ctrlrange", "actuator_forcerange"]:
-        bad = np.argwhere(np.isnan(getattr(m, name)))
-        if len(bad):
-            raise ModelError(
-                f"the compiled model has {name}[{int(bad[0][0])}] = {getattr(m, name)[bad[0][0]]}, "
-                f"expected two numbers, which may be infinite; correct them in the file"
-            )
-    if not np.isfinite(m.opt.gravity).all():
-        raise ModelError(f"gravity is {m.opt.gravity}, which is not finite; correct the file")
 
 
 def names_of(m: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> tuple[str, ...]:

@@ -7,20 +7,26 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.constraints import JointPolynomial
+from rbjax.forces.actuator import Actuator
+from rbjax.forces.instant import Instant
+from rbjax.forces.transmissions import SiteWrench
 from rbjax.model import Model
 
 
 def with_motors(model: Model) -> Model:
-    """The model with a motor of gear 1 on each hinge and slide that no actuator drives.
+    """The model with a motor of gear 1 on each hinge and slide that no actuator drives and that
+    follows no other joint.
 
-    A motor has its joint's name; its control is a torque in N m or a force in N, and the joint's
-    force range (a URDF's effort) limits it.
+    A motor has its joint's name, followed by "_motor" if an actuator has that name. Its control is
+    a torque in N m or a force in N. The joint's force range (a URDF's effort) limits it.
     """
     top, old = model.topology, model.actuators
+    taken = _driven(model) | _followers(model)
     free = [
         j
         for j, kind in enumerate(top.joint_kinds)
-        if kind in ("hinge", "slide") and j not in old.joints
+        if kind in ("hinge", "slide") and j not in taken
     ]
     n = len(free)
 
@@ -38,7 +44,12 @@ def with_motors(model: Model) -> Model:
         joints=(*old.joints, *free),
         sites=(*old.sites, *[-1] * n),
     )
-    names = (*top.actuator_names, *(top.joint_names[j] for j in free))
+    names = top.actuator_names
+    for j in free:
+        name = top.joint_names[j]
+        while name in names:
+            name += "_motor"
+        names = (*names, name)
     keys = model.keyframes
     ctrl = jnp.concatenate([keys.ctrl, jnp.zeros((len(keys.ctrl), n), keys.ctrl.dtype)], 1)
     return dataclasses.replace(
@@ -47,3 +58,24 @@ def with_motors(model: Model) -> Model:
         topology=dataclasses.replace(top, actuator_names=names),
         keyframes=dataclasses.replace(keys, ctrl=ctrl),
     )
+
+
+def _driven(model: Model) -> set[int]:
+    """The joints that an actuator drives by a joint or a tendon. A wrench at a site is no motor of
+    the joints that carry the site."""
+    top = model.topology
+    driven = set(model.actuators.joints)
+    elements = [e for e in model.forces if isinstance(e, Actuator)]
+    transmissions = [e.transmission for e in elements if not isinstance(e.transmission, SiteWrench)]
+    if transmissions:
+        now = Instant.of(model, 0.0, model.default_state(), None)
+        dofs = {i for one in transmissions for i in one.reach(now).arms}
+        driven |= {top.links[i].joint for i in dofs}
+    return driven
+
+
+def _followers(model: Model) -> set[int]:
+    """The joints that a constraint makes follow another joint or holds: mimics, joint
+    equalities."""
+    couplings = [c for c in model.constraints if isinstance(c, JointPolynomial)]
+    return {model.joint(c.joint) for c in couplings}

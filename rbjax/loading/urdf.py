@@ -9,13 +9,15 @@ are asked for (`urdf_shapes`), names are kept, inertials are taken out (`inertia
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from rbjax.errors import ModelError
+from rbjax.errors import ModelError, listed
+from rbjax.loading.dropped import FIXED, INVERTED
 from rbjax.loading.inertials import Inertial, take_inertials
 from rbjax.loading.mimics import Mimics, take_mimics
 from rbjax.loading.urdf_floating import float_root, free_name, take_floats
@@ -28,6 +30,8 @@ _TAMPERS = ("balanceinertia", "boundmass", "boundinertia", "settotalmass")
 _MANY, _DEEPEST = 20_000, 1000
 
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
+
+_SHOWN = 4  # names listed before "and N more"
 
 _XACRO = "; run xacro first: `xacro robot.urdf.xacro > robot.urdf`"
 
@@ -49,7 +53,7 @@ def is_urdf(text: str, name: str) -> bool:
         raise ModelError(
             f"{name}: root element <{root.tag}>, expected <mujoco> (MJCF) or <robot> (URDF)"
         )
-    many = sum(1 for _ in root.iter("link" if root.tag == "robot" else "body"))
+    many = _bodies(root)
     if many > _MANY:
         raise ModelError(
             f"{name}: got {many:,} bodies, expected at most {_MANY:,}, for the time that MuJoCo "
@@ -59,15 +63,37 @@ def is_urdf(text: str, name: str) -> bool:
     return root.tag == "robot"
 
 
+def _bodies(root: ET.Element) -> int:
+    """How many bodies a file has, with those that <replicate> makes."""
+    if root.tag == "robot":
+        return len(root.findall("link"))
+    count, front = 0, [(root, 1)]
+    while front:
+        element, times = front.pop()
+        if element.tag == "replicate":
+            times *= _count(element)
+        count += times * (element.tag == "body")
+        front += [(child, times) for child in element]
+    return count
+
+
+def _count(replicate: ET.Element) -> int:
+    try:
+        return max(int(replicate.get("count", "1")), 0)
+    except ValueError:  # which MuJoCo's parser rejects
+        return 1
+
+
 @dataclass(frozen=True)
 class Urdf:
-    """What MuJoCo is given; and what it is not: inertials by link, which joints mimic, and which
-    float far from the ground, with the links that they move."""
+    """What MuJoCo is given; and what it is not: inertials by link, which joints mimic, which float
+    far from the ground, with the links that they move, and what the model does not have."""
 
     text: str
     inertials: dict[str, Inertial]
     mimics: Mimics
     floats: dict[str, str]
+    left_out: tuple[str, ...]
 
 
 def prepare_urdf(
@@ -90,6 +116,7 @@ def prepare_urdf(
     _check_kinds(robot, name)
     root = _root(robot, {link.get("name", "") for link in there}, name)
     free_name(robot, root)
+    left_out = _left_out(robot, root, floating_base=floating_base)
     if floating_base:
         float_root(robot, root, name)
         root = "world"
@@ -114,7 +141,41 @@ def prepare_urdf(
     compiler.set("inertiafromgeom", "false")
     compiler.set("strippath", "false")
     compiler.set("discardvisual", "false")
-    return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics, floats)
+    return Urdf(ET.tostring(robot, encoding="unicode"), inertials, mimics, floats, left_out)
+
+
+def _left_out(robot: ET.Element, root: str, *, floating_base: bool) -> tuple[str, ...]:
+    """What the dynamics goes without: shapes that collide, and the mass of a root that is fixed."""
+    out = []
+    inverted = [
+        joint.get("name", "")
+        for joint in robot.findall("joint[limit]")
+        for ends in [[_float(limit.get(key, "0")) for key in ("lower", "upper")]
+                     for limit in joint.findall("limit")]
+        if joint.get("type") in ("revolute", "prismatic") and ends[0] > ends[1]
+    ]  # fmt: skip
+    if inverted:
+        out.append(f"{INVERTED} ({listed(inverted, _SHOWN)})")
+    colliding = [x.get("name", "") for x in robot.findall("link[collision]")]
+    if colliding:
+        out.append(f"collision shapes of links ({listed(colliding, _SHOWN)})")
+    floats = any(
+        joint.get("type") == "floating" and end is not None and end.get("link") == root
+        for joint in robot.findall("joint")
+        for end in (joint.find("parent"),)
+    )
+    mass = robot.find(f"link[@name='{root}']/inertial/mass") if "'" not in root else None
+    moves = floating_base or floats or root == "world"
+    if mass is not None and not moves and mass.get("value", "0").strip() not in ("0", "0.0"):
+        out.append(f"{FIXED}, whose mass does not count ({root})")
+    return tuple(out)
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:  # which MuJoCo's parser rejects
+        return math.nan
 
 
 def _check_kinds(robot: ET.Element, name: str) -> None:

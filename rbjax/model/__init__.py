@@ -1,7 +1,15 @@
 """Models: what a robot is (`Topology`) and its numbers (`Model`)."""
 
 from rbjax.model.limbs import Group, Partition, partition
-from rbjax.model.links import LinkConstants, Prepared, as_declared, known_zeros, made_ahead, prepare
+from rbjax.model.links import (
+    LinkConstants,
+    Prepared,
+    as_declared,
+    known_zeros,
+    made_ahead,
+    prepare,
+    without_constants,
+)
 from rbjax.model.model import (
     DRIVER_NAMES,
     Actuators,
@@ -36,4 +44,5 @@ __all__ = [
     "partition",
     "prepare",
     "spans",
+    "without_constants",
 ]

@@ -142,6 +142,12 @@ def made_ahead(model: Model, dtype: Any) -> Model:
     return model.replace(prepared=(columns, body_R, body_p, sparse(gravity)))
 
 
+def without_constants(model: Model) -> Model:
+    """The model without the link constants that `made_ahead` precomputed: for code of the user,
+    which may change the leaves they were computed from."""
+    return model if model.execution.prepared is None else model.replace(prepared=None)
+
+
 def known_zeros(model: Model) -> Model:
     """The model with the zeros of its known leaves declared, where some are traced and some not: a
     gradient by masses then keeps the structure of placements and axes."""
@@ -287,7 +293,8 @@ def _own_numbers(top: Topology, given, xp):
 def _link_axes(top: Topology, axis, given, xp):
     """The axes (nv, 3, 3) of each link in its body, z along its own."""
     links, starts = top.links, np.cumsum([0, *(len(joint.defaults) for joint in top.joints)])
-    align = _alignments(axis, xp)[np.array([link.joint for link in links], int)]
+    shortest = np.array([joint.shortest_turn for joint in top.joints], bool)
+    align = _alignments(axis, xp, shortest)[np.array([link.joint for link in links], int)]
     of_body = np.array([not top.joints[link.joint].aligned for link in links], bool)
     cycle = np.eye(3)[:, [[1, 2, 0], [2, 0, 1], [0, 1, 2]]].swapaxes(0, 1)  # z to x, y, z
     turned = cycle[np.array([link.form.axis for link in links], int)]
@@ -303,10 +310,16 @@ def _link_axes(top: Topology, axis, given, xp):
     return align
 
 
-def _alignments(axis, xp):
-    """A (nj, 3, 3) with A z = axis / |axis| (Duff et al. 2017); zero axes count as z."""
+def _alignments(axis, xp, shortest=False):
+    """A (nj, 3, 3) with A z = axis / |axis| (Duff et al. 2017); zero axes count as z.
+
+    If z >= 0, A is the shortest rotation of z to the axis. If z < 0, A turned about the axis is,
+    by an angle that is undefined at -z: only joints that are `shortest` (nj,) are turned so.
+    """
+    shortest = np.broadcast_to(shortest, len(axis))
     if axis.dtype == object:
-        return np.array([_alignment_of_cells(row) for row in axis], object).reshape(-1, 3, 3)
+        rows = [_alignment_of_cells(*one) for one in zip(axis, shortest, strict=True)]
+        return np.array(rows, object).reshape(-1, 3, 3)
     square = (axis * axis).sum(-1, keepdims=True)
     none = square == 0
     unit = xp.where(none, np.array([0.0, 0.0, 1.0]), axis / xp.sqrt(xp.where(none, 1.0, square)))
@@ -315,14 +328,25 @@ def _alignments(axis, xp):
     a = -1.0 / (sign + z)
     b = x * y * a
     rows = [1 + sign * x * x * a, b, x, sign * b, sign + y * y * a, y, -sign * x, -y, z]
-    return xp.stack(rows, -1).reshape(-1, 3, 3)
+    A = xp.stack(rows, -1).reshape(-1, 3, 3)
+    if not shortest.any():
+        return A
+    across = x * x + y * y
+    turned = shortest & (z < 0) & (across > 0)
+    across = xp.where(turned, across, 1.0)
+    c = xp.where(turned, (y * y - x * x) / across, 1.0)
+    s = xp.where(turned, 2 * x * y / across, 0.0)
+    o, one = xp.zeros_like(c), xp.ones_like(c)
+    turn = xp.stack([c, -s, o, s, c, o, o, o, one], -1).reshape(-1, 3, 3)
+    return matmat(A, turn)
 
 
-def _alignment_of_cells(row: np.ndarray) -> np.ndarray:
+def _alignment_of_cells(row: np.ndarray, shortest: bool = False) -> np.ndarray:
     """`_alignments` of one axis: numbers where it is literal, cells where it is traced."""
     if all_literal(row):
-        return _alignments(np.array([[float(lane_of(x)) for x in row]]), np)[0].astype(object)
-    dense = _alignments(jnp.stack([jnp.asarray(lane_of(x)) for x in row])[None], jnp)[0]
+        known = np.array([[float(lane_of(x)) for x in row]])
+        return _alignments(known, np, shortest)[0].astype(object)
+    dense = _alignments(jnp.stack([jnp.asarray(lane_of(x)) for x in row])[None], jnp, shortest)[0]
     return np.array([[Cell(dense[i, j]) for j in range(3)] for i in range(3)], object)
 
 

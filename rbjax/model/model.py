@@ -21,10 +21,11 @@ from rbjax.errors import InputError, ModelError, UnknownName
 from rbjax.model.cells import literals
 from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.execution import EXECUTION, Execution
+from rbjax.model.random_state import random_coordinates
 from rbjax.model.record import Record as Record
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
-from rbjax.rotations import quaternion
+from rbjax.rotations.arguments import FLOATS
 
 #: the axes that each number has in one model, in the order of the leaves
 AXES = {
@@ -289,7 +290,7 @@ class Model(Record):
         Algorithms compute in the dtype of q and v; states and keyframes come in the model's.
 
         Raises:
-            InputError: the dtype is not a floating one.
+            InputError: the dtype is neither float32 nor float64.
 
         Example:
             >>> import rbjax as rb, jax.numpy as jnp
@@ -297,7 +298,7 @@ class Model(Record):
             dtype('float32')
         """
         try:
-            floating = dtype is not None and jnp.issubdtype(np.dtype(dtype), jnp.floating)
+            floating = dtype is not None and np.dtype(dtype) in FLOATS
         except TypeError:  # numpy's, of what is no dtype
             floating = False
         if not floating:
@@ -371,16 +372,9 @@ class Model(Record):
         return State(q, self.keyframes.v[i], x)
 
     def random_state(self, key: jax.Array) -> State:
-        """Coordinates within 1 of the default state, uniform attitudes, velocities of spread 1."""
-        kq, kr, kv = jax.random.split(key, 3)
-        q = self.joints.reference
-        dtype = q.dtype
-        q = q + jax.random.uniform(kq, (self.nq,), dtype, -1.0, 1.0)
-        starts = self.topology.quaternion_starts
-        for k, start in zip(jax.random.split(kr, max(len(starts), 1)), starts, strict=False):
-            turn = quaternion.normalize(jax.random.normal(k, (4,), dtype))
-            q = q.at[start : start + 4].set(turn)
-        return State(q, jax.random.normal(kv, (self.nv,), dtype), self.start(dtype))
+        """Coordinates within 1 of the default state and in the joints' ranges, uniform attitudes
+        (those of a ball with a range turned back into it), velocities of spread 1."""
+        return State(*random_coordinates(self, key), self.start(self.joints.reference.dtype))
 
 
 def _numbers(record: Record) -> dict[str, jax.Array]:

@@ -89,8 +89,19 @@ def check_number(record: Record, name: str, *, positive: bool = False) -> None:
     value, where = getattr(record, name), f"{type(record).__name__}({name}=...)"
     if jnp.shape(value) != ():
         raise InputError(f"{where}: got the shape {jnp.shape(value)}, expected a number")
-    if positive and not isinstance(value, jax.core.Tracer) and not np.asarray(value) > 0:
-        raise InputError(f"{where}: got {float(value)}, expected a length above zero")
+    if positive:
+        check_above_zero(where, value)
+
+
+def check_above_zero(where: str, value: Any) -> None:
+    """Reject known numbers that are not above zero."""
+    if isinstance(value, jax.core.Tracer):
+        return
+    wrong = ~(np.asarray(value) > 0)
+    if wrong.any():
+        at = tuple(map(int, np.argwhere(wrong)[0]))
+        place = f" at {list(at)}" if at else ""
+        raise InputError(f"{where}: got {np.asarray(value)[at]}{place}, expected above zero")
 
 
 def check_fields(record: Record) -> None:

@@ -14,6 +14,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.joints import Joint
 from rbjax.joints import kind as kind_of
 from rbjax.model.record import array_like
+from rbjax.model.topology import WORLD
 
 
 def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
@@ -24,7 +25,13 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
     same, single = (new.nq, new.nv) == (old.nq, old.nv), new.nv == old.nv == 1
     if not same:
         _check_forces(model, j, name, kind)
+    if new.on_world:
+        _check_on_world(model, j, name, kind)
     q, v, start = model.q_slice(name), model.v_slice(name), start_of(new)
+    if new.on_world:
+        body, dtype = top.joint_bodies[j], joints.reference.dtype
+        start = jnp.concatenate([model.bodies.position[body], model.bodies.orientation[body]])
+        start = start.astype(dtype)
     before = sum(len(joint.defaults) for joint in top.joints[:j])
     own = jnp.concatenate([jnp.zeros(0), *(given[key].reshape(-1) for key in new.numbers)])
 
@@ -49,6 +56,7 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
         ),
         joints=dataclasses.replace(
             joints,
+            placement=joints.placement.at[j].set(0.0) if new.on_world else joints.placement,
             axis=joints.axis.at[j].set(given.get("axis", joints.axis[j])),
             reference=reference,
             armature=along_v(joints.armature),
@@ -108,6 +116,25 @@ def _check_length(where: str, x: jax.Array, what: str) -> None:
         square = np.square(np.asarray(x)).sum()
     if not 0 < square < np.inf:
         raise InputError(f"{where}: got {x.tolist()}, of squared length {square}, expected {what}")
+
+
+def _check_on_world(model: Any, joint: int, name: str, kind: str) -> None:
+    """Refuse a joint whose coordinates count from the world on a body that another body carries."""
+    top = model.topology
+    body = top.joint_bodies[joint]
+    parent = top.body_parents[body]
+    if parent != WORLD:
+        raise InputError(
+            f"with_joint: {name!r} joins the body {top.body_names[body]!r} to the body "
+            f"{top.body_names[parent]!r}, and a {kind} joint counts from the world; expected a "
+            "joint whose parent is the world, or three slides and a ball in the file"
+        )
+    others = [top.joint_names[j] for j, b in enumerate(top.joint_bodies) if b == body]
+    if len(others) > 1:
+        raise InputError(
+            f"with_joint: the body {top.body_names[body]!r} has the joints {others}, expected "
+            f"{name!r} only: a {kind} joint leaves its body no other"
+        )
 
 
 def _check_forces(model: Any, joint: int, name: str, kind: str) -> None:

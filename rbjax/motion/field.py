@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeGuard
 
 import jax
@@ -27,7 +27,7 @@ from rbjax.errors import InputError
 from rbjax.forces.acting import applied, chord, within
 from rbjax.forces.inputs import Inputs
 from rbjax.lanes import is_literal
-from rbjax.model import Model, State
+from rbjax.model import Model, State, without_constants
 
 
 class Law(Protocol):
@@ -52,11 +52,21 @@ def free_motion(
 @dataclass(frozen=True)
 class Field:
     """The motion of a model under a law, for states of one sample or with the batch last. dt: the
-    step that force elements see; None where none is fixed."""
+    step that force elements see; None where none is fixed.
+
+    `model` has no precomputed link constants: a law or an integrator of the user that changes its
+    leaves (`eqx.tree_at`, `jax.tree.map`) changes the motion. `precomputed` is the same model with
+    the constants that it came with, for code that leaves the model as it is.
+    """
 
     model: Model
     law: Law = free_motion
     dt: Any = None
+    precomputed: Model = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "precomputed", self.model)
+        object.__setattr__(self, "model", without_constants(self.model))
 
     def rates(self, t: Any, state: State, u: Inputs) -> tuple[jax.Array, jax.Array | None]:
         """v' (nv, ...) and x' (nx, ...)."""
@@ -66,12 +76,12 @@ class Field:
         self, t: Any, state: State, u: Inputs, dt: Any
     ) -> tuple[jax.Array, jax.Array | None]:
         """v' (nv, ...), and x after a step in which its rate is held."""
-        advance = functools.partial(applied, self.model, dt=dt, advance=True)
+        advance = functools.partial(applied, self.precomputed, dt=dt, advance=True)
         return self._found(advance, t, state, u)
 
     def applied(self, t: Any, state: State, u: Inputs) -> tuple:
         """Generalized forces, forces on links, and x' of one sample."""
-        return applied(self.model, t, state, u, self.dt)
+        return applied(self.precomputed, t, state, u, self.dt)
 
     def _found(self, forces: Callable, t: Any, state: State, u: Inputs) -> tuple:
         tau, pushes, x = of_samples(forces, t, state, u)
@@ -83,11 +93,17 @@ class Field:
         self, t: Any, state: State, tau: jax.Array, pushes: LinkForces
     ) -> jax.Array:
         """v' by the law, of one sample where it is not free motion."""
-        a = self.law(self.model, t, state, tau, pushes)
+        a = self.law(self._of_law, t, state, tau, pushes)
         if self.law is free_motion:
             return a
         what = "what the law returned"
         return check_array("a law", what, a, (self.model.nv,)).astype(state.q.dtype)
+
+    @property
+    def _of_law(self) -> Model:
+        """The model that the law is given."""
+        own = self.law is free_motion or isinstance(self.law, Formulation)
+        return self.precomputed if own else self.model
 
     def forces(
         self, t: Any, state: State, u: Inputs
@@ -99,21 +115,21 @@ class Field:
             tau, pushes, x = self.applied(t, state, u)
             if self.law is not free_motion:
                 a = self._accelerated(t, state, tau, pushes)
-                tau = forces_of(self.model, state.q, state.v, a, pushes)
+                tau = forces_of(self.precomputed, state.q, state.v, a, pushes)
             return tau, pushes, x
 
         return of_samples(acting, t, state, u)
 
     def moved(self, q: jax.Array, dq: jax.Array) -> jax.Array:
         """q (+) dq."""
-        return moved(self.model, q, dq)
+        return moved(self.precomputed, q, dq)
 
     def chord(self, t: Any, state: State, u: Inputs, dt: Any) -> dict:
         """What forces at the middle of a step add to the diagonal of the mass matrix, lanes (...)
         by velocity coordinate."""
 
         def added(t: Any, state: State, u: Inputs) -> dict:
-            return chord(self.model, t, state, u.ctrl, dt)
+            return chord(self.precomputed, t, state, u.ctrl, dt)
 
         return of_samples(added, t, state, u)
 
@@ -124,7 +140,7 @@ class Field:
             return state
 
         def stage(t: Any, state: State, start: State) -> State:
-            return law.staged(self.model, t, state, t0, start)
+            return law.staged(self.precomputed, t, state, t0, start)
 
         return of_samples(stage, t, state, start)
 
@@ -133,15 +149,15 @@ class Field:
         constraints."""
         if not isinstance(self.law, Formulation):
             return state
-        return of_samples(functools.partial(self.law.settled, self.model), t, state)
+        return of_samples(functools.partial(self.law.settled, self.precomputed), t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
         """The states (nx, ...) of force elements, within the ranges that they have."""
-        return within(self.model, x)
+        return within(self.precomputed, x)
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
         """u' of the increment u, where the configuration moves at v."""
-        return increment_rate(self.model, u, v)
+        return increment_rate(self.precomputed, u, v)
 
 
 def moves_stages(law: Law) -> TypeGuard[Formulation]:
@@ -171,14 +187,17 @@ def of_samples(f: Callable, t: Any, state: State, *rest: Any) -> Any:
 
 def batch_last(f: Callable, t: Any, *args: Any) -> Any:
     """f(t, *args) of each sample, where the batch is the last axis of arguments and results;
-    literals among the results stay literals."""
+    literals among either stay literals."""
     kept: dict[str, Any] = {}
+    given, tree = jax.tree.flatten(args)
+    axes = [None if is_literal(x) else -1 for x in given]
 
-    def arrays(*args: Any) -> list:
-        leaves, kept["tree"] = jax.tree.flatten(f(t, *args))
+    def arrays(moving: list) -> list:
+        lanes = [y if is_literal(y) else x for x, y in zip(moving, given, strict=True)]
+        leaves, kept["tree"] = jax.tree.flatten(f(t, *jax.tree.unflatten(tree, lanes)))
         kept["literals"] = [x if is_literal(x) else None for x in leaves]
         return [x for x in leaves if not is_literal(x)]
 
-    found = iter(jax.vmap(arrays, in_axes=-1, out_axes=-1)(*args))
+    found = iter(jax.vmap(arrays, in_axes=(axes,), out_axes=-1)(given))
     leaves = [next(found) if x is None else x for x in kept["literals"]]
     return jax.tree.unflatten(kept["tree"], leaves)

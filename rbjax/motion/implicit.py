@@ -140,10 +140,10 @@ class ByStages:
             def forces(t: Any, state: State) -> tuple:
                 return field.applied(t, state, u)
 
-            model = field.model
+            model = field.precomputed
             found = stages(self.formulation, self.tableau, model, forces, t, state, dt)
             du = increment(model, mixed(self.tableau.b, found.k))
-            x = None if state.x is None or du.x is None else field.within(state.x + du.x)
+            x = None if state.x is None or du.x is None else state.x + du.x
             after = State(field.moved(state.q, du.q), state.v + du.v, x)
             return jax.tree.map(lambda x: jnp.where(found.ok, x, jnp.nan), after)
 

@@ -78,7 +78,7 @@ def runge_kutta(
     stages = explicit_stages(rate, table, t, dt, written=written)
     start = jax.tree.map(jnp.zeros_like, _given(v0, v0, x0))
     dq, dv, *dx = scaled(dt, combine(table.b, stages(start)))
-    return staged(t + dt, dq, dv, None if x0 is None else field.within(x0 + dx[0]))
+    return staged(t + dt, dq, dv, None if x0 is None else x0 + dx[0])
 
 
 def _given(*parts: Any) -> tuple:
@@ -125,10 +125,9 @@ def integrator_of(
 def advanced(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
-    """The state after a step; anything else is refused."""
+    """The state after a step of any integrator: states of force elements within their ranges, and
+    the rest as the law leaves it. Reject anything but a state."""
     after: Any = integrator(field, t, state, u, dt)
-    if isinstance(after, State):
-        after = field.settled(t + dt, after)
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
     found = jax.tree.leaves(after)
     tree: Any = jax.tree.structure(after)
@@ -139,4 +138,4 @@ def advanced(
             f"an integrator returned {type(after).__name__} of {got}, expected a State of "
             f"{[shape for shape, _ in due]} in {state.q.dtype}, as the state that it was given"
         )
-    return after
+    return field.settled(t + dt, State(after.q, after.v, field.within(after.x)))

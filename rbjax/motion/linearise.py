@@ -167,7 +167,7 @@ def linearised(
     turning = jnp.zeros((n, n), dtype)
     for at in model.topology.turn_starts:
         rows = slice(at, at + 3)
-        turning = turning.at[rows, rows].set(-jnp.cross(state.v[rows], jnp.eye(3)).T)
+        turning = turning.at[rows, rows].set(-jnp.cross(state.v[rows], jnp.eye(3, dtype=dtype)).T)
     upper = [turning, jnp.eye(n, dtype=dtype), jnp.zeros((n, model.nx), dtype)]
     A = jnp.concatenate([jnp.concatenate(upper, 1), lower])
     return found, A, jnp.concatenate([jnp.zeros((n, u.shape[0]), dtype), B])

@@ -33,6 +33,7 @@ from rbjax.model import Model, State
 from rbjax.motion.captured import Captured, with_captured
 from rbjax.motion.field import Field, Law, batch_last, free_motion, law_of
 from rbjax.motion.integrators import Integrator, advanced, integrator_of
+from rbjax.motion.not_finite import warn_if_not_finite
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
@@ -71,6 +72,7 @@ def rollout(
     Explicit Runge-Kutta methods on the manifold: `rk4`, `tsit5`, `dopri8`, `dop853`, of order 4, 5,
     8, 8 with 4, 6, 13, 12 evaluations. In f64 `dop853` needs 10 to 15 % fewer than `dopri8` for an
     error of 1e-6 (on an arm and a humanoid); in f32 it comes down to 1.1e-6, `dopri8` to 2.4e-7.
+    A body that turns by more than about 3 rad a step makes them diverge, and `ok` False.
 
     Force elements see the step dt. States of elements end each step within their ranges.
 
@@ -107,7 +109,8 @@ def rollout(
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
-        (B, T, nq) for a batch; `ok` says whether all is finite.
+        (B, T, nq) for a batch; `ok` says whether all is finite. Outside of traced code a warning
+        says how many samples are not, from which time on, and which step would be stable.
 
     Raises:
         InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is
@@ -163,8 +166,12 @@ def rollout(
         return run(model, state, numbers, step, key, how, threads, memory)
 
     if advance is integrator:  # the caller's function
-        return with_captured(march, *sources.functions, law, advance)
-    return with_captured(lambda *f: march(*f, advance), *sources.functions, law)
+        path = with_captured(march, *sources.functions, law, advance)
+    else:
+        path = with_captured(lambda *f: march(*f, advance), *sources.functions, law)
+    if not isinstance(path.ok, jax.core.Tracer):
+        warn_if_not_finite(model, path, step, law)
+    return path
 
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:

@@ -53,7 +53,9 @@ def on_threads(
     between the steps, by XLA's matrix products.
     """
     dtype = state.q.dtype
-    model = made_by_threads(known_zeros(drivers.on_threads(model, dtype)), dtype)
+    model = drivers.on_threads(model, dtype)
+    made = made_by_threads(known_zeros(model), dtype)  # whose zeros bind the constants, not a law
+    model = model.replace(prepared=made.execution.prepared)
     batched, steps, save_every = how.batched, how.count, how.save_every
     given, treedef = jax.tree.flatten(state)
     one = [x[0] if batched else x for x in given]

@@ -69,7 +69,7 @@ class VariationalMidpoint:
             )
 
     def __call__(self, field: Field, t: Any, state: State, u: Inputs, dt: Any) -> State:
-        model, q0, v0, x0 = field.model, state.q, state.v, state.x
+        model, q0, v0, x0 = field.precomputed, state.q, state.v, state.x
         p0, half = momentum_of(model, q0, v0), dt / 2
         middle = field.moved(q0, half * v0)
         extra = field.chord(t + half, State(middle, v0, x0), u, dt)
@@ -105,7 +105,7 @@ class VariationalMidpoint:
         digits = float(jnp.finfo(q.dtype).eps) ** 0.5 * (1 + largest(q0)) / dt
         kept = jnp.maximum(largest(first) / 2, LOST * largest(w))
         v = jnp.where(largest(last) > jnp.maximum(kept, digits), jnp.nan, v)
-        return State(q, v, None if x0 is None else field.within(x0 + dt * rate))
+        return State(q, v, None if x0 is None else x0 + dt * rate)
 
 
 variational_midpoint = VariationalMidpoint()

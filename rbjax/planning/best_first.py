@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rbjax.errors import InputError
 from rbjax.planning.controls import Controls, MotionTable
 from rbjax.planning.ending import Direct, GoalSet
 from rbjax.planning.footprint import Footprint
@@ -35,6 +36,9 @@ from rbjax.planning.holonomic import HolonomicDistance
 from rbjax.planning.occupancy import DistanceField
 from rbjax.planning.paths import Plan, chain
 from rbjax.planning.swept_map import SweptMap
+
+#: 4 GB of prices and indices
+_MOST_CELLS = 500_000_000
 
 MOST = np.iinfo(np.int32).max
 FEW = 64  # nodes that are expanded at once, at least, from intervals one after the other
@@ -74,7 +78,13 @@ class Search:
         self.prices, self.width = controls.prices, float(controls.costs.min())
         self.steps = controls.steps
         size = (np.array(distances.values.shape) - 2) * self.map.h
-        self.shape = (*np.ceil(size / cell * (1 - 1e-12)).astype(int), len(table.headings))
+        count = np.ceil(size / cell * (1 - 1e-12))
+        if count.prod() * len(table.headings) > _MOST_CELLS:
+            raise InputError(
+                f"hybrid_a_star: cell is {cell}, which makes {count.prod():.3g} cells of each of "
+                f"{len(table.headings)} headings, expected {_MOST_CELLS:,} cells at most"
+            )
+        self.shape = (*count.astype(int), len(table.headings))
         self.size = size
         self.least = np.full(math.prod(self.shape), MOST, np.int32)  # the least g of a cell's nodes
         self.first = np.empty(len(self.least), np.int32)

@@ -26,6 +26,9 @@ from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.footprint import Footprint, placed
 from rbjax.planning.occupancy import DistanceField
 
+#: of a path that is split
+_MOST_STEPS = 10_000_000
+
 
 def moved(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """Displacements (...) m in the world by steps (..., 3) from headings (...)."""
@@ -123,7 +126,13 @@ class Path(Record):
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")
         runs = _joined(np.asarray(self.steps))
         size = np.maximum(np.hypot(runs[:, 0], runs[:, 1]), np.abs(runs[:, 2]))
-        parts = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12))).astype(int)
+        count = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12)))
+        if count.sum() > _MOST_STEPS:
+            raise InputError(
+                f"Path.split: spacing is {spacing}, which makes {count.sum():.3g} steps, expected "
+                f"{_MOST_STEPS:,} at most"
+            )
+        parts = count.astype(int)
         return Path(self.start, jnp.asarray(np.repeat(runs / parts[:, None], parts, 0)))
 
 

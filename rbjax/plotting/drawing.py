@@ -6,6 +6,7 @@ along the line of sight, and their convex hull is filled.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -190,8 +191,16 @@ def _even(length: float) -> float:
 
 
 def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[Solid]:
-    """The geoms of a file, or a skeleton where there is none or it holds no geom."""
-    return (source is not None and solids(source, floating_base=floating_base)) or skeleton(model)
+    """The geoms of a file, or a skeleton if there is no file or no geom in it."""
+    found = [] if source is None else solids(source, floating_base=floating_base)
+    if source is not None and not found:
+        warnings.warn(
+            "no shapes of the source are drawn (visuals and meshes of a URDF are not read): the "
+            "robot is drawn as rods from joint to joint and ellipsoids of inertia, as with "
+            "source=None; give an MJCF file with geoms to see them",
+            stacklevel=3,
+        )
+    return found or skeleton(model)
 
 
 def draw(

@@ -35,6 +35,8 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "planar_pose": (3,),
     "inertial": (10,),
 }
+#: the dtypes of all computations; half precision has too few digits for dynamics
+FLOATS = (jnp.float32, jnp.float64)
 # How far from orthonormal a matrix may be. Measured or half-precision matrices pass.
 ORTHONORMAL = 1e-2
 
@@ -48,12 +50,14 @@ def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Call
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
+        optional = {n: p.default is None for n, p in signature.parameters.items()}
         program = compiled(f, options=wide_vectors, static_argnames=static)
 
         @functools.wraps(f)
         def call(*args: Any, **kwargs: Any) -> Any:
             bound = signature.bind(*args, **kwargs)
             given = {n: bound.arguments[n] for n in kinds if n in bound.arguments}
+            given = {n: x for n, x in given.items() if x is not None or not optional[n]}
             for name, value in given.items():
                 shape = SHAPES.get(kinds[name])
                 if shape is None:
@@ -83,7 +87,7 @@ def _array(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Arr
         raise InputError(f"{where}: {name} has shape {x.shape}, expected ({want})")
     if jnp.issubdtype(x.dtype, jnp.integer) or x.dtype == bool:
         x = x.astype(jnp.result_type(float))
-    if not jnp.issubdtype(x.dtype, jnp.floating):
+    if x.dtype not in FLOATS:
         raise InputError(f"{where}: {name} has dtype {x.dtype}, expected float32 or float64")
     return x
 

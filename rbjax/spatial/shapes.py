@@ -97,8 +97,7 @@ def tube(
     known = not any(isinstance(x, jax.core.Tracer) for x in (outer, inner))
     if known and (np.asarray(outer) <= np.asarray(inner)).any():
         raise InputError(f"tube: inner is {inner} and outer {outer}, expected inner < outer")
-    given = {"density": density, "mass": mass}
-    return _bored(outer, inner, length, **{k: x for k, x in given.items() if x is not None})
+    return _bored(outer, inner, length, density=density, mass=mass)
 
 
 @positive("radius", "length", "density", "mass")

@@ -210,7 +210,7 @@ def urdf(mimic: str, driver: str = "continuous") -> str:
     ],
 )
 def test_a_mimic_is_a_coupling(mimic: str, driver: str, value: float) -> None:
-    model = rb.load(urdf(mimic, driver), strict=True)
+    model = rb.load(urdf(mimic, driver), strict=True, floating_base=False)
     state = rb.State(np.array([0.5, 0.7])[-model.nq :], np.zeros(model.nv))
     (row,) = rows_of(model, rb.forces.Instant.of(model, 0.0, state, None))
     assert float(row.value) == pytest.approx(value, abs=1e-15)
@@ -221,7 +221,7 @@ def test_a_mimic_that_is_not_wanted_or_cannot_be_is_named() -> None:
     for text, constraints in [(urdf(mimic), False), (urdf(mimic, "planar"), True)]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            model = rb.load(text, constraints=constraints)
+            model = rb.load(text, constraints=constraints, floating_base=False)
         assert model.constraints == ()
         assert model.dropped == ("mimic joints, which move on their own (bend of turn)",)
 

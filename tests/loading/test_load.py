@@ -159,7 +159,7 @@ ARM = (link("base", 3), link("arm"), joint("elbow", "base", "arm", "continuous")
 
 
 def test_urdf_root_is_fixed_unless_asked() -> None:
-    fixed = rb.load(urdf(*ARM))
+    fixed = rb.load(urdf(*ARM), floating_base=False)
     assert (fixed.nv, fixed.joint_names) == (1, ("elbow",))
     model = rb.load(urdf(*ARM), floating_base=True)
     assert model.nv == 7 and model.topology.joint_kinds == ("free", "hinge")
@@ -179,7 +179,7 @@ def test_urdf_ranges() -> None:
 
 def test_urdf_fixed_links_keep_their_names_and_mass() -> None:
     tool = (link("tool", 2), joint("weld", "arm", "tool", "fixed"))
-    model = rb.load(urdf(*ARM, *tool))
+    model = rb.load(urdf(*ARM, *tool), floating_base=False)
     assert "tool" in model.body_names and model.nv == 1
     assert float(model.bodies.mass[model.body("tool")]) == 2.0
     assert rb.jacobian(model, model.default_state().q, "tool").shape == (6, 1)
@@ -192,26 +192,28 @@ def test_urdf_fixed_links_keep_their_names_and_mass() -> None:
 def test_urdf_meshes_are_not_needed(file: str) -> None:
     mesh = f'<geometry><mesh filename="{file}"/></geometry>'
     shape = f'<visual>{mesh}<material name="steel"/></visual><collision>{mesh}</collision>'
-    model = rb.load(urdf('<material name="steel"/>', link("base"), link("arm", 1, shape), ARM[2]))
-    assert model.nv == 1 and model.dropped == ()
+    text = urdf('<material name="steel"/>', link("base"), link("arm", 1, shape), ARM[2])
+    model = load_quietly(text, floating_base=False)
+    assert model.nv == 1 and model.dropped == ("collision shapes of links (arm)",)
 
 
 def test_urdf_mass_is_never_that_of_a_shape() -> None:
     box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
-    model = rb.load(urdf(*ARM, link("frame", 0, box), joint("w", "arm", "frame", "fixed")))
+    text = urdf(*ARM, link("frame", 0, box), joint("w", "arm", "frame", "fixed"))
+    model = load_quietly(text, floating_base=False)
     assert float(model.bodies.mass[model.body("frame")]) == 0.0
 
 
 def test_urdf_inertial_of_zeros_means_none() -> None:
     zeros = '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
     nothing = f'<link name="n"><inertial><mass value="0"/>{zeros}</inertial></link>'
-    assert rb.load(urdf(*ARM, nothing, joint("w", "arm", "n", "fixed"))).nb >= 2
+    assert load_quietly(urdf(*ARM, nothing, joint("w", "arm", "n", "fixed"))).nb >= 2
 
 
 def test_urdf_is_read_in_the_encoding_that_it_declares(tmp_path: Path) -> None:
     text = '<?xml version="1.0" encoding="ISO-8859-1"?>' + urdf(*ARM).replace("elbow", "codé")
     (tmp_path / "arm.urdf").write_bytes(text.encode("latin-1"))
-    assert rb.load(tmp_path / "arm.urdf").joint_names == ("codé",)
+    assert load_quietly(tmp_path / "arm.urdf").joint_names == ("codé",)
 
 
 def test_urdf_agrees_with_mujoco() -> None:
@@ -361,7 +363,7 @@ def test_an_unknown_scene_lists_the_scenes() -> None:
 def test_a_folder_or_a_picture_is_not_a_robot(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_bytes(b"\xff\xfe\x00\x80picture")
     for path in (tmp_path, tmp_path / "robot.xml"):
-        with pytest.raises(rb.ModelError, match=r"cannot be read as text|not well-formed"):
+        with pytest.raises(rb.ModelError, match=r"cannot be read as text|not a regular file"):
             rb.load(path)
 
 

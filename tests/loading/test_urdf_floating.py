@@ -17,7 +17,8 @@ FLY = (link("fly", 0.7), joint("float", "arm", "fly", "floating"))
 
 def test_below_a_moving_link_a_body_flies_on_its_own() -> None:
     """Only gravity acts on it, and it acts on nothing."""
-    model, alone = rb.load(urdf(*ARM, *FLY)), rb.load(urdf(*ARM))
+    texts = (urdf(*ARM, *FLY), urdf(*ARM))
+    model, alone = (rb.load(text, floating_base=False) for text in texts)
     assert model.topology.joint_kinds == ("hinge", "slide", "slide", "slide", "ball")
     assert model.joint_names[1:] == ("float_TX", "float_TY", "float_TZ", "float_R")
     state = model.random_state(jax.random.key(0))
@@ -40,8 +41,9 @@ def test_below_a_moving_link_a_body_flies_on_its_own() -> None:
 
 
 def test_it_rests_where_the_joint_is() -> None:
-    model = rb.load(urdf(*ARM, *FLY))
-    fixed = rb.load(urdf(*ARM, FLY[0], joint("float", "arm", "fly", "fixed")))
+    model = rb.load(urdf(*ARM, *FLY), floating_base=False)
+    text = urdf(*ARM, FLY[0], joint("float", "arm", "fly", "fixed"))
+    fixed = rb.load(text, floating_base=False)
     poses = [rb.forward_kinematics(m, m.default_state().q) for m in (model, fixed)]
     for a, b in zip(*map(jax.tree.leaves, poses), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-14)

@@ -1,0 +1,5 @@
+"""`python -m rbjax`: the command line."""
+
+from rbjax.cli import main
+
+main()
