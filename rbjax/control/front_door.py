@@ -157,7 +157,8 @@ def _solve(
     knots, ctrls = first_guess(problem, start, *guess)
     found, off = _judged(problem, start, knots, ctrls, options, method, history)
     numbers = found.knots.numbers[0]
-    ts = problem.at(numbers)[1] * jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    ts = problem.time(ks, problem.at(numbers)[1])
     return found, off, ts, numbers
 
 

@@ -32,7 +32,7 @@ class Found(NamedTuple):
     (history,) of the iterations, nan after the last; K (N, m, n), gains of the feedback; and the
     multipliers of the constraints at the knots with controls (N, c) and at the end (e,). between:
     a collocation's stages; violations of each constraint, where it knows them better than by
-    controls that are held."""
+    controls that are held; penalty () of the augmented Lagrangian, None where there is none."""
 
     knots: Knot
     ctrls: jax.Array
@@ -48,6 +48,7 @@ class Found(NamedTuple):
     end: jax.Array
     between: Between | None = None
     violations: jax.Array | None = None
+    penalty: jax.Array | None = None
 
 
 class Solution(Record):
@@ -121,7 +122,7 @@ class Solution(Record):
         n = system.n
 
         def act(t: Any, state: Any) -> jax.Array:
-            k = jnp.clip(jnp.floor(t / dt + 1e-6).astype(int), 0, N - 1)
+            k = jnp.clip(jnp.floor((t - self.ts[0]) / dt + 1e-6).astype(int), 0, N - 1)
             here = jax.tree.map(lambda x: x[k], self.states)
             dx = system.minus(state, here)
             u = self.ctrls[k] + (self.K[k, :, :n] * dx).sum(-1)
@@ -152,7 +153,7 @@ def violations(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
 
         def off(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
             system, dt = problem.at(knot.numbers)
-            value = c.term(system.model, k * dt, knot.state, ctrl)
+            value = c.term(system.model, problem.time(k, dt), knot.state, ctrl)
             return jnp.abs(value - jnp.clip(value, c.low, c.high)).max(initial=0.0)
 
         worst = jnp.zeros((), dtype)
