@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.control.augmented_lagrangian import Multipliers
-from rbjax.control.front_door import first_guess
+from rbjax.control.first_guess import first_guess
 from rbjax.control.knots import violation
 from rbjax.control.methods import METHODS
 from rbjax.control.options import Options

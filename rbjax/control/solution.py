@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.augmented_lagrangian import PENALTY
 from rbjax.control.outcome import BUDGET, CONVERGED, INFEASIBLE, SENTENCES
 from rbjax.control.problem import Knot, Problem
 from rbjax.errors import InputError
@@ -60,7 +61,8 @@ class Solution(Record):
     gap (), the largest between a step and the next state, on the tangent space; violation () of
     constraints, and violations (number of constraints,) of each; costs (history,) of the
     iterations; K (N, nu, n), gains of the feedback u = ctrls + K (x (-) states); multipliers, a
-    pair; between, the stages of a collocation, whose `ctrls` are means over the steps.
+    pair; penalty () of the augmented Lagrangian; between, the stages of a collocation, whose
+    `ctrls` are means over the steps.
     """
 
     problem: Problem
@@ -78,6 +80,7 @@ class Solution(Record):
     costs: jax.Array
     K: jax.Array
     multipliers: tuple[jax.Array, jax.Array]
+    penalty: jax.Array
     between: Between | None
     method: str = eqx.field(static=True)
 
@@ -135,11 +138,14 @@ def solution_of(
     problem: Problem, found: Found, off: jax.Array, ts: jax.Array, numbers: jax.Array, method: str
 ) -> Solution:
     """The public form of what a method found."""
+    penalty = found.penalty
+    if penalty is None:
+        penalty = jnp.full_like(found.cost, PENALTY)
     return Solution(
         problem, ts, found.knots.state, found.ctrls, numbers, found.cost, found.outcome,
         found.iterations, found.stop, found.gap, found.violation,
         off, found.costs, found.K,
-        (found.path, found.end), found.between, method,
+        (found.path, found.end), penalty, found.between, method,
     )  # fmt: skip
 
 
