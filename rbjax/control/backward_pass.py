@@ -23,7 +23,9 @@ from rbjax.control.products import in_registers, product
 class Feedback(NamedTuple):
     """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
     v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
-    step; ok (), whether all control Hessians were positive definite."""
+    step; square (), the squared norm of the gradient of the cost by the controls and by what is
+    free of the first knot, without regularisation and without entries that press against a bound;
+    ok (), whether all control Hessians were positive definite."""
 
     K: jax.Array
     k: jax.Array
@@ -32,6 +34,7 @@ class Feedback(NamedTuple):
     first: jax.Array
     slope: jax.Array
     curvature: jax.Array
+    square: jax.Array
     ok: jax.Array
 
 
@@ -57,10 +60,15 @@ def backward_pass(
     eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
 
     def back(carry: tuple, knot: tuple) -> tuple:
-        V, v, slope, curvature, ok = jax.tree.map(in_registers, carry)
+        V, v, l, slope, curvature, square, ok = jax.tree.map(in_registers, carry)
         A, B, gap, cost, bound = jax.tree.map(in_registers, knot)
         more = carried(V, v, A, B) if h is None else carried_by_velocities(V, v, A, B, h)
         Qxx, Quu, Qux, Qx, Qu = more
+        descent = cost.r + product(B.T, l)
+        if bound is not None:
+            descent = unpressed(descent, *bound)
+        square = square + (descent * descent).sum()
+        l = cost.q + product(A.T, l)
         Qxx, Quu, Qux = cost.Q + Qxx, cost.R + Quu + reg * eye_u, cost.S.T + Qux
         Qx, Qu = cost.q + Qx, cost.r + Qu
         if bound is None:
@@ -74,15 +82,16 @@ def backward_pass(
         v_gap = v + product(V, gap)
         slope = slope + (Qu * k).sum() + (v_gap * gap).sum()
         curvature = curvature + (k * product(Quu, k)).sum() - (gap * (v_gap - v)).sum()
-        return (V, v_gap, slope, curvature, ok & fine), (K, k, V, v_gap)
+        return (V, v_gap, l, slope, curvature, square, ok & fine), (K, k, V, v_gap)
 
     last = gaps[-1]
     v = end.q + product(end.Q, last)
     curvature = -(last * product(end.Q, last)).sum()
-    begin = (end.Q + reg * eye_x, v, (v * last).sum(), curvature, jnp.asarray(True))
+    zero = jnp.zeros((), reg.dtype)
+    begin = (end.Q + reg * eye_x, v, end.q, (v * last).sum(), curvature, zero, jnp.asarray(True))
     knots = (A, B, gaps[:-1], path, bounds)
     found: Any = jax.lax.scan(back, begin, knots, reverse=True)
-    (V, v, slope, curvature, ok), (K, k, Vs, vs) = found
+    (V, v, l, slope, curvature, square, ok), (K, k, Vs, vs) = found
     dx0 = gaps[0]
     if first is not None:
         free, low, high = first
@@ -90,11 +99,19 @@ def backward_pass(
         huge = jnp.finfo(reg.dtype).max
         box = box_qp(H, free * v, jnp.maximum(low, -huge), jnp.minimum(high, huge))
         step = free * jnp.where(box.ok, box.d, 0.0)
+        opening = free * unpressed(l, low, high)
+        square = square + (opening * opening).sum()
         slope = slope + (v * step).sum()
         curvature = curvature + (step * product(H, step)).sum()
         dx0, ok = dx0 + step, ok & box.ok
     Vs, vs = (jnp.concatenate([x, y[None]]) for x, y in ((Vs, end.Q), (vs, begin[1])))
-    return Feedback(K, k, Vs, vs, dx0, slope, curvature, ok)
+    return Feedback(K, k, Vs, vs, dx0, slope, curvature, square, ok)
+
+
+def unpressed(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """A gradient without the entries that press against a bound. low and high: of the step."""
+    pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
+    return jnp.where(pressed, 0.0, gradient)
 
 
 def carried(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:

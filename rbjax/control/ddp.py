@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from rbjax.control.augmented_lagrangian import Multipliers, no_multipliers
 from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.expansion import row_count
+from rbjax.control.filter_search import rounding
 from rbjax.control.forward_pass import Tried, forward_pass
 from rbjax.control.knots import Expanded, expand, largest_gap, updated, with_curvature
 from rbjax.control.options import Options
@@ -89,7 +90,7 @@ def searched(
     return Found(
         last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), at.outcome, at.turns,
         at.stop, largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
-        last.K, path, end,
+        last.K, path, end, penalty=last.multipliers.penalty,
     )  # fmt: skip
 
 
@@ -121,7 +122,7 @@ def optimised(
 ) -> Iterate:  # fmt: skip
     """The iterations, from states and controls."""
     constrained = bool(problem.constraints)
-    limits = Limits(options.tolerance, options.violation, options.iterations)
+    limits = Limits(options.tolerance, options.violation, options.iterations, options.scale)
     judge = threads(functools.partial(verdict, way.rules, constrained))
 
     def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
@@ -143,8 +144,8 @@ def optimised(
         decided = judge(
             at, limits,
             Measures(
-                found.cost, found.gap, found.violation, gains.slope, gains.curvature, gains.ok,
-                tried.costs, tried.offs, tried.more,
+                found.cost, found.gap, found.violation, gains.slope, gains.curvature, gains.square,
+                gains.ok, tried.costs, tried.offs, tried.more,
             ),
         )  # fmt: skip
         knots, ctrls = way.moved(problem, now, tried, decided)
@@ -160,18 +161,20 @@ def optimised(
         costs = now.costs.at[jnp.minimum(at.turns, history - 1)].set(after.cost)
         return Iterate(knots, ctrls, multipliers, gains.K, after, costs)
 
-    begin = _begun(problem, knots, ctrls, limits, history)
+    begin = _begun(problem, knots, ctrls, limits, history, options.multipliers)
     return jax.lax.while_loop(lambda now: now.standing.outcome == GOING, turn, begin)
 
 
 def _begun(
-    problem: Problem, knots: Knot, ctrls: jax.Array, limits: Limits, history: int
-) -> Iterate:
+    problem: Problem, knots: Knot, ctrls: jax.Array, limits: Limits, history: int,
+    multipliers: Multipliers | None = None,
+) -> Iterate:  # fmt: skip
     dtype, N = ctrls.dtype, problem.horizon
     if problem.bounded:
         ctrls = jnp.clip(ctrls, problem.low.astype(dtype), problem.high.astype(dtype))
-    path, end = (row_count(problem, where) for where in ("path", "end"))
-    multipliers = no_multipliers(N, path, end, dtype)
+    if multipliers is None:
+        path, end = (row_count(problem, where) for where in ("path", "end"))
+        multipliers = no_multipliers(N, path, end, dtype)
     return Iterate(
         knots, ctrls, multipliers, jnp.zeros((N, problem.nu, problem.n), dtype),
         begun(limits, bool(problem.constraints), multipliers.penalty),
@@ -209,8 +212,8 @@ def _as_foreseen(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Arr
     slope, curvature = seen.slope + cross, seen.curvature - 2 * cross
     foreseen = lengths * (slope + 0.5 * lengths * curvature)
     change = seen.costs - seen.cost
-    tiny = 1e-12
-    falls = (foreseen <= 0) & ((jnp.abs(slope) < tiny) | (change < ACCEPTED * foreseen))
+    change = change - rounding(seen.cost)
+    falls = (foreseen <= 0) & (change <= ACCEPTED * foreseen)
     # closing the gaps may cost something: then the rise must be less than twice what is foreseen
     rises = (foreseen > 0) & (change < ASCENT * foreseen)
     return falls | rises, jnp.abs(seen.slope + 0.5 * seen.curvature)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.constants import Known
+from rbjax.control.first_guess import Guess, first_guess, guess_of
 from rbjax.control.implicit import differentiable
 from rbjax.control.methods import METHODS, method_of, name_of
 from rbjax.control.options import Options
@@ -31,6 +32,7 @@ def solve(
     states: Any = None,
     ctrls: Any = None,
     numbers: Any = None,
+    guess: Solution | None = None,
     iterations: int = 200,
     tolerance: float = 1e-9,
     violation: float = 1e-6,
@@ -48,11 +50,15 @@ def solve(
         method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with numbers of its
             own.
         states: a first guess of the states, with a leading axis N + 1. It need not obey the
-            dynamics. None: the start, at all knots.
+            dynamics. None: the start, at all knots; or, if ctrls are given, the motion by these if
+            it costs less.
         ctrls: a first guess (N, nu) of the controls; None for zeros.
         numbers: a first guess of the design and, last, of the final time.
+        guess: instead of these three, the `Solution` of a like problem: its motion by its gains
+            from the new start, which follows it on an unstable plant too, and its multipliers.
         iterations: at most.
-        tolerance: of the change of the cost that an iteration foresees.
+        tolerance: of the change of the cost that an iteration foresees, relative to the cost (to
+            that of the first guess, at most 1, if the cost is less); at least ten roundings.
         violation: of constraints, in their units.
         seed: of what a method draws, an integer; with `jax.vmap` over it many are tried.
         progress: show the iterations on a terminal; within a program it is ignored.
@@ -90,13 +96,14 @@ def solve(
     inside = inside_jit()
     show = progress and not inside
     number = jnp.asarray if inside else _plain
+    began = guess_of(problem, guess, states, ctrls, numbers)
     options = Options(
         number(tolerance), number(violation), number(iterations), jnp.asarray(seed, jnp.uint32),
-        _say if show else None,
+        multipliers=began.multipliers, say=_say if show else None,
     )  # fmt: skip
+    began = began._replace(multipliers=None)
     if not all(map(eqx.is_array_like, jax.tree.leaves(start))):
         start = problem.system.checked("solve", start)  # says what is wrong
-    guess = states, None if ctrls is None else jnp.asarray(ctrls), numbers
     leaves, tree = jax.tree.flatten(problem)
     places = [i for i, x in enumerate(leaves) if callable(x)]
     program, robot = (_solve if inside else _compiled), len(jax.tree.leaves(problem.system))
@@ -111,7 +118,7 @@ def solve(
         others, other_tree = jax.tree.flatten(rest)
         key = (tree, constants, other_tree, *others)
         found, off, ts, numbers = program(
-            numeric, start, guess, options, key, method, int(iterations)
+            numeric, start, began, options, key, method, int(iterations)
         )
         return solution_of(problem, found, off, ts, numbers, name_of(method))
 
@@ -145,7 +152,7 @@ def _plain(x: Any) -> Any:
 
 
 def _solve(
-    numeric: Any, start: Any, guess: tuple, options: Options, key: tuple, method: Any, history: int
+    numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
 ) -> tuple[Found, jax.Array, jax.Array, jax.Array]:
     """What was found, the violation of each constraint, the times and the numbers."""
     tree, constants, other_tree, *others = key
@@ -154,10 +161,11 @@ def _solve(
         parts = (constants.whole(), *parts)
     problem = jax.tree.unflatten(tree, [x for part in parts for x in part])
     start = problem.system.checked("solve", start)
-    knots, ctrls = first_guess(problem, start, *guess)
+    knots, ctrls = first_guess(problem, start, *guess[:4])
     found, off = _judged(problem, start, knots, ctrls, options, method, history)
     numbers = found.knots.numbers[0]
-    ts = problem.at(numbers)[1] * jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    ts = problem.time(ks, problem.at(numbers)[1])
     return found, off, ts, numbers
 
 
@@ -201,26 +209,3 @@ def _searched(method: Any, history: int, *given: Any) -> Found:
 
 
 _compiled = compiled(_solve, static_argnames=("key", "method", "history"))
-
-
-def first_guess(
-    problem: Problem, start: Any, states: Any = None, ctrls: Any = None, numbers: Any = None
-) -> tuple[Knot, jax.Array]:
-    """Knots and controls to begin with, checked."""
-    N, dtype = problem.horizon, problem.dt.dtype
-    one = problem.system.checked("solve", start)
-    if states is None:
-        states = jax.tree.map(lambda x: jnp.broadcast_to(x, (N + 1, *x.shape)), one)
-    else:
-        due = jax.tree.map(lambda x: (N + 1, *x.shape), one)
-        got = jax.tree.map(jnp.shape, states)
-        if got != due:
-            raise InputError(f"solve: states has shapes {got}, expected {due}: one a knot")
-        states = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), states, one)
-    us = jnp.zeros((N, problem.nu), dtype) if ctrls is None else jnp.asarray(ctrls, dtype)
-    if us.shape != (N, problem.nu):
-        raise InputError(f"solve: ctrls has shape {us.shape}, expected ({N}, {problem.nu})")
-    p = problem.first_numbers(dtype) if numbers is None else jnp.asarray(numbers, dtype)
-    if p.shape != (problem.numbers,):
-        raise InputError(f"solve: numbers has shape {p.shape}, expected ({problem.numbers},)")
-    return Knot(states, jnp.broadcast_to(p, (N + 1, *p.shape))), us

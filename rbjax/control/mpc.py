@@ -7,8 +7,10 @@ as long as a computation takes). They are played ahead, and the plan begins wher
     shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    when that tick comes
 
 The feedback K answers what the prediction missed (Diehl, Bock & Schloder 2005, the real-time
-iteration; Mayne et al. 2000). A plan that is not finite, or that cannot hold the constraints, is
-refused: the last one goes on, for so many ticks as `patience` says, then a fallback policy acts.
+iteration; Mayne et al. 2000). The plan before also leaves its multipliers and penalty, so that a
+few iterations hold the constraints. The result of a tick says if the plan violates a constraint. A
+plan that is not finite, or whose constraints contradict each other, is rejected: the last one goes
+on, for so many ticks as `patience` says, then a fallback policy acts.
 """
 
 from __future__ import annotations
@@ -16,10 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.front_door import first_guess
+from rbjax.control.augmented_lagrangian import Multipliers
+from rbjax.control.first_guess import first_guess
+from rbjax.control.knots import violation
 from rbjax.control.methods import METHODS
 from rbjax.control.options import Options
 from rbjax.control.outcome import INFEASIBLE, NOT_FINITE
@@ -31,11 +36,14 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_whole
 from rbjax.threads import threads
 
-PLANNED, KEPT, FALLBACK = range(3)
+HARDEST = 1e4  # the largest penalty with which a tick begins
+WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
+PLANNED, KEPT, FALLBACK, VIOLATED = range(4)
 RESULTS = {
     PLANNED: "planned: from the plan of this tick",
     KEPT: "kept: the plan failed, the last one goes on",
     FALLBACK: "fallback: plans failed for longer than patience",
+    VIOLATED: "violated: the plan violates a constraint; raise iterations or violation",
 }
 
 
@@ -51,17 +59,21 @@ class Decided(NamedTuple):
 
 class Memory(NamedTuple):
     """What a controller remembers: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) of the
-    last plan; decided, `Decided` of the ticks of delay, None without; failures (), plans that
-    failed in a row; outcome (), of the last search; cost () and violation () of the plan."""
+    last plan; multipliers of its constraints, None for a method without; decided, `Decided` of the
+    ticks of delay, None without; failures (), plans that failed in a row; outcome (), of the last
+    search; cost () and violation () of the plan; gap (), the largest between a step of the plan and
+    its next state."""
 
     knots: Knot
     ctrls: jax.Array
     K: jax.Array
+    multipliers: Multipliers | None
     decided: Decided | None
     failures: jax.Array
     outcome: jax.Array
     cost: jax.Array
     violation: jax.Array
+    gap: jax.Array
 
 
 class Run(NamedTuple):
@@ -85,15 +97,15 @@ class Controller:
     """
 
     def __init__(
-        self, problem_at: Callable[[Any], Problem], method: str, iterations: int, delay: int,
-        feedback: bool, patience: int, fallback: Callable[[Any, Any], Any], tolerance: float,
-        first: int,
+        self, problem_at: Callable[[Any], Problem], example: Problem, method: str, iterations: int,
+        delay: int, feedback: bool, patience: int, fallback: Callable[[Any, Any], Any],
+        tolerance: float, violation: float, first: int,
     ) -> None:  # fmt: skip
         self.problem_at = problem_at
-        self.problem = problem_at(0.0)
+        self.problem = example
         self.method, self.iterations, self.delay = method, iterations, delay
         self.feedback, self.patience, self.fallback = feedback, patience, fallback
-        self.tolerance, self.first = tolerance, first
+        self.tolerance, self.violation, self.first = tolerance, violation, first
 
     @property
     def dt(self) -> jax.Array:
@@ -110,14 +122,14 @@ class Controller:
         problem = self.problem
         x = problem.system.checked("mpc", state)
         knots, us = first_guess(problem, x, ctrls=ctrls)
-        found = self._search(problem, x, knots, us, self.first)
+        found = self._search(problem, x, knots, us, None, self.first)
         whole = _finite((found.knots, found.ctrls, found.K)) & (found.outcome != NOT_FINITE)
         given, planned = (knots, us), (found.knots, found.ctrls)
         knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
-            knots, us, K, None, jnp.where(whole, 0, self.patience),
-            found.outcome, found.cost, found.violation,
+            knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
+            found.outcome, found.cost, found.violation, found.gap,
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
         decided = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
@@ -139,10 +151,11 @@ class Controller:
         later: Decided = jax.tree.map(lambda a: a[1:], memory.decided)
         u = self._acted(problem, now, t, x)
         step = threads(problem.system.step)
-        ahead = step(jnp.zeros_like(problem.dt), x, u, problem.dt)
+        ahead = step(problem.time(0, problem.dt), x, u, problem.dt)
         for k in range(self.delay - 1):
             entry = jax.tree.map(lambda a, k=k: a[k], later)
-            ahead = step(jnp.zeros_like(problem.dt), ahead, entry.u, problem.dt)
+            ahead = step(problem.time(k + 1, problem.dt), ahead, entry.u, problem.dt)
+        problem = self.problem_at(t + self.delay * problem.dt)
         memory = self._planned(problem, memory, ahead)
         new = self._entry(memory, 0)
         decided = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), later, new)
@@ -172,7 +185,7 @@ class Controller:
 
         def one(carry: tuple, k: jax.Array) -> tuple:
             memory, x = carry
-            t = k * dt
+            t = self.problem.time(k, dt)
             u, memory, result = self.tick(memory, t, x)
             after = move(t, x, u, dt)
             return (memory, after), (x, u, result, memory.outcome, memory.cost)
@@ -181,7 +194,7 @@ class Controller:
         run: tuple = jax.lax.scan(one, (memory, x), ks)
         (_, last), (xs, us, results, outcomes, costs) = run
         states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
-        ts = dt * jnp.arange(steps + 1, dtype=dt.dtype)
+        ts = self.problem.time(jnp.arange(steps + 1, dtype=dt.dtype), dt)
         return Run(ts, states, us, results, outcomes, costs)
 
     def policy(self, memory: Memory) -> Callable[[Any, Any], jax.Array]:
@@ -192,11 +205,15 @@ class Controller:
         def act(t: Any, state: Any) -> jax.Array:
             problem = self.problem_at(t)
             x = problem.system.checked("mpc", state)
-            k = jnp.floor(t / problem.dt + 1e-6).astype(int)
+            begin = self.problem.start_time
+            k = jnp.floor((t - begin) / problem.dt + 1e-6).astype(int)
             late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
             knots = jax.tree.map(lambda a: a[late], memory.knots)
             ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
-            planned = self._planned(problem, memory._replace(knots=knots, ctrls=ctrls), x)
+            shifted = memory._replace(
+                knots=knots, ctrls=ctrls, multipliers=_later(memory.multipliers, late[:-1])
+            )
+            planned = self._planned(problem, shifted, x)
             return self._acted(problem, self._entry(planned, 0), t, x)
 
         return act
@@ -204,20 +221,31 @@ class Controller:
     # the parts
 
     def _search(
-        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, iterations: int
-    ) -> Any:
+        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+        multipliers: Multipliers | None, iterations: int,
+    ) -> Any:  # fmt: skip
         number = lambda x: jnp.asarray(x, ctrls.dtype)  # noqa: E731
-        options = Options(number(self.tolerance), number(1e-4), jnp.asarray(iterations))
+        options = Options(
+            number(self.tolerance), number(self.violation), jnp.asarray(iterations),
+            scale=number(1.0), multipliers=multipliers,
+        )  # fmt: skip
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
         """The memory with the plan of this tick, or with the last one where that fails."""
-        found = self._search(problem, start, memory.knots, memory.ctrls, self.iterations)
+        found = self._search(
+            problem, start, memory.knots, memory.ctrls, memory.multipliers, self.iterations
+        )
         good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
-        good &= (found.outcome != NOT_FINITE) & (found.outcome != INFEASIBLE)
+        # a start that violates a constraint is no fault of the plan that leads back
+        first = jax.tree.map(lambda a: a[0], found.knots)
+        zero = jnp.zeros((), found.ctrls.dtype)
+        off = violation(problem, zero, first, found.ctrls[0], "path") > self.violation
+        good &= (found.outcome != NOT_FINITE) & ((found.outcome != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
-            violation=found.violation, failures=jnp.zeros_like(memory.failures),
+            violation=found.violation, gap=found.gap,
+            multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
         picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
@@ -232,11 +260,17 @@ class Controller:
         after = threads(problem.step)(k, last, ctrls[-1])
         after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
         knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
-        return memory._replace(knots=knots, ctrls=ctrls, K=K)
+        later = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
+        multipliers = _later(memory.multipliers, later)
+        return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> Decided:
-        """What the plan decides for its tick k."""
-        result = jnp.where(memory.failures > 0, KEPT, PLANNED)
+        """The control that the plan decides for its tick k."""
+        # states that are not those of the dynamics hold no constraint
+        off = jnp.maximum(memory.violation, memory.gap)
+        broken = (off > self.violation) if self.problem.constraints else False
+        result = jnp.where(broken, VIOLATED, PLANNED)
+        result = jnp.where(memory.failures > 0, KEPT, result)
         result = jnp.where(memory.failures > self.patience, FALLBACK, result)
         state = jax.tree.map(lambda a: a[k], memory.knots.state)
         return Decided(memory.ctrls[k], memory.K[k], state, result)
@@ -256,27 +290,32 @@ def mpc(
     problem: Problem | Callable[[Any], Problem],
     *,
     method: str = "ddp",
-    iterations: int = 1,
+    iterations: int | None = None,
     delay: int = 1,
     feedback: bool = True,
     patience: int = 5,
     fallback: Callable[[Any, Any], Any] | None = None,
     tolerance: float = 1e-9,
+    violation: float = 1e-4,
     first: int = 100,
 ) -> Controller:
     """Model predictive control with a fixed number of iterations a tick.
 
     Args:
-        problem: `Problem`, whose dt is the length of a tick; or a function t -> Problem for goals
-            that move: the problems may differ in numbers only.
+        problem: `Problem`, whose dt is the length of a tick: its costs, constraints and dynamics
+            are functions of the time of the loop, which begins at its start_time. Or a function t
+            -> Problem of the plan that begins at t, whose times count from its own start_time: the
+            problems may differ in numbers only.
         method: one of `rb.control.methods()` with gains.
-        iterations: at a tick.
+        iterations: at most, at a tick. None: 1, and 10 for a problem with constraints.
         delay: ticks from the state that is measured to the control that answers it: 1 where the
             computation takes up to a tick, 0 in a simulation that waits for it.
         feedback: whether gains answer what the prediction missed, when the control is applied.
         patience: how many ticks a plan goes on while new ones fail.
         fallback: a policy (t, state) -> (nu,) after that; zeros within the bounds if None.
-        tolerance: at which iterations end early.
+        tolerance: of the foreseen change of the cost, absolute, at which iterations end early.
+        violation: of constraints, in their units: a plan that violates one by more has the result
+            `VIOLATED`.
         first: iterations of the first plan.
 
     Returns:
@@ -301,7 +340,7 @@ def mpc(
         (True, 0)
     """
     problem_at = _problem_at(problem)
-    example = problem_at(0.0)
+    example = problem if isinstance(problem, Problem) else problem_at(0.0)
     if not isinstance(example, Problem):
         raise InputError(f"mpc: problem gave {type(example).__name__}, expected a Problem")
     if example.opens:
@@ -311,6 +350,8 @@ def mpc(
         )
     if method not in METHODS:
         raise UnknownName("method of rb.control", method, METHODS)
+    if iterations is None:
+        iterations = WITH_CONSTRAINTS if example.constraints else 1
     for name, value, least in (
         ("iterations", iterations, 1), ("delay", delay, 0), ("patience", patience, 0),
         ("first", first, 1),
@@ -322,13 +363,31 @@ def mpc(
     else:
         check_takes("mpc", "fallback", fallback, "t", "state")
     return Controller(
-        problem_at, method, iterations, delay, bool(feedback), patience, fallback, tolerance, first
-    )
+        problem_at, example, method, iterations, delay, bool(feedback), patience, fallback,
+        tolerance, violation, first,
+    )  # fmt: skip
+
+
+def _multipliers(found: Any) -> Multipliers | None:
+    """The multipliers with which the next search begins."""
+    if found.penalty is None:
+        return None
+    return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))
+
+
+def _later(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
+    """Multipliers of a plan that begins later. at (N,): the knots that its knots were before."""
+    if multipliers is None:
+        return None
+    return multipliers._replace(path=multipliers.path[at])
 
 
 def _problem_at(problem: Any) -> Callable[[Any], Problem]:
     if isinstance(problem, Problem):
-        return lambda t: problem
+        begin = problem.start_time
+        return lambda t: eqx.tree_at(
+            lambda p: p.start_time, problem, jnp.asarray(t, begin.dtype)
+        )
     if not callable(problem):
         raise InputError(
             f"mpc: problem is {type(problem).__name__}, expected an rb.control.Problem or a "

@@ -75,6 +75,8 @@ class Problem(Record):
         design: a `Design`, numbers of the model to be found too.
         free_time: (low, high), bounds of the final time in s, which is then found too; horizon * dt
             is its first guess.
+        start_time: t_0, the time in s of the first knot, for costs, constraints and systems that
+            depend on the time.
         free_start: which coordinates of the start's tangent space are found too: True for all, or
             (n,) booleans.
         integrator, law, held: as `integrator`, `law`, `constraints` of `rb.rollout`, for a Model.
@@ -101,6 +103,7 @@ class Problem(Record):
     high: jax.Array
     design: Design | None
     times: jax.Array | None
+    start_time: jax.Array
     horizon: int = eqx.field(static=True)
     integral: bool = eqx.field(static=True)
     bounded: bool = eqx.field(static=True)
@@ -111,6 +114,7 @@ class Problem(Record):
         running: Sequence[Any] = (), terminal: Sequence[Any] = (),
         constraints: Sequence[Constraint] = (), bounds: Any = "model", integral: bool = True,
         design: Design | None = None, free_time: Any = None, free_start: Any = False,
+        start_time: Any = 0.0,
         integrator: Any = None, law: Any = free_motion, held: Any = None,
     ) -> None:  # fmt: skip
         self.system = system_of("Problem", model, integrator, law, held)
@@ -137,6 +141,7 @@ class Problem(Record):
             raise InputError(f"Problem: design is {type(design).__name__}, expected a Design")
         self.design = design
         self.times = None if free_time is None else _times(free_time)
+        self.start_time = _start_time(start_time)
         self.free = _free(free_start, self.system.n)
 
     @property
@@ -195,6 +200,10 @@ class Problem(Record):
             system = system.with_model(self.design.apply(system.model, numbers[:size]))
         return system, dt
 
+    def time(self, k: Any, dt: Any) -> Any:
+        """The time in s of knot k."""
+        return self.start_time.astype(dt.dtype) + k * dt
+
     # a knot
 
     def plus(self, knot: Knot, dx: jax.Array) -> Knot:
@@ -215,12 +224,12 @@ class Problem(Record):
     def step(self, k: Any, knot: Knot, ctrl: jax.Array) -> Knot:
         """The knot after a step."""
         system, dt = self.at(knot.numbers)
-        return Knot(system.step(k * dt, knot.state, ctrl, dt), knot.numbers)
+        return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.numbers)
 
     def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
         """The knot after a step, and its derivatives."""
         system, dt = self.at(knot.numbers)
-        after, A, B = system.linear(k * dt, knot.state, ctrl, dt)
+        after, A, B = system.linear(self.time(k, dt), knot.state, ctrl, dt)
         after = Knot(after, knot.numbers)
         p = self.numbers
         if p:
@@ -239,7 +248,9 @@ class Problem(Record):
         """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
         whose squares are halved and summed."""
         system, dt = self.at(knot.numbers)
-        value = jnp.asarray(cost.term(system.model, k * dt, knot.state, ctrl), dt.dtype)
+        value = jnp.asarray(
+            cost.term(system.model, self.time(k, dt), knot.state, ctrl), dt.dtype
+        )
         w = jnp.asarray(cost.weight, dt.dtype)
         if self.integral and where == "path":
             w = w * dt
@@ -260,7 +271,9 @@ class Problem(Record):
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of a constraint at a knot."""
         system, dt = self.at(knot.numbers)
-        return jnp.ravel(c.term(system.model, k * dt, knot.state, ctrl)).astype(dt.dtype)
+        return jnp.ravel(
+            c.term(system.model, self.time(k, dt), knot.state, ctrl)
+        ).astype(dt.dtype)
 
     def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
@@ -314,6 +327,14 @@ def _times(free_time: Any) -> jax.Array:
             f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"
         )
     return times
+
+
+def _start_time(start_time: Any) -> jax.Array:
+    t = jnp.asarray(start_time, float)
+    known = looked_at(start_time)
+    if t.shape != () or (known is not None and not np.isfinite(known)):
+        raise InputError(f"Problem: start_time is {start_time!r}, expected a finite time in s")
+    return t
 
 
 def _free(free_start: Any, n: int) -> tuple[bool, ...]:

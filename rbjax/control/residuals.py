@@ -1,6 +1,7 @@
 """Standard residuals: state, velocity, control, frames, centre of mass, effort, jerk.
 
 Each is a `Term`: a vector r of a state and controls that a cost squares or a constraint bounds.
+A reference is a value, or a function t -> value of the time in s: a moving reference.
 
     state          dx = x (-) x_ref on the tangent space
     pose           log(T_ref^-1 T): translation part first, then the rotation vector
@@ -8,6 +9,7 @@ Each is a `Term`: a vector r of a state and controls that a cost squares or a co
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -16,6 +18,7 @@ import jax.numpy as jnp
 
 from rbjax.control.system import Controlled
 from rbjax.control.terms import Term
+from rbjax.dynamics.arguments import check_takes
 from rbjax.dynamics.energy import center_of_mass
 from rbjax.dynamics.forward import forward_dynamics
 from rbjax.dynamics.frames import frame_velocity, site_pose
@@ -29,12 +32,15 @@ from rbjax.rotations import se3
 
 class StateError(Term):
     """x (-) reference, (n,): dq on the tangent space, dv, and states of force elements; of a
-    wheeled robot dq, dv and states of tyres; of `Equations` x - reference."""
+    wheeled robot dq, dv and states of tyres; of `Equations` x - reference.
+
+    Fields: reference, a state; or a function t -> state.
+    """
 
     reference: Any
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        reference = self.reference
+        reference = at_time("StateError", self.reference, t)
         due, got = (jax.tree.map(jnp.shape, x) for x in (state, reference))
         if not isinstance(state, State) and got != due:
             raise InputError(f"StateError: the reference has shape {got}, expected {due}")
@@ -61,12 +67,15 @@ class Configuration(Term):
 
 
 class Control(Term):
-    """u - reference, (nu,)."""
+    """u - reference, (nu,).
 
-    reference: jax.Array | float = 0.0
+    Fields: reference, (nu,) or (); or a function t -> (nu,).
+    """
+
+    reference: jax.Array | Callable[[Any], Any] | float = 0.0
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        return ctrl - self.reference
+        return ctrl - at_time("Control", self.reference, t)
 
 
 class Effort(Term):
@@ -101,22 +110,26 @@ class Jerk(Term):
 
 
 class CenterOfMass(Term):
-    """The centre of mass of the robot less `position`, (3,) m in world axes."""
+    """The centre of mass of the robot less `position`, (3,) m in world axes.
 
-    position: jax.Array
+    Fields: position (3,); or a function t -> (3,).
+    """
+
+    position: jax.Array | Callable[[Any], Any]
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        return center_of_mass(model, state.q) - self.position
+        return center_of_mass(model, state.q) - at_time("CenterOfMass", self.position, t)
 
 
 class Pose(Term):
     """log(T_ref^-1 T) of a site or body, (6,): the translation part in m, then the rotation vector.
 
-    Fields: rotation (3, 3) and position (3,) of the reference in the world; site or body, a name.
+    Fields: rotation (3, 3) and position (3,) of the reference in the world, or functions of t that
+    return these; site or body, a name.
     """
 
-    rotation: jax.Array
-    position: jax.Array
+    rotation: jax.Array | Callable[[Any], Any]
+    position: jax.Array | Callable[[Any], Any]
     site: str | None = eqx.field(static=True, default=None)
     body: str | None = eqx.field(static=True, default=None)
 
@@ -125,16 +138,21 @@ class Pose(Term):
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         R, p = pose_of(model, state.q, self.site, self.body)
-        R_ref, p_ref = self.rotation.astype(p.dtype), self.position.astype(p.dtype)
+        R_ref, p_ref = (
+            jnp.asarray(at_time("Pose", x, t), p.dtype) for x in (self.rotation, self.position)
+        )
         relative = (R_ref[:, :, None] * R[:, None, :]).sum(0)
         xi = se3.log(se3.pose(relative, (R_ref * (p - p_ref)[:, None]).sum(0)))
         return jnp.concatenate([xi[3:], xi[:3]])
 
 
 class Point(Term):
-    """The position of a site or body less `position`, (3,) m in world axes."""
+    """The position of a site or body less `position`, (3,) m in world axes.
 
-    position: jax.Array
+    Fields: position (3,); or a function t -> (3,); site or body, a name.
+    """
+
+    position: jax.Array | Callable[[Any], Any]
     site: str | None = eqx.field(static=True, default=None)
     body: str | None = eqx.field(static=True, default=None)
 
@@ -142,7 +160,8 @@ class Point(Term):
         check_frame("Point", self.site, self.body)
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
-        return pose_of(model, state.q, self.site, self.body)[1] - self.position
+        position = at_time("Point", self.position, t)
+        return pose_of(model, state.q, self.site, self.body)[1] - position
 
 
 class FrameVelocity(Term):
@@ -156,6 +175,14 @@ class FrameVelocity(Term):
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return frame_velocity(model, state.q, state.v, self.body, site=self.site)
+
+
+def at_time(where: str, reference: Any, t: Any) -> Any:
+    """A reference at the time t."""
+    if not callable(reference):
+        return reference
+    check_takes(where, "the reference", reference, "t")
+    return reference(t)
 
 
 def check_frame(where: str, site: Any, body: Any) -> None:

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.augmented_lagrangian import PENALTY
 from rbjax.control.outcome import BUDGET, CONVERGED, INFEASIBLE, SENTENCES
 from rbjax.control.problem import Knot, Problem
 from rbjax.errors import InputError
@@ -32,7 +33,7 @@ class Found(NamedTuple):
     (history,) of the iterations, nan after the last; K (N, m, n), gains of the feedback; and the
     multipliers of the constraints at the knots with controls (N, c) and at the end (e,). between:
     a collocation's stages; violations of each constraint, where it knows them better than by
-    controls that are held."""
+    controls that are held; penalty () of the augmented Lagrangian, None where there is none."""
 
     knots: Knot
     ctrls: jax.Array
@@ -48,6 +49,7 @@ class Found(NamedTuple):
     end: jax.Array
     between: Between | None = None
     violations: jax.Array | None = None
+    penalty: jax.Array | None = None
 
 
 class Solution(Record):
@@ -59,7 +61,8 @@ class Solution(Record):
     gap (), the largest between a step and the next state, on the tangent space; violation () of
     constraints, and violations (number of constraints,) of each; costs (history,) of the
     iterations; K (N, nu, n), gains of the feedback u = ctrls + K (x (-) states); multipliers, a
-    pair; between, the stages of a collocation, whose `ctrls` are means over the steps.
+    pair; penalty () of the augmented Lagrangian; between, the stages of a collocation, whose
+    `ctrls` are means over the steps.
     """
 
     problem: Problem
@@ -77,6 +80,7 @@ class Solution(Record):
     costs: jax.Array
     K: jax.Array
     multipliers: tuple[jax.Array, jax.Array]
+    penalty: jax.Array
     between: Between | None
     method: str = eqx.field(static=True)
 
@@ -121,7 +125,7 @@ class Solution(Record):
         n = system.n
 
         def act(t: Any, state: Any) -> jax.Array:
-            k = jnp.clip(jnp.floor(t / dt + 1e-6).astype(int), 0, N - 1)
+            k = jnp.clip(jnp.floor((t - self.ts[0]) / dt + 1e-6).astype(int), 0, N - 1)
             here = jax.tree.map(lambda x: x[k], self.states)
             dx = system.minus(state, here)
             u = self.ctrls[k] + (self.K[k, :, :n] * dx).sum(-1)
@@ -134,11 +138,14 @@ def solution_of(
     problem: Problem, found: Found, off: jax.Array, ts: jax.Array, numbers: jax.Array, method: str
 ) -> Solution:
     """The public form of what a method found."""
+    penalty = found.penalty
+    if penalty is None:
+        penalty = jnp.full_like(found.cost, PENALTY)
     return Solution(
         problem, ts, found.knots.state, found.ctrls, numbers, found.cost, found.outcome,
         found.iterations, found.stop, found.gap, found.violation,
         off, found.costs, found.K,
-        (found.path, found.end), found.between, method,
+        (found.path, found.end), penalty, found.between, method,
     )  # fmt: skip
 
 
@@ -152,7 +159,7 @@ def violations(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
 
         def off(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
             system, dt = problem.at(knot.numbers)
-            value = c.term(system.model, k * dt, knot.state, ctrl)
+            value = c.term(system.model, problem.time(k, dt), knot.state, ctrl)
             return jnp.abs(value - jnp.clip(value, c.low, c.high)).max(initial=0.0)
 
         worst = jnp.zeros((), dtype)

@@ -56,7 +56,7 @@ def at_stage(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """f (n,), the running cost () and the rows (c,) at knot (+) xi. where: k + c_i."""
     system, dt = problem.at(knot.numbers)
-    rates = system.rates(where * dt, knot.state, xi, ctrl)
+    rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
     point = Knot(system.plus(knot.state, xi), knot.numbers)
     cost = total(problem, "path", where, point, ctrl)
     return rates, cost, problem.rows(where, point, ctrl, "path")

@@ -3,13 +3,15 @@ regularisation, the next penalty of the constraints, and whether the search ends
 
 The longest trial is taken that a method accepts. The regularisation falls tenfold after a step
 longer than half and rises tenfold after one of a hundredth, none, or gains that do not exist
-(Mastalli et al. 2020). Where the foreseen change of the cost is small, the constraints get new
-multipliers, or the search is over. All of it is one program of one sample (`rb.threads`), so one
-kernel on a GPU.
+(Mastalli et al. 2020). If the foreseen change of the cost is small relative to the cost, the
+constraints get new multipliers, or the search has converged. Regularisation makes this change small
+anywhere, so under it the gradient must be small too. All of it is one program of one sample
+(`rb.threads`), so one kernel on a GPU.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -24,16 +26,19 @@ LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as non
 LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
 LOOSE, CLOSER = 1e-3, 0.03  # the tolerance before the first multipliers, and its fall a turn
+FLOOR = 10.0  # the least tolerance, in units in the last place
 
 
 class Standing(NamedTuple):
     """Where a search stands, numbers (): whether the motion is free of gaps; the regularisation;
-    cost; stop, the change that was foreseen; violation; before, that at the last change of
+    cost; scale, of which the tolerance is a share where the cost is less; stop, the change that was
+    foreseen; violation; before, that at the last change of
     multipliers; inner, the tolerance of this turn of multipliers; iterations; outcome; penalty."""
 
     feasible: jax.Array
     reg: jax.Array
     cost: jax.Array
+    scale: jax.Array
     stop: jax.Array
     violation: jax.Array
     before: jax.Array
@@ -44,16 +49,20 @@ class Standing(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """tolerance of the foreseen change; violation; iterations at most; each ()."""
+    """tolerance of the foreseen change, relative to the cost; violation; iterations at most; scale,
+    the least cost to which the tolerance is relative, None for that of the first guess, at most 1;
+    each ()."""
 
     tolerance: jax.Array
     violation: jax.Array
     iterations: jax.Array
+    scale: jax.Array | None = None
 
 
 class Measures(NamedTuple):
     """Of an iteration, for its verdict. Here: cost, gap and violation (). Of the step: slope and
-    curvature of the cost along it (), ok (), whether its gains exist. Of the trials (T,): costs,
+    curvature of the cost along it (), square (), the squared norm of the gradient without
+    regularisation, ok (), whether its gains exist. Of the trials (T,): costs,
     offs, their violations, and more, what the method knows besides."""
 
     cost: jax.Array
@@ -61,6 +70,7 @@ class Measures(NamedTuple):
     violation: jax.Array
     slope: jax.Array
     curvature: jax.Array
+    square: jax.Array
     ok: jax.Array
     costs: jax.Array
     offs: jax.Array
@@ -90,9 +100,11 @@ def begun(limits: Limits, constrained: bool, penalty: jax.Array) -> Standing:
     """Before the first iteration."""
     dtype = penalty.dtype
     number = lambda x: jnp.asarray(x, dtype)  # noqa: E731
-    inner = jnp.maximum(limits.tolerance, LOOSE) if constrained else limits.tolerance
+    least = jnp.maximum(limits.tolerance, FLOOR * jnp.finfo(dtype).eps)
+    inner = jnp.maximum(least, LOOSE) if constrained else least
+    scale = number(-1) if limits.scale is None else number(limits.scale)
     return Standing(
-        jnp.asarray(False), number(LEAST), number(jnp.inf), number(jnp.inf), number(0),
+        jnp.asarray(False), number(LEAST), number(jnp.inf), scale, number(jnp.inf), number(0),
         number(jnp.inf), inner.astype(dtype), jnp.asarray(0), jnp.asarray(GOING), penalty,
     )  # fmt: skip
 
@@ -105,6 +117,7 @@ def verdict(
     lengths = jnp.asarray(LENGTHS, dtype)
     good, stop = rules.accepts(seen, lengths)
     good = good & jnp.isfinite(seen.costs) & seen.ok
+    stop = jnp.where(seen.ok, stop, now.stop)
     best, accepted = jnp.argmax(good), good.any()
     a = lengths[best]
     cost = jnp.where(accepted, seen.costs[best], seen.cost)
@@ -119,7 +132,11 @@ def verdict(
         here, feasible = now.feasible, now.feasible | (accepted & (best == 0))
     else:
         here = feasible = seen.gap <= closed(dtype)
-    still = here & seen.ok & (stop < now.inner)
+    first = jnp.minimum(jnp.abs(seen.cost), 1.0)
+    scale = jnp.where(now.scale < 0, first, now.scale)
+    share = jnp.maximum(scale, jnp.abs(seen.cost))
+    small = functools.partial(_small, now, seen, stop, share)
+    still = here & small(now.inner)
     # gains that do not exist are asked for again with more regularisation: the same iteration
     turns = now.turns + seen.ok.astype(now.turns.dtype)
     outcome = jnp.where(turns >= limits.iterations, BUDGET, GOING)
@@ -129,23 +146,32 @@ def verdict(
     if not constrained:
         outcome = jnp.where(still, CONVERGED, outcome)
         after = now._replace(
-            feasible=feasible, reg=reg, cost=cost, stop=stop, turns=turns, outcome=outcome
-        )
+            feasible=feasible, reg=reg, cost=cost, scale=scale, stop=stop, turns=turns,
+            outcome=outcome,
+        )  # fmt: skip
         return Verdict(after, best, a, accepted, jnp.asarray(False))
 
     held = off <= limits.violation
-    done = still & held & (now.inner <= limits.tolerance)
+    least = jnp.maximum(limits.tolerance.astype(dtype), FLOOR * jnp.finfo(dtype).eps)
+    done = here & small(least) & held
     change = still & ~done
     penalty, failing = next_penalty(now.penalty, off, now.before, held)
     hopeless = change & failing & (now.penalty >= PENALTY_MOST)
     outcome = jnp.where(hopeless, INFEASIBLE, outcome)
-    inner = jnp.maximum(CLOSER * now.inner, limits.tolerance.astype(dtype))
+    inner = jnp.maximum(CLOSER * now.inner, least)
+    change = change & (outcome == GOING)  # a search that ends leaves its multipliers as they are
     after = Standing(
-        feasible, jnp.where(change, LEAST, reg).astype(dtype), cost, stop, off,
+        feasible, jnp.where(change, LEAST, reg).astype(dtype), cost, scale, stop, off,
         jnp.where(change, off, now.before), jnp.where(change, inner, now.inner), turns,
         jnp.where(done, CONVERGED, outcome), jnp.where(change, penalty, now.penalty),
     )  # fmt: skip
     return Verdict(after, best, a, accepted, change)
+
+
+def _small(now: Standing, seen: Measures, stop: Any, share: Any, tolerance: Any) -> jax.Array:
+    """Whether the foreseen change of the cost is small, and under regularisation the gradient."""
+    flat = jnp.sqrt(seen.square) <= jnp.sqrt(tolerance) * share
+    return seen.ok & (stop <= tolerance * share) & ((now.reg <= LEAST) | flat)
 
 
 def closed(dtype: Any) -> float:
