@@ -21,15 +21,20 @@ from rbjax.sysid.simulation import Grid, Setup
 
 
 class Run(NamedTuple):
-    """One run, or a batch of them: the first readings, as a state; commands (N, n); and by sensor
-    the times (T,) in s after the start, the values (T, n), and weights (T, n): 1 / sigma, 0 where
-    nothing was measured."""
+    """One run, or a batch of them.
+
+    Fields: start, the first readings, as a state, or with `exact` 1 the state itself; commands
+    (N, n); by sensor the times (T,) in s after the start, the values (T, n), and weights (T, n):
+    1 / sigma, 0 where nothing was measured; known, 1 if the initial state is known, else 0.
+    """
 
     start: State
     commands: jax.Array
     times: dict[str, Any]
     values: dict[str, Any]
     weights: dict[str, Any]
+    known: Any = 0.0
+    exact: Any = 0.0
 
 
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
@@ -72,10 +77,16 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         times[sensor] = channel.t[inside] - start
         values[sensor] = np.where(arrived, np.nan_to_num(channel.values[inside]), 0.0)
         weights[sensor] = arrived / sigma
-    q, v = _start(model, run, start)
+    said = run.initial_state
+    q, v = _start(model, run, start) if said is None else _said(model, run, said)
     x = None if model.nx == 0 else model.default_state().x
+    if said is not None and model.nx and said.x is not None:
+        x = said.x
     start_at: Any = (q, v, x)
-    found = Run(State(*start_at), commands, times, values, weights)
+    found = Run(
+        State(*start_at), commands, times, values, weights,
+        np.array(float(run.start_is_known)), np.array(float(said is not None)),
+    )  # fmt: skip
     # in numpy first: every shape of an operation of JAX is a program to compile
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, dtype)), found)
 
@@ -132,6 +143,17 @@ def _check_columns(setup: Setup, run: Recording, measured: Sequence[str]) -> Non
             )
 
 
+def _said(model: Model, run: Recording, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """q and v of an initial state that the recording says."""
+    for name, x, size in (("q", state.q, model.nq), ("v", state.v, model.nv)):
+        if np.shape(x) != (size,) or not np.isfinite(np.asarray(x)).all():
+            raise InputError(
+                f"identify: recording {run.name} has an initial_state whose {name} is {x}, "
+                f"expected ({size},) finite numbers"
+            )
+    return np.asarray(state.q), np.asarray(state.v)
+
+
 def _start(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
     """The first readings of q and v; where v was not recorded, the slope of those of q."""
 
@@ -185,16 +207,14 @@ def batch(runs: Sequence[Run]) -> Run:
         jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *(e.start for e in runs)),
         stacked([e.commands for e in runs], True),
         each("times", True), each("values", False), each("weights", False),
+        *(jnp.asarray(np.stack([getattr(e, f) for e in runs])) for f in ("known", "exact")),
     )  # fmt: skip
 
 
 def grid_of(runs: Sequence[Recording]) -> Grid:
-    """The clock of the commands, or of the positions."""
-
-    def clock(run: Recording) -> Channel:
-        return next(run[sensor] for sensor in ("ctrl", "q", *run) if sensor in run.channels)
-
-    return Grid(min(clock(run).step for run in runs))
+    """The finest clock of all channels: commands may come when they change, seconds apart."""
+    step = min(channel.step for run in runs for channel in run.channels.values())
+    return Grid(float(f"{step:.12g}"))  # clocks that differ by rounding have one program
 
 
 def batch_of(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:
