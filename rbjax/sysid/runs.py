@@ -49,9 +49,7 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         )
     _check_columns(setup, run, measured)
     channels = {s: run[s] for s in (*measured, HELD) if s in run.channels}
-    start = max(float(c.t[0]) for c in channels.values())
-    later = run["q"].t[run["q"].t >= start - 1e-9]
-    start = max(start, float(later[0])) if len(later) else start
+    start = start_of(setup, run)
     # the last command holds for one more step of its channel
     end = min(c.t[-1] + (c.step if s == HELD else 0.0) for s, c in channels.items())
     count = int((end - start) / grid.period + 1e-6)
@@ -89,6 +87,15 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     )  # fmt: skip
     # in numpy first: every shape of an operation of JAX is a program to compile
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, dtype)), found)
+
+
+def start_of(setup: Setup, run: Recording) -> float:
+    """The time in s at which the simulation of a recording starts: the first sample of q at which
+    all channels have begun."""
+    used = [c for s, c in run.channels.items() if s in setup.sensors or s == HELD]
+    start = max(float(c.t[0]) for c in used)
+    later = run["q"].t[run["q"].t >= start - 1e-9]
+    return max(start, float(later[0])) if len(later) else start
 
 
 def ordered(model: Model, run: Recording) -> Recording:
