@@ -5,9 +5,6 @@ with a sentence that says why.
 `rb.control.recommend` are the names for users.
 """
 
-from rbjax.callable_modules import make_modules_callable
 from rbjax.recommend.solver import Recommendation, recommend
 
 __all__ = ["Recommendation", "recommend"]
-
-make_modules_callable(__name__)
