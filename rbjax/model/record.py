@@ -90,7 +90,7 @@ def check_number(record: Record, name: str, *, positive: bool = False) -> None:
     if jnp.shape(value) != ():
         raise InputError(f"{where}: got the shape {jnp.shape(value)}, expected a number")
     if positive and not isinstance(value, jax.core.Tracer) and not np.asarray(value) > 0:
-        raise InputError(f"{where}: got {float(value)}, expected a length above zero")
+        raise InputError(f"{where}: got {float(value)}, expected a number above zero")
 
 
 def check_fields(record: Record) -> None:

@@ -38,7 +38,7 @@ MADE: dict[str, Callable] = {
     "point.0. is nan": lambda: rc.Place.on(point=[np.nan, 0, 0]),
     "length=...): got nan": lambda: rc.Distance(HERE, LOWER, np.nan),
     "length=...): got str": lambda: rc.Distance(HERE, LOWER, "long"),
-    "length=...): got -1.0, expected a length above zero": lambda: rc.Distance(HERE, LOWER, -1.0),
+    "length=...): got -1.0, expected a number above zero": lambda: rc.Distance(HERE, LOWER, -1.0),
     "pitch=...): got str": lambda: rc.Screw.between(MODEL, None, "lower", pitch="a"),
     "got the numbers .'pitch'., expected ..": lambda: rc.Weld.between(
         MODEL, None, "lower", pitch=1.0
