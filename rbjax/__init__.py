@@ -22,6 +22,7 @@ from rbjax import (
     sysid,
     wheeled,
 )
+from rbjax.callable_modules import make_modules_callable
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
@@ -53,7 +54,9 @@ from rbjax.dynamics import (
 from rbjax.dynamics.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.forces import applied_forces
-from rbjax.loading import load, scenes, write_back, write_mjcf
+from rbjax.loading.load import load, scenes
+from rbjax.loading.write_back import write_back
+from rbjax.loading.write_mjcf import write_mjcf
 from rbjax.model import Model, State
 from rbjax.motion.linearise import Linear, linearise, step
 from rbjax.motion.rollout import rollout
@@ -150,3 +153,5 @@ __all__ = [
     "write_back",
     "write_mjcf",
 ]
+
+make_modules_callable(__name__)

@@ -9,7 +9,8 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 
 # What a room stands on directly; it may import that and all below it.
 FLOORS = {
-    "errors": "",
+    "callable_modules": "",
+    "errors": "callable_modules",
     "progress": "errors",
     "style": "errors",
     "html_page": "errors",

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.callable_modules import CallableModule
 from tests.composing import STEP, check_axes, check_composes
 from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
@@ -208,11 +209,15 @@ def test_eager_is_jit() -> None:
         assert relative_error(got, want) <= F64_TRANSFORM
 
 
+def is_function(value: object) -> bool:
+    return inspect.isroutine(value) or isinstance(value, CallableModule)
+
+
 def test_no_public_function_is_missing() -> None:
     public: set[str] = set()
     for room in (rb, rb.dynamics, rb.forces):
         members = {name: getattr(room, name) for name in room.__all__}
-        public |= {name for name, value in members.items() if inspect.isroutine(value)}
+        public |= {name for name, value in members.items() if is_function(value)}
     missing = public - REGISTRY.keys() - ELSEWHERE
     assert not missing, f"give {sorted(missing)} an entry in tests/test_registry.py"
     assert REGISTRY.keys() | ELSEWHERE <= public

@@ -30,6 +30,7 @@ from rbjax.body.rigid_body import (
     total_wrench,
 )
 from rbjax.body.spatial_equations import Momentum, Spatial
+from rbjax.callable_modules import make_modules_callable
 
 __all__ = [
     "Body",
@@ -63,3 +64,5 @@ __all__ = [
     "total_wrench",
     "virtual_work",
 ]
+
+make_modules_callable(__name__)

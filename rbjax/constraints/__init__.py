@@ -48,14 +48,13 @@ from rbjax.constraints.rank import Mobility, mobility
 from rbjax.constraints.reactions import (
     ConstrainedMotion,
     constrained_dynamics,
-    jacobian,
     joint_wrenches,
     multipliers,
-    residual,
 )
 from rbjax.constraints.recursive import Recursive
 from rbjax.constraints.redundant import KKT
 from rbjax.constraints.registry import formulations, kinds
+from rbjax.constraints.residuals import jacobian, residual
 from rbjax.constraints.rolling import KnifeEdge, RollingDisc, RollingSphere
 from rbjax.constraints.row import Row
 from rbjax.constraints.soft import QuaternionWeld, Soft

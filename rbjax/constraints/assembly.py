@@ -1,7 +1,9 @@
 """A consistent state from a rough guess.
 
     min |dq|_M:  g(t, q + dq) = 0,  pinned coordinates held;     then the same for velocities
-Gauss-Newton steps of least norm, each shortened until the residual falls. (Masarati, *Multibody
+Gauss-Newton steps of least norm, each shortened until the residual falls. The rows of a weld and of
+a prismatic joint have the sine of half the angle (`HalfAngle`), so no step leads to a joint that is
+closed half a turn off. (Masarati, *Multibody
 System Dynamics*, ch. 6; Haug, *Computer-Aided Kinematics and Dynamics*, 4.6)
 """
 
@@ -13,8 +15,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.constraints.pairs import HalfAngle, Pair
 from rbjax.constraints.rank import row_names
-from rbjax.constraints.reactions import jacobian, residual
+from rbjax.constraints.residuals import jacobian, residual
+from rbjax.constraints.soft import Soft
 from rbjax.dynamics.arguments import check_arrays
 from rbjax.dynamics.crba import mass_matrix
 from rbjax.dynamics.manifold import integrate
@@ -22,8 +26,10 @@ from rbjax.errors import InputError, listed
 from rbjax.model import Model, State
 
 STEPS, HALVINGS = 60, 12
-#: shortest singular value, against the longest, along which a step goes
-LEAST = 1e-9
+#: shortest singular value, against the longest, along which a step goes, in f64 and in f32
+LEAST = 1e-9, 1e-5
+#: how far a guess is moved whose residual or Jacobian is not a number: half a turn off
+MOVED = 0.03
 
 
 class Assembly(NamedTuple):
@@ -80,18 +86,32 @@ def assemble(
     free = np.ones(model.nv, bool)
     for name in pinned:
         free[model.v_slice(name)] = False
+    model, whole = _half_angles(model), model
+    rounding = LEAST[0] if dtype == jnp.float64 else LEAST[1]
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, state.q), float)[np.ix_(free, free)])
 
     def least(off: np.ndarray, q: Any) -> np.ndarray:
         """The change of least norm that takes away what the free coordinates can."""
         G = np.asarray(jacobian(model, q, t), float)[:, free]
         change = np.zeros(model.nv)
-        scaled = np.linalg.pinv(np.linalg.solve(root, G.T).T, rcond=LEAST) @ -off
+        scaled = np.linalg.pinv(np.linalg.solve(root, G.T).T, rcond=rounding) @ -off
         change[free] = np.linalg.solve(root.T, scaled)
         return change
 
     q, v = state.q, state.v
     off = np.asarray(residual(model, state, t).value, float)
+    random = np.random.default_rng(0)
+    for _ in range(HALVINGS):
+        if np.isfinite(np.c_[off, np.asarray(jacobian(model, q, t))]).all():
+            break
+        away = np.where(free, random.uniform(-MOVED, MOVED, model.nv), 0.0)
+        q = integrate(model, state.q, jnp.asarray(away, dtype))
+        off = np.asarray(residual(model, State(q, v, state.x), t).value, float)
+    else:
+        raise InputError(
+            "assemble: the residual or its Jacobian is not a number at the guess, nor near it; "
+            "expected a state at which every row is defined"
+        )
     for _ in range(STEPS):
         if np.abs(off).max(initial=0.0) <= 0.01 * tolerance:
             break
@@ -111,10 +131,20 @@ def assemble(
     found = State(q, v, state.x)
     value, rate = (np.abs(np.asarray(x, float)) for x in residual(model, found, t))
     worst = np.maximum(value, rate)
-    names = [name for name, x in zip(row_names(model), worst, strict=True) if not x <= tolerance]
+    names = [name for name, x in zip(row_names(whole), worst, strict=True) if not x <= tolerance]
     if names and throw:
         raise InputError(
             f"assemble: no state near the guess meets all rows; {listed(names, 6)} are off by up "
             f"to {worst.max():.2g}. Start nearer, pin less, or see rb.constraints.mobility"
         )
     return Assembly(found, not names, float(worst.max(initial=0.0)), tuple(names))
+
+
+def _half_angles(model: Model) -> Model:
+    """The model, its joints with rows that are zero only where the joint is closed."""
+
+    def of(constraint: Any) -> Any:
+        joint = constraint.of if isinstance(constraint, Soft) else constraint
+        return HalfAngle(joint) if isinstance(joint, Pair) and joint.turns else constraint
+
+    return model.replace(constraints=tuple(of(x) for x in model.constraints))

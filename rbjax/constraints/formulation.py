@@ -7,6 +7,8 @@ the program.
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -15,6 +17,7 @@ import jax
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
 from rbjax.dynamics.link_forces import LinkForces
+from rbjax.errors import InputError
 from rbjax.model import Model, State
 
 
@@ -31,6 +34,10 @@ class Formulation:
     family: ClassVar[str]
     index: ClassVar[int]
 
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            _check(f"{type(self).__name__}({field.name}=...)", field, getattr(self, field.name))
+
     def __call__(
         self, model: Model, t: Any, state: State, tau: jax.Array, pushes: LinkForces
     ) -> jax.Array:
@@ -45,6 +52,24 @@ class Formulation:
     def settled(self, model: Model, t: Any, state: State) -> State:
         """The state after a step, as the next one starts from it."""
         return state
+
+
+def _check(where: str, field: dataclasses.Field, value: Any) -> None:
+    """Reject a field of a formulation that is not of its type, or is a negative number."""
+    if field.type == "Formulation" and not isinstance(value, Formulation):
+        raise InputError(
+            f"{where}: got {value!r}, expected a Formulation, not its name: one of the values of "
+            "rbjax.constraints.formulations()"
+        )
+    if field.type == "float":
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{where}: got {value!r}, expected a number")
+        if not 0 <= value < math.inf:
+            raise InputError(f"{where}: got {value}, expected a finite number of at least 0")
+    if field.type == "int" or (field.type == "int | None" and value is not None):
+        integer = isinstance(value, int) and not isinstance(value, bool)
+        if not integer or value < 1:
+            raise InputError(f"{where}: got {value!r}, expected an integer of at least 1")
 
 
 @dataclass(frozen=True)
@@ -85,6 +110,8 @@ class Baumgarte(Formulation):
 
         Source: Anitescu & Potra 1997 (constraints on the velocity after a step).
         """
+        if not (isinstance(dt, int | float) and 0 < dt < math.inf):
+            raise InputError(f"Baumgarte.for_step: dt is {dt!r}, expected a positive step, s")
         return cls(0.5 / dt, 0.3 / dt)
 
     def __call__(self, model, t, state, tau, pushes):

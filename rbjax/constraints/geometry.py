@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import jax.numpy as jnp
+
 from rbjax.constraints.row import Row
 from rbjax.forces import Frame, Loads
 from rbjax.forces.instant import Instant
@@ -85,12 +87,16 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
 
 
 def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
-    """|p_B - p_A|; `least` keeps it smooth where they meet, as sqrt(d^2 + least^2)."""
+    """|p_B - p_A|; `least` keeps it smooth where they meet, as sqrt(d^2 + least^2). Without it,
+    the gradient of a distance of zero is zero: no direction is better than another."""
     d, rate, bent = _apart(A, B)
-    length = d.norm(least)
+    square = add(d.dot(d), least * least)
+    apart = square > 0
+    length = jnp.sqrt(jnp.where(apart, square, 1.0))
     n = d * (1.0 / length)
     along = n.dot(rate)
-    turning = sub(rate.dot(rate), mul(along, along)) / length
+    turning = jnp.where(apart, sub(rate.dot(rate), mul(along, along)) / length, 0.0)
+    length = jnp.where(apart, length, 0.0)
     return Row(length, along, opposed(B.push(n), A.push(-n)), add(n.dot(bent), turning))
 
 

@@ -21,8 +21,9 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.dense import Dense
-from rbjax.constraints.reactions import ConstrainedMotion, Residual
+from rbjax.constraints.reactions import ConstrainedMotion
 from rbjax.constraints.redundant import KKT
+from rbjax.constraints.residuals import Residual
 from rbjax.constraints.user_function import check_function, evaluate
 from rbjax.errors import InputError
 from rbjax.lanes.products import matvec

@@ -10,6 +10,10 @@ a and b are frames on the two bodies, their z the axis of the joint.
     planar        p_b in the plane across z_a, z_b parallel 3
     universal     p_b = p_a,  z_b across x_a                4
     weld          p_b = p_a,  axes parallel                 6
+
+Parallel z axes may point in the same or in opposite directions: these rows are zero for both. The
+rows of a prismatic joint and of a weld are the sine of an angle, so they are zero at half a turn
+too; `assemble` takes the sine of half the angle (`HalfAngle`), which is not.
 (Masarati, *Multibody System Dynamics*, ch. 6; Haug, 1989, 9.4; Reuleaux's lower pairs)
 """
 
@@ -18,31 +22,47 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.constraints.constraint import Constraint
-from rbjax.constraints.geometry import X, Y, Z, along, cosine, displacement, distance, turn
+from rbjax.constraints.geometry import (
+    AXES,
+    X,
+    Y,
+    Z,
+    along,
+    cosine,
+    displacement,
+    distance,
+    turn,
+)
 from rbjax.constraints.place import Place, check_places, places
 from rbjax.constraints.row import Row, angle
+from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
 from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
 
+#: a trace of a rotation is rounding if it is as near to -1, half a turn
+NEAR = 1e-5
+
 
 class Pair(Constraint):
     """Rows between two frames.
 
-    Fields: a, b, `Place`s.
+    Fields: a, b, `Place`s. Class field: turns, the rows that `geometry.turn` gives, or None.
     """
 
     a: Place
     b: Place
+    turns: ClassVar[slice | None] = None
 
     def __check_init__(self) -> None:
         check_places(self)
@@ -87,6 +107,32 @@ class Pair(Constraint):
         raise NotImplementedError(f"{type(self).__name__} has no method between_frames")
 
 
+class HalfAngle(Constraint):
+    """The rows of a pair, with the sine of half the angle between its frames, doubled, in the place
+    of the sine: zero only where the frames are aligned. Not a number within 0.2 degrees of half a
+    turn, where it is rounding.
+
+    Fields: of, a `Pair` with `turns`.
+    """
+
+    of: Pair
+
+    @property
+    def size(self) -> int:
+        return self.of.size
+
+    def rows(self, now: Instant) -> Sequence[Row]:
+        A, B = self.of.a.frame(now), self.of.b.frame(now)
+        rows = list(self.of.between_frames(A, B, now))
+        trace = Row.constant(0.0)
+        for e in AXES:
+            trace = trace + cosine(A, e, B, e)
+        # 2 sin(x / 2) = sin(x) / cos(x / 2), with 1 + trace = 4 cos(x / 2)^2
+        scale = trace.applied(lambda c: 2 / jnp.sqrt(jnp.where(c > NEAR - 1, 1 + c, jnp.nan)))
+        rows[self.of.turns] = [row * scale for row in rows[self.of.turns]]
+        return rows
+
+
 def parallel(A: Frame, B: Frame) -> list[Row]:
     """z_b parallel to z_a."""
     return [cosine(A, X, B, Z), cosine(A, Y, B, Z)]
@@ -123,6 +169,7 @@ class Prismatic(Pair):
     """p_b on the axis z_a, all axes parallel: five rows."""
 
     size = 5
+    turns = slice(2, 5)
 
     def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
         return [along(A, X, B), along(A, Y, B), *turn(A, B)]
@@ -131,7 +178,8 @@ class Prismatic(Pair):
 class Screw(Pair):
     """A cylindrical joint whose slide is tied to its turn: s = pitch turn / (2 pi), five rows.
 
-    Fields: pitch, m a turn. Any number of turns: the turn is what the slide says, within half one.
+    Fields: pitch, m a turn, not zero. Any number of turns: the turn is what the slide says, within
+    half one.
     """
 
     pitch: jax.Array = eqx.field(converter=floats)
@@ -139,6 +187,11 @@ class Screw(Pair):
 
     def __check_init__(self) -> None:
         check_number(self, "pitch")
+        if not isinstance(self.pitch, jax.core.Tracer) and not np.asarray(self.pitch):
+            raise InputError(
+                "Screw(pitch=...): got 0, expected metres a turn that are not zero; without a "
+                "pitch the joint is a Revolute"
+            )
 
     def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
         lead = scalar(self.pitch, now.q.dtype) / (2 * math.pi)
@@ -175,6 +228,7 @@ class Weld(Pair):
     frames times its axis."""
 
     size = 6
+    turns = slice(3, 6)
 
     def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
         return [*displacement(A, B), *turn(A, B)]
@@ -220,10 +274,60 @@ class Distance(Pair):
     """|p_b - p_a| = length: one row, a massless rod with two balls.
 
     Fields: length, m, above zero.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("double_pendulum")
+        >>> rod = rb.constraints.Distance.between(
+        ...     model, None, "lower", point=[0.3, 0.0, 0.0], other=[0.0, 0.0, 0.4]
+        ... )
+        >>> float(rod.length)
+        0.5
     """
 
     length: jax.Array = eqx.field(converter=floats)
     size = 1
+
+    @classmethod
+    def between(  # type: ignore[override]
+        cls,
+        model: Model,
+        a: str | int | None,
+        b: str | int | None,
+        *,
+        point: Any = (0.0, 0.0, 0.0),
+        other: Any = None,
+        length: Any = None,
+        q: jax.Array | None = None,
+    ) -> Distance:
+        """The rod between two points, given in the world in a configuration.
+
+        Args:
+            model: the robot.
+            a, b: names or indices of bodies; None is the world.
+            point: (3,) m in the world, the end on a.
+            other: (3,) m in the world, the end on b.
+            length: m; the distance of the two points if None.
+            q: (nq,); the model's default state if None.
+
+        Raises:
+            InputError: `other` is missing, or the same point as `point`.
+        """
+        if other is None:
+            raise InputError(
+                "Distance.between: got one point, expected two: other=(3,) is the end on b, m in "
+                "the world. Distance(a, b, length) takes two Places"
+            )
+        point = check_array("Distance.between", "point", point, (3,))
+        other = check_array("Distance.between", "other", other, (3,))
+        apart = jnp.sqrt(((other - point) ** 2).sum())
+        if not isinstance(apart, jax.core.Tracer) and not np.asarray(apart):
+            raise InputError(
+                f"Distance.between: point and other are both {np.asarray(point).tolist()}, "
+                "expected two points; a Spherical holds two points together"
+            )
+        start, end = (places(model, a, b, point=x, q=q)[k] for k, x in enumerate((point, other)))
+        return cls(start, end, apart if length is None else length)
 
     def __check_init__(self) -> None:
         check_number(self, "length", positive=True)

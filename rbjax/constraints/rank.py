@@ -11,9 +11,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from rbjax.constraints.reactions import jacobian
+from rbjax.constraints.residuals import jacobian
 from rbjax.dynamics.crba import mass_matrix
 from rbjax.model import Model
 
@@ -37,7 +38,9 @@ def row_names(model: Model) -> tuple[str, ...]:
     )
 
 
-def mobility(model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float = 1e-7) -> Mobility:
+def mobility(
+    model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float | None = None
+) -> Mobility:
     """The freedoms that a model's constraints leave at a configuration.
 
     Args:
@@ -45,7 +48,7 @@ def mobility(model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float = 1e-
         q: (nq,) configuration.
         t: time in seconds, for rows that look at it.
         tolerance: a row, scaled to length one, is redundant where less than this is left of it
-            across the rows before it.
+            across the rows before it; 1e-7 in f64 and 1e-4 in f32 if None.
 
     Returns:
         `Mobility`, of numbers and not of arrays: it is a report, and cannot be traced.
@@ -62,7 +65,10 @@ def mobility(model: Model, q: jax.Array, t: Any = 0.0, *, tolerance: float = 1e-
         >>> found.freedoms, len(found.redundant)
         (1, 5)
     """
-    G = np.asarray(jacobian(model, q, t), float)
+    rows = jacobian(model, q, t)
+    if tolerance is None:
+        tolerance = 1e-7 if rows.dtype == jnp.float64 else 1e-4
+    G = np.asarray(rows, float)
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, q), float))
     B = np.linalg.solve(root, G.T).T
     lengths = np.linalg.norm(B, axis=1)

@@ -1,4 +1,4 @@
-"""What constraints do to a robot: residuals, multipliers, and the wrenches in joints.
+"""What constraints do to a robot: accelerations, multipliers, and the wrenches in joints.
 
     M a + b = tau + sum of J_i^T f_i + G^T l
 """
@@ -10,64 +10,22 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.constraints.compliant import compliant_motion
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.pairs import Pair
-from rbjax.constraints.system import by_link, gradient_matrix, rows_of
+from rbjax.constraints.soft import Soft, is_soft
+from rbjax.constraints.system import by_link
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.drivers import driver
 from rbjax.dynamics.link_forces import on_links
 from rbjax.dynamics.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
+from rbjax.forces.element import Loads
 from rbjax.forces.inputs import Inputs
-from rbjax.forces.instant import Instant
-from rbjax.lanes import Vec3
+from rbjax.forces.instant import Frame, Instant
 from rbjax.model import Model, State
-
-
-class Residual(NamedTuple):
-    """Rows (m,): values g, zero for non-holonomic rows, and rates G v + g_t."""
-
-    value: jax.Array
-    rate: jax.Array
-
-
-@algorithm("state", "t")
-def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
-    """How far a state is from the constraints: g(t, q) and g' = G v + g_t.
-
-    Args:
-        model: the robot, with constraints.
-        state: `State(q (nq,), v (nv,))`.
-        t: time in seconds, for rows that look at it.
-
-    Returns:
-        `Residual(value (m,), rate (m,))`, in metres and per second, or without unit for angles.
-
-    Example:
-        >>> import rbjax as rb
-        >>> model = rb.load("double_pendulum")
-        >>> loop = rb.constraints.Inline.between(model, None, "lower", point=[0.0, 0, -2.0])
-        >>> model = model.with_constraints(loop)
-        >>> rb.constraints.residual(model, model.default_state()).value.shape
-        (2,)
-    """
-    rows = rows_of(model, Instant.of(model, t, state, None))
-    values, rates = [row.residual for row in rows], [row.rate for row in rows]
-    return Residual(pack(values, state.v), pack(rates, state.v))
-
-
-@algorithm("q", "t")
-def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
-    """G (m, nv): g' = G v + g_t, row by row.
-
-    Args:
-        model: the robot, with constraints.
-        q: (nq,) configuration.
-        t: time in seconds, for rows that look at it.
-    """
-    now = Instant.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
-    return gradient_matrix(now, rows_of(model, now))
+from rbjax.spatial import Force, Transform
 
 
 class ConstrainedMotion(NamedTuple):
@@ -90,7 +48,8 @@ def constrained_dynamics(
 
         M a + b = tau + sum_b J_b^T w_b + G^T l,      G a = -(G' v + ...)
 
-    `rbjax.forward_dynamics` is the same without constraints.
+    Rows of `Soft` constraints obey MuJoCo's law, as in a rollout by default (`Compliant`); l are
+    then the forces on these rows. `rbjax.forward_dynamics` is the same without constraints.
 
     Args:
         model: the robot; its constraints are enforced, redundant ones too.
@@ -125,14 +84,15 @@ def constrained_dynamics(
     if wrenches is not None:
         d = driver(model, q.dtype)
         pushes = on_links(d, d.joints(q, None), wrenches)
-    return ConstrainedMotion(*constrained_motion(model, t, State(q, v), tau, pushes))
+    return ConstrainedMotion(*_motion(model, t, State(q, v), tau, pushes))
 
 
 @algorithm("state", "ctrl", "t")
 def multipliers(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...): the forces that the rows need.
+    """l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...): the forces that the rows need. Those of
+    `Soft` constraints are the forces by MuJoCo's law, as in a rollout by default.
 
     Of redundant rows the multipliers of least norm, each weighed by the square root of its
     diag(G M^-1 G^T). A multiplier is in newtons where its row is in metres, in newton metres where
@@ -151,15 +111,21 @@ def multipliers(
 
 def _solved(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
     tau, pushes, _ = applied(model, t, state, Inputs(ctrl))
-    return constrained_motion(model, t, state, tau, pushes)[1]
+    return _motion(model, t, state, tau, pushes)[1]
+
+
+def _motion(model: Model, t: Any, state: State, tau: Any, pushes: Any) -> tuple:
+    """By the formulation that a rollout takes by default; a is the same for all rigid ones."""
+    solve = compliant_motion if is_soft(model) else constrained_motion
+    return solve(model, t, state, tau, pushes)
 
 
 @algorithm("state", "ctrl", "t")
 def joint_wrenches(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """What each loop joint (`Pair`) of the model does to its body b: (joints, 6) [torque N m; force
-    N], in world axes at the origin of its frame on b.
+    """The wrench of each loop joint (`Pair`) of the model on its body b, or on the world: (joints,
+    6) [torque N m; force N], in world axes at the origin of its frame on b.
 
     Args: as `multipliers`.
     """
@@ -167,21 +133,36 @@ def joint_wrenches(
     now = Instant.of(model, t, state, None)
     out, at = [], 0
     for constraint in model.constraints:
-        if not isinstance(constraint, Pair):
+        joint = constraint.of if isinstance(constraint, Soft) else constraint
+        if not isinstance(joint, Pair):
             raise InputError(
-                f"joint_wrenches: the model has a {type(constraint).__name__}, expected joints "
+                f"joint_wrenches: the model has a {type(joint).__name__}, expected joints "
                 "between two frames only; `multipliers` takes any constraint"
             )
-        B = constraint.b.frame(now)
-        torque, force = Vec3.zero(), Vec3.zero()
-        for row in constraint.rows(now):
-            push = by_link(row.gradient).get(B.link)
-            if push is not None:
-                link = now.link(B.link)
-                lin = link.rotation @ push.lin
-                arm = link.position - B.position
-                torque = torque + (link.rotation @ push.ang + arm.cross(lin)) * l[at]
-                force = force + lin * l[at]
+        B = _End(now, joint.b.frame(now))
+        wrench = Force.zero()
+        for row in joint.between_frames(joint.a.frame(now), B, now):
+            wrench = wrench + by_link(row.gradient).get(END, Force.zero()) * l[at]
             at += 1
-        out.append(pack([*torque, *force], state.v))
+        out.append(pack([*(B.rotation @ wrench.ang), *(B.rotation @ wrench.lin)], state.v))
     return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
+
+
+END = -2  # in the place of a link; WORLD is -1
+
+
+class _End(Frame):
+    """A frame whose wrenches are recorded in its own axes, at its origin, instead of on its link:
+    the world, or a link that the other end of the joint is on too, can be such a frame."""
+
+    def __init__(self, now: Instant, frame: Frame, *moved: Transform):
+        super().__init__(now.links, frame.link, *frame._placed, *moved)
+        self._now, self._frame, self._moved = now, frame, moved
+
+    def then(self, placed: Transform) -> Frame:
+        return _End(self._now, self._frame, *self._moved, placed)
+
+    def push_own(self, wrench: Force) -> Loads:
+        for X in reversed(self._moved):
+            wrench = X.T(wrench)
+        return Loads({}, {END: wrench})

@@ -12,7 +12,7 @@ from rbjax.constraints.formulation import Baumgarte, Formulation, Multipliers, P
 from rbjax.constraints.minimal import NullSpaceQR, NullSpaceSVD, Partitioning
 from rbjax.constraints.recursive import Recursive
 from rbjax.constraints.redundant import KKT
-from rbjax.constraints.soft import QuaternionWeld, Soft
+from rbjax.constraints.soft import QuaternionWeld, Soft, is_soft
 from rbjax.constraints.tangent import TangentSpace
 from rbjax.constraints.unconstrained import (
     AugmentedLagrangian,
@@ -78,7 +78,7 @@ def kinds() -> dict[str, type[Constraint]]:
     """
     rooms = pairs, couplings, curve, functions, rolling
     every = (x for room in rooms for x in vars(room).values() if isinstance(x, type))
-    bases = Constraint, pairs.Pair, rolling.Rolling
+    bases = Constraint, pairs.Pair, pairs.HalfAngle, rolling.Rolling
     found = {x.__name__: x for x in every if issubclass(x, Constraint) and x not in bases}
     return found | {x.__name__: x for x in (QuaternionWeld, Soft)}
 
@@ -94,8 +94,7 @@ def formulation_of(where: str, model: Model, given: Any) -> Formulation | None:
             )
         return None
     if given is None:
-        soft = any(isinstance(x, Soft) for x in model.constraints)
-        return _FORMULATIONS["compliant"] if soft else DEFAULT
+        return _FORMULATIONS["compliant"] if is_soft(model) else DEFAULT
     if isinstance(given, Formulation):
         return given
     if isinstance(given, str) and given in _FORMULATIONS:

@@ -4,8 +4,9 @@
     non-holonomic    y = G v + b = 0 (no g behind it),    y' = G a + ...
 
 `gradient` is G as what a multiplier of one does to the robot: generalized forces and wrenches on
-links. Rows add, scale and multiply; `applied` takes a smooth function of one. So a new constraint
-is written as its residual, and what follows of it by the chain rule is never written.
+links. A row stands for a scalar: g if it is holonomic, otherwise y. Rows add, scale and multiply as
+these scalars do; `applied` takes a smooth function of g. So a new constraint is written as its
+residual, and its derivatives follow by the chain rule.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.dynamics.packing import pack
+from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.lanes import Lane, add, is_literal, mul, neg, sub
 
@@ -50,10 +52,24 @@ class Row:
         """g; zero where there is none."""
         return 0.0 if self.value is None else self.value
 
+    @property
+    def time_derivative(self) -> Row:
+        """g' of a holonomic row, as a row with only a rate: `rate = 0.3` is
+        `row.time_derivative - 0.3`. A row that has only a rate has no such derivative."""
+        if self.value is None:
+            raise InputError("Row.time_derivative: the row has only a rate, expected a value g")
+        return Row(None, self.rate, self.gradient, self.acceleration)
+
     def __add__(self, other: Row | Lane) -> Row:
         if not isinstance(other, Row):
-            value = None if self.value is None else add(self.value, other)
-            return Row(value, self.rate, self.gradient, self.acceleration)
+            if self.value is None:
+                return Row(None, add(self.rate, other), self.gradient, self.acceleration)
+            return Row(add(self.value, other), self.rate, self.gradient, self.acceleration)
+        if self.value is None and other.value is not None:  # y + g:  (y + g)' = y' + g'
+            rate, acceleration = add(self.rate, other.value), add(self.acceleration, other.rate)
+            return Row(None, rate, self.gradient, acceleration)
+        if other.value is None and self.value is not None:
+            return other + self
         return Row(
             None if self.value is None or other.value is None else add(self.value, other.value),
             add(self.rate, other.rate),
@@ -79,6 +95,12 @@ class Row:
             rate, acceleration = mul(self.rate, other), mul(self.acceleration, other)
             return Row(value, rate, self.gradient * other, acceleration)
         if other.value is None:
+            if self.value is None:
+                raise InputError(
+                    "Row: the product of two rows that have only a rate is not linear in the "
+                    "velocities, expected at most one such factor; rbjax.constraints.Pfaffian "
+                    "takes A(t, q) v = b(t, q)"
+                )
             return other * self
         if self.value is None:  # y x:  (y x)' = y' x + y x'
             acceleration = add(mul(self.acceleration, other.value), mul(self.rate, other.rate))
@@ -98,6 +120,7 @@ class Row:
 
     def applied(self, f: Callable[[Any], Any]) -> Row:
         """f of a holonomic row, f smooth and of one scalar."""
+        _check_holonomic("Row.applied", [self])
         x: Any = self.value if not is_literal(self.value) else jnp.asarray(self.value, float)
 
         def slope(x: Any) -> tuple:
@@ -109,8 +132,18 @@ class Row:
         return Row(value, mul(first, self.rate), self.gradient * first, acceleration)
 
 
+def _check_holonomic(where: str, rows: Sequence[Row]) -> None:
+    """Reject rows that have only a rate: a function of them is not linear in the velocities."""
+    if any(row.value is None for row in rows):
+        raise InputError(
+            f"{where}: a row has only a rate, expected rows with a value g; rbjax.constraints."
+            "Pfaffian takes A(t, q) v = b(t, q)"
+        )
+
+
 def angle(sine: Row, cosine: Row) -> Row:
     """atan2(sine, cosine) of two rows, in (-pi, pi]: the angle of a vector of any length."""
+    _check_holonomic("angle", [sine, cosine])
     s: Any = sine.value
     c: Any = cosine.value
     inverse = 1.0 / add(mul(s, s), mul(c, c))  # of the length squared
@@ -128,6 +161,7 @@ def angle(sine: Row, cosine: Row) -> Row:
 
 def function_of(rows: Sequence[Row], f: Callable[[jax.Array], jax.Array], dtype: Any) -> list[Row]:
     """f (n,) -> (m,) of n holonomic rows, f smooth."""
+    _check_holonomic("function_of", rows)
     one = jnp.ones((), dtype)
     columns = zip(*((row.value, row.rate, row.acceleration) for row in rows), strict=True)
     x, rate, bent = (pack(column, one[None]) for column in columns)

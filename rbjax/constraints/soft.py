@@ -28,7 +28,7 @@ import numpy as np
 from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.geometry import AXES, cosine, displacement, turn
 from rbjax.constraints.pairs import Pair
-from rbjax.constraints.reactions import jacobian
+from rbjax.constraints.residuals import jacobian
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import gradient_matrix
 from rbjax.dynamics.crba import mass_matrix
@@ -128,6 +128,11 @@ class Soft(Constraint):
         asked = -b * rate - d * k * g
         R = (1 - d) / d * self.weight.astype(dtype)
         return list(R), list(asked)
+
+
+def is_soft(model: Model) -> bool:
+    """Whether a model has a `Soft` constraint: by default "compliant" enforces it then."""
+    return any(isinstance(x, Soft) for x in model.constraints)
 
 
 def reference(solref: jax.Array, high: jax.Array) -> tuple[jax.Array, jax.Array]:

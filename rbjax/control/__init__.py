@@ -26,6 +26,7 @@ observability, poles, `margins`; Kalman gains and filters for what is not measur
 from collections.abc import Callable
 from typing import Any
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.control.actuation import Allocation, allocate
 from rbjax.control.clearances import Capsule, Clearance, HalfSpace, Sphere
 from rbjax.control.computed_torque import ComputedTorque, computed_torque
@@ -216,3 +217,5 @@ __all__ = [
     "kalman_update",
     "observed",
 ]
+
+make_modules_callable(__name__)

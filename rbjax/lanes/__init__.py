@@ -12,6 +12,7 @@
 This package knows no frames and no physics.
 """
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.lanes.algebra import (
     Lane,
     Lanes,
@@ -69,3 +70,5 @@ __all__ = [
     "sub",
     "total",
 ]
+
+make_modules_callable(__name__)

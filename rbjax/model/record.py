@@ -101,7 +101,7 @@ def check_above_zero(where: str, value: Any) -> None:
     if wrong.any():
         at = tuple(map(int, np.argwhere(wrong)[0]))
         place = f" at {list(at)}" if at else ""
-        raise InputError(f"{where}: got {np.asarray(value)[at]}{place}, expected above zero")
+        raise InputError(f"{where}: got {np.asarray(value)[at]}{place}, expected a number above zero")
 
 
 def check_fields(record: Record) -> None:

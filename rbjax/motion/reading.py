@@ -32,6 +32,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.callable_modules import CallableModule
+
 #: what becomes operands: arrays and floats; arrays; nothing but tracers
 FLOATS, ARRAYS, TRACERS = range(3)
 #: packages whose own globals do not change
@@ -335,6 +337,8 @@ class Reader:
 
 
 def _named_by_library(x: Any) -> bool:
+    if isinstance(x, CallableModule):
+        return of_library(x.__name__)
     module: Any = getattr(x, "__module__", None)
     name = getattr(x, "__name__", "")
     return of_library(module) and vars(sys.modules.get(module, object)).get(name) is x

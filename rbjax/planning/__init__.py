@@ -11,6 +11,7 @@
 Poses are (x, y, heading) in m and rad; leading axes are a batch.
 """
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.planning.controls import Controls
 from rbjax.planning.curves import Curve, dubins, reeds_shepp
 from rbjax.planning.footprint import Footprint, clear, clearance
@@ -63,3 +64,5 @@ __all__ = [
     "refine",
     "time_scaling",
 ]
+
+make_modules_callable(__name__)

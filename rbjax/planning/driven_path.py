@@ -75,7 +75,8 @@ def rk4(slope: Callable, y: jax.Array, h: jax.Array) -> jax.Array:
         return (k, total + weight * k), None
 
     zero = jnp.zeros_like(y)
-    return y + h * jax.lax.scan(stage, (zero, zero), RK4)[0][1]
+    weights = tuple(x.astype(y.dtype) for x in RK4)
+    return y + h * jax.lax.scan(stage, (zero, zero), weights)[0][1]
 
 
 def torques_for(vehicle: Fidelity, limits: Limits, q, v, rates, turning) -> jax.Array:

@@ -175,7 +175,8 @@ def _refine(
     vehicle: Fidelity, path: Path, limits: Limits, field: DistanceField | None,
     footprint: Footprint | None, margin: Any, intervals: int, iterations: int, parts: int,
 ) -> Refined:  # fmt: skip
-    first = time_scaling(vehicle, path, limits)
+    # a path that is bent more sharply than the wheels can steer is a guess too
+    first = time_scaling(vehicle, path, limits.replace(steering=jnp.inf))
     motion, robot = first.motion, vehicle.robot
     dtype = motion.ts.dtype
     steers = jnp.full(len(robot.steerings), limits.steering_rate)

@@ -44,7 +44,8 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """Of one path: "found", or "infeasible" where the limits do not hold even at rest."""
+        """Of one path: "found", or "infeasible" if the limits do not hold even at rest, or the path
+        bends more sharply than the steering angle allows."""
         return "found" if bool(self.ok) else "infeasible"
 
 
@@ -59,7 +60,8 @@ def time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
         vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
             starts with its steerings and trailers straight.
         path: one `Path` of the chassis. Steps of zeros may fill it up. Use `jax.vmap` for many.
-        limits: `Limits`.
+        limits: `Limits`. A steering angle follows from the path, so its limit is met or not
+            whatever the speed.
 
     Returns:
         `TimeScaled`. Its coordinates are those that the robot has on the path with its rounded
@@ -143,7 +145,10 @@ def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
         return after, after
 
     _, x = jax.lax.scan(ahead, zero, (steps, *ends))
-    ok = (low <= high).all()
+    steerings = vehicle.robot.layout.steerings
+    angles = jnp.abs(jnp.stack([p.first.q, p.last.q])[..., steerings]).max(initial=0.0)
+    rounding = 64 * jnp.finfo(dtype).eps  # of a path made of arcs at the limit itself
+    ok = (low <= high).all() & (angles <= limits.steering * (1 + rounding))
     return TimeScaled(_timed(vehicle, p, limits, jnp.concatenate([zero[None], x])), ok)
 
 

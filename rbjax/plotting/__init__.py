@@ -5,6 +5,7 @@ page. Each draws a model from its numbers (rods and ellipsoids of inertia) or fr
 `top_view` and `animate_top_view` show wheeled robots from above.
 """
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.plotting.animation import animate
 from rbjax.plotting.camera import Camera
 from rbjax.plotting.charts import time_plot
@@ -54,3 +55,5 @@ __all__ = [
     "time_plot",
     "top_view",
 ]
+
+make_modules_callable(__name__)

@@ -18,6 +18,7 @@ The last three rows take terms `OnGroup`. The first of these three also takes an
 from collections.abc import Callable
 from typing import Any
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.solvers.compensated import Compensated
 from rbjax.solvers.explicit_rk import RK4
 from rbjax.solvers.groups import SE3, SO3, AbstractGroup, OnGroup, Product, Vector
@@ -128,3 +129,5 @@ __all__ = [
     "chord",
     "very_chord",
 ]
+
+make_modules_callable(__name__)

@@ -4,6 +4,7 @@ Twists, wrenches and inertias are arrays, angular part first, with leading axes 
 have mass properties. The algorithms use the same on lanes: Motion, Force, Transform, RigidInertia.
 """
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.spatial import operators, shapes
 from rbjax.spatial.consistency import (
     Consistency,
@@ -94,3 +95,5 @@ __all__ = [
     "twist_at",
     "wrench_at",
 ]
+
+make_modules_callable(__name__)

@@ -14,6 +14,7 @@ and `consistent`, by torques that are linear in the parameters (`regressor`, `to
 (`excitation`, `experiments`).
 """
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.motion.kalman import (
     KalmanFiltered,
     Smoothed,
@@ -234,3 +235,5 @@ __all__ = [
     "MotionLimits",
     "Experiment",
 ]
+
+make_modules_callable(__name__)

@@ -3,6 +3,7 @@ code of this processor: `compile`."""
 
 from typing import Any
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.threads.backend import wanted as wanted
 from rbjax.threads.explain import Explanation as Explanation
 from rbjax.threads.explain import explain as explain
@@ -15,6 +16,7 @@ from rbjax.threads.native import compile as compile
 from rbjax.threads.nvrtc import quickly as quickly
 
 threads: Any = _threads
-threads.explain = explain  # in `rbjax` the function hides this package's name
 
 __all__ = ["Explanation", "Unsupported", "compile", "explain", "threads"]
+
+make_modules_callable(__name__)

@@ -18,6 +18,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from rbjax.callable_modules import make_modules_callable
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.constrained import full_model_state
 from rbjax.wheeled.contacts import Contacts, contacts
@@ -109,3 +110,5 @@ __all__ = [
     "with_trailers",
     "write_mjcf",
 ]
+
+make_modules_callable(__name__)

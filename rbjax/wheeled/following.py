@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.compiling import compiled
 from rbjax.control.tracking import regulator_along
@@ -20,7 +21,7 @@ from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled.controlled import Vehicle
 from rbjax.wheeled.fidelity import Fidelity
-from rbjax.wheeled.numbers import stacked
+from rbjax.wheeled.numbers import stacked, with_lanes
 from rbjax.wheeled.planar import Twist, dot, left
 from rbjax.wheeled.robot import Robot
 from rbjax.wheeled.rolling import Kinematical
@@ -29,10 +30,44 @@ from rbjax.wheeled.velocities import free_velocities, ideal, place_of, shaft_spe
 
 
 class Commands(NamedTuple):
-    """speeds (number of drives,) rad/s of shafts; angles (number of steerings,) rad."""
+    """speeds (number of drives,) rad/s of shafts; angles (number of steerings,) rad.
+
+    They are not controls yet: those of a `TorqueSource` are torques. `controls` converts them.
+    """
 
     speeds: jax.Array
     angles: jax.Array
+
+    def controls(self, robot: Robot) -> jax.Array:
+        """The controls (nu,) of the robot: of each drive the command of its motor whose speed
+        without load is this one, in the motor's `unit`; of each steering its angle, rad.
+
+        Raises:
+            InputError: a `TorqueSource`, which has no speed; a steering without `lag`, whose
+                control is a rate.
+
+        Example:
+            >>> import rbjax as rb
+            >>> motor = rb.wheeled.DCMotor(2.0, 0.05, gear=20.0)
+            >>> robot = rb.wheeled.kinds()["differential_drive"].make(radius=0.1, motor=motor)
+            >>> found = rb.wheeled.commands(robot, [0.5, 0.0, 0.0])
+            >>> found.speeds.round(6).tolist(), found.controls(robot).round(6).tolist()
+            ([5.0, 5.0], [5.0, 5.0])
+        """
+        if not isinstance(robot, Robot):
+            raise InputError(f"controls: robot is {type(robot).__name__}, expected a Robot")
+        for j, steering in enumerate(robot.steerings):
+            if steering.lag is None:
+                raise InputError(
+                    f"controls: steerings[{j}] has no lag, so its control is a rate in rad/s and "
+                    "not an angle; give the robot a lag, or control the rate by the angle's error"
+                )
+        dtype = self.speeds.dtype
+        speeds = [
+            with_lanes(drive.motor, dtype).command_for(self.speeds[j])
+            for j, drive in enumerate(robot.drives)
+        ]
+        return jnp.concatenate([stacked(speeds, dtype), self.angles])
 
 
 def commands(robot: Robot, twist: Any) -> Commands:
@@ -98,6 +133,14 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
     return Commands(stacked(speeds, dtype), stacked(angles, dtype))
 
 
+def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
+    """A number of the dtype; known ones must be above a bound, if there is one."""
+    x = check_array(where, name, value, ())
+    if above is not None and not isinstance(x, jax.core.Tracer) and not np.asarray(x) > above:
+        raise InputError(f"{where}: {name} is {value}, expected a number above {above:g}")
+    return x.astype(dtype)
+
+
 def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:
     shape = shape_of(where, "path", path)
     if len(shape) != 2 or shape[1] != 3 or shape[0] < 2:
@@ -106,15 +149,18 @@ def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:
     return path, check_array(where, "pose", pose, (3,))
 
 
-def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The index of the segment next to a place, how far along it, and the arc length there."""
+def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, ...]:
+    """The index of the segment next to a place, how far along it, the arc length there, and whether
+    that is the end of the path."""
     a, edge = path[:-1, :2], path[1:, :2] - path[:-1, :2]
     size = jnp.maximum((edge * edge).sum(-1), jnp.finfo(path.dtype).tiny)
     part = jnp.clip(((place - a) * edge).sum(-1) / size, 0.0, 1.0)
     off = a + part[:, None] * edge - place
     k = (off * off).sum(-1).argmin()
-    lengths = jnp.sqrt(size)
-    return k, part[k], jnp.cumsum(lengths)[k] - lengths[k] * (1 - part[k])
+    lengths = jnp.where(size > jnp.finfo(path.dtype).tiny, jnp.sqrt(size), 0.0)
+    s = jnp.cumsum(lengths)
+    along = s[k] - lengths[k] * (1 - part[k])
+    return k, part[k], along, along >= s[-1] * (1 - 4 * jnp.finfo(path.dtype).eps)
 
 
 def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
@@ -125,14 +171,14 @@ def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
     Args:
         path: (n, 3).
         pose: (3,), of the chassis.
-        speed: v, m/s; below zero it drives backwards along the path.
-        lookahead: along the path, m. At its end the path goes on straight.
+        speed: v, m/s; below zero it drives along the path with its rear ahead.
+        lookahead: along the path, m, above zero. The point goes on straight beyond the end.
 
     Returns:
-        (3,): v, 0, w.
+        (3,): v, 0, w; zeros once the end of the path is the point next to the robot: it stops.
 
     Raises:
-        InputError: wrong shapes, values that are not finite.
+        InputError: wrong shapes, values that are not finite, a lookahead of zero.
 
     Source: Coulter, *Implementation of the pure pursuit path tracking algorithm*, CMU 1992.
 
@@ -144,21 +190,32 @@ def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
         True
     """
     path, pose = _checked("pure_pursuit", path, pose)
-    return _pure_pursuit(path, pose, jnp.asarray(speed), jnp.asarray(lookahead))
+    speed = _number("pure_pursuit", "speed", speed, path.dtype, None)
+    lookahead = _number("pure_pursuit", "lookahead", lookahead, path.dtype, 0.0)
+    return _pure_pursuit(path, pose.astype(path.dtype), speed, lookahead)
 
 
 @compiled
 def _pure_pursuit(path: jax.Array, pose: jax.Array, speed: Any, lookahead: Any) -> jax.Array:
     edges = path[1:, :2] - path[:-1, :2]
     s = jnp.concatenate([jnp.zeros(1, path.dtype), jnp.cumsum(jnp.sqrt((edges**2).sum(-1)))])
-    aim = _nearest(path, pose[:2])[2] + lookahead
+    _, _, along, ends = _nearest(path, pose[:2])
+    aim = along + lookahead
     beyond = jnp.maximum(aim - s[-1], 0.0)
     x, y = (jnp.interp(aim, s, path[:, k]) for k in (0, 1))
-    last = path[-1, 2]
-    x, y = x + beyond * jnp.cos(last) - pose[0], y + beyond * jnp.sin(last) - pose[1]
+    # the direction in which the path ends, which a robot that reverses has behind it
+    moves = (edges**2).sum(-1) > 0
+    last = jnp.where(moves, jnp.arange(len(edges)), 0).max()
+    way = edges[last] / jnp.maximum(jnp.sqrt((edges[last] ** 2).sum()), jnp.finfo(s.dtype).tiny)
+    x, y = x + beyond * way[0] - pose[0], y + beyond * way[1] - pose[1]
     across = jnp.cos(pose[2]) * y - jnp.sin(pose[2]) * x
-    far = jnp.maximum(x * x + y * y, jnp.finfo(path.dtype).tiny)
+    far = jnp.maximum(x * x + y * y, (NEAREST * lookahead) ** 2)  # where a path comes back
+    speed = jnp.where(ends, 0.0, speed)
     return jnp.stack([speed, jnp.zeros_like(speed), 2 * speed * across / far])
+
+
+#: the point that pure pursuit aims at counts as no nearer than this part of the lookahead
+NEAREST = 0.1
 
 
 def stanley(
@@ -173,16 +230,18 @@ def stanley(
     Args:
         path: (n, 3).
         pose: (3,), of the middle of the rear axle.
-        speed: v of the rear axle, m/s.
-        wheelbase: m.
-        gain: k, 1/s.
-        soft: m/s.
+        speed: v of the rear axle, m/s, at least zero: the law is for driving forwards.
+            `pure_pursuit` drives backwards too. A traced speed below zero counts as zero.
+        wheelbase: m, above zero.
+        gain: k, 1/s, above zero.
+        soft: m/s, above zero.
 
     Returns:
-        (3,): v, 0, w. The angle b is held within 1.2 rad.
+        (3,): v, 0, w. The angle b is held within 1.2 rad. Zeros once the end of the path is the
+        point next to the rear axle: the car stops.
 
     Raises:
-        InputError: wrong shapes, values that are not finite.
+        InputError: wrong shapes, values that are not finite, numbers outside their range.
 
     Source: Hoffmann, Tomlin, Montemerlo & Thrun, *Autonomous automobile trajectory tracking for
     off-road driving*, ACC 2007.
@@ -195,8 +254,15 @@ def stanley(
         True
     """
     path, pose = _checked("stanley", path, pose)
-    numbers = (jnp.asarray(x, path.dtype) for x in (speed, wheelbase, gain, soft))
-    return _stanley(path, pose, *numbers)
+    v = _number("stanley", "speed", speed, path.dtype, None)
+    if not isinstance(v, jax.core.Tracer) and not np.asarray(v) >= 0:
+        raise InputError(
+            f"stanley: speed is {speed}, expected at least 0: steering by the front axle is "
+            "unstable backwards; pure_pursuit takes speeds below zero"
+        )
+    given = {"wheelbase": wheelbase, "gain": gain, "soft": soft}
+    numbers = (_number("stanley", name, x, path.dtype, 0.0) for name, x in given.items())
+    return _stanley(path, pose.astype(path.dtype), v, *numbers)
 
 
 @compiled
@@ -205,7 +271,8 @@ def _stanley(
 ) -> jax.Array:
     ahead = jnp.stack([jnp.cos(pose[2]), jnp.sin(pose[2])])
     front = pose[:2] + wheelbase * ahead
-    k, part, _ = _nearest(path, front)
+    k, part, *_ = _nearest(path, front)
+    speed = jnp.where(_nearest(path, pose[:2])[3], 0.0, jnp.maximum(speed, 0.0))
     turn = _wrapped(path[k + 1, 2] - path[k, 2])
     heading = path[k, 2] + part * turn
     off = path[k, :2] + part * (path[k + 1, :2] - path[k, :2]) - front

@@ -10,10 +10,26 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from rbjax.errors import UnknownName
+import jax
+import numpy as np
+
+from rbjax.errors import InputError, UnknownName
 from rbjax.wheeled.motors import Motor, TorqueSource
 from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
 from rbjax.wheeled.robot import Robot
+
+
+def _check(kind: str, **lengths: Any) -> None:
+    """Reject lengths of a robot that are not finite numbers above zero."""
+    for name, x in lengths.items():
+        if isinstance(x, jax.core.Tracer):  # which `Robot` rejects
+            continue
+        try:
+            fits = np.ndim(x) == 0 and 0 < float(x) < math.inf
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            raise InputError(f"{kind}({name}=...): got {x!r}, expected a length above zero, m")
 
 
 def _body(mass: Any, inertia: Any, com: Any = (0.0, 0.0), height: Any = 0.1, **k: Any) -> Body:
@@ -36,6 +52,7 @@ def differential_drive(
     height: float = 0.12, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
     """Two driven wheels on one axle, and a caster `caster` ahead of it, or none."""
+    _check("differential_drive", track=track, radius=radius)
     wheels = [_wheel([0.0, y], **_tyred(radius, wheel_mass)) for y in (-track / 2, track / 2)]
     if caster is not None:
         small = _tyred(radius / 2, wheel_mass / 5)
@@ -48,6 +65,7 @@ def unicycle(
     yaw: Motor | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
     """One driven wheel, and a small omnidirectional wheel behind it that is driven sideways."""
+    _check("unicycle", radius=radius)
     wheels = [
         _wheel([0.0, 0.0], **_tyred(radius, wheel_mass)),
         _wheel([-radius, 0.0], math.pi / 2, kind="rollers", **_tyred(radius / 4, wheel_mass / 10)),
@@ -64,6 +82,7 @@ def omnidirectional(
 
     wheels: how many, evenly spaced, the first ahead; or the angles of their places, rad.
     """
+    _check("omnidirectional", arm=arm, radius=radius)
     angles = (
         [2 * math.pi * i / wheels for i in range(wheels)] if isinstance(wheels, int) else wheels
     )
@@ -83,6 +102,7 @@ def mecanum(
 
     (Lynch & Park, *Modern Robotics*, 13.2, figure 13.5)
     """
+    _check("mecanum", length=length, track=track, radius=radius)
     places = [(1, 1, -1), (1, -1, 1), (-1, -1, -1), (-1, 1, 1)]
     made = [
         _wheel([x * length / 2, y * track / 2], roller=side * math.pi / 4, kind="rollers",
@@ -99,6 +119,7 @@ def car(
 ) -> Robot:  # fmt: skip
     """Four wheels, the front ones steered with Ackermann's geometry, rear or front ones driven
     through a differential, or all by two."""
+    _check("car", wheelbase=wheelbase, track=track, radius=radius)
     disc = _tyred(radius, wheel_mass)
     wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
     wheels += [_wheel([wheelbase, y], kind="steered", **disc) for y in (track / 2, -track / 2)]
@@ -113,6 +134,7 @@ def bicycle(
     lag: float | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
     """A car reduced to one wheel an axle."""
+    _check("bicycle", wheelbase=wheelbase, radius=radius)
     disc = _tyred(radius, wheel_mass)
     wheels = [_wheel([0.0, 0.0], **disc), _wheel([wheelbase, 0.0], kind="steered", **disc)]
     drives = _driven({"rear": [(0,)], "front": [(1,)], "all": [(0,), (1,)]}, drive, motor)
@@ -126,6 +148,7 @@ def tricycle(
     lag: float | None = None, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
     """A driven and steered front wheel, and two fixed wheels behind it."""
+    _check("tricycle", wheelbase=wheelbase, track=track, radius=radius)
     disc = _tyred(radius, wheel_mass)
     wheels = [_wheel([0.0, y], **disc) for y in (track / 2, -track / 2)]
     wheels.append(_wheel([wheelbase, 0.0], kind="steered", **disc))
@@ -142,6 +165,7 @@ def skid_steer(
 
     Where wheels may not slip, it turns on the axis at x = `turn_center` of `Robot`.
     """
+    _check("skid_steer", length=length, track=track, radius=radius)
     disc = _tyred(radius, wheel_mass)
     wheels = [
         _wheel([x, y * track / 2], shaft=side, skids=True, **disc)
@@ -161,6 +185,7 @@ def with_trailers(
 
     hitch: how far behind a body's origin the next is coupled; 0 is on the axle.
     """
+    _check("with_trailers", drawbar=drawbar, track=track, radius=radius)
     bodies, wheels = list(robot.bodies), list(robot.wheels)
     ahead = 0
     for _ in range(number):

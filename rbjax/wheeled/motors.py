@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -33,7 +33,12 @@ def _number(**given: Any) -> Any:
 
 
 class Motor(Record):
-    """What turns a shaft: a subclass gives `torque`, `free_speed` and `heat`."""
+    """What turns a shaft: a subclass gives `torque`, `free_speed`, `command_for` and `heat`.
+
+    Class field: unit, that of the command.
+    """
+
+    unit: ClassVar[str]
 
     @property
     def inertia(self) -> Lane:
@@ -52,6 +57,10 @@ class Motor(Record):
     @abc.abstractmethod
     def free_speed(self, u: Lane) -> Lane:
         """The speed without load, rad/s: where `torque` is zero."""
+
+    @abc.abstractmethod
+    def command_for(self, speed: Lane) -> Lane:
+        """The command whose free speed is a speed, rad/s: the inverse of `free_speed`."""
 
     def damping(self, u: Lane, speed: Lane) -> Lane:
         """By how much the torque falls for each rad/s towards the free speed, N m s/rad: the secant
@@ -76,14 +85,19 @@ class TorqueSource(Motor):
         (2.0, 0.0)
     """
 
+    unit = "N m"
+
     def torque(self, u: Lane, speed: Lane) -> Lane:
         return u
 
     def free_speed(self, u: Lane) -> Lane:
         raise InputError(
             "TorqueSource has no free speed: its torque is the same at any speed; a SpeedServo or "
-            "a DCMotor has one"
+            "a DCMotor has one: rbjax.wheeled.kinds()[...].make(motor=SpeedServo(gain))"
         )
+
+    def command_for(self, speed: Lane) -> Lane:
+        return self.free_speed(speed)  # which raises
 
 
 class SpeedServo(Motor):
@@ -99,6 +113,7 @@ class SpeedServo(Motor):
         0.05
     """
 
+    unit = "rad/s"
     gain: jax.Array = _number()
     limit: jax.Array = _number(default=math.inf)
 
@@ -118,6 +133,9 @@ class SpeedServo(Motor):
 
     def free_speed(self, u: Lane) -> Lane:
         return u
+
+    def command_for(self, speed: Lane) -> Lane:
+        return speed
 
 
 class DCMotor(Motor):
@@ -139,6 +157,7 @@ class DCMotor(Motor):
         (6.0, 12.0)
     """
 
+    unit = "V"
     resistance: jax.Array = _number()
     torque_constant: jax.Array = _number()
     gear: jax.Array = _number(default=1.0)
@@ -180,6 +199,15 @@ class DCMotor(Motor):
     def free_speed(self, u: Lane) -> Lane:
         k = self._constant
         return k * limited(u, self.battery) / (self.resistance * self.friction + k * k)
+
+    def command_for(self, speed: Lane) -> Lane:
+        """Within `command_range`: a battery drives no faster."""
+        k = self._constant
+        volts = speed * (self.resistance * self.friction + k * k) / k
+        ends = jnp.isfinite(self.battery)
+        full = jnp.where(ends, self.battery, 1.0)
+        most = math.tanh(3.0)
+        return jnp.where(ends, full * jnp.arctanh(jnp.clip(volts / full, -most, most)), volts)
 
     def heat(self, u: Lane, speed: Lane) -> Lane:
         i = self.current(u, speed)

@@ -1,10 +1,11 @@
 """Where a robot has gone by the angles of its wheels, rolling or slipping.
 
-    u = J^+ phi'                 the twist at which the wheels would roll, by the rates of shafts
+    u = S (J S)^+ phi'           the twist at which the wheels would roll, by the rates of shafts
     V = u, or V = slip(u)        the twist of the robot
-    pose' = pose * exp(V dt)     exact where V is constant from one sample to the next
-It has no dynamics: motions are slow enough for the forces on the ground to balance at each instant.
-For robots whose wheels leave all three velocities free, as those with rollers do.
+    pose' = pose * exp(V dt)     exact if V is constant from one sample to the next
+with S the twists that the wheels allow at the angles of the steerings, and J the rates of shafts by
+the twist. It has no dynamics: motions are slow enough for the forces on the ground to balance at
+each instant.
 """
 
 from __future__ import annotations
@@ -14,13 +15,17 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.compiling import compiled
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError
+from rbjax.lanes.products import matmat, matvec
 from rbjax.model.record import Record, check_fields, check_number, floats
-from rbjax.wheeled.following import commands
+from rbjax.wheeled.numbers import indices, numbers_of, stacked
 from rbjax.wheeled.robot import Robot
+from rbjax.wheeled.velocities import ideal, shaft_speed
+from rbjax.wheeled.velocities import shape_of as shape_of_robot
 
 
 class HeadingSlip(Record):
@@ -58,7 +63,7 @@ class HeadingSlip(Record):
         K, J = self.harmonics, self.faster
         if not (isinstance(K, int) and isinstance(J, int) and K >= 1 and J >= -1):
             raise InputError(
-                f"HeadingSlip: harmonics is {K!r} and faster {J!r}, expected whole numbers of at "
+                f"HeadingSlip: harmonics is {K!r} and faster {J!r}, expected integers of at "
                 "least 1 and -1"
             )
         due = (3, 1 + (2 * K + 1) + (2 * J + 1 if J >= 0 else 0))
@@ -103,17 +108,18 @@ class HeadingSlip(Record):
         return V.at[..., 2].divide(self.arm)
 
 
-def rolled_twists(robot: Robot, rates: Any) -> jax.Array:
+def rolled_twists(robot: Robot, rates: Any, steering: Any = None) -> jax.Array:
     """The twists (..., 3) at which wheels would roll, by the rates of the drives' shafts.
 
     Rates that no twist has, as four wheels may show, are met in the sense of least squares.
 
     Args:
-        robot: its wheels leave all velocities free.
-        rates: (..., drives) rad/s.
+        robot: its drives determine its motion: at least as many as its `arrangement.mobility`.
+        rates: (..., drives) rad/s. Behind a differential it is the speed of its cage.
+        steering: (..., steerings) rad, the angles of the steerings; None for a robot without.
 
     Raises:
-        InputError: a robot that cannot move sideways, or is steered; another number of rates.
+        InputError: drives that leave motions open; another number of rates or of angles.
 
     Source: Lynch & Park, *Modern Robotics*, 13.4.
 
@@ -122,70 +128,151 @@ def rolled_twists(robot: Robot, rates: Any) -> jax.Array:
         >>> robot = rb.wheeled.kinds()["omni_3"].make(arm=0.2, radius=0.05)
         >>> round(float(rb.wheeled.rolled_twists(robot, [4.0, 4.0, 4.0])[2]), 3)
         1.0
+        >>> car = rb.wheeled.kinds()["car"].make(wheelbase=2.0, radius=0.3)
+        >>> rb.wheeled.rolled_twists(car, [10.0], [0.463647609]).round(3).tolist()
+        [3.0, 0.0, 0.75]
     """
+    _check_robot("rolled_twists", robot, steering)
+    shape = shape_of("rolled_twists", "rates", rates)[:-1]
+    rates = check_array("rolled_twists", "rates", rates, (*shape, len(robot.drives)))
+    count = len(robot.steerings)
+    steering = jnp.zeros((*shape, 0)) if steering is None else steering
+    steering = check_array("rolled_twists", "steering", steering, (*shape, count))
+    return _rolled(robot, rates, steering.astype(rates.dtype))
+
+
+def _check_robot(where: str, robot: Any, steering: Any) -> None:
     if not isinstance(robot, Robot):
-        raise InputError(f"rolled_twists: robot is {type(robot).__name__}, expected a Robot")
-    if robot.arrangement.mobility != 3 or len(robot.drives) < 3:
+        raise InputError(f"{where}: robot is {type(robot).__name__}, expected a Robot")
+    if len(robot.drives) < robot.arrangement.mobility:
         raise InputError(
-            f"rolled_twists: the wheels leave {robot.arrangement.mobility} velocities free and "
-            f"{len(robot.drives)} are driven, expected 3 of each at least, as of an "
-            'omnidirectional robot; for others use `rollout` of `at(robot, "kinematical")`'
+            f"{where}: the wheels leave {robot.arrangement.mobility} velocities free and "
+            f"{len(robot.drives)} are driven, expected a drive for each at least; otherwise the "
+            "angles of the drives do not determine the motion"
         )
-    shape = shape_of("rolled_twists", "rates", rates)
-    due = (*shape[:-1], len(robot.drives))
-    rates = check_array("rolled_twists", "rates", rates, due)
-    return _rolled(robot, rates)
+    if (steering is None) != (not robot.steerings):
+        raise InputError(
+            f"{where}: steering is {'None' if steering is None else 'given'} and the robot has "
+            f"{len(robot.steerings)} steerings; expected their measured angles in rad, one column "
+            "each, or None for a robot without"
+        )
 
 
 @compiled
-def _rolled(robot: Robot, rates: jax.Array) -> jax.Array:
-    J = jax.vmap(lambda twist: commands(robot, twist).speeds)(jnp.eye(3, dtype=rates.dtype)).T
-    return rates @ jnp.linalg.pinv(J).T
+def _rolled(robot: Robot, rates: jax.Array, steering: jax.Array) -> jax.Array:
+    n = numbers_of(robot, rates.dtype)
+    nv = robot.arrangement.mobility
+
+    def of(rates: jax.Array, angles: jax.Array) -> jax.Array:
+        q: list[Any] = [0.0] * robot.layout.nq
+        for at, j in enumerate(indices(robot.layout.steerings)):
+            q[j] = angles[at]
+
+        def by_free(free: jax.Array) -> jax.Array:
+            w = ideal(n, shape_of_robot(n, q[3 : robot.layout.casters.stop]), list(free))
+            shafts = w[2 + len(n.bodies) :]
+            speeds = [
+                shaft_speed(n, drive.wheels, split, shafts)
+                for drive, split in zip(robot.drives, n.splits, strict=True)
+            ]
+            return stacked([*w[:3], *speeds], rates.dtype)
+
+        S = jax.jacfwd(by_free)(jnp.zeros(nv, rates.dtype))
+        return matvec(matmat(S[:3], jnp.linalg.pinv(S[3:])), rates)
+
+    batch, count = rates.shape[:-1], steering.shape[-1]
+    flat = rates.reshape(-1, rates.shape[-1])
+    if not count:  # one matrix for all
+        found = jax.vmap(of, (0, None))(flat, jnp.zeros(0, rates.dtype))
+    else:
+        found = jax.vmap(of)(flat, steering.reshape(-1, count))
+    return found.reshape(*batch, 3)
 
 
 def odometry(
-    robot: Robot, t: Any, angles: Any, slip: HeadingSlip | None = None, pose: Any = None
+    robot: Robot,
+    t: Any,
+    angles: Any,
+    slip: HeadingSlip | None = None,
+    pose: Any = None,
+    *,
+    steering: Any = None,
 ) -> jax.Array:
-    """The poses of a robot by the angles of its wheels.
+    """The poses of a robot by the angles of its wheels, as encoders measure them.
 
     Args:
-        robot: its wheels leave all velocities free.
-        t: (T,) s, increasing.
-        angles: (T, drives) rad, of the drives' shafts.
-        slip: how the ground gives way; None where wheels roll.
+        robot: any whose drives determine its motion, such as a differential drive, a car, a
+            tricycle or an omnidirectional robot.
+        t: (T,) s, never falling; increasing if there is a `slip`, which depends on rates.
+        angles: (T, drives) rad, of the drives' shafts. Behind a differential it is the angle of its
+            cage, the mean of those of its wheels.
+        slip: how the ground gives way; None if wheels roll.
         pose: (3,) the first one, x and y in m and yaw in rad; zeros if None.
+        steering: (T, steerings) rad, the angles of the steerings; None for a robot without. From
+            one sample to the next the robot turns as by their mean.
 
     Returns:
         (T, 3) poses; the yaw is not wrapped.
 
     Raises:
-        InputError: wrong types or shapes, values that are not finite, and what `rolled_twists`
-            refuses.
+        InputError: wrong types or shapes, values that are not finite, falling times, and what
+            `rolled_twists` rejects.
 
     Source: Lynch & Park, *Modern Robotics*, 13.4.
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> robot = rb.wheeled.kinds()["omni_3"].make(arm=0.2, radius=0.05)
+        >>> robot = rb.wheeled.kinds()["differential_drive"].make(track=0.4, radius=0.1)
         >>> t = jnp.linspace(0.0, 2.0, 5)
-        >>> turned = rb.wheeled.odometry(robot, t, 4.0 * t[:, None] * jnp.ones(3))
+        >>> turned = rb.wheeled.odometry(robot, t, t[:, None] * jnp.array([-2.0, 2.0]))
         >>> round(float(turned[-1, 2]), 3)
         2.0
     """
+    _check_robot("odometry", robot, steering)
+    if slip is not None and not isinstance(slip, HeadingSlip):
+        raise InputError(f"odometry: slip is {type(slip).__name__}, expected a HeadingSlip or None")
     (count,) = shape_of("odometry", "t", t)[:1] or (0,)
-    t = check_array("odometry", "t", t, (max(count, 2),))
+    t = _times("odometry", t, rising=slip is not None)
     angles = check_array("odometry", "angles", angles, (count, len(robot.drives)))
+    bends = jnp.zeros((count, 0)) if steering is None else steering
+    bends = check_array("odometry", "steering", bends, (count, len(robot.steerings)))
     first = check_array("odometry", "pose", jnp.zeros(3) if pose is None else pose, (3,))
-    return _poses(robot, t, angles, slip, first)
+    dtype = angles.dtype
+    return _poses(robot, t.astype(dtype), angles, bends.astype(dtype), slip, first.astype(dtype))
+
+
+def _times(where: str, t: Any, rising: bool) -> jax.Array:
+    """At least two times, which never fall, or which rise."""
+    (count,) = shape_of(where, "t", t)[:1] or (0,)
+    t = check_array(where, "t", t, (max(count, 2),))
+    if not isinstance(t, jax.core.Tracer):
+        step = np.diff(np.asarray(t))
+        wrong = np.flatnonzero(step <= 0 if rising else step < 0)
+        if len(wrong):
+            k = int(wrong[0]) + 1
+            raise InputError(
+                f"{where}: t[{k}] is {float(t[k])} after {float(t[k - 1])}, expected times that "
+                f"{'increase' if rising else 'never fall'}; leave out samples that come twice, "
+                "as numpy.unique(t, return_index=True) finds them"
+            )
+    return t
 
 
 @compiled
 def _poses(
-    robot: Robot, t: jax.Array, angles: jax.Array, slip: HeadingSlip | None, first: jax.Array
+    robot: Robot,
+    t: jax.Array,
+    angles: jax.Array,
+    steering: jax.Array,
+    slip: HeadingSlip | None,
+    first: jax.Array,
 ) -> jax.Array:
-    dt = jnp.diff(t)[:, None]
-    V = rolled_twists(robot, jnp.diff(angles, axis=0) / dt)
-    step = (V if slip is None else slip(V)) * dt
+    # a twist times a time: without slip it needs no time, and equal stamps do no harm
+    step = _rolled(robot, jnp.diff(angles, axis=0), (steering[1:] + steering[:-1]) / 2)
+    if slip is not None:
+        dt = jnp.diff(t)[:, None]
+        some = dt > 0
+        step = jnp.where(some, slip(step / jnp.where(some, dt, 1.0)) * dt, step)
     yaw = first[2] + jnp.concatenate([jnp.zeros(1, step.dtype), jnp.cumsum(step[:, 2])])
     chord = _chord(step[:, 2])[:, None] * step[:, :2]
     places = jnp.cumsum(_turned(yaw[:-1] + step[:, 2] / 2, chord), 0)
@@ -203,7 +290,7 @@ def mean_twists(t: Any, poses: Any) -> jax.Array:
         poses: (T, 3), the yaw not wrapped.
 
     Raises:
-        InputError: wrong shapes, values that are not finite.
+        InputError: wrong shapes, values that are not finite, times that do not increase.
 
     Example:
         >>> import rbjax as rb
@@ -212,7 +299,7 @@ def mean_twists(t: Any, poses: Any) -> jax.Array:
         [0.2, 0.0, 0.0]
     """
     (count,) = shape_of("mean_twists", "t", t)[:1] or (0,)
-    t = check_array("mean_twists", "t", t, (max(count, 2),))
+    t = _times("mean_twists", t, rising=True)
     poses = check_array("mean_twists", "poses", poses, (count, 3))
     step = jnp.diff(poses, axis=0)
     along = _turned(-(poses[:-1, 2] + step[:, 2] / 2), step[:, :2])

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from rbjax.errors import InputError, UnknownName
 from rbjax.model.record import Record, check_fields, check_number, floats
 from rbjax.wheeled.motors import Motor, TorqueSource
+from rbjax.wheeled.tyres import check_above, check_at_least
 
 KINDS = ("fixed", "steered", "caster", "rollers")
 
@@ -52,6 +53,7 @@ class Body(Record):
     def __check_init__(self) -> None:
         for name in ("mass", "inertia", "height", "drawbar"):
             check_number(self, name)
+        check_at_least(self, mass=0.0, inertia=0.0, height=0.0)
         _pairs(self, "com", "hitch")
 
 
@@ -101,6 +103,7 @@ class Wheel(Record):
             check_number(self, name)
         check_number(self, "radius", positive=True)
         check_number(self, "trail", positive=True)
+        check_at_least(self, inertia=0.0, mass=0.0, yaw_inertia=0.0, damping=0.0)
         if self.kind not in KINDS:
             raise UnknownName("kind of wheel", self.kind, KINDS)
 
@@ -139,8 +142,9 @@ class Drive(Record):
             )
         if not isinstance(self.motor, Motor):
             raise InputError(
-                f"Drive: motor is {type(self.motor).__name__}, expected one of "
-                "rbjax.wheeled.motors(), such as TorqueSource()"
+                f"Drive: motor is {type(self.motor).__name__}, expected "
+                "rbjax.wheeled.TorqueSource(), SpeedServo(gain) or DCMotor(resistance, "
+                "torque_constant)"
             )
 
 
@@ -171,6 +175,8 @@ class Steering(Record):
             raise InputError("Steering: got no wheels, expected the numbers of at least one")
         if self.lag is not None and jnp.shape(self.lag) != ():
             raise InputError(f"Steering: lag has shape {jnp.shape(self.lag)}, expected a number")
+        if self.lag is not None:
+            check_above(self, lag=0.0)
 
 
 def _pairs(record: Record, *names: str) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rbjax.errors import UnknownName
+from rbjax.errors import InputError, UnknownName
 from rbjax.wheeled import kinds as made
 from rbjax.wheeled.constrained import Constrained
 from rbjax.wheeled.fidelity import Fidelity
@@ -71,7 +73,7 @@ def kinds() -> dict[str, Kind]:
                                       inertia=300.0, radius=0.3, wheel_mass=15.0),
     }  # fmt: skip
     names = tuple(fidelities())
-    return {name: Kind(name, make, names) for name, make in makers.items()}
+    return {name: Kind(name, _named(name, make), names) for name, make in makers.items()}
 
 
 def _with_trailers(
@@ -86,6 +88,20 @@ def _with_trailers(
     return both
 
 
+def _named(kind: str, make: Callable[..., Robot]) -> Callable[..., Robot]:
+    """A maker that rejects numbers which the kind does not have, by name."""
+    valid = list(inspect.signature(make).parameters)
+
+    @functools.wraps(make)
+    def named(**numbers: Any) -> Robot:
+        for name in numbers:
+            if name not in valid:
+                raise UnknownName(f"number of a {kind}", name, valid)
+        return make(**numbers)
+
+    return named
+
+
 def at(robot: Robot, fidelity: str, **options: Any) -> Fidelity:
     """A robot at a fidelity.
 
@@ -98,7 +114,7 @@ def at(robot: Robot, fidelity: str, **options: Any) -> Fidelity:
         `Fidelity`.
 
     Raises:
-        UnknownName: no such fidelity.
+        InputError: not a robot. UnknownName: no such fidelity or option.
 
     Example:
         >>> import rbjax as rb
@@ -106,6 +122,15 @@ def at(robot: Robot, fidelity: str, **options: Any) -> Fidelity:
         3
     """
     known = fidelities()
-    if fidelity not in known:
+    if not isinstance(robot, Robot):
+        raise InputError(
+            f"at: robot is {type(robot).__name__}, expected a Robot, as "
+            'rbjax.wheeled.kinds()["car"].make() gives it'
+        )
+    if not isinstance(fidelity, str) or fidelity not in known:
         raise UnknownName("fidelity", fidelity, known)
+    valid = [f.name for f in dataclasses.fields(known[fidelity]) if f.name != "robot"]
+    for name in options:
+        if name not in valid:
+            raise UnknownName(f"option of {fidelity!r}", name, valid)
     return known[fidelity](robot, **options)

@@ -101,6 +101,15 @@ class Robot(Record):
         bodies = (bodies,) if isinstance(bodies, Body) else tuple(bodies)
         return cls(bodies, tuple(wheels), tuple(drives), tuple(steerings), **others)
 
+    def replace(self, **changes: Any) -> Robot:
+        """A copy with the given fields changed. Its arrangement is found again if the parts are
+        given and their numbers are known; traced ones keep it."""
+        parts = {"bodies", "wheels", "steerings", "turn_center"} & changes.keys()
+        known = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((self, changes)))
+        if parts and known and "arrangement" not in changes:
+            changes["arrangement"] = None
+        return super().replace(**changes)
+
     @property
     def layout(self) -> Layout:
         """Where coordinates and velocities are."""

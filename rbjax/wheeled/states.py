@@ -37,14 +37,14 @@ def check_state(where: str, vehicle: Fidelity, state: Any, batch: tuple[int, ...
     for name, n in sizes.items():
         value = getattr(state, name)
         if value is None:
-            if n:
-                value = jnp.zeros((*batch, n))
-            else:
+            if not n or name == "x":  # of the dtype of the others, below
                 continue
+            value = jnp.zeros((*batch, n))
         found[name] = check_array(where, f"state.{name}", value, (*batch, n))
     dtype = jnp.result_type(*found.values())
     found = {name: x.astype(dtype) for name, x in found.items()}
-    return State(found["q"], found["v"], found.get("x") if vehicle.nx else None)
+    x = found.get("x", jnp.zeros((*batch, vehicle.nx), dtype)) if vehicle.nx else None
+    return State(found["q"], found["v"], x)
 
 
 def start(vehicle: Fidelity, pose: Any = (0.0, 0.0, 0.0), twist: Any = (0.0, 0.0, 0.0)) -> State:

@@ -26,7 +26,7 @@ from rbjax.constraints.place import check_places
 from rbjax.constraints.rolling import slip, swept
 from rbjax.errors import UnknownName
 from rbjax.forces.instant import Frame, Instant
-from rbjax.lanes import Lane, Vec3, add, mul, neg, sub
+from rbjax.lanes import Lane, Vec3, add, mul, neg
 from rbjax.model.leaves import numbers, scalar
 from rbjax.model.record import check_number, floats
 from rbjax.wheeled.instant import Instant as RobotInstant
@@ -116,9 +116,8 @@ class SteeringRate(Constraint):
         check_number(self, "rate")
 
     def rows(self, now: Instant) -> Sequence[Row]:
-        of = coordinate(now, self.joint)
-        rate = sub(of.rate, scalar(self.rate, now.q.dtype))
-        return [Row(None, rate, of.gradient, of.acceleration)]
+        rate = scalar(self.rate, now.q.dtype)
+        return [coordinate(now, self.joint).time_derivative - rate]
 
 
 class Linkage(Constraint):

@@ -1,5 +1,6 @@
 """Consistent states from guesses; freedoms and redundant rows of mechanisms."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -47,3 +48,68 @@ def test_kinds_are_all_there() -> None:
     found = rc.kinds()
     assert {"Spherical", "Revolute", "Gear", "RollingDisc", "Holonomic", "Pfaffian"} <= set(found)
     assert all(getattr(rc, name) is kind for name, kind in found.items())
+
+
+@pytest.mark.parametrize(
+    "kind, soft, dtype",
+    [
+        (rc.Weld, False, jnp.float64),
+        pytest.param(rc.Weld, False, jnp.float32, marks=pytest.mark.slow),
+        pytest.param(rc.Weld, True, jnp.float32, marks=pytest.mark.slow),
+        pytest.param(rc.Prismatic, False, jnp.float64, marks=pytest.mark.slow),
+        pytest.param(rc.Prismatic, True, jnp.float32, marks=pytest.mark.slow),
+    ],
+)
+def test_no_joint_is_closed_half_a_turn_off(kind: type, soft: bool, dtype: type) -> None:
+    """The sine of the angle is zero there too. From any guess, half a turn itself included."""
+    model = rb.load("free_body")
+    joint = kind.between(model, 0, None)
+    model = model.with_constraints(rc.Soft.on(model, joint) if soft else joint)
+    for degrees in (120.0, 179.0, 180.0):
+        for axis in ([1.0, 0, 0], [0.6, 0.8, 0]):
+            half = np.deg2rad(degrees) / 2
+            q = np.r_[0.1, 0.2, 0.3, np.cos(half), np.sin(half) * np.array(axis)]
+            q, v = jnp.asarray(q, dtype), jnp.zeros(6, dtype)
+            found = rc.assemble(model, rb.State(q, v))
+            assert found.ok and abs(abs(float(found.state.q[3])) - 1) < 1e-5, (degrees, axis)
+
+
+def test_a_distance_of_zero_is_reported_and_is_a_number() -> None:
+    model = rb.load("double_pendulum")
+    ends = rc.places(model, "upper", "lower", point=[0.0, 0.0, 0.3])
+    model = model.with_constraints(rc.Distance(*ends, 1.0))
+    off = rc.residual(model, model.default_state())
+    np.testing.assert_allclose(off.value, [-1.0], rtol=1e-14)
+    assert off.rate.tolist() == [0.0]
+    path = rb.rollout(model, model.default_state(), None, 0.01, steps=2)
+    assert np.isfinite(path.q).all()
+    with pytest.raises(rb.InputError, match="Distance 0, row 0"):
+        rc.assemble(model, model.default_state())
+    rod = rc.Distance.between(model, None, "lower", point=[0.3, 0, 0], other=[0, 0, 0.4])
+    closed = rb.load("double_pendulum").with_constraints(rod)
+    np.testing.assert_allclose(rc.residual(closed, closed.default_state()).value, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+@pytest.mark.parametrize("hinges", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_redundant_rows_are_found_in_both_dtypes(hinges: int, dtype: type) -> None:
+    """A door on several hinges of one skew line; what rounding leaves of a row does not count."""
+    model, random = rb.load("free_body"), np.random.default_rng(0)
+    for _ in range(2):
+        turn = random.normal(size=4)
+        q = jnp.asarray(np.r_[random.normal(size=3), turn / np.linalg.norm(turn)], dtype)
+        axis = jnp.array([1.0, 2.0, 3.0])
+        joints = [
+            rc.Revolute.between(model, None, 0, point=0.1 + 0.7 * k * axis, axis=axis, q=q)
+            for k in range(hinges)
+        ]
+        found = rc.mobility(model.with_constraints(*joints), q)
+        assert (found.freedoms, len(found.redundant)) == (1, 5 * (hinges - 1))
+        state = jax.tree.map(lambda x: x.astype(dtype), model.default_state())
+        closed = rc.assemble(model.with_constraints(*joints), state.replace(q=q + 0.01))
+        assert closed.ok
+
+
+def test_mobility_of_nothing() -> None:
+    model = rb.load("free_body")
+    assert rc.mobility(model, model.default_state().q)[:2] == (6, 0)

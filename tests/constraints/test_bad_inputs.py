@@ -38,12 +38,29 @@ MADE: dict[str, Callable] = {
     "point.0. is nan": lambda: rc.Place.on(point=[np.nan, 0, 0]),
     "length=...): got nan": lambda: rc.Distance(HERE, LOWER, np.nan),
     "length=...): got str": lambda: rc.Distance(HERE, LOWER, "long"),
-    "length=...): got -1.0, expected a length above zero": lambda: rc.Distance(HERE, LOWER, -1.0),
+    "length=...): got -1.0, expected a number above zero": lambda: rc.Distance(HERE, LOWER, -1.0),
     "pitch=...): got str": lambda: rc.Screw.between(MODEL, None, "lower", pitch="a"),
     "got the numbers .'pitch'., expected ..": lambda: rc.Weld.between(
         MODEL, None, "lower", pitch=1.0
     ),
     "got the numbers .., expected .'pitch'.": lambda: rc.Screw.between(MODEL, None, "lower"),
+    "Distance.between: got one point, expected two": lambda: rc.Distance.between(
+        MODEL, "upper", "lower", length=1.0
+    ),
+    "point and other are both": lambda: rc.Distance.between(
+        MODEL, "upper", "lower", other=[0, 0, 0]
+    ),
+    "pitch=...): got 0, expected": lambda: rc.Screw(HERE, LOWER, 0.0),
+    "of=...): got 'kkt', expected a Formulation": lambda: rc.Projected(of="kkt"),
+    "TangentSpace(of=...): got 'kkt'": lambda: rc.TangentSpace(of="kkt"),
+    "Baumgarte(alpha=...): got nan": lambda: rc.Baumgarte(np.nan),
+    "Baumgarte(beta=...): got '3'": lambda: rc.Baumgarte(1.0, "3"),
+    "Baumgarte.for_step: dt is 0": lambda: rc.Baumgarte.for_step(0),
+    "Penalty(stiffness=...): got -1.0": lambda: rc.Penalty(-1.0),
+    "Projected(iterations=...): got 0": lambda: rc.Projected(iterations=0),
+    "AugmentedLagrangian(iterations=...): got 1.5": lambda: rc.AugmentedLagrangian(
+        iterations=1.5
+    ),
     "ratio=...): got nan": lambda: rc.Gear("elbow", "shoulder", np.nan),
     "radius=...): got the shape .2,., expected a number": lambda: rc.Rack("a", "b", [1.0, 2.0]),
     "radius=...): got -1.0": lambda: rc.RollingSphere(HERE, LOWER, -1.0),

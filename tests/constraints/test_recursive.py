@@ -62,7 +62,7 @@ def _arm() -> rb.Model:
     weights = jnp.linspace(-1.0, 1.0, model.nv)[None]
     return model.with_constraints(
         rc.Inplane.between(model, None, names[-1], point=[0.2, 0.1, 0.5], axis=[1.0, 2.0, 3.0]),
-        rc.Distance.between(model, names[1], names[5], point=[0.1, 0.0, 0.3], length=0.4),
+        rc.Distance(*rc.places(model, names[1], names[5], point=[0.1, 0.0, 0.3]), 0.4),
         rc.JointPolynomial(joints[1], joints[4], [0.1, 2.0]),
         Still(),
         Weighed(),

@@ -173,7 +173,7 @@ def test_steady_turn():
 @pytest.mark.parametrize(
     ("radius", "said"),
     [
-        (0.0, "got 0.0, expected a length above zero"),
+        (0.0, "got 0.0, expected a number above zero"),
         (jnp.ones(2), "got the shape (2,), expected a number"),
         (jnp.inf, "expected finite numbers"),
     ],

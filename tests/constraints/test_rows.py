@@ -19,6 +19,9 @@ def closed(kind: type, **numbers: float) -> rb.Model:
 
 
 def made(kind: type, **numbers: float) -> rc.Constraint:
+    if kind is rc.Distance:
+        ends = rc.places(tree(), "hand", "leg", point=[0.1, 0.2, 0.9], axis=[1, 2, -1])
+        return rc.Distance(*ends, **numbers)
     return kind.between(tree(), "hand", "leg", point=[0.1, 0.2, 0.9], axis=[1, 2, -1], **numbers)
 
 

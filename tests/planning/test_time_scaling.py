@@ -207,3 +207,21 @@ def test_wrong_arguments(call, words: list[str]) -> None:
         call(Path(np.zeros(3), [[1.0, 0.0, 0.0]]))
     for word in words:
         assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+def test_a_limit_of_the_steering_angle_binds(dtype: type) -> None:
+    """A bicycle with a wheelbase of 1 m on a circle of 1 m steers by 45 degrees."""
+    vehicle = rb.wheeled.at(KINDS["bicycle"].make(wheelbase=1.0), "kinematical")
+    steps = jnp.asarray([[1.57, 0, 1.57]], dtype)
+    path = Path(jnp.zeros(3, dtype), steps).split(0.1)
+
+    def status(angle: float) -> str:
+        limits = Limits(torque=50.0, speed=1.0, steering_rate=1.0, steering=angle)
+        return time_scaling(vehicle, path, limits).status
+
+    assert status(np.inf) == "found"
+    assert status(np.pi / 4) == "found"  # exactly at the limit
+    assert status(0.78) == "infeasible"
+    cart_path = Path(jnp.zeros(3, dtype), jnp.asarray([[0.1, 0, 0]], dtype))
+    assert time_scaling(cart(), cart_path, Limits(1.0, steering=0.1)).status == "found"

@@ -1,5 +1,6 @@
 """Following paths: geometry by hand, and closed loops on robots whose wheels slip."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +8,8 @@ import pytest
 from rbjax import wheeled
 from rbjax.errors import InputError
 from rbjax.model import State
-from rbjax.wheeled import Fiala, SpeedServo
+from rbjax.wheeled import DCMotor, Fiala, SpeedServo
+from tests.quickly import quick_jit
 
 KINDS = wheeled.kinds()
 
@@ -146,3 +148,103 @@ def test_bad_arguments_are_named() -> None:
         wheeled.pure_pursuit(jnp.zeros((5, 2)), jnp.zeros(3), 1.0, 1.0)
     with pytest.raises(InputError, match="expected a Robot"):
         wheeled.commands(None, jnp.zeros(3))
+
+
+STRAIGHT = np.stack([np.linspace(0, 5, 101), np.zeros(101), np.zeros(101)], -1)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_pure_pursuit_mirrors_and_stops(sign: float, dtype: type) -> None:
+    """Backwards along a path is forwards along the path seen from behind; both stop at its end."""
+    path = jnp.asarray(STRAIGHT * [sign, 1, 1], dtype)
+    for x in (0.0, 3.0, 4.4, 4.5, 4.6, 4.99):
+        pose = jnp.asarray([sign * x, 0.1, 0.05 * sign], dtype)
+        v, across, w = wheeled.pure_pursuit(path, pose, sign, 1.0)
+        ahead = np.hypot(1.0, 0.1)
+        angle = np.arctan2(-0.1, 1.0) - 0.05
+        assert (v, across) == (sign, 0.0)
+        np.testing.assert_allclose(w, sign * 2 * np.sin(angle) / ahead, rtol=1e-5)
+    for x in (5.0, 5.1, 7.0):
+        assert wheeled.pure_pursuit(path, [sign * x, 0.1, 0.0], sign, 1.0).tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_pure_pursuit_drives_to_the_goal_and_stands(sign: float) -> None:
+    a = np.linspace(0, 1.5, 200)
+    path = jnp.asarray(np.stack([sign * 2 * np.sin(a), 2 * (1 - np.cos(a)), sign * a], -1))
+    pose, dt = np.array([0.0, 0.15, 0.1]), 0.02
+    for _ in range(260):
+        v, _, w = np.asarray(wheeled.pure_pursuit(path, pose, 0.7 * sign, 0.5))
+        pose = pose + dt * np.array([v * np.cos(pose[2]), v * np.sin(pose[2]), w])
+    np.testing.assert_allclose(pose, path[-1], rtol=0, atol=0.05)
+    assert not wheeled.pure_pursuit(path, pose, sign, 0.5).any()
+
+
+def test_pure_pursuit_where_the_path_comes_back_is_bounded() -> None:
+    """The point ahead is where the robot is: a cusp half a lookahead ahead."""
+    there = np.concatenate([STRAIGHT, STRAIGHT[::-1]])
+    twist = wheeled.pure_pursuit(there, [4.5, 0.001, 0.0], 1.0, 1.0)
+    assert np.abs(twist[2]) < 1.0
+    assert wheeled.pure_pursuit(STRAIGHT * 0, [0.0, 0.1, 0.0], 1.0, 1.0).tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+def test_stanley_stops_and_takes_no_reverse(dtype: type) -> None:
+    path = jnp.asarray(STRAIGHT, dtype)
+    assert wheeled.stanley(path, [4.9, 0.1, 0.0], 1.0, 2.0)[0] == 1.0
+    assert wheeled.stanley(path, [5.0, 0.1, 0.0], 1.0, 2.0).tolist() == [0, 0, 0]
+    traced = quick_jit(lambda v: wheeled.stanley(path, jnp.zeros(3, dtype), v, 2.0))
+    assert traced(jnp.asarray(-1.0, dtype)).tolist() == [0, 0, 0]
+    with pytest.raises(InputError, match="pure_pursuit takes speeds below zero"):
+        wheeled.stanley(path, [0.0, 0.1, 0.0], -1.0, 2.0)
+
+
+def test_a_gradient_on_the_path_is_finite() -> None:
+    for law in (
+        lambda p: wheeled.pure_pursuit(STRAIGHT, p, 1.0, 1.0),
+        lambda p: wheeled.stanley(STRAIGHT, p, 1.0, 2.0),
+    ):
+        for pose in ([0.0, 0.0, 0.0], [2.5, 0.0, 0.0], [5.0, 0.0, 0.0], [6.0, 0.1, 0.0]):
+            assert np.isfinite(jax.jacrev(law)(jnp.array(pose))).all()
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), 1.0, 0.0), "lookahead is 0.0"),
+        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), 1.0, -1.0), "above 0"),
+        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), np.nan, 1.0), "speed is nan"),
+        (lambda: wheeled.pure_pursuit(STRAIGHT, np.zeros(3), "fast", 1.0), "speed is str"),
+        (lambda: wheeled.stanley(STRAIGHT, np.zeros(3), 1.0, 0.0), "wheelbase is 0.0"),
+        (lambda: wheeled.stanley(STRAIGHT, np.zeros(3), 1.0, 1.0, gain=np.nan), "gain is nan"),
+        (lambda: wheeled.stanley(STRAIGHT, np.zeros(3), 1.0, 1.0, soft=-1.0), "soft is -1.0"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(call, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_commands_become_controls_in_the_unit_of_the_motor() -> None:
+    """Held without load, the robot drives as it was asked to; torques are no speeds."""
+    twist = np.array([0.6, 0.0, 0.4])
+    make = KINDS["differential_drive"].make
+    for motor in (SpeedServo(0.5), DCMotor(2.0, 0.05, gear=20.0), DCMotor(
+        2.0, 0.05, gear=20.0, battery=24.0, friction=0.01
+    )):  # fmt: skip
+        robot = make(motor=motor, caster=None)
+        found = wheeled.commands(robot, twist)
+        u = found.controls(robot)
+        np.testing.assert_allclose(motor.free_speed(u), found.speeds, rtol=1e-12)
+    slow = DCMotor(2.0, 0.05, gear=20.0, battery=1.0)
+    u = wheeled.commands(make(motor=slow), twist).controls(make(motor=slow))
+    np.testing.assert_allclose(u, 3.0, rtol=1e-9)  # all that a battery of 1 V has
+    with pytest.raises(InputError, match=r"TorqueSource has no free speed.*SpeedServo"):
+        wheeled.commands(make(), twist).controls(make())
+    car = KINDS["car"].make(motor=SpeedServo(1.0))
+    with pytest.raises(InputError, match=r"steerings.0. has no lag"):
+        wheeled.commands(car, twist).controls(car)
+    lagging = KINDS["car"].make(motor=SpeedServo(1.0), lag=0.1)
+    found = wheeled.commands(lagging, twist)
+    np.testing.assert_allclose(found.controls(lagging), [*found.speeds, *found.angles])

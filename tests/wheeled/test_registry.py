@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from rbjax import wheeled
+from rbjax.callable_modules import CallableModule
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, Fiala, Relaxing, RollingResistance, SpeedServo
 from tests.composing import check_axes, check_composes
@@ -224,8 +225,12 @@ def test_a_batch_of_robots() -> None:
     np.testing.assert_allclose(jax.vmap(rate)(many), want, rtol=1e-12)
 
 
+def is_function(value: object) -> bool:
+    return inspect.isroutine(value) or isinstance(value, CallableModule)
+
+
 def test_no_public_function_is_missing() -> None:
-    public = {name for name in wheeled.__all__ if inspect.isroutine(getattr(wheeled, name))}
+    public = {name for name in wheeled.__all__ if is_function(getattr(wheeled, name))}
     known = {name for name in REGISTRY if hasattr(wheeled, name)} | ELSEWHERE
     missing = public - known
     assert not missing, f"give {sorted(missing)} an entry in tests/wheeled/test_registry.py"
