@@ -71,6 +71,33 @@ def test_parts_on_several_threads(monkeypatch, samples):
     primitive._kernel.cache_clear()
 
 
+@pytest.mark.parametrize("samples", [None, 0, 1, 200])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_subnormal_arguments_inside_of_xla(dtype, samples):
+    """XLA runs programs with flags by which the processor reads subnormal numbers as zeros."""
+    tiny, least = np.finfo(dtype).tiny, np.finfo(dtype).smallest_subnormal
+    some = np.array([0, least, 5 * least, tiny / 3, tiny, 4 * tiny, 1, 1e30, np.inf], dtype)
+    y, x = (a.ravel() for a in np.meshgrid([*some, *-some], [*some, *-some]))
+    if samples is None:  # the first of many, as a single sample
+        run = jax.jit(rb.threads(jax.lax.atan2))
+        got = np.array([run(a, b) for a, b in zip(y[:60], x[:60], strict=True)])
+    else:
+        y, x = y[40 : 40 + samples], x[40 : 40 + samples]
+        got = jax.jit(jax.vmap(rb.threads(jax.lax.atan2)))(y, x)
+    want = np.arctan2(y, x)[: len(got)]
+    # the result of the largest ratios is subnormal itself
+    np.testing.assert_allclose(got, want, rtol=4 * np.finfo(dtype).eps, atol=tiny)
+    if samples != 200:
+        return
+    x = np.resize(some[1:-1], 64)
+    many = lambda f: np.asarray(jax.jit(jax.vmap(rb.threads(f)))(x), np.float64)  # noqa: E731
+    eps = 4 * np.finfo(dtype).eps
+    np.testing.assert_allclose(many(jnp.log), np.log(x.astype(float)), rtol=eps)
+    np.testing.assert_allclose(many(jnp.cbrt), np.cbrt(x.astype(float)), rtol=eps)
+    wanted = x.astype(float) ** -0.25
+    np.testing.assert_allclose(many(lambda x: jax.lax.pow(x, dtype(-0.25))), wanted, rtol=eps)
+
+
 def test_derivatives_and_loops():
     """Inside of XLA's own loop; a gradient in f32; a hessian."""
     step = threaded(lambda x, w: jnp.sin(w @ x)[:3])
