@@ -132,14 +132,16 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
     shapes = tuple(x.shape for x in operands)
     try:
         code = _kernel(platform, program, batch, ins, outs, shapes, summed)
+        results = [
+            ShapedArray(
+                (code.grid, *a.shape) if s else batched_shape(a.shape, batch, axes), a.dtype
+            )
+            for a, axes, s in zip(program.outputs, outs, summed, strict=True)
+        ]
+        found = (launch if platform == "cuda" else host_call).launch(code, operands, results)
     except Unsupported as reason:
         _say(str(reason))
         return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
-    results = [
-        ShapedArray((code.grid, *a.shape) if s else batched_shape(a.shape, batch, axes), a.dtype)
-        for a, axes, s in zip(program.outputs, outs, summed, strict=True)
-    ]
-    found = (launch if platform == "cuda" else host_call).launch(code, operands, results)
     return [x.sum(0) if s else x for x, s in zip(found, summed, strict=True)]
 
 

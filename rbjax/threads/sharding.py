@@ -40,14 +40,19 @@ def spread(
     levels = range(len(batch))
 
     def parts(shardings: Any) -> list[Any]:
-        """For each axis of the batch, the mesh axes over which it is sharded."""
+        """For each axis of the batch, the mesh axes over which it is sharded: each for one only,
+        the first. Operands that are sharded in another way are moved."""
         found: list[Any] = [None] * len(batch)
+        taken: set[str] = set()
         for sharding, axes in zip(shardings, ins, strict=True):
             spec = getattr(sharding, "spec", None)
             for level in levels:
                 axis = axes[level]
-                if spec is not None and axis is not None and axis < len(spec):
-                    found[level] = found[level] or spec[axis]
+                over = spec[axis] if spec and axis is not None and axis < len(spec) else None
+                names = {*over} if isinstance(over, tuple) else {over} - {None}
+                if found[level] is None and names and not names & taken:
+                    found[level] = over
+                    taken |= names
         return found
 
     def placed(mesh: Any, over: list[Any], axes: Axes, rank: int) -> NamedSharding:

@@ -200,7 +200,7 @@ def test_without_llvmlite_it_is_said_once(monkeypatch):
     monkeypatch.undo()
     monkeypatch.setenv(backend.VARIABLE, "llvm")
     monkeypatch.setattr(llvm_jit, "_llvm", missing)
-    caches = (backend.on_cpu, host_call.works, llvm_jit.compiled)
+    caches = (backend.on_cpu, host_call.works)
     for cache in caches:
         cache.cache_clear()
     try:
