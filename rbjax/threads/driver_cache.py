@@ -28,7 +28,8 @@ def compile_ahead(ptx: str, ordinal: Callable[[], int]) -> threading.Thread | No
     if driver is None or digest in _given:
         return None
     _given.add(digest)
-    thread = threading.Thread(target=_load, args=(driver, ptx.encode(), ordinal()), name="rbjax-ptx")
+    given = driver, ptx.encode(), ordinal()
+    thread = threading.Thread(target=_load, args=given, name="rbjax-ptx")
     thread.start()
     return thread
 

@@ -16,7 +16,7 @@ from rbjax.threads.llvm_ir import Module
 EXTENSION, API, CONTEXT, STAGE, ARGS, RESULTS = 8, 16, 24, 32, 72, 112  # XLA_FFI_CallFrame
 EXTENSION_TYPE, EXTENSION_NEXT, METADATA = 8, 16, 24  # XLA_FFI_Metadata_Extension
 VERSION, TRAITS = 24, 32  # XLA_FFI_Metadata: the numbers of api_version
-#: the version of c_api.h that has these members; XLA rejects a handler of one that it no longer runs
+#: the version of c_api.h that has these members; XLA rejects handlers of versions that it left
 MAJOR, MINOR = 0, 3
 DATA = 24  # XLA_FFI_Buffer
 ERROR, SCHEDULE, THREADS = 48, 136, 144  # XLA_FFI_Api

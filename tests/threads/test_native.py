@@ -264,7 +264,7 @@ def test_arguments_by_name(native, monkeypatch):
         two(3.0, q=3.0)
     with pytest.raises(rb.InputError, match="got 3 arguments, expected 2"):
         two(3.0, 1.0, k=1.0)
-    with pytest.raises(rb.InputError, match="mode by name only; .*close over it"):
+    with pytest.raises(rb.InputError, match=r"mode by name only; .*close over it"):
         two(3.0, 1.0, mode=1)
 
 
