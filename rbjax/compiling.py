@@ -19,9 +19,6 @@ _AT_IMPORT = get_opaque_trace_state()
 WIDE = ("xla_cpu_prefer_vector_width", 512)
 WITHOUT_EMITTERS = ("xla_cpu_use_fusion_emitters", False)
 
-outermost: Callable = jax.jit
-"""Makes the program of a call outside of any trace. The quick tests evaluate it with numpy."""
-
 
 @functools.cache
 def xla_accepts(option: str, value: Any) -> bool:
@@ -97,8 +94,7 @@ def compiled(
 
     @functools.cache
     def program(with_options: bool) -> Callable:
-        make = outermost if with_options and jit is jax.jit else jit
-        return make(f, compiler_options=options() if with_options else None, **how)
+        return jit(f, compiler_options=options() if with_options else None, **how)
 
     def call(*args: Any, **kwargs: Any) -> Any:
         return program(alone())(*args, **kwargs)

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
@@ -38,7 +37,7 @@ def check_composes(function: Callable[..., Any], xs: list[np.ndarray]) -> None:
 
     door = [np.asarray(f(*(x[k] for x in xs))) for k in range(3)]  # a loop, and not compiled by us
     weight = rng.normal(size=door[0].shape)
-    mapped, rate, gradient = quick_jit(everything)(tangents, weight, *xs)
+    mapped, rate, gradient = jax.jit(everything)(tangents, weight, *xs)
     assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
     ends = [
         np.asarray(f(*(x[0] + side * STEP * t for x, t in zip(xs, tangents, strict=True))))

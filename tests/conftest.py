@@ -20,58 +20,45 @@ from tests import slow_list
 
 jax.config.update("jax_enable_x64", True)
 
-# Nearly all that the tests take is XLA compiling programs that then run for milliseconds. Without
-# LLVM's optimizations and without the fusion emitters a small program compiles in 0.4 of the time
-# (23 ms for 55 ms), a large one in 0.6. A test of what users get, with the optimizations, gives
-# `tests.robots.AS_USERS` to its `jit`; and a run with the slow tests is as users are throughout.
+# Most of the time of the tests is XLA compiling programs that then run for milliseconds. Without
+# the optimizations of XLA's own LLVM and without the fusion emitters a small program compiles in
+# 0.4 of the time, a large one in 0.6. These flags do not reach rbjax's own machine code, which
+# runs as it does for users. A test whose subject is XLA's optimized code passes
+# `tests.robots.AS_USERS` to its `jit`. A run that includes the slow tests has no flags.
 QUICK_FLAGS = ["--xla_backend_optimization_level=0"]
-if jaxlib_version < (0, 11):  # which has no emitters to leave out, and dies of flags unknown to it
+if jaxlib_version < (0, 11):  # jaxlib 0.11 has no choice of emitters and rejects unknown flags
     QUICK_FLAGS.append("--xla_cpu_use_fusion_emitters=false")
-    # A program is else cut in 32 parts, to be compiled beside each other: a tenth more work.
+    # By default a program is split in 32 parts that compile in parallel: a tenth more work.
     QUICK_FLAGS.append("--xla_cpu_parallel_codegen_split_count=1")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Sets XLA's flags, which it reads later, when the first program is compiled."""
+    """Set XLA's flags, which XLA reads when it compiles the first program."""
     on_gpu = "cuda" in os.environ.get("JAX_PLATFORMS", "")
     if "not slow" in config.option.markexpr and not on_gpu:
         given = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = " ".join([*QUICK_FLAGS, given]).strip()
-        from rbjax.threads import backend
-        from tests import quickly  # now that the flags are set: its imports compile something
-
-        # With these flags XLA compiles a small program before LLVM does. `tests/threads` tests
-        # LLVM's; notebooks and the command line, which are processes, and slow tests run as users.
-        backend.usual = "xla"
-        quickly.begin()
-        config.pluginmanager.register(ByMachineCode())
-
-
-#: large programs, of which JAX's part takes longer than LLVM's: half to two thirds of XLA's time
-BY_MACHINE_CODE = {"sysid", "test_demo.py", "test_rollout.py", "test_march.py", "test_curves.py",
-                   "test_linearly_implicit.py", "control"}  # fmt: skip
-
-
-class ByMachineCode:
-    """Some quick tests run as they do for users."""
-
-    @pytest.fixture(autouse=True)
-    def _by_machine_code(self, request: pytest.FixtureRequest) -> Iterator[None]:
-        from rbjax.threads import backend
-
-        wanted = "xla" if BY_MACHINE_CODE.isdisjoint(request.node.path.parts) else "llvm"
-        if backend.usual != wanted:
-            backend.usual = wanted
-            backend.on_cpu.cache_clear()
-        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks as slow what a measured run found to be so."""
+    """Mark the functions of `slow.txt` as slow, and as listed there."""
     names = slow_list.listed()
     for item in items:
-        if item.nodeid in names:
+        if slow_list.function(item.nodeid) in names:
             item.add_marker(pytest.mark.slow)
+            item.add_marker(pytest.mark.listed)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Append the CPU time of a test and its child processes to a file, for `tests.slow_list`."""
+    start = sum(os.times()[:4])
+    try:
+        return (yield)
+    finally:
+        if path := os.environ.get(slow_list.VARIABLE):
+            with open(path, "a") as file:
+                file.write(f"{sum(os.times()[:4]) - start:.3f} {item.nodeid}\n")
 
 
 def pytest_collection_finish() -> None:
@@ -87,8 +74,7 @@ def pytest_collection_finish() -> None:
 
 
 # Every compiled program keeps some memory mapped, and Linux allows a process 65,530 maps; beyond
-# that LLVM dies of "Cannot allocate memory". Linux takes 10 ms to list them. Recorded programs keep
-# memory, too.
+# that LLVM dies of "Cannot allocate memory". Linux takes 10 ms to list them.
 MAPS, MANY_MAPS, EVERY = Path("/proc/self/maps"), 25_000, 10
 PAGES, MANY_PAGES = Path("/proc/self/statm"), 2**19  # 2 GiB more than is there once all is let go
 tests_so_far = itertools.count(1)
@@ -101,12 +87,6 @@ def key(request: pytest.FixtureRequest) -> jax.Array:
     return jax.random.key(zlib.crc32(request.node.nodeid.encode()))
 
 
-@pytest.fixture
-def by_xla(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For a test of what compilation does: nothing is evaluated by numpy."""
-    monkeypatch.setattr("tests.quickly.by_xla", True)
-
-
 @pytest.fixture(autouse=True)
 def _programs_are_let_go() -> Iterator[None]:
     global pages_that_stay
@@ -115,9 +95,6 @@ def _programs_are_let_go() -> Iterator[None]:
         return
     many_maps = MAPS.read_bytes().count(b"\n") > MANY_MAPS
     if many_maps or _pages() > pages_that_stay + MANY_PAGES:
-        from tests import quickly
-
-        quickly.let_go()
         jax.clear_caches()
         gc.collect()
         pages_that_stay = _pages()

@@ -15,8 +15,6 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from tests import quickly
-from tests.quickly import quick_jit
 from tests.robots import QUICK
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -25,9 +23,7 @@ MOVES = re.compile(r" (all-gather|all-to-all|collective-permute|all-reduce|reduc
 
 def on_eight_devices(f: Callable[[], None]) -> None:
     """f() in a process that has eight devices."""
-    setup = "import jax; jax.config.update('jax_enable_x64', True); from tests import quickly"
-    if not quickly.by_xla:
-        setup += "; quickly.begin()"
+    setup = "import jax; jax.config.update('jax_enable_x64', True)"
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=8"
     child = subprocess.run(
         [sys.executable, "-c", f"{setup}; from {f.__module__} import {f.__name__} as f; f()"],
@@ -54,7 +50,7 @@ def check(
     with jax.set_mesh(mesh) if mesh else nullcontext():
         compiled = jax.jit(f, compiler_options=QUICK).lower(*args).compile()
         text, got = compiled.as_text(), compiled(*args)
-    expected = quick_jit(want or f)(*jax.tree.map(np.asarray, args))  # on one
+    expected = jax.jit(want or f, compiler_options=QUICK)(*jax.tree.map(np.asarray, args))  # on one
     for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
         assert relative_error(a, b) <= F64_TRANSFORM, what
     found = [m[1] for m in MOVES.finditer(text)]

@@ -1,12 +1,15 @@
-"""The list of slow tests, by a measured run: `slow.txt`, one test a line.
+"""The list of slow test functions, made from a measured run: `slow.txt`, one function a line.
 
-    pytest --junitxml times.xml -m "not slow"
-    python -m tests.slow_list times.xml [SHARE]
+    RBJAX_TEST_TIMES=times.txt pytest -m "not slow or listed"
+    python -m tests.slow_list times.txt
 
-writes the list from the times of the tests that ran, and keeps what it has of others. SHARE is
-what a worker had of a core, 1 on a quiet machine. `conftest` marks what is listed as slow. A test
-is listed if it took more than `LIMIT` seconds; the cheapest case of each function stays quick up to
-`CHEAPEST`. So every function that is not long by itself still has a case in `make test`.
+writes the list from the CPU seconds of the tests that ran and keeps its entries for other tests.
+A function is listed as a whole if its cases take more than `LIMIT` CPU seconds on average or more
+than `TOTAL` together. `conftest` marks all cases of a listed function as slow. If some cases of a
+function are worth their time in `make test`, mark the others with `pytest.mark.slow` by hand.
+
+CPU seconds do not depend on what else the machine does. `conftest` measures them for each test. The
+time of a module's fixtures is not charged to the test that happens to run first.
 """
 
 from __future__ import annotations
@@ -15,30 +18,31 @@ import re
 import sys
 from collections import defaultdict
 from pathlib import Path
-from xml.etree import ElementTree
 
 PATH = Path(__file__).parent / "slow.txt"
-#: seconds of a test
-LIMIT, CHEAPEST = 0.8, 1.5
-#: files whose tests are always quick: every public function composes
+#: CPU seconds of one case, on average, and of all cases of a function
+LIMIT, TOTAL = 1.5, 8.0
+#: files whose tests are always quick
 KEPT = ("tests/test_registry.py",)
+#: the environment variable that names the file of measured times
+VARIABLE = "RBJAX_TEST_TIMES"
 
 
 def listed() -> set[str]:
-    """The names of slow tests, as pytest has them."""
+    """Names of slow test functions, as pytest has them, without cases."""
     return set(PATH.read_text().splitlines())
 
 
 def slow(times: dict[str, float]) -> set[str]:
-    """The tests that go to the list."""
+    """Test functions that are too slow for `make test`."""
     cases = defaultdict(list)
-    for name, t in times.items():
-        cases[function(name)].append((t, name))
-    out = set()
-    for group in cases.values():
-        least = min(group)
-        out |= {name for t, name in group if t > LIMIT and (name != least[1] or t > CHEAPEST)}
-    return {name for name in out if not name.startswith(KEPT)}
+    for name, seconds in times.items():
+        cases[function(name)].append(seconds)
+    return {
+        name
+        for name, all_of in cases.items()
+        if (sum(all_of) > LIMIT * len(all_of) or sum(all_of) > TOTAL) and not name.startswith(KEPT)
+    }
 
 
 def function(name: str) -> str:
@@ -47,20 +51,17 @@ def function(name: str) -> str:
 
 
 def times(path: str) -> dict[str, float]:
-    """Seconds of each test of a run."""
-    found = {}
-    for case in ElementTree.parse(path).iter("testcase"):
-        file = case.get("classname", "").replace(".", "/") + ".py"
-        found[f"{file}::{case.get('name')}"] = float(case.get("time", 0))
-    return found
+    """CPU seconds of each test of a run: a line is "SECONDS NAME"."""
+    pairs = (line.split(" ", 1) for line in Path(path).read_text().splitlines())
+    return {name: float(seconds) for seconds, name in pairs}
 
 
 def main() -> None:
-    share = float(sys.argv[2]) if len(sys.argv) > 2 else 1.0
-    measured = {name: share * t for name, t in times(sys.argv[1]).items()}
-    names = slow(measured) | {name for name in listed() if name not in measured}
+    measured = times(sys.argv[1])
+    functions = {function(name) for name in measured}
+    names = slow(measured) | (listed() - functions)
     PATH.write_text("".join(f"{name}\n" for name in sorted(names)))
-    print(f"{len(names)} tests are slow")
+    print(f"{len(names)} test functions are slow")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ from rbjax.dynamics.unrolled import Unrolled
 from rbjax.threads import wanted
 from tests.tolerances import F64_ROUNDING
 
-pytestmark = pytest.mark.usefixtures("by_xla")
 
 def test_every_option_is_known_and_an_unknown_one_is_told() -> None:
     options = rb.compiler_options()

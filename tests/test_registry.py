@@ -18,7 +18,6 @@ import pytest
 
 import rbjax as rb
 from tests.composing import STEP, check_axes, check_composes
-from tests.quickly import quick_jit
 from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
@@ -180,7 +179,7 @@ def test_derivatives_with_respect_to_the_model() -> None:
     def f(model):
         return rb.forward_dynamics(model, q, v, a, w)
 
-    @quick_jit
+    @jax.jit
     def both(model, direction):
         rate = jax.jvp(f, (model,), (direction,))[1]
         (gradient,) = jax.vjp(f, model)[1](weight)

@@ -15,7 +15,6 @@ from rbjax.body import lagrange, particles, virtual_work
 from rbjax.body import relative_motion as rm
 from rbjax.rotations import se3, so3
 from rbjax.spatial import operators, shapes
-from tests.quickly import quick_jit
 from tests.tolerances import F64_TRANSFORM, GRADIENT, relative_error
 
 TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -224,14 +223,14 @@ def test_composes(room) -> None:
     rng = np.random.default_rng(1)
     tangents = tuple(rng.normal(size=x.shape[1:]) for x in xs)
 
-    @quick_jit
+    @jax.jit
     def everything(xs, tangents, weights):
         first = tuple(x[0] for x in xs)
         mapped = jax.vmap(all_of)(*xs)
         rate = jax.jvp(all_of, first, tangents)[1]
         return mapped, rate, jax.vjp(all_of, *first)[1](weights)
 
-    @quick_jit
+    @jax.jit
     def ends(xs, tangents):
         def at(side):
             moved = (x[0] + side * 6e-6 * t for x, t in zip(xs, tangents, strict=True))
@@ -239,7 +238,7 @@ def test_composes(room) -> None:
 
         return jax.tree.map(lambda a, b: (a - b) / 12e-6, at(1.0), at(-1.0))
 
-    one = quick_jit(all_of)  # a loop instead of vmap
+    one = jax.jit(all_of)  # a loop instead of vmap
     door = {name: np.asarray(x) for name, x in one(*(x[1] for x in xs)).items()}
     weights = {name: rng.normal(size=x.shape) for name, x in door.items()}
     mapped, rate, gradient = everything(xs, tangents, weights)

@@ -10,7 +10,6 @@ from scipy.integrate import quad
 
 from rbjax import body, spatial
 from rbjax.rotations import se3
-from tests.quickly import quick_jit
 from tests.tolerances import F64_ROUNDING, relative_error
 
 RNG = np.random.default_rng(4)
@@ -34,7 +33,7 @@ R = T[:3, :3]
 def test_wrench_is_minus_the_gradient_of_the_potential(force) -> None:
     """F . W = -dV/dt when the body moves with the twist W."""
 
-    @quick_jit
+    @jax.jit
     def both(force, T):
         def along(xi):
             return force.potential(BODY, se3.compose(T, se3.exp(xi)))
@@ -95,7 +94,7 @@ def test_a_damper_takes_the_rate_of_its_length() -> None:
         d = (se3.compose(T, se3.exp(xi)) @ jnp.append(point, 1.0))[:3] - anchor
         return jnp.sqrt(d @ d)
 
-    rate = quick_jit(lambda: jax.jvp(length, (jnp.zeros(6),), (V,))[1])()
+    rate = jax.jit(lambda: jax.jvp(length, (jnp.zeros(6),), (V,))[1])()
     assert relative_error(spatial.power(force(0.0, BODY, T, V), V), -2.0 * rate**2) < 1e-13
     here = np.eye(4)  # of no length, exactly: no direction, no force, no nan
     assert not np.any(body.Damper(2.0, point, point)(0.0, BODY, here, V))
@@ -134,5 +133,5 @@ def test_added_mass_of_ellipsoids() -> None:
     ball = body.ellipsoid_added_mass([0.5, 0.5, 0.5], rho)
     half = 2 / 3 * np.pi * rho * 0.5**3
     assert relative_error(ball, np.diag([0, 0, 0, half, half, half])) < 1e-8
-    gradient = quick_jit(jax.jacfwd(lambda a: body.ellipsoid_added_mass(a, rho)))(np.full(3, 0.5))
+    gradient = jax.jit(jax.jacfwd(lambda a: body.ellipsoid_added_mass(a, rho)))(np.full(3, 0.5))
     assert np.isfinite(gradient).all()

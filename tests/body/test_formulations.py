@@ -23,7 +23,6 @@ from rbjax.body import (
 from rbjax.errors import InputError
 from rbjax.rotations import quaternion, se3, so3
 from tests.body.motion import ATTITUDE_FREE, MINIMAL, SLOW, motion
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, relative_error
 
 RNG = np.random.default_rng(11)
@@ -44,7 +43,7 @@ T = np.asarray(se3.exp(0.7 * RNG.normal(size=6)))
 V = RNG.normal(size=6)
 
 
-@functools.partial(quick_jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=0)
 def rates(f, situation, T, V):
     """Pose and twist of the formulation, and their rates."""
     y = f.initial(situation.body, T, V)
@@ -146,7 +145,7 @@ def test_lagrange_terms_of_a_body() -> None:
     situation = body.rigid_body(PROPERTIES, EVERYTHING[:3], ADDED)
     y = f.initial(situation.body, T, V)
 
-    @quick_jit
+    @jax.jit
     def terms(situation, y):
         system = f.system(situation)
         M, dM = jax.jvp(lambda q: lagrange.mass_matrix(system, q), (y.q,), (y.v,))
@@ -189,7 +188,7 @@ def test_differentiable_and_batched() -> None:
         ).ys
         return f.pose(situation.body, jax.tree.map(lambda x: x[-1], y))[:3, 3].sum()
 
-    both = quick_jit(jax.vmap(jax.value_and_grad(end), (None, 0)))
+    both = jax.jit(jax.vmap(jax.value_and_grad(end), (None, 0)))
     starts = np.stack([KICK, 2 * KICK])
     _, gradient = both(jnp.array(2.0), starts)
     h = 1e-4

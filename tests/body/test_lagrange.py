@@ -13,7 +13,6 @@ from rbjax.body import hamel_acceleration, lagrange, particles, virtual_work
 from rbjax.body.lagrange import System
 from rbjax.rotations import se3
 from tests.oracles import load
-from tests.quickly import quick_jit
 from tests.tolerances import F64_ROUNDING, relative_error
 
 RNG = np.random.default_rng(6)
@@ -32,7 +31,7 @@ def test_cart_spring_damper_pair() -> None:
         lambda q, v: c * (v[1] - v[0]) ** 2 / 2,
     )
     (x0, x1), (v0, v1) = q, v = RNG.normal(size=(2, 2))
-    got = quick_jit(lambda q, v, Q: lagrange.acceleration(pair, q, v, Q))(q, v, np.array([-F, F]))
+    got = jax.jit(lambda q, v, Q: lagrange.acceleration(pair, q, v, Q))(q, v, np.array([-F, F]))
     inner = c * (v1 - v0) + k * (x1 - x0)
     assert relative_error(got, [(-F + inner) / M0 + G, (F - inner) / M1 + G]) < F64_ROUNDING
 
@@ -58,7 +57,7 @@ def test_two_link_arm_as_in_the_table() -> None:
     """Cai, table 4.1, and the Coriolis and gravity terms next to it."""
     table = load("two_link_table41")
 
-    @quick_jit
+    @jax.jit
     def terms(m2, q, v):
         system = arm(2.0, m2)
         M, dM = jax.jvp(lambda q: lagrange.mass_matrix(system, q), (q,), (v,))
@@ -97,13 +96,13 @@ def test_two_link_arm_as_the_robot_dynamics_have_it() -> None:
         return jnp.stack([jnp.sin(a) + jnp.sin(b), 0.0 * a, -jnp.cos(a) - jnp.cos(b)])
 
     f = np.array([1.5, 0.0, -0.5])
-    work = quick_jit(lambda q: virtual_work.of_forces(tip, f, q))(q)
+    work = jax.jit(lambda q: virtual_work.of_forces(tip, f, q))(q)
     J = rb.jacobian(model, q, "forearm", point=np.array([0.0, 0.0, -1.0]))
     assert relative_error(work, J[3:].T @ f) < 1e-13
-    got = quick_jit(lambda q, v, Q: lagrange.acceleration(system, q, v, Q))(q, v, tau + work)
+    got = jax.jit(lambda q, v, Q: lagrange.acceleration(system, q, v, Q))(q, v, tau + work)
     want = rb.forward_dynamics(model, q, v, tau + work)
     assert relative_error(got, want) < 1e-10  # the model's links have a little inertia of their own
-    M = quick_jit(lambda q: lagrange.mass_matrix(system, q))(q)
+    M = jax.jit(lambda q: lagrange.mass_matrix(system, q))(q)
     assert relative_error(M, rb.mass_matrix(model, q)) < 1e-11
 
     # and the wrench of that force, on the moving tip's frame
@@ -112,7 +111,7 @@ def test_two_link_arm_as_the_robot_dynamics_have_it() -> None:
         return turn.at[:3, 3].set(tip(q))
 
     R = np.asarray(pose(q))[:3, :3]
-    by_wrench = quick_jit(lambda q: virtual_work.of_wrench(pose, np.r_[0, 0, 0, R.T @ f], q))(q)
+    by_wrench = jax.jit(lambda q: virtual_work.of_wrench(pose, np.r_[0, 0, 0, R.T @ f], q))(q)
     assert relative_error(by_wrench, work) < 1e-13
 
 
@@ -166,7 +165,7 @@ def by_hamel(t, y, args):
 by_multipliers = particles.term(jnp.ones(2), lambda t, x, v: WEIGHTS, rods).vf
 
 
-@functools.partial(quick_jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=0)
 def swing(rate, y, ts):
     return diffrax.diffeqsolve(
         diffrax.ODETerm(rate), diffrax.Dopri8(), ts[0], ts[-1], None, y,
@@ -209,16 +208,16 @@ def test_gyroscopic_and_rheonomic_energies() -> None:
     B = 3.0
     charge = System(lambda q, v: v @ v / 2 + B / 2 * (q[0] * v[1] - q[1] * v[0]))
     q, v = RNG.normal(size=(2, 2))
-    got = quick_jit(lambda q, v: lagrange.acceleration(charge, q, v))(q, v)
+    got = jax.jit(lambda q, v: lagrange.acceleration(charge, q, v))(q, v)
     assert relative_error(got, B * np.array([v[1], -v[0]])) < F64_ROUNDING
-    energy = quick_jit(lambda q, v: lagrange.energy(charge, q, v))(q, v)
+    energy = jax.jit(lambda q, v: lagrange.energy(charge, q, v))(q, v)
     assert relative_error(energy, v @ v / 2) < F64_ROUNDING
 
 
 def test_christoffel_symbols_of_the_sphere() -> None:
     """In (latitude angle from the pole, longitude): Gamma_1,22 = -sin cos, Gamma_2,12 = sin cos."""
     sphere = System(lambda q, v: (v[0] ** 2 + jnp.sin(q[0]) ** 2 * v[1] ** 2) / 2)
-    got = quick_jit(lambda q: lagrange.christoffel_symbols(sphere, q))(np.array([0.8, 0.3]))
+    got = jax.jit(lambda q: lagrange.christoffel_symbols(sphere, q))(np.array([0.8, 0.3]))
     sc = np.sin(0.8) * np.cos(0.8)
     want = [[[0, 0], [0, -sc]], [[0, sc], [sc, 0]]]
     assert relative_error(got, want) < F64_ROUNDING
@@ -238,7 +237,7 @@ def test_a_bead_on_a_turning_hoop() -> None:
             [(x[0] ** 2).sum() - 1, x[0, 1] * jnp.cos(w * t) - x[0, 0] * jnp.sin(w * t)]
         )
 
-    @quick_jit
+    @jax.jit
     def both():
         qdd = particles.reduced_acceleration(mass, bead, weight, q, qd, t)
         x, v = jax.jvp(bead, (t, q), (1.0, qd))
@@ -265,7 +264,7 @@ def test_reactions_do_no_work_and_repeat_constraints_are_flagged() -> None:
         d = jnp.stack([x[0] - x[1], x[1] - x[2], x[2] - x[0]])
         return (d**2).sum(-1) / 2 - 1
 
-    run = quick_jit(lambda c, *a: particles.constrained_acceleration(*a, c), static_argnums=0)
+    run = jax.jit(lambda c, *a: particles.constrained_acceleration(*a, c), static_argnums=0)
     moved = run(triangle, masses, x, v, forces)
     rigid = np.cross(np.array([1.0, -2, 0.5]), x) + np.array([0.3, 0.2, 0.1])  # allowed
     assert abs((np.asarray(moved.reactions) * rigid).sum()) < 1e-12

@@ -10,7 +10,6 @@ import pytest
 import rbjax as rb
 from rbjax.body import relative_motion as rm
 from rbjax.rotations import se3
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 RNG = np.random.default_rng(2)
@@ -46,7 +45,7 @@ def seen_from(path):
     return lambda t: (path(t) @ jnp.append(point(t), 1.0))[:3]
 
 
-@quick_jit
+@jax.jit
 def everything():
     r = twice(point)
     frame = rm.moving_frame(outer, TIME)

@@ -11,7 +11,6 @@ import rbjax as rb
 from rbjax.constraints import Row
 from rbjax.constraints.system import gradient_matrix, rows_of
 from rbjax.forces import Instant
-from tests.quickly import quick_jit
 
 T = 0.3
 
@@ -75,7 +74,7 @@ def everything(model: rb.Model) -> dict[str, dict | jax.Array]:
 
 def check(model: rb.Model, atol: float = 2e-14) -> dict:
     """Rows are what differentiation makes of them; what `everything` found."""
-    found = quick_jit(lambda: everything(model))()
+    found = jax.jit(lambda: everything(model))()
     for name, want in found["want"].items():
         np.testing.assert_allclose(found["own"][name], want, rtol=0, atol=atol, err_msg=name)
     return found

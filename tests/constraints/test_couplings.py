@@ -10,7 +10,6 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from tests.constraints.rows import everything
-from tests.quickly import quick_jit
 
 MASS = '<inertial pos="0 0 0.1" mass="2" diaginertia="0.1 0.2 0.25"/>'
 
@@ -48,7 +47,7 @@ COUPLINGS = {  # a coupling, and its residual by rail, first and second, less th
 def test_couplings() -> None:
     """Value, gradient, rate and acceleration, all of them in one model."""
     model = chain().with_constraints(*(coupling for coupling, _ in COUPLINGS.values()))
-    found = quick_jit(lambda: everything(model))()
+    found = jax.jit(lambda: everything(model))()
     for name, want in found["want"].items():
         np.testing.assert_allclose(found["own"][name], want, atol=2e-13, err_msg=name)
     q = np.array(model.random_state(jax.random.key(3)).q - model.joints.reference)[:3]

@@ -20,7 +20,6 @@ from rbjax.constraints.recursive import by_clusters
 from rbjax.constraints.system import least_norm
 from tests.constraints.mechanisms import QUIET, tilted_four_bar
 from tests.oracles import load
-from tests.quickly import quick_jit
 from tests.tolerances import GRADIENT
 
 LAWS = load("constraint_identities")
@@ -108,7 +107,7 @@ def accelerations(mechanism: str) -> tuple[dict, list[dict], tuple]:
     q, v = model.default_state().q, jax.random.normal(k1, (model.nv,))
     if mechanism == "skate":
         q = q + 0.4
-    v = quick_jit(lambda v: projected(model, 0.0, rb.State(q, v), positions=False).v)(v)
+    v = jax.jit(lambda v: projected(model, 0.0, rb.State(q, v), positions=False).v)(v)
 
     def of(one: rc.Formulation, dq, v, tau, mass) -> tuple:
         heavy = model.replace(bodies=model.bodies.replace(mass=mass))
@@ -121,11 +120,11 @@ def accelerations(mechanism: str) -> tuple[dict, list[dict], tuple]:
         return {"a": a} | dict(zip(("dq", "v", "tau", "mass"), gradients, strict=True))
 
     at = jnp.zeros(model.nv), v, tau, model.bodies.mass
-    each = quick_jit(lambda which, at: found(Chosen(which), at))
+    each = jax.jit(lambda which, at: found(Chosen(which), at))
     h, along = 6e-6, jax.tree.map(lambda x: jnp.cos(jnp.arange(x.size, dtype=float)), at)
     beside = [each(0, jax.tree.map(lambda x, dx, s=s: x + s * dx, at, along))["a"] for s in (h, -h)]
     slope = weights @ (beside[0] - beside[1]) / (2 * h)
-    want = quick_jit(functools.partial(found, rc.Multipliers()))(at)
+    want = jax.jit(functools.partial(found, rc.Multipliers()))(at)
     return want, [each(k, at) for k in range(len(DENSE))], (along, slope)
 
 
@@ -178,7 +177,7 @@ def test_derivatives_at_equal_singular_values() -> None:
     def others(which):
         return twice(lambda x: Chosen(which).solved(M, G + x * turn, f, c)[0])
 
-    want, each = twice(formula), quick_jit(others)
+    want, each = twice(formula), jax.jit(others)
     for k, name in enumerate(DENSE):
         for got, expected in zip(each(k), want, strict=True):
             np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10, err_msg=name)

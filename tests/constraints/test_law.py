@@ -10,7 +10,6 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.law import constrained_motion
-from tests.quickly import quick_jit
 
 
 @functools.cache
@@ -50,7 +49,7 @@ def textbook(model: rb.Model, state: rb.State, tau) -> tuple[np.ndarray, np.ndar
 @pytest.mark.parametrize("driver", ["unrolled", pytest.param("rolled", marks=pytest.mark.slow)])
 def test_equations_and_redundant_rows(driver: str) -> None:
     model, state, tau = scene(driver)
-    a, l = quick_jit(functools.partial(accelerations, model))(state.q, state.v, tau)
+    a, l = jax.jit(functools.partial(accelerations, model))(state.q, state.v, tau)
     want, multipliers = textbook(model, state, tau)
     np.testing.assert_allclose(a, want, atol=1e-10)
     # rows that are said twice share their force; rounding is divided by the proximal 1e-9
@@ -61,7 +60,7 @@ def test_constrained_dynamics_with_wrenches_on_bodies() -> None:
     """The same as generalized forces; and as what the textbook has."""
     model, state, tau = scene("unrolled")
     wrenches = jax.random.normal(jax.random.key(2), (model.nb, 6))
-    held = quick_jit(functools.partial(rc.constrained_dynamics, model))
+    held = jax.jit(functools.partial(rc.constrained_dynamics, model))
     a, l = held(state.q, state.v, tau, wrenches)
     pushed = sum(
         np.asarray(rb.jacobian(model, state.q, body=name)).T @ w
@@ -87,13 +86,13 @@ def test_derivatives(driver: str) -> None:
         q = rb.integrate(model, state.q, s * dq)
         return accelerations(moved, q, state.v + s * dv, tau + s * dtau)[0]
 
-    forward = quick_jit(lambda s: jax.jvp(along, (s,), (1.0,)))
+    forward = jax.jit(lambda s: jax.jvp(along, (s,), (1.0,)))
     value, slope = forward(0.0)
     h = 1e-5
     ends = [forward(s)[0] for s in (-h, h)]
     quotient = (ends[1] - ends[0]) / (2 * h)
     np.testing.assert_allclose(slope, quotient, rtol=1e-6, atol=1e-6 * np.abs(value).max())
-    back = quick_jit(jax.grad(lambda s: along(s) @ w))(0.0)
+    back = jax.jit(jax.grad(lambda s: along(s) @ w))(0.0)
     np.testing.assert_allclose(back, slope @ w, rtol=1e-9)
 
 

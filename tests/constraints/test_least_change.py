@@ -11,7 +11,6 @@ import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.projection import projected
 from rbjax.constraints.tangent import across
-from tests.quickly import quick_jit
 
 FREE = "<freejoint/>"
 PLANAR = """<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
@@ -57,12 +56,12 @@ ALONG = jax.random.normal(jax.random.key(0), (14,))
 def test_derivatives() -> None:
     """To the state, a length of the constraints and a mass, forward and reverse."""
     found = partial(projection_of, PLANAR)
-    first = quick_jit(partial(rate, found))
+    first = jax.jit(partial(rate, found))
     h = 1e-5
     after, before, (end, slope) = first(h)[0], first(-h)[0], first(0.0)
     np.testing.assert_allclose(slope, (after - before) / (2 * h), rtol=0, atol=1e-8)
     w = jax.random.normal(jax.random.key(1), end.shape)
-    back = quick_jit(lambda x: jax.vjp(found, x)[1](w)[0])(jnp.zeros(14))
+    back = jax.jit(lambda x: jax.vjp(found, x)[1](w)[0])(jnp.zeros(14))
     np.testing.assert_allclose(back @ ALONG, w @ slope, rtol=1e-10)
 
 
@@ -89,7 +88,7 @@ def test_the_change_is_the_least() -> None:
     q = rb.integrate(model, model.default_state().q, jnp.full(6, 1e-3))
     state = rb.State(q, jnp.array([0.3, -0.2, 0.4, 0.5, -0.1, 0.2]))
 
-    @quick_jit
+    @jax.jit
     def found():
         end = projected(model, 0.0, state, iterations=6)
         off = rc.residual(model, end)

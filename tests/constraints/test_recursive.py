@@ -35,7 +35,6 @@ from tests.constraints.mechanisms import (
 )
 from tests.constraints.test_formulations import hung_twice, skate
 from tests.oracles import load
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY
 
 CASSIE = Path(__file__).parents[3] / "shared" / "data" / "cassie"  # beside the repository
@@ -169,7 +168,7 @@ def test_one_motion(name: str) -> None:
         v = consistent(model, q, v)
         return both(model, q, v, tau)
 
-    (a, l), (own, multipliers) = quick_jit(motions)(v)
+    (a, l), (own, multipliers) = jax.jit(motions)(v)
     assert np.abs(a).max() > 1e-3
     assert off(own, a) < 1e-10
     if independent:
@@ -215,7 +214,7 @@ def test_rows_of_all_kinds_with_forces_on_links() -> None:
     state = model.random_state(jax.random.key(2))
     v, tau = drawn(model)
     pushes = {2: Force(Vec3(1.0, -2.0, 0.5), Vec3(3.0, 0.1, -4.0)), 6: Force.zero()}
-    (a, l), (own, multipliers) = quick_jit(functools.partial(both, model))(state.q, v, tau, pushes)
+    (a, l), (own, multipliers) = jax.jit(functools.partial(both, model))(state.q, v, tau, pushes)
     assert off(own, a) < 1e-10 and off(multipliers, l) < 1e-10
 
 
@@ -228,7 +227,7 @@ def test_loops_that_are_open(make) -> None:
     assert np.abs(rc.residual(model, rb.State(q, v)).value).max() > 0.05
     (found,) = found_clusters(model)
     assert found.parent == 0
-    (a, l), (own, multipliers) = quick_jit(functools.partial(both, model))(q, v, tau)
+    (a, l), (own, multipliers) = jax.jit(functools.partial(both, model))(q, v, tau)
     assert off(own, a) < 1e-10 and off(multipliers, l) < 1e-10
 
 
@@ -249,7 +248,7 @@ def test_derivatives(make) -> None:
         forward = [jax.jvp(functools.partial(of, x), (0.0, tau), (1.0, w))[1] for x in forms]
         return forward, jax.vjp(functools.partial(of, rc.Recursive()), 0.0, tau)[1](w)
 
-    (want, got), (by_s, by_tau) = quick_jit(slopes)()
+    (want, got), (by_s, by_tau) = jax.jit(slopes)()
     assert off(got, want) < 1e-10
     size = max(1.0, np.abs(w * got).max())
     assert abs(by_s + by_tau @ w - w @ got) < F64_IDENTITY * size
@@ -262,9 +261,9 @@ def test_batches() -> None:
     def own(v, tau):
         return rc.Recursive()(model, 0.0, rb.State(q, v), tau, {})
 
-    each = quick_jit(own)
+    each = jax.jit(own)
     want = [each(*x) for x in zip(v, tau, strict=True)]
-    assert off(quick_jit(jax.vmap(own))(v, tau), np.stack(want)) < 1e-13
+    assert off(jax.jit(jax.vmap(own))(v, tau), np.stack(want)) < 1e-13
 
 
 @pytest.mark.parametrize("name", ["limbs", pytest.param("rolled", marks=pytest.mark.slow)])
@@ -275,7 +274,7 @@ def test_drivers(name: str) -> None:
     def own(name):
         return rc.Recursive()(model.replace(driver=name), 0.0, rb.State(start.q, v), tau, {})
 
-    got, want = quick_jit(lambda: (own(name), own("unrolled")))()
+    got, want = jax.jit(lambda: (own(name), own("unrolled")))()
     assert off(got, want) < 1e-10
 
 
@@ -285,7 +284,7 @@ def test_a_cluster_of_many_rows_is_solved_on_matrices() -> None:
     model = model.with_constraints(*[gear] * 25).replace(driver="unrolled")
     v, tau = drawn(model)
     q = model.default_state().q + 0.3
-    (a, _), (own, _) = quick_jit(functools.partial(both, model))(q, v, tau)
+    (a, _), (own, _) = jax.jit(functools.partial(both, model))(q, v, tau)
     assert off(own, a) < 1e-10
 
 
@@ -322,7 +321,7 @@ def test_cassie() -> None:
         model = rb.load(CASSIE / "cassie.xml").replace(driver="unrolled")
     q = jnp.array(json.loads((CASSIE / "consistent.json").read_text())["qpos"])
     v, tau = drawn(model)
-    (a, _), (own, _) = quick_jit(lambda v: both(model, q, consistent(model, q, v), tau))(v)
+    (a, _), (own, _) = jax.jit(lambda v: both(model, q, consistent(model, q, v), tau))(v)
     assert off(own, a) < 1e-10
     found = found_clusters(model)
     assert sorted(len(x.links) for x in found) == [3, 3, 7, 7]

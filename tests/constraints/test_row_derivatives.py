@@ -14,7 +14,6 @@ import pytest
 
 import rbjax as rb
 from rbjax import constraints as rc
-from tests.quickly import quick_jit
 
 GROUND = rc.Place.on(point=[0.1, -0.2, 0.05], axis=[1.0, 0.4, 2.0])
 HAND = rc.Place.on(body="hand", point=[0.05, 0.1, -0.1], axis=[0.3, 1.0, 0.2])
@@ -104,7 +103,7 @@ def test_derivatives(kind: str) -> None:
             rc.multipliers(held, there, t=x["t"]),
         ])  # fmt: skip
 
-    @quick_jit
+    @jax.jit
     def found(s, w):
         x = jax.tree.map(lambda x, dx: x + s * dx, at, along)
         value, slope = jax.jvp(seen, (x,), (along,))
@@ -133,7 +132,7 @@ def test_the_residual_s_gradient_where_a_loop_walks_the_tree() -> None:
     model = model.with_constraints(rc.Inplane(rc.Place.on(axis=[1.0, 0.0, 1.0]), tip))
     q = jnp.array([0.3, -0.8])
 
-    @quick_jit
+    @jax.jit
     def found(q):
         def value(q):
             return rc.residual(model, rb.State(q, jnp.zeros(2))).value[0]

@@ -11,7 +11,6 @@ import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
-from tests.quickly import quick_jit
 
 #: name -> freedoms (the textbooks' number), motors, and redundant rows: those across the plane of a
 #: plane loop
@@ -41,14 +40,14 @@ def moving(name: str) -> tuple[rb.Model, rb.State, jax.Array]:
 
         return v, jax.jvp(along, (0.0,), (1.0,))[1]
 
-    v, power = quick_jit(at)(jax.random.normal(jax.random.key(1), (model.nv,)))
+    v, power = jax.jit(at)(jax.random.normal(jax.random.key(1), (model.nv,)))
     return model, rb.State(start.q, v), power
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_closed_as_drawn(name: str) -> None:
     model = rb.load(name, strict=True)
-    off = quick_jit(functools.partial(rc.residual, model))
+    off = jax.jit(functools.partial(rc.residual, model))
     for state in (model.default_state(), *map(model.keyframe, model.keyframe_names)):
         for x in off(state):
             assert np.abs(x).max() <= 1e-12
@@ -67,7 +66,7 @@ def test_mobility(name: str) -> None:
 @pytest.mark.parametrize("name", FEW)
 def test_rows_do_no_work(name: str) -> None:
     model, state, power = moving(name)
-    off = quick_jit(functools.partial(rc.residual, model))(state).rate
+    off = jax.jit(functools.partial(rc.residual, model))(state).rate
     assert np.abs(off).max() < 1e-12 < 0.1 < np.abs(state.v).max()
     assert abs(power) < 1e-11 * rb.kinetic_energy(model, state.q, state.v)
 

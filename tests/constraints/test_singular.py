@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 import rbjax as rb
 from rbjax import constraints as rc
 from tests.constraints.mechanisms import four_bars
-from tests.quickly import quick_jit
 
 FLAT = np.pi / 2
 #: of the bars, rad; the last ones are flat, or nearly
@@ -76,7 +75,7 @@ def rolled(
 
     path = jax.jit(jax.vmap(run))(at(n, starts, dtype))
 
-    @quick_jit
+    @jax.jit
     @jax.vmap
     @jax.vmap
     def energy(q, v):
@@ -147,7 +146,7 @@ def test_multipliers_where_rows_vanish() -> None:
     twice = model.with_constraints(*model.constraints)
     state = at(1, FLAT)
 
-    @quick_jit
+    @jax.jit
     def solved(state):
         held = rc.constrained_dynamics(twice, state.q, state.v, 0 * state.v)
         G = rc.jacobian(model, state.q)
@@ -175,7 +174,7 @@ def test_derivatives_at_flat_positions(dtype) -> None:
     keys = jax.random.split(jax.random.key(7), 4)
     dq, dv, wq, wv = (jax.random.normal(k, (own.nv,), dtype) for k in keys)
 
-    @quick_jit
+    @jax.jit
     def both(state):
         def moved(q, v):
             for _ in range(2):
@@ -201,7 +200,7 @@ def test_derivative_across_a_flat_position() -> None:
     model, _ = four_bars(1)
     start = at(1, FLAT - 0.0075)
 
-    @quick_jit
+    @jax.jit
     def after(speed):
         def moved(speed):
             state = start.replace(v=start.v * speed)

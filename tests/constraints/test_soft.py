@@ -13,7 +13,6 @@ from rbjax.constraints.compliant import compliant_motion
 from rbjax.constraints.registry import formulation_of
 from tests.constraints.mechanisms import pendulum
 from tests.constraints.rows import check, tree
-from tests.quickly import quick_jit
 
 
 @functools.cache
@@ -71,11 +70,11 @@ def test_derivatives() -> None:
         moved = model.replace(constraints=(other, coupling))
         return compliant_motion(moved, 0.0, there, tau * (1 + s), {})[0]
 
-    forward = quick_jit(lambda s: jax.jvp(along, (s,), (1.0,)))
+    forward = jax.jit(lambda s: jax.jvp(along, (s,), (1.0,)))
     (value, slope), h = forward(0.0), 1e-5
     quotient = (forward(h)[0] - forward(-h)[0]) / (2 * h)
     np.testing.assert_allclose(slope, quotient, rtol=1e-6, atol=1e-6 * np.abs(value).max())
-    back = quick_jit(jax.grad(lambda s: along(s) @ w))(0.0)
+    back = jax.jit(jax.grad(lambda s: along(s) @ w))(0.0)
     np.testing.assert_allclose(back, slope @ w, rtol=1e-9)
 
 

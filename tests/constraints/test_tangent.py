@@ -9,7 +9,6 @@ import rbjax as rb
 from rbjax import constraints as rc
 from rbjax.constraints.tangent import across
 from tests.constraints.mechanisms import four_bars, pendulum, spatial_slider_crank
-from tests.quickly import quick_jit
 
 DOWN = np.array([0.0, -9.81])
 START = np.array([0.6, -0.8, 1.04, 0.78])
@@ -58,7 +57,7 @@ def test_a_state_found_across_the_tangent() -> None:
     start, z, s = rb.State(*jnp.split(jnp.array(START), 2)), 0.1, 1.2
     p0, t0 = START[:2], np.array([0.8, 0.6])
 
-    @quick_jit
+    @jax.jit
     def found(q, v):
         return across(pendulum(), 0.0, rb.State(q, v), 0.0, start)
 
@@ -73,7 +72,7 @@ def test_a_state_found_across_the_tangent() -> None:
 def test_a_step_is_that_of_minimal_coordinates() -> None:
     """And forces are those of states on the constraints."""
 
-    @quick_jit
+    @jax.jit
     def found(start):
         one = "tangent_space"
         return rb.step(windy(), start, dt=0.1, integrator="rk4", constraints=one)
@@ -123,7 +122,7 @@ def test_states_keep_their_tangent_coordinates(mechanism, far: float) -> None:
     k1, k2 = jax.random.split(jax.random.key(1))
     u, dv = (far * jax.random.normal(k, (model.nv,)) for k in (k1, k2))
 
-    @quick_jit
+    @jax.jit
     def found(u, dv):
         there = rb.State(rb.integrate(model, start.q, u), start.v + dv)
         end = across(model, 0.0, there, 0.0, start)
@@ -148,7 +147,7 @@ def test_derivative_of_a_step() -> None:
         after = rb.step(model, start, dt=0.1, integrator="rk4", constraints="tangent_space")
         return jnp.concatenate([after.q, after.v])
 
-    slope = quick_jit(lambda x: jax.jvp(end, (x,), (1.0,)))
+    slope = jax.jit(lambda x: jax.jvp(end, (x,), (1.0,)))
     h = 1e-5
     quotient = (slope(h)[0] - slope(-h)[0]) / (2 * h)
     np.testing.assert_allclose(slope(0.0)[1], quotient, rtol=0, atol=1e-8)

@@ -10,7 +10,6 @@ import rbjax as rb
 import rbjax.control as control
 from rbjax.errors import InputError
 from tests.control.arms import ARM, BALL
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 
 K, D = np.array([30.0, 20.0, 25.0, 40.0]), np.array([8.0, 3.0, 10.0, 5.0])
@@ -42,7 +41,7 @@ def test_error_obeys_its_equation(arm):
     """By forward dynamics of the controls, at random states: e'' + D e' + K e = 0."""
     law = control.computed_torque(arm, wave, stiffness=K, damping=D)
 
-    @quick_jit
+    @jax.jit
     def residual(t, q, v):
         state = rb.State(q, v)
         tau = rb.applied_forces(arm, state, law(t, state))
@@ -66,7 +65,7 @@ def test_error_of_an_attitude_obeys_its_equation():
 
     law = control.computed_torque(model, reference, stiffness=K, damping=D)
 
-    @quick_jit
+    @jax.jit
     def residual(t, q, v):
         a = rb.forward_dynamics(model, q, v, law.tau(t, rb.State(q, v)))
         e, e1, e2 = errors(model, reference, t, q, v, a)

@@ -11,7 +11,6 @@ import rbjax.control as control
 from rbjax.control.differential_inverse_kinematics import bounded_quadratic
 from rbjax.errors import InputError
 from tests.control.arms import arm7
-from tests.quickly import quick_jit
 
 velocity = control.differential_inverse_kinematics
 Q = np.array([0.3, 0.4, -0.5, 1.0, 0.6, 1.0, 0.2])
@@ -25,7 +24,7 @@ def arm():
 def test_bounded_quadratic_against_scipy():
     """Random problems, half of whose bounds hold something; SciPy's BVLS."""
     rng = np.random.default_rng(0)
-    solve = quick_jit(jax.vmap(lambda A, b, low, high: bounded_quadratic(
+    solve = jax.jit(jax.vmap(lambda A, b, low, high: bounded_quadratic(
         A.T @ A, A.T @ b, low, high)))  # fmt: skip
     A, b = rng.normal(size=(20, 9, 6)), 3 * rng.normal(size=(20, 9))
     low, high = -rng.uniform(0, 1, (20, 6)), rng.uniform(0, 1, (20, 6))
@@ -62,12 +61,12 @@ def test_limits_hold(arm):
 
 def test_derivative_with_limits(arm):
     _, p = rb.site_pose(arm, jnp.asarray(Q), "tool")
-    f = quick_jit(lambda x: velocity(arm, Q, control.Goal(site="tool", position=x), rate=5.0,
+    f = jax.jit(lambda x: velocity(arm, Q, control.Goal(site="tool", position=x), rate=5.0,
                                      speed=0.4, damping=1e-2).v)  # fmt: skip
     at, h = p + jnp.array([0.2, -0.1, 0.1]), 1e-6
     assert (np.abs(f(at)) == 0.4).any()
-    J = quick_jit(jax.jacfwd(f))(at)
-    Jr = quick_jit(jax.jacrev(f))(at)
+    J = jax.jit(jax.jacfwd(f))(at)
+    Jr = jax.jit(jax.jacrev(f))(at)
     for i in range(3):
         step = h * np.eye(3)[i]
         difference = (f(at + step) - f(at - step)) / (2 * h)

@@ -11,7 +11,6 @@ import rbjax.control
 from rbjax.control.joint_ranges import Ranges, random_configurations
 from rbjax.errors import InputError, UnknownName
 from tests.control.arms import ARM, arm7
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 
 ik = rb.control.inverse_kinematics
@@ -196,7 +195,7 @@ def test_batch_is_a_loop_and_side_by_side_agrees(planar):
 
 def test_never_nan(planar):
     """A traced target of NaN, and singular starts, end with finite configurations."""
-    found = quick_jit(lambda p: ik(planar, p, site="hand", seeds=2))(jnp.full(3, jnp.nan))
+    found = jax.jit(lambda p: ik(planar, p, site="hand", seeds=2))(jnp.full(3, jnp.nan))
     assert not found.converged and np.isfinite(found.q).all()
     straight = ik(planar, [0.0, 0.0, 0.0], site="hand", limits=False, start=[0.0, 0.0], seeds=3)
     assert np.isfinite(straight.q).all()

@@ -13,7 +13,6 @@ from rbjax.control import Control, Cost, Problem, StateError
 from rbjax.control.augmented_lagrangian import no_multipliers
 from rbjax.control.knots import Expanded, columns, expand, numbers
 from rbjax.control.problem import BODY, NEXT, Knot
-from tests.quickly import quick_jit
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 function = importlib.import_module("rbjax.threads.function")
@@ -38,9 +37,9 @@ def given() -> tuple[Problem, rb.State, Knot, jax.Array]:
 def test_columns_are_those_of_the_linearised_step() -> None:
     problem, _, knots, ctrls = given()
     ks = numbers(N, ctrls.dtype)
-    A, B, gaps = quick_jit(jax.vmap(lambda k, u: columns(problem, k, knots, u)))(ks, ctrls)
+    A, B, gaps = jax.jit(jax.vmap(lambda k, u: columns(problem, k, knots, u)))(ks, ctrls)
     body, after = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, NEXT))
-    due = quick_jit(jax.vmap(problem.linear))(ks, body, ctrls)
+    due = jax.jit(jax.vmap(problem.linear))(ks, body, ctrls)
     apart = jax.vmap(problem.minus)(due.after, after)
     for got, want in ((A, due.A), (B, due.B), (gaps, apart)):
         assert relative_error(got, want) < F64_TRANSFORM
@@ -51,7 +50,7 @@ def test_few_knots_go_apart_on_a_gpu(samples: int, monkeypatch: pytest.MonkeyPat
     problem, start, knots, ctrls = given()
     multipliers = no_multipliers(N, 0, 0, ctrls.dtype)
     run = functools.partial(expand, problem)
-    due: Expanded = quick_jit(run)(start, knots, ctrls, multipliers)
+    due: Expanded = jax.jit(run)(start, knots, ctrls, multipliers)
     monkeypatch.setattr(function, "gpu", lambda: True)
     args = start, knots, ctrls, multipliers
     wide = jax.tree.map(lambda x: jnp.broadcast_to(x, (samples, *x.shape)), args)

@@ -25,10 +25,9 @@ from rbjax.control import (
 from rbjax.errors import InputError
 from tests.composing import check_composes
 from tests.control.problems import random_system
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
-reach = quick_jit(controllability)
+reach = jax.jit(controllability)
 
 
 @pytest.mark.parametrize("inside", [1, 3, 5])
@@ -50,7 +49,7 @@ def test_a_hidden_subspace_is_found(inside):
     outside = np.asarray(found.outside)
     assert not outside[:, n - inside :].any()
     assert np.abs(outside.T @ B).max() < 1e-10 and np.abs(outside.T @ A @ space).max() < 1e-10
-    seen = quick_jit(observability)(jnp.asarray(A.T), jnp.asarray(B.T))
+    seen = jax.jit(observability)(jnp.asarray(A.T), jnp.asarray(B.T))
     assert seen.rank == inside and seen.weakest > 1e-3
 
 
@@ -99,7 +98,7 @@ def test_discretisation_composes():
 
 
 DOUBLE = jnp.array([[0.0, 1.0], [0.0, 0.0]]), jnp.array([[0.0], [1.0]])
-margin = quick_jit(margins)
+margin = jax.jit(margins)
 
 
 def test_margins_in_closed_form():
@@ -127,7 +126,7 @@ def test_margins_are_where_the_loop_becomes_unstable():
     A, B, Q, R, S = random_system(3, 3, 2, 1.5)
     del S
     K = np.asarray(lqr(A, B, Q, R, discrete=True).K)
-    found = quick_jit(lambda A, B, K: margins(A, B, K, 0.1))(*map(jnp.asarray, (A, B, K)))
+    found = jax.jit(lambda A, B, K: margins(A, B, K, 0.1))(*map(jnp.asarray, (A, B, K)))
 
     def radius(i, gain):
         G = np.eye(2)

@@ -13,7 +13,6 @@ import pytest
 
 import rbjax as rb
 from rbjax import control
-from tests.quickly import quick_jit
 from tests.tolerances import GRADIENT, relative_error
 
 H, STEPS, GOAL = 0.02, 20, 1.0
@@ -62,7 +61,7 @@ def test_derivatives_of_a_step_that_is_projected_are_its_differences(four_bar) -
         found = system.linear(0.0, state, u, H)
         return jnp.concatenate([found.A, found.B], 1), slopes
 
-    found, due = quick_jit(both)(jnp.array([3.0]))
+    found, due = jax.jit(both)(jnp.array([3.0]))
     assert relative_error(found, due) < GRADIENT
 
 

@@ -9,7 +9,6 @@ import rbjax as rb
 from rbjax.control import Control, Cost, Equations, Problem, RealTime, mpc, solve
 from rbjax.control.mpc import FALLBACK, KEPT, PLANNED
 from rbjax.errors import InputError, UnknownName
-from tests.quickly import quick_jit
 
 
 def cart(bound=0.4, cost=lambda t, x, u: x):
@@ -26,7 +25,7 @@ START = jnp.asarray([1.0, 0.0])
 @pytest.mark.slow
 def test_without_errors_of_the_model_the_delay_costs_nothing():
     """A plan from the state that will be is the plan from the state that is."""
-    runs = [quick_jit(mpc(cart(), delay=d).closed_loop, (1,))(START, 25) for d in (0, 1)]
+    runs = [jax.jit(mpc(cart(), delay=d).closed_loop, (1,))(START, 25) for d in (0, 1)]
     np.testing.assert_allclose(runs[0].states, runs[1].states, atol=1e-8)
     for run in runs:
         assert (run.results == PLANNED).all() and (abs(run.ctrls) <= 0.4).all()
@@ -49,7 +48,7 @@ def test_failing_plans_keep_the_last_and_then_fall_back():
         return cart(cost=lambda _, x, u: jnp.where(t > 0.5, jnp.nan, 1.0) * x)
 
     controller = mpc(at, patience=2, fallback=lambda t, x: jnp.asarray([0.123]))
-    run = quick_jit(lambda x: controller.closed_loop(x, 10))(START)
+    run = jax.jit(lambda x: controller.closed_loop(x, 10))(START)
     assert run.results.tolist() == [PLANNED] * 4 + [KEPT] * 2 + [FALLBACK] * 4
     assert np.isfinite(run.states).all()
     np.testing.assert_allclose(run.ctrls[-4:], 0.123)

@@ -19,7 +19,6 @@ from rbjax.control import (
     observed,
 )
 from rbjax.motion.kalman import kalman_filter
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 RNG = np.random.default_rng(0)
@@ -46,9 +45,9 @@ def test_the_filter_becomes_steady_and_its_halves_are_the_filter():
     N = 40
     u, y = RNG.normal(size=(N, 3)), RNG.normal(size=(N + 1, 2))
     y[3] = np.nan
-    whole = quick_jit(lambda: kalman_filter(space, jnp.zeros(3), np.eye(3), u, y, W, V))()
+    whole = jax.jit(lambda: kalman_filter(space, jnp.zeros(3), np.eye(3), u, y, W, V))()
 
-    @quick_jit
+    @jax.jit
     def halves():
         def turn(now, given):
             y, u = given

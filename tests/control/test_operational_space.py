@@ -9,7 +9,6 @@ import rbjax as rb
 import rbjax.control as control
 from rbjax.errors import InputError, UnknownName
 from tests.control.arms import ARM
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 
 
@@ -31,7 +30,7 @@ def test_frame_accelerates_as_asked(arm):
         posture=posture, posture_stiffness=5.0,
     )  # fmt: skip
 
-    @quick_jit
+    @jax.jit
     def moved(t, q, v):
         state = rb.State(q, v)
         a = rb.forward_dynamics(arm, q, v, rb.applied_forces(arm, state, law(t, state)))
@@ -63,7 +62,7 @@ def test_pose_of_a_seven_joint_arm():
 
     law = control.operational_space(model, reference, site="tool", stiffness=50.0)
 
-    @quick_jit
+    @jax.jit
     def moved(t, q, v):
         state = rb.State(q, v)
         passive = rb.applied_forces(model, state, None)
@@ -82,7 +81,7 @@ def test_singular_configuration(arm):
     continuous."""
     law = control.operational_space(arm, [2.0, 0.0, 0.4], site="tip", task="position",
                                     stiffness=100.0)  # fmt: skip
-    f = quick_jit(lambda q: law.tau(0.0, rb.State(q, jnp.zeros(4))))
+    f = jax.jit(lambda q: law.tau(0.0, rb.State(q, jnp.zeros(4))))
     taus = np.array([f(jnp.array([0.0, 0.0, bend, -0.5 * bend])) for bend in (0.0, 1e-6, 1e-4)])
     assert np.isfinite(taus).all() and np.abs(taus).max() < 2e4
     assert np.abs(taus[1] - taus[0]).max() < 1e-2 * np.abs(taus[0]).max()

@@ -12,7 +12,6 @@ from rbjax.control import Environment, actor_critic, network, through_time
 from rbjax.control.environment import Segment, squashed
 from rbjax.control.policy_gradient import Samples, drawn, policy_loss, renewed, returns, updated
 from rbjax.errors import InputError, UnknownName
-from tests.quickly import quick_jit
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 MODEL = rb.load("cart_pole")
@@ -49,8 +48,8 @@ def test_the_gradient_of_the_loss_is_that_of_differences():
         last = jax.tree.map(lambda x: x[:, -1], segment.states)
         return policy_loss(segment.costs, jax.vmap(lambda s: value(env.observe(s))[0])(last), 0.9)
 
-    slope = quick_jit(jax.grad(loss))(flat)
-    h, ask = 6e-6, quick_jit(loss)
+    slope = jax.jit(jax.grad(loss))(flat)
+    h, ask = 6e-6, jax.jit(loss)
     for direction in np.random.default_rng(0).normal(size=(3, flat.size)):
         change = (ask(flat + h * direction) - ask(flat - h * direction)) / (2 * h)
         assert abs(slope @ direction - change) < 1e-6 * abs(change)
@@ -61,7 +60,7 @@ def test_a_batch_of_models_is_a_loop_over_them():
     policy = network(KEY, (4, 3, 1), last=1.0)
     models, states = jax.vmap(env.begun)(jax.random.split(KEY, 3))
     assert len(np.unique(models.bodies.mass[:, 0])) == 3
-    segment = quick_jit(lambda m, s: env.unroll(policy, m, s, 2))(models, states)
+    segment = jax.jit(lambda m, s: env.unroll(policy, m, s, 2))(models, states)
     for k in range(3):
         model, state = jax.tree.map(lambda x, k=k: x[k], (models, states))
         x, total = state, []

@@ -20,11 +20,10 @@ from rbjax.errors import UnknownName
 from tests.composing import check_composes
 from tests.control.problems import random_problem
 from tests.oracles import load
-from tests.quickly import quick_jit
 from tests.tolerances import F32_MEDIAN, relative_error
 
 ORACLE = load("linear_quadratic")
-serial, parallel, rolled = map(quick_jit, (backward, parallel_backward, roll))
+serial, parallel, rolled = map(jax.jit, (backward, parallel_backward, roll))
 
 
 def by_kkt(z, start, target=None):
@@ -77,7 +76,7 @@ def test_parallel_in_time_is_serial(N):
     for x, y in zip(a, b, strict=True):
         assert relative_error(x, y) < 1e-10
     start = jnp.ones(z.q.shape[1])
-    for x, y in zip(rolled(z, a, start), quick_jit(parallel_roll)(z, b, start), strict=True):
+    for x, y in zip(rolled(z, a, start), jax.jit(parallel_roll)(z, b, start), strict=True):
         assert relative_error(x, y) < 1e-10
 
 
@@ -101,7 +100,7 @@ def test_minimum_energy_between_two_rests(case):
     h, N = case["dt"], case["N"]
     A, B = jnp.array([[1.0, h], [0.0, 1.0]]), jnp.array([[h * h], [h]])
     z = constant_problem(A, B, jnp.zeros((2, 2)), 2 * h * jnp.eye(1), N)
-    found = quick_jit(steer)(z, jnp.zeros(2), jnp.array([1.0, 0.0]))
+    found = jax.jit(steer)(z, jnp.zeros(2), jnp.array([1.0, 0.0]))
     assert found.ok and relative_error(found.cost, case["cost"]) < 1e-11
     assert relative_error(found.u[0, 0], case["u_first"]) < 1e-10
     assert relative_error(found.u[-1, 0], case["u_last"]) < 1e-10
@@ -110,12 +109,12 @@ def test_minimum_energy_between_two_rests(case):
 def test_a_fixed_end_by_the_conditions_of_optimality():
     z = random_problem(3, 6, 4, 2)
     start, target = np.random.default_rng(4).normal(size=(2, 4))
-    found = quick_jit(steer)(z, jnp.asarray(start), jnp.asarray(target))
+    found = jax.jit(steer)(z, jnp.asarray(start), jnp.asarray(target))
     x, u = by_kkt(z, start, target)
     assert found.ok
     assert relative_error(found.x, x) < 1e-10 and relative_error(found.u, u) < 1e-10
     few = jax.tree.map(lambda a: a[:1], z)._replace(Q=z.Q[:2], q=z.q[:2])
-    assert not quick_jit(steer)(few, jnp.asarray(start), jnp.asarray(target)).ok  # 2 of 4 states
+    assert not jax.jit(steer)(few, jnp.asarray(start), jnp.asarray(target)).ok  # 2 of 4 states
 
 
 @pytest.mark.parametrize("gains", [serial, parallel])
@@ -133,7 +132,7 @@ def test_what_has_no_minimum_is_said_and_never_nan(gains, bad):
         return found.K.sum() + found.P.sum()
 
     if gains is serial and bad == "indefinite":
-        assert np.isfinite(quick_jit(jax.grad(total))(z.R)).all()
+        assert np.isfinite(jax.jit(jax.grad(total))(z.R)).all()
 
 
 def test_the_hessian_needs_no_definite_control_cost():
@@ -166,7 +165,7 @@ def test_one_problem_is_small_enough_for_a_thread(dtype):
 @pytest.mark.slow
 def test_parallel_by_a_tree():
     z = random_problem(9, 21, 3, 2)
-    by_tree = quick_jit(lambda z: parallel_backward(z, by="tree"))
+    by_tree = jax.jit(lambda z: parallel_backward(z, by="tree"))
     for x, y in zip(serial(z), by_tree(z), strict=True):
         assert relative_error(x, y) < 1e-12
     with pytest.raises(UnknownName, match="doubling"):

@@ -9,7 +9,6 @@ import rbjax as rb
 from rbjax.control import time_varying_lqr
 from rbjax.errors import InputError
 from rbjax.model import State
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 N, DT = 60, 0.02
@@ -30,7 +29,7 @@ def test_the_recursion_by_numpy():
     law = time_varying_lqr(model, path, u, DT, Q, R, END)
     assert law.ok and law.K.shape == (N, 1, 4)
     states = State(path.q[:-1], path.v[:-1])
-    As, Bs = quick_jit(jax.vmap(lambda x, u: rb.linearise(model, x, u, DT)))(states, u)
+    As, Bs = jax.jit(jax.vmap(lambda x, u: rb.linearise(model, x, u, DT)))(states, u)
     P = np.diag(END)
     for k in reversed(range(N)):
         A, B = np.asarray(As[k]), np.asarray(Bs[k])

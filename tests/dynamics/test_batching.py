@@ -10,7 +10,6 @@ import pytest
 import rbjax as rb
 from rbjax.dynamics import arguments, batching
 from tests.compilations import compilations
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
 MODEL = rb.load("cart_pole")
@@ -45,7 +44,7 @@ def test_chunks_are_the_samples(given, monkeypatch):
 
 def test_what_is_not_batched_is_given_whole(given):
     q, v, tau = given
-    one = quick_jit(jax.vmap(lambda q: fd(MODEL, q, v[0], tau[0])))(q)
+    one = jax.jit(jax.vmap(lambda q: fd(MODEL, q, v[0], tau[0])))(q)
     assert relative_error(one[SOME], loop(lambda q: fd(MODEL, q, v[0], tau[0]), q)) <= F64_TRANSFORM
 
 
@@ -55,15 +54,15 @@ def test_a_batch_of_robots(given):
     def run(mass, q, v, tau):
         return fd(MODEL.replace(bodies=MODEL.bodies.replace(mass=mass)), q, v, tau)
 
-    mapped = quick_jit(jax.vmap(run))(masses, *given)
+    mapped = jax.jit(jax.vmap(run))(masses, *given)
     assert relative_error(mapped[SOME], loop(run, masses, *given)) <= F64_TRANSFORM
 
 
 def test_a_batch_of_batches(given):
     nested = [x[: SIZE - 1].reshape(-1, 2, 2).swapaxes(0, 1) for x in given]  # (2, 129, 2)
     run = functools.partial(fd, MODEL)
-    mapped = quick_jit(jax.vmap(jax.vmap(run)))(*nested)
-    want = quick_jit(jax.vmap(run))(*(x.swapaxes(0, 1).reshape(-1, 2) for x in nested))
+    mapped = jax.jit(jax.vmap(jax.vmap(run)))(*nested)
+    want = jax.jit(jax.vmap(run))(*(x.swapaxes(0, 1).reshape(-1, 2) for x in nested))
     assert relative_error(mapped.swapaxes(0, 1).reshape(-1, 2), want) <= F64_TRANSFORM
 
 
@@ -74,7 +73,7 @@ def test_derivatives_inside_and_outside_of_the_batch(given):
     def energy(q, v, tau):
         return (fd(MODEL, q, v, tau) ** 2).sum()
 
-    @quick_jit
+    @jax.jit
     def every(q):
         inside = jax.vmap(jax.grad(energy))(q, v, tau)
         outside = jax.grad(lambda q: jax.vmap(energy)(q, v, tau).sum())(q)
@@ -90,7 +89,6 @@ def test_derivatives_inside_and_outside_of_the_batch(given):
     assert relative_error(twice[:, :, 1], change / (2 * step)) <= 1e-7
 
 
-@pytest.mark.usefixtures("by_xla")
 def test_outside_of_jit_nothing_compiles_twice(given):
     """A vmap or grad of a public algorithm runs one compiled program, which is cached."""
     run = functools.partial(fd, MODEL)
@@ -112,7 +110,7 @@ def test_numbers_of_numpy_are_mapped_over_inside_jit():
     """JAX's custom rules do not accept NumPy arrays there."""
     q = np.random.default_rng(1).normal(size=(3, 2))
 
-    @quick_jit
+    @jax.jit
     def both(scale):
         M, J = (jax.vmap(lambda q, f=f: f(MODEL, q))(q) for f in (rb.mass_matrix, last))
         a = jax.vmap(lambda v: rb.forward_dynamics(MODEL, scale * v, v, v))(q)

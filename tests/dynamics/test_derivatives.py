@@ -15,7 +15,6 @@ from tests.oracles.random_trees import (
     random_tree,
     to_pinocchio,
 )
-from tests.quickly import quick_jit
 from tests.robots import load_quietly, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, relative_error
 
@@ -55,7 +54,7 @@ def test_they_are_those_of_the_definition(case: str) -> None:
             wanted,
         )
 
-    inverse, forward, wanted = quick_jit(jax.vmap(both))(q, v, a)
+    inverse, forward, wanted = jax.jit(jax.vmap(both))(q, v, a)
     by_q, by_v, M = map(np.asarray, wanted)
     solved = -np.linalg.solve(M, by_q), -np.linalg.solve(M, by_v), np.linalg.inv(M)
     for got, want in zip((*inverse, *forward), (*wanted, *solved), strict=True):

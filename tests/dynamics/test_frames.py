@@ -18,7 +18,6 @@ import pytest
 import rbjax as rb
 from rbjax.dynamics.frames import PATH_UNROLLED_UP_TO
 from rbjax.loading import compile_model
-from tests.quickly import quick_jit
 from tests.robots import at, load_quietly, robot
 from tests.tolerances import F32_MAX, F64_IDENTITY, F64_PARITY, relative_error
 
@@ -153,10 +152,10 @@ def test_mujoco(name: str, driver: str, argument: bool) -> None:
         return jax.vmap(lambda point: answers(model, s.frames, point, q, v))(points)
 
     if argument:
-        mapped = quick_jit(jax.vmap(each, (None, 0, 0)))
+        mapped = jax.jit(jax.vmap(each, (None, 0, 0)))
         found = mapped(model, s.q, s.v)
     else:
-        mapped = quick_jit(jax.vmap(functools.partial(each, model)))
+        mapped = jax.jit(jax.vmap(functools.partial(each, model)))
         found = mapped(s.q, s.v)
     for frame, got in zip(s.frames, found, strict=True):
         for k in range(STATES):
@@ -191,7 +190,7 @@ def test_derivatives_of_the_definition(driver: str, frame: tuple[str, str]) -> N
         twist = rb.frame_velocity(model, moved, speed, **how)
         return pose(moved), twist, rb.jacobian(model, moved, **how)
 
-    @quick_jit
+    @jax.jit
     def both():
         return jax.jvp(along, (0.0,), (1.0,)), answers(model, [frame], POINT, q, v)[0]
 
@@ -212,7 +211,7 @@ def test_f32() -> None:
     def mapped(dtype):
         q, v = s.q.astype(dtype), s.v.astype(dtype)
         f = functools.partial(answers, s.model, s.frames[-3:-2], POINT)  # the point follows
-        return quick_jit(jax.vmap(f))(q, v)
+        return jax.jit(jax.vmap(f))(q, v)
 
     single, double = mapped(np.float32), mapped(np.float64)
     chex.assert_trees_all_equal_shapes(single, double)
@@ -302,7 +301,7 @@ def test_the_pose_of_a_site_asks_for_its_path_alone(name: str, driver: str) -> N
     site = len(model.site_names) - 1
     body = model.topology.site_bodies[site]
 
-    @quick_jit
+    @jax.jit
     def both(model, q):
         poses = rb.forward_kinematics(model, q)
         return rb.site_pose(model, q, model.site_names[site]), (poses.R[body], poses.p[body])

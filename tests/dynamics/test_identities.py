@@ -13,7 +13,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.rnea import momentum
-from tests.quickly import quick_jit
 from tests.robots import at, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 
@@ -78,7 +77,7 @@ def both_sides(model: rb.Model, q, v, a, w):
 
 
 def compiled(f):
-    return quick_jit(jax.vmap(f))
+    return jax.jit(jax.vmap(f))
 
 
 @functools.cache
@@ -150,7 +149,7 @@ def test_momentum_is_that_of_mujoco(case: str) -> None:
     def ours(q, v):
         return rb.center_of_mass(sample.model, q), rb.centroidal_momentum(sample.model, q, v)
 
-    com, momentum = quick_jit(jax.vmap(ours))(q, v)
+    com, momentum = jax.jit(jax.vmap(ours))(q, v)
     mass = sample.reference.body_mass.sum()
     for k in range(STATES):
         data = at(sample.reference, q[k], v[k])

@@ -14,7 +14,6 @@ import rbjax as rb
 from rbjax.dynamics.momenta import momentum_and_rate
 from rbjax.lanes import Mat3, Vec3, rotation_z, sincos
 from rbjax.spatial import Transform
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_ROUNDING, relative_error
 
 #: a chain with a joint of every sort of neighbour; {joint} moves the second body
@@ -134,7 +133,7 @@ def everything(model, q, v, a):
 @functools.cache
 def found(kind: str, driver: str = "unrolled", last: str = SLIDE):
     model, q, v, a = moving(kind, last)
-    return quick_jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
+    return jax.jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
 
 
 @pytest.mark.parametrize(
@@ -216,7 +215,7 @@ def check_identities(kind: str, last: str) -> None:
             rb.forward_kinematics(model, q_h).p,
         )
 
-    again, (M_rate, J_rate, moved) = quick_jit(
+    again, (M_rate, J_rate, moved) = jax.jit(
         lambda tau: (
             rb.forward_dynamics(model, q, v, tau), jax.jvp(along, (0.0,), (1.0,))[1]
         )
@@ -249,8 +248,8 @@ def test_derivatives(kind: str) -> None:
     for f, by in (
         (inverse, rb.inverse_dynamics_derivatives), (forward, rb.forward_dynamics_derivatives),
     ):  # fmt: skip
-        got = quick_jit(functools.partial(by, model))(q, v, a)
-        want = quick_jit(jax.jacrev(f, (0, 1, 2)))(0 * v, v, a)
+        got = jax.jit(functools.partial(by, model))(q, v, a)
+        want = jax.jit(jax.jacrev(f, (0, 1, 2)))(0 * v, v, a)
         for one, other in zip(got, want, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8)
 
@@ -288,7 +287,7 @@ def test_limbs_agree(kind: str) -> None:
     q, v, a = state.q, state.v, jnp.cos(state.v)
     agree(
         *(
-            quick_jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
+            jax.jit(functools.partial(everything, model.replace(driver=driver)))(q, v, a)
             for driver in ("limbs", "rolled")
         )
     )
@@ -306,7 +305,7 @@ def test_a_node_is_the_chain_of_the_same_motion() -> None:
     A = np.array([[11, 2, 10], [2, 14, -5], [-10, 5, 10]]) / 15.0
     second = A[:, 0]
     same = chain("universal", second_axis=second)
-    want = quick_jit(lambda q, v, a: everything(same, q, v, a))(q, v, a)
+    want = jax.jit(lambda q, v, a: everything(same, q, v, a))(q, v, a)
     ours = found("cardan")
     for name, x in ours.items():
         assert relative_error(x, want[name]) <= F64_IDENTITY, name
@@ -317,8 +316,8 @@ def test_momenta(kind: str) -> None:
     """p = M v, and p' along the motion: of axes that depend on q too."""
     model, q, v, a = moving(kind)
     tau = found(kind)["tau"]
-    p, rate = quick_jit(lambda q, v, tau: momentum_and_rate(model, q, v, tau))(q, v, tau)
-    want = quick_jit(
+    p, rate = jax.jit(lambda q, v, tau: momentum_and_rate(model, q, v, tau))(q, v, tau)
+    want = jax.jit(
         lambda q, v, a: jax.jvp(lambda q, v: rb.mass_matrix(model, q) @ v, (q, v), (v, a))
     )(q, v, a)
     np.testing.assert_allclose(p, want[0], rtol=1e-10, atol=1e-12)
@@ -329,7 +328,7 @@ def test_the_variational_step_is_of_order_two_on_a_node() -> None:
     model = rb.load("cart_pole").with_joint("slider", "on_curve", axis=[0.0, 0.0, 1.0])
     state = rb.State(jnp.array([0.4, 0.3]), jnp.array([0.5, -0.2]))
 
-    @functools.partial(quick_jit, static_argnums=(0, 1))
+    @functools.partial(jax.jit, static_argnums=(0, 1))
     def end(integrator, n):
         return rb.rollout(model, state, None, 0.4 / n, steps=n, integrator=integrator).q[-1]
 
@@ -355,7 +354,7 @@ def test_motion(kind: str) -> None:
         path = rb.rollout(model, start, steps=100, integrator="rk4")
         return path.q[-1], path
 
-    @quick_jit
+    @jax.jit
     def found(scale):
         end, rate, path = jax.jvp(run, (scale,), (1.0,), has_aux=True)
         return end, rate, energy(path)

@@ -16,7 +16,6 @@ from rbjax.dynamics.unrolled import Unrolled
 from rbjax.lanes import fusion_barrier
 from rbjax.model import WORLD, partition
 from rbjax.threads.frame import batch_first, write_program
-from tests.quickly import quick_jit
 from tests.robots import Robot, load_quietly, robot
 from tests.threads.host import COMPILER, on_host
 from tests.tolerances import F64_PARITY, relative_error
@@ -175,7 +174,7 @@ def given(sample: Robot, count: int) -> list[np.ndarray]:
 
 
 def run(f, *args):
-    return quick_jit(f)(*args)
+    return jax.jit(f)(*args)
 
 
 def agree(got, want, batch_dims: int = 0) -> None:

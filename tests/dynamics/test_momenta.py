@@ -8,7 +8,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.dynamics.momenta import momentum_and_rate, momentum_of, nearby_velocity, velocity_of
-from tests.quickly import quick_jit
 from tests.robots import at, mass_matrix, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, GRADIENT, relative_error
 
@@ -80,6 +79,6 @@ def test_derivatives_of_the_velocity_of_a_momentum():
         return jax.jacfwd(f), jax.jacrev(f), jax.jacfwd(jax.grad(bent))
 
     for got, want in zip(all_of(ours), all_of(dense), strict=True):
-        a, b = (quick_jit(f)((q, p, mass)) for f in (got, want))
+        a, b = (jax.jit(f)((q, p, mass)) for f in (got, want))
         for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
             assert relative_error(x, y) < F64_IDENTITY

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests import quickly
 from tests.oracles.models import MODELS, SINGULAR
 from tests.robots import AS_USERS, QUICK, Robot, at, mass_matrix, robot
 from tests.tolerances import F32_MAX, F32_MEDIAN, F64_PARITY, relative_error
@@ -39,8 +38,6 @@ FAST = [  # (robot, driver, whether the model is an argument of the program: no 
     ("frax/franka_panda/panda.urdf", "rolled", False),
     ("frax/unitree_g1/g1_29dof_rev_1_0.urdf+free", "rolled", False),
 ]
-AS_COMPILED = {"cart_pole", "gyroscope", "gymnasium/half_cheetah.xml", "arm7 in f32"}
-"""What is compiled with all optimizations in quick tests, too (those that are slow always are)."""
 FAST_F32 = ["quadrotor"]
 SLOW_F32 = ["tree:0", "tree:5", "gymnasium/half_cheetah.xml", "frax/franka_panda/panda.urdf"]
 SLOW_F32 += ["arm7", "frax/unitree_g1/g1_29dof_rev_1_0.urdf+free"]
@@ -102,9 +99,7 @@ def errors(name: str, driver: str, *, argument: bool = False, dtype: type = np.f
     given = inputs(sample, dtype)
     want = expected(sample.reference, given)
     batch = [given[n] for n in ("q", "v", "x", "ctrl", "tau", "w")]
-    case = f"{name} in f32" if dtype == np.float32 else name
-    as_users = quickly.by_xla or case in AS_COMPILED
-    jit = functools.partial(jax.jit, compiler_options=AS_USERS) if as_users else quickly.quick_jit
+    jit = functools.partial(jax.jit, compiler_options=AS_USERS)
     if argument:
         got = jit(jax.vmap(answer, (None, 0, 0, 0, 0, 0, 0)))(sample.model, *batch)
     else:

@@ -6,7 +6,6 @@ import jax
 import numpy as np
 
 import rbjax as rb
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, relative_error
 
 BESIDE = """
@@ -22,7 +21,7 @@ def test_a_free_body_beside_a_chain() -> None:
     model = rb.load(BESIDE)
     state, tau = model.random_state(jax.random.key(0)), np.ones(model.nv)
 
-    @functools.partial(quick_jit, static_argnums=0)
+    @functools.partial(jax.jit, static_argnums=0)
     def f(driver, q, v):
         here = model.replace(driver=driver)
         forward, M = rb.forward_dynamics(here, q, v, tau), rb.mass_matrix(here, q)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.quickly import quick_jit
 from tests.robots import robot
 from tests.tolerances import GRADIENT, relative_error
 
@@ -50,7 +49,7 @@ def programs(case: str):
         here, rate = jax.jvp(f, zeros, tangents)
         return here, rate, jax.vjp(f, *zeros)[1](jax.tree.map(jnp.ones_like, here))
 
-    return tuple(quick_jit(f) for f in (values, derivatives))
+    return tuple(jax.jit(f) for f in (values, derivatives))
 
 
 @pytest.mark.parametrize("point", POINTS)
@@ -85,7 +84,7 @@ def test_derivatives(case: str, point: str) -> None:
 def test_a_straight_arm_is_no_singularity_of_the_dynamics() -> None:
     model = rb.load("double_pendulum")
 
-    @quick_jit
+    @jax.jit
     def at(q, v):
         def f(q, v):
             return rb.forward_dynamics(model, q, v, jnp.zeros(2)).sum()
@@ -94,7 +93,7 @@ def test_a_straight_arm_is_no_singularity_of_the_dynamics() -> None:
 
     def central(q, v):
         steps = STEP * np.eye(2)
-        f = quick_jit(lambda q, v: rb.forward_dynamics(model, q, v, jnp.zeros(2)).sum())
+        f = jax.jit(lambda q, v: rb.forward_dynamics(model, q, v, jnp.zeros(2)).sum())
         return np.array([(f(q + h, v) - f(q - h, v)) / (2 * STEP) for h in steps])
 
     for q in (np.zeros(2), np.array([np.pi, 0.0]), np.array([0.3, np.pi])):
@@ -121,14 +120,14 @@ def manifold():
         return rb.difference(model, q, rb.integrate(model, q, dq))
 
     first, second = jax.jacfwd(f, 1), jax.jacfwd(jax.jacrev(f, 1), 1)
-    return quick_jit(lambda q, dq: (first(q, dq), second(q, dq)))
+    return jax.jit(lambda q, dq: (first(q, dq), second(q, dq)))
 
 
 def test_difference_of_a_configuration_with_itself() -> None:
     model = robot("small").model
     q = robot("small").states(1)[0][0]
 
-    @quick_jit
+    @jax.jit
     def at(q0, q1):
         def f(a, b):
             return rb.difference(model, rb.integrate(model, q0, a), rb.integrate(model, q1, b))

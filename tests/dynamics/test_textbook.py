@@ -8,7 +8,6 @@ import pytest
 import rbjax as rb
 from tests.oracles import load
 from tests.oracles.textbook import Case, modern_robotics, planar_2r, rbdl, two_link
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_PARITY, relative_error
 
 
@@ -23,7 +22,7 @@ def test_cai_table_41() -> None:
         )
         return jnp.stack([d11, d12, d22, d11, d11 - d12**2 / d22])
 
-    got = quick_jit(jax.vmap(inertias))(rows[:, 0], np.radians(rows[:, 1]))
+    got = jax.jit(jax.vmap(inertias))(rows[:, 0], np.radians(rows[:, 1]))
     # the scene's links have some moment of inertia where the book's are points
     assert relative_error(got, rows[:, 2:], batch_dims=1).max() <= F64_IDENTITY
 
@@ -62,7 +61,7 @@ def test_modern_robotics(name: str) -> None:
             "EndEffectorForces": -s * rb.dynamics.generalized_forces(model, q, on_robot),
         }
 
-    got = quick_jit(answers)(q, v, a, tau)
+    got = jax.jit(answers)(q, v, a, tau)
     for key, value in got.items():
         want = case.data["recomputed"][key]
         assert relative_error(value, want) <= F64_PARITY, key

@@ -14,7 +14,6 @@ import rbjax as rb
 from rbjax.forces.acting import states
 from rbjax.forces.instant import Instant
 from tests.oracles.random_trees import random_state
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 
 Array = np.ndarray
@@ -88,7 +87,7 @@ def actuation(model: rb.Model, state: rb.State, u: Any) -> tuple[Any, ...]:
 
 def ours(model: rb.Model, samples: Samples) -> tuple[Array, ...]:
     """`actuation` of all samples."""
-    run = quick_jit(jax.vmap(lambda s, u: actuation(model, s, u)))
+    run = jax.jit(jax.vmap(lambda s, u: actuation(model, s, u)))
     return tuple(np.asarray(x) for x in run(samples.state(model), jnp.asarray(samples.u)))
 
 
@@ -117,7 +116,7 @@ def motion_errors(m: mujoco.MjModel, count: int, steps: int = 50) -> list[float]
     """The largest errors of q, v and the states over a rollout."""
     model, samples = load_quietly(m), Samples.of(m, count, spread=0.3)
     u = jnp.broadcast_to(jnp.asarray(samples.u)[:, None], (count, steps, m.nu))
-    run = quick_jit(lambda s, u: rb.rollout(model, s, u))
+    run = jax.jit(lambda s, u: rb.rollout(model, s, u))
     path, data, rows = run(samples.state(model), u), mujoco.MjData(m), []
     for q, v, x, u in zip(samples.q, samples.v, samples.x, samples.u, strict=True):
         mujoco.mj_resetData(m, data)

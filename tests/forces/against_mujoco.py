@@ -12,7 +12,6 @@ import pytest
 
 import rbjax as rb
 from tests.oracles.random_trees import random_state, random_tree
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import relative_error
 
@@ -51,7 +50,7 @@ def mujoco_forces(m: mujoco.MjModel, q: Array, v: Array, ctrl: Array) -> Array:
 def applied(model: rb.Model) -> Callable[..., jax.Array]:
     """`applied_forces` of a batch, the model closed over."""
 
-    @quick_jit
+    @jax.jit
     def f(q, v, ctrl):
         return jax.vmap(lambda q, v, u: rb.applied_forces(model, rb.State(q, v), u))(q, v, ctrl)
 
@@ -88,7 +87,7 @@ def energy_slope(model: rb.Model, q: Array) -> tuple[Array, Array]:
     def energy(dq):
         return rb.forces.elastic_energy(model, rb.integrate(model, q, dq))
 
-    @quick_jit
+    @jax.jit
     def both(zero):
         return rb.applied_forces(model, rb.State(q, zero)), -jax.grad(energy)(zero)
 
@@ -101,7 +100,7 @@ def slopes(f: Callable[[Any], jax.Array], at: Any, step: float = 6e-6) -> float:
     rng = np.random.default_rng(11)
     way = jax.tree.map(lambda x: rng.normal(size=np.shape(x)), at)
 
-    @quick_jit
+    @jax.jit
     def both(at):
         value, rate = jax.jvp(f, (at,), (way,))
         weight = jax.numpy.cos(1.0 + jax.numpy.arange(value.size)).reshape(value.shape)

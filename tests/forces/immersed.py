@@ -10,7 +10,6 @@ import numpy as np
 
 import rbjax as rb
 from tests.oracles.media import fluid_forces, states
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_TRANSFORM, relative_error
 
@@ -19,7 +18,7 @@ STEP = 6e-6  # of central differences: the cube root of the rounding unit
 
 def run(f: Any, *x: Any) -> Any:
     """f of x, compiled for one run."""
-    return quick_jit(f)(*x)
+    return jax.jit(f)(*x)
 
 
 def calm(model: rb.Model) -> rb.Model:
@@ -53,7 +52,7 @@ def gradients_agree(model: rb.Model, q: Any, v: Any, tolerance: float) -> None:
         return weights @ fluid(model.replace(forces=forces, bodies=bodies), q, v)
 
     point = (model.forces, model.bodies, jnp.asarray(q), jnp.asarray(v))
-    derivative = quick_jit(jax.value_and_grad(value, (0, 1, 2, 3)))
+    derivative = jax.jit(jax.value_and_grad(value, (0, 1, 2, 3)))
     slope = derivative(*point)[1]
     leaves, tree = jax.tree.flatten(point)
     at_rest = derivative(*point[:3], 0.0 * point[3])

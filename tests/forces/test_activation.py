@@ -1,11 +1,11 @@
 """Activations: the exact step of a filter, ranges, and windings of a controlled angle."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.forces.activation import Filter, Integrator
 from tests.forces.actuated import actuation, errors, limbs
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, F64_ROUNDING
 
@@ -51,7 +51,7 @@ def test_against_mujoco():
 def test_without_controls_nothing_moves_the_states():
     model = load_quietly(limbs(*LAWS[:2]))
     state = model.default_state().replace(x=jnp.array([0.1, 0.2]))
-    run = quick_jit(actuation)
+    run = jax.jit(actuation)
     tau, rate, after = run(model, state, None)
     np.testing.assert_array_equal(after, [0.1, 0.2])
     assert not np.any(tau) and not np.any(rate)

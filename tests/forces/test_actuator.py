@@ -11,7 +11,6 @@ from rbjax.forces.acting import loads, states
 from rbjax.forces.instant import Instant
 from tests.forces.actuated import Samples, actuation, errors, limbs, motion_errors, ours
 from tests.oracles.random_actuators import random_actuated
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.threads.host import COMPILER, on_host
 from tests.tolerances import F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error
@@ -52,7 +51,7 @@ def test_drivers_agree_and_a_model_may_be_an_argument():
         for a, b in zip(ours(model.replace(driver=driver), samples), expected, strict=True):
             assert relative_error(a, b) < F64_TRANSFORM
     state = jax.tree.map(lambda x: x[0], samples.state(model))
-    run = quick_jit(actuation)
+    run = jax.jit(actuation)
     for a, b in zip(run(model, state, jnp.asarray(samples.u[0])), expected, strict=True):
         assert relative_error(a, b[0]) < F64_TRANSFORM
 
@@ -71,13 +70,13 @@ def test_derivatives_by_numbers_and_controls():
         return (tau * weights[0]).sum() + (states(now.model, now) * weights[1]).sum()
 
     at = (model.forces, u, state.x)
-    slopes = quick_jit(jax.grad(loss, argnums=(0, 1, 2)))(*at)
+    slopes = jax.jit(jax.grad(loss, argnums=(0, 1, 2)))(*at)
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(slopes))
 
     def direction(x):  # a limit that is infinite stays so
         return jnp.where(jnp.isfinite(x), jnp.asarray(rng.normal(size=x.shape)), 0.0)
 
-    along, run = jax.tree.map(direction, at), quick_jit(loss)
+    along, run = jax.tree.map(direction, at), jax.jit(loss)
     for part in range(3):
         toward = [d if k == part else jax.tree.map(jnp.zeros_like, d) for k, d in enumerate(along)]
         h = 5e-7
@@ -103,8 +102,8 @@ def test_a_gradient_through_a_motion():
         return rb.rollout(model, state, jnp.tile(u, (5, 1))).q[-1, 0]
 
     u, h = jnp.array([0.3, -0.2]), 1e-5
-    slope = quick_jit(jax.grad(end))(u)
-    run = quick_jit(end)
+    slope = jax.jit(jax.grad(end))(u)
+    run = jax.jit(end)
     differences = [(run(u + e) - run(u - e)) / (2 * h) for e in h * jnp.eye(2)]
     np.testing.assert_allclose(slope, differences, rtol=1e-6)
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, relative_error
 
@@ -37,8 +36,8 @@ def agrees_with_mujoco(text: str, ctrl: np.ndarray, driver: str = "unrolled", cl
     data = mujoco.MjData(m)
     data.qpos[:], data.qvel[:], data.ctrl[:] = state.q, state.v, ctrl
     mujoco.mj_forward(m, data)
-    f = quick_jit(lambda state: rb.applied_forces(model, state, ctrl))
-    found = f(state) if closed else quick_jit(rb.applied_forces)(model, state, ctrl)
+    f = jax.jit(lambda state: rb.applied_forces(model, state, ctrl))
+    found = f(state) if closed else jax.jit(rb.applied_forces)(model, state, ctrl)
     assert relative_error(found, data.qfrc_actuator) < F64_PARITY
     return model
 

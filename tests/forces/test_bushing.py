@@ -6,7 +6,6 @@ import numpy as np
 
 import rbjax as rb
 from tests.forces.against_mujoco import applied, costs_nothing, energy_slope, slopes
-from tests.quickly import quick_jit
 from tests.robots import robot
 from tests.tolerances import F64_IDENTITY, GRADIENT
 
@@ -41,7 +40,7 @@ def test_dampers_take_the_power_of_the_relative_motion() -> None:
         (R, p), (E, o) = rb.site_pose(model, q, site="tip"), _slider(model, q)
         return E.T @ R, E.T @ (p - o)
 
-    @quick_jit
+    @jax.jit
     @jax.vmap
     def expected(q, v):
         at, rates = jax.jvp(lambda t: seen(rb.integrate(model, q, t * v)), (0.0,), (1.0,))

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.quickly import quick_jit
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 STEP, STEPS = 1e-6, 20
@@ -35,7 +34,7 @@ def end(wind, kernel):
     return jnp.concatenate([path.q[-1], path.v[-1]])
 
 
-blown = quick_jit(end, static_argnames=("kernel",))
+blown = jax.jit(end, static_argnames=("kernel",))
 WIND = Wind(jnp.array([8.0, 2.0, 0.0]), jnp.array(0.4))
 
 
@@ -58,7 +57,7 @@ def test_wind_by_a_stranger():
 def test_gradients_by_its_numbers(on, kernel):
     rng, wind = np.random.default_rng(0), Wind(WIND.air, WIND.drag, on)
     ways = rng.normal(size=blown(wind, kernel=False).shape)
-    slope = quick_jit(jax.grad(lambda x: ways @ end(x, kernel)))
+    slope = jax.jit(jax.grad(lambda x: ways @ end(x, kernel)))
     slopes = slope(wind)
     for name in ("air", "drag"):
         x, g = getattr(wind, name), getattr(slopes, name)

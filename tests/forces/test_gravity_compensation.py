@@ -18,7 +18,6 @@ from tests.forces.against_mujoco import (
     tree,
     worst_error,
 )
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, GRADIENT
 
@@ -67,7 +66,7 @@ def test_both_kinds_on_every_driver(driver: str) -> None:
 
 def test_without_controls_the_actuators_share_is_gone() -> None:
     model = rb.load(LEG)
-    f = quick_jit(lambda state: rb.applied_forces(model, state))
+    f = jax.jit(lambda state: rb.applied_forces(model, state))
     tau = f(model.default_state())
     assert tau[1] != 0 and not np.any(tau[np.array([0, 2, 3, 4])])
 

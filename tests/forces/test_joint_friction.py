@@ -8,7 +8,6 @@ import pytest
 
 import rbjax as rb
 from tests.forces.against_mujoco import applied, costs_nothing, slopes
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, GRADIENT
 
@@ -52,7 +51,7 @@ def test_acceleration_while_sliding(text: str) -> None:
     mujoco.mj_forward(m, data)
     ratio = model.forces[0].coulomb[0] / (5 * model.forces[0].coulomb[0]) * 25  # 5 per inertia
 
-    @quick_jit
+    @jax.jit
     def error(v_0):
         state = rb.State(jnp.zeros(1), jnp.full(1, v))
         changed = smoothed(model, 1.0).forces[0].replace(smoothing=v_0[None])
@@ -75,7 +74,7 @@ def test_a_motion_that_comes_to_rest_converges_with_order_one() -> None:
     assert abs(data.qpos[0] - 1.0) < 2e-3  # v^2 / (2 (5 - 3))
     start = rb.State(jnp.zeros(1), jnp.full(1, 2.0))
 
-    @quick_jit
+    @jax.jit
     @jax.vmap
     def end(v_0):
         changed = model.forces[0].replace(smoothing=v_0[None])

@@ -9,7 +9,6 @@ import pytest
 import rbjax as rb
 from rbjax.forces.joint_limits import stop_energy, stop_force
 from tests.forces.against_mujoco import AT_A_JUMP, applied, costs_nothing, slopes
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_IDENTITY
 
@@ -144,7 +143,7 @@ def test_two_stops_that_are_apart_cost_as_one() -> None:
     v = 3 * jnp.cos(40 * q)
     for element, margin in ((model.forces[0], 0.0), (wide, 0.8)):
         changed = model.replace(forces=(element,))
-        run = quick_jit(jax.vmap(lambda q, v, m=changed: force(m, q[None], v[None])))
+        run = jax.jit(jax.vmap(lambda q, v, m=changed: force(m, q[None], v[None])))
         np.testing.assert_allclose(run(q, v), both(q, v, margin), rtol=F64_IDENTITY, atol=1e-9)
     at = (jnp.array([0.6]), jnp.array([1.0]))
     one = rb.operation_count(force, model, *at).total
@@ -156,7 +155,7 @@ def test_two_stops_that_are_apart_cost_as_one() -> None:
 @pytest.mark.parametrize("p", [0.0, 0.02, STOP[2], 0.2])
 def test_the_law_is_once_differentiable(p: float, rate: float) -> None:
     """Slopes from both sides of where its branches meet are one."""
-    slope = quick_jit(jax.vmap(jax.grad(lambda p, rate: stop_force(p, rate, *STOP), (0, 1))))
+    slope = jax.jit(jax.vmap(jax.grad(lambda p, rate: stop_force(p, rate, *STOP), (0, 1))))
     near = jnp.array([-1e-9, 0.0, 1e-9])
     for a, b in ((p + near, rate + 0 * near), (p + 0 * near, rate + near)):
         for x in slope(a, b):
@@ -194,7 +193,7 @@ def test_a_fall_onto_a_stop_gains_no_energy() -> None:
     state = model.default_state().replace(q=jnp.array([-0.5]))
     path = rb.rollout(model, state, steps=4000, dt=2.5e-4, integrator="rk4")
 
-    @quick_jit
+    @jax.jit
     @jax.vmap
     def energy(q, v):
         moving = rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q)

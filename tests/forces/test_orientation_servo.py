@@ -8,7 +8,6 @@ import rbjax as rb
 from rbjax.forces.acting import states
 from rbjax.forces.instant import Instant
 from tests.forces.actuated import errors, limbs
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY
 
@@ -42,5 +41,5 @@ def test_derivatives_are_finite_at_the_target():
     def torque(q, u, model):
         return rb.applied_forces(model, state.replace(q=q), u)
 
-    slopes = quick_jit(jax.jacfwd(torque, (0, 1)))(state.q, u, model)
+    slopes = jax.jit(jax.jacfwd(torque, (0, 1)))(state.q, u, model)
     assert all(np.isfinite(x).all() for x in slopes)

@@ -18,7 +18,6 @@ from tests.forces.against_mujoco import (
     tree,
     worst_error,
 )
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, GRADIENT
 
@@ -132,7 +131,7 @@ def test_a_stretched_spring_whose_ends_meet_has_finite_slopes() -> None:
     def f(forces, q, v):
         return rb.applied_forces(model.replace(forces=forces), rb.State(q, v))
 
-    slope = quick_jit(jax.jacrev(f, (0, 1, 2)))(model.forces, state.q, state.v)
+    slope = jax.jit(jax.jacrev(f, (0, 1, 2)))(model.forces, state.q, state.v)
     assert all(bool(jnp.isfinite(x).all()) for x in jax.tree.leaves(slope))
     assert not np.any(f(model.forces, state.q, state.v))
 

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from tests.quickly import quick_jit
 
 MODEL = rb.load("double_pendulum")
 DRAG = np.array([0.3, 0.7])
@@ -19,7 +18,7 @@ def torques(v, drag=DRAG):
 
 
 def test_each_joint_carries_the_drag_of_all_arms_after_it():
-    found = quick_jit(torques)
+    found = jax.jit(torques)
     for v in ([1.5, -0.4], [-2.0, 3.0], [0.0, 0.0]):
         w = np.cumsum(v)  # in the world
         on_arm = -DRAG * np.abs(w) * w
@@ -27,5 +26,5 @@ def test_each_joint_carries_the_drag_of_all_arms_after_it():
 
 
 def test_it_has_a_derivative_at_rest():
-    slope = quick_jit(jax.jacfwd(torques))(jnp.zeros(2))
+    slope = jax.jit(jax.jacfwd(torques))(jnp.zeros(2))
     np.testing.assert_allclose(slope, 0.0, atol=1e-5)

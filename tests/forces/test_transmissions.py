@@ -8,7 +8,6 @@ import pytest
 
 from rbjax.forces.instant import Instant
 from tests.forces.actuated import Samples, limbs
-from tests.quickly import quick_jit
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY, GRADIENT, relative_error
 
@@ -61,7 +60,7 @@ ROBOT = limbs(*(f'<general {t} dyntype="integrator"/>' for t in TRANSMISSIONS))
 def test_against_mujoco(driver):
     model, one = reaches(ROBOT, driver)
     samples = Samples.of(ROBOT, 100)
-    found = quick_jit(jax.vmap(one))(samples.state(model))
+    found = jax.jit(jax.vmap(one))(samples.state(model))
     data = mujoco.MjData(ROBOT)
     for k, (q, v) in enumerate(zip(samples.q, samples.v, strict=True)):
         data.qpos, data.qvel = q, v
@@ -85,9 +84,9 @@ def test_arms_are_gradients_where_lengths_are_in_space():
     def moved(h):
         q = np.array(state.q)
         mujoco.mj_integratePos(ROBOT, q, np.array(state.v), h)
-        return np.array(quick_jit(one)(state.replace(q=q))[0])
+        return np.array(jax.jit(one)(state.replace(q=q))[0])
 
     h = 1e-5
     slope = (moved(h) - moved(-h)) / (2 * h)
-    speeds = quick_jit(one)(state)[1]
+    speeds = jax.jit(one)(state)[1]
     assert relative_error(speeds[jnp.array(in_space)], slope[in_space]) < GRADIENT

@@ -21,7 +21,6 @@ import pytest
 import rbjax as rb
 from rbjax.loading import load as loading
 from tests.loading.test_load import joint, link, mjcf, urdf
-from tests.quickly import quick_jit
 from tests.robots import SMALL
 
 SCENES = Path(loading.__code__.co_filename).parent / "scenes"
@@ -233,7 +232,7 @@ def told(path: Path) -> rb.Model | None:
     return None if any("move no mass" in str(w.message) for w in said) else model
 
 
-@quick_jit
+@jax.jit
 def accelerations(model, q, v):
     state = rb.State(q, v, model.start(q.dtype))
     return rb.forward_dynamics(model, q, v, rb.applied_forces(model, state, jnp.ones(model.nu)))

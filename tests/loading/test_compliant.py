@@ -13,7 +13,6 @@ from rbjax.forces.acting import applied
 from rbjax.forces.inputs import Inputs
 from rbjax.loading import compile_model
 from tests.loading.test_constraints import EQUALITIES, TREE
-from tests.quickly import quick_jit
 
 SOFTNESS = [  # the default, standard and direct, steep, flat and far
     "",
@@ -44,7 +43,7 @@ def test_accelerations_are_those_of_mujoco(shift: int) -> None:
     assert [type(x) for x in model.constraints] == [rc.Soft] * len(order)
     data = mujoco.MjData(m)
 
-    @quick_jit
+    @jax.jit
     def ours(state):
         tau, pushes, _ = applied(model, 0.0, state, Inputs(None))
         return compliant_motion(model, 0.0, state, tau, pushes)[0]

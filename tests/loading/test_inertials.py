@@ -4,6 +4,7 @@ import importlib.metadata
 import warnings
 from pathlib import Path
 
+import jax
 import mujoco
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from rbjax.loading import compile_model
 from tests.loading.test_load import joint, urdf
 from tests.oracles.models import REFUSED
 from tests.oracles.pinocchio_urdf import Peer
-from tests.quickly import quick_jit
 from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 
 Array = np.ndarray
@@ -50,7 +50,7 @@ def error_beside_pinocchio(source, *, floating_base: bool = False, states: int =
         bias, a = rb.bias_forces(model, q, v), rb.forward_dynamics(model, q, v, tau)
         return rb.mass_matrix(model, q), bias, a
 
-    ours = quick_jit(ours)
+    ours = jax.jit(ours)
     rng, worst, free = np.random.default_rng(0), 0.0, "free" in model.topology.joint_kinds
     for _ in range(states):
         q = rng.normal(size=model.nq)

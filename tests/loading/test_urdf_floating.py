@@ -8,7 +8,6 @@ import pytest
 import rbjax as rb
 from tests.loading.test_inertials import error_beside_pinocchio, link
 from tests.loading.test_load import joint, urdf
-from tests.quickly import quick_jit
 from tests.tolerances import F64_PARITY, relative_error
 
 WORLD = '<link name="world"/>'
@@ -31,7 +30,7 @@ def test_below_a_moving_link_a_body_flies_on_its_own() -> None:
         R = rb.forward_kinematics(model, q).R[model.body("fly")]
         return a, moved, J @ v, R
 
-    a, moved, V, R = quick_jit(rates)(state.q, state.v)
+    a, moved, V, R = jax.jit(rates)(state.q, state.v)
     want = rb.forward_dynamics(alone, state.q[:1], state.v[:1], jnp.zeros(1))
     assert relative_error(a[:1], want) <= F64_PARITY
     assert relative_error(moved[3:], model.gravity) <= F64_PARITY

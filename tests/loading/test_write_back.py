@@ -1,12 +1,12 @@
 """A model's numbers in the user's own file: read again, it is the found model; the rest stays."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rbjax as rb
 from rbjax.sysid import Inertia, log_cholesky_parameters, pseudo_inertia_of, to_log_cholesky
-from tests.quickly import quick_jit
 
 MJCF = """
 <mujoco model="mine">
@@ -53,11 +53,11 @@ def same(model, again):
     """Accelerations of both to 1e-9."""
     rng = np.random.default_rng(0)
     q, v = rng.normal(size=(2, model.nq))
-    run = quick_jit(lambda m: rb.forward_dynamics(m, jnp.asarray(q), jnp.asarray(v), jnp.zeros(2)))
+    run = jax.jit(lambda m: rb.forward_dynamics(m, jnp.asarray(q), jnp.asarray(v), jnp.zeros(2)))
     np.testing.assert_allclose(run(again), run(model), rtol=1e-9)
     u = jnp.asarray(rng.normal(size=model.nu))
     state = rb.State(jnp.asarray(q), jnp.asarray(v))
-    of = quick_jit(lambda m: rb.applied_forces(m, state, u))
+    of = jax.jit(lambda m: rb.applied_forces(m, state, u))
     np.testing.assert_allclose(of(again), of(model), rtol=1e-9, atol=1e-12)
 
 

@@ -22,7 +22,6 @@ from tests.oracles.media import fluid_forces, immersed_tree, states
 from tests.oracles.models import MODELS
 from tests.oracles.random_actuators import random_actuated
 from tests.oracles.random_trees import random_state
-from tests.quickly import quick_jit
 from tests.robots import load_quietly, robot
 from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 
@@ -66,7 +65,7 @@ def accelerations(text_or_model, q, v, u) -> np.ndarray:
     return np.array(rows)
 
 
-@quick_jit
+@jax.jit
 def dynamics(model, q, v, u):
     def one(q, v, u):
         tau = rb.applied_forces(model, rb.State(q, v, model.start(q.dtype)), u)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.quickly import quick_jit
 from tests.robots import robot
 from tests.tolerances import F32_MEDIAN, F64_TRANSFORM, GRADIENT, relative_error
 
@@ -105,7 +104,7 @@ def test_a_vmap_over_models_is_a_loop() -> None:
     fleet = jax.vmap(scaled)(scales)
     assert fleet.bodies.mass.shape == (4, 4)
     one = jax.jit(motion)
-    together = quick_jit(jax.vmap(motion, (0, None, None, None)))(fleet, q, v, w)
+    together = jax.jit(jax.vmap(motion, (0, None, None, None)))(fleet, q, v, w)
     alone = [one(scaled(s), q, v, w) for s in scales]
     assert relative_error(together, alone) <= F64_TRANSFORM
     assert one._cache_size() == 1
@@ -115,7 +114,7 @@ def test_no_number_recompiles() -> None:
     """A program is compiled for a topology and shapes, not for the numbers of one robot."""
     traces = 0
 
-    @quick_jit
+    @jax.jit
     def energy(model, q):
         nonlocal traces
         traces += 1
@@ -131,8 +130,8 @@ def test_closed_over_is_the_same_number_with_less_arithmetic() -> None:
     model = aligned()
     q, v = (x[0] for x in robot("small").states(1))
     w = np.arange(1.0, 6.0)
-    closed = quick_jit(lambda q, v: motion(model, q, v, w))(q, v)
-    assert relative_error(closed, quick_jit(motion)(model, q, v, w)) <= F64_TRANSFORM
+    closed = jax.jit(lambda q, v: motion(model, q, v, w))(q, v)
+    assert relative_error(closed, jax.jit(motion)(model, q, v, w)) <= F64_TRANSFORM
 
 
 FIXED = {  # what is computed, and the driver
@@ -159,11 +158,11 @@ def test_what_is_fixed_is_ignored_however_the_model_comes(case: tuple[str, str])
 
     want = jax.tree_util.tree_map_with_path(by_hand, straight, straight.replace(**numbers))
     q, v = (x[0] for x in robot("small").states(1))
-    want = quick_jit(f)(want, q, v)
+    want = jax.jit(f)(want, q, v)
     found = {
-        "argument": quick_jit(f)(model, q, v),
-        "closed over": quick_jit(lambda q, v: f(model, q, v))(q, v),
-        "half": quick_jit(lambda b, q, v: f(model.replace(bodies=b), q, v))(model.bodies, q, v),
+        "argument": jax.jit(f)(model, q, v),
+        "closed over": jax.jit(lambda q, v: f(model, q, v))(q, v),
+        "half": jax.jit(lambda b, q, v: f(model.replace(bodies=b), q, v))(model.bodies, q, v),
     }
     for how, got in found.items():
         assert relative_error(got, want) <= F64_TRANSFORM, how
@@ -182,8 +181,8 @@ def test_the_state_says_the_dtype(driver: str, fixed: bool, state) -> None:
     q, v, tau = (jnp.array(x, state) for x in ([0.3, -0.7], [0.2, 1.1], [0.5, -0.4]))
     want = rb.forward_dynamics(double, *(x.astype(jnp.float64) for x in (q, v, tau)))
     found = [
-        quick_jit(rb.forward_dynamics)(model, q, v, tau),
-        quick_jit(lambda q: rb.forward_dynamics(model, q, v, tau))(q),
+        jax.jit(rb.forward_dynamics)(model, q, v, tau),
+        jax.jit(lambda q: rb.forward_dynamics(model, q, v, tau))(q),
         rb.rollout(model, rb.State(q, v), steps=1, dt=1e-3).v[-1],
     ]
     assert all(x.dtype == state for x in found)

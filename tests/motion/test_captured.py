@@ -507,7 +507,6 @@ FAMILIES = {
 
 
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
-@pytest.mark.usefixtures("by_xla")
 def test_other_numbers_compile_nothing_again(family):
     value(family(0.5))
     with compilations() as compiled:
@@ -517,7 +516,6 @@ def test_other_numbers_compile_nothing_again(family):
     np.testing.assert_allclose(found, want, rtol=F64_IDENTITY)
 
 
-@pytest.mark.usefixtures("by_xla")
 def test_what_branches_on_a_number_is_compiled_once_for_each():
     family = lambda k: lambda t, s: k * s.v if k > 0 else -k * s.v  # noqa: E731
     with compilations() as compiled:
@@ -641,7 +639,6 @@ def solved(policy, **how):
 
 
 @pytest.mark.parametrize("march", [rolled, pytest.param(solved, marks=pytest.mark.slow)])
-@pytest.mark.usefixtures("by_xla")
 def test_twenty_lambdas_are_one_program(march):
     def end(k):
         return march(lambda t, s: -k * s.v[:1])
@@ -664,7 +661,6 @@ def test_twenty_lambdas_are_one_program(march):
     assert relative_error(here, (end(0.5 + h) - end(0.5 - h))[1] / (2 * h)) < GRADIENT
 
 
-@pytest.mark.usefixtures("by_xla")
 def test_laws_integrators_and_forces_are_read_too():
     def run(k):
         def law(model, t, state, tau, pushes):
@@ -685,7 +681,6 @@ def test_laws_integrators_and_forces_are_read_too():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("by_xla")
 def test_memory_is_bounded(monkeypatch):
     """Programs leave when others come: functions that differ in more than numbers."""
     few = functools.lru_cache(2, typed=True)(rollout_file._compiled.__wrapped__)

@@ -11,7 +11,6 @@ import rbjax as rb
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from tests.forces.elements import Lag, Wind
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, relative_error
 
 STEPS, DT = 3, 0.01
@@ -51,7 +50,7 @@ def test_arrays_are_those_of_the_definition(kernel):
         model, states, given.ctrl, DT, tau=given.tau, wrenches=given.wrenches, kernel=kernel
     )
     for i in range(2):
-        want = quick_jit(functools.partial(by_hand, i=i))(
+        want = jax.jit(functools.partial(by_hand, i=i))(
             model, jax.tree.map(lambda x, i=i: x[i], states), given
         )
         found = jax.tree.map(lambda x, i=i: x[i], path.state(STEPS))

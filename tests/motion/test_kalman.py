@@ -11,7 +11,6 @@ from rbjax.errors import InputError
 from rbjax.motion.kalman import StateSpace, kalman_filter, kalman_smoother
 from rbjax.motion.linearise import apart, beside
 from rbjax.rotations import quaternion
-from tests.quickly import quick_jit
 
 N, n, l, m = 9, 3, 2, 2  # transitions, state, process noise, readings
 RNG = np.random.default_rng(0)
@@ -60,7 +59,7 @@ def test_a_linear_system_is_conditioned_as_one_dense_gaussian(P0):
     gain = np.linalg.solve(S, C @ P).T
     state, covariance = mean + gain @ (y - C @ mean), P - gain @ C @ P
 
-    @quick_jit
+    @jax.jit
     def both(P0):
         f = found(P0)
         return f, kalman_smoother(linear(), f)
@@ -83,7 +82,7 @@ def test_a_linear_system_is_conditioned_as_one_dense_gaussian(P0):
 
 def test_the_smoother_is_least_squares():
     """The maximum a posteriori of x_0 and all w, by dense linear least squares."""
-    s = quick_jit(lambda: kalman_smoother(linear(), found()))()
+    s = jax.jit(lambda: kalman_smoother(linear(), found()))()
     half = [np.linalg.cholesky(np.linalg.inv(x)).T for x in (P0, W, R)]
 
     def path(v):
@@ -111,8 +110,8 @@ def test_the_smoother_is_least_squares():
 
 def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     """By their own recursion, with the inverse of the predicted covariance."""
-    f = quick_jit(found)()
-    s = quick_jit(lambda f: kalman_smoother(linear(), f))(f)
+    f = jax.jit(found)()
+    s = jax.jit(lambda f: kalman_smoother(linear(), f))(f)
     x, P = np.asarray(f.state[-1]), np.asarray(f.covariance[-1])
     for k in range(N - 1, -1, -1):
         before, ahead = np.asarray(f.covariance[k]), np.asarray(f.predicted_covariance[k + 1])
@@ -125,15 +124,15 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
 
 def test_precise_sensors_leave_no_negative_variance():
     """Twelve decades between the start's variance and the noise's."""
-    f = quick_jit(lambda: found(1e6 * np.eye(n), R=1e-6 * np.eye(m)))()
+    f = jax.jit(lambda: found(1e6 * np.eye(n), R=1e-6 * np.eye(m)))()
     assert np.linalg.eigvalsh(f.covariance).min() >= -1e-12
     np.testing.assert_allclose(f.covariance, np.swapaxes(f.covariance, 1, 2), atol=1e-12)
 
 
 def test_compiled_batched_and_as_long_as_it_wants():
     f = lambda p: found(p=p).log_likelihood  # noqa: E731
-    many = quick_jit(jax.vmap(f))(jnp.array([0.8, 1.0]))
-    np.testing.assert_allclose(many[1], quick_jit(f)(1.0), rtol=1e-12)
+    many = jax.jit(jax.vmap(f))(jnp.array([0.8, 1.0]))
+    np.testing.assert_allclose(many[1], jax.jit(f)(1.0), rtol=1e-12)
 
     def program(count):
         zeros = jnp.zeros((count, 1)), jnp.zeros((count + 1, m))
@@ -169,7 +168,7 @@ def test_attitudes_are_filtered_wherever_they_point():
         x = move(x, 0.0, 0.05 * rng.normal(size=3))
     truth, seen = jnp.array(truth), jnp.array(seen)
 
-    @quick_jit
+    @jax.jit
     def both(seen):
         begin = rb.State(seen[0], jnp.zeros(3))
         P = jnp.array([sigma**2] * 3 + [9.0] * 3)

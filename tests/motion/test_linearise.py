@@ -10,13 +10,12 @@ import pytest
 import rbjax as rb
 from rbjax.motion.linearise import apart, beside
 from tests.forces.elements import Lag, Wind
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, relative_error
 
 EPS = 1e-6
 
 
-linearised = quick_jit(rb.linearise)
+linearised = jax.jit(rb.linearise)
 
 
 def model_with_states() -> rb.Model:
@@ -42,7 +41,7 @@ def test_a_pendulum_in_closed_form():
 def test_a_step_is_one_of_rollout(integrator, key):
     model = model_with_states()
     state, u = model.random_state(key), 0.3 * jnp.ones(model.nu)
-    stepped = quick_jit(functools.partial(rb.step, integrator=integrator))
+    stepped = jax.jit(functools.partial(rb.step, integrator=integrator))
     one = stepped(model, state, u, 0.01)
     path = rb.rollout(model, state, u[None], 0.01, integrator=integrator)
     for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(path.state(1)), strict=True):
@@ -74,7 +73,7 @@ def test_a_step_is_differentiated(key):
     n = 2 * model.nv + model.nx
     assert A.shape == (n, n) and B.shape == (n, model.nu)
 
-    @quick_jit
+    @jax.jit
     def moved(dx, du):
         after = rb.step(model, beside(model, state, dx), u + du, 0.01)
         return apart(model, rb.step(model, state, u, 0.01), after)

@@ -21,7 +21,6 @@ from rbjax.motion.march import March, keep_every
 from rbjax.motion.pullback import Pullback
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import traced
-from tests.quickly import quick_jit
 from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
@@ -96,7 +95,7 @@ def weighed(f):
 def test_a_march_is_a_scan(save_every, k, leaving):
     program, want = marched(save_every, k, leaving), scanned(save_every)
 
-    @quick_jit
+    @jax.jit
     def both(w, q, v, us):
         found = []
         for f in (lambda *args: run(program, args), want):
@@ -119,7 +118,7 @@ def test_a_march_without_controls(k):
             qs, _ = jax.vmap(lambda q, v: f(q, v, w))(Q, V)
             return (qs[:, -1] ** 2).sum()
 
-        return quick_jit(jax.value_and_grad(loss))
+        return jax.jit(jax.value_and_grad(loss))
 
     got = last(lambda *args: run(program, args))
     agree(got(OTHER), last(lambda q, v, w: want(q, v, jnp.zeros((STEPS, NU)), w))(OTHER))
@@ -206,7 +205,7 @@ def size(path: rb.Trajectory):
 def compare(f, *args) -> None:
     """f(kernel, *args), with True and with False."""
     got, want = (
-        quick_jit(lambda *a, kernel=kernel: f(kernel, *a))(*args)
+        jax.jit(lambda *a, kernel=kernel: f(kernel, *a))(*args)
         for kernel in (True, False)
     )
     agree(got, want, F64_IDENTITY)

@@ -13,7 +13,6 @@ from rbjax.dynamics.manifold import rate_lanes
 from rbjax.loading import compile_model
 from rbjax.rotations import so3
 from tests.compilations import compilations
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_PARITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEPS, DT = 60, 0.002
@@ -136,14 +135,14 @@ def test_reverse_gradient_is_the_difference_quotient(integrator, key):
     state = model.random_state(key)
     ctrls = jax.random.normal(key, (20, 1))
 
-    @quick_jit
+    @jax.jit
     def loss(ctrls, q, v, mass):
         changed = model.replace(bodies=model.bodies.replace(mass=mass))
         out = rb.rollout(changed, rb.State(q, v), ctrls, 0.01, integrator=integrator, save_every=4)
         return (out.q**2).sum() + jnp.sin(out.v).sum()
 
     at = (ctrls, state.q, state.v, model.bodies.mass)
-    gradient = quick_jit(jax.grad(loss, (0, 1, 2, 3)))(*at)
+    gradient = jax.jit(jax.grad(loss, (0, 1, 2, 3)))(*at)
     keys = jax.random.split(key, 4)
     step = tuple(jax.random.normal(k, x.shape) for k, x in zip(keys, at, strict=True))
     h = 1e-5
@@ -242,7 +241,6 @@ class Gain(eqx.Module):
         return self.k @ state.v
 
 
-@pytest.mark.usefixtures("by_xla")
 def test_a_policy_may_be_a_module(key):
     """Its arrays are arguments: differentiable, and others compile nothing again."""
     model = rb.load("cart_pole")

@@ -10,7 +10,6 @@ import pytest
 import rbjax as rb
 from rbjax.motion.variational import VariationalMidpoint
 from tests.forces.elements import Lag, Wind
-from tests.quickly import quick_jit
 from tests.threads.host import COMPILER, many_on_host
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
@@ -20,7 +19,7 @@ SLOW = pytest.mark.slow
 
 def energies(model: rb.Model, path: rb.Trajectory) -> np.ndarray:
     one = lambda q, v: rb.kinetic_energy(model, q, v) + rb.potential_energy(model, q)  # noqa: E731
-    return np.asarray(quick_jit(jax.vmap(one))(path.q, path.v))
+    return np.asarray(jax.jit(jax.vmap(one))(path.q, path.v))
 
 
 def form(model: rb.Model, p: jax.Array) -> np.ndarray:
@@ -57,7 +56,7 @@ def test_a_step_keeps_the_symplectic_form(scene, evaluations):
         after = rb.step(model, rb.State(q, v), None, 0.01, integrator=method)
         return p, after.q, rb.mass_matrix(model, after.q) @ after.v
 
-    @quick_jit
+    @jax.jit
     def both(at):
         p0, q1, p1 = stepped(at, at)
 
@@ -100,7 +99,7 @@ def test_momentum_of_a_free_robot_is_kept():
     path = rb.rollout(model, state, None, 0.02, steps=40, save_every=10, integrator=NAME)
     assert path.ok
     momentum = jax.vmap(lambda q, v: rb.centroidal_momentum(model, q, v))
-    kept = quick_jit(momentum)(path.q, path.v)
+    kept = jax.jit(momentum)(path.q, path.v)
     assert relative_error(kept[1:], np.broadcast_to(kept[0], (4, 6))) < F64_IDENTITY
     e = energies(model, path)
     assert np.abs(e - e[0]).max() < 1e-3 * e[0]
@@ -126,7 +125,7 @@ def test_order_two_with_forces(which):
 
     more = {"law": held} if which == "held" else {}
 
-    @functools.partial(quick_jit, static_argnums=(0, 1))
+    @functools.partial(jax.jit, static_argnums=(0, 1))
     def end(integrator, n):
         path = rb.rollout(
             model, state, jnp.broadcast_to(u, (n, model.nu)), 0.2 / n, save_every=n,
@@ -147,7 +146,7 @@ def test_gradients_are_difference_quotients(scene):
     state = model.random_state(key)
     ctrls = jax.random.normal(key, (8, model.nu))
 
-    @quick_jit
+    @jax.jit
     def loss(ctrls, dq, v, mass):
         changed = model.replace(bodies=model.bodies.replace(mass=mass))
         start = rb.State(rb.integrate(model, state.q, dq), v)
@@ -157,7 +156,7 @@ def test_gradients_are_difference_quotients(scene):
         return (path.q**2).sum() + jnp.sin(path.v).sum()
 
     at = (ctrls, jnp.zeros(model.nv), state.v, model.bodies.mass)
-    gradient = quick_jit(jax.grad(loss, (0, 1, 2, 3)))(*at)
+    gradient = jax.jit(jax.grad(loss, (0, 1, 2, 3)))(*at)
     keys = jax.random.split(key, 4)
     step = tuple(jax.random.normal(k, x.shape) for k, x in zip(keys, at, strict=True))
     h = 1e-5
@@ -196,7 +195,7 @@ def test_emitted_c(scene, driver):
         return jax.grad(lambda *x: sum((a * a).sum() for a in f(*x)), (0, 1))(q, v)
 
     given = (states.q, states.v)
-    wants = [quick_jit(jax.vmap(g))(*given) for g in (f, slope)]
+    wants = [jax.jit(jax.vmap(g))(*given) for g in (f, slope)]
     for got, want in zip(many_on_host([(f, given), (slope, given)]), wants, strict=True):
         for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(want), strict=True):
             assert relative_error(a, b) < F64_IDENTITY

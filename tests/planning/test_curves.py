@@ -15,7 +15,6 @@ from scipy.optimize import minimize
 
 import rbjax as rb
 from rbjax.planning import Curve, dubins, reeds_shepp, words
-from tests.quickly import quick_jit
 from tests.tolerances import GRADIENT
 
 END = 1e-12  # relative to distances of a few radii: rounding of a few arcs
@@ -52,7 +51,7 @@ def test_curves_end_at_the_goal(shortest) -> None:
 def test_every_word_ends_at_the_goal(table, wrap) -> None:
     """Not only the best: each candidate that exists is an admissible path."""
     goal = pairs(500)[1]
-    find = quick_jit(lambda x, y, phi: words.candidates(table, wrap, x, y, phi))
+    find = jax.jit(lambda x, y, phi: words.candidates(table, wrap, x, y, phi))
     lengths, turns, exists = find(*goal.T)
     curves = Curve(jnp.abs(lengths).sum(-1), lengths, turns, jnp.zeros(3), jnp.ones(()))
     exists = np.asarray(exists)
@@ -168,7 +167,7 @@ def test_gradients(shortest) -> None:
     def lengths(flat):
         return shortest(flat[..., :3], flat[..., 3:6], flat[..., 6]).length
 
-    slope = np.asarray(quick_jit(jax.grad(lambda flat: lengths(flat).sum()))(flat))
+    slope = np.asarray(jax.jit(jax.grad(lambda flat: lengths(flat).sum()))(flat))
     assert np.isfinite(slope).all()
     h = 6e-6
     step = h * np.concatenate([np.eye(7), -np.eye(7)])
@@ -181,7 +180,7 @@ def test_gradients(shortest) -> None:
 def test_transformations_and_dtypes() -> None:
     start, goal, radius = pairs(20)
     want = reeds_shepp(start, goal, radius)
-    mapped = quick_jit(jax.vmap(reeds_shepp))(start, goal, radius)
+    mapped = jax.jit(jax.vmap(reeds_shepp))(start, goal, radius)
     assert np.allclose(mapped.length, want.length, rtol=1e-13)
     single = reeds_shepp(*(x.astype(np.float32) for x in (start, goal, radius)))
     assert single.length.dtype == single.end.dtype == jnp.float32

@@ -6,7 +6,6 @@ import pytest
 from scipy.optimize import linprog
 
 from rbjax.planning import elastic_program
-from tests.quickly import quick_jit
 
 
 def drawn(n: int, m: int, seed: int):
@@ -20,7 +19,7 @@ def test_linear_programs_as_by_a_simplex() -> None:
     """Some rows hold, some give way at their price; many programs at once."""
     n, m = 12, 20
     many = [drawn(n, m, seed) for seed in range(4)]
-    run = quick_jit(jax.vmap(lambda *x: elastic_program.solve(np.zeros((n, n)), *x, 20)))
+    run = jax.jit(jax.vmap(lambda *x: elastic_program.solve(np.zeros((n, n)), *x, 20)))
     found, multipliers = run(*map(np.stack, zip(*many, strict=True)))
     gave = 0
     for d, l, (c, G, g, p, low, high) in zip(found, multipliers, many, strict=True):

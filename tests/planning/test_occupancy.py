@@ -8,7 +8,6 @@ from scipy import ndimage
 
 import rbjax as rb
 from rbjax.planning import DistanceField, Footprint, OccupancyGrid, clear, clearance
-from tests.quickly import quick_jit
 from tests.tolerances import F64_ROUNDING
 
 H, ORIGIN = 0.25, np.array([-1.0, 2.0])
@@ -136,7 +135,7 @@ def test_gradients_and_transformations() -> None:
     def total(poses: jax.Array) -> jax.Array:
         return clearance(field, poses, car).sum()
 
-    slope = np.asarray(quick_jit(jax.grad(total))(poses))
+    slope = np.asarray(jax.jit(jax.grad(total))(poses))
     assert np.isfinite(slope).all() and (np.hypot(slope[:, 0], slope[:, 1]) < 1.5).all()
     h, wrong = 1e-7, 0
     for k in range(3):
@@ -144,7 +143,7 @@ def test_gradients_and_transformations() -> None:
         ends = [np.asarray(clearance(field, poses + sign * step, car)) for sign in (1, -1)]
         wrong += (np.abs((ends[0] - ends[1]) / (2 * h) - slope[:, k]) > 1e-6).sum()
     assert wrong <= 2  # where another disc or another cell takes over
-    mapped = quick_jit(jax.vmap(lambda pose: clear(field, pose, car)))(poses)
+    mapped = jax.jit(jax.vmap(lambda pose: clear(field, pose, car)))(poses)
     assert (np.asarray(mapped) == np.asarray(clear(field, poses, car))).all()
     single = jax.tree.map(lambda x: x.astype(np.float32), (field, car))
     got = clearance(single[0], poses.astype(np.float32), single[1])
@@ -158,7 +157,7 @@ def test_many_maps_at_once() -> None:
     def values(cells: jax.Array) -> jax.Array:
         return OccupancyGrid(cells, jnp.asarray(H)).distance_field().values
 
-    mapped = quick_jit(jax.vmap(values))(maps)
+    mapped = jax.jit(jax.vmap(values))(maps)
     assert np.array_equal(mapped[1], values(maps[1]))
 
 

@@ -11,7 +11,6 @@ import rbjax as rb
 from rbjax.planning import Footprint, Path, clear_along, hybrid_a_star, smooth
 from tests.planning.scenes import bends, driven, rectangle_hits
 from tests.planning.test_hybrid_a_star import CAR, RADIUS, SCENES, SIZE, STEER
-from tests.quickly import quick_jit
 
 
 def found(scene: str, n: int = 96):
@@ -89,7 +88,7 @@ def test_paths() -> None:
     assert arcs.curvatures.tolist() == [0.5, 0, -0.25, 0, -math.inf]
     assert arcs.gears.tolist() == [1, 0, -1, -1, 0] and int(arcs.cusps) == 1
     assert len(arcs.split(9.0).steps) == 4 and len(fine.split(9.0).steps) == 6
-    slope = quick_jit(jax.grad(lambda s: Path(jnp.zeros(3), s).length))(arcs.steps)
+    slope = jax.jit(jax.grad(lambda s: Path(jnp.zeros(3), s).length))(arcs.steps)
     assert np.isfinite(np.asarray(slope)).all()
 
 

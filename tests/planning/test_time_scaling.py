@@ -8,7 +8,6 @@ from scipy.optimize import linprog
 
 import rbjax as rb
 from rbjax.planning import Limits, Path, time_scaling
-from tests.quickly import quick_jit
 
 KINDS = rb.wheeled.kinds()
 RADIUS, TRACK, MASS, INERTIA, WHEEL = 0.08, 0.4, 10.0, 0.4, 0.5
@@ -49,7 +48,7 @@ def test_straight_and_on_the_spot_as_by_hand() -> None:
         return time_scaling(vehicle, Path(np.zeros(3), steps), limits)
 
     each = jax.vmap(jax.vmap(motion, (None, 0)), (0, None))
-    found = quick_jit(each)(jnp.asarray(steps), jnp.asarray(limits))
+    found = jax.jit(each)(jnp.asarray(steps), jnp.asarray(limits))
     assert found.ok.all()
     for i, way in enumerate(ways):
         acceleration = torque * (MOMENT / ABOUT if way[2] else FORCE / ALONG)
@@ -170,7 +169,7 @@ def test_derivatives_padding_and_failure() -> None:
     def time(torque, steps):
         return time_scaling(vehicle, Path(path.start, steps), Limits(torque)).motion.time
 
-    both = quick_jit(jax.value_and_grad(time))
+    both = jax.jit(jax.value_and_grad(time))
     value, slope = both(jnp.asarray(0.4), path.steps)
     assert float(slope) == pytest.approx(-float(value) / 2 / 0.4, rel=1e-6)
     blank = jnp.zeros((3, 3))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rbjax.rotations import coefficients
-from tests.quickly import quick_jit
 from tests.rotations import exact
 from tests.rotations.exact import DERIVATIVE, VALUE
 
@@ -32,7 +31,7 @@ def derivatives(f, xs):
     def all_of(x):
         return f(x), first(x), jax.grad(first)(x), jax.grad(jax.grad(first))(x)
 
-    return [np.asarray(a) for a in quick_jit(jax.vmap(all_of))(jnp.asarray(xs))]
+    return [np.asarray(a) for a in jax.jit(jax.vmap(all_of))(jnp.asarray(xs))]
 
 
 def exact_derivatives(f, xs):
@@ -97,9 +96,9 @@ def test_angle_is_the_arctangent_of_two() -> None:
     rng = np.random.default_rng(0)
     y, x = rng.normal(size=(2, 1000)) * 10.0 ** rng.uniform(-12, 12, (2, 1000))
     y, x = np.append(y, [0, 0, 1, -1, 0.0]), np.append(x, [1, -1, 0, 0, 0.0])
-    got = np.asarray(quick_jit(coefficients.angle)(y, x))
+    got = np.asarray(jax.jit(coefficients.angle)(y, x))
     np.testing.assert_allclose(got, np.arctan2(y, x), rtol=4 * VALUE)
-    slopes = quick_jit(jax.grad(coefficients.angle, (0, 1)))(0.0, 0.0)
+    slopes = jax.jit(jax.grad(coefficients.angle, (0, 1)))(0.0, 0.0)
     assert np.isfinite(slopes).all()
 
 

@@ -8,7 +8,6 @@ from scipy.integrate import solve_ivp
 
 from rbjax import InputError
 from rbjax.rotations import incremental, quaternion, so3
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 
@@ -25,7 +24,7 @@ def reference(end):
     return solve_ivp(rate, (0, end), np.eye(3).ravel(), method="DOP853", rtol=1e-13, atol=1e-13)
 
 
-@quick_jit
+@jax.jit
 def _hat(t):
     return so3.hat(omega(t, None))
 
@@ -37,7 +36,7 @@ def test_tumbling(local: str) -> None:
     errors = []
     for steps in (1000, 2000):
         ts = jnp.linspace(0.0, 20.0, steps + 1)
-        q = quick_jit(
+        q = jax.jit(
             lambda ts: incremental.integrate(omega, quaternion.identity(), ts, local=local)
         )(ts)
         assert q.shape == (steps + 1, 4)
@@ -65,7 +64,7 @@ def test_is_differentiable() -> None:
     """The final attitude by a constant rate is exp(w t): its derivative is t J_r(w t)."""
     ts = jnp.linspace(0.0, 5.0, 501)
 
-    @quick_jit
+    @jax.jit
     def slopes(w):
         def last(w):
             q = incremental.integrate(lambda t, q: w, quaternion.identity(), ts)[-1]

@@ -10,7 +10,6 @@ import pytest
 
 from rbjax import rotations
 from rbjax.rotations import incremental, quaternion, screws, se3, so3
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, GRADIENT, relative_error
 
 STEP = 6e-6  # of central differences: the cube root of the rounding unit
@@ -95,7 +94,7 @@ def test_composes(name: str) -> None:
         reverse = jax.vjp(flat, *first)[1](weight)
         return jax.vmap(flat)(*batch), jnp.concatenate(together, 1), rate, ends, reverse
 
-    run = quick_jit(everything)
+    run = jax.jit(everything)
     mapped, together, rate, ends, gradient = run(tangents, weight, *xs)
     assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
     assert relative_error(together, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "axes"

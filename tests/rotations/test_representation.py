@@ -19,7 +19,6 @@ from rbjax.rotations import convert, mrp_shadow, mrp_short, quaternion, represen
 from rbjax.rotations.euler import SEQUENCES
 from rbjax.rotations.representation import Representation
 from rbjax.rotations.vectorial import VECTORIAL
-from tests.quickly import quick_jit
 from tests.robots import QUICK
 from tests.rotations import exact
 from tests.rotations.exact import assert_jets, jets, our_jets
@@ -140,7 +139,7 @@ def test_round_trips_among_all(dtype, limit, count) -> None:
 def test_round_trips_through_the_matrix(dtype, limit) -> None:
     R = jnp.asarray(quaternion.to_matrix(QUATERNIONS), dtype)
 
-    @quick_jit
+    @jax.jit
     def backs(R):
         return {name: rep.to_matrix(rep.from_matrix(R)) for name, rep in REPS.items()}
 
@@ -247,7 +246,7 @@ def test_redundant_maps(name) -> None:
     x = np.array(rep.from_quaternion(QUATERNIONS[:6]))
     if name == "axis_angle":
         x[:3, 3] = [1e-6, 1e-3, np.pi - 1e-9]
-    got = np.asarray(quick_jit(jax.vmap(maps(rep)))(x))
+    got = np.asarray(jax.jit(jax.vmap(maps(rep)))(x))
     f = exact_maps(definition(name))
     with mpmath.mp.workdps(exact.DIGITS):
         want = np.array([[float(a) for a in f(exact.numbers(row))] for row in x])
@@ -264,7 +263,7 @@ MOVING = [n for n in REPS if n not in EULER] + [
 ]
 
 
-@quick_jit
+@jax.jit
 def kinematics(q, a, b):
     """Of R exp(a t + b t^2/2), a turn with omega_body = a and alpha_body = b at t = 0."""
     out = {}
@@ -308,7 +307,7 @@ def test_rates_and_accelerations_along_a_motion() -> None:
 # ------------------------------------------------------------------------ singular attitudes
 
 
-@quick_jit
+@jax.jit
 def all_about(R):
     out = {}
     for name, rep in REPS.items():
@@ -347,7 +346,7 @@ def test_gimbal_lock_nearby() -> None:
     """The attitude is accurate to rounding at any distance from the singularity."""
     off = 10.0 ** np.arange(-17, 0)
 
-    @quick_jit
+    @jax.jit
     def errors(off):
         out = {}
         for name, rep in EULER.items():
@@ -385,7 +384,7 @@ def test_shadow_of_modified_rodrigues_parameters() -> None:
     np.testing.assert_allclose(mrp_short(shadow), p, rtol=1e-14)
     np.testing.assert_array_equal(mrp_short(p), p)
     assert np.isfinite(mrp_shadow(np.zeros(3))).all()
-    assert np.isfinite(quick_jit(jax.jacrev(mrp_short))(np.zeros(3))).all()
+    assert np.isfinite(jax.jit(jax.jacrev(mrp_short))(np.zeros(3))).all()
 
 
 # -------------------------------------------------------------------------------- the door

@@ -11,7 +11,6 @@ import pytest
 
 from rbjax import InputError
 from rbjax.rotations import screws, se3, so3
-from tests.quickly import quick_jit
 from tests.rotations import exact
 from tests.rotations.exact import ANGLES, assert_jets, jets, our_jets, series
 from tests.tolerances import F64_ROUNDING, relative_error
@@ -72,13 +71,13 @@ def test_translation_at_no_rotation() -> None:
     """d p / d phi = -[rho]/2 at phi = 0, and log has a derivative at the identity."""
     rho = np.array([1.0, 2.0, 3.0])
 
-    @quick_jit
+    @jax.jit
     def slopes(xi):
         return jax.jacfwd(se3.exp)(xi)[:3, 3], jax.jacrev(se3.exp)(xi)[:3, 3]
 
     for slope in slopes(np.concatenate([np.zeros(3), rho])):
         np.testing.assert_allclose(slope, np.hstack([-so3.hat(rho) / 2, np.eye(3)]), atol=1e-15)
-    at_identity = quick_jit(jax.jacrev(lambda x: se3.log(se3.exp(x))))(np.zeros(6))
+    at_identity = jax.jit(jax.jacrev(lambda x: se3.log(se3.exp(x))))(np.zeros(6))
     np.testing.assert_allclose(at_identity, np.eye(6), atol=1e-15)
 
 
@@ -110,7 +109,7 @@ def test_pose_kinematics() -> None:
     """T(t) = exp(xi + t d): T' = [V_s] T = T [V_b], V = J xi'."""
     rng = np.random.default_rng(1)
     xi, d = rng.normal(size=(2, 20, 6))
-    T, dT = quick_jit(lambda x, d: jax.jvp(se3.exp, (x,), (d,)))(xi, d)
+    T, dT = jax.jit(lambda x, d: jax.jvp(se3.exp, (x,), (d,)))(xi, d)
     body = np.einsum("nij,nj->ni", se3.right_jacobian(xi), d)
     space = np.einsum("nij,nj->ni", se3.left_jacobian(xi), d)
     assert relative_error(se3.body_twist(T, dT), body) <= F64_ROUNDING
@@ -154,7 +153,7 @@ def test_degenerate_screws(V) -> None:
     assert float(jnp.linalg.norm(screw.axis)) == 1.0
     assert np.isinf(screw.pitch) == (V[2] == 0)
     np.testing.assert_allclose(screws.to_twist(*screw), V, rtol=1e-15)
-    slopes = quick_jit(jax.jacrev(lambda V: screws.to_twist(*screws.from_twist(V))))(np.array(V))
+    slopes = jax.jit(jax.jacrev(lambda V: screws.to_twist(*screws.from_twist(V))))(np.array(V))
     assert np.isfinite(slopes).all()
     if V[2]:
         np.testing.assert_allclose(slopes, np.eye(6), atol=1e-15)

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from rbjax import InputError
 from rbjax.rotations import quaternion, so3
-from tests.quickly import quick_jit
 from tests.rotations import exact
 from tests.rotations.exact import ANGLES, VALUE, assert_jets, jets, our_jets, series
 from tests.tolerances import F64_ROUNDING, relative_error
@@ -97,7 +96,7 @@ def test_half_a_turn_has_a_logarithm_of_length_pi() -> None:
     phi = np.asarray(so3.log(R))
     np.testing.assert_allclose(np.linalg.norm(phi, axis=1), np.pi, rtol=VALUE)
     assert relative_error(so3.exp(phi), R) <= F64_ROUNDING
-    slopes = quick_jit(jax.vmap(jax.jacrev(so3.log)))(R)
+    slopes = jax.jit(jax.vmap(jax.jacrev(so3.log)))(R)
     assert np.isfinite(slopes).all()
 
 
@@ -145,7 +144,7 @@ def test_geodesics(key) -> None:
         np.testing.assert_allclose(so3.distance(C, B), (1 - s) * whole, atol=1e-14)
         r = quaternion.interpolate(p, -q, s)
         assert relative_error(quaternion.to_matrix(r), C) <= F64_ROUNDING
-    same = quick_jit(jax.jacfwd(lambda s: quaternion.interpolate(p[0], p[0], s)))(0.5)
+    same = jax.jit(jax.jacfwd(lambda s: quaternion.interpolate(p[0], p[0], s)))(0.5)
     assert np.abs(same).max() <= 1e-15
 
 
@@ -179,7 +178,7 @@ def test_derivatives_of_the_projection() -> None:
     R0 = np.asarray(so3.exp([0.3, -0.5, 0.9]))
     D, h = rng.normal(size=(3, 3)), 1e-4
 
-    @quick_jit
+    @jax.jit
     def line(M, D):
         def f(t):
             return so3.project(M + t * D)

@@ -11,7 +11,6 @@ from mpmath import mp
 from rbjax.rotations import representations, vectorial
 from rbjax.rotations.representation import Representation
 from tests.oracles.vectorial import TABLE, Row
-from tests.quickly import quick_jit
 from tests.rotations import exact
 from tests.tolerances import relative_error
 
@@ -76,7 +75,7 @@ def test_table_a1(name: str) -> None:
     x = np.concatenate([np.outer(sizes, axis) for axis in AXES])
     left = row.end - np.tile(angles(row), len(AXES))
 
-    @quick_jit
+    @jax.jit
     def ours(x: jax.Array) -> tuple[jax.Array, ...]:
         return (
             rep.to_matrix(x), rep.space_rate_matrix(x), rep.inverse_space_rate_matrix(x),

@@ -12,7 +12,6 @@ import pytest
 from scipy.optimize import root
 
 import rbjax as rb
-from tests.quickly import quick_jit
 from tests.solvers.scenes import SCENES
 
 SCENE = SCENES["ode"]
@@ -27,7 +26,7 @@ def solved(solver, field, y0, dt=0.1, end=1.0, **options):
 def test_a_root_that_does_not_exist_is_a_result() -> None:
     """y1 = y0 + h y1^2 has no root from 1 at h = 1; another sample of the batch has one."""
 
-    @quick_jit
+    @jax.jit
     @jax.vmap
     def run(y0):
         found = solved(rb.solvers.bdf(1), lambda t, y, _: y * y, y0, dt=1.0)
@@ -72,7 +71,7 @@ def linearly_implicit(**options):
 def test_a_linearly_implicit_step_without_a_matrix() -> None:
     """Its values and its gradients are those with one."""
     (got, slope), (want, exact) = (
-        quick_jit(jax.value_and_grad(linearly_implicit(**options)))(SCENE.args)
+        jax.jit(jax.value_and_grad(linearly_implicit(**options)))(SCENE.args)
         for options in ({"linear_solver": lx.GMRES(1e-12, 1e-12)}, {})
     )
     np.testing.assert_allclose(got, want, rtol=1e-11)

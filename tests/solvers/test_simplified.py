@@ -12,7 +12,6 @@ from rbjax.solvers import tableau as tables
 from rbjax.solvers.differential_algebraic import refined
 from rbjax.solvers.simplified import Simplified, Sizes, simplified
 from rbjax.solvers.spectrum import weights
-from tests.quickly import quick_jit
 
 K, X, ROWS, H = 4, 1, 2, 0.02  # velocities, states x, rows, step
 N = 2 * K + X
@@ -70,7 +69,7 @@ def solver(kind: str, method: str, redundant: bool = False) -> Callable:
     sizes = Linear(kind, 1.0, redundant).sizes
     of = weights(np.array(METHODS[method].a), jnp.float64)
 
-    @quick_jit
+    @jax.jit
     def solved(slopes, dense, usual, r):
         blocks = simplified(lambda d: slopes @ d, sizes, H, of, usual)
         found = Simplified(sizes, H, of, blocks)

@@ -9,7 +9,6 @@ from rbjax.solvers import radau_iia
 from rbjax.solvers.differential_algebraic import Equations, Point, solve
 from rbjax.solvers.spectrum import weights
 from rbjax.solvers.stage_matrix import Factored, Matrix
-from tests.quickly import quick_jit
 
 TABLEAU = radau_iia(3).tableau
 FORCE = 7.0
@@ -37,7 +36,7 @@ def test_a_step_through_the_middle_of_a_cross(index: int, redundant: bool) -> No
     of_stages = weights(np.array(TABLEAU.a), jnp.float64)
     m = len(equations.depth)
 
-    @quick_jit
+    @jax.jit
     def after(x):
         y = jnp.stack([x, 0.0 * x, 1.0 + 0.0 * x, 0.0 * x])
         start = Point(0.0, y, jnp.array([1.0, 0, 0, 0]), jnp.zeros(m))
@@ -60,7 +59,7 @@ def test_eigenvalues_of_either_sign() -> None:
     one, none = jnp.eye(3), jnp.zeros((3, 3))
     matrix = Matrix(one, none, none, jnp.diag(jnp.array([1.0, -e, 0.0])))
 
-    @quick_jit
+    @jax.jit
     def found(b, c):
         return Factored(matrix, jnp.ones(1), e).once(b, c)
 

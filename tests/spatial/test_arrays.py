@@ -9,7 +9,6 @@ from rbjax import spatial
 from rbjax.errors import InputError
 from rbjax.rotations import se3, so3
 from rbjax.spatial import MassProperties
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, F64_ROUNDING, GRADIENT, relative_error
 
 RNG = np.random.default_rng(3)
@@ -67,7 +66,7 @@ def test_cross_products_are_rates_of_what_a_frame_carries() -> None:
         T = se3.exp(t * V)
         return spatial.transform_motion(T, W), spatial.transform_force(T, F)
 
-    rates = quick_jit(lambda t: jax.jvp(carried, (t,), (1.0,))[1])(0.0)
+    rates = jax.jit(lambda t: jax.jvp(carried, (t,), (1.0,))[1])(0.0)
     assert close(rates[0], spatial.motion_cross(V, W)) and close(
         rates[1], spatial.force_cross(V, F)
     )
@@ -128,7 +127,7 @@ def test_principal_axes() -> None:
     assert close(np.linalg.det(found.R), 1.0)
     direction = np.array([[1.0, 0.3, -0.2], [0.3, 0.5, 0.1], [-0.2, 0.1, -0.4]])
     step = 6e-6
-    rate = quick_jit(lambda S: jax.jvp(spatial.principal_axes, (S,), (direction,))[1])(INERTIA)
+    rate = jax.jit(lambda S: jax.jvp(spatial.principal_axes, (S,), (direction,))[1])(INERTIA)
     ends = [spatial.principal_axes(INERTIA + s * step * direction) for s in (-1, 1)]
     for k in range(2):
         want = (np.asarray(ends[1][k]) - np.asarray(ends[0][k])) / (2 * step)
@@ -138,7 +137,7 @@ def test_principal_axes() -> None:
 def test_principal_axes_of_a_ball_are_flagged_and_finite() -> None:
     found = spatial.principal_axes(2 * ONE)
     assert found.gap == 0 and close(found.moments, [2, 2, 2])
-    rate = quick_jit(lambda S: jax.jvp(spatial.principal_axes, (S,), (ONE,))[1])(2 * ONE)
+    rate = jax.jit(lambda S: jax.jvp(spatial.principal_axes, (S,), (ONE,))[1])(2 * ONE)
     assert np.isfinite(rate.R).all() and close(rate.moments, [1, 1, 1])
 
 
@@ -172,7 +171,7 @@ def test_pseudo_inertia_is_the_second_moment() -> None:
     ],
 )
 def test_consistency(mass, moments, expected) -> None:
-    found = quick_jit(spatial.consistency)(mass, R @ np.diag(moments) @ R.T)
+    found = jax.jit(spatial.consistency)(mass, R @ np.diag(moments) @ R.T)
     assert tuple(bool(x) for x in found[:3]) == expected
     # the pseudo-inertia says the same in one matrix
     P = spatial.pseudo_inertia(mass, COM, R @ np.diag(moments) @ R.T)
@@ -206,7 +205,7 @@ def test_what_is_no_inertia_is_refused_in_a_sentence(arguments, words) -> None:
     for word in words:
         assert word in str(caught.value)
     if "com" not in words:  # in traced code the numbers pass through, and `consistency` flags them
-        quick_jit(spatial.check_mass_properties)(*arguments)
+        jax.jit(spatial.check_mass_properties)(*arguments)
 
 
 def test_a_thin_rod_and_a_particle_are_bodies() -> None:

@@ -11,7 +11,6 @@ from rbjax import sysid
 from rbjax.errors import InputError
 from tests.composing import check_axes, check_composes
 from tests.oracles import load
-from tests.quickly import quick_jit
 from tests.robots import robot
 from tests.sysid.arms import fourier, planar_2R
 from tests.tolerances import relative_error
@@ -75,7 +74,7 @@ def test_torques_that_are_held():
     tau = rng.normal(size=(n, 2)) * [12.0, 4.0]
     fine = np.repeat(tau, substeps, 0)
     state = rb.State(np.array([-1.5, 0.2]), np.zeros(2))
-    run = quick_jit(
+    run = jax.jit(
         lambda s, u: rb.rollout(model, s, tau=u, dt=dt / substeps, integrator="rk4"), ()
     )
     path = run(state, fine)

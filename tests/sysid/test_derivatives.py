@@ -30,7 +30,6 @@ from rbjax.sysid.runs import batch_of, run_of
 from rbjax.sysid.shooting import Shooting
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.unknowns import Unknowns
-from tests.quickly import quick_jit
 from tests.sysid.test_prediction_error import first
 from tests.sysid.test_torque_rows import MODEL as ARM
 from tests.sysid.test_torque_rows import TERMS, run, truth
@@ -86,7 +85,7 @@ def torques() -> Callable[[Any], jax.Array]:
         made = sysid.with_inertial_parameters(MODEL, pi)
         return jax.vmap(lambda q, v, a: rb.inverse_dynamics(made, q, v, a))(Q, V, A).ravel()
 
-    return quick_jit(at)
+    return jax.jit(at)
 
 
 @functools.cache
@@ -142,7 +141,7 @@ def momentum() -> Case:
         off = rb.mass_matrix(made, Q[0]) @ V[0] - seen
         return off @ off
 
-    return Case(PI.copy(), quick_jit(loss), lambda p: 2 * Y.T @ (Y @ p - seen))
+    return Case(PI.copy(), jax.jit(loss), lambda p: 2 * Y.T @ (Y @ p - seen))
 
 
 def energy() -> Case:
@@ -156,7 +155,7 @@ def energy() -> Case:
         potential = -(made.bodies.mass * (com @ made.gravity)).sum()
         return (kinetic + potential - 1.5) ** 2
 
-    return Case(PI.copy(), quick_jit(loss), lambda p: 2 * Y * (Y @ p - 1.5))
+    return Case(PI.copy(), jax.jit(loss), lambda p: 2 * Y * (Y @ p - 1.5))
 
 
 def balances() -> Case:
@@ -261,8 +260,8 @@ def prior() -> Case:
     def loss(x: Any) -> jax.Array:
         return sysid.log_determinant_divergence(sysid.from_log_cholesky(x), P0)
 
-    residual = quick_jit(lambda x: sysid.prior_residual(x, theta))
-    jacobian = quick_jit(jax.jacfwd(residual))
+    residual = jax.jit(lambda x: sysid.prior_residual(x, theta))
+    jacobian = jax.jit(jax.jacfwd(residual))
 
     def gradient(x: Any) -> Any:
         return 2 * np.asarray(jacobian(x)).T @ residual(x)
@@ -416,8 +415,8 @@ def test_losses_are_differentiated_compiled_and_batched(name):
     of = case(name)
     slope = jax.grad(of.loss)
     want = of.gradient(of.x)
-    close(quick_jit(slope)(of.x), want)
-    close(quick_jit(jax.vmap(slope))(jnp.stack([of.x, 1.1 * of.x]))[0], want)
+    close(jax.jit(slope)(of.x), want)
+    close(jax.jit(jax.vmap(slope))(jnp.stack([of.x, 1.1 * of.x]))[0], want)
 
 
 @pytest.mark.slow
@@ -431,5 +430,5 @@ def test_likelihood_by_both_modes_compiled_and_batched():
     one = jax.tree.map(lambda a: a[0], series)
     x = np.array([1.2, 0.1, -0.5])
     R = of.triangle(x)
-    slope = quick_jit(jax.vmap(jax.grad(lambda x: of.value(x, one))))
+    slope = jax.jit(jax.vmap(jax.grad(lambda x: of.value(x, one))))
     close(slope(jnp.stack([x, 0.9 * x]))[0], 2 * R[:, :-1].T @ R[:, -1])

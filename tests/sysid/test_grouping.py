@@ -14,7 +14,6 @@ from rbjax.sysid.islands import directions
 from rbjax.sysid.runs import Run
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.unknowns import Unknowns
-from tests.quickly import quick_jit
 
 SOUGHT = {
     "armature": Unknown("joints.armature", positive=True), "bias": Unknown("sensors.q.bias"),
@@ -44,7 +43,7 @@ def test_slopes_along_some_numbers_show_all(setup):
     assert error.directions.seeds.shape == (base.rank + 2 + 4, 24 + 4)  # biases and the start too
     x = np.append(of.read(setup), 0.01 * rng.normal(size=4))
     one = jax.tree.map(lambda a: a[0], run)
-    whole = quick_jit(
+    whole = jax.jit(
         jax.jacfwd(lambda x: error.programs.compared(*error.programs.path(x, one), one))
     )
     want, (r, J) = np.asarray(whole(x)), error.slopes(x)

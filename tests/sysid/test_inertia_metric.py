@@ -10,7 +10,6 @@ from rbjax import sysid
 from rbjax.errors import InputError
 from tests.composing import check_axes, check_composes
 from tests.oracles import load
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 FIGURES = load("identification")
@@ -49,10 +48,10 @@ def test_gradient_and_hessian_in_log_cholesky_coordinates():
         return sysid.log_determinant_divergence(sysid.from_log_cholesky(theta), prior)
 
     want = ORACLE["gradient_in_theta"]
-    found = quick_jit(jax.value_and_grad(divergence))(THETA[0], P_OF["case1"])
+    found = jax.jit(jax.value_and_grad(divergence))(THETA[0], P_OF["case1"])
     np.testing.assert_allclose(found[0], want["value"], rtol=EXACT)
     assert relative_error(found[1], want["gradient"]) < EXACT
-    hessian = quick_jit(jax.hessian(divergence))(THETA[0], P_OF["case0"])
+    hessian = jax.jit(jax.hessian(divergence))(THETA[0], P_OF["case0"])
     assert relative_error(hessian, ORACLE["hessian_at_the_prior"]["hessian"]) < EXACT
 
 
@@ -62,7 +61,7 @@ def test_residual_squares_to_the_divergence():
     assert r.shape == (4, 10)
     np.testing.assert_allclose((r**2).sum(-1), want, rtol=EXACT)
     # Gauss-Newton on it has the exact Hessian at the prior: J^T J = H / 2
-    J = quick_jit(jax.jacfwd(sysid.prior_residual))(THETA[0], THETA[0])
+    J = jax.jit(jax.jacfwd(sysid.prior_residual))(THETA[0], THETA[0])
     assert relative_error(2 * J.T @ J, ORACLE["hessian_at_the_prior"]["hessian"]) < EXACT
 
 

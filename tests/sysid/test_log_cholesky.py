@@ -13,7 +13,6 @@ from rbjax.errors import InputError
 from rbjax.sysid.log_cholesky import parameter_jacobian
 from tests.composing import check_axes, check_composes
 from tests.oracles import load
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 ORACLE = load("identification")["log_cholesky"]
@@ -58,7 +57,7 @@ def test_gradient_and_hessian_of_a_scalar():
     def f(x):
         return weights @ sysid.log_cholesky_parameters(x)
 
-    value, gradient, hessian = quick_jit(lambda x: (f(x), jax.grad(f)(x), jax.hessian(f)(x)))(theta)
+    value, gradient, hessian = jax.jit(lambda x: (f(x), jax.grad(f)(x), jax.hessian(f)(x)))(theta)
     np.testing.assert_allclose(value, scalar["value"], rtol=EXACT)
     assert relative_error(gradient, scalar["gradient"]) < EXACT
     assert relative_error(hessian, scalar["hessian"]) < EXACT

@@ -21,7 +21,6 @@ from rbjax.sysid import (
 )
 from rbjax.sysid.fits import Fits
 from rbjax.sysid.unknowns import Unknowns
-from tests.quickly import quick_jit
 from tests.sysid.sensed import ARM, FLIGHT, T, by_mujoco, first, loaded, swung, thrown
 
 PLACED = ("accelerometer:imu", "gyro:imu", "position:imu", "pose:imu")
@@ -60,7 +59,7 @@ def test_readings_are_those_of_mujoco(xml, body):
     state = model.random_state(jax.random.key(0))
     state = state.replace(v=jnp.asarray(rng.normal(size=model.nv)))
     ctrl = jnp.asarray(rng.normal(size=model.nu))
-    read = quick_jit(lambda s, u: {n: setup.reads(n)(Moment(0.0, s, u, setup)) for n in names})
+    read = jax.jit(lambda s, u: {n: setup.reads(n)(Moment(0.0, s, u, setup)) for n in names})
     found = read(state, ctrl)
     d.qpos[:], d.qvel[:], d.ctrl[:] = state.q, state.v, ctrl
     mujoco.mj_forward(m, d)

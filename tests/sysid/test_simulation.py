@@ -8,7 +8,6 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import PD, Grid, Sensor, Setup
 from rbjax.sysid.simulation import motion, reading
-from tests.quickly import quick_jit
 
 MODEL = rb.load("cart_pole")
 START = rb.State(jnp.array([0.1, 0.4]), jnp.array([0.0, -0.3]))
@@ -23,26 +22,26 @@ def moved(delay=None, ctrls=CTRLS, longest=0, controller=None, substeps=1):
 
 
 def test_it_is_the_rollout():
-    want = quick_jit(lambda: rb.rollout(MODEL, START, CTRLS, T, integrator="rk4"))()
-    found = quick_jit(moved)()
+    want = jax.jit(lambda: rb.rollout(MODEL, START, CTRLS, T, integrator="rk4"))()
+    found = jax.jit(moved)()
     np.testing.assert_allclose(found.q, want.q, atol=1e-13)
     np.testing.assert_allclose(found.v, want.v, atol=1e-12)
 
 
 def test_a_delay_of_whole_periods_shifts_commands():
-    late = quick_jit(lambda d: moved(d, longest=4))
+    late = jax.jit(lambda d: moved(d, longest=4))
     shifted = jnp.concatenate([CTRLS[:1]] * 3 + [CTRLS[:-3]])
-    want = quick_jit(lambda: moved(ctrls=shifted))()
+    want = jax.jit(lambda: moved(ctrls=shifted))()
     np.testing.assert_allclose(late(3 * T).q, want.q, atol=1e-13)
-    np.testing.assert_allclose(late(0.0).q, quick_jit(moved)().q, atol=1e-13)
+    np.testing.assert_allclose(late(0.0).q, jax.jit(moved)().q, atol=1e-13)
 
 
 def test_the_derivative_by_a_delay():
     end = lambda d: moved(d, longest=4).q[-1]  # noqa: E731
-    slope = quick_jit(jax.jacfwd(end))
-    both = quick_jit(lambda d, h: (end(d + h) - end(d - h)) / (2 * h))
+    slope = jax.jit(jax.jacfwd(end))
+    both = jax.jit(lambda d, h: (end(d + h) - end(d - h)) / (2 * h))
     np.testing.assert_allclose(slope(1.37 * T), both(1.37 * T, 1e-5), rtol=1e-6)
-    at_a_period = quick_jit(end)  # continuous there
+    at_a_period = jax.jit(end)  # continuous there
     np.testing.assert_allclose(at_a_period(2 * T - 1e-9), at_a_period(2 * T + 1e-9), atol=1e-7)
 
 
@@ -57,7 +56,7 @@ def test_a_servo_acts_on_what_its_sensors_read():
         def __call__(self, t, seen, command):
             return self.inner(t, rb.State(seen.q[:1], seen.v[:1]), command)
 
-    found = quick_jit(lambda: moved(controller=First(servo)))()
+    found = jax.jit(lambda: moved(controller=First(servo)))()
     state, want = START, [START.q]
     for k in range(5):
         u = 20.0 * (CTRLS[k] - state.q[:1]) - state.v[:1]
@@ -69,7 +68,7 @@ def test_a_servo_acts_on_what_its_sensors_read():
 def test_readings_between_instants_are_cubic():
     coarse, fine = Grid(T), Grid(T / 2)
     setup = Setup.of(MODEL)
-    path = quick_jit(moved)()
+    path = jax.jit(moved)()
     halves = motion(lambda p: setup, jnp.zeros(1), START, jnp.repeat(CTRLS, 2, 0), fine)
     times = jnp.arange(2 * N + 1) * T / 2
     read = lambda s, path, grid, kind, t: reading(s, path, grid, kind, t)  # noqa: E731
@@ -83,7 +82,7 @@ def test_a_sensor_has_a_scale_a_bias_and_a_delay():
     seen = Sensor(jnp.array([0.1, 0.2]), jnp.array([2.0, 1.0]), jnp.asarray(T))
     setup = Setup.of(MODEL)
     setup = setup.replace(sensors=setup.sensors | {"q": seen})
-    path = quick_jit(moved)()
+    path = jax.jit(moved)()
     found = reading(setup, path, Grid(T), "q", jnp.array([2 * T, 3 * T]))
     np.testing.assert_allclose(found, path.q[1:3] * seen.scale + seen.bias, atol=1e-14)
 

@@ -13,7 +13,6 @@ import rbjax as rb
 from benchmarks.shared.robots import as_model, compiled, states
 from rbjax.dynamics.drivers import on_threads
 from tests.dynamics.test_limbs import CART, walker
-from tests.quickly import quick_jit
 from tests.robots import robot
 from tests.test_registry import REGISTRY
 from tests.threads.host import COMPILER, many_on_host
@@ -71,7 +70,7 @@ def agree(got, want, tolerance: float = F64_IDENTITY) -> None:
 
 
 def by_xla(f, args):
-    return quick_jit(jax.vmap(f))(*args)
+    return jax.jit(jax.vmap(f))(*args)
 
 
 PARTS = [
@@ -166,7 +165,7 @@ def everything(names, on: str):
 
     f, xs = cases[names[0]]
     eager = f(*(x[0] for x in xs)), jax.vmap(f)(*xs)
-    run = quick_jit(some)
+    run = jax.jit(some)
     return eager, run({name: xs for name, (_, xs) in cases.items()})
 
 

@@ -18,7 +18,6 @@ from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.primitive import on_gpu
 from tests.dynamics.test_limbs import CART, walker
-from tests.quickly import quick_jit
 from tests.threads.block import emulated
 from tests.threads.host import COMPILER
 from tests.threads.test_algorithms import switch  # noqa: F401 (a fixture)
@@ -48,7 +47,7 @@ def given() -> tuple[rb.Model, list[jax.Array]]:
 def wanted(name: str) -> list[np.ndarray]:
     model, args = given()
     f = jax.vmap(functools.partial(PUBLIC[name][0], model.replace(driver="rolled")))
-    return [np.asarray(x) for x in jax.tree.leaves(quick_jit(f)(*args))]
+    return [np.asarray(x) for x in jax.tree.leaves(jax.jit(f)(*args))]
 
 
 def agree(got: Any, name: str) -> None:
@@ -96,7 +95,7 @@ def by_kernels(f: Any, *args: Any) -> tuple[list[np.ndarray], list[str]]:
 def test_by_columns(name, driver):
     model, args = given()
     f = jax.vmap(functools.partial(PUBLIC[name][1], model.replace(driver=driver)))
-    agree(quick_jit(f)(*args), name)
+    agree(jax.jit(f)(*args), name)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")

@@ -8,7 +8,6 @@ import pytest
 import rbjax as rb
 from rbjax import constraints as rc
 from tests.constraints.mechanisms import four_bars
-from tests.quickly import quick_jit
 from tests.threads.host import COMPILER, many_on_host
 from tests.threads.test_algorithms import agree, by_xla
 from tests.tolerances import F64_PARITY
@@ -30,7 +29,7 @@ def on_loops(scene: str) -> tuple[rb.Model, rb.State]:
     q = model.default_state().q + 0.1 * rng.normal(size=(3, model.nq))
     state = rb.State(jnp.asarray(q), jnp.asarray(rng.normal(size=(3, model.nv))))
     exact = rc.Projected(iterations=20)
-    return model, quick_jit(jax.vmap(lambda s: exact.settled(model, 0.0, s)))(state)
+    return model, jax.jit(jax.vmap(lambda s: exact.settled(model, 0.0, s)))(state)
 
 
 def step_of(model: rb.Model, name: str):

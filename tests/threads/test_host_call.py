@@ -17,7 +17,7 @@ from rbjax.threads import backend, host_call, llvm_batch, llvm_jit, primitive
 from rbjax.threads.function import threaded
 from tests.tolerances import F64_TRANSFORM, relative_error
 
-pytestmark = pytest.mark.usefixtures("by_llvm", "by_xla")
+pytestmark = pytest.mark.usefixtures("by_llvm")
 RNG = np.random.default_rng(0)
 W, X = RNG.normal(size=(5, 3)), RNG.normal(size=(6, 3))
 

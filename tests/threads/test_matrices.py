@@ -31,7 +31,7 @@ PRODUCTS = {
 
 
 @pytest.fixture(autouse=True)
-def _by_machine_code(monkeypatch, by_xla):
+def _by_machine_code(monkeypatch):
     monkeypatch.setattr(backend, "on_cpu", lambda: True)
 
 

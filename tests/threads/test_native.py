@@ -15,7 +15,6 @@ import pytest
 import rbjax as rb
 from benchmarks.shared.robots import as_model, compiled, states
 from rbjax.threads import llvm_jit, numpy_abi
-from tests.quickly import quick_jit
 from tests.threads import random_programs
 from tests.threads.host import by_llvm
 from tests.threads.host import by_xla as together
@@ -112,7 +111,7 @@ def test_a_policy_with_derivatives_and_loops():
         return k, total > 50, slopes, jax.lax.scan(lambda c, a: (c + a, c * a), 0.0, y)[1]
 
     x = rng.normal(size=6)
-    run, want = rb.compile(f, x, 0), quick_jit(f)
+    run, want = rb.compile(f, x, 0), jax.jit(f)
     assert run.native
     for n in (0, 3, 9):
         for g, w in zip(jax.tree.leaves(run(x, n)), jax.tree.leaves(want(x, n)), strict=True):
@@ -130,7 +129,7 @@ def test_large_arrays_lie_in_the_workspace():
     x = np.random.default_rng(0).normal(size=5000)
     run = rb.compile(f, x)
     assert run.native
-    assert relative_error(run(x), quick_jit(f)(x)) <= F64_TRANSFORM
+    assert relative_error(run(x), jax.jit(f)(x)) <= F64_TRANSFORM
 
 
 # ------------------------------------------------------------------- arguments and results

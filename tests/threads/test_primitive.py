@@ -197,7 +197,6 @@ def test_a_sample_s_sum_is_a_derivative_of_what_is_shared():
     agree(gradient(threaded(f))(W, Y[0]), gradient(f)(W, Y[0]))
 
 
-@pytest.mark.usefixtures("by_xla")
 def test_nothing_is_traced_twice():
     calls = []
 

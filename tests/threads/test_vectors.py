@@ -17,7 +17,6 @@ from rbjax.threads.divergence import divergence
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.llvm_batch import parts
 from rbjax.threads.program import Loop, Reserve, walk
-from tests.quickly import quick_jit
 from tests.threads import random_programs
 from tests.threads.host import by_vectors, by_xla, part_function, written
 from tests.threads.test_algorithms import PARTS, agree, of_a_sample
@@ -101,7 +100,7 @@ def of_samples(f, batch, operands, axes, outs, lanes, summed=()):
         y.sum(0) if summed and summed[k] else np.moveaxis(y, outs[k], range(n))
         for k, y in enumerate(found)
     ]
-    run, wants = quick_jit(f), []
+    run, wants = jax.jit(f), []
     for index in np.ndindex(*batch):
         here = [tuple(0 if a is None else i for i, a in zip(index, ax, strict=True)) for ax in axes]
         wants.append(run(*(x[i] for x, i in zip(operands, here, strict=True))))
@@ -183,7 +182,7 @@ def test_what_all_lanes_share_is_scalar():
     assert [found.of(a) for a in local] == [False, True, True]
     for loop in walk(program.builder.block):
         assert not isinstance(loop, Loop) or not found.of(loop.counter)
-    (got,), want = by_vectors([(f, (x, n))], 4), quick_jit(jax.vmap(f))(x, n)
+    (got,), want = by_vectors([(f, (x, n))], 4), jax.jit(jax.vmap(f))(x, n)
     agree(got, want)
 
 
@@ -205,7 +204,7 @@ def test_lanes_part_and_meet():
     rng = np.random.default_rng(0)
     args = rng.normal(size=(13, 3)), rng.integers(0, 8, 13), rng.random(13) > 0.5
     for lanes in (2, 8):
-        (got,), want = by_vectors([(f, args)], lanes), quick_jit(jax.vmap(f))(*args)
+        (got,), want = by_vectors([(f, args)], lanes), jax.jit(jax.vmap(f))(*args)
         agree(got, want)
 
 

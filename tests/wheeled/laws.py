@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from rbjax.wheeled import Coulomb, Fiala, Linear, Pacejka, TMeasy
-from tests.quickly import quick_jit
 
 # alike along and across, and not
 LAWS = {
@@ -63,7 +62,7 @@ def by_complex_step(f, x, h=1e-30):
 
 def slopes_agree(f, x) -> float:
     """How far `jacfwd` and `jacrev` are from complex steps, of the largest entry of each row."""
-    ways = quick_jit(lambda x: (by_complex_step(f, x), jax.jacfwd(f)(x), jax.jacrev(f)(x)))
+    ways = jax.jit(lambda x: (by_complex_step(f, x), jax.jacfwd(f)(x), jax.jacrev(f)(x)))
     want, *found = map(np.asarray, ways(x))
     scale = np.maximum(1.0, np.abs(want).max(-1, keepdims=True))
     return max(np.abs((jac - want) / scale).max() for jac in found)

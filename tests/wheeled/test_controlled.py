@@ -11,7 +11,6 @@ import rbjax as rb
 from rbjax import control, wheeled
 from rbjax.control.expansion import read_columns
 from rbjax.errors import InputError, UnknownName
-from tests.quickly import quick_jit
 from tests.tolerances import F64_TRANSFORM, GRADIENT, relative_error
 
 KINDS = wheeled.kinds()
@@ -60,7 +59,7 @@ def test_steps_are_those_of_rollout(name) -> None:
         )  # fmt: skip
         return jax.tree.map(lambda *x: jnp.stack(x), *states), rb.State(path.q, path.v, path.x)
 
-    ours, due = quick_jit(both)(start, u)
+    ours, due = jax.jit(both)(start, u)
     assert relative_error(ours.q[-1], start.q) > 0.01  # it moves
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(due), strict=True):
         assert relative_error(one, other) < F64_TRANSFORM
@@ -82,7 +81,7 @@ def test_derivatives_of_a_step_are_its_differences(name) -> None:
         without_h2 = (4 * slopes(1e-5) - slopes(2e-5)) / 3
         return jnp.concatenate([found.A, found.B], 1), without_h2
 
-    found, due = quick_jit(both)(start, u[0])
+    found, due = jax.jit(both)(start, u[0])
     assert found.shape == (system.n, system.n + system.nu)
     assert relative_error(found, due) < GRADIENT
 

@@ -19,7 +19,6 @@ from rbjax.model import State
 from rbjax.wheeled import DCMotor, SpeedServo, TorqueSource
 from rbjax.wheeled.numbers import numbers_of
 from tests.oracles.rolling_mujoco import RollingFile, Touch, ackermann
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 from tests.wheeled.test_full_model import full_rates, stacked
 
@@ -169,7 +168,7 @@ def laws(robot: wheeled.Robot, fidelity: str):
             rates = stacked(full_rates(n, now, w, law.accelerations(n, now)))
         return stacked(reduced.coordinate_rates(n, now)), rates
 
-    return quick_jit(found)
+    return jax.jit(found)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from rbjax.wheeled.full_model import full_model
 from rbjax.wheeled.instant import coordinate_rates
 from rbjax.wheeled.planar import Moving, rate_of
 from rbjax.wheeled.velocities import ideal, rows
-from tests.quickly import quick_jit
 from tests.tolerances import F64_IDENTITY, GRADIENT, relative_error
 
 KINDS = wheeled.kinds()
@@ -81,7 +80,7 @@ def test_accelerations_and_energy(name):
             "T": jnp.stack([T, kinetic_energy(n, now.shape, w)]),
         }
 
-    run = quick_jit(found)
+    run = jax.jit(found)
     for q, v, u in samples(reduced):
         x = run(q, v, u)
         assert relative_error(x["on rows"], x["w"]) < 1e-13
@@ -130,7 +129,7 @@ def test_separation_of_wrenches_term_by_term(name):
             "f": (-S.T @ (bias + M @ dS), stacked(book.f)),
         }
 
-    run = quick_jit(found)
+    run = jax.jit(found)
     for q, v, u in samples(reduced):
         x = run(q, v, u)
         np.testing.assert_allclose(x["rows"], 0.0, atol=1e-14)
@@ -163,7 +162,7 @@ def test_forces_of_the_ground_and_weight_move_the_centre_of_mass():
         weight = M * (c * gx + s * gy), M * (c * gy - s * gx)
         return stacked([M * ax, M * ay]), stacked([fx + weight[0], fy + weight[1]])
 
-    run = quick_jit(found)
+    run = jax.jit(found)
     for q, v, u in samples(reduced):
         assert relative_error(*run(q, v, u)) < F64_IDENTITY
 
@@ -180,7 +179,7 @@ def test_formulations_agree_and_velocities_off_the_rows_are_put_on_them():
 
     one, rng = Constrained(robot), np.random.default_rng(1)
     given = [rng.normal(size=size) for size in (one.nq, one.nv, one.nu)]
-    rows, a, b = quick_jit(found)(*given)
+    rows, a, b = jax.jit(found)(*given)
     np.testing.assert_allclose(rows, 0.0, atol=1e-12)
     assert relative_error(a, b) < F64_IDENTITY
 
@@ -201,7 +200,7 @@ def test_derivatives_by_the_robots_numbers():
         n, now = one.instant(State(jnp.asarray(q), jnp.asarray(w)), u)
         return stacked(one.accelerations(n, now))
 
-    both = quick_jit(lambda x: jax.jvp(speeding, (x[0], x[1]), (jnp.ones(()), jnp.full((), 0.1))))
+    both = jax.jit(lambda x: jax.jvp(speeding, (x[0], x[1]), (jnp.ones(()), jnp.full((), 0.1))))
     h = 1e-5
     _, slope = both(jnp.array([10.0, 1.0]))
     further, _ = both(jnp.array([10.0 + h, 1.0 + 0.1 * h]))

@@ -8,7 +8,6 @@ import pytest
 from rbjax import wheeled
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, Fiala, Relaxing, SpeedServo
-from tests.quickly import quick_jit
 
 KINDS = wheeled.kinds()
 BRUSH = Fiala(15.0, 0.8, smooth_speed=0.3)
@@ -116,14 +115,14 @@ def test_derivatives():
     vehicle = made("omni_3")
     start, u = wheeled.start(vehicle), COMMANDS["omni_3"]
 
-    @quick_jit
+    @jax.jit
     def place(friction):
         tyre = BRUSH.replace(friction=friction)
         return end(vehicle.replace(tyre=tyre), start, u, 0.2, 10)[0]
 
     x, h = jnp.asarray(0.1), 1e-5
     due = (place(x + h) - place(x - h)) / (2 * h)
-    forwards = quick_jit(jax.jacfwd(place))(x)
+    forwards = jax.jit(jax.jacfwd(place))(x)
     assert abs(float(due)) > 1e-3
     np.testing.assert_allclose(forwards, due, rtol=1e-6)
-    np.testing.assert_allclose(quick_jit(jax.grad(place))(x), forwards, rtol=1e-10)
+    np.testing.assert_allclose(jax.jit(jax.grad(place))(x), forwards, rtol=1e-10)

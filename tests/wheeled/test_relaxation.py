@@ -7,7 +7,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.wheeled import Coulomb, Fiala, Linear, Relaxing
-from tests.quickly import quick_jit
 from tests.wheeled.laws import EVERY, LAWS, limits, numbers, replaced, slopes_agree
 
 MOTION = 8.0, 0.4, 8.3
@@ -39,7 +38,7 @@ def test_step_response():
     def rate(z):
         return jnp.stack(tyre.rate(v + slides[0], slides[1], v, z))
 
-    @quick_jit
+    @jax.jit
     def after(steps, h):
         def step(_, z):
             a = rate(z)
@@ -84,7 +83,7 @@ def followed(tyre, motions, h):
         z = ends + (z - ends) * jnp.exp(rates * h)
         return z, jnp.stack([*tyre.traction(*motion, z), *z])
 
-    run = quick_jit(lambda motions: jax.lax.scan(hold, jnp.zeros(2), motions)[1])
+    run = jax.jit(lambda motions: jax.lax.scan(hold, jnp.zeros(2), motions)[1])
     return np.asarray(run(jnp.asarray(motions)))
 
 
@@ -117,7 +116,7 @@ def test_a_parked_wheel_holds_on_a_slope():
     law = Fiala(12.0, 0.8, smooth_speed=1e-5)
     tyre, pull = Relaxing(law, 0.3, 0.02), 9.81 * 0.2
 
-    @quick_jit
+    @jax.jit
     def after(steps, h):
         def step(_, y):
             x, v, zx = y

@@ -12,7 +12,6 @@ from rbjax.wheeled import Fiala, Linear, Relaxing, RollingResistance, TMeasy
 from rbjax.wheeled.fidelity import kinetic_energy, potential_energy
 from rbjax.wheeled.loads import wheel_loads
 from rbjax.wheeled.velocities import contact, twists_of
-from tests.quickly import quick_jit
 
 KINDS = wheeled.kinds()
 SOME = ["differential_drive", "car_trailer"]
@@ -151,7 +150,7 @@ def test_numbers_along_and_across() -> None:
         TMeasy([25.0, 25.0], 0.1, [1.0, 1.0], 0.4, [0.8, 0.8]),
     ]
 
-    @quick_jit
+    @jax.jit
     def closed(q, v):
         vehicles = [wheeled.at(robot, "slipping", tyre=x) for x in tyres]
         return [wheeled.rates(x, State(q, v), jnp.ones(2)).v for x in vehicles]

@@ -11,7 +11,6 @@ from rbjax.forces import Instant
 from rbjax.wheeled import Coulomb, Fiala, Linear, Relaxing, RollingResistance, TyreOnGround
 from tests.constraints.rows import tree
 from tests.constraints.test_rolling import ORACLE, disc, on_the_plane
-from tests.quickly import quick_jit
 from tests.tolerances import GRADIENT
 from tests.wheeled.laws import LAWS
 
@@ -47,7 +46,7 @@ def test_power(law, damping):
     wheel = TyreOnGround(PLANE, WHEEL, tyre, 0.9, 1e3, damping, 0.01, drags)
     model = tree().with_forces(wheel)
 
-    @quick_jit
+    @jax.jit
     @jax.vmap
     def powers(key):
         state = model.random_state(key)
@@ -97,7 +96,7 @@ def test_a_dropped_wheel_settles():
     wheel = TyreOnGround(GROUND, HUB, Coulomb(0.8), R, 2e4, 400.0, 1e-3)
     model = on_a_carriage(UP).with_forces(wheel)
     start = model.default_state().replace(q=jnp.array([0.5]))
-    found = quick_jit(
+    found = jax.jit(
         lambda start: rb.rollout(model, start, steps=2000, dt=1e-3, integrator="rk4").q[:, 0]
     )(start)
     want = at_rest(model, wheel).q[0]
@@ -114,7 +113,7 @@ def test_braking():
     a = rb.forward_dynamics(model, start.q, start.v, rb.applied_forces(model, start))
     np.testing.assert_allclose(a, [-0.7 * G, 0.0], rtol=1e-6, atol=1e-12)
 
-    end = quick_jit(lambda s: rb.rollout(model, s, steps=1500, dt=1e-3, integrator="rk4"))(start)
+    end = jax.jit(lambda s: rb.rollout(model, s, steps=1500, dt=1e-3, integrator="rk4"))(start)
     np.testing.assert_allclose(end.q[-1, 0], 8.0**2 / (2 * 0.7 * G), rtol=1e-4)
     assert abs(end.v[-1, 0]) < 1e-8
 
@@ -127,7 +126,7 @@ def test_a_push_from_the_side():
     lever = state.q[2]
     state = state.replace(v=state.v.at[3].set(4.0 / lever))
     tau = jnp.tile(jnp.array([0.0, 30.0, 0.0, 0.0]), (200, 1))
-    run = quick_jit(lambda s: rb.rollout(model, s, tau=tau, steps=200, dt=1e-3, integrator="rk4"))
+    run = jax.jit(lambda s: rb.rollout(model, s, tau=tau, steps=200, dt=1e-3, integrator="rk4"))
     found = run(state)
     reference = np.hypot(4.0, 0.05)
     ends = reference * 30.0 / (20 * G * 9.0)
@@ -145,7 +144,7 @@ def test_coasting():
     state = at_rest(model, wheel, v0=4.0)
     lever = state.q[1]
     state = state.replace(v=state.v.at[2].set(4.0 / lever))
-    run = quick_jit(lambda s: rb.rollout(model, s, steps=400, dt=5e-4, integrator="rk4").v[:, 0])
+    run = jax.jit(lambda s: rb.rollout(model, s, steps=400, dt=5e-4, integrator="rk4").v[:, 0])
     v = run(state)
     want = -0.02 * 20 * G / (20 + 0.4 / lever**2)
     np.testing.assert_allclose((v[-1] - v[200]) / 0.1, want, rtol=0.02)
@@ -157,7 +156,7 @@ def test_a_relaxing_tyre_holds_on_a_slope():
     wheel = TyreOnGround(GROUND, HUB, tyre, R, 2e4, 600.0)
     model = on_a_carriage(f"{ALONG},{UP}", slope=0.2).with_forces(wheel)
     start = at_rest(model, wheel)
-    rolled = quick_jit(lambda s: rb.rollout(model, s, steps=4000, dt=1e-3, integrator="rk4"))(start)
+    rolled = jax.jit(lambda s: rb.rollout(model, s, steps=4000, dt=1e-3, integrator="rk4"))(start)
     mu = np.tan(0.2)
     np.testing.assert_allclose(-rolled.x[-1], [mu * 0.3 / 12, 0.0], rtol=1e-4)
     assert np.abs(rolled.v[-1]).max() < 1e-6 and 0 < rolled.q[-1, 0] < 0.02
@@ -210,7 +209,7 @@ def test_the_roll_speed_is_that_of_the_contact_on_the_ground():
         found = wheel.contact(Instant.of(free, 0.0, start.replace(q=q), None))
         return found.p.array, (found.x.array, jnp.stack([*found.sliding, found.roll_speed]))
 
-    (_, (x, speeds)), (dp, _) = quick_jit(lambda: jax.jvp(at, (0.0,), (1.0,)))()
+    (_, (x, speeds)), (dp, _) = jax.jit(lambda: jax.jvp(at, (0.0,), (1.0,)))()
     np.testing.assert_allclose(speeds[:2], 0, atol=1e-6)  # the oracle's numbers of the start
     np.testing.assert_allclose(dp @ x, speeds[2], rtol=1e-6)
     assert abs(turn[2, 2]) > 0.1  # it does lean
@@ -253,10 +252,10 @@ def test_in_single_precision_and_as_a_thread():
     state = at_rest(model, wheel, v0=2.0, v2=7.0).replace(x=jnp.full(2, 0.01))
     half = model.astype(jnp.float32)
     light = jax.tree.map(lambda x: x.astype(jnp.float32), state)
-    found = quick_jit(rb.applied_forces)(half, light)
+    found = jax.jit(rb.applied_forces)(half, light)
     assert found.dtype == jnp.float32
     np.testing.assert_allclose(
-        found, quick_jit(rb.applied_forces)(model, state), rtol=1e-3, atol=0.05
+        found, jax.jit(rb.applied_forces)(model, state), rtol=1e-3, atol=0.05
     )
     explained = rb.threads.explain(lambda s: rb.applied_forces(half, s), light)
     assert explained.operations < 400

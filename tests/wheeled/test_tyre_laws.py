@@ -7,7 +7,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.wheeled import Coulomb, Fiala, Linear, Pacejka, TMeasy
-from tests.quickly import quick_jit
 from tests.tolerances import F64_ROUNDING
 from tests.wheeled.laws import EVERY, LAWS, limits, numbers, slopes_agree
 
@@ -68,7 +67,7 @@ def test_where_the_magic_formula_becomes_its_series():
     def f(s):
         return law.traction(s, 0.0)[0]
 
-    @quick_jit
+    @jax.jit
     @jax.vmap
     def found(s):
         return f(s) / s, jax.grad(f)(s), jax.grad(jax.grad(f))(s) / s
@@ -87,7 +86,7 @@ def test_tmeasy():
         close(pure(law, x * sM, axis), want)
         points = [sM, (sM + sS) / 2, sS, 3 * sS, 1e9]
         close(pure(law, points, axis), [FM, (FM + FS) / 2, FS, FS, FS])
-        ends = quick_jit(jax.vmap(jax.grad(lambda s, axis=axis: pure_traced(law, s, axis))))
+        ends = jax.jit(jax.vmap(jax.grad(lambda s, axis=axis: pure_traced(law, s, axis))))
         np.testing.assert_allclose(
             ends(jnp.array([0.0, sM, sM * (1 - 1e-12), sS, 2 * sS])), [dF0, 0, 0, 0, 0], atol=1e-9
         )
@@ -150,7 +149,7 @@ def test_derivatives_by_every_coefficient_and_slip(law):
 
 @EVERY
 def test_second_derivatives_are_finite_everywhere(law):
-    hessian = quick_jit(jax.vmap(jax.hessian(lambda s: jnp.stack(law.traction(s[0], s[1])))))
+    hessian = jax.jit(jax.vmap(jax.hessian(lambda s: jnp.stack(law.traction(s[0], s[1])))))
     sM = 0.1
     places = [[0.0, 0.0], [1e-300, 0.0], [0.0, 1e-160], [1e-13, -1e-12], [sM, 0.0], [0.2, 0.0]]
     found = hessian(jnp.array([*places, [0.4, 0.0], [1e6, 1e6]]))
@@ -171,7 +170,7 @@ def test_in_single_precision(law):
     scale = np.hypot(*law.traction(sx, sy))
     off = np.hypot(*(np.subtract(a, b) for a, b in zip(got, law.traction(sx, sy), strict=True)))
     assert np.max(off / scale) < 3e-6
-    slopes = quick_jit(jax.vmap(jax.jacfwd(lambda s: jnp.stack(light.traction(s[0], s[1])))))
+    slopes = jax.jit(jax.vmap(jax.jacfwd(lambda s: jnp.stack(light.traction(s[0], s[1])))))
     assert np.isfinite(slopes(jnp.stack([sx, sy], -1).astype(jnp.float32))).all()
 
 

@@ -7,7 +7,6 @@ import pytest
 
 import rbjax as rb
 from rbjax.wheeled import Fiala, Linear, RollingResistance, traction_along
-from tests.quickly import quick_jit
 from tests.wheeled.laws import EVERY, LAWS, by_complex_step, limits, slopes_agree
 
 # u_x, u_y, r phi': rolls, stands, is locked, spins on the spot, backwards, against its way, drifts
@@ -110,7 +109,7 @@ def test_a_law_of_a_user():
             return (self.c * (1 + sx * sx + sy * sy),) * 2
 
     law = Cubic(jnp.array(0.1), jnp.array(2.0))
-    found = quick_jit(lambda law: law.response(1.0, 0.0, 1.0 / 1.5)[0])(law)
+    found = jax.jit(lambda law: law.response(1.0, 0.0, 1.0 / 1.5)[0])(law)
     slip = (1 - 1 / 1.5) / np.hypot(0.1, 1 / 1.5)
     np.testing.assert_allclose(found, [-2 * slip * (1 + slip**2), 0], rtol=1e-14)
     with pytest.raises(rb.InputError, match="smooth_speed"):

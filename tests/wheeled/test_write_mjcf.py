@@ -14,7 +14,6 @@ from rbjax import wheeled
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
 from rbjax.wheeled.full_model import BASES, full_model
 from rbjax.wheeled.motors import limited
-from tests.quickly import quick_jit
 from tests.tolerances import relative_error
 
 KINDS = wheeled.kinds()
@@ -47,7 +46,7 @@ def test_free_flight_is_that_of_the_full_model(name):
         energies = rb.potential_energy(model, q), rb.kinetic_energy(model, q, v)
         return rb.mass_matrix(model, q), rb.forward_dynamics(model, q, v, tau), jnp.stack(energies)
 
-    run, rng = quick_jit(ours), np.random.default_rng(0)
+    run, rng = jax.jit(ours), np.random.default_rng(0)
     assert (model.nq, model.nv) == (m.nq, m.nv)
     np.testing.assert_allclose(m.body_mass.sum(), model.bodies.mass.sum(), rtol=1e-12)
     for _ in range(3):
@@ -186,8 +185,8 @@ def test_states_of_the_full_model_agree(name):
         model = full_model(robot, base)
         full = wheeled.full_model_state(vehicle, state, u, base)
         assert (full.q.size, full.v.size) == (model.nq, model.nv)
-        energies.append(float(quick_jit(rb.kinetic_energy)(model, full.q, full.v)))
-        gaps = quick_jit(rb.constraints.residual)(model, full)[1]
+        energies.append(float(jax.jit(rb.kinetic_energy)(model, full.q, full.v)))
+        gaps = jax.jit(rb.constraints.residual)(model, full)[1]
         # the row of a steering's rate, of the model, is that of one at rest
         turning = 0.15 if robot.steerings else 0.0
         np.testing.assert_allclose(np.abs(gaps).max(), turning, atol=1e-12)

@@ -329,7 +329,6 @@ def test_a_root_that_is_not_found_ends_the_run() -> None:
     assert np.isfinite(np.asarray(run.kept)).all()
 
 
-@pytest.mark.usefixtures("by_xla")
 def test_one_program_for_every_number() -> None:
     from tests.compilations import compilations
 

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 import rbjax as rb
 from rbjax import stability
 from rbjax.motion.integrators import INTEGRATORS
-from tests.quickly import quick_jit
 from tests.tolerances import GRADIENT, relative_error
 
 # A step too large by a share e grows a deviation by about (1 + 4 e)^2000 at a root that leaves at
@@ -27,7 +26,7 @@ def test_turning_axes_are_in_the_matrix() -> None:
     rng = np.random.default_rng(0)
     w = rng.normal(size=3)
     state = rb.State(model.default_state().q, np.concatenate([np.zeros(3), w]))
-    program = quick_jit(lambda s: stability.state_matrix(model, s))
+    program = jax.jit(lambda s: stability.state_matrix(model, s))
     A = np.asarray(program(state))
     dt, step = 1e-5, 1e-4
     for x, dw in ((step * rng.normal(size=3), np.zeros(3)), (np.zeros(3), step * np.ones(3))):
