@@ -18,6 +18,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
+from rbjax._jax_compat import GPU_KERNEL
 from rbjax.threads import self_test
 from rbjax.threads.cuda import Kernel
 from rbjax.threads.custom_call import typed_call
@@ -25,7 +26,7 @@ from rbjax.threads.driver_cache import compile_ahead
 from rbjax.threads.lowering import Unsupported
 from rbjax.threads.nvrtc import CompileError, ptx
 
-TARGET = "__gpu$xla.gpu.ptx"
+TARGET = GPU_KERNEL
 
 
 def gpu() -> jax.Device:

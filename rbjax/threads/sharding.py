@@ -13,19 +13,9 @@ from typing import Any
 
 import jax
 from jax.experimental.custom_partitioning import custom_partitioning
-from jax.extend.core import Primitive
 from jax.sharding import NamedSharding, PartitionSpec
 
 Axes = tuple[int | None, ...]
-
-
-def knows_devices(primitive: Primitive) -> None:
-    """Make JAX pass the devices of the program to the lowering of the primitive, for `spread`.
-
-    (This uses a private name of JAX, as its own primitives do.)"""
-    from jax._src.dispatch import prim_requires_devices_during_lowering
-
-    prim_requires_devices_during_lowering.add(primitive)
 
 
 def spread(

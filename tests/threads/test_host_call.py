@@ -98,6 +98,29 @@ def test_subnormal_arguments_inside_of_xla(dtype, samples):
     np.testing.assert_allclose(many(lambda x: jax.lax.pow(x, dtype(-0.25))), wanted, rtol=eps)
 
 
+#: functions that jax 0.12 traces to primitives of a higher level, of which each is a function
+HIGH = {
+    "searchsorted": lambda x: jnp.searchsorted(jnp.sort(x), x, side="right"),
+    "searchsorted in rows": lambda x: jnp.searchsorted(jnp.sort(x), jnp.outer(x, x)),
+    "nonzero": lambda x: jnp.nonzero(x > 0, size=4, fill_value=-1)[0] + x[0],
+    "einsum": lambda x: jnp.einsum("i,j,j->i", x, x, jnp.sin(x)),
+    "ldexp": lambda x: jnp.ldexp(x, jnp.arange(6, dtype=jnp.int32)),
+    "frexp": lambda x: jnp.frexp(x)[0] * 3 + jnp.frexp(x)[1],
+    "remat": jax.checkpoint(lambda x: jnp.sin(jnp.sin(x))),
+    "custom_jvp": jax.nn.relu,
+    "interp": lambda x: jnp.interp(x, jnp.arange(6.0), jnp.cumsum(x)),
+}
+
+
+@pytest.mark.parametrize("name", HIGH)
+def test_functions_of_many_primitives(name):
+    g, x = HIGH[name], RNG.normal(size=(5, 6)) * 3
+    same(jax.vmap(threaded(g)), jax.vmap(g), x)
+    if name not in ("searchsorted", "searchsorted in rows"):
+        total = lambda h: jax.grad(lambda x: (jax.vmap(h)(x) ** 2).sum())  # noqa: E731
+        same(total(threaded(g)), total(g), x)
+
+
 def test_derivatives_and_loops():
     """Inside of XLA's own loop; a gradient in f32; a hessian."""
     step = threaded(lambda x, w: jnp.sin(w @ x)[:3])
