@@ -18,7 +18,6 @@ from jax.lax import ScatterDimensionNumbers as Scatter
 
 from rbjax.lanes import sincos
 from rbjax.threads.lowering import Unsupported
-from tests import quickly
 from tests.threads.host import (
     COMPILER,
     GPU_ASKED,
@@ -53,9 +52,7 @@ def compare(cases: dict[str, Case], ulps: float = 4, absolute: float = 0.0) -> N
     wants = by_xla(every)
     found = {"C": many_on_host(every, ("-O0", "-ffp-contract=off"))}
     if not GPU_ASKED:
-        found["LLVM"] = by_llvm(every)
-        if quickly.by_xla:  # in the long run; test_vectors.py has some programs
-            found["vectors"] = by_vectors(every)
+        found["LLVM"], found["vectors"] = by_llvm(every), by_vectors(every)
     wrong = [
         f"{name} by {how}, {bad}"
         for how, results in found.items()
