@@ -125,3 +125,13 @@ def test_private_names_of_jax_stand_in_one_file():
         if (match := UNSTABLE.search(line))
     ]
     assert not found, "\n".join(["use rbjax._jax_compat:", *found])
+
+
+def test_benchmarks_do_not_import_tests():
+    found = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for path in sorted((ROOT / "benchmarks").rglob("*.py"))
+        for line, name in imports(path)
+        if f"{name}.".startswith("tests.")
+    ]
+    assert not found, "\n".join(["move what both need to benchmarks/cases", *found])
