@@ -6,22 +6,12 @@ batch of a million. Every function takes one sample and composes with jit, vmap,
 
 import functools
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rbjax import (
-    body,
-    constraints,
-    control,
-    dynamics,
-    forces,
-    joints,
-    planning,
-    rotations,
-    solvers,
-    spatial,
-    sysid,
-    wheeled,
-)
+import jax
+
+from rbjax import dynamics, joints, rotations, spatial
+from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
@@ -53,41 +43,86 @@ from rbjax.dynamics import (
 )
 from rbjax.dynamics.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
-from rbjax.forces import applied_forces
-from rbjax.loading.load import load, scenes
-from rbjax.loading.write_back import write_back
-from rbjax.loading.write_mjcf import write_mjcf
 from rbjax.model import Model, State
-from rbjax.motion.linearise import Linear, linearise, step
-from rbjax.motion.rollout import rollout
-from rbjax.motion.simulate import simulate
-from rbjax.motion.trajectory import Trajectory
 from rbjax.threads import compile, threads
+
+if TYPE_CHECKING:
+    from rbjax import (
+        body,
+        constraints,
+        control,
+        forces,
+        planning,
+        plotting,
+        solvers,
+        stability,
+        sysid,
+        validation,
+        wheeled,
+    )
+    from rbjax import loading as loading
+    from rbjax import motion as motion
+    from rbjax.forces import applied_forces
+    from rbjax.loading import load, scenes, write_back, write_mjcf
+    from rbjax.motion.linearise import Linear, linearise, step
+    from rbjax.motion.rollout import rollout
+    from rbjax.motion.simulate import simulate
+    from rbjax.motion.trajectory import Trajectory
 
 __version__ = "0.1.0"
 
+#: what is imported on the first use: with diffrax, MuJoCo and SciPy below, it takes several times
+#: as long to import as the rest
+_PACKAGES = (
+    "body", "constraints", "control", "forces", "loading", "motion", "planning", "plotting",
+    "solvers", "stability", "sysid", "validation", "wheeled",
+)  # fmt: skip
+_MODULES = {
+    "Linear": "motion.linearise",
+    "Trajectory": "motion.trajectory",
+    "applied_forces": "forces",
+    "linearise": "motion.linearise",
+    "load": "loading",
+    "rollout": "motion.rollout",
+    "scenes": "loading",
+    "simulate": "motion.simulate",
+    "step": "motion.linearise",
+    "write_back": "loading",
+    "write_mjcf": "loading",
+}
 
-def _of(module: str, name: str) -> Any:
-    """A name of a module. The module is imported on the first use."""
-    return getattr(importlib.import_module(module), name)
 
-
-# These rooms offer these names too, although the modules of the names import them.
-for _name in ("recommend", "Recommendation"):
-    wheeled.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.fidelity", _name)
-    solvers.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.solver", _name)
-    control.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.control", _name)
-    constraints.FROM_ABOVE[_name] = functools.partial(_of, "rbjax.recommend.formulation", _name)
+def _of(module: str, name: str | None = None) -> Any:
+    """A module, or a name of it, imported on the first use. That may be within a trace, of which no
+    constant of a module may be part."""
+    with jax.ensure_compile_time_eval():
+        found = importlib.import_module(module)
+    return found if name is None else getattr(found, name)
 
 
 def __getattr__(name: str) -> Any:
-    """Subpackages that are imported on the first use, because their own imports are slow.
-
-    `validation` imports MJX, `plotting` matplotlib, `stability` SciPy's integrators and mpmath.
-    """
-    if name in ("plotting", "stability", "validation"):
-        return importlib.import_module(f"rbjax.{name}")
+    """A package or a name that is imported on the first use."""
+    if name in _PACKAGES:
+        return _of(f"rbjax.{name}")
+    if name in _MODULES:
+        globals()[name] = found = _of(f"rbjax.{_MODULES[name]}", name)
+        return found
     raise AttributeError(f"module 'rbjax' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+# These packages offer these names too, although the modules of the names import them.
+for _package, _module in (
+    ("wheeled", "fidelity"), ("solvers", "solver"), ("control", "control"),
+    ("constraints", "formulation"),
+):  # fmt: skip
+    for _name in ("recommend", "Recommendation"):
+        names_from_above(f"rbjax.{_package}")[_name] = functools.partial(
+            _of, f"rbjax.recommend.{_module}", _name
+        )
 
 __all__ = [
     "InputError",

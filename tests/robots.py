@@ -1,8 +1,9 @@
 """Robots of the tests: a model, the MjModel that it was read from, and states for both.
 
-A name is a bundled scene, `tree:SEED` (a random tree), a name of `tests.oracles.models.MODELS`, or
-`small`: every kind of thing that a model can hold on five velocity coordinates. `NAME in water` is
-the same robot in water that flows, with springs and dampers by powers of what moves them.
+A name is a bundled scene, `tree:SEED` (a random tree), a name of MODELS
+(`benchmarks.cases.models`), or `small`: every kind of thing that a model can hold on five velocity
+coordinates. `NAME in water` is the same robot in water that flows, with springs and dampers by
+powers of what moves them.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
+from benchmarks.cases.models import MODELS
+from benchmarks.cases.random_trees import random_state, random_tree
 from rbjax.compiling import xla_accepts
 from rbjax.loading import compile_model
 from rbjax.validation.mjx import fast
 from rbjax.validation.reference import smooth
-from tests.oracles.models import MODELS
-from tests.oracles.random_trees import random_state, random_tree
 
 Array = np.ndarray
 

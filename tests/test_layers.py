@@ -1,6 +1,7 @@
 """Imports run only down the layers: a check of every import of every file."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,10 +12,12 @@ FILES = sorted((ROOT / "rbjax").rglob("*.py"))
 FLOORS = {
     "callable_modules": "",
     "errors": "callable_modules",
+    "_jax_compat": "",
+    "above": "errors",
     "progress": "errors",
     "style": "errors",
     "html_page": "errors",
-    "compiling": "progress style html_page",
+    "compiling": "progress style html_page above _jax_compat",
     "meshes": "compiling",
     "lanes": "meshes",
     "threads": "lanes",
@@ -105,3 +108,31 @@ def test_a_file_is_one_idea():
     lengths = {path.relative_to(ROOT): len(path.read_text().splitlines()) for path in FILES}
     long = {str(path): lines for path, lines in lengths.items() if lines > 400}
     assert not long, f"more than 400 lines: {long}"
+
+
+#: names of JAX and its libraries that are private, or that their versions change
+UNSTABLE = re.compile(
+    r"jax\._src|\._impl\b|manual_axis_type|call_wrapped|axis_context|debug_info|source_info"
+    r"|call_hi_primitive|mhlo\.|xla\.gpu|equinox\._|equinox\.internal import|eqxi\b|\"init_state\""
+)
+
+
+def test_private_names_of_jax_stand_in_one_file():
+    found = [
+        f"{path.relative_to(ROOT)}:{n}: {match[0]}"
+        for path in FILES
+        if path.name != "_jax_compat.py"
+        for n, line in enumerate(path.read_text().splitlines(), 1)
+        if (match := UNSTABLE.search(line))
+    ]
+    assert not found, "\n".join(["use rbjax._jax_compat:", *found])
+
+
+def test_benchmarks_do_not_import_tests():
+    found = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for path in sorted((ROOT / "benchmarks").rglob("*.py"))
+        for line, name in imports(path)
+        if f"{name}.".startswith("tests.")
+    ]
+    assert not found, "\n".join(["move what both need to benchmarks/cases", *found])

@@ -22,10 +22,10 @@ from mujoco import mjx
 from rich.progress import track
 
 import rbjax as rb
+from benchmarks.cases.models import MODELS, SINGULAR, switch_off_constraints
+from benchmarks.cases.random_trees import random_tree
 from benchmarks.shared.robots import NAMES, states
 from benchmarks.shared.timing import markdown_table, save
-from tests.oracles.models import MODELS, SINGULAR, switch_off_constraints
-from tests.oracles.random_trees import random_tree
 
 COUNT = 100
 QUANTITIES = ("position", "attitude", "mass matrix", "bias", "forward dynamics")

@@ -29,8 +29,8 @@ def errors(name: str) -> dict:
     from mujoco import mjx
 
     import rbjax as rb
+    from benchmarks.cases.models import MODELS, switch_off_constraints
     from benchmarks.shared.robots import as_model, relative, states
-    from tests.oracles.models import MODELS, switch_off_constraints
 
     m = MODELS[name].load()
     switch_off_constraints(m)
@@ -73,7 +73,7 @@ def errors(name: str) -> dict:
 
 
 def main() -> None:
-    from tests.oracles.models import MODELS, SINGULAR
+    from benchmarks.cases.models import MODELS, SINGULAR
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--processes", type=int, default=8)

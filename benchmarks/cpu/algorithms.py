@@ -18,9 +18,9 @@ import numpy as np
 import pinocchio as pin
 
 import rbjax as rb
+from benchmarks.cases.models import MODELS
 from benchmarks.shared.robots import NAMES, compiled, ours, states
 from benchmarks.shared.timing import fastest_ns, markdown_table, others, save
-from tests.oracles.models import MODELS
 
 SIZES = 512, 4096
 TURNS, SECONDS = 20, 2.5

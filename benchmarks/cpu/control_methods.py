@@ -65,7 +65,7 @@ def cart_pole() -> tuple[Problem, Any, float]:
 
 def double_pendulum() -> tuple[Problem, Any, float]:
     """Crocoddyl's double pendulum, swung up by its first joint in 1 s."""
-    from tests.oracles.optimal_control import double_pendulum as case
+    from benchmarks.cases.optimal_control import double_pendulum as case
 
     found = case()
     problem = Problem(

@@ -18,9 +18,9 @@ jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
 
+from benchmarks.cases import dfki  # noqa: E402
 from benchmarks.shared.timing import markdown_table, save  # noqa: E402
 from rbjax import sysid  # noqa: E402
-from tests.sysid import dfki  # noqa: E402
 
 CUTOFFS = (3.0, 4.0, 5.0, 8.0)
 COLUMNS = (

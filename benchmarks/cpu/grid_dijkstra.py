@@ -10,10 +10,10 @@ import benchmarks.shared.one_core  # noqa: F401  isort: skip
 
 import time
 
+from benchmarks.cases import algorithm_10_2
 from benchmarks.shared.clutter import CAR, CONTROLS, HEADINGS, TOLERANCE, clutter, query
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.planning import grid_dijkstra
-from tests.planning import algorithm_10_2
 
 
 def timed(f, *args) -> tuple:

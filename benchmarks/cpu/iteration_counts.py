@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.cpu.optimal_control import answer, started
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.control import solve
-from tests.oracles import optimal_control as oracle
+from benchmarks.cases import optimal_control as oracle
 
 DIGITS = 1e-6
 COLUMNS = ("problem", "method", "cost", "iterations", "to 6 digits", "to their cost",

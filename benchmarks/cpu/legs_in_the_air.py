@@ -22,13 +22,13 @@ jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
+from benchmarks.cases import go2  # noqa: E402
 from benchmarks.shared.cma_es import cma_es  # noqa: E402
 from benchmarks.shared.timing import markdown_table, others, save  # noqa: E402
 from rbjax.sysid import Setup, identify  # noqa: E402
 from rbjax.sysid.runs import run_of  # noqa: E402
 from rbjax.sysid.simulation import motion  # noqa: E402
 from rbjax.sysid.unknowns import Unknowns  # noqa: E402
-from tests.sysid import go2  # noqa: E402
 
 COLUMNS = (
     "part", "model", "unknowns", "rollouts", "evaluations", "seconds", "fitted", "unseen", "ok"

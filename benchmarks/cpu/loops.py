@@ -141,9 +141,14 @@ def rows(path: str) -> Iterator[dict]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("robots", nargs="+", help="MJCF files with connect constraints")
+    parser.add_argument("robots", nargs="*", help="MJCF files with connect constraints")
     found: list[dict] = []
-    for path in parser.parse_args().robots:
+    robots = parser.parse_args().robots
+    if not robots:
+        print("nothing measured: name MJCF files with connect constraints, as in "
+              "python -m benchmarks.cpu.loops cassie.xml")  # fmt: skip
+        return
+    for path in robots:
         for row in rows(path):
             found.append(row)
             print(row, flush=True)

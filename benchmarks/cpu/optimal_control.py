@@ -20,7 +20,7 @@ import jax
 
 from benchmarks.shared.timing import markdown_table, save
 from rbjax.control import solve
-from tests.oracles import optimal_control as oracle
+from benchmarks.cases import optimal_control as oracle
 
 PEER = str(Path(__file__).parents[1] / "shared" / "crocoddyl_peer.py")
 COLUMNS = (

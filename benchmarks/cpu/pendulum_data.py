@@ -16,8 +16,7 @@ jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
 
-from benchmarks.shared.timing import markdown_table, save  # noqa: E402
-from tests.sysid.pendulums import (  # noqa: E402
+from benchmarks.cases.pendulums import (  # noqa: E402
     DATA,
     NAMES,
     SECONDS,
@@ -27,6 +26,7 @@ from tests.sysid.pendulums import (  # noqa: E402
     published,
     split,
 )
+from benchmarks.shared.timing import markdown_table, save  # noqa: E402
 
 COLUMNS = ("pendulum", "piece", "found 1.5", "published 1.5", "found 0.5", "published 0.5")
 

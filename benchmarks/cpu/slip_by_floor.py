@@ -17,9 +17,7 @@ jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
 
-from benchmarks.shared.timing import markdown_table, save  # noqa: E402
-from rbjax import wheeled  # noqa: E402
-from tests.sysid.robotino import (  # noqa: E402
+from benchmarks.cases.robotino import (  # noqa: E402
     ARM,
     DATA,
     FLOORS,
@@ -29,6 +27,8 @@ from tests.sysid.robotino import (  # noqa: E402
     repeatability,
     robotino,
 )
+from benchmarks.shared.timing import markdown_table, save  # noqa: E402
+from rbjax import wheeled  # noqa: E402
 
 COLUMNS = ("floor", "model", "unknowns", "runs", "mean", "each", "rms", "worst", "repeats", "fit_s")
 

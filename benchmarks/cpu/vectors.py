@@ -17,7 +17,7 @@ from benchmarks.shared.timing import fastest_ns, markdown_table, save
 from benchmarks.shared.under_xla import under_xla
 from rbjax.threads.frame import batch_first, batch_last, write_program
 from rbjax.threads.llvm_batch import parts
-from tests.threads.host import part_function
+from benchmarks.shared.part_function import part_function
 
 BATCH = 1024
 RUNS = 200  # short ones: the best of them had the core for itself

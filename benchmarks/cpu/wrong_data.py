@@ -17,11 +17,11 @@ jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
 
+from benchmarks.cases import problems  # noqa: E402
+from benchmarks.cases.problems import Problem, quadruped  # noqa: E402
+from benchmarks.cases.wrong_data import TRUTH, UNKNOWNS, WRONG, T, Wrong, leg, ways  # noqa: E402
 from benchmarks.shared.timing import markdown_table  # noqa: E402
 from rbjax.sysid import Grid, diagnose, identify  # noqa: E402
-from tests.sysid import problems  # noqa: E402
-from tests.sysid.problems import Problem, quadruped  # noqa: E402
-from tests.sysid.wrong_data import TRUTH, UNKNOWNS, WRONG, T, Wrong, leg, ways  # noqa: E402
 
 COLUMNS = ("wrong", "loss", "named", "error", "error_mended", "seconds")
 #: of the quadruped's recording, s

@@ -1,7 +1,7 @@
 """Optimal control on a GPU: iterations of DDP and SQP, of a batch of arms and of one arm.
 
 `python -m benchmarks.gpu.control` writes results/gpu-control-<device>.json. The six-joint Indy7
-reaches to points, its torques within bounds, in f32 (problems of tests/oracles/optimal_control.py,
+reaches to points, its torques within bounds, in f32 (benchmarks/cases/optimal_control.py,
 GATO's robot and weights). An iteration is what a search of 12 iterations takes longer than one of
 2, over 10; both are one program. A batch of one is one problem, without `vmap`. The parts of an
 iteration are timed by themselves, too: those of both methods, those of DDP only ("forward") and of
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
+from benchmarks.cases.optimal_control import given, reach, target_of
 from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.control import ddp, sqp
@@ -29,7 +30,6 @@ from rbjax.control.front_door import first_guess
 from rbjax.control.options import Options
 from rbjax.control.verdict import Limits
 from rbjax.threads import threads
-from tests.oracles.optimal_control import given, reach, target_of
 
 COLUMNS = (
     "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",

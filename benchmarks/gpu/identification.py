@@ -30,10 +30,10 @@ jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
 
+from benchmarks.cases import problems  # noqa: E402
 from benchmarks.cpu.identification import guessed_again  # noqa: E402
 from benchmarks.shared.timing import markdown_table, save  # noqa: E402
 from rbjax.sysid import identify  # noqa: E402
-from tests.sysid import problems  # noqa: E402
 
 COLUMNS = (
     "problem", "unknowns", "evaluations", "first_s", "trace_s", "lower_s", "compile_s", "run_s",

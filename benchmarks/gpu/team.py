@@ -25,7 +25,7 @@ from benchmarks.shared.timing import markdown_table, save
 from rbjax.control.backward_pass import Bounds, backward_pass
 from rbjax.control.expansion import Quadratic
 from rbjax.threads import device, team, threads
-from rbjax.threads.launch import capability
+from rbjax.threads.launch import capability, ordinal
 from rbjax.threads.nvrtc import ptx
 
 primitive = importlib.import_module("rbjax.threads.primitive")
@@ -103,7 +103,7 @@ def used(args: tuple) -> str:
     try:
         jax.jit(jax.vmap(threads(backward_pass, team=True))).lower(*args)
         code = codes[-1]
-        found = device.resources(ptx(code.source, capability()), code.name)
+        found = device.resources(ptx(code.source, capability()), code.name, ordinal())
         return (
             f"{code.block} threads, {found.registers} registers, {found.local_bytes} local bytes, "
             f"{found.shared_bytes} shared"

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 
 import rbjax as rb
 import rbjax.control
+from benchmarks.cases.models import MODELS
 from benchmarks.shared.robots import NAMES
-from tests.oracles.models import MODELS
 
 URDF = str(MODELS[NAMES["panda"]].path)
 BASE, HAND = "panda_link0", "panda_hand"

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from tests.oracles.models import MODELS, switch_off_constraints
+from benchmarks.cases.models import MODELS, switch_off_constraints
 
 NAMES = {
     "panda": "frax/franka_panda/panda.urdf",

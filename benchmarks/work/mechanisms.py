@@ -13,14 +13,14 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from rbjax import constraints as rc
-from tests.constraints.mechanisms import (
+from benchmarks.cases.mechanisms import (
     andrews,
     four_bars,
     pendulum,
     spatial_slider_crank,
     tilted_four_bar,
 )
+from rbjax import constraints as rc
 
 ROOT = Path(__file__).parents[2]
 CASSIE = ROOT.parent / "shared" / "data" / "cassie"  # beside the repository

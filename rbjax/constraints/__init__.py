@@ -1,8 +1,8 @@
 """Constraints on the motion of a robot: rows, and the formulations that enforce them."""
 
-from collections.abc import Callable
 from typing import Any
 
+from rbjax.above import names_from_above
 from rbjax.constraints.assembly import Assembly, assemble
 from rbjax.constraints.compliant import Compliant
 from rbjax.constraints.constraint import Constraint
@@ -67,7 +67,7 @@ from rbjax.constraints.unconstrained import (
 )
 
 #: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+FROM_ABOVE = names_from_above("rbjax.constraints")
 
 
 def __getattr__(name: str) -> Any:

@@ -23,9 +23,9 @@ Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); 
 observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
 """
 
-from collections.abc import Callable
 from typing import Any
 
+from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
 from rbjax.control.actuation import Allocation, allocate
 from rbjax.control.clearances import Capsule, Clearance, HalfSpace, Sphere
@@ -101,7 +101,7 @@ from rbjax.control.tracking import Tracking, time_varying_lqr
 from rbjax.motion.kalman import Estimate, StateSpace, kalman_predict, kalman_update
 
 #: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+FROM_ABOVE = names_from_above("rbjax.control")
 
 
 def __getattr__(name: str) -> Any:

@@ -26,7 +26,7 @@ def devices() -> int:
 
 def memory_share() -> int:
     """Bytes: an eighth of the memory of all devices, 2 GiB for a device that does not report it."""
-    limit = (jax.devices()[0].memory_stats() or {}).get("bytes_limit", 2**34)
+    limit = (jax.local_devices()[0].memory_stats() or {}).get("bytes_limit", 2**34)
     return limit // 8 * devices()
 
 

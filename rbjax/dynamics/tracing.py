@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
+from rbjax._jax_compat import inside
 from rbjax.lanes import batch_first
 
 
@@ -97,10 +98,7 @@ def _held(residual: Callable, x: Any, *at: Any) -> Any:
 def of_jax(x: Any) -> Any:
     """x, or a copy where NumPy arrays inside a batch or tangent tracer become JAX arrays: a custom
     rule inside a `jit` takes no others (jax 0.10.2 asserts this)."""
-    inner = x
-    while isinstance(inner, jax.core.Tracer):
-        inner = getattr(inner, "val", getattr(inner, "primal", None))
-    return jnp.copy(x) if isinstance(inner, (np.ndarray, np.generic)) else x
+    return jnp.copy(x) if isinstance(inside(x), (np.ndarray, np.generic)) else x
 
 
 def jvp_of(f: Callable, primals: Any, tangents: Any) -> tuple[Any, Any]:

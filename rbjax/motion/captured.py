@@ -9,7 +9,8 @@ that of another function where this differs in numbers only.
 
 What asks more of a number than an operand can tell (`if k > 0`) is read with its floats in the
 recipe, or with its arrays too. What cannot be read (a generator, what writes as it runs) stays an
-object that equals nothing else, as to `jit`: it is compiled where it is new.
+object that equals nothing else, as to `jit`: it is compiled where it is new. A user's function that
+reads what it does not name (`globals()`, a file) is compiled at each call, and a warning says so.
 
 `equinox.filter_closure_convert` and `jax.closure_convert` trace a function to find its arrays, and
 `equinox.internal.closure_to_pytree` looks into cells only.
@@ -18,6 +19,7 @@ object that equals nothing else, as to `jit`: it is compiled where it is new.
 from __future__ import annotations
 
 import functools
+import warnings
 import weakref
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -27,7 +29,7 @@ import jax
 
 from rbjax.compiling import inside_jit
 from rbjax.constraints.formulation import Formulation
-from rbjax.motion.reading import FLOATS, TRACERS, Reader, Same, UnreadableError
+from rbjax.motion.reading import FLOATS, TRACERS, HiddenError, Reader, Same, UnreadableError
 
 T = TypeVar("T")
 
@@ -115,9 +117,22 @@ def _read(f: Callable, level: int) -> Any:
     reader = Reader(level)
     try:
         recipe = Recipe(f, reader)
+    except HiddenError as error:
+        _say(*error.args)
+        return lambda *args, **kwargs: f(*args, **kwargs)  # equals no function of an earlier call
     except (UnreadableError, TypeError, ValueError, RecursionError):  # no hash, no order, no end
         return None
     return f if isinstance(recipe.key, Same) else Captured(tuple(reader.operands), recipe)
+
+
+@functools.cache
+def _say(function: str, how: str) -> None:
+    warnings.warn(
+        f"{function} uses `{how}`: what that reads may change unseen, so the function is compiled "
+        "at each call, which takes seconds; read the values by their names, or hold them in "
+        "arguments, cells or attributes",
+        stacklevel=2,
+    )
 
 
 def _site(f: Any) -> Any:

@@ -10,46 +10,33 @@ from its parts (a class, an instance, a module of the user) is in the key with a
 from __future__ import annotations
 
 import builtins
-import dis
 import functools
 import itertools
+import os
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
 from types import (
     BuiltinFunctionType,
     CellType,
-    CodeType,
     FunctionType,
     GetSetDescriptorType,
     MemberDescriptorType,
     MethodType,
     ModuleType,
 )
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.callable_modules import CallableModule
+from rbjax.motion.code_names import DEEP, HIDDEN, INSTALLED, Names, names_of, of_library
 
 #: what becomes operands: arrays and floats; arrays; nothing but tracers
 FLOATS, ARRAYS, TRACERS = range(3)
-#: packages whose own globals do not change
-LIBRARIES = frozenset({
-    "abc", "builtins", "chex", "cmath", "collections", "dataclasses", "diffrax", "enum", "equinox",
-    "functools", "itertools", "jax", "jaxlib", "jaxtyping", "lineax", "math", "numpy", "operator",
-    "optax", "optimistix", "rbjax", "types", "typing",
-})  # fmt: skip
-#: names in code that reads what it does not name, or runs outside of the program
-UNREADABLE = frozenset({
-    "__dict__", "__import__", "callback", "dir", "eval", "exec", "getattr", "globals",
-    "io_callback", "locals", "open", "pure_callback", "setattr", "vars",
-})  # fmt: skip
-#: names in code that may see a tracer in the place of a number, and go another way
-CURIOUS = frozenset({"Tracer", "hash", "id", "isinstance", "issubclass", "repr", "str", "type"})
-WRITING = frozenset({"STORE_GLOBAL", "DELETE_GLOBAL", "STORE_DEREF", "DELETE_DEREF"})
 ATOMS = frozenset({type(None), bool, int, str, bytes, range, type(...)})
 FIXED = (BuiltinFunctionType, np.ufunc, type(jax.jit(lambda: None)))  # known by identity
 LARGEST = 1 << 16  # bytes of a numpy array in a key
@@ -62,6 +49,11 @@ Maker = Callable[[Sequence, dict[int, Any]], Any] | None
 
 class UnreadableError(Exception):
     """Not all is known of what a function reads."""
+
+
+class HiddenError(UnreadableError):
+    """A user's code reads variables or files that it does not name, so its result may change
+    although nothing changes that can be read. The argument says which code, and how."""
 
 
 class Same:
@@ -82,43 +74,8 @@ class Same:
 MISSING = Same(None)  # an empty cell, a global that is none
 
 
-class Names(NamedTuple):
-    """What code names: the globals that it reads, and all; whether it may see a tracer; whether it
-    writes nothing and reads nothing else."""
-
-    read: tuple[str, ...]
-    every: frozenset[str]
-    curious: bool
-    readable: bool
-
-
 #: where an object keeps a field, which is read there
 PLACES = (GetSetDescriptorType, MemberDescriptorType, type(Names.read))
-
-
-@functools.lru_cache(4096)
-def names_of(code: CodeType) -> Names:
-    ops = list(dis.get_instructions(code))
-    inner = [names_of(c) for c in code.co_consts if isinstance(c, CodeType)]
-    own = (op.argval for op in ops if op.opname in {"LOAD_GLOBAL", "LOAD_NAME"})
-    read = dict.fromkeys(itertools.chain(own, *(x.read for x in inner)))
-    every = frozenset(code.co_names).union(*(x.every for x in inner))
-    catches = bool(code.co_exceptiontable) or any(op.opname == "MATCH_CLASS" for op in ops)
-    leaks = any(
-        (op.opname in WRITING and op.argval not in code.co_cellvars)
-        or (op.opname == "IMPORT_NAME" and not of_library(op.argval))
-        for op in ops
-    )
-    return Names(
-        tuple(read),
-        every,
-        catches or bool(every & CURIOUS) or any(x.curious for x in inner),
-        not leaks and not every & UNREADABLE and all(x.readable for x in inner),
-    )
-
-
-def of_library(module: Any) -> bool:
-    return isinstance(module, str) and module.split(".")[0] in LIBRARIES
 
 
 class Reader:
@@ -129,6 +86,9 @@ class Reader:
     def __init__(self, level: int) -> None:
         self.level = level
         self.operands: list[jax.Array] = []
+        self.places: dict[int, tuple[int, Any]] = {}  # of operands that are arrays, by identity
+        self.known: dict[int, tuple[int, Any]] = {}  # arrays of numpy in the key, by identity
+        self.deep = self.of_modules = False  # attributes without names are read; modules are
         self.seen: dict[tuple, tuple[Any, Maker] | None] = {}
 
     def read(
@@ -141,13 +101,13 @@ class Reader:
             return x, None
         if kind in (float, complex):  # by its digits: zeros have signs, and nan equals nan
             known = held or self.level > FLOATS
-            return ((kind, repr(x)), None) if known else self._operand(jnp.asarray(x))
+            return ((kind, repr(x)), None) if known else self._operand(jnp.asarray(x), x)
         if isinstance(x, jax.core.Tracer):
             if held:
                 raise UnreadableError
-            return self._operand(x)
+            return self._operand(x, x)
         if isinstance(x, jax.Array):
-            return (Same(x), None) if held or self.level > ARRAYS else self._operand(x)
+            return (Same(x), None) if held or self.level > ARRAYS else self._operand(x, x)
         if isinstance(x, (np.ndarray, np.generic)):
             return self._of_numpy(x, held)
         at = (id(x), held, names if kind is ModuleType else ())
@@ -165,8 +125,14 @@ class Reader:
             raise UnreadableError
         return found
 
-    def _operand(self, x: jax.Array) -> tuple[Any, Maker]:
-        i = len(self.operands)
+    def _operand(self, x: jax.Array, source: Any) -> tuple[Any, Maker]:
+        """x in the place of `source`. An array that is found again is the same operand."""
+        i, is_array = len(self.operands), not isinstance(source, (float, complex))
+        if is_array and id(source) in self.places:
+            i = self.places[id(source)][0]
+            return ("operand", i), lambda operands, _: operands[i]
+        if is_array:
+            self.places[id(source)] = i, source  # which lives as long as its number is a key
         self.operands.append(x)
         return "operand", lambda operands, _: operands[i]
 
@@ -175,10 +141,13 @@ class Reader:
         if x.dtype.kind not in "biufc":
             raise UnreadableError
         if x.dtype.kind in "fc" and not held and self.level <= ARRAYS:
-            return self._operand(jnp.array(x))  # the caller may write into x before it is read
+            # a copy: the caller may write into x before it is read
+            return self._operand(jnp.array(x), x)
         if x.nbytes > LARGEST:
             raise UnreadableError
-        return (type(x), x.dtype, x.shape, x.tobytes()), None
+        # equal arrays are told apart by which they are among those that were found (`x is y`)
+        which, _ = self.known.setdefault(id(x), (len(self.known), x))
+        return (type(x), x.dtype, x.shape, x.tobytes(), which), None
 
     def _object(self, x: Any, held: bool, names: frozenset[str], n: int) -> tuple[Any, Maker]:
         kind = type(x)
@@ -201,10 +170,14 @@ class Reader:
         if kind in (functools.partial, jax.tree_util.Partial):
             given = (x.func, x.args, x.keywords)
             return self._parts(kind, given, held, lambda v: kind(v[0], *v[1], **v[2]))
-        if kind is dict:  # in its order, which a pytree forgets
+        if x is os.environ:
+            return ("environ", *sorted(x.items())), None
+        if kind in (dict, defaultdict):  # in its order, which a pytree forgets
             due, keys = tuple(x), tuple(self.read(k, True)[0] for k in x)
-            make = lambda v: dict(zip(due, v, strict=True))  # noqa: E731
-            return self._parts((kind, keys), x.values(), held, make)
+            first = () if kind is dict else (x.default_factory,)
+            missing = tuple(self.read(f, True)[0] for f in first)
+            make = lambda v: kind(*first, zip(due, v, strict=True))  # noqa: E731
+            return self._parts((kind, keys, missing), x.values(), held, make)
         if kind in (set, frozenset):
             return self._parts(kind, x, True)
         leaves, tree = jax.tree.flatten(x, is_leaf=lambda y: y is not x and not _is_plain(y))
@@ -249,27 +222,35 @@ class Reader:
             held |= names.curious or not names.readable
         else:
             usual = home.get("__builtins__") in (builtins, vars(builtins))
-            later = names.curious and not held and self.level < TRACERS
-            if later or not (usual and names.readable):
+            hidden = sorted(names.every & HIDDEN)
+            if hidden and not code.co_filename.startswith(INSTALLED):
+                raise HiddenError(f.__qualname__, hidden[0])
+            later = (names.curious or names.compares) and not held and self.level < TRACERS
+            known = all(x in sys.modules for x in names.imports)
+            if later or not (usual and names.readable and known):
                 raise UnreadableError
+            self.deep |= bool(names.every & DEEP)
+            self._check_modules()
         read = () if library else names.read
         about = {k: x for k, x in vars(f).items() if k != "__wrapped__"}
-        known = f.__kwdefaults__ or {}
+        by_name = f.__kwdefaults__ or {}
+        imports = () if library else sorted(names.imports)
         groups = [
             f.__defaults__ or (),
-            known.values(),
+            by_name.values(),
             [_content(cell) for cell in f.__closure__ or ()],
             [home.get(k, MISSING) for k in read],
             about.values(),
+            [sys.modules[k] for k in imports],
         ]
         ends = list(itertools.accumulate(map(len, groups)))
         key, values = self._parts(
-            (code, *ends, *known, *about), itertools.chain(*groups), held, names=names.every
+            (code, *ends, *by_name, *about), itertools.chain(*groups), held, names=names.every
         )
         if values is None:
             return key, None
         own = {k: home.get(k) for k in ("__builtins__", "__name__", "__package__")}
-        known_names, about_names = tuple(known), tuple(about)
+        known_names, about_names = tuple(by_name), tuple(about)
 
         def make(operands: Sequence, made: dict[int, Any]) -> FunctionType:
             if n not in made:
@@ -295,11 +276,18 @@ class Reader:
             if module.__name__ == "numpy.random" or (module is np and "random" in names):
                 raise UnreadableError
             return Same(module), None
+        self.of_modules = True
+        self._check_modules()
         inside = vars(module)
         if not names or "__getattr__" in inside:
             raise UnreadableError
         read = sorted(names & inside.keys())
         return self._parts((Same(module), *read), [inside[k] for k in read], True, names=names)
+
+    def _check_modules(self) -> None:
+        """A user's module has more attributes than are read."""
+        if self.deep and self.of_modules:
+            raise UnreadableError
 
     def _class(self, kind: type) -> tuple[Any, Maker]:
         """A class by its identity, and a user's by what its methods read and its attributes are."""

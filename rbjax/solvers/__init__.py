@@ -15,9 +15,9 @@ The last three rows take terms `OnGroup`. The first of these three also takes an
 `Compensated` wraps a solver of the first row and keeps what its additions round off.
 """
 
-from collections.abc import Callable
 from typing import Any
 
+from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
 from rbjax.solvers.compensated import Compensated
 from rbjax.solvers.explicit_rk import RK4
@@ -58,7 +58,7 @@ from rbjax.solvers.steps import AbstractGroupSolver
 from rbjax.solvers.tableau import Tableau
 
 #: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+FROM_ABOVE = names_from_above("rbjax.solvers")
 
 
 def __getattr__(name: str) -> Any:

@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 
+from rbjax._jax_compat import any_of_batch
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.arguments import check_whole
@@ -103,7 +103,7 @@ class AbstractMultistep(AbstractPolynomialSolver, diffrax.AbstractAdaptiveSolver
         if self.past:
             starting = filled < self.past
             first = jax.lax.cond(
-                eqxi.unvmap_any(starting),
+                any_of_batch(starting),
                 lambda: self._padded(self.begin(f, h, here)),
                 lambda: out,
             )

@@ -22,6 +22,7 @@ import lineax as lx
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
 
+from rbjax._jax_compat import FIRST_STATE, correction, corrections
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 
@@ -47,8 +48,8 @@ class Settled(optx.AbstractRootFinder):
     inner: Any = eqx.field(default_factory=lambda: _made(optx.Chord, Inverse()))
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        if "init_state" in options:  # diffrax starts one iteration for all stages of a step
-            return options["init_state"]
+        if FIRST_STATE in options:  # diffrax starts one iteration for all stages of a step
+            return options[FIRST_STATE]
         fn = options.get("near", options.get("slope", fn))
         inner = self.inner.init(fn, y, args, {}, f_struct, aux_struct, tags)
         infinite = jnp.full((), jnp.inf, _dtype(y))
@@ -56,11 +57,11 @@ class Settled(optx.AbstractRootFinder):
 
     def step(self, fn, y, args, options, state, tags):
         inner, _, pace = state
-        before = _largest(inner.diff)
+        before = _largest(correction(inner))
         if isinstance(self.inner, optx.Newton):
             fn = options.get("slope", fn)
         y, inner, aux = self.inner.step(fn, y, args, {}, inner, tags)
-        pace = jnp.where(inner.step == 1, _largest(inner.diff), FAST * pace)
+        pace = jnp.where(corrections(inner) == 1, _largest(correction(inner)), FAST * pace)
         return y, (inner, before, pace), aux
 
     def terminate(self, fn, y, args, options, state, tags):
@@ -69,15 +70,15 @@ class Settled(optx.AbstractRootFinder):
         scale = jnp.maximum(jnp.asarray(options.get("scale", 1.0), dtype), _largest(y))
         eps = jnp.finfo(dtype).eps
         near = ROUNDING * eps * scale
-        now = _largest(inner.diff)
+        now = _largest(correction(inner))
         rate = now / jnp.where(before > 0, before, 1.0)
-        falling = (inner.step >= 2) & (rate < 0.9)
+        falling = (corrections(inner) >= 2) & (rate < 0.9)
         next_ = jnp.where(falling, rate / (1 - jnp.where(falling, rate, 0.0)) * now, now)
         small = (FAST * before <= pace) & (now <= jnp.sqrt(eps) * scale)
-        grown = (inner.step >= 3) & (rate >= 1) & small
-        stalled = (inner.step >= 2) & (rate > 0.5) & (now <= eps**-LOST * near)
-        broken = ~jnp.isfinite(now) & (inner.step >= 1)
-        done = (inner.step >= 1) & ((next_ <= near) | (now == 0) | stalled | grown)
+        grown = (corrections(inner) >= 3) & (rate >= 1) & small
+        stalled = (corrections(inner) >= 2) & (rate > 0.5) & (now <= eps**-LOST * near)
+        broken = ~jnp.isfinite(now) & (corrections(inner) >= 1)
+        done = (corrections(inner) >= 1) & ((next_ <= near) | (now == 0) | stalled | grown)
         failed = optx.RESULTS.where(
             broken, optx.RESULTS.nonlinear_divergence, optx.RESULTS.successful
         )

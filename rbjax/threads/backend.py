@@ -18,9 +18,9 @@ usual = "llvm"
 
 @functools.cache
 def gpu() -> bool:
-    """Whether there is a GPU that can run kernels."""
+    """Whether this process has a GPU that can run kernels."""
     try:
-        return bool(jax.devices("cuda"))
+        return bool(jax.local_devices(backend="cuda"))
     except RuntimeError:
         return False
 

@@ -85,10 +85,10 @@ def kernel(program: Written, name: str = "threads") -> Kernel:
     """The kernel of a program; raises `Unsupported` if it is too large for a thread."""
     if program.statements > STATEMENTS_UP_TO:
         raise Unsupported(f"{program.statements} statements, more than {STATEMENTS_UP_TO}")
-    if program.array_bytes > ARRAY_BYTES_UP_TO:
-        raise Unsupported(
-            f"{program.array_bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}"
-        )
+    sums = (a for a, s in zip(program.results, program.summed, strict=True) if s)
+    bytes = program.array_bytes + sum(a.size * a.dtype.itemsize for a in sums)
+    if bytes > ARRAY_BYTES_UP_TO:
+        raise Unsupported(f"{bytes} bytes of arrays in a thread, more than {ARRAY_BYTES_UP_TO}")
     source = "\n".join(_lines(program, name, _room(program)))
     grid = max(-(-math.prod(program.batch) // BLOCK), 1)
     return Kernel(source, name, BLOCK, grid, program.summed)

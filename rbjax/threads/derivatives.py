@@ -22,10 +22,10 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
+from rbjax._jax_compat import custom_rule, equation, without_names
 from rbjax.threads.equations import (
     Atom,
     called,
-    custom_rule,
     is_whole,
     needed,
     of,
@@ -54,9 +54,7 @@ class Equations:
     def write(self, eqn: JaxprEqn, ins: list[Atom], at: JaxprEqn | None = None) -> list[Var]:
         """An equation with other inputs, and new results, at the place of another in the source."""
         at, outs = at or eqn, [Var(v.aval) for v in eqn.outvars]
-        self.eqns.append(
-            JaxprEqn(ins, outs, eqn.primitive, eqn.params, eqn.effects, at.source_info, at.ctx)
-        )
+        self.eqns.append(equation(eqn, ins, outs, at))
         return outs
 
     def inlined(self, closed: ClosedJaxpr, args: Sequence[Atom], at: JaxprEqn | None) -> list[Atom]:
@@ -112,7 +110,7 @@ class Linearised:
         rates = [Var(v.aval) for v, m in zip(args, moving, strict=True) if m]
         rest = iter(rates)
         out, rate = _along(eqns, closed, args, [next(rest) if m else None for m in moving])
-        notes = jaxpr.debug_info._replace(arg_names=None, result_paths=None)
+        notes = without_names(jaxpr)
         return cls(eqns, args, rates, out, rate, notes)
 
     def tangent(self, kept: Sequence[Any]) -> ClosedJaxpr:

@@ -10,7 +10,9 @@ from rbjax.threads.nvrtc import CompileError
 # of cuda.h
 REGISTERS, LOCAL_BYTES, SHARED_BYTES = 4, 3, 1  # CUfunction_attribute
 CLOCK_KHZ, MULTIPROCESSORS, MEMORY_KHZ, BUS_BITS = 13, 16, 36, 37  # CUdevice_attribute
-LANES = 128  # f32 lanes of a multiprocessor, since Ampere's consumer chips and Hopper
+#: f32 lanes of a multiprocessor, by compute capability; of others 128. Source: CUDA C++ Programming
+#: Guide, "Throughput of Native Arithmetic Instructions"
+LANES = {"6.0": 64, "7.0": 64, "7.2": 64, "7.5": 64, "8.0": 64}
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,15 @@ def _check(status: int, what: str) -> None:
         raise CompileError(f"the CUDA driver fails to {what}: status {status}")
 
 
-def resources(code: str, name: str) -> Resources:
-    """The resources of a kernel's PTX, as compiled by the driver."""
+def lanes(capability: str) -> int:
+    """The f32 lanes of a multiprocessor of a compute capability ("9.0")."""
+    return LANES.get(capability, 128)
+
+
+def resources(code: str, name: str, ordinal: int = 0) -> Resources:
+    """The resources of a kernel's PTX, as compiled by the driver for a device."""
     cuda, module, function = _driver(), ctypes.c_void_p(), ctypes.c_void_p()
-    _in_context(cuda)
+    _in_context(cuda, ordinal)
     _check(cuda.cuModuleLoadData(ctypes.byref(module), code.encode()), "load a kernel")
     try:
         _check(cuda.cuModuleGetFunction(ctypes.byref(function), module, name.encode()), "find it")
@@ -59,10 +66,10 @@ def resources(code: str, name: str) -> Resources:
         cuda.cuModuleUnload(module)
 
 
-def limits() -> Limits:
-    """The limits of the first GPU, from its clocks."""
+def limits(capability: str, ordinal: int = 0) -> Limits:
+    """The limits of a GPU, from its clocks."""
     cuda = _driver()
-    device = _in_context(cuda)
+    device = _in_context(cuda, ordinal)
 
     def ask(attribute: int) -> int:
         value = ctypes.c_int()
@@ -73,15 +80,15 @@ def limits() -> Limits:
     clock = 1e3 * ask(CLOCK_KHZ)
     # two transfers a clock
     return Limits(
-        ask(MULTIPROCESSORS) * LANES * clock, 2e3 * ask(MEMORY_KHZ) * ask(BUS_BITS) / 8
+        ask(MULTIPROCESSORS) * lanes(capability) * clock, 2e3 * ask(MEMORY_KHZ) * ask(BUS_BITS) / 8
     )
 
 
-def _in_context(cuda: ctypes.CDLL) -> ctypes.c_int:
-    """The first device, whose primary context (JAX's own) is made current."""
+def _in_context(cuda: ctypes.CDLL, ordinal: int) -> ctypes.c_int:
+    """A device, whose primary context (JAX's own) is made current."""
     device, context = ctypes.c_int(), ctypes.c_void_p()
     _check(cuda.cuInit(0), "start")
-    _check(cuda.cuDeviceGet(ctypes.byref(device), 0), "find a device")
+    _check(cuda.cuDeviceGet(ctypes.byref(device), ordinal), "find a device")
     _check(cuda.cuDevicePrimaryCtxRetain(ctypes.byref(context), device), "open the device")
     _check(cuda.cuCtxSetCurrent(context), "enter the device")
     return device

@@ -1,14 +1,25 @@
-"""Compiled code on disk, next to JAX's own compilation cache if the caller has enabled that."""
+"""Compiled code on disk, next to JAX's own compilation cache if the caller has enabled that.
+
+A cache saves time only: if the folder cannot be read or written, code is compiled anew and a
+warning names the folder.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import hashlib
 import os
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jax
+
+#: bytes of the digest with which a file begins; code whose digest differs is compiled again
+DIGEST = hashlib.sha256().digest_size
 
 
 def cached(name: str, make: Callable[[], bytes]) -> bytes:
@@ -16,14 +27,47 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
     folder = _folder()
     if folder is None:
         return make()
-    if (folder / name).exists():
-        return (folder / name).read_bytes()
+    found = _read(folder / name)
+    if found is not None:
+        return found
     made = make()
+    try:
+        _write(folder, name, made)
+    except OSError as error:
+        _say(str(folder), str(error))
+    return made
+
+
+def _read(file: Path) -> bytes | None:
+    """The content of a file; None if it is missing, cannot be read or is damaged."""
+    try:
+        found = file.read_bytes()
+    except OSError:
+        return None
+    digest, content = found[:DIGEST], found[DIGEST:]
+    return content if digest == hashlib.sha256(content).digest() else None
+
+
+def _write(folder: Path, name: str, content: bytes) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("wb", dir=folder, delete=False) as file:
-        file.write(made)
-    os.replace(file.name, folder / name)  # atomic
-    return made
+        try:
+            file.write(hashlib.sha256(content).digest() + content)
+            file.close()
+            os.replace(file.name, folder / name)  # atomic
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.unlink(file.name)
+            raise
+
+
+@functools.cache
+def _say(folder: str, reason: str) -> None:
+    warnings.warn(
+        f"rbjax.threads: compiled code is not kept on disk ({reason}), so each process compiles it "
+        f"again; make {folder} writable, or set JAX_COMPILATION_CACHE_DIR to another folder",
+        stacklevel=2,
+    )
 
 
 def _folder() -> Path | None:

@@ -12,22 +12,24 @@ import functools
 import hashlib
 import os
 import threading
+from collections.abc import Callable
 
 #: characters of PTX from which on it pays
 LONG = 50_000
 _given: set[bytes] = set()  # digests of what it was given in this process
 
 
-def compile_ahead(ptx: str) -> threading.Thread | None:
+def compile_ahead(ptx: str, ordinal: Callable[[], int]) -> threading.Thread | None:
     """Have the driver compile PTX in a thread; None where it is short or was given before, or where
-    nothing is kept."""
+    nothing is kept. ordinal: gives the number of the GPU, whose context this process has open."""
     if len(ptx) < LONG or os.environ.get("CUDA_CACHE_DISABLE", "0") == "1":
         return None
     digest, driver = hashlib.sha256(ptx.encode()).digest(), _library()
     if driver is None or digest in _given:
         return None
     _given.add(digest)
-    thread = threading.Thread(target=_load, args=(driver, ptx.encode()), name="rbjax-ptx")
+    given = driver, ptx.encode(), ordinal()
+    thread = threading.Thread(target=_load, args=given, name="rbjax-ptx")
     thread.start()
     return thread
 
@@ -40,10 +42,10 @@ def _library() -> ctypes.CDLL | None:
         return None
 
 
-def _load(driver: ctypes.CDLL, ptx: bytes) -> None:
+def _load(driver: ctypes.CDLL, ptx: bytes, ordinal: int) -> None:
     """Load a module, and forget it. An error is XLA's to report, which loads it again."""
     device, context, module = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_void_p()
-    if driver.cuInit(0) or driver.cuDeviceGet(ctypes.byref(device), 0):
+    if driver.cuInit(0) or driver.cuDeviceGet(ctypes.byref(device), ordinal):
         return
     if driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), device):
         return

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr
 
+from rbjax._jax_compat import UNVMAP, is_error
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.reductions import reduced
 
@@ -25,9 +26,6 @@ def _select_if_vmap(low: Lowering, eqn: Any, ins: list) -> list:
 def _implemented(low: Lowering, eqn: Any, ins: list) -> list:
     f = functools.partial(eqn.primitive.impl, **eqn.params)  # which JAX traces
     return low.evaluate(f, *ins, avals=[v.aval for v in eqn.invars])
-
-
-UNVMAP = {"unvmap_any": "or", "unvmap_all": "and", "unvmap_max": "max"}
 
 
 def _unvmap(low: Lowering, eqn: Any, ins: list) -> list:
@@ -48,8 +46,4 @@ def _callback(low: Lowering, eqn: Any, ins: list) -> list:
 
 def only_reports(branch: ClosedJaxpr) -> bool:
     """Whether a branch raises an error of `equinox.error_if`, after which no run continues."""
-    return any(
-        eqn.primitive.name == "pure_callback"
-        and getattr(eqn.params["callback"].callback_func, "__module__", "") == "equinox._errors"
-        for eqn in branch.jaxpr.eqns
-    )
+    return any(map(is_error, branch.jaxpr.eqns))

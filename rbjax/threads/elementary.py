@@ -17,7 +17,7 @@ import numpy as np
 from rbjax.lanes.sincos import SERIES, horner
 from rbjax.threads.expressions import Number
 
-F64, I64 = np.dtype(np.float64), np.dtype(np.int64)
+F64, I32, I64 = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.int64)
 
 #: pi / 2 and ln 2 in parts, whose products with small integers are exact, and the rest
 QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21,
@@ -58,6 +58,27 @@ def two_sum(a: Number, b: Number) -> tuple[Number, Number]:
     s = a + b
     c = s - a
     return s, (a - (s - c)) + (b - c)
+
+
+def lifted(x: Number, power: int) -> tuple[Number, Number]:
+    """|x| 2^power, and whether x is subnormal or zero. Exact, although XLA runs programs with
+    flags by which the processor reads subnormal numbers as zeros."""
+    bits = abs(x).bits(I64)
+    one = bits | int(np.float64(2.0**52).view(I64))  # 2^52 + 2^1074 |x| for a subnormal x
+    subnormal = bits < 1 << 52
+    y = (one.bits(F64) - 2.0**52) * 2.0 ** (power - 1074)
+    return subnormal.where(y, abs(x) * 2.0**power), subnormal
+
+
+def widened(x: Number) -> Number:
+    """A number in double precision. Exact for subnormal numbers of single precision, too."""
+    if x.value.dtype != np.float32:
+        return x.cast(F64)
+    bits = abs(x).bits(I32)
+    one = bits | int(np.float32(2.0**23).view(I32))
+    y = (one.bits(x.value.dtype) - 2.0**23).cast(F64) * 2.0**-149
+    wide = x.cast(F64)
+    return (bits < 1 << 23).where(y.op("copysign", wide), wide)
 
 
 # ------------------------------------------------------------------- angles
@@ -136,11 +157,11 @@ def _behind(x: Number, angle: Number) -> Number:
 
 def atan2(y: Number, x: Number) -> Found:
     a, b = abs(y), abs(x)
-    most = a.op("max", b)
     endless = a.equals(math.inf) & b.equals(math.inf)
-    scale = (most > 1e300).where(2.0**-20, (most < 1e-290).where(2.0**60, 1.0))
-    a = endless.where(1.0, a * scale)
-    b = endless.where(1.0, most.equals(0.0).where(1.0, b * scale))
+    large = a.op("max", b) > 2.0**400  # where a subnormal number changes nothing
+    a = endless.where(1.0, large.where(a * 2.0**-100, lifted(a, 600)[0]))
+    b = endless.where(1.0, large.where(b * 2.0**-100, lifted(b, 600)[0]))
+    b = a.op("max", b).equals(0.0).where(1.0, b)
     return _behind(x, _of_ratio(a, b)).op("copysign", y), None
 
 
@@ -229,10 +250,15 @@ def cosh(x: Number) -> Found:
 # ------------------------------------------------------------------- logarithms
 
 
+def is_positive(x: Number) -> Number:
+    """Whether x > 0, for subnormal numbers too."""
+    return x.bits(I64) > 0
+
+
 def mantissa(x: Number) -> tuple[Number, Number]:
     """m and k with x = 2^k m, for positive x, and m between the roots of 1/2 and 2."""
-    small = x < np.finfo(F64).tiny
-    bits = small.where(x * 2.0**54, x).bits(I64)
+    high, small = lifted(x, 54)
+    bits = small.where(high, x).bits(I64)
     one = 1023 << 52
     m = ((bits & ((1 << 52) - 1)) + one).bits(F64)
     k = ((bits >> 52) + int(np.float64(INTEGER).view(I64))).bits(F64) - (INTEGER + 1023)
@@ -248,7 +274,8 @@ def _log(x: Number) -> Number:
     z, half = s * s, 0.5 * f * f
     y = k * LN2[0] - ((half - (s * (half + z * horner(LOG, z)) + k * LN2[1])) - f)
     y = (x < math.inf).where(y, x)  # infinity and nan are their own
-    return (x > 0.0).where(y, x.equals(0.0).where(-math.inf, y.known(math.nan)))
+    zero = (x.bits(I64) << 1).equals(0)
+    return is_positive(x).where(y, zero.where(-math.inf, y.known(math.nan)))
 
 
 def log(x: Number) -> Found:

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var, jaxpr_as_fun, new_jaxpr_eqn
 
+from rbjax._jax_compat import without_names
+
 Atom = Any  # a variable or a literal of a jaxpr
 
 
@@ -63,16 +65,6 @@ def _calls(x: Any) -> bool:
     if isinstance(x, tuple):
         return any(map(_calls, x))
     return callable(x) or isinstance(x, (Jaxpr, ClosedJaxpr))
-
-
-def custom_rule(eqn: JaxprEqn, moving: tuple[bool, ...]) -> tuple[ClosedJaxpr, list[bool]] | None:
-    """The rule of a custom derivative, which JAX has traced or traces now; None where JAX keeps it
-    otherwise."""
-    rule = eqn.params.get("jvp_jaxpr_fun")
-    if rule is None or not eqn.params.get("symbolic_zeros"):
-        return None
-    jaxpr, consts, zeros = rule.call_wrapped(*(not m for m in moving[eqn.params["num_consts"] :]))
-    return ClosedJaxpr(jaxpr, consts), [not z for z in zeros]
 
 
 def rule_of(
@@ -167,7 +159,7 @@ def _reaching(
     rest = iter(kept)
     outs = [*jaxpr.outvars[:plain], *itertools.compress(jaxpr.outvars[plain:], kept)]
     eqns = needed(jaxpr.eqns, outs, jaxpr.invars)
-    notes = jaxpr.debug_info._replace(arg_names=None, result_paths=None)
+    notes = without_names(jaxpr)
     short = Jaxpr(jaxpr.constvars, jaxpr.invars, outs, eqns, jaxpr.effects, notes)
     return ClosedJaxpr(short, closed.consts), [m and next(rest) for m in may]
 
@@ -179,7 +171,6 @@ CACHED = {name: functools.lru_cache(4096)(f) for name, f in RULES.items()}
 @functools.cache
 def _no_notes() -> Any:
     """The debug info of a jaxpr without names."""
-    notes = jax.make_jaxpr(lambda: ())().jaxpr.debug_info
-    return notes._replace(arg_names=None, result_paths=None)
+    return without_names(jax.make_jaxpr(lambda: ())().jaxpr)
 
 

@@ -16,7 +16,7 @@ from rbjax.threads.counting import operations
 from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.function import flattened, threaded
-from rbjax.threads.launch import capability, works
+from rbjax.threads.launch import capability, ordinal, works
 from rbjax.threads.nvrtc import ptx
 
 
@@ -99,10 +99,10 @@ def explain(f: Callable, *args: Any, batch: int = 65_536) -> Explanation:
     if not (backend.gpu() and works()):
         return Explanation(**found)
     code = kernel(program)
-    used = device.resources(ptx(code.source, capability()), code.name)
+    used = device.resources(ptx(code.source, capability()), code.name, ordinal())
     many = [jnp.broadcast_to(x, (batch, *x.shape)) + jnp.zeros_like(x) for x in one]
     seconds = _seconds(jax.jit(jax.vmap(threaded(flat))), many)
-    limits = device.limits()
+    limits = device.limits(capability(), ordinal())
     return Explanation(
         **found, registers=used.registers, local_bytes=used.local_bytes,
         shared_bytes=used.shared_bytes, seconds=seconds,

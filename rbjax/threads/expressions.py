@@ -71,6 +71,9 @@ class Number:
     def __and__(self, x: Number | int) -> Number:
         return self.op("and", x)
 
+    def __or__(self, x: Number | int) -> Number:
+        return self.op("or", x)
+
     def __lshift__(self, x: int) -> Number:
         return self.op("shl", x)
 

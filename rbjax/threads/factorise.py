@@ -244,8 +244,11 @@ takes_delayed("triangular_solve")
 @dataclass(frozen=True, eq=False)
 class Solved:
     """A loop of a team in which each thread has solved a system for a column (or row) of the right
-    side: its block, the column, and the entries x, in registers."""
+    side: its block, the column, and the entries x, in registers. solution: all of them in memory,
+    as they were at `version`."""
 
+    solution: View
+    version: int
     block: Block
     left: bool
     column: Value
@@ -256,7 +259,8 @@ class Solved:
         there before the loop, and the whole of the solutions."""
         there = all(not isinstance(v, Var) or v.id < self.column.id for v in used)
         known = not any(isinstance(v, View) for v in used)
-        return self.left == left and there and known and right.size == right.array.size
+        whole = self.solution.same(right) and right.array.version == self.version
+        return self.left == left and there and known and whole
 
 
 def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
@@ -295,7 +299,7 @@ def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
     def write(c: Value, x: list[Value]) -> None:
         for k in range(n):
             put(b, view, (I32.type(k), c) if left else (c, I32.type(k)), x[k])
-        b.solved[view.array] = Solved(b.block, left, c, x)
+        b.solved[view.array] = Solved(view, view.array.version, b.block, left, c, x)
 
     before = b.solved.get(right.array) if isinstance(right, View) else None
     used = [*inverse, *np.ravel(a)] if isinstance(a, np.ndarray) else [a]

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
+from rbjax._jax_compat import without_names
 from rbjax.compiling import inside_jit
 from rbjax.meshes import automatic
 from rbjax.threads.backend import gpu, wanted
@@ -18,7 +19,7 @@ from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program
 from rbjax.threads.tangents import tangent_p  # noqa: F401 (its rules)
 from rbjax.threads.uncollected import uncollected
-from rbjax.threads.uniform import halves, unnamed
+from rbjax.threads.uniform import halves
 
 
 def threads(f: Callable, *, team: bool = False) -> Callable:
@@ -151,6 +152,6 @@ def trace(f: Callable, args: list[Any]) -> tuple[Program, list[Any]]:
     moving = [(v, c) for v, c, t in pairs if t]
     whole = Jaxpr(
         [v for v, _ in known], [v for v, _ in moving] + list(jaxpr.invars), jaxpr.outvars,
-        jaxpr.eqns, jaxpr.effects, unnamed(jaxpr),
+        jaxpr.eqns, jaxpr.effects, without_names(jaxpr),
     )  # fmt: skip
     return Program(ClosedJaxpr(whole, [c for _, c in known])), [c for _, c in moving]

@@ -7,6 +7,7 @@ has cached on disk finds it again in another process, because lowering registers
 from __future__ import annotations
 
 import functools
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,8 +24,9 @@ from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.llvm_xla import handler
 from rbjax.threads.lowering import Unsupported
 
-#: code that XLA may call; it is never freed
+#: code that XLA may call; it is never freed, because XLA does not say when it forgets a handler
 _registered: dict[str, llvm_jit.Code] = {}
+_lock = threading.Lock()  # XLA rejects a second handler of one name
 
 
 @dataclass(frozen=True)
@@ -36,21 +38,28 @@ class HostKernel:
     grid: int
 
 
-def host_kernel(program: Written, levels: llvm_jit.Levels = llvm_jit.LEVELS) -> HostKernel:
-    """The handler of a program.
+def host_kernel(
+    program: Written, levels: llvm_jit.Levels = llvm_jit.LEVELS, samples: int | None = None
+) -> HostKernel:
+    """The handler of a program. samples: of a part of the batch; by the work by default.
 
     Raises:
-        Unsupported: the program has an operation that LLVM lacks, or LLVM refuses it.
+        Unsupported: the program has an operation that LLVM lacks, LLVM rejects it, or XLA rejects
+            the handler.
     """
-    module, rows = handler(program)
+    module, rows = handler(program, samples)
     try:
         code = llvm_jit.compiled(module, levels)
     except llvm_jit.NoCompiler as error:
         raise Unsupported(str(error)) from error
     name = f"rbjax_{code.key}"
-    if name not in _registered:
-        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(code.address), platform="cpu")
-        _registered[name] = code
+    with _lock:
+        if name not in _registered:
+            try:
+                jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(code.address), platform="cpu")
+            except (RuntimeError, ValueError) as error:
+                raise Unsupported(f"a handler that XLA rejects: {error}") from error
+            _registered[name] = code
     return HostKernel(name, rows)
 
 
@@ -73,14 +82,18 @@ mlir.register_lowering(_kernel, _lower, platform="cpu")
 
 @functools.cache
 def works() -> bool:
-    """Whether machine code runs inside of XLA here. Tested once; a failure warns."""
+    """Whether machine code runs inside of XLA here, by a batch of two parts. Tested once; a failure
+    warns."""
 
     def double(x: np.ndarray) -> jax.Array:
-        traced = jax.make_jaxpr(lambda x: [x + x])(x)
-        places = [batch_first(x.shape, ())]
-        test = host_kernel(write_program(traced, (), places, places))
+        traced, parts = jax.make_jaxpr(lambda x: [x + x])(x[0]), 2
+        places = [batch_first((), x.shape)]
+        program = write_program(traced, x.shape, places, places, platform="cpu")
+        test = host_kernel(program, samples=x.size // parts)
         run = jax.jit(lambda x: launch(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
-        with jax.ensure_compile_time_eval(), jax.default_device(jax.devices("cpu")[0]):
+        # with several processes the first device of all may be of another process
+        own = jax.local_devices(backend="cpu")[0]
+        with jax.ensure_compile_time_eval(), jax.default_device(own):
             return run(x)
 
     return self_test.passes(

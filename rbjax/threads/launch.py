@@ -18,18 +18,31 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import mlir
 
+from rbjax._jax_compat import GPU_KERNEL
 from rbjax.threads import self_test
 from rbjax.threads.cuda import Kernel
 from rbjax.threads.custom_call import typed_call
 from rbjax.threads.driver_cache import compile_ahead
-from rbjax.threads.nvrtc import ptx
+from rbjax.threads.lowering import Unsupported
+from rbjax.threads.nvrtc import CompileError, ptx
 
-TARGET = "__gpu$xla.gpu.ptx"
+TARGET = GPU_KERNEL
+
+
+def gpu() -> jax.Device:
+    """A GPU of this process: that of the least compute capability, whose code all others run."""
+    version = lambda d: [int(n) for n in str(d.compute_capability).split(".")]  # noqa: E731
+    return min(jax.local_devices(backend="cuda"), key=version)
+
+
+def ordinal() -> int:
+    """The number by which the CUDA driver knows that GPU: not 0 in every process of several."""
+    return gpu().local_hardware_id or 0
 
 
 def capability() -> str:
-    """The compute capability of the GPU."""
-    return str(jax.devices("cuda")[0].compute_capability)
+    """The compute capability for which kernels are compiled."""
+    return str(gpu().compute_capability)
 
 
 _kernel = Primitive("gpu_kernel")
@@ -40,9 +53,16 @@ _kernel.def_abstract_eval(lambda *operands, results, **how: list(results))
 def launch(
     kernel: Kernel, operands: Sequence[jax.Array], results: Sequence[Any]
 ) -> list[jax.Array]:
-    """The kernel's results, with these shapes and types. Only for programs lowered for CUDA."""
-    code = ptx(kernel.source, capability())
-    compile_ahead(code)
+    """The kernel's results, with these shapes and types. Only for programs lowered for CUDA.
+
+    Raises:
+        Unsupported: NVRTC rejects the kernel.
+    """
+    try:
+        code = ptx(kernel.source, capability())
+    except CompileError as error:
+        raise Unsupported(f"a program that the GPU's compiler rejects ({error})") from error
+    compile_ahead(code, ordinal)
     how = {"name": kernel.name, "code": code, "grid": kernel.grid, "block": kernel.block}
     return _kernel.bind(*operands, results=tuple(results), **how)
 
@@ -72,7 +92,7 @@ def works() -> bool:
     def double(x: np.ndarray) -> jax.Array:
         test = Kernel(SELF_TEST, "self_test", x.size, 1, (False,))
         run = jax.jit(lambda x: launch(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
-        return run(jax.device_put(x, jax.devices("cuda")[0]))
+        return run(jax.device_put(x, gpu()))
 
     return self_test.passes(
         double,

@@ -43,16 +43,17 @@ class Parts:
     count: int
 
 
-def parts(program: Written, lanes: int | None = None) -> Parts:
+def parts(program: Written, lanes: int | None = None, samples: int | None = None) -> Parts:
     """The function of one part of the program's batch.
 
     Args:
         lanes: samples that run at once, as lanes of vectors, if the batch has so many; as many as
             fit into a register by default. The last ones of a part may run twice.
+        samples: of a part, a divisor of the batch; as many as are worth a thread by default.
     """
     size = math.prod(program.batch)
     lanes = _lanes(program) if lanes is None else lanes
-    return _Frame(program, lanes if size >= lanes else 1).parts()
+    return _Frame(program, lanes if size >= lanes else 1).parts(samples)
 
 
 class _Frame:
@@ -107,8 +108,10 @@ class _Frame:
             and layout.strides == row_major(layout.sample)
         ]  # fmt: skip
 
-    def parts(self) -> Parts:
+    def parts(self, samples: int | None = None) -> Parts:
         each, count = _shares(self.program, self.size, self.lanes)
+        if samples is not None:
+            each, count = samples, self.size // samples
         lines, samples = self.lines, self.samples
         names = self.begin(each, count)
         lines += ["br label %ahead", "ahead:", "br label %turn", "turn:"]

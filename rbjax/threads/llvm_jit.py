@@ -9,6 +9,7 @@ import ctypes
 import ctypes.util
 import functools
 import hashlib
+import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -97,17 +98,32 @@ def _machine(levels: Levels) -> Any:
     )  # fmt: skip
 
 
-@functools.lru_cache(128)
+#: the latest code by the hash of its IR and the compiler, the oldest first
+_codes: dict[str, Code] = {}
+KEPT = 128
+_lock = threading.Lock()
+
+
 def compiled(module: Module, levels: Levels = LEVELS) -> Code:
-    """The machine code of a module's function `run`; equal programs share it.
+    """The machine code of a module's function `run`. Equal programs share it, also those that
+    several threads compile at once.
 
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.
     """
+    how = (*_processor(), str((_llvm().llvm_version_info, *levels)))
+    key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
+    with _lock:
+        code = _codes.pop(key, None) or _loaded(module, levels, key)
+        _codes[key] = code
+        if len(_codes) > KEPT:
+            del _codes[next(iter(_codes))]
+    return code
+
+
+def _loaded(module: Module, levels: Levels, key: str) -> Code:
     llvm = _llvm()
     try:
-        how = (*_processor(), str((llvm.llvm_version_info, *levels)))
-        key = hashlib.sha256("\n".join((module.text, *how)).encode()).hexdigest()
         code = cached(f"{key}.o", lambda: object_of(module.text, levels.passes, _machine(levels)))
         for function in module.symbols:
             llvm.add_symbol(function, _address(function))

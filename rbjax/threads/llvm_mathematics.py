@@ -11,6 +11,8 @@ from rbjax.threads.program import Builder, Op, Var
 
 #: functions of two arguments
 OF_TWO = {"atan2", "pow", "fmod", "nextafter"}
+#: functions whose value for a subnormal argument is not that for zero
+OF_SMALL = {"atan2", "log", "pow", "cbrt"}
 F64 = np.dtype(np.float64)
 FUNCTIONS = elementary.FUNCTIONS | powers.FUNCTIONS | error_function.FUNCTIONS
 
@@ -55,7 +57,8 @@ def _by_formula(vectors: Operations, what: str, kind: np.dtype) -> list[str]:
     """A function by its formula, in double precision; where that does not hold, lane by lane."""
     builder = Builder()
     given = [builder.var(kind) for _ in range(1 + (what in OF_TWO))]
-    y, far = FUNCTIONS[what](*(Number(builder, x).cast(F64) for x in given))
+    wide = elementary.widened if what in OF_SMALL else lambda x: x.cast(F64)
+    y, far = FUNCTIONS[what](*(wide(Number(builder, x)) for x in given))
     y = y.cast(kind)
     lines: list[str] = []
     inner = Operations(lines.append, vectors.lanes, vectors)

@@ -15,6 +15,7 @@ import numpy as np
 
 from rbjax.threads.cutting import Cuts, Frame, cut
 from rbjax.threads.frame import Written
+from rbjax.threads.llvm_mathematics import definitions
 from rbjax.threads.llvm_operations import (
     ALIGNMENT,
     ATTRIBUTES,
@@ -112,8 +113,8 @@ class Writer:
         """What comes before the statements."""
 
     def functions(self) -> list[str]:
-        """The functions of mathematics that the statements call, but for C's."""
-        return []
+        """The functions of mathematics that the statements call, except for those of C."""
+        return definitions(self.operations)
 
     # ---------------------------------------------------------------- functions
 

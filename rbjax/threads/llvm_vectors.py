@@ -91,7 +91,7 @@ class _Vectors(Writer):
         return f"{self.many('i64')} <{', '.join(f'i64 {k * step}' for k in range(self.lanes))}>"
 
     def functions(self) -> list[str]:
-        return definitions(self.vectors)
+        return [*super().functions(), *definitions(self.vectors)]
 
     def many(self, t: str) -> str:
         """The vector of a type."""

@@ -16,8 +16,10 @@ from rbjax.threads.llvm_ir import Module
 EXTENSION, API, CONTEXT, STAGE, ARGS, RESULTS = 8, 16, 24, 32, 72, 112  # XLA_FFI_CallFrame
 EXTENSION_TYPE, EXTENSION_NEXT, METADATA = 8, 16, 24  # XLA_FFI_Metadata_Extension
 VERSION, TRAITS = 24, 32  # XLA_FFI_Metadata: the numbers of api_version
+#: the version of c_api.h that has these members; XLA rejects handlers of versions that it left
+MAJOR, MINOR = 0, 3
 DATA = 24  # XLA_FFI_Buffer
-OWN_VERSION, ERROR, SCHEDULE, THREADS = 32, 48, 136, 144  # XLA_FFI_Api
+ERROR, SCHEDULE, THREADS = 48, 136, 144  # XLA_FFI_Api
 METADATA_QUERY, EXECUTE, EXHAUSTED = 1, 3, 8  # values of its enumerations
 
 #: of the state that threads share: next part, parts done, failures, owners; then the buffers
@@ -30,14 +32,10 @@ define internal ptr @describe(ptr %frame, ptr %extension) nounwind {{
   %asked = icmp eq i32 %what, {METADATA_QUERY}
   br i1 %asked, label %answer, label %end
 answer:
-  %a = getelementptr i8, ptr %frame, i64 {API}
-  %api = load ptr, ptr %a
-  %o = getelementptr i8, ptr %api, i64 {OWN_VERSION}
-  %version = load i64, ptr %o, align 4
   %m = getelementptr i8, ptr %extension, i64 {METADATA}
   %metadata = load ptr, ptr %m
   %v = getelementptr i8, ptr %metadata, i64 {VERSION}
-  store i64 %version, ptr %v, align 4
+  store i64 {MINOR << 32 | MAJOR}, ptr %v, align 4
   %t = getelementptr i8, ptr %metadata, i64 {TRAITS}
   store i32 0, ptr %t
   br label %end
@@ -194,9 +192,10 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 """
 
 
-def handler(program: Written) -> tuple[Module, int]:
-    """The handler `run`, and the parts of the batch (the rows of each summed result)."""
-    made = parts(program)
+def handler(program: Written, samples: int | None = None) -> tuple[Module, int]:
+    """The handler `run`, and the parts of the batch (the rows of each summed result). samples: of a
+    part; by the work by default."""
+    made = parts(program, samples=samples)
     n = len(program.operands)
     names = [*((ARGS, k) for k in range(n)), *((RESULTS, k) for k in range(len(program.results)))]
     lines = ["%list = alloca [" + str(max(len(names), 1)) + " x ptr]"]

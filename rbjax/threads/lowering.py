@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
+from rbjax._jax_compat import CALLS, JAXPRS, expanded
 from rbjax.threads.arrays import FEW, Small, View, scalars, settled, tidy, write
 from rbjax.threads.delayed import Delayed
 from rbjax.threads.program import Builder
@@ -160,7 +161,8 @@ class Lowering:
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
             fits = dtype is None or dtype in DTYPES
-            if not fits and (name in RULES or called(eqn) is None):  # a call names it inside
+            call = called(eqn) or expanded(eqn)  # which names it inside
+            if not fits and (name in RULES or call is None):
                 raise Unsupported(f"{name} of type {dtype}")
         if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
             ins = [settled(self.b, x) for x in ins]
@@ -171,7 +173,9 @@ class Lowering:
                 tidy(out, dtype_of(var.aval)) if isinstance(out, np.ndarray) else out
                 for out, var in zip(RULES[name](self, eqn, ins), eqn.outvars, strict=True)
             ]
-        inner = called(eqn)
+        inner, high = called(eqn), expanded(eqn)
+        if high is not None:
+            inner = jax.make_jaxpr(high)(*(v.aval for v in eqn.invars))
         if inner is None:
             raise Unsupported(name)
         return self.closed(inner, ins, places)
@@ -255,18 +259,11 @@ def known(x: Any, aval: Any) -> np.ndarray:
     return np.asarray(x, aval.dtype)
 
 
-#: primitives that call a jaxpr once
-CALLS = {
-    "jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint", "custom_jvp_call",
-    "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call", "eval_jaxpr",
-}  # fmt: skip
-
-
 def called(eqn: Any) -> ClosedJaxpr | None:
     """The jaxpr that an equation calls: of `jit`, of custom derivatives, of a checkpoint."""
     if eqn.primitive.name not in CALLS:
         return None
-    for name in ("jaxpr", "call_jaxpr", "call", "fun_jaxpr"):
+    for name in JAXPRS:
         inner = eqn.params.get(name)
         if isinstance(inner, ClosedJaxpr):
             return inner

@@ -114,17 +114,20 @@ class _Call:
         """The call as a plain function, which Python calls faster than an object. What it needs
         most often it holds itself."""
         run, known, converted, empty = self._run, self._known, self._converted, np.empty
+        in_order = self._in_order
         kinds, shape, results_of = self._results, self._shape, jax.tree.unflatten
         n = self._tree.num_leaves
 
-        def call(*args: Any) -> Any:
+        def call(*args: Any, **names: Any) -> Any:
+            args = in_order(args, names) if names else args
             leaves = args if plain else self._flattened(args)
             results = tuple([empty(s, d) for s, d in kinds])
             if run(known, leaves, results):
                 converted(leaves, results)
             return results_of(shape, results)
 
-        def call_of_arrays(*args: Any) -> Any:
+        def call_of_arrays(*args: Any, **names: Any) -> Any:
+            args = in_order(args, names) if names else args
             result = empty(*kinds[0])
             if run(known, args, (result,)):
                 converted(args, (result,))
@@ -146,6 +149,20 @@ class _Call:
         fitting = tuple(self._fitting(x, k) for k, x in enumerate(leaves))
         if self._run(self._known, fitting, results):
             raise MemoryError(f"{_name(self._f)}: no memory for its local arrays")
+
+    def _in_order(self, args: tuple, names: dict[str, Any]) -> tuple:
+        """The arguments in the order of the example, from some by position and others by name."""
+        try:
+            bound = inspect.signature(self._f).bind(*args, **names)
+        except (TypeError, ValueError) as error:  # as of a call of f
+            raise InputError(f"{_name(self._f)}: {error}") from error
+        if bound.kwargs:
+            raise InputError(
+                f"{_name(self._f)}: got {', '.join(bound.kwargs)} by name only; the example given "
+                "to compile has no such argument, so close over it: "
+                "compile(lambda q: f(q, name=value), q)"
+            )
+        return bound.args
 
     def _flattened(self, args: tuple) -> tuple:
         leaves, tree = jax.tree.flatten(args)

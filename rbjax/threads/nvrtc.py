@@ -11,8 +11,10 @@ import functools
 import glob
 import hashlib
 import importlib.util
+import re
 from collections.abc import Iterator
 from contextvars import ContextVar
+from pathlib import Path
 
 from rbjax.threads.disk_cache import cached
 
@@ -50,13 +52,19 @@ def library() -> ctypes.CDLL:
     with contextlib.suppress(ImportError, ValueError):
         spec = importlib.util.find_spec("nvidia")
         for root in spec.submodule_search_locations or () if spec else ():
-            places += sorted(glob.glob(f"{root}/**/libnvrtc.so*", recursive=True), reverse=True)
+            places += newest_first(glob.glob(f"{root}/**/libnvrtc.so*", recursive=True))
     places += [f"libnvrtc.so.{n}" for n in (13, 12)] + ["libnvrtc.so"]
-    places += sorted(glob.glob("/usr/local/cuda*/lib64/libnvrtc.so*"), reverse=True)
+    places += newest_first(glob.glob("/usr/local/cuda*/lib64/libnvrtc.so*"))
     for place in places:
         with contextlib.suppress(OSError):
             return ctypes.CDLL(place)
     raise CompileError('found no libnvrtc; install it with pip install "rbjax[cuda]"')
+
+
+def newest_first(files: list[str]) -> list[str]:
+    """Libraries by the version in their names ("libnvrtc.so.13"), the newest first."""
+    return sorted(files, key=lambda file: [int(n) for n in re.findall(r"\d+", Path(file).name)],
+                  reverse=True)  # fmt: skip
 
 
 def ptx(source: str, capability: str) -> str:

@@ -13,7 +13,9 @@ from rbjax.threads.elementary import (
     LN2,
     Found,
     exp,
+    is_positive,
     less_one,
+    lifted,
     limited,
     log,
     mantissa,
@@ -77,17 +79,19 @@ def pow(x: Number, y: Number) -> Found:
     w = limited(w, -746.0, 710.0)
     n = (w * (1 / math.log(2))).op("rint")
     power = scaled(1.0 + less_one(w - n * LN2[0], n * LN2[1] - w_low), n)
-    usual = (x > 0.0) & (x < math.inf) & (abs(y) < 1e300)
+    usual = is_positive(x) & (x < math.inf) & (abs(y) < 1e300)
     return power, usual.op("not", dtype=BOOL)
 
 
 def cbrt(x: Number) -> Found:
-    a = abs(x)
+    high, small = lifted(x, 54)
+    a = small.where(high, abs(x))
     t = exp(log(a)[0] / 3.0)[0]
     t = ((t.bits(I64) + ROUGH // 2) & -ROUGH).bits(a.value.dtype)
     r = a / (t * t)
     y = t + t * ((r - t) / (t + t + r))
-    return ((a > 0.0) & (a < math.inf)).where(y, a).op("copysign", x), None
+    y = ((a > 0.0) & (a < math.inf)).where(y, a)
+    return small.where(y * 2.0**-18, y).op("copysign", x), None
 
 
 FUNCTIONS = {f.__name__: f for f in (pow, cbrt)}

@@ -21,13 +21,20 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
-from jax.sharding import NamedSharding, PartitionSpec
 
+from rbjax._jax_compat import (
+    apply_primitive,
+    device_count,
+    is_manual,
+    like,
+    needs_devices,
+    varying_axes,
+)
 from rbjax.threads import backend, cuda, host_call, launch, llvm_jit, team
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.lowering import Lowering, Unsupported, rule
 from rbjax.threads.programs import Program
-from rbjax.threads.sharding import knows_devices, spread
+from rbjax.threads.sharding import spread
 from rbjax.threads.uncollected import uncollected
 from rbjax.threads.uniform import divided
 
@@ -51,14 +58,9 @@ def run(
     return threads_p.bind(*_alike(operands), program=program, batch=batch, ins=ins, outs=outs)
 
 
-def varies(aval: Any) -> frozenset:
-    """The axes of a mesh along which an array varies, if `shard_map` tracks them."""
-    return aval.manual_axis_type.varying
-
-
 def _alike(operands: Sequence[Any]) -> list[Any]:
     """The operands, all varying along the same axes of a mesh."""
-    own = [varies(jax.typeof(x)) for x in operands]
+    own = [varying_axes(jax.typeof(x)) for x in operands]
     every = frozenset().union(*own)
     return [
         jax.lax.pcast(x, tuple(every - v), to="varying") if every - v else x
@@ -68,11 +70,9 @@ def _alike(operands: Sequence[Any]) -> list[Any]:
 
 def result(shape: tuple[int, ...], dtype: Any, operands: Sequence[Any]) -> ShapedArray:
     """A result, which varies along the axes of the operands."""
-    if not any(varies(x) for x in operands):
+    if not any(varying_axes(x) for x in operands):
         return ShapedArray(shape, dtype)
-    mesh = operands[0].sharding.mesh
-    whole = NamedSharding(mesh, PartitionSpec(*[None] * len(shape)))
-    return operands[0].update(shape=shape, dtype=dtype, weak_type=False, sharding=whole)
+    return like(operands[0], shape, dtype)
 
 
 def batched_shape(sample: tuple[int, ...], batch: tuple[int, ...], axes: Axes) -> tuple[int, ...]:
@@ -90,7 +90,7 @@ def _(*operands, program, batch, ins, outs):
     ]
 
 
-threads_p.def_impl(functools.partial(jax.interpreters.xla.apply_primitive, threads_p))
+threads_p.def_impl(functools.partial(apply_primitive, threads_p))
 
 
 def _inner(axes: Axes, level: int) -> int | None:
@@ -132,14 +132,16 @@ def as_kernel(platform, *operands, program, batch, ins, outs):
     shapes = tuple(x.shape for x in operands)
     try:
         code = _kernel(platform, program, batch, ins, outs, shapes, summed)
+        results = [
+            ShapedArray(
+                (code.grid, *a.shape) if s else batched_shape(a.shape, batch, axes), a.dtype
+            )
+            for a, axes, s in zip(program.outputs, outs, summed, strict=True)
+        ]
+        found = (launch if platform == "cuda" else host_call).launch(code, operands, results)
     except Unsupported as reason:
         _say(str(reason))
         return under_xla(*operands, program=program, batch=batch, ins=ins, outs=outs)
-    results = [
-        ShapedArray((code.grid, *a.shape) if s else batched_shape(a.shape, batch, axes), a.dtype)
-        for a, axes, s in zip(program.outputs, outs, summed, strict=True)
-    ]
-    found = (launch if platform == "cuda" else host_call).launch(code, operands, results)
     return [x.sum(0) if s else x for x, s in zip(found, summed, strict=True)]
 
 
@@ -186,23 +188,18 @@ def _say(reason: str) -> None:
 def _lower(evaluate, ctx, *operands, program, batch, ins, outs):
     """For one device, or for several that each evaluate their part of the batch."""
     how = {"program": program, "ins": ins, "outs": outs}
-    devices = getattr(ctx.module_context.axis_context, "num_devices", 1)
+    devices = device_count(ctx)
 
     def part(batch):
         return functools.partial(evaluate, batch=batch, **how)
 
     run = part(batch)
-    if devices and devices > 1 and batch and not _is_manual(ctx):
+    if devices > 1 and batch and not is_manual(ctx):
         ranks = [len(a.shape) for a in ctx.avals_in], [len(a.shape) for a in ctx.avals_out]
         run = spread(part, batch, ins, outs, ranks)
     # each device is independent: constants inside need not vary like operands
     own = ctx.replace(avals_in=[ShapedArray(a.shape, a.dtype) for a in ctx.avals_in])
     return mlir.lower_fun(run, multiple_results=True)(own, *operands)
-
-
-def _is_manual(ctx):
-    """Whether each device already runs its own program, as in `shard_map`."""
-    return bool(getattr(ctx.module_context.axis_context, "manual_axes", ()))
 
 
 def _lower_for_gpu(ctx, *operands, **how):
@@ -214,7 +211,7 @@ def _lower_for_cpu(ctx, *operands, **how):
 
 
 mlir.register_lowering(threads_p, functools.partial(_lower, under_xla))
-knows_devices(threads_p)
+needs_devices(threads_p)
 mlir.register_lowering(threads_p, _lower_for_cpu, platform="cpu")
 mlir.register_lowering(threads_p, _lower_for_gpu, platform="cuda")
 
@@ -243,7 +240,7 @@ def _batched(operands, dims, program, batch, ins, outs):
     known = tuple(
         d is None and all(a is None for a in axes) for d, axes in zip(dims, ins, strict=True)
     )
-    varying = any(varies(jax.typeof(x)) for x in operands)
+    varying = any(varying_axes(jax.typeof(x)) for x in operands)
     if program.up_to is not None and not program.goes_apart(size * math.prod(batch)):
         program = dataclasses.replace(program, apart=None, up_to=None)
     own_ways = program.vjp, program.sized, program.apart  # these take the operands as they are

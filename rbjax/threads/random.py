@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from rbjax._jax_compat import key_implementation
 from rbjax.threads.arrays import Small, View, each, get, put, spread
 from rbjax.threads.lowering import KEY, Lowering, Unsupported, dtype_of, rule
 from rbjax.threads.program import Value
@@ -91,7 +92,7 @@ def wrapped(low: Lowering, data: Small) -> np.ndarray:
 def _impl(dtype: Any) -> Any:
     if dtype_of(jax.ShapeDtypeStruct((), dtype)) != KEY:
         raise Unsupported(f"random keys of type {dtype}")
-    return dtype._impl
+    return key_implementation(dtype)
 
 
 @rule("random_wrap")

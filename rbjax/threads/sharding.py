@@ -13,19 +13,9 @@ from typing import Any
 
 import jax
 from jax.experimental.custom_partitioning import custom_partitioning
-from jax.extend.core import Primitive
 from jax.sharding import NamedSharding, PartitionSpec
 
 Axes = tuple[int | None, ...]
-
-
-def knows_devices(primitive: Primitive) -> None:
-    """Make JAX pass the devices of the program to the lowering of the primitive, for `spread`.
-
-    (This uses a private name of JAX, as its own primitives do.)"""
-    from jax._src.dispatch import prim_requires_devices_during_lowering
-
-    prim_requires_devices_during_lowering.add(primitive)
 
 
 def spread(
@@ -40,14 +30,19 @@ def spread(
     levels = range(len(batch))
 
     def parts(shardings: Any) -> list[Any]:
-        """For each axis of the batch, the mesh axes over which it is sharded."""
+        """For each axis of the batch, the mesh axes over which it is sharded: each for one only,
+        the first. Operands that are sharded in another way are moved."""
         found: list[Any] = [None] * len(batch)
+        taken: set[str] = set()
         for sharding, axes in zip(shardings, ins, strict=True):
             spec = getattr(sharding, "spec", None)
             for level in levels:
                 axis = axes[level]
-                if spec is not None and axis is not None and axis < len(spec):
-                    found[level] = found[level] or spec[axis]
+                over = spec[axis] if spec and axis is not None and axis < len(spec) else None
+                names = {*over} if isinstance(over, tuple) else {over} - {None}
+                if found[level] is None and names and not names & taken:
+                    found[level] = over
+                    taken |= names
         return found
 
     def placed(mesh: Any, over: list[Any], axes: Axes, rank: int) -> NamedSharding:

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+from rbjax._jax_compat import needs_devices
 from rbjax.threads.lowering import Lowering, rule
 from rbjax.threads.primitive import batched_shape, placed, result, run, threads_p, with_axis
-from rbjax.threads.sharding import knows_devices
 
 #: so many directions fill a sector of a GPU's memory
 DIRECTIONS = 8
@@ -45,7 +45,7 @@ def _evaluate(*operands, program, moving, batch, ins, outs):
 
 tangent_p.def_impl(_evaluate)
 mlir.register_lowering(tangent_p, mlir.lower_fun(_evaluate, multiple_results=True))
-knows_devices(tangent_p)
+needs_devices(tangent_p)
 
 
 @rule("threads_tangent")

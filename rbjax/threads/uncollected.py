@@ -8,23 +8,48 @@ from __future__ import annotations
 
 import functools
 import gc
+import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+#: new objects from which on Python searches during such work; a number that no one else would set
+SEARCH_FROM = 1_000_000_007
+_lock = threading.Lock()
+_running = 0  # calls, of all threads
+_usual: tuple[int, ...] = ()
+
+
 def uncollected(f: F) -> F:
-    """f, during which Python does not search for dead cycles."""
+    """f, during which Python does not search for dead cycles. What the caller sets meanwhile, in
+    this thread or another, stays: the collector is not switched off, its threshold is raised."""
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if not gc.isenabled():
-            return f(*args, **kwargs)
-        gc.disable()
+        _begin()
         try:
             return f(*args, **kwargs)
         finally:
-            gc.enable()
+            _end()
 
     return call  # type: ignore[return-value]
+
+
+def _begin() -> None:
+    global _running, _usual
+    with _lock:
+        _running += 1
+        if _running == 1:
+            _usual = gc.get_threshold()
+            if _usual[0]:  # 0 is never
+                gc.set_threshold(SEARCH_FROM, *_usual[1:])
+
+
+def _end() -> None:
+    global _running
+    with _lock:
+        _running -= 1
+        if not _running and gc.get_threshold()[0] == SEARCH_FROM:
+            gc.set_threshold(*_usual)

@@ -10,6 +10,7 @@ from typing import Any
 
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from rbjax._jax_compat import without_names
 from rbjax.threads.equations import needed
 from rbjax.threads.programs import Program
 
@@ -106,7 +107,7 @@ def _closed(eqns: list, ins: list, outs: Sequence[Any], program: Program) -> Clo
     read = {v for eqn in eqns for v in eqn.invars if not isinstance(v, Literal)}
     read.update(v for v in outs if not isinstance(v, Literal))
     held = [(v, c) for v, c in zip(jaxpr.constvars, consts, strict=True) if v in read]
-    notes = unnamed(jaxpr)
+    notes = without_names(jaxpr)
     some = Jaxpr([v for v, _ in held], ins, list(outs), eqns, jaxpr.effects, notes)
     return ClosedJaxpr(some, [c for _, c in held])
 
@@ -130,9 +131,3 @@ def _size(eqns: Sequence[Any]) -> int | None:
             return None
         size += inner
     return size
-
-
-def unnamed(jaxpr: Jaxpr) -> Any:
-    """The debug info of a jaxpr without argument names, for a jaxpr derived from it."""
-    return jaxpr.debug_info._replace(arg_names=None, result_paths=None)
-

@@ -15,9 +15,9 @@
     recommend      the cheapest fidelity that is accurate enough for a manoeuvre
 """
 
-from collections.abc import Callable
 from typing import Any
 
+from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
 from rbjax.wheeled.arrangement import Arrangement
 from rbjax.wheeled.constrained import full_model_state
@@ -49,7 +49,7 @@ from rbjax.wheeled.tyres import Tyre, traction_along
 from rbjax.wheeled.write_mjcf import write_mjcf
 
 #: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE: dict[str, Callable[[], Any]] = {}
+FROM_ABOVE = names_from_above("rbjax.wheeled")
 
 
 def __getattr__(name: str) -> Any:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import spatial_slider_crank
 from rbjax import constraints as rc
-from tests.constraints.mechanisms import spatial_slider_crank
 
 
 def test_mobility_of_mechanisms() -> None:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import andrews, four_bars, pendulum, spatial_slider_crank
 from rbjax import constraints as rc
-from tests.constraints.mechanisms import andrews, four_bars, pendulum, spatial_slider_crank
 
 FIGURES = json.loads((Path(__file__).parent.parent / "oracles" / "loops.json").read_text())
 

@@ -11,6 +11,7 @@ import pytest
 import scipy.special
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import andrews, four_bars, tilted_four_bar
 from rbjax import constraints as rc
 from rbjax.constraints.projection import projected
 from rbjax.forces.acting import applied
@@ -18,7 +19,6 @@ from rbjax.motion.implicit import increment, stages
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import motion
 from rbjax.solvers.steps import mixed
-from tests.constraints.mechanisms import andrews, four_bars, tilted_four_bar
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
 from tests.tolerances import GRADIENT

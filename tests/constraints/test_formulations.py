@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import QUIET, tilted_four_bar
 from rbjax import constraints as rc
 from rbjax.constraints import Constraint, Row, coordinate
 from rbjax.constraints.dense import Dense
@@ -18,7 +19,6 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
 from rbjax.constraints.recursive import by_clusters
 from rbjax.constraints.system import least_norm
-from tests.constraints.mechanisms import QUIET, tilted_four_bar
 from tests.oracles import load
 from tests.tolerances import GRADIENT
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import quad
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import four_bars, pendulum, spatial_slider_crank, tilted_four_bar
 from rbjax import constraints as rc
 from rbjax.constraints.registry import formulation_of
-from tests.constraints.mechanisms import four_bars, pendulum, spatial_slider_crank, tilted_four_bar
 
 FIGURES = Path(__file__).parent.parent / "oracles" / "loops.json"
 slow = pytest.mark.slow

@@ -12,6 +12,16 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import (
+    QUIET,
+    andrews,
+    biped,
+    four_bars,
+    pendulum,
+    spatial_slider_crank,
+    tilted_four_bar,
+    walker,
+)
 from rbjax import constraints as rc
 from rbjax.constraints.clusters import Cluster, clusters
 from rbjax.constraints.law import constrained_motion
@@ -23,16 +33,6 @@ from rbjax.forces.instant import Instant
 from rbjax.lanes import Vec3
 from rbjax.model import WORLD
 from rbjax.spatial import Force
-from tests.constraints.mechanisms import (
-    QUIET,
-    andrews,
-    biped,
-    four_bars,
-    pendulum,
-    spatial_slider_crank,
-    tilted_four_bar,
-    walker,
-)
 from tests.constraints.test_formulations import hung_twice, skate
 from tests.oracles import load
 from tests.tolerances import F64_IDENTITY

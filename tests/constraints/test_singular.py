@@ -11,8 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import four_bars
 from rbjax import constraints as rc
-from tests.constraints.mechanisms import four_bars
 
 FLAT = np.pi / 2
 #: of the bars, rad; the last ones are flat, or nearly

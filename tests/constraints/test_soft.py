@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import pendulum
 from rbjax import constraints as rc
 from rbjax.constraints.compliant import compliant_motion
 from rbjax.constraints.registry import formulation_of
-from tests.constraints.mechanisms import pendulum
 from tests.constraints.rows import check, tree
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.optimal_control import given
 from rbjax.control import Constraint, Control, Cost, Design, Equations, Problem, solve
 from rbjax.errors import InputError
-from tests.oracles.optimal_control import given
 
 DOUBLE = Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
 ONE = [lambda t, x, u: 1.0]

@@ -1,4 +1,4 @@
-"""DDP on problems whose answers others found (tests/oracles/optimal_control.json)."""
+"""DDP on problems whose answers others found (benchmarks/cases/optimal_control.json)."""
 
 import functools
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases import optimal_control as oracle
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, solve
-from tests.oracles import optimal_control as oracle
 
 DIGITS = 1e-6  # of a listed cost: six digits
 MORE = 1.2  # times the iterations of the peer, at most

@@ -1,5 +1,5 @@
 """Sequential quadratic programming: closed forms, dense programs by SciPy, and problems whose
-answers others found (tests/oracles/optimal_control.json)."""
+answers others found (benchmarks/cases/optimal_control.json)."""
 
 import functools
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from benchmarks.cases import optimal_control as oracle
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, solve
 from rbjax.control.outcome import INFEASIBLE, NOT_FINITE
-from tests.oracles import optimal_control as oracle
 
 DIGITS = 1e-6  # of a listed cost: six digits
 LISTED = [  # with the most iterations; DDP's are 3, 6, 65, 45, 79, 35, 35, 37, 10 and 10

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.operations import operation_count
-from tests.oracles.random_trees import (
+from benchmarks.cases.random_trees import (
     acceleration_to_pinocchio,
     pinocchio_model,
     pinocchio_velocity_map,
     random_tree,
     to_pinocchio,
 )
+from rbjax.dynamics.operations import operation_count
 from tests.robots import load_quietly, robot
 from tests.tolerances import F64_IDENTITY, F64_PARITY, relative_error
 

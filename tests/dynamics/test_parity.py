@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.oracles.models import MODELS, SINGULAR
+from benchmarks.cases.models import MODELS, SINGULAR
 from tests.robots import AS_USERS, QUICK, Robot, at, mass_matrix, robot
 from tests.tolerances import F32_MAX, F32_MEDIAN, F64_PARITY, relative_error
 

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
+from benchmarks.cases.random_trees import random_state
 from rbjax.forces.acting import states
 from rbjax.forces.instant import Instant
-from tests.oracles.random_trees import random_state
 from tests.robots import load_quietly
 
 Array = np.ndarray

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from tests.oracles.random_trees import random_state, random_tree
+from benchmarks.cases.random_trees import random_state, random_tree
 from tests.robots import load_quietly
 from tests.tolerances import relative_error
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.models import REFUSED
 from rbjax.loading import compile_model
 from tests.loading.test_load import joint, urdf
-from tests.oracles.models import REFUSED
 from tests.oracles.pinocchio_urdf import Peer
 from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.models import mujoco_reference
 from rbjax.loading import compile_model
-from tests.oracles.models import mujoco_reference
 from tests.robots import SMALL, load_quietly
 from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.models import MODELS
+from benchmarks.cases.random_trees import random_state
 from tests.forces.actuated import Samples, limbs, theirs
 from tests.forces.test_dc_motor import MOTORS
 from tests.forces.test_orientation_servo import SERVOS
@@ -19,9 +21,7 @@ from tests.forces.test_pid import CONTROLLERS
 from tests.forces.test_transmissions import TRANSMISSIONS
 from tests.loading.test_load import joint, link, urdf
 from tests.oracles.media import fluid_forces, immersed_tree, states
-from tests.oracles.models import MODELS
 from tests.oracles.random_actuators import random_actuated
-from tests.oracles.random_trees import random_state
 from tests.robots import load_quietly, robot
 from tests.tolerances import F64_PARITY, F64_ROUNDING, relative_error
 

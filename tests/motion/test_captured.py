@@ -5,10 +5,13 @@ import gc
 import importlib
 import itertools
 import math
+import os
 import random
+import sys
 import threading
 import time
 import types
+from collections import defaultdict
 from enum import Enum
 from typing import NamedTuple
 
@@ -72,6 +75,8 @@ def restored():
     before = {name: globals()[name] for name in names}
     yield
     globals().update(before, TABLE={"gain": 2.0})
+    sys.modules.pop("of_a_user", None)
+    os.environ.pop("RBJAX_TEST", None)
     Controller.k = 2.0
 
 
@@ -354,6 +359,112 @@ def of_a_compiled_helper():
     return lambda t, s: k(s.v), change
 
 
+def of_an_attribute_whose_name_is_computed():
+    return lambda t, s: getattr(Controller, "k" + "") * s.v, lambda: setattr(Controller, "k", 4.0)
+
+
+def of_an_attribute_that_a_helper_takes():
+    one = Controller(2.0)
+    take = lambda x, name: getattr(x, name)  # noqa: E731
+    return lambda t, s: take(one, "d") * s.v, lambda: setattr(one, "d", 4.0)
+
+
+def of_all_attributes():
+    one = Controller(2.0)
+    return lambda t, s: vars(one)["d"] * s.v, lambda: setattr(one, "d", 4.0)
+
+
+def of_the_dict_of_an_object():
+    one = Controller(2)
+    return lambda t, s: one.__dict__["d"] * s.v, lambda: setattr(one, "d", 4)
+
+
+def of_a_dict_with_a_default():
+    gains = defaultdict(float, k=2.0)
+    return lambda t, s: gains["k"] * s.v, lambda: gains.update(k=4.0)
+
+
+def of_the_order_of_a_dict_with_a_default():
+    gains = defaultdict(float, b=2.0, a=4.0)
+
+    def change():
+        gains["b"] = gains.pop("b")
+
+    return lambda t, s: jnp.array(list(gains.values())) * s.v, change
+
+
+def of_the_environment():
+    os.environ["RBJAX_TEST"] = "2.0"
+    return (lambda t, s: float(os.environ["RBJAX_TEST"]) * s.v,
+            lambda: os.environ.update(RBJAX_TEST="4.0"))  # fmt: skip
+
+
+def of_a_variable_of_the_environment():
+    os.environ["RBJAX_TEST"] = "2.0"
+    return (lambda t, s: float(os.getenv("RBJAX_TEST")) * s.v,
+            lambda: os.environ.update(RBJAX_TEST="4.0"))  # fmt: skip
+
+
+def of_a_module_that_it_imports():
+    MODULE.gain = 2.0
+    sys.modules["of_a_user"] = MODULE
+
+    def f(t, s):
+        import of_a_user
+
+        return of_a_user.gain * s.v
+
+    return f, lambda: setattr(MODULE, "gain", 4.0)
+
+
+def of_a_name_that_it_imports():
+    MODULE.gain = 2.0
+    sys.modules["of_a_user"] = MODULE
+
+    def f(t, s):
+        from of_a_user import gain
+
+        return gain * s.v
+
+    return f, lambda: setattr(MODULE, "gain", 4.0)
+
+
+def of_which_array_it_is():
+    one = two = jnp.array([2.0, 4.0])
+
+    def change():
+        nonlocal two
+        two = jnp.array([2.0, 4.0])
+
+    return lambda t, s: s.v if one is two else s.q, change
+
+
+def of_which_array_of_numpy_it_is():
+    one = two = np.array([2.0, 4.0])
+
+    def change():
+        nonlocal two
+        two = np.array([2.0, 4.0])
+
+    return lambda t, s: s.v if one is not two else s.q, change
+
+
+def of_which_array_is_in_a_list():
+    one = jnp.array(2.0)
+    some = [one]
+    return lambda t, s: s.v if any(one is x for x in some) else s.q, some.clear
+
+
+def of_whether_it_is_an_array():
+    k = 2.0
+
+    def change():
+        nonlocal k
+        k = np.array(2.0)
+
+    return lambda t, s: s.v if hasattr(k, "shape") else s.q, change
+
+
 CHANGES = [f for name, f in globals().items() if name.startswith("of_")]
 
 
@@ -433,10 +544,42 @@ UNREAD = {
     "chance": lambda: lambda t, s: np.random.rand() * s.v,
     "chance of Python": lambda: lambda t, s: random.random() * s.v,
     "a lock": lambda: (lambda x: lambda t, s: s.v if x else s.q)(threading.Lock()),
-    "what it names at run time": lambda: lambda t, s: globals()["GAIN"] * s.v,
     "what it counts": writes,
     "what runs outside": lambda: lambda t, s: jax.pure_callback(lambda v: v, s.v, s.v),
 }
+
+
+HIDDEN = {
+    "globals": lambda: lambda t, s: globals()["GAIN"] * s.v,
+    "eval": lambda: lambda t, s: eval("GAIN") * s.v,
+    "globals of a helper": lambda: (lambda f: lambda t, s: f() * s.v)(lambda: globals()["GAIN"]),
+}
+
+
+@pytest.mark.parametrize("make", HIDDEN.values(), ids=HIDDEN)
+def test_what_it_does_not_name_is_compiled_at_each_call_and_said(make):
+    f = make()
+    levels._say.cache_clear()
+    with pytest.warns(UserWarning, match=r"uses `(globals|eval)`.*compiled at each call.*names"):
+        np.testing.assert_array_equal(value(f), f(T, S))
+    globals()["GAIN"] = 4.0
+    np.testing.assert_array_equal(value(f), 4 * S.v)  # the same object, and no second warning
+
+
+def test_identity_of_arrays_within_a_transformation():
+    """Arrays that are operands are one operand where they are one array."""
+    def run(k):
+        f = lambda t, s, one=k: (1.0 if one is k else 2.0) * k * s.v  # noqa: E731
+        return value(f).sum()
+
+    assert jax.grad(run)(3.0) == S.v.sum()
+    np.testing.assert_array_equal(jax.vmap(run)(jnp.arange(3.0)), jnp.arange(3.0) * S.v.sum())
+
+
+def test_what_names_modules_and_computes_names_is_not_read():
+    MODULE.gain = 2.0
+    f = lambda t, s: getattr(MODULE, "ga" + "in") * s.v  # noqa: E731
+    assert captured(f) is f
 
 
 @pytest.mark.parametrize("make", UNREAD.values(), ids=UNREAD)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from tests.oracles.random_trees import random_state, random_tree
+from benchmarks.cases.random_trees import random_state, random_tree
 
 Array = np.ndarray
 GEOMS = ("sphere", "capsule", "cylinder", "ellipsoid", "box")

@@ -12,7 +12,7 @@ import re
 import mujoco
 import numpy as np
 
-from tests.oracles.random_trees import _rotation, _text, random_tree
+from benchmarks.cases.random_trees import _rotation, _text, random_tree
 
 Array = np.ndarray
 _OFF = '<flag contact="disable" constraint="disable" eulerdamp="disable"/>'

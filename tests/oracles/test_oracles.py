@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.oracles import load
-from tests.oracles.models import (
+from benchmarks.cases.models import (
     MISSING,
     MODELS,
     REFUSED,
@@ -18,7 +17,7 @@ from tests.oracles.models import (
     load_with_removals,
     switch_off_constraints,
 )
-from tests.oracles.random_trees import (
+from benchmarks.cases.random_trees import (
     acceleration_to_pinocchio,
     pinocchio_model,
     pinocchio_velocity_map,
@@ -26,6 +25,7 @@ from tests.oracles.random_trees import (
     random_tree,
     to_pinocchio,
 )
+from tests.oracles import load
 from tests.oracles.textbook import Case, modern_robotics, planar_2r, rbdl, tip_forces, two_link
 
 Array = np.ndarray

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases import algorithm_10_2
 from rbjax.planning import (
     Controls,
     Footprint,
@@ -16,7 +17,6 @@ from rbjax.planning import (
     reeds_shepp,
 )
 from rbjax.planning.controls import MotionTable
-from tests.planning import algorithm_10_2
 
 CAR = Footprint.rectangle(ahead=0.41, behind=0.13, width=0.32, discs=3)
 

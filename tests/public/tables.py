@@ -14,12 +14,12 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
+from tests.constraints.mechanisms import pendulum
 
 import rbjax as rb
 from rbjax import constraints, control, planning, rotations, stability, sysid
 from tests import test_registry as of_models
 from tests.body import test_composes as of_bodies
-from tests.constraints.mechanisms import pendulum
 from tests.public.grid import Case, same
 from tests.robots import robot
 from tests.wheeled import test_registry as of_wheels

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.models import MODELS
 from rbjax import sysid
 from rbjax.errors import InputError
 from rbjax.loading import compile_model
 from tests.oracles import load
-from tests.oracles.models import MODELS
 from tests.robots import load_quietly
 from tests.sysid.arms import chain, gravity_of
 

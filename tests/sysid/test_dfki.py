@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
+from benchmarks.cases import dfki
 from rbjax import sysid
-from tests.sysid import dfki
 
 pytestmark = [
     pytest.mark.slow,

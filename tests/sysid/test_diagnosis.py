@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
 from rbjax.sysid import PD, Channel, Grid, Recording, Setup, Trace, Unknown, diagnose, identify
 from rbjax.sysid.clocks import rate_of
 from rbjax.sysid.mends import flip, stretch, swap, without
 from rbjax.sysid.simulation import motion
-from tests.sysid.wrong_data import NOISE, TRUTH, UNKNOWNS, WRONG, T, leg
 
 
 def seen(q):

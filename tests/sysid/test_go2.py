@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases import go2
 from benchmarks.shared.cma_es import cma_es
 from rbjax.sysid import Channel, Grid, Recording, Unknown, identify
-from tests.sysid import go2
 
 needs_data = pytest.mark.skipif(
     not go2.DATA.exists(), reason=f"the recording of the Go2 is not there: {go2.DATA}"

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.problems import GO2, ORACLES, arm, quadruped
 from rbjax.sysid import (
     Channel,
     Recording,
@@ -14,7 +15,6 @@ from rbjax.sysid import (
     identify,
     pseudo_inertia_of,
 )
-from tests.sysid.problems import GO2, ORACLES, arm, quadruped
 
 MODEL = rb.load("pendulum")
 MASS = Unknown("bodies.mass", 0, positive=True)

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases import pendulums
+from benchmarks.cases.pendulums import NAMES, Arms, chain
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, free_run, identify
 from rbjax.sysid.runs import run_of
 from rbjax.sysid.shooting import Shooting
 from rbjax.sysid.simulation import motion
 from rbjax.sysid.unknowns import Unknowns
-from tests.sysid import pendulums
-from tests.sysid.pendulums import NAMES, Arms, chain
 
 T = 0.02
 GRID = Grid(T, 2)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from rbjax import wheeled
-from tests.sysid.robotino import (
+from benchmarks.cases.robotino import (
     ARM,
     DATA,
     FLOORS,
@@ -15,6 +14,7 @@ from tests.sysid.robotino import (
     repeatability,
     robotino,
 )
+from rbjax import wheeled
 
 # mean size of the error of one run, held out; on green equal runs differ by more than 2 %
 EACH = {"table": 0.005, "brown": 0.01, "gray": 0.015, "green": 0.035}

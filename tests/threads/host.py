@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.threads import llvm_jit
+from benchmarks.shared.part_function import part_function
 from rbjax.threads.c_source import PREAMBLE
 from rbjax.threads.frame import (
     HOST_HEAD,
@@ -28,8 +28,7 @@ from rbjax.threads.frame import (
     write_program,
 )
 from rbjax.threads.function import threaded
-from rbjax.threads.llvm_batch import Parts, parts
-from rbjax.threads.llvm_ir import Module
+from rbjax.threads.llvm_batch import parts
 from rbjax.threads.native import compile
 from rbjax.threads.program import Loop, walk
 
@@ -149,28 +148,6 @@ def on_host(f: Callable, *args: Any) -> Any:
 
 
 # ------------------------------------------------------------------- vectors
-
-#: a part as the function that `llvm_jit` looks for
-RUN = """
-define i32 @run(ptr %buffers, i64 %index) {
-  %code = call i32 @part(ptr %buffers, i64 %index)
-  ret i32 %code
-}
-"""
-
-
-def part_function(parts: Parts) -> tuple[Callable[[Sequence[np.ndarray]], None], Any]:
-    """All parts of a batch as a function of the arrays of operands and results; and its code."""
-    code = llvm_jit.compiled(Module(parts.text + RUN, parts.libm))
-    part = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int64)(code.address)
-
-    def run(arrays: Sequence[np.ndarray]) -> None:
-        buffers = (ctypes.c_void_p * len(arrays))(*(x.ctypes.data for x in arrays))
-        for k in range(parts.count):
-            assert part(buffers, k) == 0
-
-    return run, code
-
 
 def by_vectors(cases: Sequence[Case], lanes: int = 4, samples: int = 5) -> list:
     """The same by vectors of samples. Few samples are repeated; the batch is first or last."""

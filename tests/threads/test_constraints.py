@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import four_bars
 from rbjax import constraints as rc
-from tests.constraints.mechanisms import four_bars
 from tests.threads.host import COMPILER, many_on_host
 from tests.threads.test_algorithms import agree, by_xla
 from tests.tolerances import F64_PARITY

@@ -44,6 +44,7 @@ def gpu(monkeypatch):
     """A process that assumes that kernels work."""
     monkeypatch.setattr(launch, "ptx", lambda source, capability: "PTX")
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
+    monkeypatch.setattr(launch, "ordinal", lambda: 0)
     monkeypatch.setattr(launch, "works", lambda: True)
     primitive._say.cache_clear()
 
@@ -138,7 +139,7 @@ def test_where_kernels_fail_it_is_said(monkeypatch):
 
     monkeypatch.setattr(nvrtc, "library", missing)
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
-    monkeypatch.setattr(jax, "devices", lambda *_: jax.local_devices())
+    monkeypatch.setattr(launch, "gpu", lambda: jax.local_devices()[0])
     monkeypatch.setattr(launch, "launch", lambda *_: launch.ptx(launch.SELF_TEST, "9.0"))
     nvrtc.version.cache_clear()
     launch.works.cache_clear()
@@ -216,14 +217,14 @@ def test_the_driver_compiles_long_ptx_once_beside_other_work(fails, monkeypatch)
     monkeypatch.setattr(driver_cache, "_given", set())
     monkeypatch.delenv("CUDA_CACHE_DISABLE", raising=False)
     long = "x" * driver_cache.LONG
-    assert driver_cache.compile_ahead("short") is None
-    driver_cache.compile_ahead(long).join()
-    assert driver_cache.compile_ahead(long) is None
+    assert driver_cache.compile_ahead("short", lambda: 0) is None
+    driver_cache.compile_ahead(long, lambda: 0).join()
+    assert driver_cache.compile_ahead(long, lambda: 0) is None
     assert ("cuModuleLoadData" in driver.calls) == (fails != "cuCtxSetCurrent")
     assert ("cuModuleUnload" in driver.calls) == (not fails)
     assert driver.calls[-1] == "cuDevicePrimaryCtxRelease"
     monkeypatch.setenv("CUDA_CACHE_DISABLE", "1")  # what it compiles would be lost
-    assert driver_cache.compile_ahead(2 * long) is None
+    assert driver_cache.compile_ahead(2 * long, lambda: 0) is None
 
 
 # ------------------------------------------------------------------- sources

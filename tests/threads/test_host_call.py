@@ -71,6 +71,56 @@ def test_parts_on_several_threads(monkeypatch, samples):
     primitive._kernel.cache_clear()
 
 
+@pytest.mark.parametrize("samples", [None, 0, 1, 200])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_subnormal_arguments_inside_of_xla(dtype, samples):
+    """XLA runs programs with flags by which the processor reads subnormal numbers as zeros."""
+    tiny, least = np.finfo(dtype).tiny, np.finfo(dtype).smallest_subnormal
+    some = np.array([0, least, 5 * least, tiny / 3, tiny, 4 * tiny, 1, 1e30, np.inf], dtype)
+    y, x = (a.ravel() for a in np.meshgrid([*some, *-some], [*some, *-some]))
+    if samples is None:  # the first of many, as a single sample
+        run = jax.jit(rb.threads(jax.lax.atan2))
+        got = np.array([run(a, b) for a, b in zip(y[:60], x[:60], strict=True)])
+    else:
+        y, x = y[40 : 40 + samples], x[40 : 40 + samples]
+        got = jax.jit(jax.vmap(rb.threads(jax.lax.atan2)))(y, x)
+    want = np.arctan2(y, x)[: len(got)]
+    # the result of the largest ratios is subnormal itself
+    np.testing.assert_allclose(got, want, rtol=4 * np.finfo(dtype).eps, atol=tiny)
+    if samples != 200:
+        return
+    x = np.resize(some[1:-1], 64)
+    many = lambda f: np.asarray(jax.jit(jax.vmap(rb.threads(f)))(x), np.float64)  # noqa: E731
+    eps = 4 * np.finfo(dtype).eps
+    np.testing.assert_allclose(many(jnp.log), np.log(x.astype(float)), rtol=eps)
+    np.testing.assert_allclose(many(jnp.cbrt), np.cbrt(x.astype(float)), rtol=eps)
+    wanted = x.astype(float) ** -0.25
+    np.testing.assert_allclose(many(lambda x: jax.lax.pow(x, dtype(-0.25))), wanted, rtol=eps)
+
+
+#: functions that jax 0.12 traces to primitives of a higher level, of which each is a function
+HIGH = {
+    "searchsorted": lambda x: jnp.searchsorted(jnp.sort(x), x, side="right"),
+    "searchsorted in rows": lambda x: jnp.searchsorted(jnp.sort(x), jnp.outer(x, x)),
+    "nonzero": lambda x: jnp.nonzero(x > 0, size=4, fill_value=-1)[0] + x[0],
+    "einsum": lambda x: jnp.einsum("i,j,j->i", x, x, jnp.sin(x)),
+    "ldexp": lambda x: jnp.ldexp(x, jnp.arange(6, dtype=jnp.int32)),
+    "frexp": lambda x: jnp.frexp(x)[0] * 3 + jnp.frexp(x)[1],
+    "remat": jax.checkpoint(lambda x: jnp.sin(jnp.sin(x))),
+    "custom_jvp": jax.nn.relu,
+    "interp": lambda x: jnp.interp(x, jnp.arange(6.0), jnp.cumsum(x)),
+}
+
+
+@pytest.mark.parametrize("name", HIGH)
+def test_functions_of_many_primitives(name):
+    g, x = HIGH[name], RNG.normal(size=(5, 6)) * 3
+    same(jax.vmap(threaded(g)), jax.vmap(g), x)
+    if name not in ("searchsorted", "searchsorted in rows"):
+        total = lambda h: jax.grad(lambda x: (jax.vmap(h)(x) ** 2).sum())  # noqa: E731
+        same(total(threaded(g)), total(g), x)
+
+
 def test_derivatives_and_loops():
     """Inside of XLA's own loop; a gradient in f32; a hessian."""
     step = threaded(lambda x, w: jnp.sin(w @ x)[:3])
@@ -173,7 +223,7 @@ def test_without_llvmlite_it_is_said_once(monkeypatch):
     monkeypatch.undo()
     monkeypatch.setenv(backend.VARIABLE, "llvm")
     monkeypatch.setattr(llvm_jit, "_llvm", missing)
-    caches = (backend.on_cpu, host_call.works, llvm_jit.compiled)
+    caches = (backend.on_cpu, host_call.works)
     for cache in caches:
         cache.cache_clear()
     try:

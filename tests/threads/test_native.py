@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -241,6 +242,31 @@ def test_the_gil_is_released():
     assert [1, 2] in orders
 
 
+@pytest.mark.parametrize("native", [True, False])
+def test_arguments_by_name(native, monkeypatch):
+    def f(q, v, k=2.0, *, mode=None):
+        return q - k * v
+
+    if not native:
+        monkeypatch.setattr(numpy_abi, "holds", lambda: False)
+    with pytest.warns(UserWarning) if not native else contextlib.nullcontext():
+        two, three = rb.compile(f, 1.0, 2.0), rb.compile(f, 1.0, 2.0, 3.0)
+        one = rb.compile(lambda x: {"y": x["a"]}, {"a": 1.0})
+    assert two(q=3.0, v=1.0) == two(3.0, v=1.0) == two(v=1.0, q=3.0) == two(3.0, 1.0) == 1
+    assert three(3.0, k=4.0, v=1.0) == -1
+    assert one(x={"a": 5.0})["y"] == 5
+    with pytest.raises(rb.InputError, match="got an unexpected keyword argument 'w'"):
+        two(3.0, v=1.0, w=1.0)
+    with pytest.raises(rb.InputError, match="missing a required argument: 'v'"):
+        two(q=3.0)
+    with pytest.raises(rb.InputError, match="multiple values for argument 'q'"):
+        two(3.0, q=3.0)
+    with pytest.raises(rb.InputError, match="got 3 arguments, expected 2"):
+        two(3.0, 1.0, k=1.0)
+    with pytest.raises(rb.InputError, match=r"mode by name only; .*close over it"):
+        two(3.0, 1.0, mode=1)
+
+
 # ------------------------------------------------------------------- cache and fallback
 
 
@@ -251,7 +277,7 @@ def test_objects_are_kept_beside_jax_s_cache(monkeypatch, tmp_path):
     try:
         jax.config.update("jax_compilation_cache_dir", str(tmp_path))
         for _ in range(2):
-            llvm_jit.compiled.cache_clear()  # of this process
+            llvm_jit._codes.clear()  # of this process
             run = rb.compile(lambda x: jnp.cos(x) * 3, 0.0)
             assert run(1.0) == np.cos(1.0) * 3
         assert len(made) == 1 and len(list((tmp_path / "rbjax-threads").glob("*.o"))) == 1
@@ -266,7 +292,7 @@ def test_without_llvmlite_xla_runs_it(monkeypatch):
     def f(x, k):
         return {"y": x[k] * 2}
 
-    llvm_jit.compiled.cache_clear()
+    llvm_jit._codes.clear()
     monkeypatch.setattr(llvm_jit, "_llvm", missing)
     with pytest.warns(UserWarning, match="llvmlite is missing; f runs under XLA"):
         run = rb.compile(f, np.zeros(3), 0)

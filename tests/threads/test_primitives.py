@@ -52,8 +52,7 @@ def compare(cases: dict[str, Case], ulps: float = 4, absolute: float = 0.0) -> N
     wants = by_xla(every)
     found = {"C": many_on_host(every, ("-O0", "-ffp-contract=off"))}
     if not GPU_ASKED:
-        found["LLVM"] = by_llvm(every)
-        found["vectors"] = by_vectors(every)
+        found["LLVM"], found["vectors"] = by_llvm(every), by_vectors(every)
     wrong = [
         f"{name} by {how}, {bad}"
         for how, results in found.items()

@@ -14,6 +14,7 @@ from jax.sharding import PartitionSpec as P
 import rbjax as rb
 from rbjax.threads.function import threaded
 from tests.eight_devices import check, mesh, on_eight_devices
+from tests.tolerances import F64_TRANSFORM, relative_error
 
 threaded_rollout, places = (
     importlib.import_module(f"rbjax.{name}") for name in ("motion.threaded", "dynamics.devices")
@@ -58,6 +59,17 @@ def child_functions():
     ws = jax.device_put(jnp.stack([W, -W]), NamedSharding(devices, P("b")))
     x = jax.device_put(X, NamedSharding(devices, P("a")))
     check("two axes", pairs(g), (x, ws), pairs(f), NamedSharding(devices, P("b", "a")), 0)
+
+    # both axes of the batch are sharded over one axis of the mesh: one of them moves
+    a, ws = NamedSharding(devices, P("a")), jnp.stack([W, -W, 2 * W, 3 * W])
+    for one, other in ((a, a), (NamedSharding(devices, both), a), (a, NamedSharding(devices, P()))):
+        x, w = jax.device_put(X, one), jax.device_put(ws, other)
+        got = jax.jit(pairs(g))(x, w)
+        assert relative_error(got, jax.jit(pairs(f))(X, ws)) <= F64_TRANSFORM
+        slopes = [jax.jit(jax.grad(lambda x, w, h=h: (pairs(h)(x, w) ** 2).sum(), (0, 1)))(x, w)
+                  for h in (g, f)]  # fmt: skip
+        for p, q in zip(*slopes, strict=True):
+            assert relative_error(p, q) <= F64_TRANSFORM
 
     def own(h):
         return jax.shard_map(mapped(h), mesh=devices, in_specs=(both, P()), out_specs=both)

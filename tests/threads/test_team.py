@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
+from jax.scipy.linalg import solve_triangular
 
 from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.expansion import Quadratic
@@ -290,6 +291,30 @@ def test_what_a_knot_takes():
     assert team.shared_bytes(block) < 24_000  # in f64
 
 
+@host_only
+def test_a_second_solve_takes_the_solution_as_it_is_now():
+    """One loop solves two systems in a row only if the first solution is passed on as it was."""
+    def solve(L, B, **how):
+        return solve_triangular(L, B, lower=True, **how)
+
+    rng = np.random.default_rng(0)
+    L = np.tril(rng.normal(size=(3, 6, 6))) + 4 * np.eye(6)
+    wide, square = rng.normal(size=(3, 6, 12)), rng.normal(size=(3, 6, 6))
+    cases = [
+        (lambda L, B: [solve(L, solve(L, B))], (L, wide)),
+        (lambda L, B: [solve(L, solve(L, B), trans=1)], (L, wide)),
+        (lambda L, B: [solve(L, solve(L, B).at[0, 0].set(5.0))], (L, wide)),
+        (lambda L, B: [solve(L, solve(L, B).at[:, 1].add(B[:, 0]))], (L, wide)),
+        (lambda L, B: [solve(L, solve(L, B).T)], (L, square)),
+        (lambda L, B: [solve(L, solve(L, B)[:, ::-1])], (L, wide)),
+        (lambda L, B: [solve(L, solve(L, B)[::-1])], (L, square)),
+        (lambda L, B: [solve(L[:4, :4], solve(L, B).reshape(4, 18))], (L, wide)),
+    ]  # fmt: skip
+    for (f, args), got in zip(cases, many_on_host(cases, team=True), strict=True):
+        want = jax.vmap(f)(*args)
+        np.testing.assert_allclose(jax.tree.leaves(got)[0], want[0], rtol=1e-12, atol=1e-13)
+
+
 # ------------------------------------------------------------------- which programs run so
 
 
@@ -298,6 +323,7 @@ def kernels(f, monkeypatch, *args):
     made = []
     launch = importlib.import_module("rbjax.threads.launch")
     monkeypatch.setattr(launch, "capability", lambda: "9.0")
+    monkeypatch.setattr(launch, "ordinal", lambda: 0)
     monkeypatch.setattr(launch, "works", lambda: True)
     monkeypatch.setattr(launch, "ptx", lambda source, capability: made.append(source) or "PTX")
     primitive._kernel.cache_clear()

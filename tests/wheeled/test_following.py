@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.quickly import quick_jit
 
 from rbjax import wheeled
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, Fiala, SpeedServo
-from tests.quickly import quick_jit
 
 KINDS = wheeled.kinds()
 

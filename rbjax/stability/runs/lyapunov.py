@@ -19,6 +19,7 @@ import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax._jax_compat import scan_kind
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.term import motion
@@ -203,7 +204,7 @@ def _opened(system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int)
 
 def _forward(solver: Any) -> Any:
     """The solver with loops that support tangents, which diffrax's Runge-Kutta methods need."""
-    if getattr(solver, "scan_kind", "") is not None:
+    if scan_kind(solver) is not None:
         return solver
     return eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=lambda x: x is None)
 

@@ -28,7 +28,7 @@ from rbjax.sysid import (
 from rbjax.sysid.simulation import motion
 from rbjax.sysid.unknowns import Unknowns
 
-ORACLES = Path(__file__).parents[1] / "oracles"
+ORACLES = Path(__file__).parents[2] / "tests" / "oracles"
 GO2 = Path(__file__).parents[3] / "shared" / "data" / "go2_in_air"
 
 
