@@ -1,0 +1,62 @@
+"""The precision of identification: f64 whatever the caller's is, and the tolerances of a dtype.
+
+Rank, covariance and convergence compare singular values and decreases that lie 9 decades apart;
+float32, JAX's default, has 7. So an estimator computes in float64 inside `jax.enable_x64`, and
+returns the model in the dtype that it was given in.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def in_double(f: Callable[P, R]) -> Callable[P, R]:
+    """The function, with float64 as JAX's default float."""
+
+    @functools.wraps(f)
+    def run(*args: P.args, **options: P.kwargs) -> R:
+        with jax.enable_x64(True):
+            return f(*args, **options)
+
+    return run
+
+
+def cast(tree: Any, dtype: Any) -> Any:
+    """The pytree with its floating-point arrays in a dtype."""
+
+    def one(x: Any) -> Any:
+        old = getattr(x, "dtype", None)
+        if old is None or old == dtype or not jnp.issubdtype(old, jnp.floating):
+            return x
+        # by numpy: a cast of JAX is a program to compile for every shape
+        return jnp.asarray(np.asarray(x).astype(dtype))
+
+    return jax.tree.map(one, tree)
+
+
+def rank_tolerance(dtype: Any) -> float:
+    """The singular value, relative to the largest, below which rounding explains a direction; of
+    Jacobians whose columns have unit length.
+
+    >>> rank_tolerance("float64"), rank_tolerance("float32")
+    (1e-09, 0.0001)
+    """
+    return 1e-9 if np.dtype(dtype).itemsize >= 8 else 1e-4
+
+
+def still_tolerance(dtype: Any) -> float:
+    """The size of a Jacobian's column, relative to the largest, below which rounding explains it.
+
+    >>> still_tolerance("float64"), still_tolerance("float32")
+    (1e-12, 1e-05)
+    """
+    return 1e-12 if np.dtype(dtype).itemsize >= 8 else 1e-5
