@@ -356,14 +356,14 @@ def _put(array: Any, index: Any, new: Any) -> jax.Array:
 
 
 def leaf_of(target: Any, leaf: str) -> Any:
-    """An array of a pytree by its dotted name."""
+    """An array of floating-point numbers of a pytree, by its dotted name."""
     value = target
     try:
         for part in _parts(target, leaf):
             value = _child(value, part)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         value = None
-    if not (eqx.is_array(value) or isinstance(value, (float, int))):
+    if not eqx.is_inexact_array_like(value) or isinstance(value, complex):
         paths = jax.tree_util.tree_flatten_with_path(target)[0]
         known = [jax.tree_util.keystr(p, simple=True, separator=".") for p, _ in paths]
         raise UnknownName(f"leaf of {type(target).__name__}", leaf, known)
