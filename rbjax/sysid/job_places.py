@@ -13,6 +13,7 @@ from rbjax.sysid.job_keys import short
 from rbjax.sysid.readers import Column
 from rbjax.sysid.recording import HELD, JOINT_SENSORS, Recording
 from rbjax.sysid.simulation import Setup
+from rbjax.sysid.units import MOVES
 from rbjax.sysid.unknowns import leaf_of
 
 
@@ -38,6 +39,22 @@ def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) ->
                         f"with all {size} in the order of the model"
                     )
                 raise fix
+        _check_units(model, sensor, named, columns)
+
+
+def _check_units(
+    model: Model, sensor: str, named: Sequence[str], columns: Mapping[str, Column]
+) -> None:
+    """`UnknownName` for an angle's unit on a slide, or a length's on a hinge."""
+    turning, sliding = MOVES.get(sensor, ((), ()))
+    for column in (columns[n] for n in named):
+        joint = column.joint
+        if not isinstance(joint, str) or joint not in model.joint_names:
+            continue
+        kind = model.topology.joint_kinds[model.joint_names.index(joint)]
+        suited = {"hinge": turning, "slide": sliding}.get(kind, ())
+        if column.unit and suited and column.unit not in suited:
+            raise UnknownName(f"unit of the {kind} {joint} in sensor {sensor}", column.unit, suited)
 
 
 def place_of(setup: Setup, leaf: str, index: Any) -> Any:

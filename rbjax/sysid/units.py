@@ -28,6 +28,8 @@ TIME = ("s", "ms", "us", "ns", "min")
 _ANGLE, _LENGTH = ("rad", "mrad", "deg", "rev"), ("m", "cm", "mm", "um", "in")
 _RATE, _SPEED = ("rad/s", "deg/s", "rev/s", "rpm"), ("m/s", "cm/s", "mm/s", "km/h")
 _ACCELERATION = ("m/s^2", "mm/s^2", "g0")
+#: sensor of a joint -> its units on a hinge, and on a slide
+MOVES = {"q": (_ANGLE, _LENGTH), "v": (_RATE, _SPEED)}
 _FORCE, _TORQUE, _CURRENT = ("N", "mN", "kN"), ("N m", "mN m", "kN m"), ("A", "mA")
 #: kind of sensor -> the units that it can have, besides "" (SI); others may have any
 OF_SENSORS = {

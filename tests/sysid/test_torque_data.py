@@ -45,8 +45,8 @@ def fitted(rows):
 @pytest.mark.parametrize("rate", [50.0, 500.0])
 @pytest.mark.parametrize("fastest", [0.5, 3.0])
 def test_dry_friction_does_not_bias_the_viscous_one(rate, fastest):
-    """Nothing is smoothed by default: 1.2 %, of which 1.1 % is the viscous friction's standard error
-    at 50 Hz. With a step of 0.01 rad/s it is 2.4 % too small at 3 rad/s, and 63 % at 0.5."""
+    """Nothing is smoothed by default: 1.2 %, of which 1.1 % is the standard error of the viscous
+    friction at 50 Hz. A step of 0.01 rad/s makes it 2.4 % too small at 3 rad/s, 63 % at 0.5."""
     run, terms = drive(rate, fastest), ["viscous", "coulomb"]
     found = fitted(torque_rows(MODEL, run, 5.0, joint_terms=terms))
     truth = np.array([*TRUTH.values()])
