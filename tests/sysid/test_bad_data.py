@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.sysid import Column, read_csv, read_npz
-from tests.sysid.test_bad_jobs import MANY, QUICK, never_bare
+from tests.sysid.test_bad_jobs import MANY, never_bare
 
 WANTED = {"a": Column("q", "hip", "deg"), "i": Column("tau", "hip")}
 ROWS = [["0", "1", "5"], ["0.1", "2", "6"], ["0.2", "3", "7"], ["0.3", "4", "8"]]
@@ -119,26 +119,12 @@ def test_the_files_that_are_spoilt_are_good(folder):
     assert read_csv(folder / "run.csv", WANTED)["tau"].values.ravel().tolist() == [5, 6, 7, 8]
 
 
-@QUICK
-@hypothesis.given(content=bad_tables())
-def test_bad_tables_are_named(folder, content):
-    bad_file(folder, content, read_csv, "csv")
-
-
-@QUICK
-@hypothesis.given(content=bad_archives())
-def test_bad_archives_are_named(folder, content):
-    bad_file(folder, content, read_npz, "npz")
-
-
-@pytest.mark.slow
 @MANY
 @hypothesis.given(content=bad_tables())
 def test_150_bad_tables_are_named(folder, content):
     bad_file(folder, content, read_csv, "csv")
 
 
-@pytest.mark.slow
 @MANY
 @hypothesis.given(content=bad_archives())
 def test_150_bad_archives_are_named(folder, content):

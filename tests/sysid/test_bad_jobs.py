@@ -131,12 +131,10 @@ def never_bare(run):
     raise AssertionError("accepted")
 
 
-QUICK = hypothesis.settings(
-    max_examples=30, derandomize=True, deadline=None, database=None,
+MANY = hypothesis.settings(
+    max_examples=150, derandomize=True, deadline=None, database=None,
     suppress_health_check=list(hypothesis.HealthCheck),
 )  # fmt: skip
-MANY = hypothesis.settings(QUICK, max_examples=150)
-
 
 def bad_job(example, text):
     path = example.with_name("bad.toml")
@@ -150,13 +148,6 @@ def test_the_file_that_is_spoilt_is_good(example):
     Job.read(path)
 
 
-@QUICK
-@hypothesis.given(text=bad_jobs())
-def test_bad_job_files_are_named(example, text):
-    bad_job(example, text)
-
-
-@pytest.mark.slow
 @MANY
 @hypothesis.given(text=bad_jobs())
 def test_150_bad_job_files_are_named(example, text):
