@@ -98,7 +98,8 @@ def check_fields(record: Record) -> None:
     are due."""
     for f in dataclasses.fields(record):
         value, where = getattr(record, f.name), f"{type(record).__name__}({f.name}=...)"
-        if f.type in ("jax.Array", jax.Array):
+        optional = f.type == "jax.Array | None" and value is not None
+        if optional or f.type in ("jax.Array", jax.Array):
             if not (eqx.is_array(value) or isinstance(value, (np.ndarray, np.generic, float))):
                 raise InputError(
                     f"{where}: got {type(value).__name__}, expected an array of numbers, as "

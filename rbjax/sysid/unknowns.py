@@ -363,9 +363,11 @@ def leaf_of(target: Any, leaf: str) -> Any:
             value = _child(value, part)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         value = None
-    if not eqx.is_inexact_array_like(value) or isinstance(value, complex):
+    numeric = eqx.is_array(value) or isinstance(value, float)
+    if not numeric or not jnp.issubdtype(jnp.result_type(value), jnp.floating):
         paths = jax.tree_util.tree_flatten_with_path(target)[0]
-        known = [jax.tree_util.keystr(p, simple=True, separator=".") for p, _ in paths]
+        keys = [jax.tree_util.keystr(p, simple=True, separator=".") for p, _ in paths]
+        known = [key.removeprefix("model.") for key in keys]
         raise UnknownName(f"leaf of {type(target).__name__}", leaf, known)
     return value
 
