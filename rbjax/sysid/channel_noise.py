@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.sysid.statistics import RANK_TOLERANCE, checked_rows, decomposed
+from rbjax.sysid.statistics import checked_rows, decomposed, tolerance_for
 
 ROUNDS = 100  # of the fixed point
 
@@ -24,7 +24,7 @@ class ChannelNoise(NamedTuple):
 
 
 def noise_by_channel(
-    residual: Any, jacobian: Any, channels: Any, *, rank_tolerance: float = RANK_TOLERANCE
+    residual: Any, jacobian: Any, channels: Any, *, rank_tolerance: float | None = None
 ) -> ChannelNoise:
     """The noise of each sensor from the residuals of one fit to all of them.
 
@@ -54,6 +54,7 @@ def noise_by_channel(
         >>> round(found.sigma["a"], 4), round(found.sigma["b"], 4), found.dof["b"]
         (1.4142, 2.0, 3.0)
     """
+    rank_tolerance = tolerance_for(jacobian) if rank_tolerance is None else rank_tolerance
     J = checked_rows("noise_by_channel", "jacobian", jacobian, 2)
     r = checked_rows("noise_by_channel", "residual", residual, 1, len(J))
     labels, row = np.unique(np.asarray(channels), return_inverse=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,8 +10,13 @@ import numpy as np
 from scipy import stats
 
 from rbjax.errors import InputError
+from rbjax.sysid.whiteness import whiteness
 
 HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
+EXPLAINED = 0.99  # the share of variance that a good model explains
+NOISY = 1.5  # error over the noise, at most
+TESTED = 20  # samples of a column, at least, for a test of whiteness
+ROUNDING = 1e-6  # an error below this share of the spread is none that a test could judge
 ALPHA = 0.01  # a p value below it is no chance
 
 
@@ -20,7 +25,8 @@ class HeldOut:
     """A model on data that the fit never saw.
 
     Fields: rms on unseen and rms_fitted on fitted data; ratio of the two; by_recording, the rms of
-    each unseen one; r_squared, the share of variance explained, nan if unknown; holds; sentence.
+    each unseen one; r_squared, the share of variance explained, nan if unknown; holds, whether all
+    checks pass; failed, a sentence for each check that does not; sentence.
     """
 
     rms: float
@@ -30,6 +36,7 @@ class HeldOut:
     r_squared: float
     holds: bool
     sentence: str
+    failed: tuple[str, ...] = ()
 
 
 def held_out(
@@ -42,7 +49,9 @@ def held_out(
 ) -> HeldOut:
     """The verdict on a model from its residuals on recordings that were not fitted.
 
-    The model holds if its error there is at most 1.25 times that on what was fitted.
+    The model holds if its error there is at most 1.25 times the error on fitted data, explains
+    99 % of the variance (with `measured`), is at most 1.5 times the noise (with `noise`), and is
+    white (columns of 20 samples or more). What cannot be checked is left out.
 
     Args:
         fitted: recording -> residuals, an array of any shape; nan is left out.
@@ -74,29 +83,67 @@ def held_out(
     rms_fitted, rms = _rms(fitted.values()), _rms(unseen.values())
     each = {name: _rms([r]) for name, r in unseen.items()}
     ratio = rms / rms_fitted if rms_fitted > 0 else (np.inf if rms > 0 else 1.0)
-    holds = bool(ratio <= HOLDS)
-    says = "holds" if holds else "is weaker" if ratio <= WEAK else "fails"
     unit = f" {unit}" if unit else ""
     plural = "recording" if len(unseen) == 1 else "recordings"
     sentence = (
-        f"the model {says}: on {len(unseen)} {plural} that the fit never saw it errs by "
+        f"on {len(unseen)} {plural} that the fit never saw it errs by "
         f"{rms:.3g}{unit} RMS, {ratio:.3g} times as much as where it was fitted"
     )
     worst = max(each, key=lambda name: each[name])
     if len(each) > 1:
         sentence += f" (the worst, {worst}: {each[worst]:.3g}{unit})"
-    explained = np.nan
+    explained, failed = np.nan, []
+    if not ratio <= HOLDS:
+        failed.append(f"the error is {ratio:.3g} times the error on fitted data, above {HOLDS}")
+    weak = ratio <= WEAK
     if measured is not None:
         parts = [(np.asarray(unseen[n], float), np.asarray(measured[n], float)) for n in unseen]
         left = sum(float(np.nansum(r**2)) for r, _ in parts)
         there = sum(float(np.nansum((y - np.nanmean(y, 0)) ** 2)) for _, y in parts)
         explained = 1 - left / there if there > 0 else np.nan
         sentence += f"; it explains {100 * explained:.3g} % of the variance"
+        if explained < EXPLAINED:
+            failed.append(f"R2 is {explained:.4g}, below {EXPLAINED}")
+            weak = False
     if noise is not None:
         sentence += f"; the error is {rms / noise:.3g} times the noise"
+        if rms > NOISY * noise:
+            failed.append(f"the error is {rms / noise:.3g} times the noise, above {NOISY}")
         if rms > 3 * noise:
             sentence += ", so the model lacks something"
-    return HeldOut(rms, rms_fitted, float(ratio), each, float(explained), holds, sentence)
+            weak = False
+    spread = None if measured is None else _rms([y - np.nanmean(y, 0) for y in _arrays(measured)])
+    if spread is None or rms > ROUNDING * spread:
+        test = colour(list(_arrays(unseen)))
+        if test is not None and not test[0]:
+            failed.append(f"the residual is not white (Ljung-Box p = {test[1]:.1g})")
+    says = "fails" if not weak else "is weaker" if failed else "holds"
+    sentence = f"the model {says}: {sentence}"
+    if failed:
+        sentence += f"; failed: {'; '.join(failed)}"
+    return HeldOut(
+        rms, rms_fitted, float(ratio), each, float(explained), not failed, sentence, tuple(failed)
+    )
+
+
+def colour(residuals: Sequence[np.ndarray]) -> tuple[bool, float] | None:
+    """Whether residuals, (samples,) or (samples, columns) each, are white: Bonferroni's bound of
+    Ljung and Box's tests of all columns, and its p value. None if all are too short to test."""
+    p = []
+    for r in residuals:
+        for x in r.reshape(len(r), -1).T:
+            x = x[~np.isnan(x)]
+            if len(x) >= TESTED and np.ptp(x) > 0:
+                p.append(whiteness(x).p_value)
+    if not p:
+        return None
+    found = min(min(p) * len(p), 1.0)
+    return found >= ALPHA, found
+
+
+def _arrays(given: Mapping[str, Any]) -> Iterator[np.ndarray]:
+    for x in given.values():
+        yield np.asarray(x, float)
 
 
 class Scored(NamedTuple):

@@ -26,6 +26,7 @@ from rbjax.sysid.fits import FIRST_PULLS
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.least_squares import minimise
 from rbjax.sysid.mends import Lost, Mend, flip, stretch, swap, without
+from rbjax.sysid.precision import in_double
 from rbjax.sysid.recording import HELD, Recording
 from rbjax.sysid.runs import Run, batch, ordered, run_of
 from rbjax.sysid.traces import FEW, Trace, Traces, traces
@@ -69,6 +70,7 @@ class Diagnosis:
         return "\n".join(map(str, self.causes)) or none + "error"
 
 
+@in_double
 def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> Diagnosis:
     """What is wrong with the data of a fit.
 
@@ -101,7 +103,7 @@ class _Bench:
 
     def __init__(self, found: Identified, steps: int, say: Say):
         self.found, self.steps, self.say = found, steps, say
-        self.model = found.model
+        self.model, self.setup = found.error.setup.model, found.error.setup
         self.guess = np.array([*found.guess.values()])
         self.longest = [self.run_of(ordered(self.model, run)) for run in found.recordings]
 
@@ -254,7 +256,7 @@ class _Bench:
 
     def traces(self, runs: Sequence[Recording], x: np.ndarray) -> Traces:
         of = self.found.error.on(self.batched(runs))
-        return traces(self.found.setup, of, np.append(x, np.zeros(of.size - len(x))), runs)
+        return traces(self.setup, of, np.append(x, np.zeros(of.size - len(x))), runs)
 
     def error(self, runs: Sequence[Recording], x: np.ndarray) -> float:
         errors = np.concatenate([*_by_column(self.traces(runs, x)).values()])
@@ -274,7 +276,7 @@ class _Bench:
         return least.x
 
     def run_of(self, run: Recording) -> Run:
-        return run_of(self.found.setup, run, self.found.grid)
+        return run_of(self.setup, run, self.found.grid)
 
     def batched(self, runs: Sequence[Recording]) -> Run:
         """The runs as one, of the shape of those that were fitted, every column weighed by its

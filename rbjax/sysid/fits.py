@@ -2,8 +2,10 @@
 
     pieces      short pieces, each from its first sample: a start for a poor first guess
     shooting    pieces that are tied, end to start, ever more stiffly: a start for a long motion
+    growing     the first part of all recordings, and ever more of it: another such start
     whole       all recordings
     weighed     the same, each column weighed by the noise of its residuals
+    finer       the same with shorter steps, if steps of half the length change the motion
 """
 
 from __future__ import annotations
@@ -19,7 +21,10 @@ from rbjax.errors import InputError
 from rbjax.progress import Say
 from rbjax.sysid.columns import root_mean_square
 from rbjax.sysid.fit_file import write_fit
-from rbjax.sysid.least_squares import Minimum, minimise
+from rbjax.sysid.fit_rows import samples_of
+from rbjax.sysid.guesses import drawn
+from rbjax.sysid.least_squares import Minimum, minimise, sum_of_squares
+from rbjax.sysid.precision import still_tolerance
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import Run, batch_of, run_of
 from rbjax.sysid.shooting import TIES, Shooting
@@ -27,6 +32,7 @@ from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.traces import Traces, together, traces
 from rbjax.sysid.unknowns import Unknowns
+from rbjax.sysid.verdict import is_poor
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
@@ -34,6 +40,18 @@ NOISELESS = 1e-7
 NORMAL = 1.4826
 #: pulls of the fit to short pieces, which is only a start
 FIRST_PULLS = (1e-4, 1e-7)
+#: parts of all recordings that a growing fit takes, one after the other
+PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
+#: evaluations at most of a fit that is only a start
+FEW_STEPS = 20
+#: how far other first guesses are drawn, as in `many_starts`
+SPREAD = 1.0
+#: steps are short enough if their error moves no number by more than this part of its sigma
+STEP_ERROR = 0.2
+#: and are refined so often at most
+REFINED = 3
+#: an error of steps below this part of the spread of what was recorded is no reason for finer ones
+SMALL_STEP_ERROR = 1e-6
 
 
 class Fitted(NamedTuple):
@@ -50,18 +68,19 @@ class Fits:
     """Fits of the same numbers to the same recordings.
 
     Fields: first, the first guess; prior, to which the next fit is pulled where data leave numbers
-    open; evaluations of residuals so far.
+    open; evaluations of residuals so far; notes, sentences on what was done by default.
     """
 
     def __init__(
         self, setup: Setup, sought: Unknowns, recordings: Sequence[Recording], grid: Grid, *,
-        starts: bool, loss: str, steps: int, save: str | Path | None, say: Say,
+        starts: bool | None, loss: str, steps: int, save: str | Path | None, say: Say,
     ):  # fmt: skip
         self.setup, self.sought, self.recordings, self.grid = setup, sought, recordings, grid
         self.starts, self.loss, self.steps, self.save, self.say = starts, loss, steps, save, say
         self.first = np.asarray(sought.read(setup), float)
         self.prior = self.first
         self.evaluations = 0
+        self.notes: list[str] = []
 
     def pieces(self, x: np.ndarray, seconds: float) -> np.ndarray:
         """Numbers that suit pieces of this length."""
@@ -76,7 +95,7 @@ class Fits:
         for tied.tie in TIES:  # stiff ties must not make the prior's pull stronger
             pulls = tuple(w / max(tied.tie, 1.0) ** 2 for w in FIRST_PULLS)
             x = self._fit(tied, x, last=False, pulls=pulls).x
-        if not self.starts:
+        if not self._error(self.recordings).own:
             return x[: self.shared]
         # one chaotic motion is so steep that any pull to the first guess would lose it
         self.prior = tied.began(x)
@@ -86,6 +105,55 @@ class Fits:
         """The fit of all recordings."""
         return self._fitted(self._error(self.recordings), x)
 
+    def growing(self, of: SimulationError, x: np.ndarray) -> np.ndarray:
+        """x that suits the first part of all recordings, and ever more of it: a short motion does
+        not lose a poor guess. The program is that of the whole."""
+        T = max(float(np.max(t)) for t in of.runs.times.values())
+        for part in PARTS:
+            weights = {
+                s: w * (of.runs.times[s] <= part * T)[..., None]
+                for s, w in of.runs.weights.items()
+            }
+            some = of.on(of.runs._replace(weights=weights))
+            if samples_of(some) <= 2 * some.size:
+                continue
+            x = self._fit(some, x, last=False, pulls=FIRST_PULLS, steps=FEW_STEPS).x
+        return x
+
+    def improved(self, fitted: Fitted, restarts: int) -> Fitted:
+        """The fit, or if it is poor the best of others: one that grows from the first guess, and
+        some from other guesses."""
+        why = "the first guess failed" if not np.isfinite(fitted.least.cost) else ""
+        why = why or is_poor(fitted.traces, self.recordings, self.setup)
+        if not (why and restarts):
+            return fitted
+        of, best, tried, won = fitted.error, fitted, 0, "the first guess is still the best"
+        for k, guess in enumerate(self._guesses(restarts)):
+            x = self.growing(of, np.append(guess, np.zeros(of.size - self.shared)))
+            other = self._fitted(of, x, pulls=FIRST_PULLS)
+            tried = k + 1
+            if other.least.cost < best.least.cost * (1 - 1e-6):
+                best = other
+                won = "a fit that grew from the first part of the recordings " + (
+                    f"and from another guess (number {k}) is better" if k else "is better"
+                )
+            if not is_poor(best.traces, self.recordings, self.setup):
+                break
+        self.notes.append(
+            f"the fit from the first guess was poor ({why}), so {tried} other "
+            f"{'start was' if tried == 1 else 'starts were'} tried: {won}"
+        )
+        if best is not fitted:
+            best = self._fitted(of, best.least.x)
+        return best
+
+    def _guesses(self, count: int) -> np.ndarray:
+        """(count, n), the first one first."""
+        try:
+            return drawn(self.sought, self.setup, count, SPREAD, 0)
+        except InputError:  # an unknown of a kind that cannot be drawn
+            return self.first[None]
+
     def weighed(self, fitted: Fitted) -> Fitted:
         """The fit again, weighed by the noise of its residuals; itself where that is no noise, or
         all channels say their own."""
@@ -94,6 +162,38 @@ class Fits:
         if data is None:
             return fitted
         return self._fitted(fitted.error.on(data), fitted.least.x)._replace(estimated=True)
+
+    def finer(self, fitted: Fitted) -> Fitted:
+        """The fit with steps so short that steps of half their length change no number by a part
+        of its standard deviation that matters."""
+        first = self.grid
+        for _ in range(REFINED):
+            other = self._halved(fitted)
+            error, matters = _step_error(fitted, other)
+            if not matters:
+                break
+            self.grid = other.grid
+            found = self._fitted(other, fitted.least.x)
+            if found.least.cost > 2 * fitted.least.cost:  # recordings were made with these steps
+                self.grid = fitted.error.grid
+                break
+            fitted = found._replace(estimated=fitted.estimated)
+        if self.grid != first:
+            self.notes.append(
+                f"steps of {first.period / first.substeps:.3g} s were too long (their error is "
+                f"{error:.2g} times what matters), so the motion has steps of "
+                f"{self.grid.period / self.grid.substeps:.3g} s; grid= sets them"
+            )
+        return fitted
+
+    def _halved(self, fitted: Fitted) -> SimulationError:
+        old = fitted.error.grid
+        half = old._replace(period=old.period / 2, longest_delay=2 * old.longest_delay)
+        data = batch_of(self.setup, self.recordings, half)
+        of = SimulationError(
+            self.setup, self.sought, data, half, starts=self.starts, loss=self.loss
+        )
+        return of.on(data._replace(weights=fitted.error.runs.weights))
 
     @property
     def shared(self) -> int:
@@ -106,8 +206,8 @@ class Fits:
             self.setup, self.sought, data, self.grid, starts=self.starts, loss=self.loss
         )
 
-    def _fitted(self, of: SimulationError, x: np.ndarray) -> Fitted:
-        least = self._fit(of, x)
+    def _fitted(self, of: SimulationError, x: np.ndarray, **how: Any) -> Fitted:
+        least = self._fit(of, x, **how)
         return Fitted(of, least, traces(self.setup, of, least.x, self.recordings))
 
     def _fit(
@@ -116,20 +216,38 @@ class Fits:
         self.say("simulating")
         x, near = (np.append(a, np.zeros(of.size))[: of.size] for a in (x, self.prior))
         slopes = of.triangle(x)
-        check_moves(self.sought, slopes[:, : self.shared])
+        if last:
+            check_moves(self.sought, slopes[:, : self.shared])
         least_cost = np.inf
+        steps = how.pop("steps", self.steps)
 
         def watch(k: int, cost: float, x: np.ndarray) -> None:
             nonlocal least_cost
-            self.say(f"evaluation {k} of at most {self.steps}, squares {cost:.4g}")
+            self.say(f"evaluation {k} of at most {steps}, squares {cost:.4g}")
             if self.save is not None and cost < least_cost:
                 least_cost = cost
                 kept = x if last else x[: self.shared]  # the starts of pieces serve no other fit
                 write_fit(self.save, self.sought.names, kept, ok=False, message="not ended")
 
-        least = minimise(of, x, near, triangle=slopes, steps=self.steps, watch=watch, **how)
+        least = minimise(of, x, near, triangle=slopes, steps=steps, watch=watch, **how)
         self.evaluations += least.evaluations
         return least
+
+
+def _step_error(fitted: Fitted, other: SimulationError) -> tuple[float, bool]:
+    """By how much the error of the steps is larger than what matters, and whether it does. The
+    residuals r have n numbers fitted to them; an error e of theirs moves a number by |e| / s of its
+    standard deviation at most, where s^2 is the variance of r."""
+    of, x = fitted.error, fitted.least.x
+    e = other.residuals(x) - of.residuals(x)
+    s = np.sqrt(max(fitted.least.cost, 1e-300) / max(samples_of(of) - of.size, 1))
+    over = float(np.sqrt(sum_of_squares(e)) / (STEP_ERROR * s))
+    size = 0.0
+    for sensor, w in of.runs.weights.items():
+        y = np.asarray(of.runs.values[sensor])
+        size += sum_of_squares(np.asarray(w) * (y - y.mean((0, 1))))
+    small = sum_of_squares(e) <= SMALL_STEP_ERROR**2 * size
+    return over, bool(over > 1 and not small)
 
 
 def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool) -> Run | None:
@@ -160,9 +278,9 @@ def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
 def check_moves(sought: Unknowns, J: np.ndarray) -> None:
     """`InputError` for an unknown none of whose numbers moves anything."""
     ends = np.cumsum(sought.sizes)
-    largest = np.abs(J).max()
+    largest, still = np.abs(J).max(), still_tolerance(J.dtype)
     for (name, u), end, size in zip(sought.members.items(), ends, sought.sizes, strict=True):
-        if np.isfinite(largest) and not np.abs(J[:, end - size : end]).max() > 1e-12 * largest:
+        if np.isfinite(largest) and not np.abs(J[:, end - size : end]).max() > still * largest:
             raise InputError(
                 f"identify: {name} ({u!r}) moves nothing that was recorded, expected unknowns that "
                 "do: leave it out, or record a motion or a sensor that shows it"

@@ -9,6 +9,7 @@ import numpy as np
 
 from rbjax.model import Model
 from rbjax.sysid.least_squares import minimise
+from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import batch_of, grid_of
 from rbjax.sysid.simulation import Grid, Setup
@@ -17,12 +18,13 @@ from rbjax.sysid.traces import Traces, traces
 from rbjax.sysid.unknowns import Unknowns
 
 
+@in_double
 def free_run(
     model: Model | Setup,
     recordings: Sequence[Recording],
     *,
     grid: Grid | None = None,
-    starts: bool = False,
+    starts: bool | None = False,
     noise: Mapping[str, np.ndarray] | None = None,
 ) -> Traces:
     """Recordings beside what a model does from their first states.
@@ -33,7 +35,8 @@ def free_run(
         grid: as in `identify`.
         starts: whether each first state is the one from which the simulation comes nearest to the
             whole recording (least squares), not the first readings, which are noisy. So two models
-            can be compared by what they get wrong of a motion, each from its own best start.
+            can be compared by what they get wrong of a motion, each from its own best start. None:
+            unless the recordings say that their initial states are known.
         noise: sensor -> standard deviation (n,), by which `starts` weighs it; what channels say, or
             1, if None.
 
@@ -49,12 +52,12 @@ def free_run(
         >>> float(abs(free_run(model, [hangs])["hangs"]["q"].residual).max())
         0.0
     """
-    setup = model if isinstance(model, Setup) else Setup.of(model)
+    setup = cast(model if isinstance(model, Setup) else Setup.of(model), np.float64)
     grid = grid_of(recordings) if grid is None else grid
     data = batch_of(setup, recordings, grid)
     if noise is not None:
         weights = {s: (w > 0) / jnp.asarray(noise[s], w.dtype) for s, w in data.weights.items()}
         data = data._replace(weights=weights)
     of = SimulationError(setup, Unknowns({}, (), ()), data, grid, starts=starts)
-    x = minimise(of, np.zeros(of.size)).x if starts else np.zeros(0)
+    x = minimise(of, np.zeros(of.size)).x if of.own else np.zeros(0)
     return traces(setup, of, x, recordings)

@@ -29,7 +29,8 @@ def drawn(unknowns: Unknowns, target: Any, count: int, spread: float, seed: int)
     """Guesses (count, n), evenly spread (Sobol's sequence); the first is that of the set-up.
 
     With z in (-spread, spread): positive numbers p exp(z), free ones p + scale z, bounded ones
-    anywhere between their bounds; bodies by z / 2 in the log-Cholesky numbers of their inertia.
+    anywhere between their bounds, or by a factor of the distance to a single one; bodies by z / 2
+    in the log-Cholesky numbers of their inertia.
 
     Raises:
         InputError: an unknown of another kind.
@@ -67,7 +68,11 @@ def _one(label: str, u: Parametrisation, p: np.ndarray, z: np.ndarray, even: Any
             f"many_starts: {label} is {u!r}, of a kind that cannot be drawn; expected Unknown, "
             "Inertia, Shared, FixedTotal, Tilt or Derived, or guesses as an array"
         )
-    if u.bounds is not None:
-        low, high = u.bounds
+    low, high = u.bounds or (-np.inf, np.inf)
+    if np.isfinite(low) and np.isfinite(high):
         return low + (high - low) * (0.001 + 0.998 * even)
+    if np.isfinite(low):
+        return low + (p - low) * np.exp(z)
+    if np.isfinite(high):
+        return high - (high - p) * np.exp(z)
     return p * np.exp(z) if u.positive else p + u.scale * z

@@ -5,20 +5,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import UnknownName
 from rbjax.model import Model
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_file import write_fit
+from rbjax.sysid.fit_statistics import FitStatistics
 from rbjax.sysid.free_run import free_run
+from rbjax.sysid.precision import in_double
 from rbjax.sysid.rank import Combinations
 from rbjax.sysid.recording import HELD, Recording
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates
 from rbjax.sysid.traces import Traces, rms_of
+from rbjax.sysid.verdict import Verdict
+
+
+class Options(NamedTuple):
+    """How a fit is done: the arguments of `identify`."""
+
+    grid: Grid | None = None
+    pieces: float | None = None
+    shooting: float | None = None
+    starts: bool | None = None
+    loss: str = "squares"
+    steps: int = 100
+    restarts: int = 4
 
 
 @dataclass(frozen=True)
@@ -28,8 +45,10 @@ class Identified:
     Fields: setup with the found numbers; values by name; guess, the first ones; found, the
     combinations of them that the data show, `found.words()`; estimates, their covariance and
     intervals; recordings that were fitted, and traces, what they recorded beside what is simulated;
-    evaluations of the residual; ok and message, whether the fit converged; error, the simulation;
-    noisy, whether the noise of all channels is known.
+    evaluations of the residual; ok and message, whether the fit converged; grid; error, the
+    simulation in float64; noisy, whether the noise of all channels is known; statistics, of the
+    residuals; verdict, whether the fit is good, and each check that fails; notes, sentences on what
+    was done by default, such as other starts and shorter steps; options of the fit.
     """
 
     setup: Setup
@@ -45,11 +64,22 @@ class Identified:
     grid: Grid
     error: SimulationError
     noisy: bool
+    statistics: FitStatistics
+    verdict: Verdict
+    notes: tuple[str, ...]
+    options: Options
 
     @property
     def model(self) -> Model:
         """The model with the found numbers."""
         return self.setup.model
+
+    def summary(self) -> str:
+        """Whether the fit converged and is good, what was done by default, and each number with
+        its 95 % interval, a sentence a line."""
+        first = [f"{self.message} in {self.evaluations} evaluations", self.verdict.sentence]
+        names = range(len(self.values))
+        return "\n".join([*first, *self.notes, *(self.estimates.in_words()[k] for k in names)])
 
     @property
     def rms(self) -> dict[str, np.ndarray]:
@@ -66,16 +96,27 @@ class Identified:
             rms={sensor: rms.tolist() for sensor, rms in self.rms.items()},
         )  # fmt: skip
 
+    @in_double
+    def _in_double(self) -> Setup:
+        """The set-up with the found numbers in float64."""
+        of = self.error
+        p = jnp.asarray(self.estimates.values[: of.shared])
+        found: Setup = of.unknowns.write(of.setup, p)
+        return found
+
+    @in_double
     def simulated(
         self, recordings: Sequence[Recording], *, starts: bool | None = None
     ) -> Traces:
         """Other recordings beside what is simulated from their own first samples, or with `starts`
         from the first states that suit them best (`free_run`). None: as the fit did."""
-        starts = self.error.own > 0 if starts is None else starts
-        columns = {sensor: self.setup.columns(sensor) for sensor in self.rms}
+        if starts is None and self.options.starts is not None:
+            starts = self.options.starts
+        setup = self._in_double()
+        columns = {sensor: setup.columns(sensor) for sensor in self.rms}
         sigma = {sensor: columns[sensor].noise(rms) for sensor, rms in self.rms.items()}
         noise = {sensor: np.where(rms > 0, rms, 1.0) for sensor, rms in sigma.items()}
-        return free_run(self.setup, recordings, grid=self.grid, starts=starts, noise=noise)
+        return free_run(setup, recordings, grid=self.grid, starts=starts, noise=noise)
 
     @property
     def judged(self) -> str:
@@ -88,6 +129,7 @@ class Identified:
         return next((s for s in sensors if sensors[s].measured and s not in still), "q")
 
     @property
+    @in_double
     def unmoved(self) -> tuple[str, ...]:
         """Sensors whose readings no unknown moves: they say nothing of what is sought."""
         still = self.error.unmoved(self.estimates.values)
@@ -122,5 +164,13 @@ class Identified:
             {name: sensors[sensor].residual for name, sensors in seen.items()},
             {name: sensors[sensor].residual for name, sensors in unseen.items()},
             measured={name: sensors[sensor].recorded for name, sensors in unseen.items()},
-            unit=self.setup.unit(sensor),
+            noise=_stated(recordings, sensor), unit=self.setup.unit(sensor),
         )
+
+
+def _stated(recordings: Sequence[Recording], sensor: str) -> float | None:
+    """The stated noise of a sensor, the root mean square of its columns; None if it is not."""
+    noise = [run[sensor].noise for run in recordings if sensor in run.channels]
+    if not noise or any(sigma is None for sigma in noise):
+        return None
+    return float(np.sqrt(np.mean(np.concatenate(noise) ** 2)))

@@ -2,32 +2,39 @@
 
     min over p of  sum |weights (reading(motion(p)) - recorded)|^2
 What the data show is fitted; what they leave open stays at the first guess, or as near to it as a
-body's inertia allows, and the answer says in words which combinations were found.
+body's inertia allows, and the answer says in words which combinations were found. The initial state
+of each recording is fitted too, unless it is known. A fit that is poor is tried again from other
+starts, and the verdict names each check that fails.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.progress import progress_line
+from rbjax.progress import Say, progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.fit_file import read_fit
+from rbjax.sysid.fit_rows import columns_of
+from rbjax.sysid.fit_statistics import fit_statistics
 from rbjax.sysid.fits import Fits, Fitted, says_its_noise
-from rbjax.sysid.identified import Identified
-from rbjax.sysid.rank import combinations
+from rbjax.sysid.identified import Identified, Options
+from rbjax.sysid.precision import cast, in_double
+from rbjax.sysid.rank import beside_others, combinations
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import grid_of
 from rbjax.sysid.simulation import Grid, Setup
-from rbjax.sysid.statistics import estimates
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
+from rbjax.sysid.verdict import judged
 
 
+@in_double
 def identify(
     model: Model | Setup,
     recordings: Recording | Sequence[Recording],
@@ -36,9 +43,10 @@ def identify(
     grid: Grid | None = None,
     pieces: float | None = None,
     shooting: float | None = None,
-    starts: bool = False,
+    starts: bool | None = None,
     loss: str = "squares",
     steps: int = 100,
+    restarts: int = 4,
     save: str | Path | None = None,
     resume: str | Path | Mapping[str, float] | None = None,
     progress: bool = False,
@@ -52,25 +60,34 @@ def identify(
             (`Setup.with_sensors`), each on its own clock; each recording is simulated from its
             first sample of "q" and "v", whose other samples may be missing.
         unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
-        grid: how motion is integrated; steps of RK4 at the clock of the commands (of "q" without
-            them) if None.
+        grid: how motion is integrated. None: steps of RK4 at the finest clock of all channels,
+            and shorter ones if steps of half the length change the numbers (`notes` says so).
         pieces: length in s of pieces that are fitted first, each from its first sample, so that a
             poor first guess does not lose the motion. None: no such fit.
         shooting: length in s of pieces that are fitted first and then tied, end to start, ever more
             stiffly, until they are one motion (`Shooting`): for a long or chaotic motion, which
             `pieces` may not find. Forces and controllers that depend on time see that of a piece.
             None: no such fit.
-        starts: whether each recording's first state is sought too, from what was recorded. It must
-            be where sensors are noisy.
+        starts: whether each recording's initial state is estimated too. None: unless the recording
+            says that it is known (`Recording(initial_state=...)`). False: the first readings of q
+            and v are the state, exactly; their noise becomes an error of the numbers that no
+            interval shows.
         loss: "squares", or "huber", by which outliers count less.
         steps: evaluations of the residual at most, of each fit.
+        restarts: starts that are tried at most if the fit from the first guess is poor (R2 below
+            0.99, or errors several times the noise): one that grows from the first part of the
+            recordings, and others from other guesses. `notes` says so. 0: none; nor with pieces,
+            shooting or resume.
         save: a file that holds the best numbers so far, and at the end the result.
         resume: such a file, or name -> value, from which the fit goes on.
         progress: whether a line shows the progress.
 
     Returns:
-        `Identified`. Channels that do not say their noise get that of their residuals, a number for
-        each column.
+        `Identified`. All is computed in float64, whatever JAX's default is; the set-up comes back
+        in the dtype of the model. `ok` and `message` say whether the fit converged, `verdict`
+        whether it is good. Channels that do not state their noise get that of their residuals, a
+        number for each column. Intervals follow the residuals: if these are correlated in time,
+        the covariance is the sandwich form (`fit_statistics`).
 
     Raises:
         InputError: recordings that do not suit the model; no unknowns, one outside of its range, or
@@ -96,41 +113,65 @@ def identify(
     if not runs or not all(isinstance(r, Recording) for r in runs):
         raise InputError(f"identify: recordings is {recordings!r}, expected one Recording or more")
     check_whole("identify", "steps", steps, 1)
+    check_whole("identify", "restarts", restarts, 0)
     if loss not in ("squares", "huber"):
         raise InputError(f'identify: loss is {loss!r}, expected "squares" or "huber"')
+    if starts not in (None, True, False):
+        raise InputError(f"identify: starts is {starts!r}, expected True, False or None")
+    dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     sought = Unknowns.of("identify", unknowns, setup)
-    grid = grid_of(runs) if grid is None else grid
+    how = Options(grid, pieces, shooting, starts, loss, steps, restarts)
+    x = None if resume is None else read_fit(resume, sought.names)
     with progress_line("identify", progress) as say:
-        fits = Fits(
-            setup, sought, runs, grid, starts=starts, loss=loss, steps=steps, save=save, say=say
-        )
-        x = fits.first if resume is None else read_fit(resume, sought.names)
-        if pieces is not None and resume is None:
-            x = fits.pieces(x, pieces)
-        if shooting is not None and resume is None:
-            x = fits.shooting(x, shooting)
-        identified = _said(fits, fits.weighed(fits.whole(x)))
+        identified = fitted(setup, sought, runs, how, x=x, save=save, say=say, dtype=dtype)
     if save is not None:
         identified.save(save)
     return identified
 
 
-def _said(fits: Fits, fitted: Fitted) -> Identified:
-    """What the last fit says: numbers, what the data show of them, and their covariance."""
-    of, least, n, names = fitted.error, fitted.least, fits.shared, fits.sought.names
-    samples = sum(int((np.asarray(w) > 0).sum()) for w in of.runs.weights.values())
-    dof = max(samples - of.size, 1)
-    noise = 1.0 if fitted.estimated else np.sqrt(least.cost / dof)
-    said = estimates(
-        [*names, *(f"start[{k}]" for k in range(of.size - n))], least.x, least.triangle[:, :-1],
-        max(noise, np.finfo(float).tiny), dof=dof, bounds=fits.sought.limits(fits.setup),
+def fitted(
+    setup: Setup, sought: Unknowns, runs: Sequence[Recording], how: Options, *,
+    x: np.ndarray | None = None, save: str | Path | None = None, say: Say = lambda text: None,
+    dtype: Any = np.float64,
+) -> Identified:  # fmt: skip
+    """The whole of `identify`, from the first guess or from x, in float64."""
+    grid = grid_of(runs) if how.grid is None else how.grid
+    fits = Fits(
+        setup, sought, runs, grid, starts=how.starts, loss=how.loss, steps=how.steps, save=save,
+        say=say,
+    )  # fmt: skip
+    given = x is not None or how.pieces is not None or how.shooting is not None
+    if x is None:
+        x = fits.first
+        if how.pieces is not None:
+            x = fits.pieces(x, how.pieces)
+        if how.shooting is not None:
+            x = fits.shooting(x, how.shooting)
+    best = fits.whole(x)
+    if not given:
+        best = fits.improved(best, how.restarts)
+    best = fits.weighed(best)
+    if how.grid is None:
+        best = fits.finer(best)
+    return _said(fits, best, how, dtype)
+
+
+def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
+    """What the last fit says: numbers, what the data show of them, their covariance, a verdict."""
+    of, least, n, names = best.error, best.least, fits.shared, fits.sought.names
+    stated = {s for s in of.runs.values if says_its_noise(fits.recordings, s)}
+    said = fit_statistics(
+        [*names, *(f"start[{k}]" for k in range(of.size - n))], least.x,
+        columns_of(of, least.x, stated), bounds=fits.sought.limits(fits.setup),
     )  # fmt: skip
     p = least.x[:n]
     values, guess = (dict(zip(names, map(float, x), strict=True)) for x in (p, fits.first))
     return Identified(
-        setup=fits.sought.write(fits.setup, jnp.asarray(p, fits.setup.model.gravity.dtype)),
-        values=values, guess=guess, found=combinations(least.triangle[:, :n], names),
-        estimates=said, recordings=tuple(fits.recordings), traces=fitted.traces,
-        evaluations=fits.evaluations, ok=least.ok, message=least.message, grid=fits.grid, error=of,
-        noisy=fitted.estimated or all(says_its_noise(fits.recordings, s) for s in of.runs.values),
+        setup=cast(fits.sought.write(fits.setup, jnp.asarray(p)), dtype),
+        values=values, guess=guess, found=combinations(beside_others(least.triangle, n), names),
+        estimates=said.estimates, recordings=tuple(fits.recordings), traces=best.traces,
+        evaluations=fits.evaluations, ok=least.ok, message=least.message, grid=of.grid, error=of,
+        noisy=best.estimated or len(stated) == len(of.runs.values), statistics=said,
+        verdict=judged(least.ok, least.message, best.traces, fits.recordings, said.coloured),
+        notes=tuple(fits.notes), options=how,
     )  # fmt: skip

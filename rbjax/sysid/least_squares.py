@@ -17,9 +17,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from rbjax.sysid.divergence import Divergence
+from rbjax.sysid.precision import rank_tolerance
 
-#: singular values below this fraction of the largest are no information
-RANK = 1e-9
 #: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
 PULLS = (1e-4, 1e-7, 1e-10)
 #: a step of this divergence ends a minimisation
@@ -30,6 +29,9 @@ CALM = 1e-6
 COARSE = 1e-2
 #: an expected decrease of this fraction ends the last: less than noise can tell
 FLAT = 1e-8
+#: a minimum: the least that Gauss and Newton's step expects to take off is this fraction, so the
+#: residual is at an angle of less than 3e-4 to all that the numbers could change
+OPTIMAL = 1e-7
 #: slopes from here on are those of a motion that ran away
 HUGE = 1e100
 #: Newton's steps of one convex problem
@@ -48,8 +50,9 @@ class Residual(Protocol):
 
 @dataclass(frozen=True)
 class Minimum:
-    """x (p,); triangle (p + 1, p + 1) of [J r] there; cost |r|^2; evaluations; whether the last
-    minimisation ended by a small step, and the sentence that says so."""
+    """x (p,); triangle (p + 1, p + 1) of [J r] there; cost |r|^2; evaluations; ok, whether x is a
+    minimum by the scaled gradient, and message: "converged", "stalled: ...", "not converged ..." or
+    why the first guess cannot be used."""
 
     x: np.ndarray
     triangle: np.ndarray
@@ -168,7 +171,7 @@ def searching(
             if root is not None and _has_squares(there):
                 x, now, R, half = trial, after, there, root
                 damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
-                ended = near or calm
+                ended = calm or (near and damping <= CALM)
             else:
                 damping, growth = damping * growth, growth * 2
                 ended = near or damping > 1e9
@@ -189,8 +192,32 @@ def searching(
         x, now, R, half = trial, after, there, root
         if ends:
             break
-    message = "converged" if ended else f"not converged in {count} evaluations"
-    yield Minimum(x, R, now, count, ended, message)
+    best = _is_minimum(D, x, R, prior, pulls[-1], now)
+    if best:
+        message = "converged"
+    elif ended:
+        message = f"stalled: no step lowers the error, whose slope is not 0 ({count} evaluations)"
+    else:
+        message = f"not converged in {count} evaluations"
+    yield Minimum(x, R, now, count, best, message)
+
+
+def _is_minimum(
+    D: Callable, x: np.ndarray, R: np.ndarray, prior: np.ndarray, w: float, now: float
+) -> bool:
+    """Whether the step of Gauss and Newton, within what is possible, expects no decrease that
+    noise could tell, or is no longer than rounding: a gradient that is 0 on the scale of the
+    columns and the residual."""
+    half = _half(D, x)
+    if half is None:
+        return False
+    if not R[:, -1].any():
+        return True
+    size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
+    trial = convex_step(R, x, D, ((w * size, prior), (w * size, x)))
+    linear = R[:, :-1] @ (trial - x) + R[:, -1]
+    expected = now - float(linear @ linear)
+    return bool(expected <= OPTIMAL * now or D(trial, x).value <= SMALL)
 
 
 def _has_squares(R: np.ndarray) -> bool:
@@ -245,7 +272,8 @@ def convex_step(
 
 def shown(R: np.ndarray, L: np.ndarray) -> np.ndarray:
     """The shortest Gauss-Newton step in the directions that the data show; L L^T is the metric."""
+    tolerance = rank_tolerance(R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    kept = s > RANK * s[0]
+    kept = s > tolerance * s[0]
     return -np.linalg.solve(L.T, Vt[kept].T @ ((U.T @ R[:, -1])[kept] / s[kept]))

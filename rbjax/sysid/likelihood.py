@@ -30,6 +30,7 @@ from rbjax.motion.integrators import advanced, integrator_of
 from rbjax.motion.kalman import KalmanFiltered, StateSpace, kalman_filter
 from rbjax.motion.linearise import apart, beside
 from rbjax.sysid.divergence import Divergence
+from rbjax.sysid.fit_statistics import Column, Rows
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import run_of
 from rbjax.sysid.simulation import Grid, Setup
@@ -171,6 +172,33 @@ class Likelihood:
         """R (size + 1, size + 1) with R^T R = [J r]^T [J r]."""
         J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
         return triangle_of(np.concatenate([J.reshape(-1, self.size), r.reshape(-1, 1)], 1))
+
+    def columns(self, x: np.ndarray, scale: np.ndarray) -> list[Column]:
+        """Rows of the score by column, as statistics take them: of numbers x / scale. Two rows that
+        are alike, of a pair of sensors and the same pair turned round, are one."""
+        J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
+        runs = J.shape[0]
+        there = np.array(self.series.arrived)
+        there[:, 0] = False  # of which the first state is made
+        times, m = there.shape[1:]
+        J, r = J.reshape(runs, times, -1, self.size) / scale, r.reshape(runs, times, -1)
+        place, which = np.arange(times), np.arange(self.size)
+        found = []
+
+        def rows(k: int, c: int, double: float, at: np.ndarray) -> Rows:
+            ones = np.ones(int(at.sum()))
+            return Rows(double * J[k, at, c], double * r[k, at, c], ones, place[at], which)
+
+        for c in range(m + m * m):
+            i, j = divmod(c - m, m) if c >= m else (c, c)
+            if i > j:
+                continue
+            double = np.sqrt(2.0) if i < j else 1.0
+            found.append(Column(
+                f"row {i}" if c < m else f"variance {i},{j}",
+                [rows(k, c, double, there[k, :, i] & there[k, :, j]) for k in range(runs)], True,
+            ))  # fmt: skip
+        return found
 
     def filtered(self, x: np.ndarray, series: Series | None = None) -> KalmanFiltered:
         """What the filter says of each run."""

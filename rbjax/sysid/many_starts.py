@@ -22,6 +22,7 @@ from rbjax.sysid.guesses import drawn
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.identify import identify
 from rbjax.sysid.least_squares import Asked, Minimum, searching, sum_of_squares
+from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import batch_of, grid_of
 from rbjax.sysid.simulation import Grid, Setup
@@ -73,6 +74,7 @@ class ManyStarts:
         return f"{said}; the next one has {self.basins[1].cost / first.cost:.3g} times its squares"
 
 
+@in_double
 def many_starts(
     model: Model | Setup,
     recordings: Recording | Sequence[Recording],
@@ -84,7 +86,7 @@ def many_starts(
     first_steps: int = 8,
     finalists: int = 4,
     grid: Grid | None = None,
-    starts: bool = False,
+    starts: bool | None = None,
     loss: str = "squares",
     progress: bool = False,
     **more: Any,
@@ -127,7 +129,8 @@ def many_starts(
         >>> round(found.best.values["armature"], 2)
         0.8
     """
-    setup = model if isinstance(model, Setup) else Setup.of(model)
+    given = model if isinstance(model, Setup) else Setup.of(model)
+    setup = cast(given, np.float64)
     runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
     sought = Unknowns.of("many_starts", unknowns, setup)
     for name, count in (("first_steps", first_steps), ("finalists", finalists)):
@@ -150,7 +153,7 @@ def many_starts(
         ends = together(of, [first[k].x for k in order], pulls=LONG, steps=100)
     basins = _basins(of, dict(zip(order, ends, strict=True)))
     best = identify(
-        setup, runs, unknowns, resume=basins[0].values, grid=grid, starts=starts, loss=loss,
+        given, runs, unknowns, resume=basins[0].values, grid=grid, starts=starts, loss=loss,
         progress=progress, **more,
     )  # fmt: skip
     return ManyStarts(best, basins, basins[0].starts[0], points, costs)

@@ -1,13 +1,16 @@
 """Monte Carlo of a fit: the same experiment many times over, with other noise.
 
-    recorded_k = reading(motion(p_found)) + noise_k
-    p_k = argmin over p of |weights (reading(motion(p)) - recorded_k)|^2
-What the p_k scatter is the truth about the fit's errors; the covariance of a fit is its linear
-approximation. Intervals hold if a share `level` of those of the repetitions contain p_found.
+    recorded_k = reading(motion(p_found)) + noise_k,        p_k = identify(guess, recorded_k)
+Each repetition is all that `identify` does with its options: from the user's first guess, with its
+own initial states, weights, other starts where the fit is poor, and intervals. The scatter of p_k
+is the error of the fit; its covariance is an approximation. Intervals hold if a share `level` of
+them contain p_found.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -17,10 +20,12 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
-from rbjax.sysid.columns import Columns
 from rbjax.sysid.identified import Identified
-from rbjax.sysid.least_squares import minimise
-from rbjax.sysid.statistics import estimates
+from rbjax.sysid.identify import fitted
+from rbjax.sysid.precision import in_double
+from rbjax.sysid.recording import Channel, Recording
+from rbjax.sysid.runs import ordered, start_of
+from rbjax.sysid.traces import Trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +35,8 @@ class MonteCarlo:
     Fields: names (n,) of the unknowns; truth (n,), what was simulated; values (k, n) that were
     found; sigma (k, n), standard deviations as each repetition says them; inside (k, n), whether
     its intervals hold the truth; level that they claim; seen (n,), whether the data show an unknown
-    by itself, without which its interval is infinite; failed, repetitions that did not converge.
+    by itself, without which its interval is infinite; failed, repetitions that did not converge;
+    good, repetitions whose verdict is good.
     """
 
     names: tuple[str, ...]
@@ -41,6 +47,7 @@ class MonteCarlo:
     level: float
     seen: np.ndarray
     failed: int
+    good: int = 0
 
     @property
     def coverage(self) -> float:
@@ -59,6 +66,7 @@ class MonteCarlo:
         return np.asarray(self.values.std(0, ddof=1))
 
 
+@in_double
 def monte_carlo(
     found: Identified,
     repetitions: int = 100,
@@ -70,20 +78,22 @@ def monte_carlo(
     """Repeats the experiment of a fit with simulated noise, and fits each repetition.
 
     Args:
-        found: a fit by squares, from `identify`.
+        found: a fit, from `identify`.
         repetitions: how many, 2 or more.
         level: of the intervals.
-        seed: of the noise, which is normal, independent, and as large as each channel says, or as
-            the fit's residuals are.
+        seed: of the noise. It is independent, and for loss="squares" normal and as large as each
+            channel says, or as the fit's residuals are; for "huber" it is drawn from the residuals
+            of the fit, with their outliers.
         progress: whether a line shows the progress.
 
     Returns:
         `MonteCarlo`.
 
     Raises:
-        InputError: data without noise; a fit with loss="huber"; a level outside of (0, 1).
+        InputError: data without noise; a level outside of (0, 1).
 
-    Source: Efron & Tibshirani, *An Introduction to the Bootstrap*, 6.5 (the parametric bootstrap).
+    Source: Efron & Tibshirani, *An Introduction to the Bootstrap*, 6.5 (the parametric bootstrap)
+    and 9.4 (bootstrapping residuals).
 
     Example:
         >>> import rbjax as rb, numpy as np
@@ -93,7 +103,7 @@ def monte_carlo(
         >>> q = q + 1e-3 * np.random.default_rng(0).normal(size=q.shape)
         >>> found = identify(
         ...     model, Recording("swing", {"q": Channel(t, q)}),
-        ...     {"damping": Unknown("joints.damping", 0)}, starts=True,
+        ...     {"damping": Unknown("joints.damping", 0)},
         ... )
         >>> again = monte_carlo(found, 20)
         >>> again.values.shape
@@ -103,52 +113,69 @@ def monte_carlo(
     if not 0 < level < 1:
         raise InputError(f"monte_carlo: level is {level}, expected a number between 0 and 1")
     of, said = found.error, found.estimates
-    if of.loss != "squares":
-        raise InputError(
-            f'monte_carlo: the fit has loss="{of.loss}", expected "squares": with normal noise '
-            "there are no outliers to tell"
-        )
     if not found.noisy:
         raise InputError(
             "monte_carlo: the fit has no noise, expected channels that say theirs, or residuals "
             "from which it is estimated"
         )
+    how = found.options._replace(grid=found.grid)
     n = of.shared
-    truth = said.values
-    read = of.readings(truth)
+    truth, names = said.values[:n], said.names[:n]
     rng = np.random.default_rng(seed)
-    guess = np.append([*found.guess.values()], np.zeros(of.size - n))
     seen = np.isfinite(said.sigma[:n])
-    values, sigma, inside, failed = [], [], [], 0
+    values, sigma, inside, failed, good = [], [], [], 0, 0
     with progress_line("monte_carlo", progress) as say:
         for k in range(repetitions):
             say(f"{k} of {repetitions} repetitions")
-            noisy = {
-                s: _noisy(found.setup.columns(s), x, of.runs.weights[s], rng)
-                for s, x in read.items()
-            }
-            least = minimise(of.on(of.runs._replace(values=noisy)), truth, guess)
-            failed += not least.ok
-            one = estimates(
-                said.names, least.x, least.triangle[:, :-1], np.sqrt(least.cost / said.dof),
-                dof=said.dof, bounds=said.bounds,
-            )  # fmt: skip
-            spans = [one.interval(name, level) for name in said.names[:n]]
-            values.append(least.x[:n])
+            runs = [_repeated(found, j, rng) for j in range(len(found.recordings))]
+            one = fitted(of.setup, of.unknowns, runs, how)
+            failed += not one.ok
+            good += one.verdict.good
+            spans = [one.estimates.interval(name, level) for name in names]
+            values.append([*one.values.values()])
             sigma.append([x.sigma for x in spans])
-            inside.append([x.low <= y <= x.high for x, y in zip(spans, truth, strict=False)])
+            inside.append([x.low <= y <= x.high for x, y in zip(spans, truth, strict=True)])
     return MonteCarlo(
-        said.names[:n], truth[:n], np.array(values), np.array(sigma), np.array(inside), level,
-        seen, failed,
+        names, truth, np.array(values), np.array(sigma), np.array(inside), level, seen, failed, good
     )  # fmt: skip
 
 
-def _noisy(
-    columns: Columns, reading: jax.Array, weights: jax.Array, rng: np.random.Generator
-) -> jax.Array:
-    """With noise of 1 / weights, where something was measured."""
-    weights = columns.weights(weights)
-    sigma = np.where(weights > 0, 1 / np.where(weights > 0, weights, 1.0), 0.0)
-    return jax.vmap(jax.vmap(columns.plus))(
-        reading, jnp.asarray(sigma * rng.normal(size=sigma.shape))
-    )
+def _repeated(found: Identified, j: int, rng: np.random.Generator) -> Recording:
+    """Recording j with what the found numbers would have read, and other noise."""
+    recording, of = found.recordings[j], found.error
+    traces = found.traces[recording.name]
+    first = found.options.starts is False or (
+        recording.start_is_known and recording.initial_state is None
+    )  # its first readings are the state
+    begins = start_of(found.setup, recording)
+    channels = dict(recording.channels)
+    for sensor, trace in traces.items():
+        columns = trace.columns
+        there = ~np.isnan(trace.recorded)
+        weights = np.asarray(of.runs.weights[sensor])[j][: len(trace.t)]
+        if of.loss == "huber" and trace.measured:
+            pool = [t[sensor] for t in found.traces.values()]
+            noise = _drawn(pool, len(trace.t), rng)
+        else:
+            w = np.asarray(columns.weights(jnp.asarray(weights)))
+            noise = np.where(w > 0, 1 / np.where(w > 0, w, 1.0), 0.0) * rng.normal(size=w.shape)
+        if first and sensor in ("q", "v"):
+            noise[0] = 0.0
+        seen = np.asarray(jax.vmap(columns.plus)(jnp.asarray(trace.simulated), jnp.asarray(noise)))
+        old = ordered(found.setup.model, recording)[sensor]
+        whole = np.full(old.values.shape, np.nan)
+        at = int(np.searchsorted(old.t, begins - 1e-9))
+        whole[at : at + len(seen)] = np.where(there, seen, np.nan)
+        channels[sensor] = Channel(old.t, whole, old.names, noise=old.noise, dropped="nan")
+    return dataclasses.replace(recording, channels=channels)
+
+
+def _drawn(pool: Sequence[Trace], count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, columns) recorded less simulated of some samples of these traces, by column."""
+    off = []
+    for trace in pool:
+        there = ~np.isnan(trace.recorded).any(1)
+        minus = jax.vmap(trace.columns.minus)
+        off.append(np.asarray(minus(jnp.asarray(trace.recorded[there]), trace.simulated[there])))
+    every = np.concatenate(off)
+    return np.stack([rng.choice(column, count) for column in every.T], 1)

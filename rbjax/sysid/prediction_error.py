@@ -26,20 +26,24 @@ from rbjax.motion.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.comparison import HeldOut, held_out
+from rbjax.sysid.fit_statistics import FitStatistics, fit_statistics
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.least_squares import Minimum, convex_step, shown
 from rbjax.sysid.likelihood import DRIVES, Levels, Likelihood, Series, series_of
-from rbjax.sysid.rank import Combinations, combinations
+from rbjax.sysid.precision import cast, in_double
+from rbjax.sysid.rank import Combinations, beside_others, combinations
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import ordered
 from rbjax.sysid.simulation import Grid, Setup
-from rbjax.sysid.statistics import Estimates, estimates
+from rbjax.sysid.statistics import Estimates
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 
 #: weight of the guess relative to the largest curvature; the last steps are without it
 PULL = 1e-10
 #: an expected decrease of -2 log p below it ends: a step of about 3e-5 standard deviations
 CALM = 1e-9
+#: and below this it is a maximum: a step of a hundredth of a standard deviation
+OPTIMAL = 1e-4
 #: first guesses of the drive, as parts of what moves the recording
 TRIALS = 10.0 ** np.arange(-4, 2)
 
@@ -52,7 +56,8 @@ class Predicted:
     combinations of them that the data show, `found.words()`; estimates, of values and noise levels,
     with covariance and intervals; levels, of the noise: `drive` (nv,) N m (or rad/s^2) and
     `reading` (rows,); recordings that were fitted; log_likelihood; evaluations; ok and message,
-    whether the fit converged; grid; likelihood and the x that maximises it.
+    whether the fit converged; grid; likelihood and the x that maximises it; first, the set-up with
+    the first guesses in float64; statistics of the innovations.
     """
 
     setup: Setup
@@ -69,12 +74,15 @@ class Predicted:
     grid: Grid
     likelihood: Likelihood
     x: np.ndarray
+    first: Setup
+    statistics: FitStatistics
 
     @property
     def model(self) -> Model:
         """The model with the found numbers."""
         return self.setup.model
 
+    @in_double
     def innovations(
         self, recordings: Sequence[Recording] | None = None
     ) -> dict[str, np.ndarray]:
@@ -86,6 +94,7 @@ class Predicted:
         z[:, 0] = np.nan  # of which the first state was made
         return dict(zip(names, z, strict=True))
 
+    @in_double
     def whitened(self, recordings: Sequence[Recording] | None = None) -> dict[str, np.ndarray]:
         """`innovations` over their standard deviations, L^-1 z: white, of variance 1, if the model
         is true (`whiteness`)."""
@@ -97,11 +106,12 @@ class Predicted:
             for (name, z), e in zip(off.items(), each, strict=True)
         }
 
+    @in_double
     def smoothed(self, recordings: Sequence[Recording] | None = None) -> dict[str, Smoothed]:
         """By recording, the states (samples, ...) at the instants of the grid that all samples
         together say, and their covariances."""
         names, _, f = self._filtered(recordings)
-        space = self.likelihood.space(self.setup)
+        space = self.likelihood.space(cast(self.setup, np.float64))
         found = jax.jit(jax.vmap(lambda f: kalman_smoother(space, f)))(f)
         return {name: jax.tree.map(lambda a: a[k], found) for k, name in enumerate(names)}  # noqa: B023
 
@@ -123,10 +133,11 @@ class Predicted:
     ) -> tuple[list[str], Series, KalmanFiltered]:
         runs = self.recordings if recordings is None else recordings
         of = self.likelihood
-        series = of.series if recordings is None else series_of(self.setup, runs, self.grid)
+        series = of.series if recordings is None else series_of(self.first, runs, self.grid)
         return [run.name for run in runs], series, of.filtered(self.x, series)
 
 
+@in_double
 def prediction_error(
     model: Model | Setup | Identified,
     recordings: Recording | Sequence[Recording],
@@ -155,8 +166,9 @@ def prediction_error(
         progress: whether a line shows the progress.
 
     Returns:
-        `Predicted`. Intervals are those of Fisher's information: in the limit of many samples, 95 %
-        of them hold the truth.
+        `Predicted`. Intervals are those of Fisher's information, and of the sandwich form if the
+        innovations are correlated in time (`fit_statistics`): in the limit of many samples, 95 % of
+        them hold the truth. All is computed in float64, as in `identify`.
 
     Raises:
         InputError: recordings that do not suit the model or the grid; a set-up with delays.
@@ -182,6 +194,7 @@ def prediction_error(
     """
     where = "prediction_error"
     setup, grid = _setup(model, grid)
+    dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not runs or not all(isinstance(r, Recording) for r in runs):
         raise InputError(f"{where}: recordings is {recordings!r}, expected one Recording or more")
@@ -212,15 +225,16 @@ def prediction_error(
     names = [*sought.names, *_level_names(setup.model, of, drive)]
     scale = np.concatenate([np.ones(n), np.exp(x[n:])])  # d log s = d s / s
     bounds = sought.limits(setup) | dict.fromkeys(names[n:], (0.0, np.inf))
-    said = estimates(
-        names, np.concatenate([x[:n], scale[n:]]), best.triangle[:, :-1] / scale, 1.0, bounds=bounds
+    said = fit_statistics(
+        names, np.concatenate([x[:n], scale[n:]]), of.columns(x, scale), bounds=bounds
     )
-    found = sought.write(setup, jnp.asarray(x[:n], setup.model.gravity.dtype))
+    found = cast(sought.write(setup, jnp.asarray(x[:n])), dtype)
     values, first = (dict(zip(sought.names, map(float, p), strict=True)) for p in (x[:n], guess))
     return Predicted(
-        found, values, first, combinations(best.triangle[:, :n], sought.names), said,
+        found, values, first, combinations(beside_others(best.triangle, n), sought.names),
+        said.estimates,
         Levels(*(np.asarray(a) for a in of.levels_of(x))), tuple(runs), -best.cost / 2,
-        best.evaluations + len(TRIALS), best.ok, best.message, grid, of, x,
+        best.evaluations + len(TRIALS), best.ok, best.message, grid, of, x, setup, said,
     )  # fmt: skip
 
 
@@ -240,14 +254,14 @@ def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minim
         expected = float(R[:, -1] @ R[:, -1] - linear @ linear) + pull
         after, count = of.cost(trial), count + 1
         say(f"evaluation {count} of at most {steps}, -2 log p {min(now, after):.6g}")
-        ended = damping <= 1e-3 and expected < CALM
+        calm = damping <= 1e-3 and expected < CALM
         gain = (now - after + pull) / max(expected, 1e-300)
         if gain > 0:
             x, now, R = trial, after, of.triangle(trial)
             damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
         else:
             damping, growth = damping * growth, growth * 2
-            ended = ended or damping > 1e9
+        ended = calm or damping > 1e9
     for _ in range(4):  # without the guess
         trial = x + shown(R, np.linalg.cholesky(D(x, x).curvature))
         after = of.cost(trial) if np.isfinite(D(trial, x).value) else np.inf
@@ -255,8 +269,18 @@ def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minim
         if not after < now:
             break
         x, now, R = trial, after, of.triangle(trial)
-    message = "converged" if ended else f"not converged in {count} evaluations"
-    return Minimum(x, R, now, count, ended, message)
+    curved = np.linalg.cholesky(D(x, x).curvature)
+    size = PULL * float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
+    trial = convex_step(R, x, D, ((size, start), (size, x)))
+    linear = R[:, :-1] @ (trial - x) + R[:, -1]
+    flat = float(R[:, -1] @ R[:, -1] - linear @ linear) < OPTIMAL
+    if flat:
+        message = "converged"
+    elif ended:
+        message = f"stalled: no step raises the likelihood ({count} evaluations)"
+    else:
+        message = f"not converged in {count} evaluations"
+    return Minimum(x, R, now, count, flat, message)
 
 
 def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:

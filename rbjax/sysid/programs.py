@@ -6,6 +6,7 @@ So two set-ups have one program where they differ only in what is sought.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -33,12 +34,9 @@ class _Kept:
     def serves(self, make: Callable, setup: Any, unknowns: Unknowns, how: tuple) -> bool:
         if self.make is not make:
             return False
-        try:
-            alike = self.how == how and self.unknowns.names == unknowns.names
-            members = [list(u.members.items()) for u in (self.unknowns, unknowns)]
-            return alike and members[0] == members[1] and _alike(self.setup, setup, unknowns)
-        except ValueError:  # arrays, such as an index, have no truth: they may differ
-            return False
+        same = _same((self.how, self.unknowns.names), (how, unknowns.names))
+        members = [tuple(u.members.items()) for u in (self.unknowns, unknowns)]
+        return same and _same(*members) and _alike(self.setup, setup, unknowns)
 
 
 _kept: list[_Kept] = []
@@ -57,6 +55,26 @@ def kept(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: Any) ->
     _kept.append(_Kept(make, setup, unknowns, how, made))
     del _kept[:-KEPT]
     return made
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two values are equal; arrays, such as an index, entry by entry."""
+    if a is b:
+        return True
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, (np.ndarray, jax.Array)):
+        a, b = np.asarray(a), np.asarray(b)
+        return a.dtype == b.dtype and np.array_equal(a, b)
+    if isinstance(a, (tuple, list)):
+        return len(a) == len(b) and all(map(_same, a, b))
+    if dataclasses.is_dataclass(a):
+        fields = [f.name for f in dataclasses.fields(a)]
+        return all(_same(getattr(a, name), getattr(b, name)) for name in fields)
+    try:
+        return bool(a == b)
+    except ValueError:  # of arrays within another type
+        return False
 
 
 def _alike(a: Any, b: Any, unknowns: Unknowns) -> bool:

@@ -23,6 +23,7 @@ import numpy as np
 import scipy.linalg
 
 from rbjax.errors import InputError, UnknownName, listed
+from rbjax.sysid.precision import rank_tolerance
 
 #: A column smaller than this many rounding errors of the largest belongs to what moves nothing.
 NOTHING = 500
@@ -168,7 +169,7 @@ def combinations(
     J = np.asarray(J)
     eps = float(np.finfo(np.float32 if J.dtype == np.float32 else np.float64).eps)
     if tolerance is None:
-        tolerance = 1e-4 if J.dtype == np.float32 else 1e-9
+        tolerance = rank_tolerance(J.dtype)
     J = J.astype(float)
     if J.ndim < 2 or J.shape[-1] != len(names):
         raise InputError(
@@ -206,6 +207,19 @@ def combinations(
         K = np.where(np.abs(K) > max(tolerance * s[0] / s[rank - 1], 1e-12), K, 0.0)
         K = K * (scale[list(dropped)] / scale[list(kept), None])
     return Combinations(names, s, float(tolerance), kept, dropped, K)
+
+
+def beside_others(R: np.ndarray, n: int) -> np.ndarray:
+    """Slopes of the first n numbers of a triangle R (m, size + 1) of [J r], without their part that
+    the other numbers, such as initial states and noise levels, could make as well."""
+    first, others = R[:, :n], R[:, n:-1]
+    if not others.shape[1]:
+        return first
+    size = np.linalg.norm(others, axis=0)
+    moves = size > 0
+    U, s, _ = np.linalg.svd(others[:, moves] / size[moves], full_matrices=False)
+    U = U[:, s > rank_tolerance(R.dtype) * s.max(initial=0.0)]
+    return np.asarray(first - U @ (U.T @ first))
 
 
 def _independent(rows: np.ndarray, order: Sequence[int]) -> tuple[int, ...]:

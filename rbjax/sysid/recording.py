@@ -20,11 +20,10 @@ from dataclasses import InitVar, dataclass
 from typing import Any
 
 import numpy as np
-from scipy import interpolate
-from scipy.spatial.transform import Rotation, Slerp
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.model import Model
+from rbjax.model import Model, State
+from rbjax.sysid.resampling import interpolated, quaternion_columns
 from rbjax.sysid.units import in_si
 
 #: sensors of the joints -> what the model says of their number
@@ -140,9 +139,13 @@ class Recording:
         name: of the run.
         channels: sensor -> `Channel`; the sensors are listed in `rbjax.sysid.recording`.
         source: the recording that this is a piece of; its own name if "".
+        initial_state: the state at the first instant, if it is known exactly, such as rest at a
+            known configuration; `identify` estimates it if None. A channel v with no sample but
+            its first one says the same: the first readings of q and v are the state.
 
     Raises:
-        InputError: no channels, or clocks without a common stretch of time.
+        InputError: no channels, or clocks without a common stretch of time; an initial_state that
+            is not a `State`.
         UnknownName: a sensor that is not known.
 
     Example:
@@ -157,8 +160,14 @@ class Recording:
     name: str
     channels: Mapping[str, Channel]
     source: str = ""
+    initial_state: State | None = None
 
     def __post_init__(self) -> None:
+        if not (self.initial_state is None or isinstance(self.initial_state, State)):
+            raise InputError(
+                f"Recording {self.name}: initial_state is {type(self.initial_state).__name__}, "
+                "expected a State, such as State(q, v), or None to have it estimated"
+            )
         object.__setattr__(self, "channels", dict(self.channels))
         object.__setattr__(self, "source", self.source or self.name)
         if not self.channels:
@@ -186,6 +195,17 @@ class Recording:
                 f"Recording {self.name}: channel {first} begins at {self.start:g} s, after channel "
                 f"{last} has ended ({self.end:g} s), expected clocks that count from one instant"
             )
+
+    @property
+    def start_is_known(self) -> bool:
+        """Whether the recording says its first state: by `initial_state`, or by a channel v with
+        no sample but its first one."""
+        if self.initial_state is not None:
+            return True
+        if "v" not in self.channels:
+            return False
+        arrived = self.channels["v"].arrived
+        return bool(arrived[0].all() and not arrived[1:].any())
 
     def __getitem__(self, sensor: str) -> Channel:
         if sensor not in self.channels:
@@ -225,18 +245,22 @@ class Recording:
             elif kind not in ("pose", "other") and where not in model.site_names:
                 raise UnknownName(f"site of channel {sensor}", where, model.site_names)
 
-    def on_clock(self, t: Any, *, gap: float | None = None) -> Recording:
+    def on_clock(
+        self, t: Any, *, gap: float | None = None, model: Model | None = None
+    ) -> Recording:
         """All channels at the same times.
 
-        Commands hold their last value; attitudes turn evenly between two samples (slerp); all
-        other columns are cubic splines through the samples that arrived, with an error of order
-        step^4. A value between two samples that lie too far apart is NaN, as is one beside a
-        dropped sample: nothing is invented there.
+        Commands hold their last value; attitudes turn evenly between two samples (slerp), of
+        poses and of the ball and free joints in q; all other columns are cubic splines through the
+        samples that arrived, with an error of order step^4. A value between two samples that lie
+        too far apart is NaN, as is one next to a dropped sample: nothing is invented there.
 
         Args:
             t: (samples,) times in s, within every channel's clock.
             gap: the longest interval in s that is bridged, dropped samples included. If None:
                 3 median steps of the clock, and no dropped sample.
+            model: the robot, whose topology says which columns of q are quaternions. If None: four
+                columns that follow each other, whose length is 1 at every sample.
 
         Raises:
             InputError: times outside of a channel's clock.
@@ -249,7 +273,14 @@ class Recording:
                     f"expected (samples,) times that increase, from {c.t[0]:g} to {c.t[-1]:g} s, "
                     f"where channel {sensor} has samples"
                 )
-        moved = {s: c._with(t, _interpolated(s, c, t, gap)) for s, c in self.channels.items()}
+        moved = {}
+        for sensor, c in self.channels.items():
+            if sensor == HELD:
+                values = c.values[np.searchsorted(c.t, t, side="right") - 1]
+            else:
+                turns = quaternion_columns(sensor, c.values, model)
+                values = interpolated(c.t, c.values, t, c.step, gap, turns)
+            moved[sensor] = c._with(t, values)
         return dataclasses.replace(self, channels=moved)
 
     def piece(self, t0: float, t1: float) -> Recording:
@@ -272,7 +303,8 @@ class Recording:
                     f"{self.start:g} to {self.end:g} s"
                 )
             cut[sensor] = c._with(t, values)
-        return Recording(f"{self.name}[{t0:g}:{t1:g}]", cut, self.source)
+        first = self.initial_state if t0 <= self.start else None
+        return Recording(f"{self.name}[{t0:g}:{t1:g}]", cut, self.source, first)
 
     def pieces(self, seconds: float) -> list[Recording]:
         """Pieces of this length, one after the other; a shorter rest at the end is left out."""
@@ -287,32 +319,6 @@ class Recording:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.channels)
-
-
-def _interpolated(sensor: str, c: Channel, t: np.ndarray, gap: float | None) -> np.ndarray:
-    out = np.full((len(t), len(c.names)), np.nan)
-    if sensor == HELD:
-        return c.values[np.searchsorted(c.t, t, side="right") - 1]
-    longest = 3 * c.step if gap is None else gap
-    for j, arrived in enumerate(c.arrived.T):
-        times = c.t[arrived]
-        if len(times) < 2:
-            continue
-        after = np.clip(np.searchsorted(times, t, side="left"), 1, len(times) - 1)
-        before = after - 1
-        known = (times[after] - times[before] <= longest) | np.isin(t, times)
-        if gap is None:  # a sample that was dropped in between
-            places = np.flatnonzero(arrived)
-            known &= (places[after] - places[before] == 1) | np.isin(t, times)
-        known &= (times[0] <= t) & (t <= times[-1])
-        out[known, j] = interpolate.CubicSpline(times, c.values[arrived, j])(t[known])
-    if sensor.startswith("pose:"):
-        arrived, known = c.arrived.all(1), ~np.isnan(out).any(1)
-        turns = Rotation.from_quat(c.values[arrived, 3:], scalar_first=True)
-        at = np.clip(t[known], *c.t[arrived][[0, -1]])
-        out[:, 3:] = np.nan
-        out[known, 3:] = Slerp(c.t[arrived], turns)(at).as_quat(scalar_first=True)
-    return out
 
 
 def _floats(name: str, x: Any) -> np.ndarray:

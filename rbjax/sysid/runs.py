@@ -21,15 +21,20 @@ from rbjax.sysid.simulation import Grid, Setup
 
 
 class Run(NamedTuple):
-    """One run, or a batch of them: the first readings, as a state; commands (N, n); and by sensor
-    the times (T,) in s after the start, the values (T, n), and weights (T, n): 1 / sigma, 0 where
-    nothing was measured."""
+    """One run, or a batch of them.
+
+    Fields: start, the first readings, as a state, or with `exact` 1 the state itself; commands
+    (N, n); by sensor the times (T,) in s after the start, the values (T, n), and weights (T, n):
+    1 / sigma, 0 where nothing was measured; known, 1 if the initial state is known, else 0.
+    """
 
     start: State
     commands: jax.Array
     times: dict[str, Any]
     values: dict[str, Any]
     weights: dict[str, Any]
+    known: Any = 0.0
+    exact: Any = 0.0
 
 
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
@@ -44,9 +49,7 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         )
     _check_columns(setup, run, measured)
     channels = {s: run[s] for s in (*measured, HELD) if s in run.channels}
-    start = max(float(c.t[0]) for c in channels.values())
-    later = run["q"].t[run["q"].t >= start - 1e-9]
-    start = max(start, float(later[0])) if len(later) else start
+    start = start_of(setup, run)
     # the last command holds for one more step of its channel
     end = min(c.t[-1] + (c.step if s == HELD else 0.0) for s, c in channels.items())
     count = int((end - start) / grid.period + 1e-6)
@@ -72,12 +75,27 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
         times[sensor] = channel.t[inside] - start
         values[sensor] = np.where(arrived, np.nan_to_num(channel.values[inside]), 0.0)
         weights[sensor] = arrived / sigma
-    q, v = _start(model, run, start)
+    said = run.initial_state
+    q, v = _start(model, run, start) if said is None else _said(model, run, said)
     x = None if model.nx == 0 else model.default_state().x
+    if said is not None and model.nx and said.x is not None:
+        x = said.x
     start_at: Any = (q, v, x)
-    found = Run(State(*start_at), commands, times, values, weights)
+    found = Run(
+        State(*start_at), commands, times, values, weights,
+        np.array(float(run.start_is_known)), np.array(float(said is not None)),
+    )  # fmt: skip
     # in numpy first: every shape of an operation of JAX is a program to compile
     return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, dtype)), found)
+
+
+def start_of(setup: Setup, run: Recording) -> float:
+    """The time in s at which the simulation of a recording starts: the first sample of q at which
+    all channels have begun."""
+    used = [c for s, c in run.channels.items() if s in setup.sensors or s == HELD]
+    start = max(float(c.t[0]) for c in used)
+    later = run["q"].t[run["q"].t >= start - 1e-9]
+    return max(start, float(later[0])) if len(later) else start
 
 
 def ordered(model: Model, run: Recording) -> Recording:
@@ -130,6 +148,17 @@ def _check_columns(setup: Setup, run: Recording, measured: Sequence[str]) -> Non
                 f"identify: channel {sensor} of recording {run.name} has {got} columns, expected "
                 f"{due}, as the set-up reads"
             )
+
+
+def _said(model: Model, run: Recording, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """q and v of an initial state that the recording says."""
+    for name, x, size in (("q", state.q, model.nq), ("v", state.v, model.nv)):
+        if np.shape(x) != (size,) or not np.isfinite(np.asarray(x)).all():
+            raise InputError(
+                f"identify: recording {run.name} has an initial_state whose {name} is {x}, "
+                f"expected ({size},) finite numbers"
+            )
+    return np.asarray(state.q), np.asarray(state.v)
 
 
 def _start(model: Model, run: Recording, start: float) -> tuple[np.ndarray, np.ndarray]:
@@ -185,16 +214,14 @@ def batch(runs: Sequence[Run]) -> Run:
         jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *(e.start for e in runs)),
         stacked([e.commands for e in runs], True),
         each("times", True), each("values", False), each("weights", False),
+        *(jnp.asarray(np.stack([getattr(e, f) for e in runs])) for f in ("known", "exact")),
     )  # fmt: skip
 
 
 def grid_of(runs: Sequence[Recording]) -> Grid:
-    """The clock of the commands, or of the positions."""
-
-    def clock(run: Recording) -> Channel:
-        return next(run[sensor] for sensor in ("ctrl", "q", *run) if sensor in run.channels)
-
-    return Grid(min(clock(run).step for run in runs))
+    """The finest clock of all channels: commands may come when they change, seconds apart."""
+    step = min(channel.step for run in runs for channel in run.channels.values())
+    return Grid(float(f"{step:.12g}"))  # clocks that differ by rounding have one program
 
 
 def batch_of(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:

@@ -180,7 +180,8 @@ def _cut(model: Model, run: Run, grid: Grid, periods: int) -> list[Run]:
         first = run.start if k == 0 else _near(model, run, k * T, periods * T)
         parts = ({s: x[s][inside[s]] for s in x} for x in (run.values, run.weights))
         times = {s: t[inside[s]] - k * T for s, t in run.times.items()}
-        found.append(Run(first, run.commands[k : k + periods], times, *parts))
+        known, exact = (x if k == 0 else jnp.zeros_like(x) for x in (run.known, run.exact))
+        found.append(Run(first, run.commands[k : k + periods], times, *parts, known, exact))
     return found
 
 

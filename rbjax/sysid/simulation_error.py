@@ -22,6 +22,7 @@ from rbjax.dynamics.manifold import integrate
 from rbjax.model import State
 from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.islands import Directions, directions
+from rbjax.sysid.precision import still_tolerance
 from rbjax.sysid.programs import kept
 from rbjax.sysid.runs import Run
 from rbjax.sysid.segments import segments
@@ -60,8 +61,9 @@ def programs(
         made = functools.partial(unknowns.write, setup)
         now = made(p)
         start = began(now, run.start, "v" in run.values)
+        start = jax.tree.map(lambda a, b: jnp.where(run.exact > 0, a, b), run.start, start)
         if own:
-            dq, dv = jnp.split(s, 2)
+            dq, dv = jnp.split(jnp.where(run.known > 0, 0.0, s), 2)
             start = State(integrate(setup.model, start.q, dq), start.v + dv, start.x)
         return now, motion_of_parts(
             parts, made, p, start, run.commands, grid, keep=keep, count=count
@@ -76,7 +78,9 @@ def programs(
         for kind, seen in read(now, path, run).items():
             columns = setup.columns(kind)
             off = jax.vmap(columns.minus)(seen, run.values[kind])
-            parts.append((columns.weights(run.weights[kind]) * off).ravel())
+            weights = columns.weights(run.weights[kind])
+            # what was not measured may have run away
+            parts.append(jnp.where(weights > 0, weights * off, 0.0).ravel())
         r = jnp.concatenate(parts)
         if loss == "huber":
             size = jnp.maximum(jnp.abs(r), HUBER)
@@ -137,11 +141,15 @@ class SimulationError:
 
     def __init__(
         self, setup: Setup, unknowns: Unknowns, runs: Run, grid: Grid, *,
-        starts: bool = False, loss: str = "squares",
+        starts: bool | None = None, loss: str = "squares",
     ):  # fmt: skip
-        self.setup, self.unknowns, self.runs, self.loss = setup, unknowns, runs, loss
+        self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
+        self.all_starts = starts is True  # even those that the recordings say
+        self.runs = self._opened(runs)
+        if starts is None:
+            starts = not np.asarray(runs.known).all()
         self.own = 2 * setup.model.nv if starts else 0
         self.programs: Programs = kept(programs, setup, unknowns, grid, self.own, loss)
 
@@ -166,8 +174,11 @@ class SimulationError:
     def on(self, runs: Run) -> SimulationError:
         """That of other runs."""
         other = copy.copy(self)
-        other.runs, other.count = runs, runs.commands.shape[0]
+        other.runs, other.count = self._opened(runs), runs.commands.shape[0]
         return other
+
+    def _opened(self, runs: Run) -> Run:
+        return runs._replace(known=jnp.zeros_like(runs.known)) if self.all_starts else runs
 
     def readings(self, x: np.ndarray) -> dict[str, jax.Array]:
         """By sensor (runs, T, n)."""
@@ -201,7 +212,7 @@ class SimulationError:
         for sensor in sorted(self.runs.values):
             T, n = self.runs.values[sensor].shape[1:]
             rows = T * (n - len(self.setup.columns(sensor).turns))
-            if not J[:, at : at + rows].max() > 1e-12 * J.max():
+            if not J[:, at : at + rows].max() > still_tolerance(J.dtype) * J.max():
                 found.append(sensor)
             at += rows
         return tuple(found)
@@ -229,7 +240,7 @@ class SimulationError:
                 if len(used) < len(weights):
                     those = np.take(those, np.append(used, len(weights)), -1)
                 R = triangle_of(those.reshape(-1, those.shape[-1]))
-                wide = np.zeros((R.shape[0], n + 1))
+                wide = np.zeros((R.shape[0], n + 1), R.dtype)
                 wide[:, which], wide[:, -1] = R[:, :-1] @ by[used], R[:, -1]
                 blocks.append(self.widened(wide, k) if self.own else wide)
         one = len(blocks) == 1 and len(blocks[0]) == self.size + 1
@@ -238,7 +249,7 @@ class SimulationError:
     def widened(self, rows: np.ndarray, k: int) -> np.ndarray:
         """Rows [J r] of run k by its own numbers, as rows by all of x."""
         p, l = self.shared, self.own
-        wide = np.zeros((rows.shape[0], self.size + 1))
+        wide = np.zeros((rows.shape[0], self.size + 1), rows.dtype)
         wide[:, :p], wide[:, -1] = rows[:, :p], rows[:, -1]
         wide[:, p + k * l : p + (k + 1) * l] = rows[:, p:-1]
         return wide
@@ -255,7 +266,7 @@ def triangle_of(rows: np.ndarray) -> np.ndarray:
     """R of rows [J r], nan where one is not finite."""
     n = rows.shape[1]
     if not np.isfinite(rows).all():
-        return np.full((n, n), np.nan)
+        return np.full((n, n), np.nan, rows.dtype)
     (factorised,) = get_lapack_funcs(("geqrf",), (rows,))
     # LAPACK's columns and block size: half of the time of `np.linalg.qr`
     columns, _, _, _ = factorised(np.array(rows, order="F"), lwork=BLOCK * n, overwrite_a=True)

@@ -68,7 +68,7 @@ def squares(
     unknowns: Mapping[str, Parametrisation],
     *,
     grid: Grid | None = None,
-    starts: bool = False,
+    starts: bool | None = None,
     loss: str = "squares",
     mode: str | None = None,
     memory: float | None = None,
@@ -83,7 +83,8 @@ def squares(
             a run and holds k more, so 2 sqrt(N) at least.
 
     Returns:
-        `Squares`. Numbers are the physical ones, and nothing keeps them possible: change variables
+        `Squares`, in the dtype of the model: it decides nothing by a tolerance, as `identify` does
+        in float64. Numbers are the physical ones, and nothing keeps them possible: change variables
         (such as p = exp(y)) where an optimiser could leave their range.
 
     Raises:

@@ -20,8 +20,8 @@ import numpy as np
 from scipy import linalg, special, stats
 
 from rbjax.errors import InputError, UnknownName
+from rbjax.sysid.precision import rank_tolerance as tolerance_of
 
-RANK_TOLERANCE = 1e-10  # of singular values, columns scaled to length 1, over the largest
 SEEN = 1e-5  # share of a gradient in the null space that is rounding
 
 
@@ -146,7 +146,7 @@ def estimates(
     residual: Any = None,
     dof: float | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    rank_tolerance: float = RANK_TOLERANCE,
+    rank_tolerance: float | None = None,
 ) -> Estimates:
     """Covariance and intervals of the parameters of a least-squares fit.
 
@@ -162,7 +162,8 @@ def estimates(
         dof: of the noise's estimate, if `noise` is one: m - n, or what `noise_by_channel` says; inf
             if None.
         bounds: name -> (low, high), of positive parameters (0, inf).
-        rank_tolerance: a singular value below it is zero, columns of length 1, largest 1.
+        rank_tolerance: a singular value below it is zero, columns of length 1, largest 1. None:
+            1e-9 for a Jacobian in float64, 1e-4 in float32.
 
     Returns:
         `Estimates`.
@@ -181,6 +182,7 @@ def estimates(
         [2.0, 0.032, 1.938, 2.062]
     """
     names, values = tuple(names), np.asarray(values, float)
+    rank_tolerance = tolerance_for(jacobian) if rank_tolerance is None else rank_tolerance
     J = checked_rows("estimates", "jacobian", jacobian, 2)
     m, n = J.shape
     if not len(names) == len(set(names)) == n == values.size:
@@ -214,6 +216,11 @@ def estimates(
     )  # fmt: skip
 
 
+def tolerance_for(jacobian: Any) -> float:
+    """The rank tolerance of a Jacobian's dtype."""
+    return tolerance_of(jacobian.dtype if hasattr(jacobian, "dtype") else np.float64)
+
+
 def information(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
     """Fisher's information F = J^T S^-1 J (n, n), of rows with these standard deviations.
 
@@ -241,7 +248,8 @@ def crlb(jacobian: Any, noise: Any = 1.0) -> np.ndarray:
     """
     J = checked_rows("crlb", "jacobian", jacobian, 2)
     names = [str(k) for k in range(J.shape[1])]
-    found = estimates(names, np.zeros(len(names)), J, noise)
+    tolerance = tolerance_for(jacobian)
+    found = estimates(names, np.zeros(len(names)), J, noise, rank_tolerance=tolerance)
     bound, hidden = found.covariance.copy(), np.isinf(found.sigma)
     bound[hidden] = bound[:, hidden] = np.nan
     bound[hidden, hidden] = np.inf

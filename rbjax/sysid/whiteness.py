@@ -138,18 +138,23 @@ def sandwich(jacobians: Any, residuals: Any, *, lag: int | None = None) -> np.nd
         np.einsum("tcn,tc->tn", J.reshape(len(J), -1, n), r.reshape(len(r), -1)) / lengths
         for J, r in zip(Js, rs, strict=True)
     ]
-    longest = max(map(len, scores)) - 1
-    lag = _andrews(scores) if lag is None else lag
-    meat = np.zeros((n, n))
-    for s in scores:
-        meat += s.T @ s
-        for k in range(1, min(lag, len(s) - 1, longest) + 1):
-            cross = s[k:].T @ s[:-k]
-            meat += (1 - k / (lag + 1)) * (cross + cross.T)
+    meat = meat_of(scores, lag)
     bread = linalg.inv(R.T @ R)
     samples = len(rows)
     cov = bread @ meat @ bread * (samples / max(samples - n, 1))
     return cov / np.outer(lengths, lengths)
+
+
+def meat_of(scores: Sequence[np.ndarray], lag: int | None = None) -> np.ndarray:
+    """The long-run covariance (n, n) of the sum of scores, one (samples, n) a recording."""
+    lag = _andrews(scores) if lag is None else lag
+    meat = np.zeros((scores[0].shape[1],) * 2)
+    for s in scores:
+        meat += s.T @ s
+        for k in range(1, min(lag, len(s) - 1) + 1):
+            cross = s[k:].T @ s[:-k]
+            meat += (1 - k / (lag + 1)) * (cross + cross.T)
+    return meat
 
 
 def _andrews(scores: Sequence[np.ndarray]) -> int:

@@ -68,7 +68,8 @@ def arm(seed: int = 0) -> Problem:
     run = Recording("arm", {
         "q": Channel(t, path.q), "v": Channel(t, path.v), "ctrl": Channel(t[:-1], ctrl),
     })  # fmt: skip
-    how = {"grid": Grid(T)}  # RK4 is within 1e-11 of the recorded motion
+    # RK4 is within 1e-11 of the recorded motion, and the first readings are the state
+    how = {"grid": Grid(T), "starts": False}
     return Problem(of.write(setup, jnp.asarray(guess)), run, unknowns, truth, how)
 
 
