@@ -36,7 +36,6 @@ from rbjax.sysid import (
     Recording,
     Scored,
     Setup,
-    Shared,
     Unknown,
     compare,
     free_run,
@@ -179,10 +178,9 @@ def design(name, terms):
         inertia, length = (np.arange(n - 1), 1, 1), (np.arange(1, n), 2)
         unknowns["inertia"] = Unknown("bodies.inertia", inertia, positive=True)
         unknowns["length"] = Unknown("bodies.position", length, scale=0.1)
-    sizes = [Unknown(f"forces.0.{k}", positive=True) for k in ("coulomb", "breakaway")]
     possible = {
         "viscous": Unknown("joints.damping", positive=True),
-        "coulomb": Shared(tuple(sizes)),
+        "coulomb": Unknown("forces.0.coulomb", positive=True),
         "air": Unknown("forces.1.drag", positive=True),
         "bias": Unknown("sensors.q.bias", scale=0.01),
     }

@@ -102,7 +102,6 @@ if DATA is not None:
 if DATA is not None:
     dry = rb.forces.JointFriction.of(model, names, 0.3, smoothing=0.03)
     setup = Setup.of(model.with_forces(dry), delay=0.005)
-    coulomb = [Unknown(f"forces.0.{k}", bounds=(0.0, 2.0)) for k in ("coulomb", "breakaway")]
     bias = [Unknown("sensors.q.bias", bounds=(-0.1, 0.1)), Unknown("actuators.bias", (..., 0))]
     usual = identify(
         setup,
@@ -110,7 +109,7 @@ if DATA is not None:
         {
             "armature": Unknown("joints.armature", bounds=(1e-5, 1.0)),
             "viscous": Unknown("joints.damping", bounds=(0.0, 7.0)),
-            "coulomb": Shared(tuple(coulomb)),
+            "coulomb": Unknown("forces.0.coulomb", bounds=(0.0, 2.0)),
             "bias": Shared(tuple(bias), (1.0, -KP)),
             "delay": Unknown("delay", bounds=(0.0, 0.02)),
         },

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.tree import Tree
@@ -45,7 +46,7 @@ def _session() -> Iterator[None]:
         try:
             yield
         except RbjaxError as error:
-            err.print(f"[bold red]rbjax:[/] {error}", highlight=False, soft_wrap=True)
+            err.print("[bold red]rbjax:[/]", escape(str(error)), highlight=False, soft_wrap=True)
             raise typer.Exit(2) from None
 
 
@@ -129,7 +130,7 @@ def info(file: File, as_json: AsJson = False, floating_base: Floating = False) -
         return
     out.print(_tree(model, file))
     for dropped in model.dropped:
-        out.print(f"[yellow]left out:[/] {dropped}", highlight=False)
+        out.print(f"[yellow]left out:[/] {escape(str(dropped))}", highlight=False)
     table = Table(title="Operations of one evaluation, as traced", title_justify="left")
     table.add_column("algorithm", no_wrap=True)
     heads = ("add", "multiply", "divide", "root", "trig", "total")
@@ -144,7 +145,7 @@ def info(file: File, as_json: AsJson = False, floating_base: Floating = False) -
 def _tree(model: Model, file: str) -> Tree:
     """The tree of bodies with their joints."""
     top, mass = model.topology, np.asarray(model.bodies.mass)
-    head = f"[bold]{Path(file).name}[/]: {model.nb} bodies, nq {model.nq}, nv {model.nv}, "
+    head = f"[bold]{escape(Path(file).name)}[/]: {model.nb} bodies, nq {model.nq}, nv {model.nv}, "
     tree = Tree(head + f"nu {model.nu}, {mass.sum():.4g} kg, step {model.timestep:g} s")
     branches: dict[int, Tree] = {-1: tree}
     for body, (parent, name) in enumerate(zip(top.body_parents, top.body_names, strict=True)):
@@ -153,7 +154,8 @@ def _tree(model: Model, file: str) -> Tree:
             for j, kind in enumerate(top.joint_kinds)
             if top.joint_bodies[j] == body
         ]
-        label = f"{name}  [dim]{mass[body]:.4g} kg[/]  [cyan]{', '.join(joints) or 'welded'}[/]"
+        moved = escape(", ".join(joints)) or "welded"
+        label = f"{escape(name)}  [dim]{mass[body]:.4g} kg[/]  [cyan]{moved}[/]"
         branches[body] = branches[parent].add(label)
     return tree
 
@@ -207,7 +209,7 @@ def simulate(
         print(json.dumps(found, indent=1))
         return
     for name, value in found.items():
-        out.print(f"[bold]{name}[/] {value}", soft_wrap=True)
+        out.print(f"[bold]{name}[/] {escape(str(value))}", soft_wrap=True)
 
 
 def _simulate(
@@ -264,6 +266,7 @@ def identify(
     configuration: Annotated[Path, typer.Argument(help="TOML file, or a folder for --example.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the saved fit.")] = False,
     example: Annotated[bool, typer.Option("--example", help="Write an example here.")] = False,
+    folder: Annotated[Path | None, typer.Option("--out", help="Folder of the results.")] = None,
 ) -> None:
     """Fit a robot's numbers to recordings: a table, a report, and the robot's file with them."""
     from rbjax.sysid.job import Job
@@ -272,22 +275,23 @@ def identify(
     with _session():
         if example:
             written = write_example(configuration)
-            out.print(f"wrote {written}; run: rbjax identify {written}", soft_wrap=True)
+            text = f"wrote {written}; run: rbjax identify {written}"
+            out.print(text, soft_wrap=True, markup=False)
             return
-        made = Job.read(configuration).run(resume=resume, progress=True)
+        made = Job.read(configuration, folder=folder).run(resume=resume, progress=True)
         intervals = {name: made.found.estimates.interval(name) for name in made.found.values}
-    table = Table("parameter", title=made.found.message, title_justify="left")
+    table = Table("parameter", title=escape(made.found.message), title_justify="left")
     for head in ("first guess", "found", "95 % from", "to"):
         table.add_column(head, justify="right")
     for name, x in intervals.items():
         numbers = (made.found.guess[name], x.value, x.low, x.high)
-        table.add_row(name, *(f"{number:.5g}" for number in numbers))
+        table.add_row(escape(name), *(f"{number:.5g}" for number in numbers))
     out.print(table)
     verdict = made.verdict.sentence if made.verdict else "no recording was held out"
     for sentence in (verdict, *map(str, made.diagnosis.causes), *made.notes):
-        out.print(sentence, soft_wrap=True, highlight=False)
+        out.print(sentence, soft_wrap=True, highlight=False, markup=False)
     for what, path in made.files.items():
-        out.print(f"[bold]{what}[/] {path}", soft_wrap=True)
+        out.print(f"[bold]{what}[/] {escape(str(path))}", soft_wrap=True)
     if not made.found.ok:
         raise typer.Exit(1)
 

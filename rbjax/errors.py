@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Sequence
+
+#: names that the message of an `UnknownName` lists, the nearest ones if there are more
+LISTED = 40
 
 
 def listed(names: Sequence[str], shown: int) -> str:
@@ -28,11 +32,21 @@ class InputError(RbjaxError, ValueError):
 
 
 class UnknownName(RbjaxError, KeyError):
-    """A name that does not exist. The message lists the names that do."""
+    """A name that does not exist. The message lists the names that do, and the nearest one."""
 
     def __init__(self, kind: str, name: object, valid: Iterable[str]):
-        names = ", ".join(repr(n) for n in valid) or "(there are none)"
-        self.message = f"unknown {kind} {name!r}; the {kind} names here are: {names}"
+        known = list(valid)
+        shown = repr(name) if len(repr(name)) <= 80 else f"{repr(name)[:77]}..."
+        text = [str(n) for n in known]
+        near = difflib.get_close_matches(str(name)[:80], text, 1)
+        more = ""
+        if len(known) > LISTED:
+            nearest = set(difflib.get_close_matches(str(name)[:80], text, LISTED // 2, 0.0))
+            more = f" and {len(known) - len(nearest)} more"
+            known = [n for n in known if str(n) in nearest]
+        names = (", ".join(repr(n) for n in known) or "(there are none)") + more
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        self.message = f"unknown {kind} {shown}; the {kind} names here are: {names}{hint}"
         super().__init__(self.message)
 
     def __str__(self) -> str:

@@ -82,12 +82,11 @@ def joint_dynamics(model: rb.Model) -> tuple[Setup, dict[str, Any]]:
     """Armature, viscous and Coulomb friction and a bias for each joint, and a delay, in the box of
     the source. The controllers read the biased angle too, which is a torque kp bias."""
     dry = rb.forces.JointFriction.of(model, model.joint_names, 0.3, smoothing=0.03)
-    coulomb = [Unknown(f"forces.0.{k}", bounds=(0.0, 2.0)) for k in ("coulomb", "breakaway")]
     bias = [Unknown("sensors.q.bias", bounds=(-0.1, 0.1)), Unknown("actuators.bias", (..., 0))]
     return Setup.of(model.with_forces(dry), delay=0.005), {
         "armature": Unknown("joints.armature", bounds=(1e-5, 1.0)),
         "viscous": Unknown("joints.damping", bounds=(0.0, 7.0)),
-        "coulomb": Shared(tuple(coulomb)),
+        "coulomb": Unknown("forces.0.coulomb", bounds=(0.0, 2.0)),
         "bias": Shared(tuple(bias), (1.0, -KP)),
         "delay": Unknown("delay", bounds=(0.0, 0.02)),
     }

@@ -22,7 +22,6 @@ from rbjax.sysid import (
     Identified,
     Recording,
     Setup,
-    Shared,
     Unknown,
     free_run,
     identify,
@@ -124,10 +123,9 @@ def design(name: str, terms: Sequence[str]) -> tuple[Setup, dict[str, Any]]:
         inertia, length = (np.arange(n - 1), 1, 1), (np.arange(1, n), 2)
         unknowns["inertia"] = Unknown("bodies.inertia", inertia, positive=True)
         unknowns["length"] = Unknown("bodies.position", length, scale=0.1)
-    sizes = (Unknown(f"forces.0.{k}", positive=True) for k in ("coulomb", "breakaway"))
     possible = {
         "viscous": Unknown("joints.damping", positive=True),
-        "coulomb": Shared(tuple(sizes)),
+        "coulomb": Unknown("forces.0.coulomb", positive=True),
         "air": Unknown("forces.1.drag", positive=True),
         "bias": Unknown("sensors.q.bias", scale=0.01),
     }

@@ -18,7 +18,6 @@ from rbjax.sysid import (
     Inertia,
     Recording,
     Setup,
-    Shared,
     Unknown,
     from_log_cholesky,
     inertial_parameters_of,
@@ -101,11 +100,10 @@ def quadruped() -> Problem:
         "v": Channel(t, v, noise=np.ones(12), dropped="nan"),
         "ctrl": Channel(t, asked),
     })  # fmt: skip
-    dry_at = (Unknown(f"forces.0.{k}", positive=True) for k in ("coulomb", "breakaway"))
     unknowns = {
         "armature": Unknown("joints.armature", positive=True),
         "viscous": Unknown("joints.damping", positive=True),
-        "coulomb": Shared(tuple(dry_at)),
+        "coulomb": Unknown("forces.0.coulomb", positive=True),
         "bias": Unknown("sensors.q.bias", scale=0.1),
         "delay": Unknown("delay", bounds=(0.0, 0.025)),
     }

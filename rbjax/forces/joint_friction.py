@@ -37,7 +37,7 @@ class JointFriction(Element):
     tau = -[F_c + (F_s - F_c) exp(-(v / v_s)^2)] tanh(v / v_0) - d v.
 
     Fields, one entry for each velocity coordinate of the joints, in their order: coulomb F_c (n,)
-    N m or N; breakaway F_s (n,) N m or N, that of coulomb for none; stribeck v_s (n,) and
+    N m or N; breakaway F_s (n,) N m or N, None for F_s = F_c; stribeck v_s (n,) rad/s or m/s;
     smoothing v_0 (n,) rad/s or m/s, above 0; viscous d (n,) N m s/rad or N s/m. Static: `joints`,
     their names or indices. `JointFriction.of` makes it from single numbers.
 
@@ -54,7 +54,7 @@ class JointFriction(Element):
     """
 
     coulomb: jax.Array
-    breakaway: jax.Array
+    breakaway: jax.Array | None
     stribeck: jax.Array
     smoothing: jax.Array
     viscous: jax.Array
@@ -83,7 +83,7 @@ class JointFriction(Element):
 
         return cls(
             coulomb=column("coulomb", coulomb),
-            breakaway=column("breakaway", coulomb if breakaway is None else breakaway),
+            breakaway=None if breakaway is None else column("breakaway", breakaway),
             stribeck=column("stribeck", stribeck),
             smoothing=column("smoothing", smoothing),
             viscous=column("viscous", viscous),
@@ -95,18 +95,24 @@ class JointFriction(Element):
 
     def shapes(self, model: Model) -> Shapes:
         n = coordinates(model, self.joints)
-        return dict.fromkeys(("coulomb", "breakaway", "stribeck", "smoothing", "viscous"), (n,))
+        names = ("coulomb", "breakaway", "stribeck", "smoothing", "viscous")
+        return dict.fromkeys([k for k in names if getattr(self, k) is not None], (n,))
 
     def loads(self, now: Instant) -> Loads:
-        given = (self.coulomb, self.breakaway, self.stribeck, self.smoothing, self.viscous)
+        breakaway = self.coulomb if self.breakaway is None else self.breakaway
+        given = (self.coulomb, breakaway, self.stribeck, self.smoothing, self.viscous)
         columns = [table(x, now.v.dtype) for x in given]
         at = [(i, v) for j in map(now.joint, self.joints) for i, v in enumerate(j.v, j.start)]
         rows = [[lane(x, n) for x in columns] for n in range(len(at))]
-        return Loads({i: _friction(v, *row) for (i, v), row in zip(at, rows, strict=True)})
+        falls = self.breakaway is not None
+        return Loads({i: _friction(v, *row, falls) for (i, v), row in zip(at, rows, strict=True)})
 
 
-def _friction(v: Lane, coulomb: Lane, breakaway: Lane, v_s: Lane, v_0: Lane, viscous: Lane) -> Lane:
-    dry, extra = coulomb, sub(breakaway, coulomb)
+def _friction(
+    v: Lane, coulomb: Lane, breakaway: Lane, v_s: Lane, v_0: Lane, viscous: Lane, falls: bool
+) -> Lane:
+    """The friction of one coordinate; whether it falls with the speed after break-away."""
+    dry, extra = coulomb, sub(breakaway, coulomb) if falls else 0.0
     if not is_zero(extra):
         dry = add(dry, mul(extra, jnp.exp(-((v / v_s) ** 2))))
     if not is_zero(dry):

@@ -108,7 +108,7 @@ def _friction(m: mujoco.MjModel) -> list[Element]:
     return [
         JointFriction(
             coulomb=_array(loss),
-            breakaway=_array(loss),
+            breakaway=None,
             stribeck=jnp.ones(len(at)),
             smoothing=_array(np.where(loss > 0, loss * np.array(creep), 1.0)),
             viscous=jnp.zeros(len(at)),

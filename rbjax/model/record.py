@@ -101,7 +101,8 @@ def check_above_zero(where: str, value: Any) -> None:
     if wrong.any():
         at = tuple(map(int, np.argwhere(wrong)[0]))
         place = f" at {list(at)}" if at else ""
-        raise InputError(f"{where}: got {np.asarray(value)[at]}{place}, expected a number above zero")
+        got = np.asarray(value)[at]
+        raise InputError(f"{where}: got {got}{place}, expected a number above zero")
 
 
 def check_fields(record: Record) -> None:
@@ -109,7 +110,8 @@ def check_fields(record: Record) -> None:
     are due."""
     for f in dataclasses.fields(record):
         value, where = getattr(record, f.name), f"{type(record).__name__}({f.name}=...)"
-        if f.type in ("jax.Array", jax.Array):
+        optional = f.type == "jax.Array | None" and value is not None
+        if optional or f.type in ("jax.Array", jax.Array):
             if not (eqx.is_array(value) or isinstance(value, (np.ndarray, np.generic, float))):
                 raise InputError(
                     f"{where}: got {type(value).__name__}, expected an array of numbers, as "

@@ -88,7 +88,7 @@ def momentum_balance(
     *,
     window: int,
     joint_terms: Sequence[str] = (),
-    smoothing: float = 1e-2,
+    smoothing: float = 0.0,
     held: bool = False,
 ) -> tuple[Array, Array]:
     """W (windows, nv, p) and impulses y (windows, nv) with W pi = y; no acceleration is needed.
@@ -156,7 +156,7 @@ def energy_balance(
     *,
     window: int,
     joint_terms: Sequence[str] = (),
-    smoothing: float = 1e-2,
+    smoothing: float = 0.0,
     held: bool = False,
 ) -> tuple[Array, Array]:
     """W (windows, 1, p) and work y (windows, 1) with W pi = y; no acceleration is needed.

@@ -35,7 +35,7 @@ def base_parameters(
     samples: int | None = None,
     seed: int = 0,
     tolerance: float | None = None,
-    smoothing: float = 1e-2,
+    smoothing: float = 0.0,
 ) -> Combinations:
     """The base parameters of a robot, at a motion or at random ones.
 

@@ -5,7 +5,8 @@ here is that of the result: the frequency at which its amplitude is 1/sqrt(2).
 
     even clock      Butterworth of order n, forward and backward: |H|^2 = 1 / (1 + w^(2n)), where
                     w = tan(pi f h) / tan(pi f_0 h), and w^(2n) = sqrt(2) - 1 at the cut-off;
-                    derivatives are central differences of it, with an error of order h^2
+                    derivatives are central differences over seven samples, with a relative error
+                    of (w h)^6/140 (first) and (w h)^6/560 (second), w = 2 pi f
     uneven clock    smoothing spline: min sum_k w_k (x_k - s(t_k))^2 + lambda int s''^2, which is a
                     zero-phase filter 1 / (1 + lambda h (2 pi f)^4), h the mean step;
                     derivatives are those of the spline
@@ -27,6 +28,8 @@ from rbjax.solvers.arguments import check_whole
 EVEN = 0.01  # steps may differ so much of their median on an even clock
 FLAT = 0.01  # the amplitude within the bandwidth
 DECAYED = 0.01  # what is left of the effect of an end
+#: derivative -> weights of the samples k steps later, k = 1, 2, 3 (Fornberg 1988)
+DIFFERENCES = {1: np.array([3 / 4, -3 / 20, 1 / 60]), 2: np.array([3 / 2, -3 / 20, 1 / 90])}
 HALF_POWER = np.sqrt(2) - 1  # (f / f_0)^(2 n) where 1 / (1 + (f / f_0)^(2 n)) is 1 / sqrt(2)
 
 
@@ -127,21 +130,33 @@ def _butterworth(
     warped = np.tan(np.pi * cutoff * h) / HALF_POWER ** (1 / (2 * order))
     sos = signal.butter(order, 2 * np.arctan(warped) / np.pi, output="sos")
     slowest = max(np.abs(signal.sos2zpk(sos)[1]).max(), 1e-3)
-    ends = int(np.ceil(np.log(DECAYED) / np.log(slowest))) + times
+    ends = int(np.ceil(np.log(DECAYED) / np.log(slowest))) + 3 * (times > 0)
     smooth = signal.sosfiltfilt(sos, x, axis=0, padlen=min(len(x) - 1, 3 * ends))
-    if times == 1:
-        smooth = np.gradient(smooth, h, axis=0, edge_order=2)
-    elif times == 2:
-        inside = np.diff(smooth, 2, axis=0) / h**2
-        smooth = np.concatenate([inside[:1], inside, inside[-1:]])
+    if times:
+        smooth = _differences(smooth, times) / h**times
 
     def response(w: np.ndarray) -> np.ndarray:
-        difference = (1.0, np.sin(w * h) / h, (2 - 2 * np.cos(w * h)) / h**2)[times]
+        difference = np.ones_like(w)
+        if times:
+            turned = np.outer(w * h, [1, 2, 3])
+            part = 2 * np.sin(turned) if times == 1 else 2 - 2 * np.cos(turned)
+            difference = np.abs(part @ DIFFERENCES[times]) / h**times
         return np.abs(signal.freqz_sos(sos, w * h)[1]) ** 2 * difference
 
     method = f"Butterworth of order {order} forward and backward"
     method += ", central differences" if times else ""
     return _stated(smooth, times, cutoff, response, h, ends, method)
+
+
+def _differences(x: np.ndarray, times: int) -> np.ndarray:
+    """Central differences (samples, ...), the signal continued through its end points."""
+    beyond = ((3, 3), *[(0, 0)] * (x.ndim - 1))
+    x = np.pad(x, beyond, mode="reflect", reflect_type="odd")
+    n, out = len(x) - 6, 0.0
+    for k, weight in enumerate(DIFFERENCES[times], 1):
+        later, earlier = x[3 + k : 3 + k + n], x[3 - k : 3 - k + n]
+        out = out + weight * (later - earlier if times == 1 else later - 2 * x[3 : 3 + n] + earlier)
+    return np.asarray(out)
 
 
 def _spline(

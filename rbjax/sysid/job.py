@@ -1,19 +1,13 @@
-"""A fit from a small file: which robot, which recordings, what is sought, where results go.
+"""A job of identification as a TOML file: robot, recordings, unknowns, and where results go.
 
-    model = "robot.xml"
-    [recordings]      fit, held_out: files; time, time_unit, rate: their clock
-    [columns]         name in the files -> sensor, joint, unit, sign, scale, noise
-    [unknowns]        name -> leaf, index (places or names), positive, bounds; or inertia = a body
-    [controller]      kp, kd of joints that follow commanded positions; delay
-    [options]         of `identify`: starts, pieces, loss, steps, substeps
-    [output]          folder
-Paths are relative to the file.
+`docs/job_files.md` lists the tables and keys, `rbjax.sysid.job_keys` holds them. Paths are relative
+to the file, and results lie within its folder.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,28 +22,29 @@ from rbjax.sysid.comparison import HeldOut
 from rbjax.sysid.diagnosis import Diagnosis, diagnose
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.identify import identify
+from rbjax.sysid.job_keys import KEYS, NEEDED, check, short
+from rbjax.sysid.job_places import check_joints, place_of
+from rbjax.sysid.many_starts import many_starts
 from rbjax.sysid.readers import Column, read_csv, read_npz
+from rbjax.sysid.readings import Currents
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.report import report
+from rbjax.sysid.runs import grid_of
 from rbjax.sysid.simulation import PD, Grid, Setup
 from rbjax.sysid.unknowns import Inertia, Parametrisation, Tilt, Unknown, Unknowns
-
-TABLES = {
-    "recordings": ("fit", "held_out", "time", "time_unit", "rate"),
-    "columns": None,
-    "unknowns": None,
-    "controller": ("kp", "kd", "delay", "longest_delay"),
-    "options": ("starts", "pieces", "loss", "steps", "substeps", "period"),
-    "output": ("folder",),
-}
-HEAD = ("model", "floating_base", "friction", "limits", "motors")
-OF_UNKNOWN = ("leaf", "index", "positive", "bounds", "scale", "inertia", "tilt")
 
 
 @dataclass(frozen=True)
 class Results:
-    """What a job made: the fit, the verdict on held-out recordings, what is wrong with the data,
-    its files by what they hold, and sentences about these."""
+    """Results of a job.
+
+    Fields:
+        found: the fit.
+        verdict: on recordings that were held out, None without any.
+        diagnosis: of the recordings and the fit.
+        files: content -> path.
+        notes: sentences about these.
+    """
 
     found: Identified
     verdict: HeldOut | None
@@ -60,7 +55,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Job:
-    """A fit as its file says it; `run` does it."""
+    """A job as its file states it; `run` runs it."""
 
     source: str
     setup: Setup
@@ -70,60 +65,64 @@ class Job:
     grid: Grid | None
     options: dict[str, Any]
     folder: Path
+    guesses: int | None = None
 
     @classmethod
-    def read(cls, path: str | Path) -> Job:
-        """The job of a TOML file.
+    def read(cls, path: str | Path, *, folder: str | Path | None = None) -> Job:
+        """Read and check a TOML file and the files that it names.
+
+        Args:
+            path: of the file.
+            folder: for the results, anywhere; that of [output] if None.
 
         Raises:
-            InputError: no such file, no TOML, something missing or unknown in it; the message names
-                the table and key.
+            InputError: no such file, no TOML, a value of the wrong kind, recordings that do not
+                suit the robot; the message names the table and key.
+            UnknownName: a table, key, unit, sensor, joint, body, leaf that does not exist.
         """
         path = Path(path)
-        try:
-            given = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(
-                f"identify: no file {path} ({error.strerror}); `rbjax identify --example FOLDER` "
-                "writes one that works"
-            ) from error
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"identify: {path} is no TOML: {error}") from error
-        _check(given)
+        given = _toml(path)
+        check(given)
         at = path.parent
+        out = _folder(path, given) if folder is None else Path(folder)
         name = given["model"]
         source = name if name in scenes() else str(at / name)
-        how = {k: given[k] for k in HEAD[1:] if k in given}
-        model = load(source, **how)
-        setup, delay = _setup(model, given.get("controller", {}))
-        options = dict(given.get("options", {}))
-        substeps, period = options.pop("substeps", 1), options.pop("period", None)
+        model = load(source, **{k: given[k] for k in KEYS[""] if k != "model" and k in given})
         files = given["recordings"]
-        runs = {use: _read(at, files, use, given["columns"]) for use in ("fit", "held_out")}
-        grid = None
-        if substeps != 1 or period is not None or delay:
-            first = runs["fit"][0]
-            clock = first["ctrl" if "ctrl" in first.channels else "q"].step
-            period = clock if period is None else float(period)
-            longest = int(np.ceil(delay / period)) + 1 if delay else 0
-            grid = Grid(period, int(substeps), "rk4", longest)
-        folder = at / given.get("output", {}).get("folder", path.stem)
-        unknowns = {n: _unknown(model, n, u) for n, u in given["unknowns"].items()}
-        Unknowns.of("identify", unknowns, setup)  # refuses what is not there, before any work
+        wanted = {name: Column(**line) for name, line in given["columns"].items()}
+        runs = {use: _read(at, files, use, wanted) for use in ("fit", "held_out")}
+        for run in (*runs["fit"], *runs["held_out"]):
+            check_joints(model, run, wanted)
+            run.check_model(model)
+        setup = _with_sensors(_controlled(model, given.get("controller", {})), given, wanted)
+        options = dict(given.get("options", {}))
+        grid = _grid(setup, given.get("controller", {}), options, runs)
+        unknowns = {n: _unknown(setup, n, line) for n, line in given["unknowns"].items()}
+        Unknowns.of("identify", unknowns, setup)  # rejects what is not there, before any work
+        guesses = options.pop("many_starts", None)
         return cls(
             source, setup, tuple(runs["fit"]), tuple(runs["held_out"]), unknowns, grid, options,
-            folder,
+            out, guesses,
         )  # fmt: skip
 
     def run(self, *, resume: bool = False, progress: bool = False) -> Results:
-        """Fits, judges, and writes report.html, fit.json and the robot's file with the found
-        numbers into the folder."""
-        self.folder.mkdir(parents=True, exist_ok=True)
+        """Fit, judge, and write report.html, fit.json and the robot's file with the estimates into
+        the folder."""
         saved = self.folder / "fit.json"
-        found = identify(
-            self.setup, self.fit, self.unknowns, grid=self.grid, save=saved,
-            resume=saved if resume else None, progress=progress, **self.options,
-        )  # fmt: skip
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"identify: folder {self.folder} cannot be made: {error}") from error
+        how: dict[str, Any] = {"grid": self.grid, "progress": progress, **self.options}
+        if self.guesses is not None and not resume:
+            found = many_starts(
+                self.setup, self.fit, self.unknowns, guesses=self.guesses, save=saved, **how
+            ).best
+        else:
+            found = identify(
+                self.setup, self.fit, self.unknowns, save=saved, resume=saved if resume else None,
+                **how,
+            )  # fmt: skip
         diagnosis = diagnose(found, progress=progress)
         page = self.folder / "report.html"
         title = f"Identification of {Path(self.source).stem}"
@@ -146,103 +145,166 @@ class Job:
         return path, ""
 
 
-def _check(given: Mapping[str, Any]) -> None:
-    for key in given:
-        if key not in (*HEAD, *TABLES):
-            raise UnknownName("key of the configuration", key, [*HEAD, *TABLES])
-    for key in ("model", "recordings", "columns", "unknowns"):
-        if not given.get(key):
-            raise InputError(f"identify: the configuration has no {key}, expected {SAYS[key]}")
-    for table, keys in TABLES.items():
-        if not isinstance(given.get(table, {}), dict):
-            raise InputError(f"identify: {table} is {given[table]!r}, expected a table [{table}]")
-        for key in given.get(table, {}):
-            if keys is not None and key not in keys:
-                raise UnknownName(f"key of [{table}]", key, keys)
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"identify: no file {path} ({error.strerror}); `rbjax identify --example FOLDER` "
+            "writes one that works"
+        ) from error
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of the length of an integer
+        reason = str(error)[:200]
+        raise InputError(f"identify: {path} is not a TOML file: {reason}") from error
 
 
-SAYS = {
-    "model": 'model = "robot.xml"',
-    "recordings": '[recordings] with fit = ["run.csv"]',
-    "columns": '[columns] with lines such as "elbow angle" = {sensor = "q", joint = "elbow"}',
-    "unknowns": '[unknowns] with lines such as damping = {leaf = "joints.damping"}',
-}
+def _folder(path: Path, given: Mapping[str, Any]) -> Path:
+    """The folder of the results, within that of the file."""
+    name = given.get("output", {}).get("folder", path.stem)
+    at = path.parent.resolve()
+    if not (at / name).resolve().is_relative_to(at):
+        raise InputError(
+            f"identify: [output] folder is {short(name)}, which lies outside of {at}, expected a "
+            "folder within it; `rbjax identify FILE --out FOLDER` writes elsewhere"
+        )
+    return path.parent / name
 
 
-def _setup(model: Model, given: Mapping[str, Any]) -> tuple[Setup, float]:
-    """The set-up and the longest delay."""
+def _controlled(model: Model, given: Mapping[str, Any]) -> Setup:
+    """The set-up with the controller and delay of a file."""
     servo = None
     if "kp" in given or "kd" in given:
-        gains = [np.broadcast_to(given.get(k, 0.0), (model.nu,)) for k in ("kp", "kd")]
-        servo = PD(*(jnp.asarray(x, float) for x in gains))
+        if not model.nu:
+            raise InputError(
+                "identify: [controller] has gains, but the model has no actuators; "
+                "motors = true gives each hinge and slide one"
+            )
+        gains = {}
+        for key in ("kp", "kd"):
+            values = np.asarray(given.get(key, 0.0), float)
+            if values.shape not in ((), (model.nu,)):
+                raise InputError(
+                    f"identify: [controller] {key} has {values.size} numbers, expected one, or "
+                    f"{model.nu}, one for each actuator: {listed(model.actuator_names, 8)}"
+                )
+            gains[key] = jnp.asarray(np.broadcast_to(values, (model.nu,)))
+        servo = PD(**gains)
     delay = given.get("delay")
-    longest = given.get("longest_delay", 3 * delay if delay else 0.0)
-    return Setup.of(model, servo, delay), float(longest)
+    if delay is None and "longest_delay" in given:
+        raise InputError("identify: [controller] has longest_delay without delay, expected both")
+    return Setup.of(model, servo, None if delay is None else float(delay))
+
+
+def _with_sensors(setup: Setup, given: Mapping[str, Any], columns: Mapping[str, Column]) -> Setup:
+    """The set-up with every sensor of the columns: each one is fitted."""
+    options = given.get("sensors", {})
+    for sensor in dict.fromkeys(c.sensor for c in columns.values()):
+        if sensor in ("q", "v", "ctrl"):
+            continue
+        if sensor.partition(":")[0] in ("force", "torque", "other"):
+            raise InputError(
+                f"identify: sensor {sensor} is not one that a job file can simulate, expected q, "
+                "v, a, tau, current, ctrl, pose:NAME, position:SITE, gyro:SITE or "
+                "accelerometer:SITE; leave its columns out, or call `rb.sysid.identify` with "
+                "`Setup.with_sensors` and a `Reads`"
+            )
+        if sensor != "current":
+            setup = setup.with_sensors(sensor)
+            continue
+        nv = setup.model.nv
+        constant = np.asarray(options.get("current", 0.0), float)
+        if "current" not in options or constant.shape not in ((), (nv,)):
+            raise InputError(
+                "identify: sensor current needs the torque constants of the joints, expected "
+                f"[sensors] with current = a number in N m/A, or a list of {nv}"
+            )
+        constants = Currents(jnp.asarray(np.broadcast_to(constant, (nv,))))
+        setup = setup.with_sensors({"current": constants})
+    return setup
+
+
+def _grid(
+    setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
+    runs: Mapping[str, list[Recording]],
+) -> Grid | None:  # fmt: skip
+    """The grid that period, substeps and the delay ask for; None for that of `identify`."""
+    substeps, period = options.pop("substeps", None), options.pop("period", None)
+    if substeps is None and period is None and setup.delay is None:
+        return None
+    shortest = min(run.end - run.start for use in runs.values() for run in use)
+    grid = grid_of(runs["fit"])
+    if period is not None:
+        grid = grid._replace(period=float(period))
+    if grid.period >= shortest:
+        raise InputError(
+            f"identify: [options] period is {grid.period:g} s, expected less than {shortest:g} s, "
+            "the length of the shortest recording"
+        )
+    if substeps is not None:
+        grid = grid._replace(substeps=substeps)
+    if setup.delay is not None:
+        delay = float(controller["delay"])
+        longest = float(controller.get("longest_delay", 3 * delay))
+        if not delay <= longest < shortest:
+            raise InputError(
+                f"identify: [controller] delay is {delay:g} s and longest_delay {longest:g} s, "
+                f"expected delay <= longest_delay < {shortest:g} s, the length of the shortest "
+                "recording"
+            )
+        periods = int(np.ceil(longest / grid.period)) + 1 if longest else 0
+        grid = grid._replace(longest_delay=periods)
+    return grid
 
 
 def _read(
-    at: Path, files: Mapping[str, Any], use: str, columns: Mapping[str, Any]
+    at: Path, files: Mapping[str, Any], use: str, wanted: Mapping[str, Column]
 ) -> list[Recording]:
     names = files.get(use, [])
     names = [names] if isinstance(names, str) else names
-    if use == "fit" and not names:
-        raise InputError(f"identify: [recordings] has no fit, expected {SAYS['recordings']}")
-    wanted = {name: _column(name, said) for name, said in columns.items()}
     how = {k: files[k] for k in ("time", "time_unit", "rate") if k in files}
-    readers = {".csv": read_csv, ".txt": read_csv, ".npz": read_npz}
+    text = {k: files[k] for k in ("delimiter", "decimal", "comment") if k in files}
     found = []
     for name in names:
         suffix = Path(name).suffix
-        if suffix not in readers:
-            raise InputError(f"identify: recording {name}, expected a file {listed([*readers], 3)}")
-        found.append(readers[suffix](at / name, wanted, **how))
+        if suffix in (".csv", ".txt"):
+            found.append(read_csv(at / name, wanted, **how, **text))
+        elif suffix == ".npz":
+            found.append(read_npz(at / name, wanted, **how))
+        else:
+            raise InputError(
+                f"identify: recording {short(name)}, expected a file .csv, .txt or .npz"
+            )
     return found
 
 
-def _column(name: str, said: Any) -> Column:
-    if not isinstance(said, dict) or "sensor" not in said:
-        raise InputError(f"identify: column {name} is {said!r}, expected {SAYS['columns']}")
-    for key in said:
-        if key not in Column._fields:
-            raise UnknownName(f"key of column {name}", key, Column._fields)
-    return Column(**said)
-
-
-def _unknown(model: Model, name: str, said: Any) -> Parametrisation:
-    if not isinstance(said, dict) or len({"leaf", "inertia", "tilt"} & set(said)) != 1:
+def _unknown(setup: Setup, name: str, line: Mapping[str, Any]) -> Parametrisation:
+    kinds = [key for key in ("leaf", "inertia", "tilt") if key in line]
+    if len(kinds) != 1:
         raise InputError(
-            f"identify: unknown {name} is {said!r}, expected one of leaf, inertia and tilt, as in "
-            f'{SAYS["unknowns"]}, or {name} = {{inertia = "{model.body_names[-1]}"}}'
+            f"identify: unknown {name} is {short(line)}, expected one of leaf, inertia and tilt, "
+            f'as in {NEEDED["unknowns"]}, or {name} = {{inertia = '
+            f'"{setup.model.body_names[-1]}"}}'
         )
-    for key in said:
-        if key not in OF_UNKNOWN:
-            raise UnknownName(f"key of unknown {name}", key, OF_UNKNOWN)
-    if "tilt" in said:
-        return Tilt()
-    if "inertia" in said:
-        return Inertia(said["inertia"])
-    said = dict(said)
-    if "bounds" in said:
-        said["bounds"] = tuple(map(float, said["bounds"]))
-    if "index" in said:
-        said["index"] = _place(model, said["leaf"], said["index"])
-    return Unknown(**said)
-
-
-def _place(model: Model, leaf: str, index: Any) -> Any:
-    """Places of a leaf; names of bodies, joints or actuators as the first of their numbers."""
-    if isinstance(index, list):
-        places = [_place(model, leaf, one) for one in index]
-        return np.array(places) if all(map(np.isscalar, places)) else tuple(index)
-    if not isinstance(index, str):
-        return index
-    kind = leaf.removeprefix("model.").split(".")[0]
-    names: Sequence[str] = {
-        "bodies": model.body_names, "actuators": model.actuator_names,
-        "controller": model.actuator_names,
-    }.get(kind, model.joint_names)  # fmt: skip
-    if index not in names:
-        raise UnknownName(f"index of {leaf}", index, names)
-    k = list(names).index(index)
-    by_velocity = leaf.endswith((".armature", ".damping"))
-    return model.topology.joint_v[k] if by_velocity else k
+    if kinds[0] != "leaf":
+        others = [key for key in line if key != kinds[0]]
+        if others:
+            raise InputError(
+                f"identify: unknown {name} has {kinds[0]} and {listed(others, 4)}, expected "
+                f"{kinds[0]} only; the other keys belong to a leaf"
+            )
+        if kinds[0] == "tilt":
+            return Tilt()
+        if line["inertia"] not in setup.model.body_names:
+            raise UnknownName("body", line["inertia"], setup.model.body_names)
+        return Inertia(line["inertia"])
+    how = dict(line)
+    if "bounds" in how:
+        how["bounds"] = tuple(map(float, how["bounds"]))
+    if "positive" in how and "bounds" in how:
+        raise InputError(
+            f"identify: unknown {name} has positive and bounds, expected one of them: "
+            "bounds = [0.0, inf] is positive"
+        )
+    if "index" in how:
+        how["index"] = place_of(setup, how["leaf"], how["index"])
+    return Unknown(**how)

@@ -8,22 +8,27 @@ are blank holds no sample of it.
 from __future__ import annotations
 
 import csv
+import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from rbjax.errors import InputError, UnknownName, listed
+from rbjax.errors import InputError, RbjaxError, UnknownName, listed
 from rbjax.sysid.recording import Channel, Recording
-from rbjax.sysid.units import in_si
+from rbjax.sysid.units import OF_SENSORS, TIME, in_si
 
 
 class Column(NamedTuple):
     """What a column of a file, or an array with several columns, measures.
 
-    Fields: sensor, such as "q" or "gyro:imu"; joint, the column's name, or one name a column; unit,
-    scale, sign, noise, as in `Channel`; time, the column with its clock, if not the file's.
+    Fields:
+        sensor: such as "q" or "gyro:imu".
+        joint: the joint's name, or one name a column of an array; the column's name if None.
+        unit, scale, sign: as in `Channel`.
+        noise: standard deviation in SI; of all columns of a sensor, or of none.
+        time: the column with its clock, if not the file's.
     """
 
     sensor: str
@@ -50,7 +55,8 @@ def read_csv(
     """A recording from a table of text.
 
     The header is the first line that holds all the names asked for; lines above it and comments
-    are skipped. Blank cells and "nan" are samples that did not arrive.
+    are skipped. Blank cells and "nan" are samples that did not arrive. Each row has as many cells
+    as the header.
 
     Args:
         path: of the file.
@@ -82,14 +88,25 @@ def read_csv(
     """
     path = _file("read_csv", path)
     wanted = _columns("read_csv", columns)
-    clocks = {c.time or time for c in wanted.values()} if rate is None else set()
+    _characters(delimiter, decimal, comment)
+    clocks = _clocks("read_csv", wanted, time, time_unit, rate)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"read_csv: {path.name} is not a text file in UTF-8 ({error}), expected a table of text"
+        ) from error
     lines = [
         (number, line)
-        for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1)
-        if line.strip() and not line.lstrip().startswith(comment)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not (comment and line.lstrip().startswith(comment))
     ]
-    rows = _cells(path, lines, delimiter)
+    try:
+        rows = _cells(path, lines, delimiter)
+    except csv.Error as error:
+        raise InputError(f"read_csv: {path.name} is not a table of cells: {error}") from error
     header, body = _header(path, rows, [*wanted, *sorted(clocks)])
+    _whole(path, header, body, [*wanted, *sorted(clocks)])
     table = {
         n: _numbers(path, n, header.index(n), body, decimal) for n in (*wanted, *sorted(clocks))
     }
@@ -135,15 +152,23 @@ def read_npz(
     """
     path = _file("read_npz", path)
     wanted = _columns("read_npz", columns)
-    with np.load(path, allow_pickle=False) as file:
-        clocks = {c.time or time for c in wanted.values()} if rate is None else set()
-        for n in (*wanted, *clocks):
-            if n not in file.files:
-                raise UnknownName(f"array of {path.name}", n, file.files)
-        table = {n: _array(path, n, file[n]) for n in (*wanted, *clocks)}
-        for n, c in wanted.items():
-            if isinstance(c.joint, str) and c.joint in file.files:
-                wanted[n] = c._replace(joint=tuple(map(str, file[c.joint])))
+    clocks = _clocks("read_npz", wanted, time, time_unit, rate)
+    try:
+        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:  # one npy is none
+            for n in (*wanted, *clocks):
+                if n not in file.files:
+                    raise UnknownName(f"array of {path.name}", n, file.files)
+            table = {n: _array(path, n, file[n]) for n in (*wanted, *clocks)}
+            for n, c in wanted.items():
+                if isinstance(c.joint, str) and c.joint in file.files:
+                    wanted[n] = c._replace(joint=tuple(map(str, np.ravel(file[c.joint]))))
+    except RbjaxError:
+        raise
+    except Exception as error:  # whatever the bytes of a spoilt archive lead to
+        raise InputError(
+            f"read_npz: {path.name} cannot be read ({str(error)[:200]}), expected a file of "
+            "numpy.savez with arrays of numbers; pickled objects are not read"
+        ) from error
     return _recording(name or path.stem, "read_npz", table, wanted, time, time_unit, rate)
 
 
@@ -156,8 +181,6 @@ def _recording(
     time_unit: str,
     rate: float | None,
 ) -> Recording:
-    if rate is not None and not rate > 0:
-        raise InputError(f"{where}: rate is {rate}, expected a positive number of Hz")
     channels = {}
     for sensor in dict.fromkeys(c.sensor for c in wanted.values()):
         parts = [(n, c) for n, c in wanted.items() if c.sensor == sensor]
@@ -190,6 +213,12 @@ def _recording(
         some = ~np.isnan(x).all(1)
         if len(t) == len(x):
             t, x = t[some], x[some]
+        if None in noises and any(x is not None for x in noises):
+            without = names[noises.index(None)]
+            raise InputError(
+                f"{where}: some columns of {sensor} state their noise and {without} does not, "
+                "expected noise of all columns of a sensor, or of none"
+            )
         noise = None if None in noises else noises
         try:
             channels[sensor] = Channel(t, x, names, noise=noise, dropped="nan")
@@ -210,20 +239,99 @@ def _columns(where: str, columns: Mapping[str, Any]) -> dict[str, Column]:
                 f"({', '.join(Column._fields)}), as in {example}"
             )
         out[n] = Column(*c)
-        if out[n].sign not in (1, -1) or not np.isfinite(out[n].scale) or not out[n].scale:
-            raise InputError(
-                f"{where}: columns[{n!r}] has scale {out[n].scale} and sign {out[n].sign}, "
-                "expected a factor other than 0, and 1 or -1"
-            )
+        _check_column(f"{where}: columns[{n!r}]", out[n])
     return out
 
 
-def _file(where: str, path: str | Path) -> Path:
-    path = Path(path)
-    if not path.is_file():
-        beside = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))
+def _check_column(where: str, c: Column) -> None:
+    if not isinstance(c.sensor, str) or not c.sensor:
+        raise InputError(f'{where} has sensor {c.sensor!r}, expected a name such as "q"')
+    joints = [c.joint] if isinstance(c.joint, str) or c.joint is None else c.joint
+    if not isinstance(joints, (list, tuple)) or not all(
+        isinstance(j, str) or c.joint is None for j in joints
+    ):
         raise InputError(
-            f"{where}: no file {path}; in {path.parent} there are: {listed(beside, 8) or 'none'}"
+            f"{where} has joint {c.joint!r}, expected a joint's name, or a list of them"
+        )
+    numbers = {"scale": c.scale, "sign": c.sign, "noise": 1.0 if c.noise is None else c.noise}
+    for name, x in numbers.items():
+        if isinstance(x, bool) or not isinstance(x, (int, float, np.number)):
+            raise InputError(f"{where} has {name} {x!r}, expected a number")
+    if c.sign not in (1, -1) or not np.isfinite(c.scale) or not c.scale:
+        raise InputError(
+            f"{where} has scale {c.scale} and sign {c.sign}, expected a factor other than 0, and "
+            "1 or -1"
+        )
+    if not 0 < numbers["noise"] < np.inf:
+        raise InputError(f"{where} has noise {c.noise}, expected a standard deviation above 0")
+    if not (c.time is None or isinstance(c.time, str)):
+        raise InputError(f"{where} has time {c.time!r}, expected the name of a column")
+    in_si(c.unit)
+    suited = OF_SENSORS.get(c.sensor.partition(":")[0])
+    if c.unit and suited is not None and c.unit not in suited:
+        raise UnknownName(f"unit of sensor {c.sensor}", c.unit, suited)
+
+
+def _clocks(
+    where: str, wanted: Mapping[str, Column], time: Any, time_unit: Any, rate: Any
+) -> set[str]:
+    """The names of the clocks, none with a rate; all three are checked."""
+    if rate is None:
+        if not isinstance(time, str):
+            raise InputError(f"{where}: time is {time!r}, expected the name of the clock")
+        if time_unit not in TIME:
+            raise UnknownName("unit of time", time_unit, TIME)
+        return {c.time or time for c in wanted.values()}
+    number = isinstance(rate, (int, float, np.number)) and not isinstance(rate, bool)
+    if not number or not 0 < rate < np.inf:
+        raise InputError(f"{where}: rate is {rate!r}, expected a positive number of Hz")
+    return set()
+
+
+def _characters(delimiter: Any, decimal: Any, comment: Any) -> None:
+    one = delimiter is None or (isinstance(delimiter, str) and len(delimiter) == 1)
+    if not one or (delimiter is not None and delimiter in "\r\n\""):
+        raise InputError(
+            f'read_csv: delimiter is {delimiter!r}, expected one character such as ";", or None'
+        )
+    if decimal not in (".", ","):
+        raise InputError(f'read_csv: decimal is {decimal!r}, expected "." or ","')
+    if not isinstance(comment, str):
+        raise InputError(f'read_csv: comment is {comment!r}, expected a text such as "#"')
+
+
+def _whole(
+    path: Path, header: Sequence[str], body: Sequence[tuple[int, list[str]]], names: Sequence[str]
+) -> None:
+    """`InputError` unless names of the header are unique, and rows as long as the header."""
+    for name in names:
+        if header.count(name) > 1:
+            raise InputError(
+                f"read_csv: {path.name} has {header.count(name)} columns called {name!r}, expected "
+                "different names for the columns that are read"
+            )
+    if not body:
+        raise InputError(f"read_csv: {path.name} has no rows below its header, expected numbers")
+    for line, row in body:
+        if len(row) < len(header) or any(row[len(header) :]):
+            raise InputError(
+                f"read_csv: {path.name}, line {line} has {len(row)} cells, expected {len(header)} "
+                "as the header has; a decimal comma needs decimal = ',', and a sample that did not "
+                "arrive is a blank cell between delimiters"
+            )
+
+
+def _file(where: str, path: str | Path) -> Path:
+    try:
+        path = Path(path)
+        there = path.is_file()
+    except (OSError, TypeError, ValueError) as error:
+        text = f"{str(path)[:60]!r} ({type(error).__name__})"
+        raise InputError(f"{where}: path is {text}, expected that of a file") from error
+    if not there:
+        others = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))
+        raise InputError(
+            f"{where}: no file {path}; in {path.parent} there are: {listed(others, 8) or 'none'}"
         )
     return path
 
@@ -260,7 +368,8 @@ def _header(
     head = [row for _, row in rows[:20]]
     for k, row in enumerate(head):
         if set(names) <= set(row):
-            return row, rows[k + 1 :]
+            last = max(i for i, cell in enumerate(row) if cell)  # it may end with a delimiter
+            return row[: last + 1], rows[k + 1 :]
     if not head:
         raise InputError(f"read_csv: {path.name} has no rows, expected a header and numbers")
     likeliest = max(head, key=lambda row: (len(set(names) & set(row)), -head.index(row)))

@@ -17,7 +17,7 @@ and Control of Robots*, ch. 12; Swevers, Verdonck & De Schutter, IEEE Control Sy
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -53,7 +53,7 @@ def regressor(
     a: jax.Array,
     *,
     joint_terms: Sequence[str] = (),
-    smoothing: float = 1e-2,
+    smoothing: float = 0.0,
     tau: jax.Array | None = None,
 ) -> jax.Array:
     """Y(q, v, a) (nv, p) with tau = Y pi, the columns in the order of `parameter_names`.
@@ -65,7 +65,9 @@ def regressor(
         a: (nv,) acceleration.
         joint_terms: of "armature", "viscous", "coulomb", "bias", "gear_loss": columns of every
             joint coordinate except those of free joints.
-        smoothing: v_0 in rad/s or m/s of Coulomb friction at rest; 0 for sign(v).
+        smoothing: v_0 in rad/s or m/s, the width of the step of dry friction at rest. 0 is sign(v),
+            as of a real drive: with a wider step than the drive's, the estimate of its viscous
+            friction is too small. Data of a simulation have that of the simulated friction.
         tau: (nv,) measured torques, which "gear_loss" needs.
 
     Returns:
@@ -106,7 +108,7 @@ def observation_matrix(
     *,
     rows: Sequence[int | str] | slice | None = None,
     joint_terms: Sequence[str] = (),
-    smoothing: float = 1e-2,
+    smoothing: float = 0.0,
     tau: jax.Array | None = None,
 ) -> jax.Array:
     """W (n, rows, p): the regressor at each of n samples of a motion.
@@ -232,8 +234,11 @@ def coordinate_rows(model: Model, rows: Sequence[int | str] | slice | None) -> n
 
 
 def _check_terms(where: str, terms: Any, smoothing: float = 0.0) -> None:
-    if isinstance(terms, str):
-        raise InputError(f"{where}: joint_terms is {terms!r}, expected a list such as [{terms!r}]")
+    if isinstance(terms, str) or not isinstance(terms, Iterable):
+        example = terms if isinstance(terms, str) else "viscous"
+        raise InputError(
+            f"{where}: joint_terms is {terms!r}, expected a list such as [{example!r}]"
+        )
     for term in terms:
         if term not in JOINT_TERMS:
             raise UnknownName("joint term", term, JOINT_TERMS)

@@ -23,6 +23,21 @@ UNITS = {
     "N m": 1.0, "mN m": 1e-3, "kN m": 1e3,
     "A": 1.0, "mA": 1e-3, "V": 1.0, "mV": 1e-3,
 }  # fmt: skip
+#: units of a clock
+TIME = ("s", "ms", "us", "ns", "min")
+_ANGLE, _LENGTH = ("rad", "mrad", "deg", "rev"), ("m", "cm", "mm", "um", "in")
+_RATE, _SPEED = ("rad/s", "deg/s", "rev/s", "rpm"), ("m/s", "cm/s", "mm/s", "km/h")
+_ACCELERATION = ("m/s^2", "mm/s^2", "g0")
+#: sensor of a joint -> its units on a hinge, and on a slide
+MOVES = {"q": (_ANGLE, _LENGTH), "v": (_RATE, _SPEED)}
+_FORCE, _TORQUE, _CURRENT = ("N", "mN", "kN"), ("N m", "mN m", "kN m"), ("A", "mA")
+#: kind of sensor -> the units that it can have, besides "" (SI); others may have any
+OF_SENSORS = {
+    "q": (*_ANGLE, *_LENGTH), "v": (*_RATE, *_SPEED),
+    "a": ("rad/s^2", "deg/s^2", *_ACCELERATION), "tau": (*_TORQUE, *_FORCE, *_CURRENT),
+    "current": _CURRENT, "pose": ("1", *_LENGTH), "position": _LENGTH, "gyro": _RATE,
+    "accelerometer": _ACCELERATION, "force": _FORCE, "torque": _TORQUE,
+}  # fmt: skip
 
 
 def in_si(unit: str) -> float:

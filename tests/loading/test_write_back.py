@@ -69,7 +69,7 @@ def test_mjcf_keeps_all_but_the_numbers(tmp_path):
     gains = model.actuators.replace(
         gain=model.actuators.gain.at[0, 0].set(42.0), bias=model.actuators.bias.at[0, 1].set(-42.0)
     )
-    dry = model.forces[0].replace(coulomb=jnp.array([0.17]), breakaway=jnp.array([0.17]))
+    dry = model.forces[0].replace(coulomb=jnp.array([0.17]))
     model = model.replace(actuators=gains, forces=(dry, *model.forces[1:]))
     out = rb.write_back(model, source, tmp_path / "found.xml")
     same(model, rb.load(tmp_path / "found.xml", friction=True))

@@ -54,17 +54,26 @@ def test_the_bandwidth_is_that_of_one_percent(t):
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_the_error_of_a_derivative_is_of_second_order(times):
-    """Far below the cut-off: (w h)^2/6 of the first derivative, (w h)^2/12 of the second."""
-    w, errors = 2 * np.pi * 2.0, []
-    for rate in (200.0, 400.0):
-        t = np.arange(0, 6, 1 / rate)
-        out = differentiate(t, np.sin(w * t), 0.4 * rate, times=times, order=8)
+def test_the_error_of_a_derivative_is_of_sixth_order(times):
+    """Far below the cut-off: (w h)^6/140 of the first derivative, (w h)^6/560 of the second."""
+    w, errors = 2 * np.pi * 10.0, []
+    for rate in (100.0, 150.0):
+        t = np.arange(0, 12, 1 / rate)
+        out = differentiate(t, np.sin(w * t), 0.45 * rate, times=times, order=12)
         exact = w * np.cos(w * t) if times == 1 else -(w**2) * np.sin(w * t)
-        error = np.abs(out.values - exact)[300:-300].max()
-        assert abs(error / (w**times * (w / rate) ** 2 / (6 * times)) - 1) < 0.05
+        error = np.abs(out.values - exact)[400:-400].max()
+        assert abs(error / (w**times * (w / rate) ** 6 / (140, 560)[times - 1]) - 1) < 0.15
         errors.append(error)
-    assert abs(errors[0] / errors[1] - 4) < 0.1
+    assert abs(errors[0] / errors[1] / 1.5**6 - 1) < 0.2
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_derivatives_of_a_coarse_clock_are_not_too_small(times):
+    """A drive read at 33 Hz that moves at 4 Hz: three-point differences lose 9 % and 4.5 %."""
+    t, w = np.arange(0, 20, 0.03), 2 * np.pi * 4.0
+    out = differentiate(t, np.sin(w * t), 13.0, times=times)
+    amplitude, _ = response(t, out.values, 4.0)
+    assert abs(amplitude / w**times - 1) < 2e-3
 
 
 @CLOCKS

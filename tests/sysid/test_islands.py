@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import PD, Derived, Grid, Setup, Shared, Tilt, Unknown
+from rbjax.sysid import PD, Derived, Grid, Setup, Tilt, Unknown
 from rbjax.sysid.islands import ALL, directions, islands_of
 from rbjax.sysid.runs import Run
 from rbjax.sysid.side_by_side import equal_parts
@@ -57,9 +57,9 @@ def robot(*legs: str) -> rb.Model:
 def problem(model: rb.Model) -> tuple[Setup, dict, Run]:
     n = model.nv
     setup = Setup.of(model, PD(jnp.full(n, 20.0), jnp.full(n, 1.5)), delay=0.013)
-    dry = tuple(Unknown(f"forces.0.{k}", positive=True) for k in ("coulomb", "breakaway"))
     sought = {
-        "armature": Unknown("joints.armature", positive=True), "dry": Shared(dry),
+        "armature": Unknown("joints.armature", positive=True),
+        "dry": Unknown("forces.0.coulomb", positive=True),
         "bias": Unknown("sensors.q.bias"), "delay": Unknown("delay"),
         "mass": Unknown("bodies.mass", positive=True),
     }  # fmt: skip

@@ -47,7 +47,7 @@ def test_the_example_finds_its_truth_and_writes_the_robot(tmp_path):
         ('index = "fore"', 'index = "hand"', "fore"),
         ("run1.csv", "run9.csv", "run1.csv"),
         ("run1.csv", "run1.mat", ".npz"),
-        ("[unknowns]", "[unknowns", "is no TOML"),
+        ("[unknowns]", "[unknowns", "is not a TOML file"),
         ('model = "arm.xml"', "", "has no model"),
         ("[output]\nfolder", "[[output]]\nfolder", "expected a table"),
         ("starts = true", "begin = true", "begin"),

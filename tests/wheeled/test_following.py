@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.quickly import quick_jit
 
 from rbjax import wheeled
 from rbjax.errors import InputError
@@ -194,7 +193,7 @@ def test_stanley_stops_and_takes_no_reverse(dtype: type) -> None:
     path = jnp.asarray(STRAIGHT, dtype)
     assert wheeled.stanley(path, [4.9, 0.1, 0.0], 1.0, 2.0)[0] == 1.0
     assert wheeled.stanley(path, [5.0, 0.1, 0.0], 1.0, 2.0).tolist() == [0, 0, 0]
-    traced = quick_jit(lambda v: wheeled.stanley(path, jnp.zeros(3, dtype), v, 2.0))
+    traced = jax.jit(lambda v: wheeled.stanley(path, jnp.zeros(3, dtype), v, 2.0))
     assert traced(jnp.asarray(-1.0, dtype)).tolist() == [0, 0, 0]
     with pytest.raises(InputError, match="pure_pursuit takes speeds below zero"):
         wheeled.stanley(path, [0.0, 0.1, 0.0], -1.0, 2.0)

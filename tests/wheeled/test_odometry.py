@@ -143,7 +143,7 @@ def test_equal_stamps_do_no_harm_without_slip():
         wheeled.mean_twists(t, poses)
     with pytest.raises(InputError, match=r"t\[1\] is 0.1 after 0.2, expected times that never"):
         wheeled.odometry(ROBOT, t[::-1], angles)
-    traced = quick_jit(lambda t: wheeled.odometry(ROBOT, t, angles, slip))(jnp.asarray(t))
+    traced = jax.jit(lambda t: wheeled.odometry(ROBOT, t, angles, slip))(jnp.asarray(t))
     np.testing.assert_allclose(traced, poses, atol=1e-12)
 
 

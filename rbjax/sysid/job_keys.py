@@ -1,0 +1,211 @@
+"""The keys of a job file: what each one means, and which values it takes.
+
+`docs/job_files.md` has the same tables; a test compares the two.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from rbjax.errors import InputError, UnknownName
+from rbjax.sysid.units import TIME, UNITS
+
+#: characters of a value that a message repeats
+SHOWN = 60
+
+
+class Key(NamedTuple):
+    """A key: the kind of its value (a name of `KINDS`), its default ("" if it must be given, or may
+    be left out without a value), its unit, and its meaning."""
+
+    kind: str
+    default: str
+    unit: str
+    means: str
+
+
+def _number(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < 1e300
+
+
+def _text(x: Any) -> bool:
+    return isinstance(x, str) and bool(x.strip()) and x.isprintable() and len(x) < 1000
+
+
+def _list(each: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda x: isinstance(x, list) and bool(x) and all(map(each, x))
+
+
+def _count(x: Any) -> bool:
+    return isinstance(x, int) and not isinstance(x, bool) and 1 <= x < 10**9
+
+
+def _index(x: Any) -> bool:
+    place = isinstance(x, int) and not isinstance(x, bool) and abs(x) < 2**31
+    return place or _text(x) or _list(_index)(x)
+
+
+def _bounds(x: Any) -> bool:
+    numbers = isinstance(x, list) and len(x) == 2 and all(isinstance(i, (int, float)) for i in x)
+    return numbers and not any(isinstance(i, bool) for i in x) and x[0] < x[1]
+
+
+#: kind of a value -> whether a value is one, and what is expected
+KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "text": (_text, 'a text in quotes, such as "q"'),
+    "texts": (lambda x: _text(x) or _list(_text)(x), "a text in quotes, or a list of them"),
+    "number": (_number, "a finite number"),
+    "factor": (lambda x: _number(x) and x != 0, "a finite number other than 0"),
+    "positive": (lambda x: _number(x) and x > 0, "a finite number above 0"),
+    "not negative": (lambda x: _number(x) and x >= 0, "a finite number, 0 or more"),
+    "numbers": (lambda x: _number(x) or _list(_number)(x), "a finite number, or a list of them"),
+    "positives": (
+        lambda x: all(_number(i) and i > 0 for i in (x if isinstance(x, list) and x else [x])),
+        "a finite number above 0, or a list of them",
+    ),
+    "count": (_count, "an integer, 1 or more"),
+    "yes": (lambda x: isinstance(x, bool), "true or false"),
+    "true": (lambda x: x is True, "true"),
+    "sign": (lambda x: _number(x) and x in (1, -1), "1 or -1"),
+    "unit": (lambda x: isinstance(x, str), 'a unit in quotes, such as "deg"'),
+    "index": (_index, "an integer, a name in quotes, or a list of them"),
+    "bounds": (_bounds, "two numbers [low, high], low below high; -inf and inf for no bound"),
+    "loss": (lambda x: x in ("squares", "huber"), '"squares" or "huber"'),
+    "decimal": (lambda x: x in (".", ","), '"." or ","'),
+    "character": (lambda x: isinstance(x, str) and len(x) == 1, "one character in quotes"),
+}
+
+OF_IDENTIFY = "that of `identify`"
+#: table -> key -> what it is; "" is the head of the file, "columns" and "unknowns" are each line
+KEYS: dict[str, dict[str, Key]] = {
+    "": {
+        "model": Key("text", "", "", "MJCF or URDF file, or the name of a bundled scene"),
+        "floating_base": Key("yes", "false", "", "whether a URDF's root link is free"),
+        "friction": Key("yes", "false", "", "whether the file's friction loss is simulated"),
+        "limits": Key("yes", "false", "", "whether the file's joint limits are simulated"),
+        "motors": Key("yes", "false", "", "whether joints without an actuator get a motor"),
+    },
+    "recordings": {
+        "fit": Key("texts", "", "", "csv, txt or npz files that are fitted"),
+        "held_out": Key("texts", "none", "", "files that are not fitted, for the verdict"),
+        "time": Key("text", '"t"', "", "name of the column, or array, with the clock"),
+        "time_unit": Key("unit", '"s"', "", "of the clock: s, ms, us, ns or min"),
+        "rate": Key("positive", "", "Hz", "of the samples, if the files have no clock"),
+        "delimiter": Key("character", "found by itself", "", "between the cells of csv and txt"),
+        "decimal": Key("decimal", '"."', "", "mark of csv and txt files"),
+        "comment": Key("character", '"#"', "", "with which lines begin that are skipped"),
+    },
+    "columns": {
+        "sensor": Key("text", "", "", "what is measured: the list below"),
+        "joint": Key("texts", "the column's name", "", "joint, of `ctrl` actuator; a list for an "
+                     "array with several columns, or the name of an array with the names"),
+        "unit": Key("unit", '""', "", "of the numbers in the file; SI if empty"),
+        "scale": Key("factor", "1", "", "a further factor: a gear, a torque constant"),
+        "sign": Key("sign", "1", "", "-1 if the sensor counts the other way"),
+        "noise": Key("positive", "estimated", "SI", "standard deviation; of all columns of a sensor"
+                     " or of none"),
+        "time": Key("text", "that of [recordings]", "", "the column's own clock"),
+    },
+    "unknowns": {
+        "leaf": Key("text", "", "", 'array of the set-up, such as "bodies.mass"'),
+        "index": Key("index", "all", "", "entries of the leaf: integers from 0, or names"),
+        "positive": Key("yes", "false", "", "whether the numbers are above 0"),
+        "bounds": Key("bounds", "none", "SI", "[low, high], neither of which is reached"),
+        "scale": Key("positive", "1", "SI", "of free numbers: a large change"),
+        "inertia": Key("text", "", "", "instead of leaf: the body whose ten inertial parameters "
+                       "are sought"),
+        "tilt": Key("true", "", "", "instead of leaf: the direction of gravity is sought"),
+    },
+    "controller": {
+        "kp": Key("numbers", "0", "N m/rad", "ctrl = kp (command - q) - kd v; one, or one for each "
+                  "actuator"),
+        "kd": Key("numbers", "0", "N m s/rad", "as kp"),
+        "delay": Key("not negative", "none", "s", "from a command to its action; can be unknown"),
+        "longest_delay": Key("positive", "3 delays", "s", "up to which an unknown delay is sought"),
+    },
+    "sensors": {
+        "current": Key("positives", "", "N m/A", "torque constant at each joint, if `current` is a "
+                       "sensor"),
+    },
+    "options": {
+        "starts": Key("yes", OF_IDENTIFY, "", "whether initial states are estimated"),
+        "pieces": Key("positive", "none", "s", "length of pieces that are fitted first"),
+        "shooting": Key("positive", "none", "s", "length of pieces that are tied (multiple "
+                        "shooting), for a long or chaotic motion"),
+        "many_starts": Key("count", "none", "", "fits from so many first guesses (`many_starts`)"),
+        "loss": Key("loss", OF_IDENTIFY, "", '"huber": outliers count less'),
+        "steps": Key("count", OF_IDENTIFY, "", "evaluations of the residual at most"),
+        "period": Key("positive", "the finest clock", "s", "for which a command is held"),
+        "substeps": Key("count", "1", "", "steps of integration in a period"),
+    },
+    "output": {
+        "folder": Key("text", "the file's name", "", "within the file's folder, for the results"),
+    },
+}  # fmt: skip
+#: what must be there, and an example of it
+NEEDED = {
+    "model": 'model = "robot.xml"',
+    "recordings": '[recordings] with fit = ["run.csv"]',
+    "columns": '[columns] with lines such as "elbow angle" = {sensor = "q", joint = "elbow"}',
+    "unknowns": '[unknowns] with lines such as damping = {leaf = "joints.damping"}, each with one '
+                "of leaf, inertia and tilt",
+}
+
+
+def check(given: Mapping[str, Any]) -> None:
+    """`InputError` or `UnknownName` unless the tables and keys are those of `KEYS`, and each value
+    is of its kind."""
+    heads, tables = KEYS[""], [table for table in KEYS if table]
+    for key in given:
+        if key not in heads and key not in tables:
+            raise UnknownName("key of the configuration", key, [*heads, *tables])
+    for key, example in NEEDED.items():
+        if key not in given or given[key] == {}:
+            raise InputError(f"identify: the configuration has no {key}, expected {example}")
+    _values("", {k: v for k, v in given.items() if k in heads}, "")
+    for table in tables:
+        inside = given.get(table, {})
+        if not isinstance(inside, dict):
+            raise InputError(f"identify: {table} is {short(inside)}, expected a table [{table}]")
+        if table not in ("columns", "unknowns"):
+            _values(table, inside, f"[{table}]")
+            continue
+        for name, line in inside.items():
+            if not _text(name):
+                raise InputError(f"identify: [{table}] has the name {short(name)}, expected a text")
+            if not isinstance(line, dict):
+                raise InputError(
+                    f"identify: [{table}] {name} is {short(line)}, expected {NEEDED[table]}"
+                )
+            _values(table, line, f"[{table}] {name}")
+    if not given["recordings"].get("fit"):
+        raise InputError(f"identify: [recordings] has no fit, expected {NEEDED['recordings']}")
+    unit = given["recordings"].get("time_unit", "s")
+    if unit not in TIME:
+        raise UnknownName("unit of time", unit, TIME)
+
+
+def _values(table: str, given: Mapping[str, Any], where: str) -> None:
+    for key, value in given.items():
+        if key not in KEYS[table]:
+            raise UnknownName(f"key of {where or 'the configuration'}", key, KEYS[table])
+        fits, expected = KINDS[KEYS[table][key].kind]
+        if not fits(value):
+            if key == "held_out" and value == []:
+                continue
+            if key == "fit" and value == []:
+                continue  # named as missing
+            at = f"{where} {key}".strip()
+            raise InputError(f"identify: {at} is {short(value)}, expected {expected}")
+        if KEYS[table][key].kind == "unit" and value not in UNITS:
+            raise UnknownName(f"unit of {where}", value, UNITS)
+
+
+def short(value: Any) -> str:
+    """A value for a message."""
+    if isinstance(value, int) and abs(value) > 10**SHOWN:
+        return f"an integer of {int(math.log10(abs(value))) + 1} digits"
+    text = repr(value)
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
