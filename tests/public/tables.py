@@ -14,9 +14,9 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tests.constraints.mechanisms import pendulum
 
 import rbjax as rb
+from benchmarks.cases.mechanisms import pendulum
 from rbjax import constraints, control, planning, rotations, stability, sysid
 from tests import test_registry as of_models
 from tests.body import test_composes as of_bodies
