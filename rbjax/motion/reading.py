@@ -174,9 +174,10 @@ class Reader:
             return ("environ", *sorted(x.items())), None
         if kind in (dict, defaultdict):  # in its order, which a pytree forgets
             due, keys = tuple(x), tuple(self.read(k, True)[0] for k in x)
-            first = () if kind is dict else (x.default_factory,)
+            first: tuple = () if kind is dict else (x.default_factory,)
             missing = tuple(self.read(f, True)[0] for f in first)
-            make = lambda v: kind(*first, zip(due, v, strict=True))  # noqa: E731
+            again: Any = kind
+            make = lambda v: again(*first, zip(due, v, strict=True))  # noqa: E731
             return self._parts((kind, keys, missing), x.values(), held, make)
         if kind in (set, frozenset):
             return self._parts(kind, x, True)

@@ -108,10 +108,10 @@ class _Frame:
             and layout.strides == row_major(layout.sample)
         ]  # fmt: skip
 
-    def parts(self, samples: int | None = None) -> Parts:
+    def parts(self, share: int | None = None) -> Parts:
         each, count = _shares(self.program, self.size, self.lanes)
-        if samples is not None:
-            each, count = samples, self.size // samples
+        if share is not None:
+            each, count = share, self.size // share
         lines, samples = self.lines, self.samples
         names = self.begin(each, count)
         lines += ["br label %ahead", "ahead:", "br label %turn", "turn:"]

@@ -39,7 +39,7 @@ def spread(
             for level in levels:
                 axis = axes[level]
                 over = spec[axis] if spec and axis is not None and axis < len(spec) else None
-                names = {*over} if isinstance(over, tuple) else {over} - {None}
+                names = {*over} if isinstance(over, tuple) else {over} if over else set()
                 if found[level] is None and names and not names & taken:
                     found[level] = over
                     taken |= names
