@@ -69,12 +69,9 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
     if urdf or place is None:
         again = from_compiled(_compile_source(out, floating_base=floating)[0])
     else:
-        beside = place.parent / f".{place.stem}.rbjax.xml"  # so that its meshes are found
-        beside.write_text(out, encoding="utf-8")
-        try:
-            again = from_compiled(_compile_source(beside, floating_base=False)[0])
-        finally:
-            beside.unlink()
+        spec = mujoco.MjSpec.from_string(out)
+        spec.modelfiledir = str(place.parent.resolve())  # so that its meshes are found
+        again = from_compiled(_compile_source(spec, floating_base=False)[0])
     _check(model, jax.tree.map(np.asarray, again), urdf)
     if path is not None:
         Path(path).write_text(out, encoding="utf-8")

@@ -73,7 +73,8 @@ def simulate(
     XLA (docs/threads.md).
 
     A function (control, tau, wrenches, law) is known by what it reads, and not by which object it
-    is (`rollout`).
+    is (`rollout`). For arrays on a mesh of explicit axes call it inside `jax.jit`: outside, each
+    call compiles.
 
     Args:
         model: the robot.

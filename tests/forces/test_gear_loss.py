@@ -57,3 +57,30 @@ def test_inverse_dynamics_of_the_motion_is_the_column_of_the_regressor():
     np.testing.assert_allclose(Y @ pi, motors, rtol=2e-5)
     with pytest.raises(InputError, match="gear_loss"):
         sysid.regressor(MODEL, q, v, a, joint_terms=terms)
+
+
+KINDS = {
+    "affine": "",
+    "filtered": 'dyntype="filter" dynprm="0.1"',
+    "limited": 'forcelimited="true" forcerange="-0.4 0.4"',
+}
+
+
+@pytest.mark.parametrize("limited", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_takes_the_forces_of_all_kinds_of_actuators_within_the_limits(kind, limited):
+    """A force of 2 (x = 1 or u = 1, gear 2), or 0.8 where the actuator is limited, or 0.3 where
+    the joint is."""
+    text = ARM.replace('<joint name="b"', '<joint name="b" ' + limited * (
+        'actuatorfrclimited="true" actuatorfrcrange="-0.3 0.3" '
+    )).replace('<motor name="b" joint="b"/>', f'<general joint="b" gear="2" {KINDS[kind]}/>')
+    model = rb.load(text)
+    acting = model.with_forces(rb.forces.GearLoss.of(model, ["b"], 0.5, smoothing=1e-3))
+    for dtype in (jnp.float32, jnp.float64):
+        v = jnp.ones(2, dtype)
+        state = rb.State(0 * v, v, jnp.ones(model.nx, dtype) if model.nx else None)
+        u = jnp.array([0.0, 1.0], dtype)
+        lost = rb.applied_forces(model, state, u) - rb.applied_forces(acting, state, u)
+        force = 0.3 if limited else 0.8 if kind == "limited" else 2.0
+        np.testing.assert_allclose(lost, [0.0, 0.5 * force], rtol=1e-6, atol=1e-6)
+        assert lost.dtype == dtype

@@ -1,5 +1,6 @@
 """One force on many bodies is the sum of the forces on each."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,3 +44,38 @@ def test_the_sum_is_the_same(driver):
         for kind in (Together, OneByOne)
     )
     assert relative_error(found, want) < F64_IDENTITY
+
+
+class More(Element):
+    """On each body a force, and what a loop over bodies does not cover: another body, a joint, or
+    an acceleration."""
+
+    k: jax.Array
+    what: str = eqx.field(static=True)
+
+    def loads(self, now):
+        first = now.model.joint_names[-1]
+
+        def act(body, k):
+            own = body.push(rb.lanes.Vec3(0.0, k, 0.0))
+            if self.what == "joint":
+                return own + now.joint(first).push(k)
+            if self.what == "body":
+                return own + now.body(0).at([0.0, 0.0, 0.3]).push(rb.lanes.Vec3(k, 0.0, 0.0))
+            tip = body.at([0.1, 0.0, 0.2])
+            return tip.push(tip.acceleration * k)
+
+        return rb.forces.on_each(now, range(now.model.nb), act, self.k)
+
+
+@pytest.mark.parametrize("what", ["joint", "body", "acceleration"])
+def test_what_a_loop_does_not_cover_does_not_depend_on_the_driver(what):
+    found = []
+    for driver in ("unrolled", "rolled", "limbs"):
+        model = rb.load("double_pendulum").replace(driver=driver)
+        model = model.with_forces(More(jnp.array([1.0, 2.0]), what))
+        state = rb.State(jnp.array([0.3, 1.0]), jnp.array([0.5, -0.2]))
+        found.append(np.asarray(rb.applied_forces(model, state)))
+    assert np.abs(found[0]).max() > 1e-2
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], rtol=1e-12)

@@ -3,10 +3,13 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import rbjax as rb
 from rbjax.forces.acting import states
+from rbjax.forces.activation import Integrator
 from rbjax.forces.instant import Instant
+from rbjax.forces.orientation_servo import OrientationServo
 from tests.forces.actuated import errors, limbs
 from tests.robots import load_quietly
 from tests.tolerances import F64_PARITY
@@ -43,3 +46,25 @@ def test_derivatives_are_finite_at_the_target():
 
     slopes = jax.jit(jax.jacfwd(torque, (0, 1)))(state.q, u, model)
     assert all(np.isfinite(x).all() for x in slopes)
+
+
+@pytest.mark.parametrize("batch", [0, 1])
+def test_its_early_target_is_that_of_the_step_and_not_of_the_models_timestep(batch):
+    text = (
+        '<mujoco><option gravity="0 0 0" timestep="{}"/><worldbody><body>'
+        '<joint type="ball"/><geom type="box" size=".1 .2 .3"/></body></worldbody><actuator>'
+        + '<general joint="joint0"/>' * 3 + "</actuator></mujoco>"
+    ).replace('<joint type="ball"/>', '<joint name="joint0" type="ball"/>')
+    ends = []
+    for timestep in (0.002, 0.02):
+        model = rb.load(text.format(timestep))
+        servo = OrientationServo(
+            jnp.array([5.0, 0.0, 1.0]), jnp.tile(jnp.array([-9.0, 9.0]), (3, 1)),
+            jnp.array(jnp.inf), Integrator(jnp.array([-jnp.inf, jnp.inf])), (0, 1, 2), joint=0,
+            early=True,
+        )  # fmt: skip
+        model = model.with_forces(servo)
+        state = model.default_state()
+        state = jax.tree.map(lambda x: x[None], state) if batch else state
+        ends.append(rb.rollout(model, state, jnp.ones((5, 3)), 0.02).q[..., -1, :])
+    np.testing.assert_array_equal(*ends)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from tests.robots import load_quietly
 
 TWO = """<robot name="two">
   <link name="base"/>
@@ -39,3 +40,36 @@ def test_what_is_driven_gets_no_second_motor():
     want = rb.applied_forces(plain, state, jnp.array([0.5])) + jnp.array([0.0, 2.0])
     np.testing.assert_allclose(force, want)
     assert more.keyframes.ctrl.shape[1] == 2
+
+
+ONE = '<body><joint name="{0}"/><geom size=".1"/>{1}</body>'
+DRIVES = {
+    "filtered": '<general joint="j" dyntype="filter" dynprm="0.1"/>',
+    "muscle": '<muscle joint="j" lengthrange="-1 1"/>',
+    "servo": '<intvelocity joint="j" kp="1" actrange="-1 1"/>',
+    "tendon": '<motor tendon="t"/>',
+    "motor": '<motor joint="j"/>',
+}
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_a_joint_that_any_actuator_drives_gets_no_second_motor(drive):
+    text = (
+        f'<mujoco><worldbody>{ONE.format("j", ONE.format("k", ""))}</worldbody><tendon>'
+        '<fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+        f"<actuator>{DRIVES[drive]}</actuator></mujoco>"
+    )
+    plain = load_quietly(text)
+    assert load_quietly(text, motors=True).actuator_names == (*plain.actuator_names, "k")
+
+
+def test_followers_get_none_and_names_stay_unique():
+    follows = TWO.replace('type="prismatic">', 'type="prismatic"><mimic joint="shoulder"/>')
+    assert load_quietly(follows, motors=True).actuator_names == ("shoulder",)
+    apart = load_quietly(follows, motors=True, constraints=False)
+    assert apart.actuator_names == ("shoulder", "reach")
+    taken = (
+        f'<mujoco><worldbody>{ONE.format("j", ONE.format("k", ""))}</worldbody>'
+        '<actuator><motor name="k" joint="j"/></actuator></mujoco>'
+    )
+    assert load_quietly(taken, motors=True).actuator_names == ("k", "k_motor")

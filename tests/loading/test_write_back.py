@@ -99,3 +99,23 @@ def test_what_a_file_cannot_say_is_named():
         rb.write_back(armed, URDF)
     with pytest.raises(rb.InputError, match="body_names"):
         rb.write_back(rb.load("pendulum"), URDF)
+
+
+def test_nothing_is_written_beside_the_file(tmp_path, monkeypatch) -> None:
+    """Its meshes are found all the same."""
+    corners = "0 0 0  0.1 0 0  0 0.1 0  0 0 0.1"
+    faces = "0 2 1  0 1 3  0 3 2  1 2 3"
+    lines = [f"v {x}" for x in corners.split("  ")]
+    lines += ["f " + " ".join(str(int(k) + 1) for k in face.split()) for face in faces.split("  ")]
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "t.obj").write_text("\n".join(lines))
+    (tmp_path / "robot.xml").write_text(
+        '<mujoco><compiler meshdir="meshes"/><asset><mesh name="t" file="t.obj"/></asset>'
+        '<worldbody><body name="b"><joint name="j"/><geom type="mesh" mesh="t"/></body></worldbody></mujoco>'
+    )
+    model = rb.load(tmp_path / "robot.xml")
+    heavy = model.replace(bodies=model.bodies.replace(mass=2 * model.bodies.mass))
+    monkeypatch.setattr(type(tmp_path), "write_text", None)  # a folder that cannot be written to
+    out = rb.write_back(heavy, tmp_path / "robot.xml")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["meshes", "robot.xml"]
+    assert f"{float(heavy.bodies.mass[0]):.8g}"[:6] in out
