@@ -64,7 +64,8 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
     Args:
         A: (n, n). B: (n, m).
         Q: (n, n), symmetric; or the weights (n,).
-        R: (m, m), symmetric and positive definite; or the weights (m,). If discrete only R + B'PB need be.
+        R: (m, m), symmetric and positive definite; or the weights (m,). If discrete, R + B'PB must
+            be positive definite instead.
         S: (n, m), of 2 x'Su; 0 if None.
         discrete: whether x+ = A x + B u instead of dx/dt = A x + B u.
 

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.control.augmented_lagrangian import Multipliers
 from rbjax.control.first_guess import first_guess
@@ -33,7 +34,7 @@ from rbjax.control.products import product
 from rbjax.control.system import system_of
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.arguments import check_between, check_whole
 from rbjax.threads import threads
 
 HARDEST = 1e4  # the largest penalty with which a tick begins
@@ -357,6 +358,8 @@ def mpc(
         ("first", first, 1),
     ):  # fmt: skip
         check_whole("mpc", name, value, least)
+    for name, number in (("tolerance", tolerance), ("violation", violation)):
+        check_between("mpc", name, number, 0.0, np.inf)
     if fallback is None:
         nu = example.nu
         fallback = lambda t, state: jnp.zeros(nu)  # noqa: E731

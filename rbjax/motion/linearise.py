@@ -118,8 +118,8 @@ def linearise(
             or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
 
     Returns:
-        `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx; rows and columns are dq on the tangent space,
-        in the coordinates of v, then dv, then the states of force elements.
+        `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx;
+        rows and columns are dq on the tangent space, in the coordinates of v, then dv, then the states of force elements.
 
     Raises:
         InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
