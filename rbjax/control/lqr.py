@@ -145,7 +145,7 @@ def lqr_at(
     linear = linearise(
         model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints
     )
-    A, B, Q, R, S = _matrices("lqr_at", *linear, Q, R, S)
+    A, B, Q, R, S = _matrices("lqr_at", linear.A, linear.B, Q, R, S)
     P, K, residual, error, result = riccati(A, B, Q, R, S, dt is not None)
     raise_failure("lqr_at", result)
     return Regulator(K, P, residual, error, result, linear.acceleration)

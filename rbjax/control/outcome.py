@@ -48,7 +48,8 @@ def raise_failure(where: str, result: Any) -> None:
     if any(isinstance(x, jax.core.Tracer) or x.ndim for x in values):
         return
     if not bool(result == LINEAR_RESULTS.successful):
-        raise InputError(f"{where}: {LINEAR_RESULTS[result]}")
+        sentences: Any = LINEAR_RESULTS
+        raise InputError(f"{where}: {sentences[result]}")
 
 
 def first_of(*cases: tuple[Any, Any]) -> Any:

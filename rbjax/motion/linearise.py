@@ -119,7 +119,8 @@ def linearise(
 
     Returns:
         `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx;
-        rows and columns are dq on the tangent space, in the coordinates of v, then dv, then the states of force elements.
+        rows and columns are dq on the tangent space, in the coordinates of v, then dv, then the
+        states of force elements.
 
     Raises:
         InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
