@@ -37,6 +37,13 @@ def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> 
     return Multipliers(*zero, jnp.asarray(PENALTY, dtype))
 
 
+def later(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
+    """Multipliers of a motion that begins later. at (N,): the knots that its knots were before."""
+    if multipliers is None:
+        return None
+    return multipliers._replace(path=multipliers.path[at])
+
+
 def penalised(
     c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
 ) -> jax.Array:

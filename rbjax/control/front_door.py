@@ -8,6 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.constants import Known
@@ -21,7 +22,7 @@ from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError
 from rbjax.motion.captured import with_captured
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.arguments import check_between, check_whole
 
 
 def solve(
@@ -71,7 +72,8 @@ def solve(
         constants to derivatives.
 
     Raises:
-        InputError: wrong types or shapes. UnknownName: no such method.
+        InputError: wrong types or shapes; outside of traced code also numbers that are not finite.
+        UnknownName: no such method.
 
     Source: Mastalli et al., *Crocoddyl*, ICRA 2020 (`ddp`).
 
@@ -93,6 +95,11 @@ def solve(
         able = [name for name, m in METHODS.items() if m.constraints]
         raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
     check_whole("solve", "iterations", iterations, 1)
+    for name, value in (("tolerance", tolerance), ("violation", violation)):
+        check_between("solve", name, value, 0.0, np.inf)
+    for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
+                        ("numbers", numbers)):  # fmt: skip
+        _check_finite(name, value)
     inside = inside_jit()
     show = progress and not inside
     number = jnp.asarray if inside else _plain
@@ -131,6 +138,24 @@ def solve(
         finally:
             jax.effects_barrier()
             _lines.pop()
+
+
+def _check_finite(name: str, value: Any) -> None:
+    """`InputError` if a number is not finite. Traced values and those of a GPU are not read: there
+    the outcome is `NOT_FINITE`."""
+    for x in jax.tree.leaves(value):
+        if isinstance(x, jax.core.Tracer) or (isinstance(x, jax.Array) and not _on_host(x)):
+            continue
+        try:
+            whole = np.isfinite(np.asarray(x, float)).all()
+        except (TypeError, ValueError):  # another check names the type
+            continue
+        if not whole:
+            raise InputError(f"solve: {name} has numbers that are not finite, expected finite ones")
+
+
+def _on_host(x: jax.Array) -> bool:
+    return all(d.platform == "cpu" for d in x.devices())
 
 
 _lines: list[Say] = []  # of the searches that run now

@@ -19,11 +19,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
+from rbjax.control.outcome import raise_failure
 from rbjax.control.riccati import Gains, backward, constant_problem
+from rbjax.control.terms import looked_at
 from rbjax.dynamics.arguments import check_array, check_model, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -37,7 +40,8 @@ class Regulator(NamedTuple):
     """Fields: K (m, n), u = -K x; P (n, n), the least cost x'Px; residual (), the largest entry
     that is left over of the Riccati equation, over its largest term; error (), what rounding of
     those terms can do to P, relative to P; result, of `LINEAR_RESULTS`. Without a solution K and P
-    are 0.
+    are 0. acceleration (nv,), that the controls leave at the state of `lqr_at`: zero at an
+    equilibrium, None of `lqr`.
     """
 
     K: jax.Array
@@ -45,6 +49,7 @@ class Regulator(NamedTuple):
     residual: jax.Array
     error: jax.Array
     result: Any
+    acceleration: jax.Array | None = None
 
 
 def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False) -> Regulator:
@@ -58,18 +63,20 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
 
     Args:
         A: (n, n). B: (n, m).
-        Q: (n, n), of which the symmetric part counts; or the weights (n,).
-        R: (m, m), positive definite; or the weights (m,). If discrete only R + B'PB need be.
+        Q: (n, n), symmetric; or the weights (n,).
+        R: (m, m), symmetric and positive definite; or the weights (m,). If discrete, R + B'PB must
+            be positive definite instead.
         S: (n, m), of 2 x'Su; 0 if None.
         discrete: whether x+ = A x + B u instead of dx/dt = A x + B u.
 
     Returns:
         `Regulator`, of the solution for which A - BK is stable. It is found where Q is positive
         semidefinite (with S) and (A, B) can be stabilised, unless a mode on the edge of stability
-        costs nothing; else `result` says what is wrong.
+        costs nothing; else `result` says what is wrong in traced code.
 
     Raises:
-        InputError: shapes, values that are not finite.
+        InputError: shapes, values that are not finite, Q or R that is not symmetric; outside of
+            traced code also if there is no stabilising solution.
 
     Differentiable in all matrices, in both modes, by the implicit function theorem. f64 gives 1e-12
     on problems of moderate condition; `error` estimates it.
@@ -84,6 +91,7 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
     """
     A, B, Q, R, S = _matrices("lqr", A, B, Q, R, S)
     P, K, residual, error, result = riccati(A, B, Q, R, S, bool(discrete))
+    raise_failure("lqr", result)
     return Regulator(K, P, residual, error, result)
 
 
@@ -115,10 +123,11 @@ def lqr_at(
         integrator, law, constraints: as in `rb.linearise`.
 
     Returns:
-        `Regulator`. `feedback` makes a policy of its K.
+        `Regulator`. `feedback` makes a policy of its K. If its acceleration is not zero, ctrl does
+        not hold the state, and the law comes to rest beside it.
 
     Raises:
-        InputError: as `rb.linearise`, and shapes of weights.
+        InputError: as `rb.linearise` and `lqr`.
 
     Constraints take directions out of the reach of every control, and their modes neither grow nor
     decay: such a model is `not_stabilisable` in all its coordinates.
@@ -133,12 +142,13 @@ def lqr_at(
         >>> lqr_at(model, up, jnp.zeros(1), jnp.ones(2), jnp.ones(1)).K.shape
         (1, 2)
     """
-    A, B = linearise(
+    linear = linearise(
         model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints
     )
-    A, B, Q, R, S = _matrices("lqr_at", A, B, Q, R, S)
+    A, B, Q, R, S = _matrices("lqr_at", linear.A, linear.B, Q, R, S)
     P, K, residual, error, result = riccati(A, B, Q, R, S, dt is not None)
-    return Regulator(K, P, residual, error, result)
+    raise_failure("lqr_at", result)
+    return Regulator(K, P, residual, error, result, linear.acceleration)
 
 
 def lqr_finite(
@@ -222,6 +232,19 @@ def weights(where: str, name: str, value: Any, n: int) -> jax.Array:
     return jnp.diag(x) if x.ndim == 1 else x
 
 
+def _check_symmetric(where: str, name: str, W: jax.Array) -> None:
+    """`InputError` if a matrix is not symmetric. Traced values are not checked."""
+    known = looked_at(W)
+    if known is None:
+        return
+    off = np.abs(known - known.T).max()
+    if off > np.sqrt(np.finfo(W.dtype).eps) * np.abs(known).max():
+        raise InputError(
+            f"{where}: {name} is not symmetric, {name} - {name}' has entries up to {off:.3g}; give "
+            f"({name} + {name}') / 2"
+        )
+
+
 def _matrices(where: str, A: Any, B: Any, Q: Any, R: Any, S: Any) -> tuple[jax.Array, ...]:
     shapes = shape_of(where, "A", A), shape_of(where, "B", B)
     if len(shapes[0]) != 2 or len(shapes[1]) != 2 or not (shapes[0][0] and shapes[1][1]):
@@ -233,6 +256,8 @@ def _matrices(where: str, A: Any, B: Any, Q: Any, R: Any, S: Any) -> tuple[jax.A
     n, m = shapes[0][0], shapes[1][1]
     A, B = check_array(where, "A", A, (n, n)), check_array(where, "B", B, (n, m))
     Q, R = weights(where, "Q", Q, n), weights(where, "R", R, m)
+    for name, W in (("Q", Q), ("R", R)):
+        _check_symmetric(where, name, W)
     S = jnp.zeros_like(B) if S is None else check_array(where, "S", S, (n, m))
     dtype = jnp.result_type(A, B, Q, R, S)
     return tuple(x.astype(dtype) for x in (A, B, Q, R, S))

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.compiling import compiled
-from rbjax.control.outcome import LINEAR_RESULTS, first_of
+from rbjax.control.outcome import LINEAR_RESULTS, first_of, raise_failure
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, shape_of
 from rbjax.errors import InputError, UnknownName
@@ -53,10 +53,12 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
             with (n^2, n^2) linear systems.
 
     Returns:
-        `Lyapunov`. By doubling, where A is not stable the result is `not_stable` and X is 0.
+        `Lyapunov`. By doubling, if A is not stable, the result is `not_stable` in traced code and
+        X is 0.
 
     Raises:
-        InputError: shapes, values that are not finite; UnknownName: the method.
+        InputError: shapes, values that are not finite; outside of traced code also if there is no
+            solution. UnknownName: the method.
 
     Differentiable in A and Q in both modes, by the implicit function theorem.
 
@@ -73,7 +75,9 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
     A, Q = A.astype(dtype), Q.astype(dtype)
     if method not in METHODS:
         raise UnknownName("method of lyapunov", method, METHODS)
-    return _lyapunov(A, Q, bool(discrete), method)
+    found = _lyapunov(A, Q, bool(discrete), method)
+    raise_failure("lyapunov", found.result)
+    return found
 
 
 @functools.partial(compiled, static_argnums=(2, 3))

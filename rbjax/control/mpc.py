@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from rbjax.control.augmented_lagrangian import Multipliers
+from rbjax.control.augmented_lagrangian import Multipliers, later
 from rbjax.control.first_guess import first_guess
 from rbjax.control.knots import violation
 from rbjax.control.methods import METHODS
@@ -33,7 +34,7 @@ from rbjax.control.products import product
 from rbjax.control.system import system_of
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.arguments import check_between, check_whole
 from rbjax.threads import threads
 
 HARDEST = 1e4  # the largest penalty with which a tick begins
@@ -148,17 +149,17 @@ class Controller:
             u = self._acted(problem, entry, t, x)
             return u, self._shifted(problem, memory), entry.result
         now: Decided = jax.tree.map(lambda a: a[0], memory.decided)
-        later: Decided = jax.tree.map(lambda a: a[1:], memory.decided)
+        coming: Decided = jax.tree.map(lambda a: a[1:], memory.decided)
         u = self._acted(problem, now, t, x)
         step = threads(problem.system.step)
         ahead = step(problem.time(0, problem.dt), x, u, problem.dt)
         for k in range(self.delay - 1):
-            entry = jax.tree.map(lambda a, k=k: a[k], later)
+            entry = jax.tree.map(lambda a, k=k: a[k], coming)
             ahead = step(problem.time(k + 1, problem.dt), ahead, entry.u, problem.dt)
         problem = self.problem_at(t + self.delay * problem.dt)
         memory = self._planned(problem, memory, ahead)
         new = self._entry(memory, 0)
-        decided = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), later, new)
+        decided = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), coming, new)
         memory = self._shifted(problem, memory)
         return u, memory._replace(decided=decided), now.result
 
@@ -211,7 +212,7 @@ class Controller:
             knots = jax.tree.map(lambda a: a[late], memory.knots)
             ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
             shifted = memory._replace(
-                knots=knots, ctrls=ctrls, multipliers=_later(memory.multipliers, late[:-1])
+                knots=knots, ctrls=ctrls, multipliers=later(memory.multipliers, late[:-1])
             )
             planned = self._planned(problem, shifted, x)
             return self._acted(problem, self._entry(planned, 0), t, x)
@@ -260,8 +261,8 @@ class Controller:
         after = threads(problem.step)(k, last, ctrls[-1])
         after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
         knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
-        later = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
-        multipliers = _later(memory.multipliers, later)
+        at = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
+        multipliers = later(memory.multipliers, at)
         return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> Decided:
@@ -357,6 +358,8 @@ def mpc(
         ("first", first, 1),
     ):  # fmt: skip
         check_whole("mpc", name, value, least)
+    for name, number in (("tolerance", tolerance), ("violation", violation)):
+        check_between("mpc", name, number, 0.0, np.inf)
     if fallback is None:
         nu = example.nu
         fallback = lambda t, state: jnp.zeros(nu)  # noqa: E731
@@ -373,13 +376,6 @@ def _multipliers(found: Any) -> Multipliers | None:
     if found.penalty is None:
         return None
     return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))
-
-
-def _later(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
-    """Multipliers of a plan that begins later. at (N,): the knots that its knots were before."""
-    if multipliers is None:
-        return None
-    return multipliers._replace(path=multipliers.path[at])
 
 
 def _problem_at(problem: Any) -> Callable[[Any], Problem]:

@@ -6,6 +6,9 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax
+
+from rbjax.errors import InputError
 
 GOING, CONVERGED, BUDGET, INFEASIBLE, STUCK, NOT_FINITE = range(6)
 
@@ -37,6 +40,16 @@ class LINEAR_RESULTS(eqx.Enumeration):
     )
     not_stable = "The matrix is not stable, so the sum over all time has no limit."
     unreachable = "The controls do not reach the target within the horizon."
+
+
+def raise_failure(where: str, result: Any) -> None:
+    """Raises `InputError` unless the result is `successful`. A traced result stays a value."""
+    values = jax.tree.leaves(result)
+    if any(isinstance(x, jax.core.Tracer) or x.ndim for x in values):
+        return
+    if not bool(result == LINEAR_RESULTS.successful):
+        sentences: Any = LINEAR_RESULTS
+        raise InputError(f"{where}: {sentences[result]}")
 
 
 def first_of(*cases: tuple[Any, Any]) -> Any:

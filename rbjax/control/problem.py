@@ -248,8 +248,8 @@ class Problem(Record):
         """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
         whose squares are halved and summed."""
         system, dt = self.at(knot.numbers)
-        value = jnp.asarray(
-            cost.term(system.model, self.time(k, dt), knot.state, ctrl), dt.dtype
+        value = _array(
+            cost.term, cost.term(system.model, self.time(k, dt), knot.state, ctrl), dt.dtype
         )
         w = jnp.asarray(cost.weight, dt.dtype)
         if self.integral and where == "path":
@@ -271,15 +271,25 @@ class Problem(Record):
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of a constraint at a knot."""
         system, dt = self.at(knot.numbers)
-        return jnp.ravel(
-            c.term(system.model, self.time(k, dt), knot.state, ctrl)
-        ).astype(dt.dtype)
+        value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
+        return jnp.ravel(_array(c.term, value, dt.dtype))
 
     def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
         held = [c for c in self.constraints if c.where in (where, "all")]
         none = jnp.zeros(0, knot.numbers.dtype)
         return jnp.concatenate([none, *(self.row(c, k, knot, ctrl) for c in held)])
+
+
+def _array(term: Term, value: Any, dtype: Any) -> jax.Array:
+    """The value of a term."""
+    try:
+        return jnp.asarray(value, dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"Problem: the term {term.label} returned {type(value).__name__}, expected a number or "
+            "a vector"
+        ) from error
 
 
 def _root(w: jax.Array) -> jax.Array:

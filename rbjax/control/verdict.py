@@ -25,7 +25,7 @@ from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINI
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
 LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
-LOOSE, CLOSER = 1e-3, 0.03  # the tolerance before the first multipliers, and its fall a turn
+LOOSE, CLOSER = 1e-3, 0.3  # the tolerance before the first multipliers, and its fall a turn
 FLOOR = 10.0  # the least tolerance, in units in the last place
 
 
@@ -131,7 +131,8 @@ def verdict(
     if rules.closes:
         here, feasible = now.feasible, now.feasible | (accepted & (best == 0))
     else:
-        here = feasible = seen.gap <= closed(dtype)
+        feasible = seen.gap <= closed(dtype)
+        here = feasible | (constrained & (seen.gap <= now.inner))
     first = jnp.minimum(jnp.abs(seen.cost), 1.0)
     scale = jnp.where(now.scale < 0, first, now.scale)
     share = jnp.maximum(scale, jnp.abs(seen.cost))
@@ -153,7 +154,7 @@ def verdict(
 
     held = off <= limits.violation
     least = jnp.maximum(limits.tolerance.astype(dtype), FLOOR * jnp.finfo(dtype).eps)
-    done = here & small(least) & held
+    done = still & small(least) & held & (feasible if not rules.closes else True)
     change = still & ~done
     penalty, failing = next_penalty(now.penalty, off, now.before, held)
     hopeless = change & failing & (now.penalty >= PENALTY_MOST)

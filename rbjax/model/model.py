@@ -1,8 +1,7 @@
 """Model and State: a robot as a pytree whose leaves are its numbers.
 
 Static is what changes the program (`Topology`, the actuators' kinds); leaves are what changes the
-numbers. So masses, lengths, gains and gravity can be differentiated, vmapped over and changed with
-no recompilation.
+numbers: masses, gains and gravity are differentiated and changed without recompilation.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.execution import EXECUTION, Execution
 from rbjax.model.random_state import random_coordinates
 from rbjax.model.record import Record as Record
+from rbjax.model.shared_controls import with_warning
 from rbjax.model.topology import Topology
 from rbjax.model.with_joint import with_joint
 from rbjax.rotations.arguments import FLOATS
@@ -323,8 +323,8 @@ class Model(Record):
         return jnp.concatenate([e.start().astype(dtype) for e in self.forces if e.size])
 
     def with_forces(self, *elements: Any) -> Model:
-        """The model with force elements (`rbjax.forces`) beside those that it has."""
-        return self._with("forces", "Element", "loads", elements)
+        """The model with more force elements (`rbjax.forces`). Its actuators go on acting."""
+        return self._with("forces", "Element", "loads", with_warning(self, elements))
 
     def with_constraints(self, *constraints: Any) -> Model:
         """The model with constraints (`rbjax.constraints`) beside those that it has."""

@@ -9,7 +9,8 @@ states of force elements.
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,15 +27,21 @@ from rbjax.forces.instant import Instant
 from rbjax.lanes import add
 from rbjax.lanes.products import matmat
 from rbjax.model import Model, State
+from rbjax.model.record import Record
 from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.integrators import Integrator, advanced, integrator_of, semi_implicit_euler
 
 
-class Linear(NamedTuple):
-    """A (n, n) and B (n, nu) with n = 2 nv + nx."""
+class Linear(Record):
+    """A (n, n) and B (n, nu) with n = 2 nv + nx, which `A, B = ...` unpacks; acceleration (nv,), v'
+    at the point, zero if the controls hold the robot still there, its mean over a step dt."""
 
     A: jax.Array
     B: jax.Array
+    acceleration: jax.Array
+
+    def __iter__(self) -> Iterator[jax.Array]:
+        return iter((self.A, self.B))
 
 
 @algorithm("state", "ctrl", "dt", "t")
@@ -111,8 +118,9 @@ def linearise(
             or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
 
     Returns:
-        `Linear(A (n, n), B (n, nu))`, n = 2 nv + nx; rows and columns are dq on the tangent space,
-        in the coordinates of v, then dv, then the states of force elements.
+        `Linear` with A (n, n), B (n, nu) and the acceleration (nv,) at the point, n = 2 nv + nx;
+        rows and columns are dq on the tangent space, in the coordinates of v, then dv, then the
+        states of force elements.
 
     Raises:
         InputError: shapes, dtypes, values that are not finite, an unknown integrator, a step that
@@ -129,13 +137,15 @@ def linearise(
     """
     law = law_of("linearise", model, law, constraints)
     if dt is None:
-        return Linear(*linearised(model, state, ctrl, t, law)[1:])
+        rates, A, B = linearised(model, state, ctrl, t, law)
+        return Linear(A, B, rates[: model.nv])
     integrator = integrator_of("linearise", integrator, law)
     u = jnp.zeros(0, state.q.dtype) if ctrl is None else ctrl
     if integrator is semi_implicit_euler and law is free_motion and ctrl is not None:
         found = euler_linearised(model, t, state, ctrl, dt)
         if found is not None:
-            return Linear(*found[1:])
+            after, A, B = found
+            return Linear(A, B, (after.v - state.v) / dt)
     advance = functools.partial(advanced, integrator)
     field = Field(model, law, dt)
     after = advance(field, t, state, Inputs(ctrl), dt)
@@ -146,7 +156,8 @@ def linearise(
         return apart(model, after, new)
 
     n = 2 * model.nv + model.nx
-    return Linear(*jax.jacfwd(moved, (0, 1))(jnp.zeros(n, u.dtype), jnp.zeros_like(u)))
+    A, B = jax.jacfwd(moved, (0, 1))(jnp.zeros(n, u.dtype), jnp.zeros_like(u))
+    return Linear(A, B, (after.v - state.v) / dt)
 
 
 def linearised(

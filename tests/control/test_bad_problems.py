@@ -1,6 +1,7 @@
 """Problems that have no answer, or say nonsense: each method names what is wrong, none returns nan
 without saying so."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -99,9 +100,11 @@ def test_a_goal_held_as_a_constraint_out_of_reach_is_named(method):
     assert "'far'" in s.status
 
 
-def test_a_start_that_is_nan_is_named():
-    s = solve(problem(), jnp.asarray([jnp.nan]))
-    assert s.outcome == NOT_FINITE
+def test_a_start_that_is_nan_is_rejected_and_an_outcome_in_traced_code():
+    nan = jnp.asarray([jnp.nan])
+    with pytest.raises(InputError, match="start has numbers that are not finite"):
+        solve(problem(), nan)
+    assert jax.jit(lambda x: solve(problem(), x).outcome)(nan) == NOT_FINITE
 
 
 # ------------------------------------------------------------ shapes and types

@@ -78,7 +78,9 @@ def test_gramians_beside_quadrature():
     total = sum(np.linalg.matrix_power(Ad, k) @ Bd @ Bd.T @ np.linalg.matrix_power(Ad, k).T
                 for k in range(600))  # fmt: skip
     assert relative_error(controllability_gramian(Ad, Bd, discrete=True).X, total) < 1e-12
-    assert controllability_gramian(-A, B).result == LINEAR_RESULTS.not_stable
+    assert jax.jit(controllability_gramian)(-A, B).result == LINEAR_RESULTS.not_stable
+    with pytest.raises(InputError, match="not stable"):
+        controllability_gramian(-A, B)
 
 
 def test_discretisation_beside_scipy():

@@ -1,5 +1,7 @@
 """Regulators of infinite horizon beside SciPy, closed forms, and in a motion."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -114,7 +116,10 @@ def test_hard_systems_of_one_kind_only():
 )
 def test_bad_problems_have_named_results(result, A, B, Q, R, kinds):
     for kind in kinds:
-        found = lqr(*enlarged(A, B, Q, R), discrete=kind == "d")
+        given = enlarged(A, B, Q, R)
+        with pytest.raises(InputError, match="lqr: "):
+            lqr(*given, discrete=kind == "d")
+        found = jax.jit(functools.partial(lqr, discrete=kind == "d"))(*map(jnp.asarray, given))
         assert is_(found.result, result), found.result
         assert not found.K.any() and not found.P.any() and not np.isnan(found.residual)
 

@@ -1,5 +1,8 @@
 """Lyapunov equations beside SciPy, and their derivatives."""
 
+import functools
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -43,7 +46,10 @@ def test_on_the_edge_and_beyond(discrete):
     edge = np.diag([1.0, 0.5, 0.1, 0.2, 0.3]) if discrete else np.diag([0.0, -1, -2, -3, -4])
     near = edge + 1e-9 * np.diag([-1.0, 0, 0, 0, 0])
     for A, stable in ((edge, False), (edge * 1.5 + 0.2, False), (near, True)):
-        found = lyapunov(A, np.eye(N), discrete=discrete)
+        if not stable:
+            with pytest.raises(InputError, match="not stable"):
+                lyapunov(A, np.eye(N), discrete=discrete)
+        found = jax.jit(functools.partial(lyapunov, discrete=discrete))(A, np.eye(N))
         assert bool(found.result == LINEAR_RESULTS.successful) == stable
         assert bool(found.result == LINEAR_RESULTS.not_stable) != stable
         assert np.isfinite(found.X).all()

@@ -221,3 +221,25 @@ def test_mujoco_swings_up_too():
         mujoco.mj_step(robot, data)
     assert np.abs(data.qpos - found.states.q[-1]).max() < 1e-8
     assert np.abs(data.qvel - found.states.v[-1]).max() < 1e-8
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_ddp_from_samples_obeys_the_seed(dtype):
+    """Of a cost with many valleys few samples find different ones; the same seed the same one."""
+    with jax.enable_x64(dtype == "float64"):
+        line = rb.control.Equations(lambda t, x, u: u, 1, 1)
+        wave = jnp.asarray(6.0)  # a number that the cost closes over
+
+        def valleys(t, x, u):
+            return jnp.cos(wave * x[0]) + 0.01 * (x[0] - 0.2) ** 2
+
+        problem = rb.control.Problem(
+            line, 5, 0.4, running=[rb.control.Cost(rb.control.Control(), 1e-3)],
+            terminal=[valleys], bounds=(-2.0, 2.0),
+        )  # fmt: skip
+        method = SampledStart(Sampling("predictive", samples=10, points=1, spread=0.6), rounds=1)
+        start = jnp.zeros(1)
+        ends = [float(rb.control.solve(problem, start, method=method, seed=k).states[-1, 0])
+                for k in (0, 0, 1, 2, 3, 4, 5)]  # fmt: skip
+        assert ends[0] == ends[1]
+        assert len({round(x, 2) for x in ends}) > 1

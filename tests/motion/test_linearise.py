@@ -113,3 +113,17 @@ def test_bad_arguments():
         rb.step(model, model.default_state(), integrator="rk5")
     with pytest.raises(rb.InputError, match="linearise: dt is -1"):
         rb.linearise(model, model.default_state(), dt=-1.0)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("dt", [None, 0.01])
+def test_the_acceleration_at_the_point_is_reported(dtype, dt):
+    """Zero where the pendulum hangs; where it leans it is that of forward dynamics."""
+    model = rb.load("pendulum").astype(dtype)
+    for angle in (0.0, 0.3):
+        state = rb.State(jnp.full(1, angle, dtype), jnp.zeros(1, dtype))
+        found = rb.linearise(model, state, jnp.zeros(1, dtype), dt)
+        want = rb.forward_dynamics(model, state.q, state.v, jnp.zeros(1, dtype))
+        assert found.acceleration.dtype == dtype and len(list(found)) == 2
+        assert abs(found.acceleration - want).max() <= 1e-5 * (1 + abs(want).max())
+        assert bool(abs(found.acceleration).max() < 1e-6) == (angle == 0.0)

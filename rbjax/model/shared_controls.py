@@ -1,0 +1,33 @@
+"""A warning of force elements that take the controls of actuators which go on acting."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import jax
+import numpy as np
+
+
+def with_warning(model: Any, elements: tuple) -> tuple:
+    """The elements. Warns of each that takes a control of an acting row of `model.actuators`."""
+    acting = _acting(model.actuators)
+    for one in elements:
+        taken = getattr(one, "controls", ()) if getattr(one, "actuates", False) else ()
+        twice = [model.actuator_names[k] for k in taken if 0 <= k < len(acting) and acting[k]]
+        if twice:
+            warnings.warn(
+                f"with_forces: {type(one).__name__} takes the controls of the actuators {twice}, "
+                "which go on acting; if the element replaces them, set their rows of "
+                "model.actuators.gain and model.actuators.bias to zero",
+                stacklevel=4,
+            )
+    return elements
+
+
+def _acting(actuators: Any) -> np.ndarray:
+    """Which rows (nu,) exert forces. Traced rows are not looked at."""
+    if any(isinstance(x, jax.core.Tracer) for x in (actuators.gain, actuators.bias)):
+        return np.zeros(0, bool)
+    rows = np.concatenate([np.asarray(actuators.gain), np.asarray(actuators.bias)], -1)
+    return (rows != 0).any(-1) if rows.ndim == 2 else np.zeros(0, bool)
