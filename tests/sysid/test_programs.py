@@ -73,4 +73,4 @@ def test_what_is_one_program():
     indexed = {"mass": Unknown("bodies.mass", np.array([0]))}
     one = of(1.0, indexed)  # arrays are compared entry by entry
     assert of(2.0, {"mass": Unknown("bodies.mass", np.array([0]))}) is one
-    assert of(1.0, {"mass": Unknown("bodies.mass", [0])}) is not one
+    assert of(1.0, {"mass": Unknown("bodies.mass", slice(0, 1))}) is not one
