@@ -114,7 +114,9 @@ if DATA is not None:
             "delay": Unknown("delay", bounds=(0.0, 0.02)),
         },
         grid=Grid(1 / RATE, 2, "rk4", 4),
+        starts=False,
         steps=12,
+        restarts=0,
     )
     print(f"error of the fit {mrad(usual.traces['slow']['q'].residual):.1f} mrad")
     print(usual.on([second_half]).sentence)
@@ -184,7 +186,9 @@ if DATA is not None:
             "coulomb": Unknown("forces.0.coulomb"),
         },
         grid=Grid(1 / RATE, 2),
+        starts=False,
         steps=14,
+        restarts=0,
     )
     print(f"error of the fit {mrad(found.traces['slow']['q'].residual):.2f} mrad, {found.message}")
     verdict = found.on([second_half])

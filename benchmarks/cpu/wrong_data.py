@@ -50,7 +50,8 @@ def table(problem: Problem, wrongs: dict[str, Wrong], some: list[str]) -> list[d
     for name, make, loss in (case for case in cases if not some or case[0] in some):
         start = time.perf_counter()
         wrong = make(problem.run)
-        found = identify(problem.setup, wrong, problem.unknowns, loss=loss, steps=40, **problem.how)
+        how = {"loss": loss, "steps": 40, "restarts": 0} | problem.how
+        found = identify(problem.setup, wrong, problem.unknowns, **how)
         said = diagnose(found)
         seconds = time.perf_counter() - start
         mended = identify(problem.setup, said.recordings, problem.unknowns, **problem.how)

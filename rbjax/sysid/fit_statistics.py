@@ -11,7 +11,8 @@ follow the residuals, whether the noise is stated, estimated or wrong. m_c count
 residual: three of an attitude.
 
 Source: Huber, *Robust Statistics*, 6.3 and 7.6; White, Econometrica 48(4), 1980; Newey & West,
-Econometrica 55(3), 1987; Andrews, Econometrica 59(3), 1991.
+Econometrica 55(3), 1987; Andrews, Econometrica 59(3), 1991; Andrews & Monahan, Econometrica 60(4),
+1992 (scores are made nearly white before the window).
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from rbjax.sysid.whiteness import ALPHA, meat_of, whiteness
 FEW = 5.0
 #: fewer samples say nothing of a correlation
 SHORT = 20
-#: residuals are no noise where they are smaller than this share of what they are weighed by
-ROUNDING = 1e-7
+#: the largest correlation of neighbours that is taken out before the window
+STEADY = 0.97
 
 
 class Rows(NamedTuple):
@@ -95,7 +96,7 @@ def fit_statistics(
     variance = np.where(dof >= FEW, alone, np.where(stated, 1.0, pooled))
     coloured, effective = _colours(columns)
     if coloured:
-        meat = meat_of(_scores(columns, turned))
+        meat = _long_run(_scores(columns, turned))
         free = max(effective * dof.sum(), 1.0)
         meat = meat * (counts.sum() / max(counts.sum() - rank, 1))
     else:
@@ -142,6 +143,18 @@ def _colours(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
     found = [(name, w, m) for name, w, m in tests if w.p_value * len(tests) < ALPHA]
     names = tuple(dict.fromkeys(name for name, _, _ in found))
     return names, min((w.effective_samples / m for _, w, m in found), default=1.0)
+
+
+def _long_run(scores: Sequence[np.ndarray]) -> np.ndarray:
+    """The covariance of the sum of scores, each first made nearly white by a process of first
+    order, whose own correlation Bartlett's window would cut off."""
+    before = np.concatenate([g[:-1] for g in scores])
+    after = np.concatenate([g[1:] for g in scores])
+    power = (before**2).sum(0)
+    rho = (after * before).sum(0) / np.where(power > 0, power, 1.0)
+    rho = np.clip(rho, -STEADY, STEADY)
+    left = [np.concatenate([g[:1] * np.sqrt(1 - rho**2), g[1:] - rho * g[:-1]]) for g in scores]
+    return np.asarray(meat_of(left) / np.outer(1 - rho, 1 - rho))
 
 
 def _scores(

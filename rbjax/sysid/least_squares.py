@@ -227,8 +227,11 @@ def _has_squares(R: np.ndarray) -> bool:
 
 def _half(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
     """The Cholesky factor of the metric at x, None where rounding leaves none: a body so thin."""
+    curvature = D(x, x).curvature
+    if not np.isfinite(curvature).all():
+        return None
     try:
-        return np.linalg.cholesky(D(x, x).curvature)
+        return np.linalg.cholesky(curvature)
     except np.linalg.LinAlgError:
         return None
 

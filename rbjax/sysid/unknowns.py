@@ -306,6 +306,8 @@ class Unknowns:
 
     def read(self, target: Any) -> jax.Array:
         """p of all."""
+        if not self.members:
+            return jnp.zeros(0)
         return jnp.concatenate([u.read(target) for u in self.members.values()])
 
     def limits(self, target: Any) -> dict[str, tuple[float, float]]:

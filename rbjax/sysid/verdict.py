@@ -16,6 +16,8 @@ from rbjax.sysid.traces import Traces, together
 
 #: residuals this many times the roughness of the recordings are not noise
 ROUGH = 3.0
+#: a fit that explains more than this share of the variance is at the right minimum
+CLOSE = 0.999
 #: residuals below this share of the spread are rounding, or the error of integration
 TINY = 1e-5
 
@@ -95,15 +97,19 @@ def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, flo
 
 
 def is_poor(seen: Traces, recordings: Sequence[Recording], setup: Setup) -> str:
-    """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or errors above
-    the noise, which is stated or, for joints, as large as third differences of the samples show."""
-    for sensor, share in explained_by(seen).items():
+    """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or below 0.999 with
+    errors above the noise, which is stated or, for joints, as large as third differences of the
+    samples show."""
+    explained = explained_by(seen)
+    for sensor, share in explained.items():
         if not share >= EXPLAINED:
             return f"R2 of {sensor} {share:.3g}"
-    for sensor, ratio in noise_ratios(seen, recordings).items():
-        if not ratio <= ROUGH:
-            return f"error of {sensor} {ratio:.3g} times the noise"
-    for sensor in explained_by(seen):
+    doubted = [sensor for sensor, share in explained.items() if share < CLOSE]
+    ratios = noise_ratios(seen, recordings)
+    for sensor in doubted:
+        if not ratios.get(sensor, 0.0) <= ROUGH:
+            return f"error of {sensor} {ratios[sensor]:.3g} times the noise"
+    for sensor in doubted:
         if sensor not in ("q", "v") or setup.columns(sensor).turns:
             continue
         error = root_mean_square(together(seen, sensor))

@@ -19,7 +19,7 @@ def half(first, factor=1.0):
     [(1.0, True, "holds"), (1.6, False, "is weaker"), (5.0, False, "fails")],
 )
 def test_verdicts(factor, holds, words):
-    measured = {n: r + 10 * RNG.normal(size=r.shape) for n, r in half(False, factor).items()}
+    measured = {n: r + 30 * RNG.normal(size=r.shape) for n, r in half(False, factor).items()}
     found = held_out(half(True), half(False, factor), measured=measured, noise=1.0, unit="mrad")
     rms = np.sqrt(np.mean(np.concatenate(list(half(False, factor).values())) ** 2))
     assert abs(found.rms / rms - 1) < 1e-14
@@ -29,6 +29,26 @@ def test_verdicts(factor, holds, words):
     there = sum(np.sum((y - y.mean(0)) ** 2) for y in measured.values())
     assert abs(found.r_squared - (1 - left / there)) < 1e-14
     assert max(found.by_recording, key=found.by_recording.get) in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"measured": 1.0}, "R2 is"),
+        ({"noise": 0.5}, "times the noise, above"),
+        ({"slow": True}, "not white"),
+    ],
+)
+def test_each_check_that_fails_is_named(change, said):
+    unseen = half(False)
+    measured = {
+        n: r + change.get("measured", 30.0) * RNG.normal(size=r.shape) for n, r in unseen.items()
+    }
+    if "slow" in change:
+        unseen = {n: np.cumsum(r, 0) / 10 for n, r in unseen.items()}
+    found = held_out(half(True), unseen, measured=measured, noise=change.get("noise", 1.0))
+    assert not found.holds and said in found.sentence and any(said in f for f in found.failed)
+    assert not found.sentence.startswith("the model holds")
 
 
 def test_samples_that_did_not_arrive_do_not_count():

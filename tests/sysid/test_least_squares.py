@@ -59,3 +59,38 @@ def test_a_point_without_slopes_is_refused(there):
     np.testing.assert_allclose(least.x, [2.0, 0.7], atol=1e-9)
     never = minimise(Torn(0.0), np.array([2.0, 0.4]))
     assert not never.ok and "not finite" in never.message
+
+
+class Wrong(Decay):
+    """Slopes with the wrong sign: no step lowers the error."""
+
+    def triangle(self, x):
+        R = super().triangle(x)
+        R[:, -1] *= -1
+        return R
+
+
+@pytest.mark.parametrize(
+    ("of", "start", "steps", "said"),
+    [
+        (Decay(0.05), [0.5, 2.0], 40, "converged"),
+        (Decay(0.0), [2.0, 0.7], 40, "converged"),  # at the minimum, where nothing is left
+        (Wrong(0.05), [0.5, 2.0], 40, "stalled"),
+        (Wrong(0.0), [2.5, 0.7], 40, "stalled"),
+        (Decay(0.05), [0.5, 2.0], 2, "not converged in 2"),
+        (Decay(0.05), [0.0, 2.0], 40, "border"),
+        (Torn(0.0), [2.0, 0.4], 40, "not finite"),
+    ],
+)
+def test_each_end_of_a_search(of, start, steps, said):
+    """`ok` is a minimum by the slope, not an end of the steps."""
+    least = minimise(of, np.array(start), steps=steps)
+    assert said in least.message and least.ok == (said == "converged")
+
+
+def test_a_minimum_at_a_border_is_one():
+    """A rate below zero would fit best; positive numbers end near 0, and that has converged."""
+    of = Decay(0.0)
+    of.seen = 2 * np.exp(0.1 * T)
+    least = minimise(of, np.array([1.0, 0.5]), steps=100)
+    assert least.ok and 0 < least.x[1] < 1e-3

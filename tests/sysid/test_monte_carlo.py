@@ -28,7 +28,8 @@ def test_intervals_hold_and_the_scatter_is_the_one_foretold() -> None:
     assert again.by_name == {"drag": again.coverage}
     foretold = found.estimates.interval("drag").sigma
     np.testing.assert_allclose(again.scatter, foretold, rtol=3 / np.sqrt(2 * 100))
-    np.testing.assert_allclose(again.sigma, foretold, rtol=0.3)
+    near = np.abs(again.sigma / foretold - 1) < 0.3
+    assert near.mean() > 0.94  # one in a hundred is coloured by chance, and has the sandwich form
     bias = again.values.mean(0) - again.truth
     assert abs(bias) < 4 * foretold / np.sqrt(100)
 
@@ -49,11 +50,39 @@ def test_noise_of_attitudes_leaves_unit_quaternions() -> None:
     assert 0.01 < off.max() < 4
 
 
+@pytest.mark.slow
+def test_outliers_are_drawn_with_the_residuals_of_a_robust_fit() -> None:
+    again = monte_carlo(swung("huber"), 30)
+    assert not again.failed and 0.8 < again.coverage <= 1.0
+
+
+def test_it_repeats_the_fit_of_the_user(monkeypatch) -> None:
+    """From the first guess and with the options of the fit, not from the numbers that it found;
+    recordings differ in their noise only."""
+    from rbjax.sysid import monte_carlo as module
+
+    found, asked = swung(), []
+
+    def fitted(setup, sought, runs, how, **more):
+        asked.append((setup, runs, how))
+        return found
+
+    monkeypatch.setattr(__import__("sys").modules["rbjax.sysid.monte_carlo"], "fitted", fitted)
+    again = module(found, 3)
+    assert len(asked) == 3 and again.failed == 0
+    for setup, runs, how in asked:
+        assert setup.model.joints.damping[0] == found.guess["drag"] != found.values["drag"]
+        assert how == found.options._replace(grid=found.grid)
+        off = runs[0]["q"].values - found.traces["swing"]["q"].simulated
+        assert 0.5e-3 < off.std() < 2e-3
+    first, second = (asked[k][1][0]["q"].values for k in (0, 1))
+    assert np.abs(first - second).max() > 1e-4
+
+
 @pytest.mark.parametrize(
     ("found", "how", "said"),
     [
         (lambda: swung(noise=0.0), {}, "no noise"),
-        (lambda: swung("huber"), {}, 'loss="huber"'),
         (swung, {"level": 95}, "between 0 and 1"),
         (swung, {"repetitions": 1}, "repetitions"),
     ],

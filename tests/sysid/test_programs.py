@@ -71,4 +71,6 @@ def test_what_is_one_program():
     times = {"times": Derived((0.0,), factor)}
     assert of(1.0, times) is of(1.0, times) and of(1.0, times) is not of(2.0, times)
     indexed = {"mass": Unknown("bodies.mass", np.array([0]))}
-    of(1.0, indexed)  # arrays cannot be compared as one truth
+    one = of(1.0, indexed)  # arrays are compared entry by entry
+    assert of(2.0, {"mass": Unknown("bodies.mass", np.array([0]))}) is one
+    assert of(1.0, {"mass": Unknown("bodies.mass", slice(0, 1))}) is not one

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.sysid import combinations
+from rbjax.sysid import combinations, estimates
+from rbjax.sysid.rank import beside_others
 
 RNG = np.random.default_rng(0)
 T = np.linspace(0.0, 2.0, 40)
@@ -112,3 +113,27 @@ def test_bad_arguments():
     J[3, 1] = np.nan
     with pytest.raises(InputError, match=r"J\[3\] of b is nan"):
         combinations(J, "ab")
+
+
+def test_what_other_numbers_could_make_is_not_seen():
+    """Of three numbers, one is hidden by a fourth, such as an initial state; a fifth moves
+    nothing."""
+    rng = np.random.default_rng(0)
+    J = rng.normal(size=(40, 3))
+    others = np.column_stack([2 * J[:, 1] + J[:, 0], np.zeros(40)])
+    R = np.linalg.qr(np.column_stack([J, others, rng.normal(size=40)]), mode="r")
+    assert combinations(R[:, :3], ["a", "b", "c"]).rank == 3  # if the others were known
+    found = combinations(beside_others(R, 3), ["a", "b", "c"])
+    assert found.rank == 2 and found.found == ("c",)
+    np.testing.assert_array_equal(beside_others(R[:, [0, 1, 2, 5]], 3), R[:, :3])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_rounding_is_no_information(dtype):
+    """A third column that is the sum of two up to rounding of its dtype: rank, intervals and
+    covariance agree on it."""
+    J = np.random.default_rng(0).normal(size=(50, 2))
+    J = np.column_stack([J, J @ [1.0, 1.0]]).astype(dtype)
+    assert combinations(J, ["a", "b", "c"]).rank == 2
+    said = estimates(["a", "b", "c"], np.zeros(3), J, 1.0)
+    assert said.free.shape[1] == 1 and np.isinf(said.sigma).all()

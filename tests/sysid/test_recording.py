@@ -156,3 +156,34 @@ def test_split_by_recording():
         split(run().pieces(0.5))
     with pytest.raises(rb.InputError, match="add up to 1"):
         split(runs, 0.5, 0.2, 0.2)
+
+
+@pytest.mark.parametrize("flips", [False, True])
+@pytest.mark.parametrize("free", [False, True])
+def test_attitudes_of_joints_turn_evenly_on_another_clock(flips, free):
+    """Of ball and free joints, with a model and without, and if the sign of a sample flips."""
+    t, w = np.arange(0, 1.001, 0.05), 3.0
+    q = np.stack([np.cos(w * t / 2), 0 * t, 0 * t, np.sin(w * t / 2)], 1)
+    if flips:
+        q[10:] *= -1
+    values = np.column_stack([t, t**2, -t, q]) if free else q
+    model = rb.load("free_body") if free else None
+    at = np.arange(0, 1.0, 0.0125)
+    want = np.stack([np.cos(w * at / 2), 0 * at, 0 * at, np.sin(w * at / 2)], 1)
+    for known in (None, model) if free else (None,):
+        moved = Recording("r", {"q": Channel(t, values)}).on_clock(at, model=known)
+        found = np.asarray(moved["q"].values)
+        quaternion = found[:, -4:]
+        np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1.0, rtol=1e-12)
+        np.testing.assert_allclose(np.abs((quaternion * want).sum(1)), 1.0, rtol=1e-12)
+        if free:
+            np.testing.assert_allclose(found[:, 1], at**2, atol=1e-12)
+
+
+def test_hinges_are_no_attitude():
+    """Four angles whose squares do not add up to 1 keep their splines."""
+    t = np.arange(0, 1.001, 0.05)
+    q = np.stack([t**2, t, 0 * t, 1 - t], 1)
+    at = np.arange(0, 1.0, 0.0125)
+    moved = Recording("r", {"q": Channel(t, q)}).on_clock(at)
+    np.testing.assert_allclose(moved["q"].values[:, 0], at**2, atol=1e-12)

@@ -18,6 +18,7 @@ from rbjax.sysid import (
     log_determinant_divergence,
     pseudo_inertia_of,
 )
+from rbjax.sysid.guesses import drawn
 from rbjax.sysid.unknowns import Unknowns
 
 MODEL = rb.load("arm7")
@@ -135,3 +136,27 @@ def test_a_setup_has_leaves_beside_its_model():
 def test_bad_unknowns_are_named(u, error):
     with pytest.raises((rb.InputError, rb.UnknownName), match=error):
         Unknowns.of("identify", u, MODEL)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "low", "high"),
+    [
+        ((0.0, np.inf), 0.0, np.inf),
+        ((-np.inf, 2.0), -np.inf, 2.0),
+        ((-np.inf, np.inf), -np.inf, np.inf),
+        ((0.0, 2.0), 0.0, 2.0),
+    ],
+)
+def test_infinite_sides_of_bounds(bounds, low, high):
+    """An infinite side bounds nothing: finite distances, slopes that are right, guesses inside."""
+    u = Unknown("bodies.mass", 0, bounds=bounds)
+    p, p0, h = np.array([1.2]), np.array([1.0]), 1e-6
+    D = u.divergence(p, p0)
+    assert np.isfinite(D.value) and D.value > 0 and (np.linalg.eigvalsh(D.curvature) > 0).all()
+    numeric = (u.divergence(p + h, p0).value - u.divergence(p - h, p0).value) / (2 * h)
+    np.testing.assert_allclose(D.slope, [numeric], rtol=1e-6)
+    assert np.isinf(u.divergence(np.array([-1.0]), p0).value) == (low == 0.0)
+    assert np.isinf(u.divergence(np.array([3.0]), p0).value) == (high == 2.0)
+    sought = Unknowns.of("test", {"mass": u}, rb.load("pendulum"))
+    guesses = drawn(sought, rb.load("pendulum"), 8, 1.0, 0)
+    assert np.isfinite(guesses).all() and (guesses > low).all() and (guesses < high).all()

@@ -1,0 +1,112 @@
+"""Covariance and intervals of linear fits whose truth is known: the one path of all estimators."""
+
+import numpy as np
+import pytest
+
+from rbjax.sysid.fit_statistics import Column, Rows, fit_statistics
+from rbjax.sysid.simulation_error import HUBER
+
+M = 300
+T = np.linspace(0.0, 3.0, M)
+J = np.stack([np.ones(M), T, np.sin(5 * T)], 1)
+TRUTH = np.array([1.0, -2.0, 0.5])
+NAMES = ["a", "b", "c"]
+
+
+def columns(residual, slopes=J, huber=False, stated=True):
+    inside = np.abs(residual) < HUBER if huber else np.ones(len(residual), bool)
+    psi = np.where(inside, residual, HUBER * np.sign(residual))
+    rows = Rows(slopes, psi, inside, np.arange(len(psi)), np.arange(slopes.shape[1]))
+    return [Column("y[0]", [rows], stated)]
+
+
+def coverage(noise, huber=False, repetitions=400, stated=True):
+    """The share of 95 % intervals that hold the truth, of fits weighed by 1 / 1."""
+    rng = np.random.default_rng(0)
+    held, said = [], None
+    for _ in range(repetitions):
+        y = J @ TRUTH + noise(rng)
+        x = np.linalg.lstsq(J, y)[0]
+        for _ in range(50 if huber else 0):  # iteratively reweighted
+            r = J @ x - y
+            w = np.sqrt(np.minimum(1.0, HUBER / np.maximum(np.abs(r), 1e-9)))
+            x = np.linalg.lstsq(J * w[:, None], y * w)[0]
+        said = fit_statistics(NAMES, x, columns(J @ x - y, huber=huber, stated=stated))
+        spans = [said.estimates.interval(name) for name in NAMES]
+        held.append([s.low <= v <= s.high for s, v in zip(spans, TRUTH, strict=True)])
+    return float(np.mean(held)), said
+
+
+def coloured(rng, rho=0.8):
+    e = rng.normal(size=M + 50)
+    for k in range(1, len(e)):
+        e[k] += rho * e[k - 1]
+    return e[50:]
+
+
+def outliers(rng):
+    return rng.normal(size=M) + (rng.random(M) < 0.05) * rng.normal(size=M) * 20
+
+
+@pytest.mark.parametrize("size", [1.0, 0.01, 30.0])
+@pytest.mark.parametrize("stated", [True, False])
+def test_intervals_follow_the_residuals_whatever_noise_is_stated(size, stated):
+    """The noise that rows are weighed by may be wrong by 100 either way."""
+    share, said = coverage(lambda rng: size * rng.normal(size=M), stated=stated)
+    assert 0.93 < share < 0.97  # 1,200 intervals: 3 standard deviations are 0.019
+    assert abs(said.scale["y[0]"] / size - 1) < 0.15 and said.rows == M
+
+
+def test_outliers_with_huber():
+    share, said = coverage(outliers, huber=True)
+    assert 0.93 < share < 0.97
+    clean = fit_statistics(NAMES, TRUTH, columns(np.random.default_rng(1).normal(size=M)))
+    ratio = said.estimates.sigma / clean.estimates.sigma
+    assert (ratio > 0.9).all() and (ratio < 1.35).all()  # not the size of the outliers
+
+
+def test_coloured_residuals_have_the_sandwich():
+    """White formulas claim 2 to 3 times less; 300 samples with a memory of 5 are few."""
+    share, said = coverage(coloured)
+    assert not said.white and said.coloured == ("y[0]",) and said.effective < 0.5
+    assert share > 0.85
+    white = np.linalg.inv(J.T @ J) * said.scale["y[0]"] ** 2
+    assert (np.sqrt(np.diag(said.estimates.covariance)) > 1.4 * np.sqrt(np.diag(white)))[:2].all()
+
+
+def test_columns_of_unequal_noise_and_few_samples():
+    """A column of one sample that its own number fits says nothing of the noise; the stated
+    noise stands, or that of all."""
+    rng = np.random.default_rng(3)
+    wide = np.pad(J, ((0, 0), (0, 1)))
+    single = np.array([[0.0, 0.0, 0.0, 1.0]])
+    first = columns(0.1 * rng.normal(size=M), wide)[0]
+    for stated, sigma in ((True, 1.0), (False, 0.1)):
+        rows = Rows(single, np.zeros(1), np.ones(1, bool), np.zeros(1, int), np.arange(4))
+        said = fit_statistics(
+            [*NAMES, "d"], np.zeros(4), [first, Column("z[0]", [rows], stated)]
+        )
+        assert abs(said.estimates.interval("d").sigma / sigma - 1) < 0.15
+
+
+def test_what_no_row_shows_is_infinite():
+    wide = np.column_stack([J, np.zeros(M)])
+    said = fit_statistics([*NAMES, "d"], np.zeros(4), columns(np.ones(M), wide))
+    assert np.isinf(said.estimates.interval("d").sigma)
+    assert np.isfinite(said.estimates.sigma[:3]).all()
+
+
+def test_runs_with_numbers_of_their_own():
+    """Two runs with an offset each: the covariance is that of the joined problem."""
+    rng = np.random.default_rng(4)
+    r = [rng.normal(size=M), rng.normal(size=M)]
+    own = [np.array([0, 1, 2]), np.array([0, 1, 3])]
+    slopes = np.stack([T, np.sin(5 * T), np.ones(M)], 1)
+    rows = [Rows(slopes, r[k], np.ones(M, bool), np.arange(M), own[k]) for k in (0, 1)]
+    said = fit_statistics(["b", "c", "a0", "a1"], np.zeros(4), [Column("y[0]", rows, True)])
+    whole = np.zeros((2 * M, 4))
+    for k in (0, 1):
+        whole[k * M : (k + 1) * M, own[k]] = slopes
+    s2 = np.sum(np.square(r)) / (2 * M - 4)
+    want = np.linalg.inv(whole.T @ whole) * s2
+    np.testing.assert_allclose(said.estimates.covariance, want, rtol=1e-9)
