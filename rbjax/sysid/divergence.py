@@ -57,6 +57,18 @@ class Divergence:
         return cls(float(excess.sum()), lambda: 1 / p0 - 1 / p, lambda: np.diag(p**-2))
 
     @classmethod
+    def bounded(
+        cls, p: np.ndarray, p0: np.ndarray, low: float, high: float, scale: float
+    ) -> Divergence:
+        """That of the distances to both bounds; an infinite bound is none."""
+        sides = []
+        if low > -np.inf:
+            sides.append(cls.positive(p - low, p0 - low))
+        if high < np.inf:
+            sides.append(cls.positive(high - p, high - p0).through(-np.eye(p.size)))
+        return functools.reduce(cls.__add__, sides) if sides else cls.free(p, p0, scale)
+
+    @classmethod
     def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
         """The sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over P (k, 4, 4), each linear in n numbers
         of its own, along = dP/dp (n, 4, 4)."""

@@ -123,7 +123,7 @@ def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.nd
         wide[:, which] = R
         parts.append(wide)
     whole = np.concatenate(parts)
-    return np.linalg.qr(whole, mode="r") if len(parts) > 1 else whole
+    return np.asarray(np.linalg.qr(whole, mode="r")) if len(parts) > 1 else whole
 
 
 def _mean(parts: Sequence[np.ndarray]) -> float:

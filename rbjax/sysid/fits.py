@@ -32,7 +32,7 @@ from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.traces import Traces, together, traces
 from rbjax.sysid.unknowns import Unknowns
-from rbjax.sysid.verdict import is_poor
+from rbjax.sysid.verdict import is_poor, roughness
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
@@ -47,9 +47,9 @@ FEW_STEPS = 20
 #: how far other first guesses are drawn, as in `many_starts`
 SPREAD = 1.0
 #: steps are short enough if their error moves no number by more than this part of its sigma
-STEP_ERROR = 0.2
-#: and are refined so often at most
-REFINED = 3
+STEP_ERROR = 0.5
+#: and are refined so often at most, before and after the fit
+FINEST, REFINED = 16, 2
 #: an error of steps below this part of the spread of what was recorded is no reason for finer ones
 SMALL_STEP_ERROR = 1e-6
 
@@ -163,12 +163,40 @@ class Fits:
             return fitted
         return self._fitted(fitted.error.on(data), fitted.least.x)._replace(estimated=True)
 
+    def stepped(self) -> None:
+        """Steps so short that at the first guess their error is below the noise, as far as the
+        recordings show it: longer ones may hide the right minimum."""
+        of = self._error(self.recordings)
+        x = np.append(self.first, np.zeros(of.size - self.shared))
+        first, over, done = self.grid, 0.0, 1
+        while done < FINEST:
+            other = self._error(self.recordings, _halved(self.grid))
+            e = other.residuals(x) - of.residuals(x)
+            now = _over_noise(of, e, self.recordings)
+            over = max(over, now)
+            if not now > 1:
+                break
+            # an error of order 4 or so falls by 16 with each half
+            again = 2 if now > 16 and 4 * done <= FINEST else 1
+            self.grid = _halved(self.grid, again)
+            done *= 2**again
+            of = other if again == 1 else self._error(self.recordings)
+        self._say_steps(first, over)
+
+    def _say_steps(self, first: Grid, error: float) -> None:
+        if self.grid != first:
+            self.notes.append(
+                f"steps of {first.period / first.substeps:.3g} s were too long (their error is "
+                f"{error:.2g} times what matters), so the motion has steps of "
+                f"{self.grid.period / self.grid.substeps:.3g} s; grid= sets them"
+            )
+
     def finer(self, fitted: Fitted) -> Fitted:
         """The fit with steps so short that steps of half their length change no number by a part
         of its standard deviation that matters."""
-        first = self.grid
+        first, error = self.grid, 0.0
         for _ in range(REFINED):
-            other = self._halved(fitted)
+            other = self._finer(fitted)
             error, matters = _step_error(fitted, other)
             if not matters:
                 break
@@ -178,32 +206,25 @@ class Fits:
                 self.grid = fitted.error.grid
                 break
             fitted = found._replace(estimated=fitted.estimated)
-        if self.grid != first:
-            self.notes.append(
-                f"steps of {first.period / first.substeps:.3g} s were too long (their error is "
-                f"{error:.2g} times what matters), so the motion has steps of "
-                f"{self.grid.period / self.grid.substeps:.3g} s; grid= sets them"
-            )
+        self._say_steps(first, error)
         return fitted
 
-    def _halved(self, fitted: Fitted) -> SimulationError:
-        old = fitted.error.grid
-        half = old._replace(period=old.period / 2, longest_delay=2 * old.longest_delay)
-        data = batch_of(self.setup, self.recordings, half)
-        of = SimulationError(
-            self.setup, self.sought, data, half, starts=self.starts, loss=self.loss
-        )
-        return of.on(data._replace(weights=fitted.error.runs.weights))
+    def _finer(self, fitted: Fitted) -> SimulationError:
+        of = self._error(self.recordings, _halved(fitted.error.grid))
+        return of.on(of.runs._replace(weights=fitted.error.runs.weights))
 
     @property
     def shared(self) -> int:
         """How many numbers are sought, without corrections of starts."""
         return len(self.first)
 
-    def _error(self, recordings: Sequence[Recording]) -> SimulationError:
-        data = batch_of(self.setup, recordings, self.grid)
+    def _error(
+        self, recordings: Sequence[Recording], grid: Grid | None = None
+    ) -> SimulationError:
+        grid = self.grid if grid is None else grid
+        data = batch_of(self.setup, recordings, grid)
         return SimulationError(
-            self.setup, self.sought, data, self.grid, starts=self.starts, loss=self.loss
+            self.setup, self.sought, data, grid, starts=self.starts, loss=self.loss
         )
 
     def _fitted(self, of: SimulationError, x: np.ndarray, **how: Any) -> Fitted:
@@ -232,6 +253,38 @@ class Fits:
         least = minimise(of, x, near, triangle=slopes, steps=steps, watch=watch, **how)
         self.evaluations += least.evaluations
         return least
+
+
+def _halved(grid: Grid, times: int = 1) -> Grid:
+    """The grid with steps of half the length, so many times over."""
+    k = 2**times
+    return grid._replace(period=grid.period / k, longest_delay=k * grid.longest_delay)
+
+
+def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recording]) -> float:
+    """By how much an error (runs, rows) of the residual is larger than what matters, with the
+    noise that the recordings show; 0 below rounding."""
+    squares, at = 0.0, 0
+    for sensor in sorted(of.runs.values):
+        T, n = of.runs.values[sensor].shape[1:]
+        columns = of.setup.columns(sensor)
+        d = n - len(columns.turns)
+        part = e[:, at : at + T * d].reshape(len(e), T, d)
+        at += T * d
+        y, w = np.asarray(of.runs.values[sensor]), np.asarray(of.runs.weights[sensor])
+        spread = float(np.sqrt(np.mean((y - y.mean((0, 1))) ** 2)))
+        if says_its_noise(recordings, sensor):  # rows are in units of it
+            noise, least = 1.0, SMALL_STEP_ERROR * spread * float(w.max(initial=0.0))
+        else:
+            rough = np.max([roughness(run[sensor].values) for run in recordings], 0)
+            rough = rough[np.isfinite(rough)]
+            if not rough.size:
+                continue
+            noise = float(np.sqrt(np.mean(rough**2))) or 1e-300
+            least = SMALL_STEP_ERROR * spread
+        found = sum_of_squares(part)
+        squares += found / noise**2 if found > least**2 * part.size else 0.0
+    return float(np.sqrt(squares)) / STEP_ERROR
 
 
 def _step_error(fitted: Fitted, other: SimulationError) -> tuple[float, bool]:

@@ -141,6 +141,8 @@ def fitted(
         say=say,
     )  # fmt: skip
     given = x is not None or how.pieces is not None or how.shooting is not None
+    if how.grid is None:
+        fits.stepped()
     if x is None:
         x = fits.first
         if how.pieces is not None:

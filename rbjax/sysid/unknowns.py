@@ -57,14 +57,7 @@ class Scalars:
 
     def divergence(self, p: np.ndarray, p0: np.ndarray) -> Divergence:
         if self.bounds is not None:
-            lo, hi = self.bounds
-            sides = []  # an infinite one is none
-            if lo > -np.inf:
-                sides.append(Divergence.positive(p - lo, p0 - lo))
-            if hi < np.inf:
-                sides.append(Divergence.positive(hi - p, hi - p0).through(-np.eye(p.size)))
-            if sides:
-                return functools.reduce(Divergence.__add__, sides)
+            return Divergence.bounded(p, p0, *self.bounds, self.scale)
         if self.positive:
             return Divergence.positive(p, p0)
         return Divergence.free(p, p0, self.scale)

@@ -97,9 +97,9 @@ def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, flo
 
 
 def is_poor(seen: Traces, recordings: Sequence[Recording], setup: Setup) -> str:
-    """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or below 0.999 with
-    errors above the noise, which is stated or, for joints, as large as third differences of the
-    samples show."""
+    """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or below 0.999
+    with errors above the noise, which is stated or, for joints, as large as third differences of
+    the samples show."""
     explained = explained_by(seen)
     for sensor, share in explained.items():
         if not share >= EXPLAINED:
@@ -114,7 +114,7 @@ def is_poor(seen: Traces, recordings: Sequence[Recording], setup: Setup) -> str:
             continue
         error = root_mean_square(together(seen, sensor))
         recorded = np.concatenate([s[sensor].recorded for s in seen.values()])
-        rough = np.max([_roughness(ordered(setup.model, r)[sensor].values) for r in recordings], 0)
+        rough = np.max([roughness(ordered(setup.model, r)[sensor].values) for r in recordings], 0)
         floor = TINY * np.nanstd(recorded, 0)
         over = np.nanmax(error / np.maximum(ROUGH * rough, np.maximum(floor, 1e-300)))
         if over > 1:
@@ -122,7 +122,7 @@ def is_poor(seen: Traces, recordings: Sequence[Recording], setup: Setup) -> str:
     return ""
 
 
-def _roughness(values: np.ndarray) -> np.ndarray:
+def roughness(values: np.ndarray) -> np.ndarray:
     """(n,) standard deviation of white noise with such third differences."""
     rough = np.diff(values, n=3, axis=0)
     some = (~np.isnan(rough)).sum(0) > 3

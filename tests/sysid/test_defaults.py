@@ -54,6 +54,7 @@ def test_float32_is_fitted_in_float64():
     assert all(x.dtype == np.float64 for x in found.error.runs.values.values())
 
 
+@pytest.mark.slow
 def test_the_initial_state_is_fitted_unless_it_is_known():
     """Six draws: no bias beyond the intervals. A start that is said is not sought, in each of the
     ways to say it; and a wrong one is heeded."""
@@ -79,6 +80,13 @@ def test_the_initial_state_is_fitted_unless_it_is_known():
     assert not wrong.verdict.good and abs(wrong.values["mass"] - 1.4) > 0.01
 
 
+def test_a_known_initial_state_is_not_fitted():
+    found = identify(MODEL, seen(initial_state=START), MASS)
+    assert found.error.own == 0 and identify(MODEL, seen(), MASS).error.own == 2
+    assert abs(found.values["mass"] - 1.4) < 4 * found.estimates.interval("mass").sigma
+
+
+@pytest.mark.slow
 def test_known_and_unknown_initial_states_side_by_side():
     found = identify(MODEL, [seen(initial_state=START), seen(1)], MASS)
     assert found.error.own == 2
@@ -93,6 +101,7 @@ def test_known_and_unknown_initial_states_side_by_side():
     assert seen(initial_state=START).piece(0.2, 0.5).initial_state is None
 
 
+@pytest.mark.slow
 def test_steps_are_the_finest_clock_and_halved_until_nothing_changes():
     t, _, _, _ = motion()
     ctrl = Channel([0.0, 1.0], [[1.0], [2.0]])
@@ -112,6 +121,7 @@ def test_steps_are_the_finest_clock_and_halved_until_nothing_changes():
     assert abs(span.value - 4.0) < 4 * span.sigma
 
 
+@pytest.mark.slow
 def test_a_poor_fit_is_tried_from_other_starts_and_said():
     """A motion of six seconds that a mass of a tenth loses; no such try, and no such sentence,
     without a reason."""

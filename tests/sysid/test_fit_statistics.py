@@ -20,7 +20,7 @@ def columns(residual, slopes=J, huber=False, stated=True):
     return [Column("y[0]", [rows], stated)]
 
 
-def coverage(noise, huber=False, repetitions=400, stated=True):
+def coverage(noise, huber=False, repetitions=150, stated=True):
     """The share of 95 % intervals that hold the truth, of fits weighed by 1 / 1."""
     rng = np.random.default_rng(0)
     held, said = [], None
@@ -53,13 +53,13 @@ def outliers(rng):
 def test_intervals_follow_the_residuals_whatever_noise_is_stated(size, stated):
     """The noise that rows are weighed by may be wrong by 100 either way."""
     share, said = coverage(lambda rng: size * rng.normal(size=M), stated=stated)
-    assert 0.93 < share < 0.97  # 1,200 intervals: 3 standard deviations are 0.019
+    assert 0.92 < share < 0.985  # 450 intervals: 3 standard deviations are 0.031
     assert abs(said.scale["y[0]"] / size - 1) < 0.15 and said.rows == M
 
 
 def test_outliers_with_huber():
     share, said = coverage(outliers, huber=True)
-    assert 0.93 < share < 0.97
+    assert 0.92 < share < 0.985
     clean = fit_statistics(NAMES, TRUTH, columns(np.random.default_rng(1).normal(size=M)))
     ratio = said.estimates.sigma / clean.estimates.sigma
     assert (ratio > 0.9).all() and (ratio < 1.35).all()  # not the size of the outliers
