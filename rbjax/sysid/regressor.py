@@ -242,6 +242,7 @@ def _check_terms(where: str, terms: Any, smoothing: float = 0.0) -> None:
         raise InputError(
             f"{where}: joint_terms is {terms!r}, expected a list such as [{example!r}]"
         )
+    terms = list(terms)
     for term in terms:
         if not isinstance(term, str) or term not in JOINT_TERMS:
             raise UnknownName("joint term", term, JOINT_TERMS)
