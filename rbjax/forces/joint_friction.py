@@ -105,13 +105,13 @@ class JointFriction(Element):
         at = [(i, v) for j in map(now.joint, self.joints) for i, v in enumerate(j.v, j.start)]
         rows = [[lane(x, n) for x in columns] for n in range(len(at))]
         falls = self.breakaway is not None
-        return Loads({i: _friction(v, *row, falls) for (i, v), row in zip(at, rows, strict=True)})
+        tau = {i: _friction(v, row, falls) for (i, v), row in zip(at, rows, strict=True)}
+        return Loads(tau)
 
 
-def _friction(
-    v: Lane, coulomb: Lane, breakaway: Lane, v_s: Lane, v_0: Lane, viscous: Lane, falls: bool
-) -> Lane:
+def _friction(v: Lane, numbers: Sequence[Lane], falls: bool) -> Lane:
     """The friction of one coordinate; whether it falls with the speed after break-away."""
+    coulomb, breakaway, v_s, v_0, viscous = numbers
     dry, extra = coulomb, sub(breakaway, coulomb) if falls else 0.0
     if not is_zero(extra):
         dry = add(dry, mul(extra, jnp.exp(-((v / v_s) ** 2))))

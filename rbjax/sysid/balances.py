@@ -48,8 +48,8 @@ def momentum_regressor(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         >>> momentum_regressor(model, model.default_state().q, [1.0, 2.0]).shape
         (2, 20)
     """
+    v = _velocity("momentum_regressor", model, v)
     weightless = model.replace(gravity=jnp.zeros_like(model.gravity))
-    v = jnp.asarray(v)
     return inertial_regressor(weightless, q, jnp.zeros_like(v), v)
 
 
@@ -70,7 +70,7 @@ def energy_regressor(model: Model, q: jax.Array, v: jax.Array) -> jax.Array:
         >>> energy_regressor(model, model.default_state().q, [1.0, 2.0]).shape
         (20,)
     """
-    v = jnp.asarray(v)
+    v = _velocity("energy_regressor", model, v)
     R, p = forward_kinematics(model, q)
     g = model.gravity.astype(R.dtype)
     height, turned = -(p * g).sum(-1, keepdims=True), -(R * g[:, None]).sum(-2)
@@ -122,6 +122,7 @@ def momentum_balance(
         >>> W.shape, y.shape
         ((4, 1, 10), (4, 1))
     """
+    _check_held("momentum_balance", held)
     t, q, v, tau = _motion("momentum_balance", model, t, q, v, tau, window)
     inertial = 10 * model.nb
 
@@ -175,6 +176,7 @@ def energy_balance(
         >>> W.shape, y.shape
         ((4, 1, 10), (4, 1))
     """
+    _check_held("energy_balance", held)
     t, q, v, tau = _motion("energy_balance", model, t, q, v, tau, window)
     inertial, places = 10 * model.nb, _columns(model, joint_terms)
 
@@ -200,6 +202,16 @@ def energy_balance(
     else:
         work = _integral(t, tau * v)
     return W[:, None], _over(work.sum(1), window)[:, None]
+
+
+def _velocity(where: str, model: Model, v: Any) -> jax.Array:
+    check_model(where, model)
+    return check_array(where, "v", v, (model.nv,))
+
+
+def _check_held(where: str, held: Any) -> None:
+    if not isinstance(held, (bool, np.bool_)):
+        raise InputError(f"{where}: held is {held!r}, expected True or False")
 
 
 def _columns(model: Model, joint_terms: Sequence[str]) -> Array:

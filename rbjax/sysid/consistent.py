@@ -29,6 +29,7 @@ import scipy.stats
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.equations import equations
 from rbjax.sysid.inertia_metric import prior_residual, scalar_residual
 from rbjax.sysid.log_cholesky import (
@@ -108,6 +109,7 @@ def consistent(
     noise: Any = None,
     spread: Any = 1.0,
     base: Combinations | None = None,
+    lengths: Sequence[int] | None = None,
     max_steps: int = 300,
 ) -> Consistent:
     """Fit inertias that bodies can have, and positive armature and friction, to torques.
@@ -122,7 +124,7 @@ def consistent(
             of weighted least squares. After a robust regression noise / sqrt(weights) keeps its
             weights.
         spread: relative standard deviation of the prior, a number or (nb,), one for each body.
-        base: as for `regress`.
+        base, lengths: as for `regress`.
         max_steps: evaluations.
 
     Returns:
@@ -146,8 +148,12 @@ def consistent(
     where = "consistent"
     check_model(where, model)
     names = parameter_names(model, joint_terms)
-    eq = equations(W, tau, names, noise=noise, base=base)
-    spread = np.asarray(spread, float)
+    check_whole(where, "max_steps", max_steps, 1)
+    eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
+    try:
+        spread = np.asarray(spread, float)
+    except (TypeError, ValueError):
+        spread = np.array(np.nan)
     if spread.shape not in ((), (model.nb,)) or not ((spread > 0) & np.isfinite(spread)).all():
         raise InputError(
             f"{where}: spread is {spread}, expected a number above 0, such as 0.3 for 30 %, or "
@@ -171,7 +177,14 @@ def consistent(
             ftol=1e-14, xtol=1e-14, gtol=1e-14, max_nfev=max_steps,
         )  # fmt: skip
     values, slopes = problem.parameters(found.x), problem.slopes(found.x)
-    covariance = slopes @ np.linalg.pinv(found.jac.T @ found.jac, hermitian=True) @ slopes.T
+    bread = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
+    prior = found.jac[len(problem.R) :]
+    # the data's part of J^T J as their residuals have it: linear.covariance^-1 if they are white
+    data = eq.combinations.matrix @ slopes
+    X = (eq.X / sd[..., None]).reshape(-1, eq.combinations.rank)
+    data = X.T @ X @ data
+    meat = data.T @ linear.covariance @ data + prior.T @ prior
+    covariance = slopes @ bread @ meat @ bread @ slopes.T
     divergence = (np.asarray(_prior(problem.bodies(found.x), problem.prior)) ** 2).sum(1)
     return Consistent(
         _changed(model, values, joint_terms), names, values, covariance, sd,

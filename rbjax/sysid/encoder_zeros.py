@@ -21,11 +21,13 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.regression import Regression, regress
 from rbjax.sysid.torque_rows import TorqueRows
 
 Array = np.ndarray
 DONE = 1e-9  # rad or m that zeros still move
+LEAST = 3  # steps: in the first one zeros move nothing, as the parameters may be 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,20 +89,25 @@ def regress_with_zeros(
     """
     where = "regress_with_zeros"
     rows = _checked(where, rows)
-    if not 0 < spread < np.inf:
-        raise InputError(f"{where}: spread is {spread}, expected a positive angle or length")
+    _check_spread(where, spread)
+    check_whole(where, "max_steps", max_steps, 1)
     names, tau = rows[0].names, np.concatenate([r.tau for r in rows])
     p, (N, k) = len(names), tau.shape
     changes = [f"{r.name}.zero[{i}]" for r in rows for i in range(k)]
-    prior = np.zeros(p) if prior is None else np.asarray(prior, float)
+    prior = np.zeros(p) if prior is None else _numbers(where, "prior", prior, (p,))
+    if noise is not None:
+        noise = _noise(where, noise, k)
     zeros = np.stack([r.zeros for r in rows])
+    lengths = [*(len(r.t) for r in rows), *(1 for _ in rows)]
     parameters, base, sd = prior, None, np.full(k, tau.std()) if noise is None else noise
     step, moved = 0, np.inf
-    while step < max_steps and (step < 3 or moved > DONE):
+    while step < max_steps and (step < LEAST or moved > DONE):
         step += 1
         W, y = _augmented(rows, zeros, parameters)
         each = np.concatenate([np.broadcast_to(sd, (N, k)), np.full((len(rows), k), spread)])
-        found = regress(W, np.concatenate([tau, y]), [*names, *changes], noise=each, base=base)
+        found = regress(
+            W, np.concatenate([tau, y]), [*names, *changes], noise=each, base=base, lengths=lengths
+        )
         base = found.combinations
         whole = found.parameters(np.concatenate([prior, np.zeros(len(changes))]))
         parameters, change = whole[:p], whole[p:].reshape(zeros.shape)
@@ -111,7 +118,8 @@ def regress_with_zeros(
     by_name = {r.name: z for r, z in zip(rows, zeros, strict=True)}
     sd = np.broadcast_to(np.asarray(sd, float), (k,))
     squares = float(((off / sd) ** 2).sum())
-    return WithZeros(found, parameters, by_name, sd, squares, step, moved <= DONE)
+    done = step >= LEAST and moved <= DONE
+    return WithZeros(found, parameters, by_name, sd, squares, step, done)
 
 
 def _augmented(rows: Sequence[TorqueRows], zeros: Array, parameters: Array) -> tuple[Array, Array]:
@@ -149,8 +157,11 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
         >>> zeros_of(torque_rows(model, still, 5.0), rb.inertial_parameters(model)).tolist()
         [0.0]
     """
-    parameters = np.asarray(parameters, float)
-    sd = np.broadcast_to(np.asarray(noise, float), rows.tau.shape[1:])
+    where = "zeros_of"
+    (rows,) = _checked(where, [rows])
+    _check_spread(where, spread)
+    parameters = _numbers(where, "parameters", parameters, (len(rows.names),))
+    sd = np.broadcast_to(_noise(where, noise, rows.tau.shape[1]), rows.tau.shape[1:])
     J = np.einsum("nkpz,p->nkz", rows.slopes, parameters) / sd[:, None]
     off = rows.residual(parameters) / sd
     n = J.shape[-1]
@@ -159,10 +170,37 @@ def zeros_of(rows: TorqueRows, parameters: Any, *, noise: Any = 1.0, spread: flo
     return rows.zeros + np.linalg.lstsq(J, off, rcond=None)[0]
 
 
+def _check_spread(where: str, spread: Any) -> None:
+    if not isinstance(spread, (int, float, np.number)) or not 0 < spread < np.inf:
+        raise InputError(f"{where}: spread is {spread!r}, expected a positive angle or length")
+
+
+def _noise(where: str, noise: Any, k: int) -> Array:
+    x = _numbers(where, "noise", noise, (), (k,))
+    if not (x > 0).all():
+        raise InputError(f"{where}: noise is {x.tolist()}, expected standard deviations above 0")
+    return x
+
+
+def _numbers(where: str, name: str, x: Any, *shapes: tuple[int, ...]) -> Array:
+    try:
+        x = np.asarray(x, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: {name} is {type(x).__name__}, expected numbers") from error
+    if x.shape not in shapes or not np.isfinite(x).all():
+        raise InputError(
+            f"{where}: {name} has shape {x.shape}, expected {' or '.join(map(str, shapes))}, finite"
+        )
+    return x
+
+
 def _checked(where: str, rows: Sequence[TorqueRows]) -> list[TorqueRows]:
-    rows = list(rows)
-    if not rows:
-        raise InputError(f"{where}: no rows, expected those of at least one recording")
+    rows = [rows] if isinstance(rows, TorqueRows) else list(rows)
+    if not rows or not all(isinstance(r, TorqueRows) for r in rows):
+        raise InputError(
+            f"{where}: rows is {[type(r).__name__ for r in rows]}, expected the `TorqueRows` of at "
+            "least one recording"
+        )
     names = [r.name for r in rows]
     if len(set(names)) < len(names) or any(r.names != rows[0].names for r in rows):
         raise InputError(

@@ -33,14 +33,19 @@ class Fitted(NamedTuple):
 class Equations:
     """Samples of W pi = tau.
 
-    Fields: W (N, k, p); tau (N, k); combinations of the p parameters; noise (N, k), the standard
-    deviation of each torque, or None where it is to be estimated.
+    Fields:
+        W: (N, k, p).
+        tau: (N, k).
+        combinations: of the p parameters.
+        noise: (N, k) standard deviation of each torque, or None if it is to be estimated.
+        lengths: samples of each recording, one after the other; N in all.
     """
 
     W: Array
     tau: Array
     combinations: Combinations
     noise: Array | None = None
+    lengths: tuple[int, ...] = ()
 
     @cached_property
     def X(self) -> Array:
@@ -86,8 +91,9 @@ class Equations:
 
 
 def equations(
-    W: Any, tau: Any, names: Sequence[str], *, noise: Any = None, base: Combinations | None = None
-) -> Equations:
+    W: Any, tau: Any, names: Sequence[str], *, noise: Any = None, base: Combinations | None = None,
+    lengths: Sequence[int] | None = None,
+) -> Equations:  # fmt: skip
     """W pi = tau, checked: what an estimator of `METHODS` takes.
 
     Args, Raises: as for `regress`.
@@ -100,7 +106,17 @@ def equations(
         >>> line.fit(0.1).beta.round(6).tolist()
         [2.0, -1.0]
     """
-    given, tau = np.asarray(W), np.asarray(tau, float)
+    try:
+        given, tau = np.asarray(W), np.asarray(tau, float)
+        names = tuple(names)
+        noise = None if noise is None else np.asarray(noise, float)
+        if given.dtype.kind not in "biuf":
+            raise TypeError(f"W has dtype {given.dtype}")
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"regress: {error}; expected arrays of numbers W (N, k, p) and tau (N, k), p names, "
+            "and noise as numbers or None"
+        ) from error
     if given.ndim == 2:
         given, tau = given[:, None], tau.reshape(-1, 1) if tau.ndim == 1 else tau
     W = given.astype(float)
@@ -117,6 +133,10 @@ def equations(
                 "values; leave samples that are missing out"
             )
     base = combinations(given, names) if base is None else base
+    if not isinstance(base, Combinations):
+        raise InputError(
+            f"regress: base is {type(base).__name__}, expected the Combinations of `combinations`"
+        )
     if base.names != tuple(names):
         raise InputError("regress: base has other names than the columns of W")
     if not base.rank or tau.size <= base.rank:
@@ -125,11 +145,19 @@ def equations(
             "than parameters, and at least one parameter that shows"
         )
     if noise is not None:
-        noise = np.asarray(noise, float)
-        if noise.shape not in ((), tau.shape[1:], tau.shape) or not (noise > 0).all():
+        fits = noise.shape in ((), tau.shape[1:], tau.shape)
+        if not fits or not ((noise > 0) & np.isfinite(noise)).all():
             raise InputError(
                 f"regress: noise has shape {noise.shape}, expected (), {tau.shape[1:]} or "
-                f"{tau.shape}, all above 0"
+                f"{tau.shape}, all finite and above 0"
             )
         noise = np.broadcast_to(noise, tau.shape)
-    return Equations(W, tau, base, noise)
+    lengths = (len(tau),) if lengths is None else tuple(lengths)
+    if not all(isinstance(n, (int, np.integer)) and n > 0 for n in lengths) or sum(lengths) != len(
+        tau
+    ):
+        raise InputError(
+            f"regress: lengths is {lengths}, expected the samples of each recording, {len(tau)} in "
+            "all"
+        )
+    return Equations(W, tau, base, noise, lengths)

@@ -8,7 +8,7 @@ Both give q, v and a in closed form at any times, differentiable by their coeffi
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.solvers.arguments import check_whole
 
 DEGREE = 5  # of the splines: the acceleration is smooth
 
@@ -26,6 +27,11 @@ class Motion(NamedTuple):
     q: jax.Array
     v: jax.Array
     a: jax.Array
+
+
+def _seconds(x: Any) -> Any:
+    """A number as a float; `_check_time` rejects what is not a number."""
+    return float(x) if isinstance(x, (int, float, np.number)) else x
 
 
 class Fourier(eqx.Module):
@@ -57,9 +63,11 @@ class Fourier(eqx.Module):
     q0: jax.Array
     a: jax.Array
     b: jax.Array
-    period: float = eqx.field(static=True, converter=float)
+    period: float = eqx.field(static=True, converter=_seconds)
 
     def __check_init__(self) -> None:
+        for name in ("q0", "a", "b"):
+            _check_numbers("Fourier", name, getattr(self, name))
         shapes = [np.shape(x) for x in (self.q0, self.a, self.b)]
         if len(shapes[1]) != 2 or shapes[0] != shapes[1][:1] or shapes[1] != shapes[2]:
             raise InputError(
@@ -85,7 +93,8 @@ class Fourier(eqx.Module):
         cls, key: jax.Array, q0: jax.Array, harmonics: int, period: float, speed: float = 0.1
     ) -> Fourier:
         """Normal coefficients, whose velocity is about `speed` in rad/s."""
-        q0 = jnp.asarray(q0, float)
+        q0 = _random("Fourier.random", key, q0, speed)
+        check_whole("Fourier.random", "harmonics", harmonics, 1)
         shape = (2, len(q0), harmonics)
         a, b = speed / np.sqrt(harmonics) * jax.random.normal(key, shape)
         return cls(q0, a, b, period)
@@ -114,9 +123,10 @@ class Spline(eqx.Module):
     """
 
     points: jax.Array
-    duration: float = eqx.field(static=True, converter=float)
+    duration: float = eqx.field(static=True, converter=_seconds)
 
     def __check_init__(self) -> None:
+        _check_numbers("Spline", "points", self.points)
         shape = np.shape(self.points)
         if len(shape) != 2 or shape[1] < 3:
             raise InputError(
@@ -141,7 +151,8 @@ class Spline(eqx.Module):
         cls, key: jax.Array, q0: jax.Array, points: int, duration: float, size: float = 0.1
     ) -> Spline:
         """From q0 and back, by control points that are about `size` in rad away."""
-        q0 = jnp.asarray(q0, float)
+        q0 = _random("Spline.random", key, q0, size)
+        check_whole("Spline.random", "points", points, 3)
         away = size * jax.random.normal(key, (len(q0), points))
         return cls(q0[:, None] + away.at[:, [0, -1]].set(0.0), duration)
 
@@ -159,6 +170,37 @@ def _basis(knots: np.ndarray, degree: int, t: jax.Array) -> jax.Array:
     return B
 
 
-def _check_time(where: str, name: str, seconds: float) -> None:
-    if not 0 < seconds < np.inf:
+def _random(where: str, key: Any, q0: Any, size: Any) -> jax.Array:
+    """q0 as an array; all three are checked."""
+    if not jnp.issubdtype(getattr(key, "dtype", float), jax.dtypes.prng_key) and np.shape(
+        key
+    ) != (2,):
+        raise InputError(f"{where}: key is {type(key).__name__}, expected jax.random.key(seed)")
+    _check_numbers(where, "q0", q0)
+    if np.ndim(q0) != 1:
+        raise InputError(f"{where}: q0 has shape {np.shape(q0)}, expected (n,)")
+    number = isinstance(size, (int, float, np.number)) and not isinstance(size, bool)
+    if not number or not np.isfinite(size):
+        raise InputError(f"{where}: the size of the motion is {size!r}, expected a finite number")
+    return jnp.asarray(q0, float)
+
+
+def _check_numbers(where: str, name: str, x: Any) -> None:
+    """`InputError` unless x is an array of finite numbers, or one of a program that is traced."""
+    if isinstance(x, jax.core.Tracer):
+        return
+    if x is None or isinstance(x, str):
+        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers")
+    if not isinstance(x, (jax.Array, np.ndarray, list, tuple, int, float)):
+        return  # what JAX or equinox put in the place of an array
+    try:
+        finite = np.isfinite(np.asarray(x, float)).all()
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers") from error
+    if not finite:
+        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
+
+
+def _check_time(where: str, name: str, seconds: Any) -> None:
+    if not isinstance(seconds, float) or not 0 < seconds < np.inf:
         raise InputError(f"{where}: {name} is {seconds}, expected a positive time in s")

@@ -97,6 +97,16 @@ class MotionLimits(eqx.Module):
             raise InputError("MotionLimits: only one of low and high is given, expected both")
         if (self.torque is None) != (self.model is None):
             raise InputError("MotionLimits: only one of torque and model is given, expected both")
+        for name in ("low", "high", "speed", "acceleration", "torque"):
+            x = getattr(self, name)
+            if x is not None and np.asarray(x).dtype.kind not in "biuf":
+                raise InputError(f"MotionLimits: {name} is {x!r}, expected numbers, or None")
+        if not (self.model is None or isinstance(self.model, Model)):
+            raise InputError(
+                f"MotionLimits: model is {type(self.model).__name__}, expected a Model (rbjax.load)"
+            )
+        if not (self.own is None or callable(self.own)):
+            raise InputError(f"MotionLimits: own is {self.own!r}, expected a function of q, v, a")
         span = () if self.low is None else np.asarray(self.high) - np.asarray(self.low)
         for name, x in (("high - low", span), ("speed", self.speed), ("torque", self.torque),
                         ("acceleration", self.acceleration)):  # fmt: skip
@@ -191,7 +201,19 @@ def design(
         raise UnknownName("criterion", criterion, CRITERIA)
     for name, number in (("samples", samples), ("rounds", rounds), ("steps", steps)):
         check_whole("design", name, number, 1)
+    if not isinstance(start, (Fourier, Spline)):
+        raise InputError(
+            f"design: start is {type(start).__name__}, expected a motion: Fourier or Spline"
+        )
+    if not callable(information):
+        raise InputError(
+            f"design: information is {type(information).__name__}, expected a function (q, v, a) "
+            "-> J (rows, unknowns)"
+        )
+    if not (limits is None or isinstance(limits, MotionLimits)):
+        raise InputError(f"design: limits is {type(limits).__name__}, expected MotionLimits")
     limits = MotionLimits() if limits is None else limits
+    _check_joints(start, limits)
     times, fine = _times(start, samples), _times(start, FINE * samples)
     flat: jax.Array
     flat, unravel = ravel_pytree(start)
@@ -261,6 +283,18 @@ def design(
     return Experiment(
         unravel(x), criterion, value, start_value, np.asarray(after), worst, not broken, sentence
     )
+
+
+def _check_joints(start: Fourier | Spline, limits: MotionLimits) -> None:
+    """`InputError` unless each limit is one number, or one a joint."""
+    joints = len(start.q0 if isinstance(start, Fourier) else start.points)
+    for name in ("low", "high", "speed", "acceleration", "torque"):
+        shape = np.shape(getattr(limits, name)) if getattr(limits, name) is not None else ()
+        if shape not in ((), (1,), (joints,)):
+            raise InputError(
+                f"design: limit {name} has shape {shape}, expected one number, or {joints}, one "
+                "for each joint of the motion"
+            )
 
 
 def _on_the_way(

@@ -114,7 +114,8 @@ def differentiate(t: Any, x: Any, cutoff: float, *, times: int = 1, order: int =
     t, x = _signal(where, t, x)
     steps = np.diff(t)
     h = float((t[-1] - t[0]) / len(steps))
-    if not 0 < cutoff < 0.5 / h:
+    number = isinstance(cutoff, (int, float, np.number)) and not isinstance(cutoff, bool)
+    if not number or not 0 < cutoff < 0.5 / h:
         raise InputError(
             f"{where}: cutoff is {cutoff} Hz, expected a number between 0 and {0.5 / h:g} Hz, half "
             "the rate of the samples"
@@ -189,7 +190,12 @@ def _stated(
 
 
 def _signal(where: str, t: Any, x: Any) -> tuple[np.ndarray, np.ndarray]:
-    t, x = np.asarray(t, float), np.asarray(x, float)
+    try:
+        t, x = np.asarray(t, float), np.asarray(x, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{where}: t is {type(t).__name__} and x {type(x).__name__}, expected arrays of numbers"
+        ) from error
     if t.ndim != 1 or x.ndim not in (1, 2) or len(t) != len(x) or len(t) < 6:
         raise InputError(
             f"{where}: t has shape {t.shape} and x {x.shape}, expected (samples,), and (samples,) "

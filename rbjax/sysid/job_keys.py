@@ -42,6 +42,10 @@ def _count(x: Any) -> bool:
     return isinstance(x, int) and not isinstance(x, bool) and 1 <= x < 10**9
 
 
+def _whole(x: Any) -> bool:
+    return _count(x) or (isinstance(x, int) and not isinstance(x, bool) and x == 0)
+
+
 def _index(x: Any) -> bool:
     place = isinstance(x, int) and not isinstance(x, bool) and abs(x) < 2**31
     return place or _text(x) or _list(_index)(x)
@@ -66,6 +70,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
         "a finite number above 0, or a list of them",
     ),
     "count": (_count, "an integer, 1 or more"),
+    "integer": (_whole, "an integer, 0 or more"),
     "yes": (lambda x: isinstance(x, bool), "true or false"),
     "true": (lambda x: x is True, "true"),
     "sign": (lambda x: _number(x) and x in (1, -1), "1 or -1"),
@@ -135,6 +140,8 @@ KEYS: dict[str, dict[str, Key]] = {
         "shooting": Key("positive", "none", "s", "length of pieces that are tied (multiple "
                         "shooting), for a long or chaotic motion"),
         "many_starts": Key("count", "none", "", "fits from so many first guesses (`many_starts`)"),
+        "restarts": Key("integer", OF_IDENTIFY, "", "fits from other first guesses, if the fit is "
+                        "poor"),
         "loss": Key("loss", OF_IDENTIFY, "", '"huber": outliers count less'),
         "steps": Key("count", OF_IDENTIFY, "", "evaluations of the residual at most"),
         "period": Key("positive", "the finest clock", "s", "for which a command is held"),

@@ -18,6 +18,7 @@ An estimator is a function of an `Equations` that returns a `Regression`; `METHO
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -27,22 +28,32 @@ import scipy.linalg
 import scipy.stats
 
 from rbjax.errors import InputError, UnknownName
+from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.equations import Equations, equations
 from rbjax.sysid.rank import Combinations
+from rbjax.sysid.regression_statistics import ROUNDING, negligible, statistics_of, with_statistics
+from rbjax.sysid.whiteness import meat_of
 
 Array = np.ndarray
-#: Noise below this times a torque's size is rounding.
-ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class Regression:
     """What a regression found.
 
-    Fields: combinations, of which the r base parameters are; beta (r,); covariance (r, r); noise
-    (k,) standard deviation of each channel; residual (N, k) tau - W pi; weights (N, k), below 1
-    where a robust method trusts a sample less; dof, degrees of freedom of Student's t, infinite
-    where the noise was given; steps of iterations; ok, whether they converged.
+    Fields:
+        combinations: of which the r base parameters are.
+        beta: (r,).
+        covariance: (r, r), by `fit_statistics`: of noise that is independent in time if the
+            residuals are white, else of noise as correlated as they are.
+        noise: (k,) standard deviation of each channel.
+        residual: (N, k), tau - W pi.
+        weights: (N, k), below 1 if a robust method trusts a sample less.
+        dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
+            agree with it.
+        steps: of iterations.
+        ok: whether they converged.
+        white: whether the residuals of each channel are independent in time.
     """
 
     combinations: Combinations
@@ -54,6 +65,7 @@ class Regression:
     dof: float
     steps: int = 1
     ok: bool = True
+    white: bool = True
 
     @property
     def errors(self) -> Array:
@@ -95,6 +107,7 @@ def regress(
     method: str = "weighted",
     noise: Any = None,
     base: Combinations | None = None,
+    lengths: Sequence[int] | None = None,
     **options: Any,
 ) -> Regression:
     """Fit base parameters to torques.
@@ -106,6 +119,8 @@ def regress(
         method: "ordinary", "weighted", "robust" or "instrumental": the keys of `METHODS`.
         noise: standard deviation of tau where it is known: a number, (k,) or (N, k).
         base: the combinations to fit; None for those that W shows.
+        lengths: samples of each recording in W, N in all: noise is not correlated from one to the
+            next. None: one recording. Samples are in the order of time.
         options: of the method. robust: loss ("huber", "bisquare"), max_steps. instrumental:
             instruments (N, k, p), or a function of the last `Regression` that returns them; start;
             max_steps.
@@ -130,7 +145,17 @@ def regress(
     """
     if method not in METHODS:
         raise UnknownName("regression method", method, METHODS)
-    return METHODS[method](equations(W, tau, names, noise=noise, base=base), **options)
+    known = inspect.signature(METHODS[method]).parameters
+    for option in options:
+        if option not in list(known)[1:]:
+            raise UnknownName(f"option of method {method}", option, list(known)[1:])
+    if method == "instrumental" and "instruments" not in options:
+        raise InputError(
+            "regress: method instrumental without instruments, expected an array (N, k, p) like W, "
+            "or a function of the last Regression that returns it"
+        )
+    eq = equations(W, tau, names, noise=noise, base=base, lengths=lengths)
+    return METHODS[method](eq, **options)
 
 
 def ordinary(eq: Equations) -> Regression:
@@ -146,20 +171,24 @@ def ordinary(eq: Equations) -> Regression:
         dof, noise = np.inf, np.sqrt((eq.noise**2).mean(0))
         noisy = (eq.X * eq.noise[..., None]).reshape(-1, beta.size) @ covariance
         covariance = noisy.T @ noisy
-    return Regression(
+    found = Regression(
         eq.combinations, beta, covariance, noise, residual, np.ones((N, k)), dof
     )  # fmt: skip
+    return with_statistics(eq, found, np.ones((N, k)))
 
 
 def weighted(eq: Equations) -> Regression:
     """Each torque counts by its noise: known, or that of its channel's residuals."""
-    if eq.noise is not None:
-        return _weighted(eq, eq.noise, np.inf)
-    noise = _floor(eq, np.sqrt((ordinary(eq).residual ** 2).mean(0)))
+    sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
+    return with_statistics(eq, _weighted(eq, sd), np.broadcast_to(sd, eq.tau.shape))
+
+
+def _noise_of_channels(eq: Equations) -> Array:
+    beta = eq.fit(1.0).beta
+    noise = _floor(eq, np.sqrt(((eq.tau - eq.X @ beta) ** 2).mean(0)))
     for _ in range(3):  # the noise of a channel and the weights by it settle at once
-        found = _weighted(eq, noise, float(eq.tau.size - eq.combinations.rank))
-        noise = _floor(eq, found.noise)
-    return _weighted(eq, noise, float(eq.tau.size - eq.combinations.rank))
+        noise = _floor(eq, _weighted(eq, noise).noise)
+    return noise
 
 
 def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regression:
@@ -171,8 +200,10 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
     """
     if loss not in LOSSES:
         raise UnknownName("loss", loss, LOSSES)
+    check_whole("robust", "max_steps", max_steps, 1)
     N, k = eq.tau.shape
-    found, done, step = weighted(eq), False, 0
+    sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
+    found, done, step = _weighted(eq, sd), False, 0
     stages = ["huber"] if loss == "huber" else ["huber", loss]
     for stage in stages:
         for _ in range(max_steps):
@@ -190,14 +221,13 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
                 break
     scale = _scale(eq, found.residual)
     w, psi, slope = LOSSES[loss](found.residual / scale)
-    r = found.beta.size
-    spread = (psi**2).sum() / (N * k - r) / max(slope.mean(), 1e-3) ** 2
-    noise = np.sqrt((scale**2).mean(0))
-    covariance = spread * eq.fit(scale).covariance
-    dof = float(N * k - r)
-    return Regression(
-        eq.combinations, found.beta, covariance, noise, found.residual, w, dof, step, done
-    )
+    # what `with_statistics` keeps if the noise is given and the samples are few
+    spread = (psi**2).mean() / max(slope.mean(), 1e-3) ** 2
+    found = Regression(
+        eq.combinations, found.beta, spread * eq.fit(scale).covariance,
+        np.sqrt((scale**2).mean(0)), found.residual, w, float(N * k - found.beta.size), step, done,
+    )  # fmt: skip
+    return with_statistics(eq, found, scale, psi, slope)
 
 
 def instrumental(
@@ -215,6 +245,7 @@ def instrumental(
     estimate is repeated from `start` (None: weighted least squares) until no base parameter moves
     by more than `tolerance` standard deviations.
     """
+    check_whole("instrumental", "max_steps", max_steps, 1)
     found, (N, k) = weighted(eq) if start is None else start, eq.tau.shape
     steps = max_steps if callable(instruments) else 3  # noise of channels settles at once
     for step in range(1, steps + 1):
@@ -251,7 +282,18 @@ def instrumental(
         )  # fmt: skip
         if callable(instruments) and found.ok:
             break
-    return found
+    said = statistics_of(eq, found.residual / sd, np.ones((N, k)), np.broadcast_to(sd, (N, k)))
+    if said.white or negligible(eq, found.residual):
+        return found
+    scores = np.split(
+        np.einsum("nkr,nk->nr", Zs.reshape(N, k, -1), found.residual / sd),
+        np.cumsum(eq.lengths)[:-1],
+    )
+    bread = scipy.linalg.inv(Zs.T @ X)
+    covariance = bread @ meat_of(scores) @ bread.T * (N * k / (N * k - found.beta.size))
+    return dataclasses.replace(
+        found, covariance=covariance, dof=said.estimates.dof, white=False
+    )
 
 
 def _huber(u: Array, c: float = 1.345) -> tuple[Array, Array, Array]:
@@ -284,13 +326,14 @@ METHODS: dict[str, Callable[..., Regression]] = {
 """The estimators of `regress`: name -> function of `Equations` and options."""
 
 
-def _weighted(eq: Equations, noise: Array, dof: float) -> Regression:
+def _weighted(eq: Equations, noise: Array) -> Regression:
     fitted = eq.fit(noise)
     residual = eq.tau - eq.X @ fitted.beta
     # each channel's degrees of freedom: its samples less what it gave to the parameters
     free = len(eq.tau) - fitted.leverage
     found = np.sqrt((residual**2).sum(0) / np.maximum(free, 1e-3 * len(eq.tau)))
     ones = np.ones_like(residual)
+    dof = np.inf if eq.noise is not None else float(eq.tau.size - fitted.beta.size)
     return Regression(eq.combinations, fitted.beta, fitted.covariance, found, residual, ones, dof)
 
 

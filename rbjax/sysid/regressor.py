@@ -90,6 +90,9 @@ def regressor(
     _check_terms("regressor", joint_terms, smoothing)
     if "gear_loss" in joint_terms and tau is None:
         raise InputError('regressor: "gear_loss" without tau, expected the measured torques (nv,)')
+    if tau is not None:
+        check_model("regressor", model)
+        tau = check_array("regressor", "tau", tau, (model.nv,))
     Y = inertial_regressor(model, q, v, a)
     if not joint_terms:
         return Y
@@ -215,14 +218,14 @@ def coordinate_rows(model: Model, rows: Sequence[int | str] | slice | None) -> n
     """Places in v from joint names, places, or a slice."""
     if rows is None or isinstance(rows, slice):
         return np.arange(model.nv)[rows if rows is not None else slice(None)]
-    if isinstance(rows, str):
+    if isinstance(rows, str) or not isinstance(rows, Iterable):
         raise InputError(f"rows is {rows!r}, expected a sequence such as [{rows!r}]")
     found: list[int] = []
     for row in rows:
         if isinstance(row, str):
             place = model.v_slice(row)
             found += range(place.start, place.stop)
-        elif isinstance(row, (int, np.integer)) and 0 <= row < model.nv:
+        elif type(row) is not bool and isinstance(row, (int, np.integer)) and 0 <= row < model.nv:
             found.append(int(row))
         else:
             raise InputError(
@@ -239,12 +242,14 @@ def _check_terms(where: str, terms: Any, smoothing: float = 0.0) -> None:
         raise InputError(
             f"{where}: joint_terms is {terms!r}, expected a list such as [{example!r}]"
         )
+    terms = list(terms)
     for term in terms:
-        if term not in JOINT_TERMS:
+        if not isinstance(term, str) or term not in JOINT_TERMS:
             raise UnknownName("joint term", term, JOINT_TERMS)
     if len(set(terms)) < len(terms):
         raise InputError(f"{where}: joint_terms is {list(terms)}, expected none twice")
-    if not isinstance(smoothing, (int, float)) or not 0 <= smoothing < np.inf:
+    number = isinstance(smoothing, (int, float)) and not isinstance(smoothing, bool)
+    if not number or not 0 <= smoothing < np.inf:
         raise InputError(
             f"{where}: smoothing is {smoothing!r}, expected a speed in rad/s or m/s, 0 or more"
         )

@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
+from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
 
@@ -37,8 +38,19 @@ class Run(NamedTuple):
     exact: Any = 0.0
 
 
+def _check_grid(grid: Grid) -> None:
+    if not isinstance(grid, Grid):
+        raise InputError(f"identify: grid is {type(grid).__name__}, expected a Grid(period)")
+    period = grid.period
+    if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
+        raise InputError(f"identify: grid has period {period!r}, expected seconds above 0")
+    check_whole("identify", "substeps of the grid", grid.substeps, 1)
+    check_whole("identify", "longest_delay of the grid", grid.longest_delay, 0)
+
+
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation."""
+    _check_grid(grid)
     model, dtype = setup.model, setup.model.gravity.dtype
     run = ordered(model, run)
     measured = [s for s in setup.sensors if s in run.channels]

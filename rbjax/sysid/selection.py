@@ -11,6 +11,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.sysid.comparison import Comparison, Scored, compare
 from rbjax.sysid.regression import Regression, regress
+from rbjax.sysid.regression_statistics import ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +29,9 @@ class Selected:
 def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Selected:
     """Fit nested models from the smallest to the largest, and keep each that earns its place.
 
-    Each is compared with the last one kept (`compare`), both with the noise of each channel that
-    the largest model leaves.
+    Each is compared with the last one kept (`compare`). All are fitted and compared with the noise
+    of each channel that weighted least squares of the largest model leaves, so that a larger model
+    never fits worse.
 
     Args:
         candidates: name -> (W, names), observation matrix (N, k, p) and names of its columns; each
@@ -55,13 +57,23 @@ def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Sel
         >>> select(lines, 1 + 2 * t + 0.1 * noise).name
         'degree 1'
     """
-    if not candidates:
-        raise InputError("select: no candidates, expected at least one")
-    fits = {name: regress(W, tau, names, method="ordinary")
-            for name, (W, names) in candidates.items()}  # fmt: skip
-    last = [*fits.values()][-1]
-    sigma = np.sqrt((last.residual**2).mean(0))
-    sigma = np.maximum(sigma, np.finfo(float).tiny)
+    if not isinstance(candidates, Mapping) or not candidates:
+        raise InputError(
+            "select: no candidates, expected at least one, as a dict name -> (W, names)"
+        )
+    for name, candidate in candidates.items():
+        if not isinstance(candidate, (tuple, list)) or len(candidate) != 2:
+            raise InputError(
+                f"select: candidate {name} is {type(candidate).__name__}, expected (W, names): an "
+                "observation matrix and the names of its columns"
+            )
+    largest = [*candidates.values()][-1]
+    last = regress(largest[0], tau, largest[1])
+    least = ROUNDING * max(float(np.abs(last.residual).max()), float(np.max(np.abs(tau))), 1e-300)
+    sigma = np.maximum(last.noise, least)
+    fits = {
+        name: regress(W, tau, names, noise=sigma) for name, (W, names) in candidates.items()
+    }
     samples = last.residual.size
 
     def scored(name: str) -> Scored:

@@ -59,6 +59,6 @@ def in_si(unit: str) -> float:
         >>> round(60 * in_si("rpm"), 4)
         6.2832
     """
-    if unit not in UNITS:
+    if not isinstance(unit, str) or unit not in UNITS:
         raise UnknownName("unit", unit, UNITS)
     return UNITS[unit]

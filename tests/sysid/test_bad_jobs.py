@@ -32,6 +32,7 @@ BAD = {  # kind -> values that no key of this kind can have
     "numbers": NOT_NUMBERS | NOT_FINITE | st.just([1.0, 2.0, 3.0]) | st.just([1.0, "a"]),
     "positives": NOT_NUMBERS | NOT_FINITE | BELOW | st.just([1.0, -1.0]),
     "count": NOT_NUMBERS | NOT_FINITE | BELOW | st.just(0) | st.floats(1.1, 1.9) | st.just(1e300),
+    "integer": NOT_NUMBERS | NOT_FINITE | BELOW | st.floats(1.1, 1.9),
     "yes": st.sampled_from([0, 1, "yes", "true", "", [], {}, float("nan")]),
     "true": st.sampled_from([False, 1, "true", [], 5]),
     "sign": NOT_NUMBERS | NOT_FINITE | st.sampled_from([0, 5, -2, 0.5]),

@@ -1,0 +1,80 @@
+"""The covariance of a regression of torques: that of `fit_statistics`, of its residuals."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.stats
+
+from rbjax.sysid.equations import Equations
+from rbjax.sysid.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
+
+if TYPE_CHECKING:
+    from rbjax.sysid.regression import Regression
+
+Array = np.ndarray
+#: Noise below this times a torque's size is rounding.
+ROUNDING = 1e-13
+#: Residuals below this times the noise that is given say nothing of the noise.
+SMALL = 1e-6
+
+
+def with_statistics(
+    eq: Equations, found: Regression, sd: Array, psi: Array | None = None,
+    slope: Array | None = None,
+) -> Regression:  # fmt: skip
+    """The regression with the covariance of `fit_statistics`. Noise that is given is believed
+    unless at least `FEW` degrees of freedom contradict it."""
+    psi = found.residual / sd if psi is None else psi
+    slope = np.ones_like(psi) if slope is None else slope
+    free = eq.tau.size - found.beta.size
+    if negligible(eq, found.residual) or (eq.noise is not None and free < FEW):
+        return found
+    said = statistics_of(eq, psi, slope, sd)
+    agrees = eq.noise is not None and said.white and _agrees(eq, found.residual)
+    if agrees and np.isinf(found.dof):
+        return found
+    dof = float(free) if said.white else said.estimates.dof
+    return dataclasses.replace(
+        found, covariance=said.estimates.covariance, dof=dof, white=said.white
+    )
+
+
+def _agrees(eq: Equations, residual: Array) -> bool:
+    """Whether the size of the residuals is that of the noise that was given: not beyond chance, of
+    which the chi-square distribution gives 1 % to each side."""
+    assert eq.noise is not None
+    free = eq.tau.size - eq.combinations.rank
+    squares = float(((residual / eq.noise) ** 2).sum())
+    low, high = scipy.stats.chi2.ppf([0.01, 0.99], free)
+    return bool(low <= squares <= high)
+
+
+def negligible(eq: Equations, residual: Array) -> bool:
+    """Whether the residuals are rounding, or no noise next to the one that was given."""
+    size = np.abs(residual).max()
+    if eq.noise is not None and size < SMALL * eq.noise.min():
+        return True
+    return bool(size <= 100 * ROUNDING * np.abs(eq.tau).max())
+
+
+def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
+    """Those of the residuals psi (N, k), in standard deviations."""
+    X, which = eq.X / sd[..., None], np.arange(eq.X.shape[-1])
+    ends = np.cumsum([0, *eq.lengths])
+    columns = [
+        Column(
+            f"channel {c}",
+            [
+                Rows(X[a:b, c], psi[a:b, c], slope[a:b, c], np.arange(b - a), which)
+                for a, b in itertools.pairwise(ends)
+            ],
+            eq.noise is not None,
+        )
+        for c in range(eq.tau.shape[1])
+    ]
+    names = [eq.combinations.names[j] for j in eq.combinations.kept]
+    return fit_statistics(names, np.zeros(len(names)), columns)
