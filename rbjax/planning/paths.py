@@ -45,6 +45,10 @@ def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
     return xp.concatenate([xy, headings[..., None]], -1)
 
 
+#: steps of a path, at most
+MOST_STEPS = 1e7
+
+
 class Path(Record):
     """A chain of twists; leading axes are a batch.
 
@@ -123,7 +127,13 @@ class Path(Record):
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")
         runs = _joined(np.asarray(self.steps))
         size = np.maximum(np.hypot(runs[:, 0], runs[:, 1]), np.abs(runs[:, 2]))
-        parts = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12))).astype(int)
+        parts = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12)))
+        if parts.sum() > MOST_STEPS:
+            raise InputError(
+                f"Path.split: spacing {spacing} makes {parts.sum():.1e} steps, expected at most "
+                f"{MOST_STEPS:.0e}; take a larger spacing"
+            )
+        parts = parts.astype(int)
         return Path(self.start, jnp.asarray(np.repeat(runs / parts[:, None], parts, 0)))
 
 
