@@ -115,8 +115,7 @@ class OccupancyGrid(Record):
             InputError: a file that cannot be read, keys that are missing, numbers out of range, a
                 map with a yaw. UnknownName: another mode.
         """
-        occupied, resolution, origin = read(file, unknown)
-        return cls(occupied, resolution, origin)
+        return cls(*map(jnp.asarray, read(file, unknown)))
 
     def cell(self, points: jax.Array) -> jax.Array:
         """The cells (..., 2) of points (..., 2) m; beyond the map, indices are out of its range."""

@@ -110,9 +110,8 @@ def _flag(where: str, text: Any) -> bool:
 def _image(where: str, path: Path) -> np.ndarray:
     """Pixels between 0 and 1, the mean over channels."""
     try:
-        with Image.open(path) as image:
-            if image.mode in ("1", "P"):
-                image = image.convert("L")
+        with Image.open(path) as opened:
+            image = opened.convert("L") if opened.mode in ("1", "P") else opened
             pixels = np.asarray(image, float)
             full = 65535.0 if image.mode.startswith("I") else 255.0
     except (OSError, UnidentifiedImageError) as error:
