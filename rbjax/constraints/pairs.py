@@ -129,8 +129,8 @@ class HalfAngle(Constraint):
             trace = trace + cosine(A, e, B, e)
         # 2 sin(x / 2) = sin(x) / cos(x / 2), with 1 + trace = 4 cos(x / 2)^2
         scale = trace.applied(lambda c: 2 / jnp.sqrt(jnp.where(c > NEAR - 1, 1 + c, jnp.nan)))
-        rows[self.of.turns] = [row * scale for row in rows[self.of.turns]]
-        return rows
+        turns = range(*self.of.turns.indices(len(rows))) if self.of.turns else ()
+        return [row * scale if r in turns else row for r, row in enumerate(rows)]
 
 
 def parallel(A: Frame, B: Frame) -> list[Row]:

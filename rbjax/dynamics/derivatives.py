@@ -20,6 +20,7 @@ from rbjax.dynamics.by_differentiation import differentiated_forward, differenti
 from rbjax.dynamics.columns import forward_by_columns, inverse_by_columns
 from rbjax.dynamics.composites import link_axes, tree_poses
 from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.forward import acceleration
 from rbjax.dynamics.inverse import InverseMass
 from rbjax.dynamics.operands import inverse_pairs, whole_operands
 from rbjax.dynamics.pairs import pair_matrix, with_armature
@@ -107,10 +108,19 @@ def forward_dynamics_derivatives(
         >>> rb.forward_dynamics_derivatives(model, s.q, s.v, s.v).tau.shape
         (2, 2)
     """
+    return accelerated_derivatives(model, q, v, tau)[1]
+
+
+def accelerated_derivatives(
+    model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
+) -> tuple[jax.Array, ForwardDynamicsDerivatives]:
+    """a = FD(q, v, tau) and its derivatives, on checked arrays: ABA is one part of both."""
     if not model.nv:
-        return ForwardDynamicsDerivatives(*(jnp.zeros((0, 0), q.dtype),) * 3)
+        none = jnp.zeros((0, 0), q.dtype)
+        return jnp.zeros(0, q.dtype), ForwardDynamicsDerivatives(none, none, none)
     if not model.topology.straight:
-        return ForwardDynamicsDerivatives(*differentiated_forward(model, q, v, tau))
+        a = acceleration(model, q, v, tau)
+        return a, ForwardDynamicsDerivatives(*differentiated_forward(model, q, v, tau))
     d = driver(model, q.dtype)
     joints = d.joints(q, v)
     a, factors = aba(d, joints, d.lanes(tau), d.prepared.gravity)
@@ -119,4 +129,4 @@ def forward_dynamics_derivatives(
     S = link_axes(d, poses, joints)
     x = whole_operands(d, poses, S, v, a)
     by_q, by_v, inverse = InverseMass(d, poses, S, U, inverse_D, v)(*inverse_pairs(S, x)[:2])
-    return ForwardDynamicsDerivatives(by_q, by_v, inverse)
+    return d.pack(a, v), ForwardDynamicsDerivatives(by_q, by_v, inverse)

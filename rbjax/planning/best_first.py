@@ -114,7 +114,7 @@ class Search:
             nodes = self._looked_at(*self._cheapest())
             exhausted = self.count + len(nodes.x) > max_count
             self._expand(nodes.those(slice(max_count - self.count)))
-        for nodes, steps, price in self.untested if self.end is None else ():
+        for nodes, steps, price in self.untested:
             self._connect(nodes, steps, price, len(price))
         if self.end is None:
             status = "count exhausted" if exhausted else "no path"
@@ -167,10 +167,10 @@ class Search:
         return nodes.those(~later)
 
     def _connect(self, nodes: _Nodes, steps: np.ndarray, price: np.ndarray, most: int) -> None:
-        """Tests the cheapest connections; remembers the others."""
+        """Tests the cheapest connections; keeps the others, for a test once OPEN is searched."""
         wanted = np.flatnonzero(price < self.best)
         wanted = wanted[np.argsort(price[wanted], kind="stable")]
-        if self.end is None and len(wanted) > most:
+        if len(wanted) > most:
             late = wanted[most:]
             self.untested.append((nodes.those(late), steps[late], price[late]))
         wanted = wanted[:most]

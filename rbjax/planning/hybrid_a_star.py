@@ -30,6 +30,9 @@ from rbjax.planning.grid_dijkstra import check_poses, check_problem
 from rbjax.planning.occupancy import OccupancyGrid
 from rbjax.planning.paths import Path, Plan
 
+#: cells of a search, times headings, at most: each takes eight bytes
+MOST_CELLS = 1e9
+
 
 def hybrid_a_star(
     grid: OccupancyGrid,
@@ -85,6 +88,12 @@ def hybrid_a_star(
     cell = float(grid.resolution) if cell is None else cell
     if not 0 < cell < math.inf:
         raise InputError(f"{where}: cell is {cell}, expected a length above zero, or None")
+    cells = np.prod(np.ceil(np.array(grid.occupied.shape) * float(grid.resolution) / cell))
+    if cells * headings > MOST_CELLS:
+        raise InputError(
+            f"{where}: cell is {cell}, which makes {cells * headings:.1e} cells with their "
+            f"headings, expected at most {MOST_CELLS:.0e}; take a larger cell, or None"
+        )
     check_weight(where, weight)
     if root not in (None, "start", "goal"):
         raise InputError(f"{where}: root is {root!r}, expected 'start', 'goal' or None")

@@ -26,6 +26,7 @@ import numpy as np
 from rbjax.compiling import compiled
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, check_number, floats
+from rbjax.planning.ros_map import read
 
 
 class DistanceField(Record):
@@ -100,6 +101,21 @@ class OccupancyGrid(Record):
             raise InputError(
                 f"OccupancyGrid(origin=...): got the shape {jnp.shape(self.origin)}, expected (2,)"
             )
+
+    @classmethod
+    def from_ros(cls, file: Any, *, unknown: str = "occupied") -> OccupancyGrid:
+        """The map of a `map.yaml` of ROS's map_server, and of the image that it names.
+
+        Args:
+            file: path of the YAML file, with image, resolution, origin, negate, occupied_thresh
+                and free_thresh; mode trinary or scale.
+            unknown: what cells between the thresholds count as, "occupied" or "free".
+
+        Raises:
+            InputError: a file that cannot be read, keys that are missing, numbers out of range, a
+                map with a yaw. UnknownName: another mode.
+        """
+        return cls(*map(jnp.asarray, read(file, unknown)))
 
     def cell(self, points: jax.Array) -> jax.Array:
         """The cells (..., 2) of points (..., 2) m; beyond the map, indices are out of its range."""

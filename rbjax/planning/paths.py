@@ -26,9 +26,6 @@ from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.footprint import Footprint, placed
 from rbjax.planning.occupancy import DistanceField
 
-#: of a path that is split
-_MOST_STEPS = 10_000_000
-
 
 def moved(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """Displacements (...) m in the world by steps (..., 3) from headings (...)."""
@@ -46,6 +43,10 @@ def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
     way = xp.stack(moved(headings[..., :-1], steps, xp), -1)
     xy = xp.cumsum(xp.concatenate([start[..., None, :2], way], -2), -2)
     return xp.concatenate([xy, headings[..., None]], -1)
+
+
+#: steps of a path, at most
+MOST_STEPS = 1e7
 
 
 class Path(Record):
@@ -126,13 +127,13 @@ class Path(Record):
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")
         runs = _joined(np.asarray(self.steps))
         size = np.maximum(np.hypot(runs[:, 0], runs[:, 1]), np.abs(runs[:, 2]))
-        count = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12)))
-        if count.sum() > _MOST_STEPS:
+        parts = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12)))
+        if parts.sum() > MOST_STEPS:
             raise InputError(
-                f"Path.split: spacing is {spacing}, which makes {count.sum():.3g} steps, expected "
-                f"{_MOST_STEPS:,} at most"
+                f"Path.split: spacing {spacing} makes {parts.sum():.1e} steps, expected at most "
+                f"{MOST_STEPS:.0e}; take a larger spacing"
             )
-        parts = count.astype(int)
+        parts = parts.astype(int)
         return Path(self.start, jnp.asarray(np.repeat(runs / parts[:, None], parts, 0)))
 
 

@@ -7,7 +7,7 @@
                                           of one step of the solver's own code (the limit is exact
                                           if there is linear theory)
     order_by_conditions, measured_order   by rooted trees, and by halving the step
-    state_matrix, stable_step, measured_stable_step
+    state_matrix, reduced_linearisation, stable_step, measured_stable_step
                                           a robot's linearised motion, and its largest stable step
     recommend                             a solver and a step for a robot; also rb.solvers.recommend
     drift, trend                          invariants over a million steps, and a test for drift
@@ -25,7 +25,13 @@ from rbjax.stability.pictures import plot_regions, plot_spectral_radius
 from rbjax.stability.runs.canonical import Hamiltonian, from_canonical, to_canonical
 from rbjax.stability.runs.drift import Invariants, Trend, drift, trend
 from rbjax.stability.runs.largest_step import ROLLOUT, measured_stable_step, stable_step
-from rbjax.stability.runs.linearisation import equilibrium, motion_matrices, state_matrix
+from rbjax.stability.runs.linearisation import (
+    Reduced,
+    equilibrium,
+    motion_matrices,
+    reduced_linearisation,
+    state_matrix,
+)
 from rbjax.stability.runs.long_run import DONE, NO_ROOT, NOT_FINITE, March
 from rbjax.stability.runs.lyapunov import Exponent, GradientGrowth, gradient_growth, lyapunov
 from rbjax.stability.runs.scenes import Scene, Truth, scenes, truth
@@ -102,6 +108,8 @@ __all__ = [
     "state_matrix",
     "motion_matrices",
     "equilibrium",
+    "Reduced",
+    "reduced_linearisation",
     "stable_step",
     "measured_stable_step",
     "ROLLOUT",

@@ -129,7 +129,7 @@ def rolled_twists(robot: Robot, rates: Any, steering: Any = None) -> jax.Array:
         >>> round(float(rb.wheeled.rolled_twists(robot, [4.0, 4.0, 4.0])[2]), 3)
         1.0
         >>> car = rb.wheeled.kinds()["car"].make(wheelbase=2.0, radius=0.3)
-        >>> rb.wheeled.rolled_twists(car, [10.0], [0.463647609]).round(3).tolist()
+        >>> [round(float(x), 3) for x in rb.wheeled.rolled_twists(car, [10.0], [0.463647609])]
         [3.0, 0.0, 0.75]
     """
     _check_robot("rolled_twists", robot, steering)

@@ -115,6 +115,7 @@ def test_bad_arguments():
         rb.linearise(model, model.default_state(), dt=-1.0)
 
 
+<<<<<<< HEAD
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("dt", [None, 0.01])
 def test_the_acceleration_at_the_point_is_reported(dtype, dt):
@@ -127,3 +128,23 @@ def test_the_acceleration_at_the_point_is_reported(dtype, dt):
         assert found.acceleration.dtype == dtype and len(list(found)) == 2
         assert abs(found.acceleration - want).max() <= 1e-5 * (1 + abs(want).max())
         assert bool(abs(found.acceleration).max() < 1e-6) == (angle == 0.0)
+=======
+@pytest.mark.parametrize("name", ["cart_pole", pytest.param("quadruped", marks=pytest.mark.slow)])
+def test_the_closed_form_of_free_motion_is_the_derivative_of_its_rates(name: str) -> None:
+    """With springs, actuators, attitudes, a wrench on a body and an element with a state."""
+    from rbjax.motion import linearise as of
+
+    model = rb.load(name)
+    body = model.body_names[-1]
+    on = rb.forces.Anchor.on
+    spring = rb.forces.PointSpring.of(
+        on(), on(body=body, point=[0.1, 0.0, 0.2]), stiffness=3.0, length=0.1
+    )
+    model = model.with_forces(spring)
+    state = model.random_state(jax.random.key(0))
+    ctrl = 0.1 * jnp.ones(model.nu)
+    find = [of._free_rates, of._rates]
+    own, want = (f(model, state, ctrl, ctrl, 0.0, of.free_motion) for f in find)
+    for x, y in zip(own, want, strict=True):
+        np.testing.assert_allclose(x, y, rtol=0, atol=1e-10 * max(1.0, float(jnp.abs(y).max())))
+>>>>>>> wheels

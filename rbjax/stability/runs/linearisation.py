@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.constraints import residual
 from rbjax.dynamics.arguments import algorithm, check_arrays
 from rbjax.errors import InputError
 from rbjax.model import Model, State
-from rbjax.motion.linearise import beside, linearised
+from rbjax.motion.field import free_motion, law_of
+from rbjax.motion.linearise import beside, linearise, linearised
+
+#: singular values of a Newton step below this part of the largest are zero, by the bytes of a float
+RANK = {8: 1e-10, 4: 1e-5}
 
 
 @algorithm("state", "ctrl")
@@ -38,10 +43,86 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
         >>> rb.stability.state_matrix(model, model.default_state()).shape
         (2, 2)
     """
-    return linearised(model, state, ctrl)[1]
+    law = law_of("state_matrix", model, free_motion, None)
+    return linearised(model, state, ctrl, law=law)[1]
 
 
-_both = jax.jit(lambda *at: linearised(*at)[:2])
+class Reduced(NamedTuple):
+    """A (r, r) and B (r, nu) of dz, and the basis (n, r) of dx = basis dz, orthonormal."""
+
+    A: np.ndarray
+    B: np.ndarray
+    basis: np.ndarray
+
+
+def reduced_linearisation(
+    model: Model, state: State, ctrl: Any = None, dt: Any = None
+) -> Reduced:
+    """The motion linearised about an equilibrium, on the tangent space of the constraints:
+
+        d/dt dz = A dz + B du,     dx = T dz,     [g_q 0; g'_q g'_v] T = 0
+
+    `rb.linearise` gives all n = 2 nv + nx directions. Those that leave the constraints have
+    eigenvalues of zero, or those of a feedback, and no control reaches them, so that no regulator
+    exists. r = n - rank is what is left: twice the freedoms if all rows are holonomic.
+
+    Args:
+        model: the robot, with constraints or without.
+        state: an equilibrium on the constraints, as `equilibrium` finds it.
+        ctrl: (nu,), or None.
+        dt: step in seconds of the discrete form; None for the continuous one.
+
+    Returns:
+        `Reduced(A, B, basis)`. A gain K of du = K dz is K basis^T of du by dx.
+
+    Raises:
+        InputError: a state off the constraints; wrong shapes, values that are not finite.
+
+    Source: Masarati, *Multibody System Dynamics*, ch. 7 (coordinates of the tangent space).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("four_bar")
+        >>> rest = rb.stability.equilibrium(model, model.default_state())
+        >>> rb.stability.reduced_linearisation(model, rest).A.shape
+        (2, 2)
+    """
+    found = check_arrays("reduced_linearisation", model, {"state": state, "ctrl": ctrl})
+    state = found["state"]
+    A, B = (np.asarray(x, float) for x in linearise(model, state, found.get("ctrl"), dt))
+    if not model.constraints:
+        return Reduced(A, B, np.eye(len(A)))
+    off, C = (np.asarray(x, float) for x in _tangent(model, state))
+    near = np.sqrt(np.finfo(np.asarray(state.q).dtype).eps)
+    if np.abs(off).max(initial=0.0) > near:
+        raise InputError(
+            f"reduced_linearisation: the state is off the constraints by {np.abs(off).max():.1e}, "
+            "expected one on them; rb.constraints.assemble(model, state) finds one"
+        )
+    size = np.linalg.norm(C, axis=1, keepdims=True)
+    C = C / np.where(size > near, size, np.inf)
+    _, s, V = np.linalg.svd(C)
+    T = V[int((s > near).sum()) :].T
+    return Reduced(T.T @ A @ T, T.T @ B, T)
+
+
+@jax.jit
+def _tangent(model: Model, state: State) -> tuple[jax.Array, jax.Array]:
+    """The residuals of values and of rates, and their derivatives by dx."""
+
+    def off(dx: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found = jnp.concatenate(residual(model, beside(model, state, dx)))
+        return found, found
+
+    C, found = jax.jacfwd(off, has_aux=True)(jnp.zeros(2 * model.nv + model.nx, state.q.dtype))
+    return found, C
+
+
+@jax.jit
+def _both(model: Model, state: State, ctrl: Any) -> tuple[jax.Array, jax.Array]:
+    """The rates (nv + nx,) and A, with the constraints of the model."""
+    law = law_of("state_matrix", model, free_motion, None)
+    return linearised(model, state, ctrl, law=law)[:2]
 
 
 def _vanishes(a: np.ndarray, A: np.ndarray) -> bool:
@@ -62,6 +143,8 @@ def at_rest(where: str, model: Model, state: State, ctrl: Any) -> State:
             f"{np.abs(a).max():.1e}, expected one at rest; rb.stability.equilibrium(model, state, "
             "ctrl) finds one near it"
         )
+    if model.constraints:
+        A = reduced_linearisation(model, state, found.get("ctrl")).A
     eigenvalues = np.linalg.eigvals(A)
     grows = eigenvalues.real.max()
     # a double root, as of a free coordinate, has an error of sqrt(rounding)
@@ -100,9 +183,11 @@ def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray
 
 
 def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50) -> State:
-    """The equilibrium near `state`: a state at rest without acceleration, at constant control.
+    """The equilibrium near `state`: a state at rest without acceleration, at constant control, on
+    the constraints of the model.
 
-    Newton's method on a(q, 0, x) = 0, x' = 0; least squares if the equilibrium is not isolated.
+    Newton's method on a(q, 0, x) = 0, x' = 0, g(q) = 0; least squares if the equilibrium is not
+    isolated.
 
     Args:
         model: the robot.
@@ -123,16 +208,33 @@ def equilibrium(model: Model, state: State, ctrl: Any = None, *, steps: int = 50
     found = check_arrays("equilibrium", model, {"state": state, "ctrl": ctrl})
     state, ctrl, n = found["state"], found.get("ctrl"), model.nv
     state = state.replace(v=jnp.zeros_like(state.v))
+    if not isinstance(steps, int) or isinstance(steps, bool) or steps < 1:
+        raise InputError(f"equilibrium: steps is {steps!r}, expected an integer of at least 1")
+    if not n:
+        return state
     for _ in range(steps):
         a, A = map(np.asarray, _both(model, state, ctrl))
-        if _vanishes(a, A):
+        rest = np.delete(np.arange(len(A)), np.s_[n : 2 * n])  # all except the velocities
+        left, slope = a, A[n:, rest]
+        off = np.zeros(0)
+        if model.constraints:
+            off, C = map(np.asarray, _tangent(model, state))
+            off, rate = np.split(off, 2)
+            left, slope = np.r_[a, off], np.r_[slope, C[: len(off), rest]]
+        near = 1e3 * np.finfo(A.dtype).eps
+        if _vanishes(a, A) and np.abs(off).max(initial=0.0) <= near:
+            if off.size and np.abs(rate).max() > near:
+                raise InputError(
+                    f"equilibrium: the constraints demand rates of {np.abs(rate).max():.1e}, so no "
+                    "state at rest meets them"
+                )
             return state
         dx = np.zeros(len(A))
-        rest = np.delete(np.arange(len(A)), np.s_[n : 2 * n])  # all except the velocities
-        dx[rest] = np.linalg.lstsq(A[n:, rest], -a, rcond=1e-10)[0]
+        dx[rest] = np.linalg.lstsq(slope, -left, rcond=RANK[A.dtype.itemsize])[0]
         dx = dx * min(1.0, 0.5 / max(np.abs(dx).max(), 1e-300))
         state = beside(model, state, jnp.asarray(dx, state.q.dtype))
     raise InputError(
         f"equilibrium: an acceleration of {np.abs(a).max():.1e} is left after {steps} steps, "
-        "expected none; start closer to an equilibrium, if there is one"
+        + (f"and a residual of constraints of {np.abs(off).max():.1e}, " if off.size else "")
+        + "expected none; start closer to an equilibrium, if there is one"
     )
