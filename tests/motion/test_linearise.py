@@ -115,7 +115,6 @@ def test_bad_arguments():
         rb.linearise(model, model.default_state(), dt=-1.0)
 
 
-<<<<<<< HEAD
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("dt", [None, 0.01])
 def test_the_acceleration_at_the_point_is_reported(dtype, dt):
@@ -128,7 +127,6 @@ def test_the_acceleration_at_the_point_is_reported(dtype, dt):
         assert found.acceleration.dtype == dtype and len(list(found)) == 2
         assert abs(found.acceleration - want).max() <= 1e-5 * (1 + abs(want).max())
         assert bool(abs(found.acceleration).max() < 1e-6) == (angle == 0.0)
-=======
 @pytest.mark.parametrize("name", ["cart_pole", pytest.param("quadruped", marks=pytest.mark.slow)])
 def test_the_closed_form_of_free_motion_is_the_derivative_of_its_rates(name: str) -> None:
     """With springs, actuators, attitudes, a wrench on a body and an element with a state."""
@@ -147,4 +145,3 @@ def test_the_closed_form_of_free_motion_is_the_derivative_of_its_rates(name: str
     own, want = (f(model, state, ctrl, ctrl, 0.0, of.free_motion) for f in find)
     for x, y in zip(own, want, strict=True):
         np.testing.assert_allclose(x, y, rtol=0, atol=1e-10 * max(1.0, float(jnp.abs(y).max())))
->>>>>>> wheels
