@@ -26,7 +26,7 @@ from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
 from rbjax.control import ddp, sqp
 from rbjax.control import knots as knots_of
-from rbjax.control.front_door import first_guess
+from rbjax.control.first_guess import first_guess
 from rbjax.control.options import Options
 from rbjax.control.verdict import Limits
 from rbjax.threads import threads

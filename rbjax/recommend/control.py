@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control import Problem, methods, solve
-from rbjax.control.front_door import first_guess
+from rbjax.control.first_guess import first_guess
 from rbjax.control.outcome import CONVERGED, SENTENCES
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
