@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import Any
 
 import jax
 import numpy as np
@@ -21,7 +22,8 @@ def columns_of(of: SimulationError, x: np.ndarray, stated: Collection[str]) -> l
     found, at = [], 0
     for sensor in sorted(of.runs.values):
         columns = of.setup.columns(sensor)
-        there = np.asarray(columns.weights(np.asarray(of.runs.weights[sensor]))) > 0
+        weights: Any = np.asarray(of.runs.weights[sensor])
+        there = np.asarray(columns.weights(weights)) > 0
         T, d = there.shape[1:]
         own = slice(at, at + T * d)
         at += T * d

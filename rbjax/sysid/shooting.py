@@ -178,10 +178,11 @@ def _cut(model: Model, run: Run, grid: Grid, periods: int) -> list[Run]:
                 "has no samples, expected longer pieces"
             )
         first = run.start if k == 0 else _near(model, run, k * T, periods * T)
-        parts = ({s: x[s][inside[s]] for s in x} for x in (run.values, run.weights))
+        values, weights = ({s: x[s][inside[s]] for s in x} for x in (run.values, run.weights))
         times = {s: t[inside[s]] - k * T for s, t in run.times.items()}
         known, exact = (x if k == 0 else jnp.zeros_like(x) for x in (run.known, run.exact))
-        found.append(Run(first, run.commands[k : k + periods], times, *parts, known, exact))
+        commands = run.commands[k : k + periods]
+        found.append(Run(first, commands, times, values, weights, known, exact))
     return found
 
 
