@@ -51,7 +51,8 @@ def differential_drive(
     com: Any = (0.07, 0.0), wheel_mass: float = 0.5, caster: float | None = 0.2,
     height: float = 0.12, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Two driven wheels on one axle, and a caster `caster` ahead of it, or none."""
+    """Two driven wheels on one axle, the right one first, and a caster `caster` ahead of it, or
+    none."""
     _check("differential_drive", track=track, radius=radius)
     wheels = [_wheel([0.0, y], **_tyred(radius, wheel_mass)) for y in (-track / 2, track / 2)]
     if caster is not None:

@@ -224,7 +224,7 @@ def odometry(
         >>> import rbjax as rb, jax.numpy as jnp
         >>> robot = rb.wheeled.kinds()["differential_drive"].make(track=0.4, radius=0.1)
         >>> t = jnp.linspace(0.0, 2.0, 5)
-        >>> turned = rb.wheeled.odometry(robot, t, t[:, None] * jnp.array([-2.0, 2.0]))
+        >>> turned = rb.wheeled.odometry(robot, t, t[:, None] * jnp.array([2.0, -2.0]))
         >>> round(float(turned[-1, 2]), 3)
         2.0
     """
