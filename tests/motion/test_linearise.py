@@ -127,6 +127,8 @@ def test_the_acceleration_at_the_point_is_reported(dtype, dt):
         assert found.acceleration.dtype == dtype and len(list(found)) == 2
         assert abs(found.acceleration - want).max() <= 1e-5 * (1 + abs(want).max())
         assert bool(abs(found.acceleration).max() < 1e-6) == (angle == 0.0)
+
+
 @pytest.mark.parametrize("name", ["cart_pole", pytest.param("quadruped", marks=pytest.mark.slow)])
 def test_the_closed_form_of_free_motion_is_the_derivative_of_its_rates(name: str) -> None:
     """With springs, actuators, attitudes, a wrench on a body and an element with a state."""
