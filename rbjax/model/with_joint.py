@@ -27,7 +27,8 @@ def with_joint(model: Any, name: str, kind: str, **given: Any) -> Any:
         _check_forces(model, j, name, kind)
     if new.on_world:
         _check_on_world(model, j, name, kind)
-    q, v, start = model.q_slice(name), model.v_slice(name), start_of(new)
+    q, v = model.q_slice(name), model.v_slice(name)
+    start: Any = start_of(new)
     if new.on_world:
         body, dtype = top.joint_bodies[j], joints.reference.dtype
         start = jnp.concatenate([model.bodies.position[body], model.bodies.orientation[body]])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -119,7 +120,8 @@ def _check_values(where: str, name: str, x: np.ndarray, kind: str) -> None:
 
 def entries(x: jax.Array, axes: int = 1) -> list[jax.Array]:
     """The entries of the last axes, row by row, each an array over the leading axes."""
-    flat = x.reshape(*x.shape[: x.ndim - axes], -1)
+    lead = x.shape[: x.ndim - axes]
+    flat = x.reshape(*lead, math.prod(x.shape[x.ndim - axes :]))  # -1 fails in an empty batch
     return [flat[..., i] for i in range(flat.shape[-1])]
 
 

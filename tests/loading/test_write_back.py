@@ -111,8 +111,8 @@ def test_nothing_is_written_beside_the_file(tmp_path, monkeypatch) -> None:
     (tmp_path / "meshes" / "t.obj").write_text("\n".join(lines))
     (tmp_path / "robot.xml").write_text(
         '<mujoco><compiler meshdir="meshes"/><asset><mesh name="t" file="t.obj"/></asset>'
-        '<worldbody><body name="b"><joint name="j"/><geom type="mesh" mesh="t"/></body></worldbody>'
-        "</mujoco>"
+        '<worldbody><body name="b"><joint name="j"/><geom type="mesh" mesh="t"/></body>'
+        "</worldbody></mujoco>"
     )
     model = rb.load(tmp_path / "robot.xml")
     heavy = model.replace(bodies=model.bodies.replace(mass=2 * model.bodies.mass))
