@@ -270,3 +270,32 @@ def test_dtypes() -> None:
     assert single.dtype == jnp.float32
     assert rb.bias_forces(MODEL, q, v.astype(np.float32)).dtype == jnp.float64
     assert rb.bias_forces(MODEL, [0, 0, 1, 0, 0, 0], [0] * 5).dtype == jnp.float64  # integers
+
+
+def _types(tree: Any) -> list:
+    return [(x.shape, x.dtype) for x in jax.tree.leaves(tree)]
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_only_the_dtype_of_q_and_v_counts(name: str) -> None:
+    """A control of NumPy's zeros does not turn a motion in f32 into one in f64."""
+    entry = REGISTRY[name]
+    if entry.function.__name__ == "_parameters":
+        return
+    function = functools.partial(entry.function, MODEL.astype(jnp.float32), **entry.rest)
+    leading = {"q", "q1", "v"} if name != "integrate" else {"q"}
+    arrays = [x[0].astype(np.float32 if n in leading else np.float64)
+              for n, x in zip(entry.arrays, samples(entry.arrays), strict=True)]  # fmt: skip
+    found = {d for _, d in _types(jax.eval_shape(function, *arrays))}
+    assert found == {jnp.dtype(jnp.float32)}
+
+
+def test_a_scan_over_steps_of_f32_with_controls_of_f64() -> None:
+    model = rb.load("cart_pole").astype(jnp.float32)
+    state = jax.tree.map(lambda x: x.astype(jnp.float32), model.default_state())
+
+    def once(state, _):
+        return rb.step(model, state, np.zeros(model.nu)), None
+
+    after = jax.eval_shape(lambda s: jax.lax.scan(once, s, None, length=2)[0], state)
+    assert _types(after) == _types(state)

@@ -48,23 +48,31 @@ def floats(tree: Any) -> list[jax.Array]:
     ]
 
 
-def check_default(case: Case) -> None:
-    """In f32, JAX's default: one sample outside of jit, and a batch of no sample."""
+def check_types(case: Case) -> None:
+    """Dtypes and shapes in f32, JAX's default, by tracing only: one sample and a batch of none."""
     f = case.make(np.float32)
-    xs = [np.asarray(x, np.float32) for x in case.arrays]
-    one = floats(f(*(x[0] for x in xs)))
+
+    def traced(*arrays: Any) -> list[jax.Array]:
+        return floats(f(*arrays))
+
+    shapes = [jax.ShapeDtypeStruct(np.shape(x)[1:], np.float32) for x in case.arrays]
+    one = jax.eval_shape(traced, *shapes)
     assert one, "no floating result"
     wrong = [x.dtype for x in one if x.dtype != np.float32]
-    assert not wrong, f"one sample in f32 gives {wrong}"
-    assert all(np.isfinite(x).all() for x in one), "one sample is not finite"
-    none = floats(jax.jit(jax.vmap(f))(*(x[:0] for x in xs)))
-    assert [x.shape for x in none] == [(0, *x.shape) for x in one]
-    assert all(x.dtype == np.float32 for x in none)
+    assert not wrong, f"arguments in f32 give {wrong}"
+    none = jax.eval_shape(
+        jax.vmap(traced), *(jax.ShapeDtypeStruct((0, *x.shape), np.float32) for x in shapes)
+    )
+    assert [(x.shape, x.dtype) for x in none] == [((0, *x.shape), x.dtype) for x in one]
 
 
 def check_grid(case: Case) -> None:
     """f32 and f64; batches of 0, 1 and 3 within jit; both modes of differentiation."""
     results = {}
+    one = [np.asarray(x[0], np.float32) for x in case.arrays]
+    outside = floats(case.make(np.float32)(*one))
+    assert all(x.dtype == np.float32 for x in outside), "one sample outside of jit"
+    assert all(np.isfinite(x).all() for x in outside), "one sample outside of jit is not finite"
     for dtype in (np.float64, np.float32):
         xs = [np.asarray(x, dtype) for x in case.arrays]
         for n in BATCHES:

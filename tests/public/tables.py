@@ -22,6 +22,7 @@ from tests import test_registry as of_models
 from tests.body import test_composes as of_bodies
 from tests.public.grid import Case, same
 from tests.robots import robot
+from tests.rotations import test_public as of_rotations
 from tests.wheeled import test_registry as of_wheels
 
 RNG = np.random.default_rng(4)
@@ -102,18 +103,23 @@ BODIES = {
 Q = RNG.normal(size=(3, 4))
 Q /= np.linalg.norm(Q, axis=1, keepdims=True)
 ROTATIONS = {
-    "convert": Case(same(lambda q: rotations.convert(q, "quaternion", "mrp")), [np.abs(Q)]),
-    "mrp_shadow": Case(same(rotations.mrp_shadow), [RNG.normal(size=(3, 3))]),
-    "mrp_short": Case(same(rotations.mrp_short), [RNG.normal(size=(3, 3))]),
+    name: Case(same(of_rotations.public()[name]), xs) for name, xs in of_rotations.CASES.items()
 }
-for name, r in rotations.representations().items():
+ROTATIONS["convert"] = Case(same(lambda q: rotations.convert(q, "quaternion", "mrp")), [np.abs(Q)])
 
-    def to_matrix(q, r=r):
-        from rbjax.rotations import quaternion
 
-        return r.to_matrix(r.from_matrix(quaternion.to_matrix(q)))
+def there_and_back(representation: Any) -> Callable:
+    def found(q):
+        R = rotations.quaternion.to_matrix(q)
+        return representation.to_matrix(representation.from_matrix(R))
 
-    ROTATIONS[f"representations: {name}"] = Case(same(to_matrix), [np.abs(Q)])
+    return found
+
+
+ROTATIONS |= {
+    f"representations: {name}": Case(same(there_and_back(r)), [np.abs(Q)])
+    for name, r in rotations.representations().items()
+}
 
 # ---------------------------------------------------------------- constraints
 

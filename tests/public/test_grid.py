@@ -5,7 +5,7 @@ import inspect
 import pytest
 
 import rbjax as rb
-from tests.public.grid import check_default, check_grid
+from tests.public.grid import check_grid, check_types
 from tests.public.tables import ELSEWHERE, TABLES
 
 NAMES = [(room, name) for room, cases in TABLES.items() for name in cases]
@@ -13,8 +13,8 @@ every = pytest.mark.parametrize(("room", "name"), NAMES, ids=[f"{r}-{n}" for r, 
 
 
 @every
-def test_in_single_precision_and_for_no_sample(room: str, name: str) -> None:
-    check_default(TABLES[room][name])
+def test_types(room: str, name: str) -> None:
+    check_types(TABLES[room][name])
 
 
 @pytest.mark.slow
