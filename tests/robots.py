@@ -91,7 +91,8 @@ class Robot:
 def load_quietly(source: Any, **options: Any) -> rb.Model:
     """`rb.load` without warnings about features left out."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(left out of the model|move no mass)")
+        known = ".*(left out of the model|move no mass|no passive joint has)"
+        warnings.filterwarnings("ignore", message=known)
         return rb.load(source, **options)
 
 

@@ -21,9 +21,10 @@ from pathlib import Path
 
 PATH = Path(__file__).parent / "slow.txt"
 #: CPU seconds of one case, on average, and of all cases of a function
-LIMIT, TOTAL = 2.0, 10.0
-#: files whose tests are always quick
-KEPT = ("tests/test_registry.py",)
+LIMIT, TOTAL = 1.0, 6.0
+#: files whose tests are always quick: the compiler's core, and every public function
+KEPT = ("tests/test_registry.py", "tests/threads/test_primitives.py",
+        "tests/threads/test_quick_programs.py", "tests/public/")  # fmt: skip
 #: the environment variable that names the file of measured times
 VARIABLE = "RBJAX_TEST_TIMES"
 

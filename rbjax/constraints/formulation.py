@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import jax
+import jax.numpy as jnp
 
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
@@ -61,8 +62,9 @@ def _check(where: str, field: dataclasses.Field, value: Any) -> None:
             f"{where}: got {value!r}, expected a Formulation, not its name: one of the values of "
             "rbjax.constraints.formulations()"
         )
-    if field.type == "float":
-        if isinstance(value, bool) or not isinstance(value, int | float):
+    if field.type == "float" and not isinstance(value, jax.core.Tracer):
+        number = isinstance(value, int | float) or jnp.shape(value) == ()
+        if isinstance(value, bool | str) or not number:
             raise InputError(f"{where}: got {value!r}, expected a number")
         if not 0 <= value < math.inf:
             raise InputError(f"{where}: got {value}, expected a finite number of at least 0")

@@ -9,6 +9,7 @@ counts as one that does not.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -132,7 +133,9 @@ def region_of_attraction(
     x = equilibrium.x if equilibrium.x is not None else model.start(dtype)
     about = State(equilibrium.q, equilibrium.v, x)
     states = jax.vmap(lambda dx: beside(model, about, dx))(plane.reshape(-1, n))
-    run = rollout(model, states, policy, step, steps=steps, integrator=integrator, **law)
+    with warnings.catch_warnings():  # motions that are not finite are part of the answer
+        warnings.filterwarnings("ignore", "rollout: .* values that are not finite")
+        run = rollout(model, states, policy, step, steps=steps, integrator=integrator, **law)
     turns = _turns(model, angles)
 
     def off(q: jax.Array, v: jax.Array, x: Any) -> jax.Array:
@@ -202,9 +205,7 @@ def _place(where: str, model: Model, name: Any) -> int:
         check_whole(where, "a coordinate", name, 0, n - 1)
         return int(name)
     joint, rate = name.removesuffix("'"), name.endswith("'")
-    single = [
-        j for j in model.joint_names if model.v_slice(j).stop - model.v_slice(j).start == 1
-    ]
+    single = [j for j in model.joint_names if model.v_slice(j).stop - model.v_slice(j).start == 1]
     if joint not in single:
         raise UnknownName(f"coordinate of {where}", name, [*single, *(f"{j}'" for j in single)])
     return model.v_slice(joint).start + rate * model.nv

@@ -29,14 +29,14 @@ def refuse_nan(record: Record) -> None:
 def within_range(x: np.ndarray) -> jax.Array:
     """Numbers of a file in JAX's default dtype, in which finite ones must stay finite."""
     with np.errstate(over="ignore"):
-        out = jnp.asarray(x)
-    lost = np.isfinite(x) & ~np.isfinite(np.asarray(out))
+        out = x.astype(jax.dtypes.canonicalize_dtype(x.dtype))
+    lost = np.isfinite(x) & ~np.isfinite(out)
     if lost.any():
         raise ModelError(
             f"the file has the number {x[lost][0]}, which is too large for {out.dtype}; correct "
             "it, or enable float64: jax.config.update('jax_enable_x64', True)"
         )
-    return out
+    return jnp.asarray(out)
 
 
 def refuse_nan_in(m: mujoco.MjModel) -> None:

@@ -178,7 +178,11 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
         0.3
     """
     centers = placed(poses, footprint)
-    return (field.at(centers) - footprint.radii).min(-1)
+    gaps = field.at(centers) - footprint.radii
+    # Not `min`: its derivative compares the minimum with values that XLA may compute a second time
+    # and round in another way. If none is equal, the derivative is 0 / 0.
+    nearest = jnp.argmin(jax.lax.stop_gradient(gaps), -1, keepdims=True)
+    return jnp.take_along_axis(gaps, nearest, -1)[..., 0]
 
 
 @_of_a_field

@@ -97,7 +97,7 @@ def squares(
         >>> from rbjax.sysid import Channel, Recording, Unknown, squares
         >>> model, t = rb.load("pendulum"), np.arange(51) * 0.01
         >>> swing = Recording("swing", {"q": Channel(t, 0.1 * np.cos(3 * t)[:, None])})
-        >>> error = squares(model, swing, {"mass": Unknown("bodies.mass", 0)})
+        >>> error = squares(model, swing, {"mass": Unknown("bodies.mass", 0)}, starts=False)
         >>> value, slope = error.value_and_grad(error.x)
         >>> slope.shape
         (1,)

@@ -58,9 +58,13 @@ class Motor(Record):
     def free_speed(self, u: Lane) -> Lane:
         """The speed without load, rad/s: where `torque` is zero."""
 
-    @abc.abstractmethod
     def command_for(self, speed: Lane) -> Lane:
-        """The command whose free speed is a speed, rad/s: the inverse of `free_speed`."""
+        """The command whose free speed is a speed, rad/s: the inverse of `free_speed`. Only
+        `Commands.controls` uses it."""
+        raise InputError(
+            f"{type(self).__name__} does not define `command_for(speed)`, the command whose free "
+            "speed is a speed; give the class this method, or compute the controls yourself"
+        )
 
     def damping(self, u: Lane, speed: Lane) -> Lane:
         """By how much the torque falls for each rad/s towards the free speed, N m s/rad: the secant

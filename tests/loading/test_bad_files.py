@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.loading import load as loading
+from rbjax.loading import load as loading  # the module, which is called as the function
 from tests.loading.test_load import joint, link, mjcf, urdf
 from tests.robots import SMALL
 
-SCENES = Path(loading.__code__.co_filename).parent / "scenes"
+SCENES = Path(loading.__file__).parent / "scenes"
 ARM = urdf(link("base", 3), link("arm"), link("hand"), joint("elbow", "base", "arm", "continuous"),
            joint("wrist", "arm", "hand", "prismatic"))  # fmt: skip
 BODY = '<body name="{}"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{}</body>'

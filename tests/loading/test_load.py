@@ -183,7 +183,7 @@ def test_urdf_fixed_links_keep_their_names_and_mass() -> None:
     assert "tool" in model.body_names and model.nv == 1
     assert float(model.bodies.mass[model.body("tool")]) == 2.0
     assert rb.jacobian(model, model.default_state().q, "tool").shape == (6, 1)
-    alone = rb.load(urdf(*ARM))
+    alone = rb.load(urdf(*ARM), floating_base=False)
     q = np.array([0.3])
     assert rb.mass_matrix(model, q)[0, 0] > rb.mass_matrix(alone, q)[0, 0]
 

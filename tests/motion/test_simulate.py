@@ -204,5 +204,6 @@ def test_a_joint_that_moves_no_mass_is_told():
     empty = model.replace(bodies=none, joints=joints)
     with pytest.raises(rb.ModelError, match=r"moves no mass, .* singular; give its body mass"):
         rb.simulate(empty, model.default_state(), jnp.array([0.0, 0.1]), dt0=0.05)
-    path = rb.rollout(empty, model.default_state(), None, 0.05, steps=2)
+    with pytest.warns(UserWarning, match="values that are not finite, the first at t = 0.05 s"):
+        path = rb.rollout(empty, model.default_state(), None, 0.05, steps=2)
     assert not bool(path.ok)  # there the numbers are arguments

@@ -33,12 +33,14 @@ class Case:
     arrays: three samples of each argument, stacked along the first axis.
     f32: tolerance of f32 results relative to f64.
     derivatives: whether the function is differentiable at the samples.
+    dtypes: f64 only if the function closes over other arrays in f64, whose dtype wins.
     """
 
     make: Callable[[Any], Callable[..., Any]]
     arrays: Sequence[np.ndarray]
     f32: float = F32
     derivatives: bool = True
+    dtypes: tuple[Any, ...] = (np.float64, np.float32)
 
 
 def floats(tree: Any) -> list[jax.Array]:
@@ -50,18 +52,19 @@ def floats(tree: Any) -> list[jax.Array]:
 
 def check_types(case: Case) -> None:
     """Dtypes and shapes in f32, JAX's default, by tracing only: one sample and a batch of none."""
-    f = case.make(np.float32)
+    dtype = case.dtypes[-1]
+    f = case.make(dtype)
 
     def traced(*arrays: Any) -> list[jax.Array]:
         return floats(f(*arrays))
 
-    shapes = [jax.ShapeDtypeStruct(np.shape(x)[1:], np.float32) for x in case.arrays]
+    shapes = [jax.ShapeDtypeStruct(np.shape(x)[1:], dtype) for x in case.arrays]
     one = jax.eval_shape(traced, *shapes)
     assert one, "no floating result"
-    wrong = [x.dtype for x in one if x.dtype != np.float32]
-    assert not wrong, f"arguments in f32 give {wrong}"
+    wrong = [x.dtype for x in one if x.dtype != dtype]
+    assert not wrong, f"arguments in {np.dtype(dtype)} give {wrong}"
     none = jax.eval_shape(
-        jax.vmap(traced), *(jax.ShapeDtypeStruct((0, *x.shape), np.float32) for x in shapes)
+        jax.vmap(traced), *(jax.ShapeDtypeStruct((0, *x.shape), dtype) for x in shapes)
     )
     assert [(x.shape, x.dtype) for x in none] == [((0, *x.shape), x.dtype) for x in one]
 
@@ -69,11 +72,11 @@ def check_types(case: Case) -> None:
 def check_grid(case: Case) -> None:
     """f32 and f64; batches of 0, 1 and 3 within jit; both modes of differentiation."""
     results = {}
-    one = [np.asarray(x[0], np.float32) for x in case.arrays]
-    outside = floats(case.make(np.float32)(*one))
-    assert all(x.dtype == np.float32 for x in outside), "one sample outside of jit"
+    last = case.dtypes[-1]
+    outside = floats(case.make(last)(*(np.asarray(x[0], last) for x in case.arrays)))
+    assert all(x.dtype == last for x in outside), "one sample outside of jit"
     assert all(np.isfinite(x).all() for x in outside), "one sample outside of jit is not finite"
-    for dtype in (np.float64, np.float32):
+    for dtype in case.dtypes:
         xs = [np.asarray(x, dtype) for x in case.arrays]
         for n in BATCHES:
             many = floats(jax.jit(jax.vmap(case.make(dtype)))(*(x[:n] for x in xs)))
@@ -87,6 +90,8 @@ def check_grid(case: Case) -> None:
             assert relative_error(got[0], want[0], floor=1.0) <= tolerance, "batches of 1 and 3"
         if case.derivatives:
             check_derivatives(case, dtype)
+    if np.float32 not in case.dtypes:
+        return
     for got, want in zip(results[np.float32, 3], results[np.float64, 3], strict=True):
         error = relative_error(got, want, batch_dims=1, floor=1.0)
         assert error.max() <= case.f32, f"f32 beside f64: {error}"

@@ -26,6 +26,7 @@ from tests.rotations import test_public as of_rotations
 from tests.wheeled import test_registry as of_wheels
 
 RNG = np.random.default_rng(4)
+F64 = (np.float64,)
 
 
 def positive(n: int, size: int = 3) -> np.ndarray:
@@ -95,7 +96,7 @@ MODELS["simulate"] = Case(motion(simulated), SWING, derivatives=False)
 # ---------------------------------------------------------------- spatial, body, rotations
 
 BODIES = {
-    f"{room.__name__.rpartition('.')[2]}.{name}": Case(same(f), of_bodies.samples())
+    f"{room.__name__.rpartition('.')[2]}.{name}": Case(same(f), of_bodies.samples(), dtypes=F64)
     for room, entries in of_bodies.ROOMS.items()
     for name, f in entries.items()
 }
@@ -105,7 +106,9 @@ Q /= np.linalg.norm(Q, axis=1, keepdims=True)
 ROTATIONS = {
     name: Case(same(of_rotations.public()[name]), xs) for name, xs in of_rotations.CASES.items()
 }
-ROTATIONS["convert"] = Case(same(lambda q: rotations.convert(q, "quaternion", "mrp")), [np.abs(Q)])
+ROTATIONS["convert"] = Case(
+    same(lambda q: rotations.convert(q, "unit_quaternion", "mrp")), [np.abs(Q)]
+)
 
 
 def there_and_back(representation: Any) -> Callable:
@@ -155,7 +158,7 @@ CONSTRAINTS = {
 
 # ---------------------------------------------------------------- wheeled
 
-WHEELED = {name: Case(same(f), xs) for name, (f, xs) in of_wheels.REGISTRY.items()}
+WHEELED = {name: Case(same(f), xs, dtypes=F64) for name, (f, xs) in of_wheels.REGISTRY.items()}
 
 # ---------------------------------------------------------------- planning
 
@@ -347,8 +350,9 @@ CONTROL |= {
         SEVEN,
     ),
     "gravity_compensation": Case(of_arm(lambda m: control.gravity_compensation(m)), SEVEN),
-    "solve, ddp": Case(planned("ddp"), CART_STATE),
-    "solve, sqp": Case(planned("sqp"), CART_STATE),
+    # in JAX's default dtype, whatever that of the model
+    "solve, ddp": Case(planned("ddp"), CART_STATE, dtypes=F64),
+    "solve, sqp": Case(planned("sqp"), CART_STATE, dtypes=F64),
 }
 
 # ---------------------------------------------------------------- sysid

@@ -434,7 +434,7 @@ BENT = {**POSE, "left_knee": -0.5}
         (UPKIE, {**WHEELS, "q": {"left_knee": np.nan}}, InputError, ["left_knee", "finite"]),
         (UPKIE, {**WHEELS, "q": [0.0]}, InputError, ["13 finite numbers", "keyframe"]),
         (UPKIE, {**WHEELS, "radius": -1.0}, InputError, ["radius is -1.0", "above zero"]),
-        (UPKIE, {**WHEELS, "frame": "nose"}, UnknownName, ["body or site 'nose'", "'imu'"]),
+        (UPKIE, {**WHEELS, "frame": "nose"}, UnknownName, ["body or site 'nose'", "'base'"]),
         (racecar(('name="laser"', 'name="laser" euler="0 90 0"')), {**CAR, "frame": "laser"},
          InputError, ["x axis of 'laser' is 90 degrees"]),
         (UPKIE, {**WHEELS, "drives": "left_knee"}, InputError, ["drives name 'left_knee'"]),
