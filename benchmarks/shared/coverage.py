@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rbjax as rb
-from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Shared, Unknown, identify
+from rbjax.sysid import Channel, Grid, Identified, Recording, Setup, Unknown, identify
 from rbjax.sysid.precision import cast
 from rbjax.sysid.simulation import motion
 
@@ -50,8 +50,7 @@ def robot(kind: str) -> tuple[rb.Model, dict[str, Any], np.ndarray]:
     if kind == "dry":
         dry = rb.forces.JointFriction.of(model, model.joint_names[:1], coulomb=0.8, smoothing=0.02)
         model = model.with_forces(dry)
-        each = (Unknown(f"forces.0.{k}", positive=True) for k in ("coulomb", "breakaway"))
-        sought["coulomb"] = Shared(tuple(each))
+        sought["coulomb"] = Unknown("forces.0.coulomb", positive=True)
         truth.append(0.8)
     return model, sought, np.array(truth)
 
@@ -72,7 +71,7 @@ def experiments(setting: Setting, count: int, seed: int = 0) -> Iterator[tuple[I
             joints=model.joints.replace(damping=jnp.array([0.3, 0.05])),
         )
         if setting.kind == "dry":
-            dry = guess.forces[0].replace(coulomb=jnp.array([0.4]), breakaway=jnp.array([0.4]))
+            dry = guess.forces[0].replace(coulomb=jnp.array([0.4]))
             guess = guess.replace(forces=(dry,))
         guess = cast(guess, np.float32 if setting.dtype == "f32" else np.float64)
     loss = "huber" if setting.kind == "outliers" else "squares"
