@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 import rbjax as rb
-from rbjax.sysid import Channel, Recording, Shared, Unknown
+from rbjax.sysid import Channel, Recording, Unknown
 
 ROBOT = """<mujoco model="arm">
   <option timestep="1e-4" integrator="RK4"/>
@@ -42,9 +42,7 @@ UNKNOWNS: dict[str, Any] = {
     "mass": Unknown("bodies.mass", positive=True),
     "lever": Unknown("bodies.com", (slice(None), 2), scale=0.1),
     "damping": Unknown("joints.damping", positive=True),
-    "coulomb": Shared((
-        Unknown("forces.0.coulomb", positive=True), Unknown("forces.0.breakaway", positive=True)
-    )),
+    "coulomb": Unknown("forces.0.coulomb", positive=True),
 }  # fmt: skip
 
 
