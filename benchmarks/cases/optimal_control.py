@@ -35,7 +35,7 @@ def state(x: Any) -> rb.State:
     return rb.State(x[: len(x) // 2], x[len(x) // 2 :])
 
 
-def kinova_reach(variant: str) -> Case:
+def kinova_reach(variant: str, bounds: Any = None) -> Case:
     """An arm's hand to a pose: Crocoddyl's arm_manipulation_fwddyn.py."""
     case = given("kinova_reach")
     answer = case["variants"][variant]
@@ -54,7 +54,7 @@ def kinova_reach(variant: str) -> Case:
     if variant == "plain_with_terminal_velocity":
         terminal.append(Cost(Velocity(), 10.0))
     problem = Problem(
-        rb.load(case["model_mjcf"]), case["N"], case["dt"], bounds=None, terminal=terminal,
+        rb.load(case["model_mjcf"]), case["N"], case["dt"], bounds=bounds, terminal=terminal,
         running=[pose, Cost(rest, 0.1), Cost(Control(), 0.1)],
     )  # fmt: skip
     better = [answer[k] for k in ("better_local_optimum", "better_local_optimum_2") if k in answer]

@@ -114,10 +114,8 @@ def parts(arm: Arm, N: int) -> dict[str, Any]:
         return WAYS["sqp"].tries(problem, now, found, found.gaps, gains)
 
     def linear(by_team: bool, state: rb.State, target: jax.Array, found: Any, gains: Any) -> Any:
-        problem, now = begun(state, target)
-        low, high = (x.astype(jnp.float32) for x in (problem.low, problem.high))
         run = threads(sqp.linear_step, team=by_team)
-        return run(found.path, found.gaps, now.ctrls, gains, low, high)
+        return run(found.path, found.gaps, gains)
 
     return {
         "expand": expand, "backward": backward, "forward": forward,

@@ -24,7 +24,7 @@ from rbjax.control.augmented_lagrangian import Multipliers, no_multipliers
 from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.expansion import row_count
 from rbjax.control.filter_search import rounding
-from rbjax.control.forward_pass import Tried, forward_pass
+from rbjax.control.forward_pass import Tried, forward_pass, within_bounds
 from rbjax.control.knots import Expanded, expand, largest_gap, updated, with_curvature
 from rbjax.control.options import Options
 from rbjax.control.outcome import GOING
@@ -95,14 +95,22 @@ def searched(
 
 
 def gains_of(
-    problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any
-) -> Feedback:
-    """The backward pass at knots."""
+    problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
+    boxed: bool = False,
+) -> Feedback:  # fmt: skip
+    """The backward pass at knots. boxed: whether k meets all bounds, or those of controls at them.
+
+    k is the step of a state that stays at its knot. Where gaps or a long step move the state, a
+    bound that k meets need not be met by k + K dx, and without its row of K the closed loop is
+    unstable: such a bound then binds to the end.
+    """
     bounds = None
     if problem.bounded:
-        low, high = (x.astype(ctrls.dtype) for x in (problem.low, problem.high))
+        low, high = (x.astype(ctrls.dtype) - ctrls for x in (problem.low, problem.high))
         huge = jnp.finfo(ctrls.dtype).max
-        bounds = Bounds(jnp.maximum(low - ctrls, -huge), jnp.minimum(high - ctrls, huge))
+        if not boxed:
+            low, high = jnp.where(low < 0, -huge, low), jnp.where(high > 0, huge, high)
+        bounds = Bounds(jnp.maximum(low, -huge), jnp.minimum(high, huge))
     first = None
     if problem.opens:
         free = jnp.asarray([*problem.free, *[True] * problem.numbers], ctrls.dtype)
@@ -127,7 +135,9 @@ def optimised(
 
     def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
         reg = now.standing.reg
-        plain = functools.partial(gains_of, problem, now.knots, now.ctrls)
+        # second derivatives make steps short along the dynamics: k meets its bounds there
+        boxed = exact and way.rules.closes
+        plain = functools.partial(gains_of, problem, now.knots, now.ctrls, boxed=boxed)
         if not exact:
             return plain(found, gaps, reg)
         full = plain(
@@ -170,8 +180,7 @@ def _begun(
     multipliers: Multipliers | None = None,
 ) -> Iterate:  # fmt: skip
     dtype, N = ctrls.dtype, problem.horizon
-    if problem.bounded:
-        ctrls = jnp.clip(ctrls, problem.low.astype(dtype), problem.high.astype(dtype))
+    ctrls = within_bounds(problem, ctrls)
     if multipliers is None:
         path, end = (row_count(problem, where) for where in ("path", "end"))
         multipliers = no_multipliers(N, path, end, dtype)

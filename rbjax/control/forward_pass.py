@@ -33,6 +33,13 @@ class Tried(NamedTuple):
     more: jax.Array
 
 
+def within_bounds(problem: Problem, u: jax.Array) -> jax.Array:
+    """Controls projected onto their bounds."""
+    if not problem.bounded:
+        return u
+    return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+
+
 def forward_pass(
     problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
     multipliers: Multipliers, a: jax.Array,
@@ -46,9 +53,7 @@ def forward_pass(
         now, total, off, cross = carry
         k, knot, ctrl, K, du, gap, V, rows, closing = x
         dx = problem.minus(now, knot)
-        u = ctrl + a * du + product(K, dx)
-        if problem.bounded:
-            u = jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+        u = within_bounds(problem, ctrl + a * du + product(K, dx))
         total = total + merit(problem, k, now, u, rows, mu, "path")
         off = jnp.maximum(off, violation(problem, k, now, u, "path"))
         cross = cross + (gap * product(V, dx)).sum()

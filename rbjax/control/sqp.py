@@ -3,11 +3,13 @@
 An iteration is that of `ddp`, but for its step: it is that of the linear model, from knot to knot
 small products only,
 
-    du_k = k_k + K_k dx_k, within the bounds,     dx_{k+1} = A dx_k + B du_k + gap_{k+1}
+    du_k = k_k + K_k dx_k,     dx_{k+1} = A dx_k + B du_k + gap_{k+1}
 
-and trials x (+) a dx, u + a du of all lengths a are measured at all knots at once: no motion is
-rolled out, so nothing waits for N steps of the dynamics in a row. Gaps close in proportion, and
-exactly where the dynamics is linear. The trial with the least
+without the bounds of controls between them, since the linear model is unstable without feedback.
+Trials x (+) a dx, u + a du of all lengths a, u projected onto its bounds, are measured at all
+knots at once: no motion is rolled out, so nothing waits for N steps of the dynamics in a row. Gaps
+close in proportion, and exactly where the dynamics is linear and no bound is met.
+The trial with the least
 
     phi(a) = J(a) + sum over k of  l_k'gap_k(a) + rho/2 gap_k(a)'V_k gap_k(a)
 
@@ -34,6 +36,7 @@ from rbjax.control.backward_pass import Feedback
 from rbjax.control.ddp import Iterate, Way, searched
 from rbjax.control.expansion import Local, merit
 from rbjax.control.filter_search import ARMIJO, rounding
+from rbjax.control.forward_pass import within_bounds
 from rbjax.control.knots import FEW, Expanded, at_places, numbers, violation
 from rbjax.control.options import Options
 from rbjax.control.problem import BODY, NEXT, Knot, Problem
@@ -72,17 +75,15 @@ def by_sqp(
     return searched(BY_LINEAR_MODEL, problem, start, knots, ctrls, options, history, exact)
 
 
-def linear_step(
-    path: Local, gaps: jax.Array, ctrls: jax.Array, gains: Feedback, low: jax.Array, high: jax.Array
-) -> Step:
-    """The step of the linear model, low <= ctrls + du <= high."""
+def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
+    """The step of the linear model. Controls at a bound stay within it, by their gains."""
 
     def forth(dx: jax.Array, x: tuple) -> tuple:
-        A, B, gap, ctrl, K, k = x
-        du = jnp.clip(ctrl + k + product(K, dx), low, high) - ctrl
+        A, B, gap, K, k = x
+        du = k + product(K, dx)
         return product(A, dx) + product(B, du) + gap, (dx, du)
 
-    given = (path.A, path.B, gaps[1:], ctrls, gains.K, gains.k)
+    given = (path.A, path.B, gaps[1:], gains.K, gains.k)
     found: Any = jax.lax.scan(forth, gains.first, given)
     last, (dx, du) = found
     V, first = gains.V[0], gaps[0]
@@ -96,8 +97,7 @@ def _trials(
 ) -> Measured:
     """All lengths at all knots."""
     dtype, N = now.ctrls.dtype, problem.horizon
-    low, high = (x.astype(dtype) for x in (problem.low, problem.high))
-    step = threads(linear_step, team=True)(found.path, gaps, now.ctrls, gains, low, high)
+    step = threads(linear_step, team=True)(found.path, gaps, gains)
     lengths = jnp.asarray(LENGTHS, dtype)
 
     def one(
@@ -105,7 +105,7 @@ def _trials(
         following: Knot, ahead: jax.Array, gap: jax.Array, V: jax.Array, v: jax.Array,
         cost: tuple, y_end: jax.Array, end: tuple, mu: jax.Array, a: jax.Array,
     ) -> tuple:  # fmt: skip
-        there, u = problem.plus(knot, a * dx), ctrl + a * du
+        there, u = problem.plus(knot, a * dx), within_bounds(problem, ctrl + a * du)
         after = problem.plus(following, a * ahead)
         c, q, r = cost
         change = merit(problem, k, there, u, y, mu, "path") - c
@@ -164,7 +164,8 @@ def _moved(
 
     a, accepted = decided.a, decided.accepted
     knots = jax.vmap(threads(one), (0, 0, None, None))(now.knots, tried.step.dx, a, accepted)
-    return knots, now.ctrls + jnp.where(accepted, a * tried.step.du, 0.0)
+    ctrls = now.ctrls + jnp.where(accepted, a * tried.step.du, 0.0)
+    return knots, within_bounds(problem, ctrls)
 
 
 def _least(seen: Measures, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -25,7 +25,7 @@ START = jnp.asarray([1.0, 0.0])
 @pytest.mark.slow
 def test_without_errors_of_the_model_the_delay_costs_nothing():
     """A plan from the state that will be is the plan from the state that is."""
-    runs = [jax.jit(mpc(cart(), delay=d).closed_loop, (1,))(START, 25) for d in (0, 1)]
+    runs = [jax.jit(mpc(cart(), delay=d).closed_loop, static_argnums=1)(START, 25) for d in (0, 1)]
     np.testing.assert_allclose(runs[0].states, runs[1].states, atol=1e-8)
     for run in runs:
         assert (run.results == PLANNED).all() and (abs(run.ctrls) <= 0.4).all()

@@ -91,6 +91,45 @@ def test_bounds_are_those_of_a_dense_program() -> None:
     assert np.abs(found.ctrls[:, 0] - us).max() < 1e-6
 
 
+@pytest.mark.parametrize("method", ["sqp", "exact_sqp", "ddp"])
+@pytest.mark.parametrize("margin", [0.0, 0.02, 0.2, 1.0])
+def test_bounds_that_do_not_bind_change_nothing(method: str, margin: float) -> None:
+    """A linear unstable plant, so a full step of the free problem is its optimum. Far from it k
+    exceeds the bounds at nearly all knots."""
+    plant = Equations(
+        lambda t, x, u: jnp.asarray([[1.2, 0.1], [0.0, 1.1]]) @ x + jnp.asarray([0.0, 0.1]) * u[0],
+        2, 1, discrete=True,
+    )  # fmt: skip
+    given = {
+        "running": [StateError(jnp.zeros(2)), Cost(Control(), 1e-3)], "integral": False,
+        "terminal": [Cost(StateError(jnp.zeros(2)), 10.0)],
+    }  # fmt: skip
+    free = solve(Problem(plant, 40, H, **given), START)
+    low, high = float(free.ctrls.min()), float(free.ctrls.max())
+    more = margin * (high - low) + 1e-9 * high  # rounding, where nothing else is between
+    bounds = low - more, high + more
+    far = 3.0 * jnp.ones((41, 2)) + jnp.arange(41.0)[:, None]
+    problem = Problem(plant, 40, H, bounds=bounds, **given)
+    found = solve(problem, START, states=far, method=method)
+    assert found.status == "converged" and int(found.iterations) <= 3
+    np.testing.assert_allclose(found.cost, free.cost, rtol=1e-9)
+    np.testing.assert_allclose(found.ctrls, free.ctrls, atol=1e-6 * (high - low))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["sqp", "exact_sqp", "ddp"])
+@pytest.mark.parametrize("margin", [0.02, 0.2])
+def test_bounds_that_do_not_bind_change_nothing_of_an_arm(method: str, margin: float) -> None:
+    case = oracle.kinova_reach("plain_difference")
+    free = solve(case.problem, case.start, method="sqp")
+    low, high = free.ctrls.min(0), free.ctrls.max(0)
+    more = margin * (high - low)
+    case = oracle.kinova_reach("plain_difference", (low - more, high + more))
+    found = solve(case.problem, case.start, method=method, iterations=100)
+    assert found.status == "converged"
+    np.testing.assert_allclose(found.cost, free.cost, rtol=1e-6)
+
+
 def test_rest_to_rest_costs_what_the_closed_form_says() -> None:
     """x'' = u over a distance 1 in a time 1: h sum u^2 = 12 n^2 / (n^2 - 1)."""
     goal = jnp.asarray([1.0, 0.0])
