@@ -21,7 +21,7 @@ from pathlib import Path
 
 PATH = Path(__file__).parent / "slow.txt"
 #: CPU seconds of one case, on average, and of all cases of a function
-LIMIT, TOTAL = 1.0, 6.0
+LIMIT, TOTAL = 0.7, 3.5
 #: files whose tests are always quick: the compiler's core, and every public function
 KEPT = ("tests/test_registry.py", "tests/threads/test_primitives.py",
         "tests/threads/test_quick_programs.py", "tests/public/")  # fmt: skip
