@@ -124,7 +124,7 @@ def lqr_at(
 
     Returns:
         `Regulator`. `feedback` makes a policy of its K. If its acceleration is not zero, ctrl does
-        not hold the state, and the law comes to rest beside it.
+        not hold the state, and the law comes to rest at another point.
 
     Raises:
         InputError: as `rb.linearise` and `lqr`.

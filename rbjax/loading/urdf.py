@@ -64,7 +64,7 @@ def is_urdf(text: str, name: str) -> bool:
 
 
 def _bodies(root: ET.Element) -> int:
-    """How many bodies a file has, with those that <replicate> makes."""
+    """How many bodies a file has, including the copies of <replicate>."""
     if root.tag == "robot":
         return len(root.findall("link"))
     count, front = 0, [(root, 1)]

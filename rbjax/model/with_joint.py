@@ -120,7 +120,7 @@ def _check_length(where: str, x: jax.Array, what: str) -> None:
 
 
 def _check_on_world(model: Any, joint: int, name: str, kind: str) -> None:
-    """Refuse a joint whose coordinates count from the world on a body that another body carries."""
+    """Reject a joint whose coordinates count from the world on a body that another body carries."""
     top = model.topology
     body = top.joint_bodies[joint]
     parent = top.body_parents[body]

@@ -145,7 +145,7 @@ class Reader:
             return self._operand(jnp.array(x), x)
         if x.nbytes > LARGEST:
             raise UnreadableError
-        # equal arrays are told apart by which they are among those that were found (`x is y`)
+        # equal arrays differ by identity (`x is y`): by their index among the arrays found
         which, _ = self.known.setdefault(id(x), (len(self.known), x))
         return (type(x), x.dtype, x.shape, x.tobytes(), which), None
 

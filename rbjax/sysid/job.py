@@ -159,7 +159,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 
 def _folder(path: Path, given: Mapping[str, Any]) -> Path:
-    """The folder of the results, within that of the file."""
+    """The folder of the results, within the folder of the file."""
     name = given.get("output", {}).get("folder", path.stem)
     at = path.parent.resolve()
     if not (at / name).resolve().is_relative_to(at):
@@ -227,7 +227,7 @@ def _grid(
     setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
     runs: Mapping[str, list[Recording]],
 ) -> Grid | None:  # fmt: skip
-    """The grid that period, substeps and the delay ask for; None for that of `identify`."""
+    """The grid that period, substeps and the delay ask for; None for the default of `identify`."""
     substeps, period = options.pop("substeps", None), options.pop("period", None)
     if substeps is None and period is None and setup.delay is None:
         return None

@@ -82,7 +82,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "character": (lambda x: isinstance(x, str) and len(x) == 1, "one character in quotes"),
 }
 
-OF_IDENTIFY = "that of `identify`"
+OF_IDENTIFY = "the default of `identify`"
 #: table -> key -> what it is; "" is the head of the file, "columns" and "unknowns" are each line
 KEYS: dict[str, dict[str, Key]] = {
     "": {
@@ -111,7 +111,7 @@ KEYS: dict[str, dict[str, Key]] = {
         "sign": Key("sign", "1", "", "-1 if the sensor counts the other way"),
         "noise": Key("positive", "estimated", "SI", "standard deviation; of all columns of a sensor"
                      " or of none"),
-        "time": Key("text", "that of [recordings]", "", "the column's own clock"),
+        "time": Key("text", "the time column of [recordings]", "", "the column's own clock"),
     },
     "unknowns": {
         "leaf": Key("text", "", "", 'array of the set-up, such as "bodies.mass"'),

@@ -327,7 +327,7 @@ def _file(where: str, path: str | Path) -> Path:
         there = path.is_file()
     except (OSError, TypeError, ValueError) as error:
         text = f"{str(path)[:60]!r} ({type(error).__name__})"
-        raise InputError(f"{where}: path is {text}, expected that of a file") from error
+        raise InputError(f"{where}: path is {text}, expected the path of a file") from error
     if not there:
         others = sorted(p.name for p in path.parent.glob(f"*{path.suffix}"))
         raise InputError(

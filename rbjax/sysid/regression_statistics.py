@@ -1,4 +1,4 @@
-"""The covariance of a regression of torques: that of `fit_statistics`, of its residuals."""
+"""The covariance of a regression of torques, by `fit_statistics` from its residuals."""
 
 from __future__ import annotations
 

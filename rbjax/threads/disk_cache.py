@@ -1,6 +1,6 @@
 """Compiled code on disk, next to JAX's own compilation cache if the caller has enabled that.
 
-A cache saves time only: if the folder cannot be read or written, code is compiled anew and a
+A cache saves time only: if the folder cannot be read or written, code is compiled again and a
 warning names the folder.
 """
 

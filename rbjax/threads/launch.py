@@ -30,7 +30,7 @@ TARGET = GPU_KERNEL
 
 
 def gpu() -> jax.Device:
-    """A GPU of this process: that of the least compute capability, whose code all others run."""
+    """The GPU of this process with the least compute capability, whose code all others run."""
     version = lambda d: [int(n) for n in str(d.compute_capability).split(".")]  # noqa: E731
     return min(jax.local_devices(backend="cuda"), key=version)
 

@@ -35,7 +35,7 @@ def _number(**given: Any) -> Any:
 class Motor(Record):
     """What turns a shaft: a subclass gives `torque`, `free_speed`, `command_for` and `heat`.
 
-    Class field: unit, that of the command.
+    Class field: unit, the unit of the command.
     """
 
     unit: ClassVar[str]
