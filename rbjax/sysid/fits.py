@@ -280,7 +280,7 @@ def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recordi
             rough = rough[np.isfinite(rough)]
             if not rough.size:
                 continue
-            noise = float(np.sqrt(np.mean(rough**2))) or 1e-300
+            noise = float(np.sqrt(np.mean(rough**2))) or 1e-100  # its square is not zero
             least = SMALL_STEP_ERROR * spread
         found = sum_of_squares(part)
         squares += found / noise**2 if found > least**2 * part.size else 0.0

@@ -160,3 +160,11 @@ def test_forty_nine_numbers_of_a_quadruped():
              "bias[0]": 1.540e-4, "delay": 9.509e-7}  # fmt: skip
     for name, sigma in least.items():
         np.testing.assert_allclose(found.estimates.interval(name).sigma, sigma, rtol=0.06)
+
+
+def test_recordings_that_are_constant_are_fitted():
+    """Their roughness is zero, by which no error can be divided."""
+    t, rest = np.arange(51) * 0.01, np.zeros((51, 1))
+    run = Recording("rest", {"q": Channel(t, rest + 0.1), "ctrl": Channel(t[:-1], rest[:-1])})
+    found = identify(rb.load("pendulum"), run, {"mass": Unknown("bodies.mass", 0)}, restarts=0)
+    assert np.isfinite(float(found.values["mass"]))
