@@ -3,10 +3,10 @@ regularisation, the next penalty of the constraints, and whether the search ends
 
 The longest trial is taken that a method accepts. The regularisation falls tenfold after a step
 longer than half and rises tenfold after one of a hundredth, none, or gains that do not exist
-(Mastalli et al. 2020). If the foreseen change of the cost is small relative to the cost, the
+(Mastalli et al. 2020). If the predicted change of the cost is small relative to the cost, the
 constraints get new multipliers, or the search has converged. Regularisation makes this change small
-anywhere, so under it the gradient must be small too. All of it is one program of one sample
-(`rb.threads`), so one kernel on a GPU.
+at any point, so with regularisation the gradient must be small too. All of it is one program of one
+sample (`rb.threads`), so one kernel on a GPU.
 """
 
 from __future__ import annotations
@@ -25,15 +25,25 @@ from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINI
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
 LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
-LOOSE, CLOSER = 1e-3, 0.3  # the tolerance before the first multipliers, and its fall a turn
+LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each update
 FLOOR = 10.0  # the least tolerance, in units in the last place
 
 
 class Standing(NamedTuple):
-    """Where a search stands, numbers (): whether the motion is free of gaps; the regularisation;
-    cost; scale, of which the tolerance is a share where the cost is less; stop, the change that was
-    foreseen; violation; before, that at the last change of
-    multipliers; inner, the tolerance of this turn of multipliers; iterations; outcome; penalty."""
+    """The state of a search; numbers ().
+
+    feasible: whether the motion has no gaps.
+    reg: the regularisation.
+    cost: of the motion.
+    scale: the tolerance is relative to the larger of |cost| and this.
+    stop: the predicted change of the cost.
+    violation: of the constraints.
+    before: the violation at the last update of the multipliers.
+    inner: the tolerance until the next update of the multipliers.
+    turns: the number of iterations.
+    outcome: of `outcome`.
+    penalty: of the augmented Lagrangian.
+    """
 
     feasible: jax.Array
     reg: jax.Array
@@ -49,9 +59,7 @@ class Standing(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """tolerance of the foreseen change, relative to the cost; violation; iterations at most; scale,
-    the least cost to which the tolerance is relative, None for that of the first guess, at most 1;
-    each ()."""
+    """tolerance, violation, iterations and scale of `Options`; each ()."""
 
     tolerance: jax.Array
     violation: jax.Array
@@ -60,10 +68,15 @@ class Limits(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """Of an iteration, for its verdict. Here: cost, gap and violation (). Of the step: slope and
-    curvature of the cost along it (), square (), the squared norm of the gradient without
-    regularisation, ok (), whether its gains exist. Of the trials (T,): costs,
-    offs, their violations, and more, what the method knows besides."""
+    """The values of an iteration from which its verdict follows.
+
+    cost, gap, violation: (), of the present motion.
+    slope, curvature: (), of the cost along the step.
+    square: (), the squared norm of the gradient without regularisation.
+    ok: (), whether the gains exist.
+    costs, offs: (T,), costs and violations of the trials.
+    more: further values of the method.
+    """
 
     cost: jax.Array
     gap: jax.Array
@@ -170,7 +183,7 @@ def verdict(
 
 
 def _small(now: Standing, seen: Measures, stop: Any, share: Any, tolerance: Any) -> jax.Array:
-    """Whether the foreseen change of the cost is small, and under regularisation the gradient."""
+    """Whether the predicted change of the cost is small and, with regularisation, the gradient."""
     flat = jnp.sqrt(seen.square) <= jnp.sqrt(tolerance) * share
     return seen.ok & (stop <= tolerance * share) & ((now.reg <= LEAST) | flat)
 
