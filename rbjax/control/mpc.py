@@ -314,8 +314,7 @@ def mpc(
         feedback: whether gains answer what the prediction missed, when the control is applied.
         patience: how many ticks a plan goes on while new ones fail.
         fallback: a policy (t, state) -> (nu,) after that; zeros within the bounds if None.
-        tolerance: iterations end early if the predicted change of the cost is below this, relative
-            to the larger of |cost| and 1.
+        tolerance: iterations end if the predicted cost change is below it times max(1, |cost|).
         violation: of constraints, in their units. The result is `VIOLATED` if a plan violates a
             constraint by more, or has a larger gap between a step and its next state.
         first: iterations of the first plan.

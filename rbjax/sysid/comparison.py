@@ -13,11 +13,11 @@ from rbjax.errors import InputError
 from rbjax.sysid.whiteness import whiteness
 
 HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
-EXPLAINED = 0.99  # the share of variance that a good model explains
-NOISY = 1.5  # error over the noise, at most
-TESTED = 20  # samples of a column, at least, for a test of whiteness
-ROUNDING = 1e-6  # an error below this share of the spread is none that a test could judge
-ALPHA = 0.01  # a p value below it is no chance
+EXPLAINED = 0.99  # the least share of variance that a good model explains
+NOISY = 1.5  # the largest error of a good model, over the noise
+TESTED = 20  # the least number of samples of a column for a test of whiteness
+ROUNDING = 1e-6  # an error below this share of the spread is not tested for whiteness
+ALPHA = 0.01  # a p value below it is significant
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class HeldOut:
 
     Fields: rms on unseen and rms_fitted on fitted data; ratio of the two; by_recording, the rms of
     each unseen one; r_squared, the share of variance explained, nan if unknown; holds, whether all
-    checks pass; failed, a sentence for each check that does not; sentence.
+    checks pass; failed, a sentence for each check that fails; sentence.
     """
 
     rms: float
@@ -49,9 +49,9 @@ def held_out(
 ) -> HeldOut:
     """The verdict on a model from its residuals on recordings that were not fitted.
 
-    The model holds if its error there is at most 1.25 times the error on fitted data, explains
-    99 % of the variance (with `measured`), is at most 1.5 times the noise (with `noise`), and is
-    white (columns of 20 samples or more). What cannot be checked is left out.
+    The model holds if it explains 99 % of the variance (with `measured`), and its error is at most
+    1.25 times the error on fitted data, at most 1.5 times the noise (with `noise`), and white
+    (columns of 20 samples or more). Checks for which data are missing are left out.
 
     Args:
         fitted: recording -> residuals, an array of any shape; nan is left out.
@@ -128,8 +128,8 @@ def held_out(
 
 
 def colour(residuals: Sequence[np.ndarray]) -> tuple[bool, float] | None:
-    """Whether residuals, (samples,) or (samples, columns) each, are white: Bonferroni's bound of
-    Ljung and Box's tests of all columns, and its p value. None if all are too short to test."""
+    """Whether residuals, (samples,) or (samples, columns) each, are white, and the p value:
+    Bonferroni's bound of the Ljung-Box tests of all columns. None if all are too short to test."""
     p = []
     for r in residuals:
         for x in r.reshape(len(r), -1).T:

@@ -60,7 +60,7 @@ class Divergence:
     def bounded(
         cls, p: np.ndarray, p0: np.ndarray, low: float, high: float, scale: float
     ) -> Divergence:
-        """That of the distances to both bounds; an infinite bound is none."""
+        """The divergence of the distances to both bounds; an infinite bound has none."""
         sides = []
         if low > -np.inf:
             sides.append(cls.positive(p - low, p0 - low))
@@ -118,7 +118,7 @@ class Divergence:
 def _excess(x: np.ndarray) -> np.ndarray:
     """x - log(1 + x), which is x^2 / 2 where x is small, without cancellation."""
     series = x * x * (1 / 2 - x * (1 / 3 - x * (1 / 4 - x / 5)))
-    with np.errstate(divide="ignore"):  # what rounding puts on the border is infinitely far
+    with np.errstate(divide="ignore"):  # a point that rounding puts on the border
         return np.where(np.abs(x) < 1e-3, series, x - np.log1p(x))
 
 

@@ -1,10 +1,10 @@
 """The fits of `identify`, each from where the last one ended.
 
     pieces      short pieces, each from its first sample: a start for a poor first guess
-    shooting    pieces that are tied, end to start, ever more stiffly: a start for a long motion
-    growing     the first part of all recordings, and ever more of it: another such start
+    shooting    multiple shooting with growing continuity weights: a start for a long motion
+    growing     the first part of all recordings, then longer parts: a start for a poor first guess
     whole       all recordings
-    weighed     the same, each column weighed by the noise of its residuals
+    weighed     the same, each column weighted by the noise of its residuals
     finer       the same with shorter steps, if steps of half the length change the motion
 """
 
@@ -40,17 +40,17 @@ NOISELESS = 1e-7
 NORMAL = 1.4826
 #: pulls of the fit to short pieces, which is only a start
 FIRST_PULLS = (1e-4, 1e-7)
-#: parts of all recordings that a growing fit takes, one after the other
+#: successive fractions of all recordings in a growing fit
 PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
-#: evaluations at most of a fit that is only a start
+#: the largest number of evaluations of a fit that is only a start
 FEW_STEPS = 20
-#: how far other first guesses are drawn, as in `many_starts`
+#: the spread of other first guesses, as in `many_starts`
 SPREAD = 1.0
 #: steps are short enough if their error moves no number by more than this part of its sigma
 STEP_ERROR = 0.5
-#: and are refined so often at most, before and after the fit
+#: before the fit steps are divided by at most this; after it they are halved at most this often
 FINEST, REFINED = 16, 2
-#: an error of steps below this part of the spread of what was recorded is no reason for finer ones
+#: steps are not refined if their error is below this part of the spread of the recordings
 SMALL_STEP_ERROR = 1e-6
 
 
@@ -67,8 +67,8 @@ class Fitted(NamedTuple):
 class Fits:
     """Fits of the same numbers to the same recordings.
 
-    Fields: first, the first guess; prior, to which the next fit is pulled where data leave numbers
-    open; evaluations of residuals so far; notes, sentences on what was done by default.
+    Fields: first, the first guess; prior, the value of numbers that the data do not identify;
+    evaluations of residuals so far; notes, sentences on what was done by default.
     """
 
     def __init__(
@@ -106,8 +106,8 @@ class Fits:
         return self._fitted(self._error(self.recordings), x)
 
     def growing(self, of: SimulationError, x: np.ndarray) -> np.ndarray:
-        """x that suits the first part of all recordings, and ever more of it: a short motion does
-        not lose a poor guess. The program is that of the whole."""
+        """x of fits to the first part of all recordings, then to longer parts: over a short motion
+        a poor guess stays near the minimum. The program is the same as for the whole."""
         T = max(float(np.max(t)) for t in of.runs.times.values())
         for part in PARTS:
             weights = {
@@ -121,8 +121,8 @@ class Fits:
         return x
 
     def improved(self, fitted: Fitted, restarts: int) -> Fitted:
-        """The fit, or if it is poor the best of others: one that grows from the first guess, and
-        some from other guesses."""
+        """The fit. If it is poor, the best of it, a growing fit from the first guess, and growing
+        fits from other guesses."""
         why = "the first guess failed" if not np.isfinite(fitted.least.cost) else ""
         why = why or is_poor(fitted.traces, self.recordings, self.setup)
         if not (why and restarts):
@@ -148,7 +148,7 @@ class Fits:
         return best
 
     def _guesses(self, count: int) -> np.ndarray:
-        """(count, n), the first one first."""
+        """Guesses (count, n), beginning with the first guess."""
         try:
             return drawn(self.sought, self.setup, count, SPREAD, 0)
         except InputError:  # an unknown of a kind that cannot be drawn
@@ -164,8 +164,8 @@ class Fits:
         return self._fitted(fitted.error.on(data), fitted.least.x)._replace(estimated=True)
 
     def stepped(self) -> None:
-        """Steps so short that at the first guess their error is below the noise, as far as the
-        recordings show it: longer ones may hide the right minimum."""
+        """Shorten the steps until their error at the first guess is below the noise that the
+        recordings show: longer steps may hide the right minimum."""
         of = self._error(self.recordings)
         x = np.append(self.first, np.zeros(of.size - self.shared))
         first, over, done = self.grid, 0.0, 1
@@ -176,7 +176,7 @@ class Fits:
             over = max(over, now)
             if not now > 1:
                 break
-            # an error of order 4 or so falls by 16 with each half
+            # an error of order 4 falls by 16 if the step is halved
             again = 2 if now > 16 and 4 * done <= FINEST else 1
             self.grid = _halved(self.grid, again)
             done *= 2**again
@@ -187,13 +187,13 @@ class Fits:
         if self.grid != first:
             self.notes.append(
                 f"steps of {first.period / first.substeps:.3g} s were too long (their error is "
-                f"{error:.2g} times what matters), so the motion has steps of "
+                f"{error:.2g} times the tolerance), so the simulation has steps of "
                 f"{self.grid.period / self.grid.substeps:.3g} s; grid= sets them"
             )
 
     def finer(self, fitted: Fitted) -> Fitted:
-        """The fit with steps so short that steps of half their length change no number by a part
-        of its standard deviation that matters."""
+        """The fit with steps so short that half of them would change no number by more than
+        `STEP_ERROR` of its standard deviation."""
         first, error = self.grid, 0.0
         for _ in range(REFINED):
             other = self._finer(fitted)
@@ -256,14 +256,14 @@ class Fits:
 
 
 def _halved(grid: Grid, times: int = 1) -> Grid:
-    """The grid with steps of half the length, so many times over."""
+    """The grid with its steps halved, `times` times."""
     k = 2**times
     return grid._replace(period=grid.period / k, longest_delay=k * grid.longest_delay)
 
 
 def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recording]) -> float:
-    """By how much an error (runs, rows) of the residual is larger than what matters, with the
-    noise that the recordings show; 0 below rounding."""
+    """The size of an error (runs, rows) of the residual over its tolerance, `STEP_ERROR` of the
+    noise that the recordings show; 0 if it is below `SMALL_STEP_ERROR`."""
     squares, at = 0.0, 0
     for sensor in sorted(of.runs.values):
         T, n = of.runs.values[sensor].shape[1:]
@@ -288,9 +288,9 @@ def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recordi
 
 
 def _step_error(fitted: Fitted, other: SimulationError) -> tuple[float, bool]:
-    """By how much the error of the steps is larger than what matters, and whether it does. The
-    residuals r have n numbers fitted to them; an error e of theirs moves a number by |e| / s of its
-    standard deviation at most, where s^2 is the variance of r."""
+    """The size of the error of the steps over its tolerance, and whether it matters. An error e of
+    the residuals r moves a number by at most |e| / s of its standard deviation, with s^2 the
+    variance of r. The tolerance of |e| / s is `STEP_ERROR`."""
     of, x = fitted.error, fitted.least.x
     e = other.residuals(x) - of.residuals(x)
     s = np.sqrt(max(fitted.least.cost, 1e-300) / max(samples_of(of) - of.size, 1))
@@ -329,7 +329,7 @@ def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
 
 
 def check_moves(sought: Unknowns, J: np.ndarray) -> None:
-    """`InputError` for an unknown none of whose numbers moves anything."""
+    """`InputError` for an unknown that has no effect on any reading."""
     ends = np.cumsum(sought.sizes)
     largest, still = np.abs(J).max(), still_tolerance(J.dtype)
     for (name, u), end, size in zip(sought.members.items(), ends, sought.sizes, strict=True):

@@ -1,10 +1,10 @@
 """`identify`: numbers of a set-up from recordings, by the error of simulated motions.
 
     min over p of  sum |weights (reading(motion(p)) - recorded)|^2
-What the data show is fitted; what they leave open stays at the first guess, or as near to it as a
-body's inertia allows, and the answer says in words which combinations were found. The initial state
-of each recording is fitted too, unless it is known. A fit that is poor is tried again from other
-starts, and the verdict names each check that fails.
+Combinations of the unknowns that the data identify are fitted. The others stay at the first guess,
+or as near to it as a body's inertia allows. The result names the combinations that were found. The
+initial state of each recording is fitted too, unless it is known. A poor fit is tried again from
+other starts, and the verdict names each check that fails.
 """
 
 from __future__ import annotations
@@ -60,34 +60,34 @@ def identify(
             (`Setup.with_sensors`), each on its own clock; each recording is simulated from its
             first sample of "q" and "v", whose other samples may be missing.
         unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
-        grid: how motion is integrated. None: steps of RK4 at the finest clock of all channels,
-            and shorter ones if steps of half the length change the numbers (`notes` says so).
+        grid: how motion is integrated. None: steps of RK4 at the finest clock of all channels, and
+            shorter ones if steps of half the length change the estimates (`notes` reports this).
         pieces: length in s of pieces that are fitted first, each from its first sample, so that a
             poor first guess does not lose the motion. None: no such fit.
         shooting: length in s of pieces that are fitted first and then tied, end to start, ever more
             stiffly, until they are one motion (`Shooting`): for a long or chaotic motion, which
             `pieces` may not find. Forces and controllers that depend on time see that of a piece.
             None: no such fit.
-        starts: whether each recording's initial state is estimated too. None: unless the recording
-            says that it is known (`Recording(initial_state=...)`). False: the first readings of q
-            and v are the state, exactly; their noise becomes an error of the numbers that no
-            interval shows.
+        starts: whether each recording's initial state is estimated too. None: it is, unless the
+            recording states it (`Recording(initial_state=...)`). False: the first readings of q and
+            v are the exact state; their noise causes an error of the estimates that the intervals
+            do not include.
         loss: "squares", or "huber", by which outliers count less.
         steps: evaluations of the residual at most, of each fit.
-        restarts: starts that are tried at most if the fit from the first guess is poor (R2 below
-            0.99, or errors several times the noise): one that grows from the first part of the
-            recordings, and others from other guesses. `notes` says so. 0: none; nor with pieces,
-            shooting or resume.
+        restarts: the largest number of other starts if the fit from the first guess is poor (R2
+            below 0.99, or errors several times the noise): a fit that grows from the first part of
+            the recordings, and such fits from other guesses. `notes` reports them. There are none
+            with 0, pieces, shooting or resume.
         save: a file that holds the best numbers so far, and at the end the result.
         resume: such a file, or name -> value, from which the fit goes on.
         progress: whether a line shows the progress.
 
     Returns:
-        `Identified`. All is computed in float64, whatever JAX's default is; the set-up comes back
-        in the dtype of the model. `ok` and `message` say whether the fit converged, `verdict`
-        whether it is good. Channels that do not state their noise get that of their residuals, a
-        number for each column. Intervals follow the residuals: if these are correlated in time,
-        the covariance is the sandwich form (`fit_statistics`).
+        `Identified`. All is computed in float64, whatever JAX's default is; the set-up has the
+        dtype of the model. `ok` and `message`: whether the fit converged. `verdict`: whether it is
+        good. If a channel does not state its noise, it is estimated from the residuals, a number
+        for each column. Intervals follow the residuals: if these are correlated in time, the
+        covariance is the sandwich form (`fit_statistics`).
 
     Raises:
         InputError: recordings that do not suit the model; no unknowns, one outside of its range, or
@@ -134,7 +134,7 @@ def fitted(
     x: np.ndarray | None = None, save: str | Path | None = None, say: Say = lambda text: None,
     dtype: Any = np.float64,
 ) -> Identified:  # fmt: skip
-    """The whole of `identify`, from the first guess or from x, in float64."""
+    """All of `identify` without its checks, from the first guess or from x, in float64."""
     grid = grid_of(runs) if how.grid is None else how.grid
     fits = Fits(
         setup, sought, runs, grid, starts=how.starts, loss=how.loss, steps=how.steps, save=save,
@@ -159,7 +159,7 @@ def fitted(
 
 
 def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
-    """What the last fit says: numbers, what the data show of them, their covariance, a verdict."""
+    """The result of the last fit: estimates, combinations, covariance, verdict."""
     of, least, n, names = best.error, best.least, fits.shared, fits.sought.names
     stated = {s for s in of.runs.values if says_its_noise(fits.recordings, s)}
     said = fit_statistics(
