@@ -5,7 +5,7 @@ this file changes. The upper bounds in `pyproject.toml` are the newest versions 
 
 Not private, but without JAX's promise of stability, and used elsewhere: `jax.extend.core`
 (jaxprs, their equations and primitives) and `jax.interpreters` (rules of primitives). The layout of
-XLA's foreign function interface is in `threads.llvm_xla`, that of numpy's arrays in
+XLA's foreign function interface is in `threads.llvm_xla`, the layout of numpy's arrays in
 `threads.numpy_abi`; both are checked before use.
 """
 

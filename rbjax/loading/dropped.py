@@ -17,10 +17,10 @@ FIXED = "fixed root link"
 #: the beginning of an entry -> how to keep the feature
 _CURES = {
     INVERTED: "swap them in the file",
-    "joint limits": "load(limits=True) takes them",
-    "joint friction loss": "load(friction=True) takes it",
-    "equality constraints (": "load(constraints=True) takes them",
-    "mimic joints": "load(constraints=True) takes those of hinges and slides",
+    "joint limits": "load(limits=True) loads them",
+    "joint friction loss": "load(friction=True) loads it",
+    "equality constraints (": "load(constraints=True) loads them",
+    "mimic joints": "load(constraints=True) loads them if they are hinges or slides",
     "contacts": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
     "collision shapes": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
     FIXED: "load(floating_base=True) frees it; floating_base=False fixes it without a warning",
@@ -99,8 +99,7 @@ def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
 
 
 def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
-    """One entry for each kind of negative number by which a passive joint or tendon gains energy or
-    inertia."""
+    """One entry for each passive property of joints and tendons that is negative somewhere."""
     out = []
     joint, tendon = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON
     fields = [

@@ -71,9 +71,8 @@ def held_out(
         >>> import numpy as np
         >>> from rbjax.sysid import held_out
         >>> print(held_out({"a": [1.0, -1.0]}, {"b": [3.0, -3.0]}, unit="mrad").sentence)
-        the model fails: on 1 recording that the fit never saw it errs by 3 mrad RMS, 3 times as
-        much as where it was fitted; failed: the error is 3 times the error on fitted data, above
-        1.25
+        the model fails: on 1 recording outside of the fit its error is 3 mrad RMS, 3 times the
+        error on fitted data; failed: the error is 3 times the error on fitted data, above 1.25
     """
     both = sorted(set(fitted) & set(unseen))
     if both or not fitted or not unseen:
@@ -87,8 +86,8 @@ def held_out(
     unit = f" {unit}" if unit else ""
     plural = "recording" if len(unseen) == 1 else "recordings"
     sentence = (
-        f"on {len(unseen)} {plural} that the fit never saw it errs by "
-        f"{rms:.3g}{unit} RMS, {ratio:.3g} times as much as where it was fitted"
+        f"on {len(unseen)} {plural} outside of the fit its error is "
+        f"{rms:.3g}{unit} RMS, {ratio:.3g} times the error on fitted data"
     )
     worst = max(each, key=lambda name: each[name])
     if len(each) > 1:

@@ -88,7 +88,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 }
 
 OF_IDENTIFY = "the default of `identify`"
-#: table -> key -> what it is; "" is the head of the file, "columns" and "unknowns" are each line
+#: table -> key -> `Key`; "" is the head of the file; each line of "columns" and "unknowns" has keys
 KEYS: dict[str, dict[str, Key]] = {
     "": {
         "model": Key("text", "", "", "MJCF or URDF file, or the name of a bundled scene"),

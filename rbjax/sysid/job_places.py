@@ -104,7 +104,7 @@ def _plain(leaf: str, index: Any) -> Any:
     if isinstance(index, list) and not all(isinstance(x, int) for x in index):
         raise InputError(
             f"identify: index of {leaf} has {short(index)} on a later axis, expected integers; "
-            "names are those of the first axis"
+            "only the first axis has names"
         )
     return np.array(index) if isinstance(index, list) else index
 

@@ -259,8 +259,8 @@ class Recording:
             t: (samples,) times in s, within every channel's clock.
             gap: the longest interval in s that is bridged, dropped samples included. If None:
                 3 median steps of the clock, and no dropped sample.
-            model: the robot, whose topology tells which columns of q are quaternions. If None: any
-                four neighbouring columns that move and have length 1 at every sample.
+            model: the robot, whose topology determines which columns of q are quaternions. If
+                None: any four neighbouring columns that move and have length 1 at every sample.
 
         Raises:
             InputError: times outside of a channel's clock.
