@@ -25,7 +25,7 @@ DEEP = frozenset({"__dict__", "dir", "getattr", "locals", "vars"})
 CURIOUS = frozenset({
     "Tracer", "hash", "id", "isinstance", "issubclass", "repr", "str", "type",
 }) | DEEP  # fmt: skip
-#: folders of installed packages, in whose code `HIDDEN` names are allowed
+#: folders of installed packages; `HIDDEN` names in their code cause no warning
 INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 WRITING = frozenset({"STORE_GLOBAL", "DELETE_GLOBAL", "STORE_DEREF", "DELETE_DEREF"})
 
