@@ -60,8 +60,8 @@ def time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
         vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
             starts with its steerings and trailers straight.
         path: one `Path` of the chassis. Steps of zeros may fill it up. Use `jax.vmap` for many.
-        limits: `Limits`. The path determines the steering angles, so no speed makes a path feasible
-            that exceeds their limit.
+        limits: `Limits`. The path determines the steering angles, so a path that exceeds their
+            limit is infeasible at any speed.
 
     Returns:
         `TimeScaled`. Its coordinates are those that the robot has on the path with its rounded

@@ -192,7 +192,7 @@ class Fits:
             )
 
     def finer(self, fitted: Fitted) -> Fitted:
-        """The fit with steps so short that half of them would change no number by more than
+        """The fit with steps so short that halving them would change no number by more than
         `STEP_ERROR` of its standard deviation."""
         first, error = self.grid, 0.0
         for _ in range(REFINED):

@@ -252,8 +252,8 @@ def _times(where: str, t: Any, rising: bool) -> jax.Array:
             k = int(wrong[0]) + 1
             raise InputError(
                 f"{where}: t[{k}] is {float(t[k])} after {float(t[k - 1])}, expected times that "
-                f"{'increase' if rising else 'never fall'}; leave out repeated samples, which "
-                "numpy.unique(t, return_index=True) finds"
+                f"{'increase' if rising else 'do not decrease'}; leave out repeated samples, "
+                "which numpy.unique(t, return_index=True) finds"
             )
     return t
 
