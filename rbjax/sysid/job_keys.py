@@ -156,7 +156,7 @@ KEYS: dict[str, dict[str, Key]] = {
         "substeps": Key("count", "1", "", "steps of integration in a period"),
     },
     "output": {
-        "folder": Key("text", "the file's name", "", "folder of the results, in the file's folder"),
+        "folder": Key("text", "the file's name", "", "within the file's folder, for the results"),
     },
 }  # fmt: skip
 #: needed tables and keys -> an example
