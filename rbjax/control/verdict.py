@@ -3,10 +3,10 @@ regularisation, the next penalty of the constraints, and whether the search ends
 
 The longest trial is taken that a method accepts. The regularisation falls tenfold after a step
 longer than half and rises tenfold after one of a hundredth, none, or gains that do not exist
-(Mastalli et al. 2020). If the predicted change of the cost is small relative to the cost, the
+(Mastalli et al. 2020). If the foreseen change of the cost is small relative to the cost, the
 constraints get new multipliers, or the search has converged. Regularisation makes this change small
-at any point, so with regularisation the gradient must be small too. All of it is one program of one
-sample (`rb.threads`), so one kernel on a GPU.
+anywhere, so under it the gradient must be small too. All of it is one program of one sample
+(`rb.threads`), so one kernel on a GPU.
 """
 
 from __future__ import annotations
@@ -25,25 +25,15 @@ from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINI
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
 LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
-LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each update
+LOOSE, CLOSER = 1e-3, 0.3  # the tolerance before the first multipliers, and its fall a turn
 FLOOR = 10.0  # the least tolerance, in units in the last place
 
 
 class Standing(NamedTuple):
-    """The state of a search; numbers ().
-
-    feasible: whether the motion has no gaps.
-    reg: the regularisation.
-    cost: of the motion.
-    scale: the tolerance is relative to the larger of |cost| and this.
-    stop: the predicted change of the cost.
-    violation: of the constraints.
-    before: the violation at the last update of the multipliers.
-    inner: the tolerance until the next update of the multipliers.
-    turns: the number of iterations.
-    outcome: of `outcome`.
-    penalty: of the augmented Lagrangian.
-    """
+    """Where a search stands, numbers (): whether the motion is free of gaps; the regularisation;
+    cost; scale, of which the tolerance is a share where the cost is less; stop, the change that was
+    foreseen; violation; before, that at the last change of
+    multipliers; inner, the tolerance of this turn of multipliers; iterations; outcome; penalty."""
 
     feasible: jax.Array
     reg: jax.Array

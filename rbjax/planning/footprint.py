@@ -179,8 +179,8 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
     """
     centers = placed(poses, footprint)
     gaps = field.at(centers) - footprint.radii
-    # Not `min`: its derivative compares the minimum with values that XLA may compute a second time,
-    # with other rounding. If none is equal, the derivative is 0 / 0.
+    # Not `min`: its derivative compares the minimum with values that XLA may compute a second time
+    # and round in another way. If none is equal, the derivative is 0 / 0.
     nearest = jnp.argmin(jax.lax.stop_gradient(gaps), -1, keepdims=True)
     return jnp.take_along_axis(gaps, nearest, -1)[..., 0]
 

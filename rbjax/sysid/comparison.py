@@ -26,7 +26,7 @@ class HeldOut:
 
     Fields: rms on unseen and rms_fitted on fitted data; ratio of the two; by_recording, the rms of
     each unseen one; r_squared, the share of variance explained, nan if unknown; holds, whether all
-    checks pass; failed, a sentence for each check that fails; sentence.
+    checks pass; failed, a sentence for each check that does not; sentence.
     """
 
     rms: float

@@ -118,7 +118,7 @@ class Divergence:
 def _excess(x: np.ndarray) -> np.ndarray:
     """x - log(1 + x), which is x^2 / 2 where x is small, without cancellation."""
     series = x * x * (1 / 2 - x * (1 / 3 - x * (1 / 4 - x / 5)))
-    with np.errstate(divide="ignore"):  # a point that rounding puts on the border
+    with np.errstate(divide="ignore"):  # what rounding puts on the border is infinitely far
         return np.where(np.abs(x) < 1e-3, series, x - np.log1p(x))
 
 

@@ -40,17 +40,17 @@ NOISELESS = 1e-7
 NORMAL = 1.4826
 #: pulls of the fit to short pieces, which is only a start
 FIRST_PULLS = (1e-4, 1e-7)
-#: successive fractions of all recordings in a growing fit
+#: parts of all recordings that a growing fit takes, one after the other
 PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
-#: the largest number of evaluations of a fit that is only a start
+#: evaluations at most of a fit that is only a start
 FEW_STEPS = 20
-#: the spread of other first guesses, as in `many_starts`
+#: how far other first guesses are drawn, as in `many_starts`
 SPREAD = 1.0
 #: steps are short enough if their error moves no number by more than this part of its sigma
 STEP_ERROR = 0.5
-#: before the fit steps are divided by at most this; after it they are halved at most this often
+#: and are refined so often at most, before and after the fit
 FINEST, REFINED = 16, 2
-#: steps are not refined if their error is below this part of the spread of the recordings
+#: an error of steps below this part of the spread of what was recorded is no reason for finer ones
 SMALL_STEP_ERROR = 1e-6
 
 
@@ -187,13 +187,13 @@ class Fits:
         if self.grid != first:
             self.notes.append(
                 f"steps of {first.period / first.substeps:.3g} s were too long (their error is "
-                f"{error:.2g} times the tolerance), so the simulation has steps of "
+                f"{error:.2g} times what matters), so the motion has steps of "
                 f"{self.grid.period / self.grid.substeps:.3g} s; grid= sets them"
             )
 
     def finer(self, fitted: Fitted) -> Fitted:
-        """The fit with steps so short that halving them would change no number by more than
-        `STEP_ERROR` of its standard deviation."""
+        """The fit with steps so short that steps of half their length change no number by a part
+        of its standard deviation that matters."""
         first, error = self.grid, 0.0
         for _ in range(REFINED):
             other = self._finer(fitted)
@@ -256,14 +256,14 @@ class Fits:
 
 
 def _halved(grid: Grid, times: int = 1) -> Grid:
-    """The grid with its steps halved, `times` times."""
+    """The grid with steps of half the length, so many times over."""
     k = 2**times
     return grid._replace(period=grid.period / k, longest_delay=k * grid.longest_delay)
 
 
 def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recording]) -> float:
-    """The size of an error (runs, rows) of the residual over its tolerance, `STEP_ERROR` of the
-    noise that the recordings show; 0 if it is below `SMALL_STEP_ERROR`."""
+    """By how much an error (runs, rows) of the residual is larger than what matters, with the
+    noise that the recordings show; 0 below rounding."""
     squares, at = 0.0, 0
     for sensor in sorted(of.runs.values):
         T, n = of.runs.values[sensor].shape[1:]
@@ -288,9 +288,9 @@ def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recordi
 
 
 def _step_error(fitted: Fitted, other: SimulationError) -> tuple[float, bool]:
-    """The size of the error of the steps over its tolerance, and whether it matters. An error e of
-    the residuals r moves a number by at most |e| / s of its standard deviation, with s^2 the
-    variance of r. The tolerance of |e| / s is `STEP_ERROR`."""
+    """By how much the error of the steps is larger than what matters, and whether it does. The
+    residuals r have n numbers fitted to them; an error e of theirs moves a number by |e| / s of its
+    standard deviation at most, where s^2 is the variance of r."""
     of, x = fitted.error, fitted.least.x
     e = other.residuals(x) - of.residuals(x)
     s = np.sqrt(max(fitted.least.cost, 1e-300) / max(samples_of(of) - of.size, 1))

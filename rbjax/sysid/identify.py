@@ -60,24 +60,24 @@ def identify(
             (`Setup.with_sensors`), each on its own clock; each recording is simulated from its
             first sample of "q" and "v", whose other samples may be missing.
         unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
-        grid: how motion is integrated. None: steps of RK4 at the finest clock of all channels, and
-            shorter ones if steps of half the length change the estimates (`notes` reports this).
+        grid: how motion is integrated. None: steps of RK4 at the finest clock of all channels,
+            and shorter ones if steps of half the length change the numbers (`notes` says so).
         pieces: length in s of pieces that are fitted first, each from its first sample, so that a
             poor first guess does not lose the motion. None: no such fit.
         shooting: length in s of pieces that are fitted first and then tied, end to start, ever more
             stiffly, until they are one motion (`Shooting`): for a long or chaotic motion, which
             `pieces` may not find. Forces and controllers that depend on time see that of a piece.
             None: no such fit.
-        starts: whether each recording's initial state is estimated too. None: it is, unless the
-            recording states it (`Recording(initial_state=...)`). False: the first readings of q and
-            v are the exact state; their noise causes an error of the estimates that the intervals
-            do not include.
+        starts: whether each recording's initial state is estimated too. None: unless the recording
+            says that it is known (`Recording(initial_state=...)`). False: the first readings of q
+            and v are the state, exactly; their noise becomes an error of the numbers that no
+            interval shows.
         loss: "squares", or "huber", by which outliers count less.
         steps: evaluations of the residual at most, of each fit.
-        restarts: the largest number of other starts if the fit from the first guess is poor (R2
-            below 0.99, or errors several times the noise): a fit that grows from the first part of
-            the recordings, and such fits from other guesses. `notes` reports them. There are none
-            with 0, pieces, shooting or resume.
+        restarts: starts that are tried at most if the fit from the first guess is poor (R2 below
+            0.99, or errors several times the noise): one that grows from the first part of the
+            recordings, and others from other guesses. `notes` says so. 0: none; nor with pieces,
+            shooting or resume.
         save: a file that holds the best numbers so far, and at the end the result.
         resume: such a file, or name -> value, from which the fit goes on.
         progress: whether a line shows the progress.
@@ -134,7 +134,7 @@ def fitted(
     x: np.ndarray | None = None, save: str | Path | None = None, say: Say = lambda text: None,
     dtype: Any = np.float64,
 ) -> Identified:  # fmt: skip
-    """All of `identify` without its checks, from the first guess or from x, in float64."""
+    """The whole of `identify`, from the first guess or from x, in float64."""
     grid = grid_of(runs) if how.grid is None else how.grid
     fits = Fits(
         setup, sought, runs, grid, starts=how.starts, loss=how.loss, steps=how.steps, save=save,

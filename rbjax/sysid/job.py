@@ -229,7 +229,7 @@ def _grid(
     setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
     runs: Mapping[str, list[Recording]],
 ) -> Grid | None:  # fmt: skip
-    """The grid by period, substeps and the delay; None, the default of `identify`, without them."""
+    """The grid that period, substeps and the delay ask for; None for the default of `identify`."""
     substeps, period = options.pop("substeps", None), options.pop("period", None)
     if substeps is None and period is None and setup.delay is None:
         return None

@@ -211,9 +211,9 @@ def searching(
 def _is_minimum(
     D: Callable, x: np.ndarray, R: np.ndarray, prior: np.ndarray, w: float, now: float
 ) -> bool:
-    """Whether the gradient is 0 on the scale of the columns and the residual: the Gauss-Newton
-    step, within the possible numbers, is expected to lower the cost by less than noise could show,
-    or is not longer than rounding."""
+    """Whether the step of Gauss and Newton, within what is possible, expects no decrease that
+    noise could tell, or is no longer than rounding: a gradient that is 0 on the scale of the
+    columns and the residual."""
     half = _half(D, x)
     if half is None:
         return False
@@ -232,7 +232,7 @@ def _has_squares(R: np.ndarray) -> bool:
 
 
 def _half(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
-    """The Cholesky factor of the metric at x; None if rounding leaves none, as for a thin body."""
+    """The Cholesky factor of the metric at x, None where rounding leaves none: a body so thin."""
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():
         return None

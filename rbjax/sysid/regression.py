@@ -221,7 +221,7 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
                 break
     scale = _scale(eq, found.residual)
     w, psi, slope = LOSSES[loss](found.residual / scale)
-    # `with_statistics` keeps this covariance if the noise is given and the samples are few
+    # what `with_statistics` keeps if the noise is given and the samples are few
     spread = (psi**2).mean() / max(slope.mean(), 1e-3) ** 2
     found = Regression(
         eq.combinations, found.beta, spread * eq.fit(scale).covariance,

@@ -54,7 +54,7 @@ def _agrees(eq: Equations, residual: Array) -> bool:
 
 
 def negligible(eq: Equations, residual: Array) -> bool:
-    """Whether the residuals are rounding, or negligible compared with the given noise."""
+    """Whether the residuals are rounding, or no noise next to the one that was given."""
     size = np.abs(residual).max()
     if eq.noise is not None and size < SMALL * eq.noise.min():
         return True
@@ -62,7 +62,7 @@ def negligible(eq: Equations, residual: Array) -> bool:
 
 
 def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
-    """The statistics of the residuals psi (N, k), in standard deviations."""
+    """Those of the residuals psi (N, k), in standard deviations."""
     X, which = eq.X / sd[..., None], np.arange(eq.X.shape[-1])
     ends = np.cumsum([0, *eq.lengths])
     columns = [

@@ -236,9 +236,9 @@ def batch(runs: Sequence[Run]) -> Run:
 
 
 def grid_of(runs: Sequence[Recording]) -> Grid:
-    """The finest clock of all channels; commands may be recorded only when they change."""
+    """The finest clock of all channels: commands may come when they change, seconds apart."""
     step = min(channel.step for run in runs for channel in run.channels.values())
-    return Grid(float(f"{step:.12g}"))  # clocks that differ by rounding share a program
+    return Grid(float(f"{step:.12g}"))  # clocks that differ by rounding have one program
 
 
 def batch_of(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:

@@ -26,12 +26,9 @@ TINY = 1e-5
 class Verdict:
     """Whether a fit is good.
 
-    Fields:
-        good: whether all checks pass.
-        failed: a sentence for each check that fails.
-        r_squared: by sensor, the share of variance explained.
-        noise_ratio: by sensor with stated noise, the largest error of a column over its noise.
-        sentence: the verdict.
+    Fields: good, whether all checks pass; failed, a sentence for each check that does not;
+    r_squared, the share of variance explained, by sensor; noise_ratio, by sensor with stated noise
+    the largest of its columns' errors over that noise; sentence.
     """
 
     good: bool
@@ -69,7 +66,7 @@ def judged(
 
 
 def explained_by(seen: Traces) -> dict[str, float]:
-    """By sensor that was measured in all recordings, 1 - sum r^2 / sum (y - mean)^2."""
+    """By sensor with samples enough, 1 - sum r^2 / sum (y - mean)^2."""
     found = {}
     for sensor in next(iter(seen.values())):
         if not all(sensors[sensor].measured for sensors in seen.values()):
@@ -100,9 +97,9 @@ def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, flo
 
 
 def is_poor(seen: Traces, recordings: Sequence[Recording], setup: Setup) -> str:
-    """Why a fit may be at a wrong minimum; "" if there is no sign of it. The signs are R2 below
-    0.99, or R2 below 0.999 with errors above `ROUGH` times the noise. The noise is stated or, for
-    joints, estimated from third differences of the samples."""
+    """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or below 0.999
+    with errors above the noise, which is stated or, for joints, as large as third differences of
+    the samples show."""
     explained = explained_by(seen)
     for sensor, share in explained.items():
         if not share >= EXPLAINED:
