@@ -49,9 +49,7 @@ class Standing(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """tolerance of the foreseen change, relative to the cost; violation; iterations at most; scale,
-    the least cost to which the tolerance is relative, None for that of the first guess, at most 1;
-    each ()."""
+    """tolerance, violation, iterations and scale of `Options`; each ()."""
 
     tolerance: jax.Array
     violation: jax.Array
@@ -60,10 +58,15 @@ class Limits(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """Of an iteration, for its verdict. Here: cost, gap and violation (). Of the step: slope and
-    curvature of the cost along it (), square (), the squared norm of the gradient without
-    regularisation, ok (), whether its gains exist. Of the trials (T,): costs,
-    offs, their violations, and more, what the method knows besides."""
+    """The values of an iteration from which its verdict follows.
+
+    cost, gap, violation: (), of the present motion.
+    slope, curvature: (), of the cost along the step.
+    square: (), the squared norm of the gradient without regularisation.
+    ok: (), whether the gains exist.
+    costs, offs: (T,), costs and violations of the trials.
+    more: further values of the method.
+    """
 
     cost: jax.Array
     gap: jax.Array
@@ -170,7 +173,7 @@ def verdict(
 
 
 def _small(now: Standing, seen: Measures, stop: Any, share: Any, tolerance: Any) -> jax.Array:
-    """Whether the foreseen change of the cost is small, and under regularisation the gradient."""
+    """Whether the predicted change of the cost is small and, with regularisation, the gradient."""
     flat = jnp.sqrt(seen.square) <= jnp.sqrt(tolerance) * share
     return seen.ok & (stop <= tolerance * share) & ((now.reg <= LEAST) | flat)
 

@@ -51,7 +51,7 @@ STATIC = ("body", "site", "integrator", "law", "constraints")
 
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")
-#: arguments whose dtype is that of the computation; all others are cast to it
+#: arguments that set the dtype of the computation; all others are cast to it
 LEADING = ("q", "q0", "q1", "v")
 
 
@@ -127,8 +127,8 @@ def check_arrays(
     batch: tuple[int, ...] = (),
     required: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The named arrays in the dtype of q and v, after checks of shapes and (where known) values.
-    Each may have batch axes before its own. `required` may not be None."""
+    """Check the shapes of the named arrays, and their values if these are not traced. Cast them to
+    the dtype of q and v. Each may have leading batch axes. Those in `required` may not be None."""
     check_model(where, model)
     given, stated = dict(given), "state" in given
     step = given.pop("dt", None)

@@ -30,8 +30,13 @@ from rbjax.motion.integrators import Integrator, advanced, integrator_of, semi_i
 
 
 class Linear(Record):
-    """A (n, n) and B (n, nu) with n = 2 nv + nx, which `A, B = ...` unpacks; acceleration (nv,), v'
-    at the point, zero if the controls hold the robot still there, its mean over a step dt."""
+    """A linearisation, with n = 2 nv + nx. `A, B = linearise(...)` unpacks the matrices.
+
+    A: (n, n).
+    B: (n, nu).
+    acceleration: (nv,) v' at the point; with dt, the mean of v' over the step. It is zero if the
+        controls hold the robot at rest there.
+    """
 
     A: jax.Array
     B: jax.Array

@@ -104,12 +104,12 @@ class OccupancyGrid(Record):
 
     @classmethod
     def from_ros(cls, file: Any, *, unknown: str = "occupied") -> OccupancyGrid:
-        """The map of a `map.yaml` of ROS's map_server, and of the image that it names.
+        """Read a map of ROS's map_server: a `map.yaml` and the image that it names.
 
         Args:
             file: path of the YAML file, with image, resolution, origin, negate, occupied_thresh
                 and free_thresh; mode trinary or scale.
-            unknown: what cells between the thresholds count as, "occupied" or "free".
+            unknown: "occupied" or "free": how cells between the thresholds are treated.
 
         Raises:
             InputError: a file that cannot be read, keys that are missing, numbers out of range, a

@@ -45,7 +45,7 @@ def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
     return xp.concatenate([xy, headings[..., None]], -1)
 
 
-#: steps of a path, at most
+#: the largest number of steps of a path
 MOST_STEPS = 1e7
 
 

@@ -175,7 +175,7 @@ def _refine(
     vehicle: Fidelity, path: Path, limits: Limits, field: DistanceField | None,
     footprint: Footprint | None, margin: Any, intervals: int, iterations: int, parts: int,
 ) -> Refined:  # fmt: skip
-    # a path that is bent more sharply than the wheels can steer is a guess too
+    # a path that needs more than the steering limit is allowed as a first guess
     first = time_scaling(vehicle, path, limits.replace(steering=jnp.inf))
     motion, robot = first.motion, vehicle.robot
     dtype = motion.ts.dtype

@@ -44,8 +44,8 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """Of one path: "found", or "infeasible" if the limits do not hold even at rest, or the path
-        bends more sharply than the steering angle allows."""
+        """The status of one path: "found"; or "infeasible" if the limits do not hold even at rest,
+        or the path needs steering angles beyond the limit."""
         return "found" if bool(self.ok) else "infeasible"
 
 
@@ -60,8 +60,8 @@ def time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
         vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
             starts with its steerings and trailers straight.
         path: one `Path` of the chassis. Steps of zeros may fill it up. Use `jax.vmap` for many.
-        limits: `Limits`. A steering angle follows from the path, so its limit is met or not
-            whatever the speed.
+        limits: `Limits`. The path determines the steering angles, so a path that exceeds their
+            limit is infeasible at any speed.
 
     Returns:
         `TimeScaled`. Its coordinates are those that the robot has on the path with its rounded
@@ -147,7 +147,7 @@ def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
     _, x = jax.lax.scan(ahead, zero, (steps, *ends))
     steerings = vehicle.robot.layout.steerings
     angles = jnp.abs(jnp.stack([p.first.q, p.last.q])[..., steerings]).max(initial=0.0)
-    rounding = 64 * jnp.finfo(dtype).eps  # of a path made of arcs at the limit itself
+    rounding = 64 * jnp.finfo(dtype).eps  # for a path of arcs exactly at the limit
     ok = (low <= high).all() & (angles <= limits.steering * (1 + rounding))
     return TimeScaled(_timed(vehicle, p, limits, jnp.concatenate([zero[None], x])), ok)
 

@@ -13,11 +13,11 @@ from rbjax.errors import InputError
 from rbjax.sysid.whiteness import whiteness
 
 HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
-EXPLAINED = 0.99  # the share of variance that a good model explains
-NOISY = 1.5  # error over the noise, at most
-TESTED = 20  # samples of a column, at least, for a test of whiteness
-ROUNDING = 1e-6  # an error below this share of the spread is none that a test could judge
-ALPHA = 0.01  # a p value below it is no chance
+EXPLAINED = 0.99  # the least share of variance that a good model explains
+NOISY = 1.5  # the largest error of a good model, over the noise
+TESTED = 20  # the least number of samples of a column for a test of whiteness
+ROUNDING = 1e-6  # an error below this share of the spread is not tested for whiteness
+ALPHA = 0.01  # a p value below it is significant
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,9 @@ def held_out(
 ) -> HeldOut:
     """The verdict on a model from its residuals on recordings that were not fitted.
 
-    The model holds if its error there is at most 1.25 times the error on fitted data, explains
-    99 % of the variance (with `measured`), is at most 1.5 times the noise (with `noise`), and is
-    white (columns of 20 samples or more). What cannot be checked is left out.
+    The model holds if it explains 99 % of the variance (with `measured`), and its error is at most
+    1.25 times the error on fitted data, at most 1.5 times the noise (with `noise`), and white
+    (columns of 20 samples or more). Checks for which data are missing are left out.
 
     Args:
         fitted: recording -> residuals, an array of any shape; nan is left out.
@@ -71,9 +71,8 @@ def held_out(
         >>> import numpy as np
         >>> from rbjax.sysid import held_out
         >>> print(held_out({"a": [1.0, -1.0]}, {"b": [3.0, -3.0]}, unit="mrad").sentence)
-        the model fails: on 1 recording that the fit never saw it errs by 3 mrad RMS, 3 times as
-        much as where it was fitted; failed: the error is 3 times the error on fitted data, above
-        1.25
+        the model fails: on 1 recording outside of the fit its error is 3 mrad RMS, 3 times the
+        error on fitted data; failed: the error is 3 times the error on fitted data, above 1.25
     """
     both = sorted(set(fitted) & set(unseen))
     if both or not fitted or not unseen:
@@ -87,8 +86,8 @@ def held_out(
     unit = f" {unit}" if unit else ""
     plural = "recording" if len(unseen) == 1 else "recordings"
     sentence = (
-        f"on {len(unseen)} {plural} that the fit never saw it errs by "
-        f"{rms:.3g}{unit} RMS, {ratio:.3g} times as much as where it was fitted"
+        f"on {len(unseen)} {plural} outside of the fit its error is "
+        f"{rms:.3g}{unit} RMS, {ratio:.3g} times the error on fitted data"
     )
     worst = max(each, key=lambda name: each[name])
     if len(each) > 1:
@@ -128,8 +127,8 @@ def held_out(
 
 
 def colour(residuals: Sequence[np.ndarray]) -> tuple[bool, float] | None:
-    """Whether residuals, (samples,) or (samples, columns) each, are white: Bonferroni's bound of
-    Ljung and Box's tests of all columns, and its p value. None if all are too short to test."""
+    """Whether residuals, (samples,) or (samples, columns) each, are white, and the p value:
+    Bonferroni's bound of the Ljung-Box tests of all columns. None if all are too short to test."""
     p = []
     for r in residuals:
         for x in r.reshape(len(r), -1).T:

@@ -72,7 +72,7 @@ class Diagnosis:
 
 @in_double
 def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> Diagnosis:
-    """What is wrong with the data of a fit.
+    """Find what is wrong with the data of a fit.
 
     Args:
         found: what `identify` gave; its first guess must explain most of the motion.

@@ -60,7 +60,7 @@ class Divergence:
     def bounded(
         cls, p: np.ndarray, p0: np.ndarray, low: float, high: float, scale: float
     ) -> Divergence:
-        """That of the distances to both bounds; an infinite bound is none."""
+        """The divergence of the distances to both bounds; an infinite bound has none."""
         sides = []
         if low > -np.inf:
             sides.append(cls.positive(p - low, p0 - low))

@@ -27,7 +27,7 @@ from rbjax.sysid.torque_rows import TorqueRows
 
 Array = np.ndarray
 DONE = 1e-9  # rad or m that zeros still move
-LEAST = 3  # steps: in the first one zeros move nothing, as the parameters may be 0
+LEAST = 3  # steps; in the first one the parameters may be 0, so zeros have no effect
 
 
 @dataclass(frozen=True, eq=False)

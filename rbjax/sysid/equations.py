@@ -157,7 +157,7 @@ def equations(
         tau
     ):
         raise InputError(
-            f"regress: lengths is {lengths}, expected the samples of each recording, {len(tau)} in "
-            "all"
+            f"regress: lengths is {lengths}, expected the number of samples of each recording, "
+            f"{len(tau)} in all"
         )
     return Equations(W, tau, base, noise, lengths)

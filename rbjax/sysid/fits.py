@@ -1,10 +1,10 @@
 """The fits of `identify`, each from where the last one ended.
 
     pieces      short pieces, each from its first sample: a start for a poor first guess
-    shooting    pieces that are tied, end to start, ever more stiffly: a start for a long motion
-    growing     the first part of all recordings, and ever more of it: another such start
+    shooting    multiple shooting with growing continuity weights: a start for a long motion
+    growing     the first part of all recordings, then longer parts: a start for a poor first guess
     whole       all recordings
-    weighed     the same, each column weighed by the noise of its residuals
+    weighed     the same, each column weighted by the noise of its residuals
     finer       the same with shorter steps, if steps of half the length change the motion
 """
 
@@ -67,8 +67,8 @@ class Fitted(NamedTuple):
 class Fits:
     """Fits of the same numbers to the same recordings.
 
-    Fields: first, the first guess; prior, to which the next fit is pulled where data leave numbers
-    open; evaluations of residuals so far; notes, sentences on what was done by default.
+    Fields: first, the first guess; prior, the value of numbers that the data do not identify;
+    evaluations of residuals so far; notes, sentences on what was done by default.
     """
 
     def __init__(
@@ -106,8 +106,8 @@ class Fits:
         return self._fitted(self._error(self.recordings), x)
 
     def growing(self, of: SimulationError, x: np.ndarray) -> np.ndarray:
-        """x that suits the first part of all recordings, and ever more of it: a short motion does
-        not lose a poor guess. The program is that of the whole."""
+        """x of fits to the first part of all recordings, then to longer parts: over a short motion
+        a poor guess stays near the minimum. The program is the same as for the whole."""
         T = max(float(np.max(t)) for t in of.runs.times.values())
         for part in PARTS:
             weights = {
@@ -121,8 +121,8 @@ class Fits:
         return x
 
     def improved(self, fitted: Fitted, restarts: int) -> Fitted:
-        """The fit, or if it is poor the best of others: one that grows from the first guess, and
-        some from other guesses."""
+        """The fit. If it is poor, the best of it, a growing fit from the first guess, and growing
+        fits from other guesses."""
         why = "the first guess failed" if not np.isfinite(fitted.least.cost) else ""
         why = why or is_poor(fitted.traces, self.recordings, self.setup)
         if not (why and restarts):
@@ -148,7 +148,7 @@ class Fits:
         return best
 
     def _guesses(self, count: int) -> np.ndarray:
-        """(count, n), the first one first."""
+        """Guesses (count, n), beginning with the first guess."""
         try:
             return drawn(self.sought, self.setup, count, SPREAD, 0)
         except InputError:  # an unknown of a kind that cannot be drawn
@@ -164,8 +164,8 @@ class Fits:
         return self._fitted(fitted.error.on(data), fitted.least.x)._replace(estimated=True)
 
     def stepped(self) -> None:
-        """Steps so short that at the first guess their error is below the noise, as far as the
-        recordings show it: longer ones may hide the right minimum."""
+        """Shorten the steps until their error at the first guess is below the noise that the
+        recordings show: longer steps may hide the right minimum."""
         of = self._error(self.recordings)
         x = np.append(self.first, np.zeros(of.size - self.shared))
         first, over, done = self.grid, 0.0, 1
@@ -176,7 +176,7 @@ class Fits:
             over = max(over, now)
             if not now > 1:
                 break
-            # an error of order 4 or so falls by 16 with each half
+            # an error of order 4 falls by 16 if the step is halved
             again = 2 if now > 16 and 4 * done <= FINEST else 1
             self.grid = _halved(self.grid, again)
             done *= 2**again
@@ -329,7 +329,7 @@ def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
 
 
 def check_moves(sought: Unknowns, J: np.ndarray) -> None:
-    """`InputError` for an unknown none of whose numbers moves anything."""
+    """`InputError` for an unknown that has no effect on any reading."""
     ends = np.cumsum(sought.sizes)
     largest, still = np.abs(J).max(), still_tolerance(J.dtype)
     for (name, u), end, size in zip(sought.members.items(), ends, sought.sizes, strict=True):

@@ -35,8 +35,8 @@ def free_run(
         grid: as in `identify`.
         starts: whether each first state is the one from which the simulation comes nearest to the
             whole recording (least squares), not the first readings, which are noisy. So two models
-            can be compared by what they get wrong of a motion, each from its own best start. None:
-            unless the recordings say that their initial states are known.
+            can be compared by their errors on a motion, each from its own best start. None: it is,
+            unless the recordings state that their initial states are known.
         noise: sensor -> standard deviation (n,), by which `starts` weighs it; what channels say, or
             1, if None.
 

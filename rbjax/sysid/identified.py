@@ -27,7 +27,7 @@ from rbjax.sysid.verdict import Verdict
 
 
 class Options(NamedTuple):
-    """How a fit is done: the arguments of `identify`."""
+    """The options of a fit, as the arguments of `identify`."""
 
     grid: Grid | None = None
     pieces: float | None = None
@@ -40,15 +40,24 @@ class Options(NamedTuple):
 
 @dataclass(frozen=True)
 class Identified:
-    """What recordings say of a robot.
+    """The result of an identification.
 
-    Fields: setup with the found numbers; values by name; guess, the first ones; found, the
-    combinations of them that the data show, `found.words()`; estimates, their covariance and
-    intervals; recordings that were fitted, and traces, what they recorded beside what is simulated;
-    evaluations of the residual; ok and message, whether the fit converged; grid; error, the
-    simulation in float64; noisy, whether the noise of all channels is known; statistics, of the
-    residuals; verdict, whether the fit is good, and each check that fails; notes, sentences on what
-    was done by default, such as other starts and shorter steps; options of the fit.
+    Fields:
+        setup: with the estimated numbers.
+        values, guess: the estimates and the first guess, by name.
+        found: the combinations of the unknowns that the data identify; `found.words()`.
+        estimates: values, covariance and intervals.
+        recordings: those that were fitted.
+        traces: recorded and simulated values.
+        evaluations: of the residual.
+        ok, message: whether the fit converged.
+        grid: of the simulation.
+        error: the simulation error, in float64.
+        noisy: whether the noise of all channels is known.
+        statistics: of the residuals.
+        verdict: whether the fit is good, and each check that fails.
+        notes: sentences on what was done by default, such as other starts and shorter steps.
+        options: of the fit.
     """
 
     setup: Setup
@@ -76,7 +85,7 @@ class Identified:
 
     def summary(self) -> str:
         """Whether the fit converged and is good, what was done by default, and each number with
-        its 95 % interval, a sentence a line."""
+        its 95 % interval, one sentence a line."""
         first = [f"{self.message} in {self.evaluations} evaluations", self.verdict.sentence]
         names = range(len(self.values))
         return "\n".join([*first, *self.notes, *(self.estimates.in_words()[k] for k in names)])
@@ -98,7 +107,7 @@ class Identified:
 
     @in_double
     def _in_double(self) -> Setup:
-        """The set-up with the found numbers in float64."""
+        """The set-up with the estimates in float64."""
         of = self.error
         p = jnp.asarray(self.estimates.values[: of.shared])
         found: Setup = of.unknowns.write(of.setup, p)
@@ -131,7 +140,7 @@ class Identified:
     @property
     @in_double
     def unmoved(self) -> tuple[str, ...]:
-        """Sensors whose readings no unknown moves: they say nothing of what is sought."""
+        """Sensors whose readings no unknown changes: they contain no information on them."""
         still = self.error.unmoved(self.estimates.values)
         seen = self.traces.values()
         return tuple(s for s in still if any(sensors[s].measured for sensors in seen))

@@ -1,10 +1,10 @@
 """`identify`: numbers of a set-up from recordings, by the error of simulated motions.
 
     min over p of  sum |weights (reading(motion(p)) - recorded)|^2
-What the data show is fitted; what they leave open stays at the first guess, or as near to it as a
-body's inertia allows, and the answer says in words which combinations were found. The initial state
-of each recording is fitted too, unless it is known. A fit that is poor is tried again from other
-starts, and the verdict names each check that fails.
+Combinations of the unknowns that the data identify are fitted. The others stay at the first guess,
+or as near to it as a body's inertia allows. The result names the combinations that were found. The
+initial state of each recording is fitted too, unless it is known. A poor fit is tried again from
+other starts, and the verdict names each check that fails.
 """
 
 from __future__ import annotations
@@ -83,11 +83,11 @@ def identify(
         progress: whether a line shows the progress.
 
     Returns:
-        `Identified`. All is computed in float64, whatever JAX's default is; the set-up comes back
-        in the dtype of the model. `ok` and `message` say whether the fit converged, `verdict`
-        whether it is good. Channels that do not state their noise get that of their residuals, a
-        number for each column. Intervals follow the residuals: if these are correlated in time,
-        the covariance is the sandwich form (`fit_statistics`).
+        `Identified`. All is computed in float64, whatever JAX's default is; the set-up has the
+        dtype of the model. `ok` and `message`: whether the fit converged. `verdict`: whether it is
+        good. If a channel does not state its noise, it is estimated from the residuals, a number
+        for each column. Intervals follow the residuals: if these are correlated in time, the
+        covariance is the sandwich form (`fit_statistics`).
 
     Raises:
         InputError: recordings that do not suit the model; no unknowns, one outside of its range, or
@@ -159,7 +159,7 @@ def fitted(
 
 
 def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
-    """What the last fit says: numbers, what the data show of them, their covariance, a verdict."""
+    """The result of the last fit: estimates, combinations, covariance, verdict."""
     of, least, n, names = best.error, best.least, fits.shared, fits.sought.names
     stated = {s for s in of.runs.values if says_its_noise(fits.recordings, s)}
     said = fit_statistics(

@@ -29,8 +29,8 @@ CALM = 1e-6
 COARSE = 1e-2
 #: an expected decrease of this fraction ends the last: less than noise can tell
 FLAT = 1e-8
-#: a minimum: the least that Gauss and Newton's step expects to take off is this fraction, so the
-#: residual is at an angle of less than 3e-4 to all that the numbers could change
+#: x is a minimum if the Gauss-Newton step is expected to lower the cost by less than this fraction:
+#: then the residual is orthogonal to all columns of J to within 3e-4 rad
 OPTIMAL = 1e-7
 #: slopes from here on are those of a motion that ran away
 HUGE = 1e100
@@ -50,9 +50,15 @@ class Residual(Protocol):
 
 @dataclass(frozen=True)
 class Minimum:
-    """x (p,); triangle (p + 1, p + 1) of [J r] there; cost |r|^2; evaluations; ok, whether x is a
-    minimum by the scaled gradient, and message: "converged", "stalled: ...", "not converged ..." or
-    why the first guess cannot be used."""
+    """The end of a minimisation.
+
+    x: (p,).
+    triangle: (p + 1, p + 1), R of [J r] at x.
+    cost: |r|^2.
+    evaluations: of the residual.
+    ok: whether x is a minimum by the scaled gradient.
+    message: "converged", "stalled: ...", "not converged ...", or why the first guess is invalid.
+    """
 
     x: np.ndarray
     triangle: np.ndarray
@@ -196,7 +202,7 @@ def searching(
     if best:
         message = "converged"
     elif ended:
-        message = f"stalled: no step lowers the error, whose slope is not 0 ({count} evaluations)"
+        message = f"stalled: no step lowers the error, but its slope is not 0 ({count} evaluations)"
     else:
         message = f"not converged in {count} evaluations"
     yield Minimum(x, R, now, count, best, message)

@@ -42,7 +42,7 @@ from rbjax.sysid.unknowns import Parametrisation, Unknowns
 PULL = 1e-10
 #: an expected decrease of -2 log p below it ends: a step of about 3e-5 standard deviations
 CALM = 1e-9
-#: and below this it is a maximum: a step of a hundredth of a standard deviation
+#: below this expected decrease x is a maximum: a step of a hundredth of a standard deviation
 OPTIMAL = 1e-4
 #: first guesses of the drive, as parts of what moves the recording
 TRIALS = 10.0 ** np.arange(-4, 2)
@@ -50,14 +50,22 @@ TRIALS = 10.0 ** np.arange(-4, 2)
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What recordings say of a robot that noise drives.
+    """The result of an identification with process noise.
 
-    Fields: setup with the found numbers; values by name; guess, the first ones; found, the
-    combinations of them that the data show, `found.words()`; estimates, of values and noise levels,
-    with covariance and intervals; levels, of the noise: `drive` (nv,) N m (or rad/s^2) and
-    `reading` (rows,); recordings that were fitted; log_likelihood; evaluations; ok and message,
-    whether the fit converged; grid; likelihood and the x that maximises it; first, the set-up with
-    the first guesses in float64; statistics of the innovations.
+    Fields:
+        setup: with the estimated numbers.
+        values, guess: the estimates and the first guess, by name.
+        found: the combinations of the unknowns that the data identify; `found.words()`.
+        estimates: of values and noise levels, with covariance and intervals.
+        levels: of the noise: `drive` (nv,) N m (or rad/s^2) and `reading` (rows,).
+        recordings: those that were fitted.
+        log_likelihood: the maximum.
+        evaluations: of the likelihood.
+        ok, message: whether the fit converged.
+        grid: of the filter.
+        likelihood, x: the likelihood, and the point that maximises it.
+        first: the set-up with the first guess, in float64.
+        statistics: of the innovations.
     """
 
     setup: Setup
@@ -166,9 +174,9 @@ def prediction_error(
         progress: whether a line shows the progress.
 
     Returns:
-        `Predicted`. Intervals are those of Fisher's information, and of the sandwich form if the
-        innovations are correlated in time (`fit_statistics`): in the limit of many samples, 95 % of
-        them hold the truth. All is computed in float64, as in `identify`.
+        `Predicted`. Intervals follow Fisher's information, or the sandwich form if the innovations
+        are correlated in time (`fit_statistics`): in the limit of many samples, 95 % of them
+        contain the truth. All is computed in float64, as in `identify`.
 
     Raises:
         InputError: recordings that do not suit the model or the grid; a set-up with delays.

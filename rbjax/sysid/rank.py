@@ -210,8 +210,8 @@ def combinations(
 
 
 def beside_others(R: np.ndarray, n: int) -> np.ndarray:
-    """Slopes of the first n numbers of a triangle R (m, size + 1) of [J r], without their part that
-    the other numbers, such as initial states and noise levels, could make as well."""
+    """Slopes of the first n numbers of a triangular R (m, size + 1) of [J r], without their part in
+    the span of the other numbers' slopes, such as those of initial states and noise levels."""
     first, others = R[:, :n], R[:, n:-1]
     if not others.shape[1]:
         return first

@@ -140,8 +140,8 @@ class Recording:
         channels: sensor -> `Channel`; the sensors are listed in `rbjax.sysid.recording`.
         source: the recording that this is a piece of; its own name if "".
         initial_state: the state at the first instant, if it is known exactly, such as rest at a
-            known configuration; `identify` estimates it if None. A channel v with no sample but
-            its first one says the same: the first readings of q and v are the state.
+            known configuration; `identify` estimates it if None. If the channel v has no sample
+            except its first one, the first readings of q and v are the known state.
 
     Raises:
         InputError: no channels, or clocks without a common stretch of time; an initial_state that
@@ -198,8 +198,8 @@ class Recording:
 
     @property
     def start_is_known(self) -> bool:
-        """Whether the recording says its first state: by `initial_state`, or by a channel v with
-        no sample but its first one."""
+        """Whether the initial state is known: by `initial_state`, or by a channel v with no sample
+        except its first one."""
         if self.initial_state is not None:
             return True
         if "v" not in self.channels:
@@ -250,17 +250,17 @@ class Recording:
     ) -> Recording:
         """All channels at the same times.
 
-        Commands hold their last value; attitudes turn evenly between two samples (slerp), of
-        poses and of the ball and free joints in q; all other columns are cubic splines through the
-        samples that arrived, with an error of order step^4. A value between two samples that lie
-        too far apart is NaN, as is one next to a dropped sample: nothing is invented there.
+        Commands hold their last value. Attitudes, of poses and of ball and free joints in q, are
+        interpolated by slerp. All other columns are cubic splines through the samples that arrived,
+        with an error of order step^4. A value between two samples that are too far apart is NaN, as
+        is a value next to a dropped sample (`gap`).
 
         Args:
             t: (samples,) times in s, within every channel's clock.
             gap: the longest interval in s that is bridged, dropped samples included. If None:
                 3 median steps of the clock, and no dropped sample.
-            model: the robot, whose topology says which columns of q are quaternions. If None: four
-                columns that follow each other, whose length is 1 at every sample.
+            model: the robot, whose topology determines which columns of q are quaternions. If
+                None: any four neighbouring columns that move and have length 1 at every sample.
 
         Raises:
             InputError: times outside of a channel's clock.

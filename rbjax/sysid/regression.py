@@ -39,19 +39,19 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """What a regression found.
+    """The result of a regression.
 
     Fields:
-        combinations: of which the r base parameters are.
-        beta: (r,).
-        covariance: (r, r), by `fit_statistics`: of noise that is independent in time if the
-            residuals are white, else of noise as correlated as they are.
+        combinations: the combinations that are the r base parameters.
+        beta: (r,), their values.
+        covariance: (r, r), by `fit_statistics`: for independent noise if the residuals are white,
+            otherwise for noise with the correlation of the residuals.
         noise: (k,) standard deviation of each channel.
         residual: (N, k), tau - W pi.
-        weights: (N, k), below 1 if a robust method trusts a sample less.
+        weights: (N, k), below 1 if a robust method reduces the weight of a sample.
         dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
             agree with it.
-        steps: of iterations.
+        steps: number of iterations.
         ok: whether they converged.
         white: whether the residuals of each channel are independent in time.
     """
@@ -119,8 +119,8 @@ def regress(
         method: "ordinary", "weighted", "robust" or "instrumental": the keys of `METHODS`.
         noise: standard deviation of tau where it is known: a number, (k,) or (N, k).
         base: the combinations to fit; None for those that W shows.
-        lengths: samples of each recording in W, N in all: noise is not correlated from one to the
-            next. None: one recording. Samples are in the order of time.
+        lengths: number of samples of each recording in W, N in all. Noise is not correlated between
+            recordings. None: one recording. Samples are in the order of time.
         options: of the method. robust: loss ("huber", "bisquare"), max_steps. instrumental:
             instruments (N, k, p), or a function of the last `Regression` that returns them; start;
             max_steps.

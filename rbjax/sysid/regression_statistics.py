@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 #: Noise below this times a torque's size is rounding.
 ROUNDING = 1e-13
-#: Residuals below this times the noise that is given say nothing of the noise.
+#: If residuals are below this times the given noise, they are no estimate of the noise.
 SMALL = 1e-6
 
 
@@ -26,8 +26,8 @@ def with_statistics(
     eq: Equations, found: Regression, sd: Array, psi: Array | None = None,
     slope: Array | None = None,
 ) -> Regression:  # fmt: skip
-    """The regression with the covariance of `fit_statistics`. Noise that is given is believed
-    unless at least `FEW` degrees of freedom contradict it."""
+    """The regression with the covariance of `fit_statistics`. Given noise is used unless the
+    residuals contradict it with at least `FEW` degrees of freedom."""
     psi = found.residual / sd if psi is None else psi
     slope = np.ones_like(psi) if slope is None else slope
     free = eq.tau.size - found.beta.size
@@ -44,8 +44,8 @@ def with_statistics(
 
 
 def _agrees(eq: Equations, residual: Array) -> bool:
-    """Whether the size of the residuals is that of the noise that was given: not beyond chance, of
-    which the chi-square distribution gives 1 % to each side."""
+    """Whether the size of the residuals agrees with the given noise, by a two-sided chi-square test
+    with 1 % on each side."""
     assert eq.noise is not None
     free = eq.tau.size - eq.combinations.rank
     squares = float(((residual / eq.noise) ** 2).sum())

@@ -24,9 +24,14 @@ from rbjax.sysid.simulation import Grid, Setup
 class Run(NamedTuple):
     """One run, or a batch of them.
 
-    Fields: start, the first readings, as a state, or with `exact` 1 the state itself; commands
-    (N, n); by sensor the times (T,) in s after the start, the values (T, n), and weights (T, n):
-    1 / sigma, 0 where nothing was measured; known, 1 if the initial state is known, else 0.
+    Fields:
+        start: the first readings as a state; with `exact` 1, the given initial state.
+        commands: (N, n).
+        times: by sensor, (T,) in s after the start.
+        values: by sensor, (T, n).
+        weights: by sensor, (T, n): 1 / sigma, or 0 if a value was not measured.
+        known: 1 if the initial state is known, else 0.
+        exact: 1 if the recording has an `initial_state`, else 0.
     """
 
     start: State
@@ -102,8 +107,8 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
 
 
 def start_of(setup: Setup, run: Recording) -> float:
-    """The time in s at which the simulation of a recording starts: the first sample of q at which
-    all channels have begun."""
+    """The time in s at which the simulation of a recording starts: the first sample of q after the
+    beginning of all channels."""
     used = [c for s, c in run.channels.items() if s in setup.sensors or s == HELD]
     start = max(float(c.t[0]) for c in used)
     later = run["q"].t[run["q"].t >= start - 1e-9]
@@ -163,7 +168,7 @@ def _check_columns(setup: Setup, run: Recording, measured: Sequence[str]) -> Non
 
 
 def _said(model: Model, run: Recording, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """q and v of an initial state that the recording says."""
+    """q and v of a recording's initial state, checked."""
     for name, x, size in (("q", state.q, model.nq), ("v", state.v, model.nv)):
         if np.shape(x) != (size,) or not np.isfinite(np.asarray(x)).all():
             raise InputError(

@@ -79,7 +79,7 @@ def programs(
             columns = setup.columns(kind)
             off = jax.vmap(columns.minus)(seen, run.values[kind])
             weights = columns.weights(run.weights[kind])
-            # what was not measured may have run away
+            # a value that was not measured may have diverged
             parts.append(jnp.where(weights > 0, weights * off, 0.0).ravel())
         r = jnp.concatenate(parts)
         if loss == "huber":
@@ -146,7 +146,7 @@ class SimulationError:
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
-        self.all_starts = starts is True  # even those that the recordings say
+        self.all_starts = starts is True  # even initial states that the recordings give
         self.runs = self._opened(runs)
         if starts is None:
             starts = not np.asarray(runs.known).all()
@@ -172,7 +172,7 @@ class SimulationError:
         return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
 
     def on(self, runs: Run) -> SimulationError:
-        """That of other runs."""
+        """The simulation error of other runs."""
         other = copy.copy(self)
         other.runs, other.count = self._opened(runs), runs.commands.shape[0]
         return other

@@ -83,9 +83,9 @@ def squares(
             a run and holds k more, so 2 sqrt(N) at least.
 
     Returns:
-        `Squares`, in the dtype of the model: it decides nothing by a tolerance, as `identify` does
-        in float64. Numbers are the physical ones, and nothing keeps them possible: change variables
-        (such as p = exp(y)) where an optimiser could leave their range.
+        `Squares`, in the dtype of the model: it uses no tolerances that would need the float64 of
+        `identify`. The numbers are physical, without limits: change variables (such as p = exp(y))
+        if an optimiser could leave their range.
 
     Raises:
         InputError: as `identify`; a mode of another name; memory that is not positive.

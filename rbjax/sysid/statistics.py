@@ -162,8 +162,8 @@ def estimates(
         dof: of the noise's estimate, if `noise` is one: m - n, or what `noise_by_channel` says; inf
             if None.
         bounds: name -> (low, high), of positive parameters (0, inf).
-        rank_tolerance: a singular value below it is zero, columns of length 1, largest 1. None:
-            1e-9 for a Jacobian in float64, 1e-4 in float32.
+        rank_tolerance: a singular value below this, relative to the largest one, is zero, for
+            columns scaled to length 1. None: 1e-9 for a Jacobian in float64, 1e-4 in float32.
 
     Returns:
         `Estimates`.

@@ -14,9 +14,9 @@ from rbjax.sysid.runs import ordered
 from rbjax.sysid.simulation import Setup
 from rbjax.sysid.traces import Traces, together
 
-#: residuals this many times the roughness of the recordings are not noise
+#: residuals above this many times the roughness of the recordings are not noise
 ROUGH = 3.0
-#: a fit that explains more than this share of the variance is at the right minimum
+#: a fit that explains more than this share of the variance counts as being at the right minimum
 CLOSE = 0.999
 #: residuals below this share of the spread are rounding, or the error of integration
 TINY = 1e-5
@@ -123,7 +123,7 @@ def is_poor(seen: Traces, recordings: Sequence[Recording], setup: Setup) -> str:
 
 
 def roughness(values: np.ndarray) -> np.ndarray:
-    """(n,) standard deviation of white noise with such third differences."""
+    """(n,) standard deviation of white noise, estimated from third differences."""
     rough = np.diff(values, n=3, axis=0)
     some = (~np.isnan(rough)).sum(0) > 3
     found = np.full(values.shape[1], np.inf)
