@@ -58,7 +58,9 @@ class DistanceField(Record):
         """A lower bound (...) m of the distance at points (..., 2) m: from the nearest centre."""
         u, v, away = self._place(points)
         i, j = jnp.round(u), jnp.round(v)
-        off = self.resolution * jnp.sqrt((u - i) ** 2 + (v - j) ** 2)
+        square = (u - i) ** 2 + (v - j) ** 2
+        off = square > 0  # at a centre the bound is not smooth
+        off = self.resolution * jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
         return self.values[i.astype(int), j.astype(int)] - off - away
 
     def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
