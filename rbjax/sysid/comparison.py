@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from rbjax.errors import InputError
+from rbjax.sysid.variance import explained
 from rbjax.sysid.whiteness import whiteness
 
 HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
@@ -25,8 +26,9 @@ class HeldOut:
     """A model on data that the fit never saw.
 
     Fields: rms on unseen and rms_fitted on fitted data; ratio of the two; by_recording, the rms of
-    each unseen one; r_squared, the share of variance explained, nan if unknown; holds, whether all
-    checks pass; failed, a sentence for each check that does not; sentence.
+    each unseen one; r_squared, the share of variance explained, nan if unknown or if nothing
+    varies; holds, whether all checks pass; failed, a sentence for each check that does not;
+    sentence.
     """
 
     rms: float
@@ -93,18 +95,20 @@ def held_out(
     worst = max(each, key=lambda name: each[name])
     if len(each) > 1:
         sentence += f" (the worst, {worst}: {each[worst]:.3g}{unit})"
-    explained, failed = np.nan, []
+    r_squared, failed, still = np.nan, [], False
     if not ratio <= HOLDS:
         failed.append(f"the error is {ratio:.3g} times the error on fitted data, above {HOLDS}")
     weak = ratio <= WEAK
     if measured is not None:
         parts = [(np.asarray(unseen[n], float), np.asarray(measured[n], float)) for n in unseen]
-        left = sum(float(np.nansum(r**2)) for r, _ in parts)
-        there = sum(float(np.nansum((y - np.nanmean(y, 0)) ** 2)) for _, y in parts)
-        explained = 1 - left / there if there > 0 else np.nan
-        sentence += f"; it explains {100 * explained:.3g} % of the variance"
-        if explained < EXPLAINED:
-            failed.append(f"R2 is {explained:.4g}, below {EXPLAINED}")
+        r_squared = explained(*([_columns(part[k]) for part in parts] for k in (1, 0)))
+        still = np.isnan(r_squared)
+        if still:
+            failed.append("the recordings are constant, so that they cannot test a motion")
+        else:
+            sentence += f"; it explains {100 * r_squared:.3g} % of the variance"
+        if r_squared < EXPLAINED:
+            failed.append(f"R2 is {r_squared:.4g}, below {EXPLAINED}")
             weak = False
     if noise is not None:
         sentence += f"; the error is {rms / noise:.3g} times the noise"
@@ -119,11 +123,13 @@ def held_out(
         if test is not None and not test[0]:
             failed.append(f"the residual is not white (Ljung-Box p = {test[1]:.1g})")
     says = "fails" if not weak else "is weaker" if failed else "holds"
+    if still and weak:
+        says = "is not tested"
     sentence = f"the model {says}: {sentence}"
     if failed:
         sentence += f"; failed: {'; '.join(failed)}"
     return HeldOut(
-        rms, rms_fitted, float(ratio), each, float(explained), not failed, sentence, tuple(failed)
+        rms, rms_fitted, float(ratio), each, float(r_squared), not failed, sentence, tuple(failed)
     )
 
 
@@ -140,6 +146,10 @@ def colour(residuals: Sequence[np.ndarray]) -> tuple[bool, float] | None:
         return None
     found = min(min(p) * len(p), 1.0)
     return found >= ALPHA, found
+
+
+def _columns(x: np.ndarray) -> np.ndarray:
+    return x.reshape(len(x), -1)
 
 
 def _arrays(given: Mapping[str, Any]) -> Iterator[np.ndarray]:

@@ -278,9 +278,9 @@ def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recordi
         else:
             rough = np.max([roughness(run[sensor].values) for run in recordings], 0)
             rough = rough[np.isfinite(rough)]
-            if not rough.size:
+            if not rough.any():  # too few samples, or constant ones: they show no noise
                 continue
-            noise = float(np.sqrt(np.mean(rough**2))) or 1e-100  # its square is not zero
+            noise = float(np.sqrt(np.mean(rough**2)))
             least = SMALL_STEP_ERROR * spread
         found = sum_of_squares(part)
         squares += found / noise**2 if found > least**2 * part.size else 0.0

@@ -236,6 +236,7 @@ def _half(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> n
         return None
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of trial steps, which the line search rejects
 def convex_step(
     R: np.ndarray,
     x: np.ndarray,
@@ -277,6 +278,9 @@ def shown(R: np.ndarray, L: np.ndarray) -> np.ndarray:
     """The shortest Gauss-Newton step in the directions that the data show; L L^T is the metric."""
     tolerance = rank_tolerance(R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    kept = s > tolerance * s[0]
-    return -np.linalg.solve(L.T, Vt[kept].T @ ((U.T @ R[:, -1])[kept] / s[kept]))
+    moves = A.any(0)  # rounding of the decomposition must not move what nothing depends on
+    U, s, Vt = np.linalg.svd(A[:, moves], full_matrices=False)
+    kept = s > tolerance * s.max(initial=0.0)
+    z = np.zeros(A.shape[1])
+    z[moves] = Vt[kept].T @ ((U.T @ R[:, -1])[kept] / s[kept])
+    return -np.linalg.solve(L.T, z)
