@@ -53,7 +53,7 @@ def free_run(
         0.0
     """
     setup = cast(model if isinstance(model, Setup) else Setup.of(model), np.float64)
-    grid = grid_of(recordings) if grid is None else grid
+    grid = grid_of(recordings, setup) if grid is None else grid
     data = batch_of(setup, recordings, grid)
     if noise is not None:
         weights = {s: (w > 0) / jnp.asarray(noise[s], w.dtype) for s, w in data.weights.items()}

@@ -23,13 +23,13 @@ from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.fit_file import read_fit
 from rbjax.sysid.fit_rows import columns_of
 from rbjax.sysid.fit_statistics import fit_statistics
-from rbjax.sysid.fits import Fits, Fitted, says_its_noise
+from rbjax.sysid.fits import Fits, Fitted
 from rbjax.sysid.identified import Identified, Options
 from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.rank import beside_others, combinations
-from rbjax.sysid.recording import Recording
-from rbjax.sysid.runs import grid_of
+from rbjax.sysid.recording import Recording, says_its_noise
 from rbjax.sysid.simulation import Grid, Setup
+from rbjax.sysid.step_length import start_grid
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 from rbjax.sysid.verdict import judged
 
@@ -61,7 +61,9 @@ def identify(
             first sample of "q" and "v", whose other samples may be missing.
         unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
         grid: how motion is integrated. None: steps of RK4 at the finest clock of all channels,
-            and shorter ones if steps of half the length change the numbers (`notes` says so).
+            and shorter ones if steps of half the length change the numbers (`notes` says so); a
+            delay may last up to its upper bound, else up to three times its first guess.
+            `Grid(period, substeps=0)`: steps are checked in the same way.
         pieces: length in s of pieces that are fitted first, each from its first sample, so that a
             poor first guess does not lose the motion. None: no such fit.
         shooting: length in s of pieces that are fitted first and then tied, end to start, ever more
@@ -135,13 +137,13 @@ def fitted(
     dtype: Any = np.float64,
 ) -> Identified:  # fmt: skip
     """The whole of `identify`, from the first guess or from x, in float64."""
-    grid = grid_of(runs) if how.grid is None else how.grid
+    grid, chosen = start_grid(setup, sought, runs, how.grid)
     fits = Fits(
         setup, sought, runs, grid, starts=how.starts, loss=how.loss, steps=how.steps, save=save,
         say=say,
     )  # fmt: skip
     given = x is not None or how.pieces is not None or how.shooting is not None
-    if how.grid is None:
+    if chosen:
         fits.stepped()
     if x is None:
         x = fits.first
@@ -153,7 +155,7 @@ def fitted(
     if not given:
         best = fits.improved(best, how.restarts)
     best = fits.weighed(best)
-    if how.grid is None:
+    if chosen:
         best = fits.finer(best)
     return _said(fits, best, how, dtype)
 

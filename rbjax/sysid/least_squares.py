@@ -192,7 +192,7 @@ def searching(
         x, now, R, half = trial, after, there, root
         if ends:
             break
-    best = _is_minimum(D, x, R, prior, pulls[-1], now)
+    best = _is_minimum(D, x, R, pulls[-1], now)
     if best:
         message = "converged"
     elif ended:
@@ -203,18 +203,18 @@ def searching(
 
 
 def _is_minimum(
-    D: Callable, x: np.ndarray, R: np.ndarray, prior: np.ndarray, w: float, now: float
+    D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float
 ) -> bool:
     """Whether the step of Gauss and Newton, within what is possible, expects no decrease that
     noise could tell, or is no longer than rounding: a gradient that is 0 on the scale of the
-    columns and the residual."""
+    columns and the residual. A prior has no part in it."""
     half = _half(D, x)
     if half is None:
         return False
     if not R[:, -1].any():
         return True
     size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
-    trial = convex_step(R, x, D, ((w * size, prior), (w * size, x)))
+    trial = convex_step(R, x, D, ((w * size, x),))
     linear = R[:, :-1] @ (trial - x) + R[:, -1]
     expected = now - float(linear @ linear)
     return bool(expected <= OPTIMAL * now or D(trial, x).value <= SMALL)

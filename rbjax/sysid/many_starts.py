@@ -18,15 +18,17 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.fits import Fits
 from rbjax.sysid.guesses import drawn
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.identify import identify
 from rbjax.sysid.least_squares import Asked, Minimum, searching, sum_of_squares
 from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.recording import Recording
-from rbjax.sysid.runs import batch_of, grid_of
+from rbjax.sysid.runs import batch_of
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import Programs, SimulationError
+from rbjax.sysid.step_length import start_grid
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 
 #: pulls of a guess to itself: of all for a few steps, and of the best until they converge
@@ -136,7 +138,14 @@ def many_starts(
     for name, count in (("first_steps", first_steps), ("finalists", finalists)):
         check_whole("many_starts", name, count, 1)
     points = _guesses(guesses, sought, setup, spread, seed)
-    grid = grid_of(runs) if grid is None else grid
+    grid, chosen = start_grid(setup, sought, runs, grid)
+    if chosen:
+        fits = Fits(
+            setup, sought, runs, grid, starts=starts, loss=loss, steps=100, save=None,
+            say=lambda text: None,
+        )  # fmt: skip
+        fits.stepped()
+        grid = fits.grid
     of = SimulationError(setup, sought, batch_of(setup, runs, grid), grid, starts=starts, loss=loss)
     beginnings = [np.append(p, np.zeros(of.size - len(p))) for p in points]
     with progress_line("many_starts", progress) as say:
@@ -153,8 +162,8 @@ def many_starts(
         ends = together(of, [first[k].x for k in order], pulls=LONG, steps=100)
     basins = _basins(of, dict(zip(order, ends, strict=True)))
     best = identify(
-        given, runs, unknowns, resume=basins[0].values, grid=grid, starts=starts, loss=loss,
-        progress=progress, **more,
+        given, runs, unknowns, resume=basins[0].values, starts=starts, loss=loss,
+        grid=grid._replace(substeps=0) if chosen else grid, progress=progress, **more,
     )  # fmt: skip
     return ManyStarts(best, basins, basins[0].starts[0], points, costs)
 

@@ -364,3 +364,8 @@ def _check_clock(t: np.ndarray) -> None:
             f"and at {len(wrong)} samples in all, expected times that increase; leave out samples "
             "that came twice"
         )
+
+
+def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
+    """Whether every recording states the noise of a sensor."""
+    return all(run[sensor].noise is not None for run in runs)

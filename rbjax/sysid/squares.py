@@ -109,7 +109,7 @@ def squares(
     if memory is not None and not (isinstance(memory, (int, float)) and memory > 0):
         raise InputError(f"squares: memory is {memory!r}, expected a positive number of bytes")
     sought = Unknowns.of("squares", unknowns, setup)
-    grid = grid_of(runs) if grid is None else grid
+    grid = grid_of(runs, setup) if grid is None else grid
     of = SimulationError(setup, sought, batch_of(setup, runs, grid), grid, starts=starts, loss=loss)
     mode = mode or faster(of.shared + of.own, of.count, setup.model.gravity.dtype.itemsize)
     budget = memory_share() if memory is None else memory
