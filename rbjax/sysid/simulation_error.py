@@ -178,7 +178,11 @@ class SimulationError:
         return other
 
     def _opened(self, runs: Run) -> Run:
-        return runs._replace(known=jnp.zeros_like(runs.known)) if self.all_starts else runs
+        known = jnp.zeros_like(runs.known) if self.all_starts else runs.known
+        shape = runs.commands.shape[:1]  # of a run made by hand, one number for all
+        return runs._replace(
+            known=jnp.broadcast_to(known, shape), exact=jnp.broadcast_to(runs.exact, shape)
+        )
 
     def readings(self, x: np.ndarray) -> dict[str, jax.Array]:
         """By sensor (runs, T, n)."""
