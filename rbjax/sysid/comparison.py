@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from rbjax.errors import InputError
+from rbjax.sysid.arguments import floats
 from rbjax.sysid.variance import explained
 from rbjax.sysid.whiteness import whiteness
 
@@ -77,6 +78,19 @@ def held_out(
         much as where it was fitted; failed: the error is 3 times the error on fitted data, above
         1.25
     """
+    fitted, unseen = _checked("fitted", fitted), _checked("unseen", unseen)
+    if measured is not None:
+        measured = _checked("measured", measured)
+        wrong = [n for n in unseen if n not in measured or measured[n].shape != unseen[n].shape]
+        if wrong:
+            raise InputError(
+                f"held_out: measured of {wrong[0]} is missing or of another shape than its "
+                "residuals, expected one value for each"
+            )
+    if noise is not None and not (_is_number(noise) and noise > 0):
+        raise InputError(f"held_out: noise is {noise!r}, expected a number above 0, or None")
+    if not isinstance(unit, str):
+        raise InputError(f"held_out: unit is {unit!r}, expected a str")
     both = sorted(set(fitted) & set(unseen))
     if both or not fitted or not unseen:
         raise InputError(
@@ -208,6 +222,15 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
         >>> print(compare(plain, rubbed, 100).sentence)
         viscous + Coulomb earns its place beside viscous: F = 144, p = 8e-21, BIC falls by 87
     """
+    for name, model in (("smaller", smaller), ("larger", larger)):
+        fine = isinstance(model, Scored) and all(_is_number(x) for x in model[1:])
+        if not fine:
+            raise InputError(
+                f"compare: {name} is {model!r}, expected Scored(name, squares, parameters) with "
+                "finite numbers"
+            )
+    if not _is_number(samples):
+        raise InputError(f"compare: samples is {samples!r}, expected a finite number")
     more = larger.parameters - smaller.parameters
     left = samples - larger.parameters
     if more < 1 or left <= 0:
@@ -234,6 +257,22 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
         f"F = {F:.3g}, p = {p:.1g}, BIC {'falls' if bic < 0 else 'grows'} by {abs(bic):.0f}"
     )
     return Comparison(float(F), p, aic, bic, earned, sentence)
+
+
+def _is_number(x: Any) -> bool:
+    return (
+        isinstance(x, (int, float, np.number)) and not isinstance(x, bool) and bool(np.isfinite(x))
+    )
+
+
+def _checked(name: str, given: Any) -> dict[str, np.ndarray]:
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"held_out: {name} is {type(given).__name__}, expected a dict recording -> residuals"
+        )
+    return {
+        run: np.atleast_1d(floats("held_out", f"{name}[{run!r}]", x)) for run, x in given.items()
+    }
 
 
 def _rms(residuals: Any) -> float:

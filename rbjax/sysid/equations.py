@@ -152,6 +152,8 @@ def equations(
         )
     if noise is not None:
         noise = _checked_noise(noise, tau, base.rank)
+    if isinstance(lengths, int):
+        lengths = [lengths]
     lengths = (len(tau),) if lengths is None else tuple(lengths)
     if not all(isinstance(n, (int, np.integer)) and n > 0 for n in lengths) or sum(lengths) != len(
         tau

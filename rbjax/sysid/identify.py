@@ -20,6 +20,7 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import Say, progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import check_how, recordings_of, setup_of
 from rbjax.sysid.fit_file import read_fit
 from rbjax.sysid.fit_rows import columns_of
 from rbjax.sysid.fit_statistics import fit_statistics
@@ -110,16 +111,12 @@ def identify(
         >>> round(found.values["mass"], 2)
         1.3
     """
-    setup = model if isinstance(model, Setup) else Setup.of(model)
-    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not runs or not all(isinstance(r, Recording) for r in runs):
-        raise InputError(f"identify: recordings is {recordings!r}, expected one Recording or more")
+    setup, runs = setup_of("identify", model), recordings_of("identify", recordings)
     check_whole("identify", "steps", steps, 1)
     check_whole("identify", "restarts", restarts, 0)
-    if loss not in ("squares", "huber"):
-        raise InputError(f'identify: loss is {loss!r}, expected "squares" or "huber"')
-    if starts not in (None, True, False):
-        raise InputError(f"identify: starts is {starts!r}, expected True, False or None")
+    check_how("identify", loss, starts, pieces=pieces, shooting=shooting)
+    if not (save is None or isinstance(save, (str, Path))):
+        raise InputError(f"identify: save is {type(save).__name__}, expected the path of a file")
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     sought = Unknowns.of("identify", unknowns, setup)
     how = Options(grid, pieces, shooting, starts, loss, steps, restarts)

@@ -18,6 +18,7 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
 from rbjax.sysid.fits import Fits
 from rbjax.sysid.guesses import drawn
 from rbjax.sysid.identified import Identified
@@ -131,12 +132,16 @@ def many_starts(
         >>> round(found.best.values["armature"], 2)
         0.8
     """
-    given = model if isinstance(model, Setup) else Setup.of(model)
+    given, runs = setup_of("many_starts", model), recordings_of("many_starts", recordings)
     setup = cast(given, np.float64)
-    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
     sought = Unknowns.of("many_starts", unknowns, setup)
+    check_how("many_starts", loss, starts)
     for name, count in (("first_steps", first_steps), ("finalists", finalists)):
         check_whole("many_starts", name, count, 1)
+    check_whole("many_starts", "seed", seed, 0)
+    spread_of = floats("many_starts", "spread", spread, "a number above 0")
+    if spread_of.shape != () or not 0 < spread_of < np.inf:
+        raise InputError(f"many_starts: spread is {spread!r}, expected a number above 0")
     points = _guesses(guesses, sought, setup, spread, seed)
     grid, chosen = start_grid(setup, sought, runs, grid)
     if chosen:
@@ -214,7 +219,7 @@ def _guesses(given: Any, sought: Unknowns, setup: Setup, spread: float, seed: in
     if np.ndim(given) == 0:
         check_whole("many_starts", "guesses", given, 1)
         return drawn(sought, setup, int(given), spread, seed)
-    points = np.array(given, float)
+    points = floats("many_starts", "guesses", given, "a number, or an array (K, n)")
     if points.ndim != 2 or points.shape[1] != n or not len(points):
         raise InputError(
             f"many_starts: guesses has shape {points.shape}, expected (K, {n}), or a number"

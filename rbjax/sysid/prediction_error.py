@@ -25,6 +25,7 @@ from rbjax.model import Model
 from rbjax.motion.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_statistics import FitStatistics, fit_statistics
 from rbjax.sysid.identified import Identified
@@ -195,9 +196,7 @@ def prediction_error(
     where = "prediction_error"
     setup, grid = _setup(model, grid)
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
-    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not runs or not all(isinstance(r, Recording) for r in runs):
-        raise InputError(f"{where}: recordings is {recordings!r}, expected one Recording or more")
+    runs = recordings_of(where, recordings)
     check_whole(where, "steps", steps, 1)
     if drive not in DRIVES:
         raise InputError(f"{where}: drive is {drive!r}, expected one of {DRIVES}")
@@ -287,7 +286,7 @@ def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:
     """The set-up and the grid to start from; sensors and controls without delay."""
     if isinstance(model, Identified):
         model, grid = model.setup, model.grid if grid is None else grid
-    setup = model if isinstance(model, Setup) else Setup.of(model)
+    setup = setup_of("prediction_error", model)
     late = [
         f"{s} {float(sensor.delay):g} s, so Channel(c.t - {float(sensor.delay):g}, ...)"
         for s, sensor in setup.sensors.items() if float(sensor.delay) != 0
@@ -310,7 +309,7 @@ def _driven(where: str, model: Model, joints: Sequence[str] | None) -> np.ndarra
     if joints is None:
         return np.ones(model.nv, bool)
     found = np.zeros(model.nv, bool)
-    for name in joints:
+    for name in names_of(where, "driven", [joints] if isinstance(joints, str) else joints):
         if name not in model.joint_names:
             raise UnknownName("joint", name, model.joint_names)
         found[model.v_slice(name)] = True

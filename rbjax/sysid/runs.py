@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
+from rbjax.motion.integrators import integrator_of
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
@@ -44,6 +45,7 @@ def _check_grid(setup: Setup, grid: Grid) -> None:
     period = grid.period
     if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
         raise InputError(f"identify: grid has period {period!r}, expected seconds above 0")
+    integrator_of("identify", grid.integrator)
     check_whole("identify", "substeps of the grid", grid.substeps, 1)
     check_whole("identify", "longest_delay of the grid", grid.longest_delay, 0)
     delay = 0.0 if setup.delay is None else float(np.max(np.asarray(setup.delay)))
