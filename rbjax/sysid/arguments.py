@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.dynamics.arguments import check_model
-from rbjax.errors import InputError
+from rbjax.errors import InputError, listed
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.simulation import Setup
 
@@ -32,6 +32,13 @@ def recordings_of(where: str, recordings: Any, *, empty: bool = False) -> list[R
         )
     if not (runs or empty):
         raise InputError(f"{where}: recordings is empty, expected one Recording or more")
+    names = [run.name for run in runs]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            f"{where}: {len(names)} recordings, of which several are called {listed(twice, 4)}; "
+            "expected a name for each, by which results tell them apart"
+        )
     return list(runs)
 
 

@@ -138,7 +138,7 @@ def searching(
         return found
 
     R = (yield Asked(x, True)) if triangle is None else triangle
-    ended, half = False, _half(D, x)
+    ended, half = False, half_of(D, x)
     if not _has_squares(R):
         message = "the motion of the first guess is not finite"
         yield Minimum(x, R, np.inf, count, False, message)
@@ -166,7 +166,7 @@ def searching(
             gain = (now - after + pull) / max(expected, 1e-300)
             # where slopes have no squares, or the metric no root, no step could begin: such a point
             # is refused
-            root = _half(D, trial) if gain > 0 else None
+            root = half_of(D, trial) if gain > 0 else None
             there = np.array(np.nan) if root is None else (yield Asked(trial, True))
             if root is not None and _has_squares(there):
                 x, now, R, half = trial, after, there, root
@@ -184,7 +184,7 @@ def searching(
         # noise
         if k and after > now / 10:
             break
-        root = _half(D, trial) if after < now else None
+        root = half_of(D, trial) if after < now else None
         there = np.array(np.nan) if root is None else (yield Asked(trial, True))
         if root is None or not _has_squares(there):
             break
@@ -202,13 +202,11 @@ def searching(
     yield Minimum(x, R, now, count, best, message)
 
 
-def _is_minimum(
-    D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float
-) -> bool:
+def _is_minimum(D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float) -> bool:
     """Whether the step of Gauss and Newton, within what is possible, expects no decrease that
     noise could tell, or is no longer than rounding: a gradient that is 0 on the scale of the
     columns and the residual. A prior has no part in it."""
-    half = _half(D, x)
+    half = half_of(D, x)
     if half is None:
         return False
     if not R[:, -1].any():
@@ -225,7 +223,7 @@ def _has_squares(R: np.ndarray) -> bool:
     return bool((np.abs(R) < HUGE).all())
 
 
-def _half(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
+def half_of(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
     """The Cholesky factor of the metric at x, None where rounding leaves none: a body so thin."""
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():

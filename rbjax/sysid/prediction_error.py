@@ -29,7 +29,7 @@ from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_statistics import FitStatistics, fit_statistics
 from rbjax.sysid.identified import Identified
-from rbjax.sysid.least_squares import Minimum, convex_step, shown
+from rbjax.sysid.least_squares import Minimum, convex_step, half_of, shown
 from rbjax.sysid.likelihood import DRIVES, Levels, Likelihood, Series, series_of
 from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.rank import Combinations, beside_others, combinations
@@ -244,8 +244,18 @@ def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minim
         message = "the likelihood of the first guess is not finite"
         return Minimum(x, R, np.inf, count, False, message)
     D, damping, growth, ended = of.divergence, 1e-6, 2.0, False
+    curved = half_of(D, x)
+    if curved is None:
+        message = "the first guess is at the border of what is possible"
+        return Minimum(x, R, now, count, False, message)
+
+    def there(trial: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+        """The metric and the triangle, if a step could begin at a trial."""
+        half = half_of(D, trial)
+        slopes = np.array(np.nan) if half is None else of.triangle(trial)
+        return (half if np.isfinite(slopes).all() else None), slopes
+
     while not ended and count < steps:
-        curved = np.linalg.cholesky(D(x, x).curvature)
         size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
         trial = convex_step(R, x, D, ((PULL * size, start), (damping * size, x)))
         linear = R[:, :-1] @ (trial - x) + R[:, -1]
@@ -255,22 +265,23 @@ def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minim
         say(f"evaluation {count} of at most {steps}, -2 log p {min(now, after):.6g}")
         calm = damping <= 1e-3 and expected < CALM
         gain = (now - after + pull) / max(expected, 1e-300)
-        if gain > 0:
-            x, now, R = trial, after, of.triangle(trial)
+        half, slopes = there(trial) if gain > 0 else (None, R)
+        if half is not None:
+            x, now, R, curved = trial, after, slopes, half
             damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
         else:
             damping, growth = damping * growth, growth * 2
         ended = calm or damping > 1e9
     for _ in range(4):  # without the guess
-        trial = x + shown(R, np.linalg.cholesky(D(x, x).curvature))
+        trial = x + shown(R, curved)
         after = of.cost(trial) if np.isfinite(D(trial, x).value) else np.inf
         count += 1
-        if not after < now:
+        half, slopes = there(trial) if after < now else (None, R)
+        if half is None:
             break
-        x, now, R = trial, after, of.triangle(trial)
-    curved = np.linalg.cholesky(D(x, x).curvature)
+        x, now, R, curved = trial, after, slopes, half
     size = PULL * float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
-    trial = convex_step(R, x, D, ((size, start), (size, x)))
+    trial = convex_step(R, x, D, ((size, x),))
     linear = R[:, :-1] @ (trial - x) + R[:, -1]
     flat = float(R[:, -1] @ R[:, -1] - linear @ linear) < OPTIMAL
     if flat:

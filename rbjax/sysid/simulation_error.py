@@ -262,7 +262,11 @@ class SimulationError:
 def began(setup: Setup, first: State, v_was_read: bool) -> State:
     """The state of which the first readings are; a v that was not read is the slope of q's."""
     q, v = setup.sensors["q"], setup.sensors["v"]
-    speed = (first.v - v.bias) / v.scale if v_was_read else first.v / q.scale
+    speed = first.v
+    if v_was_read:
+        speed = (first.v - v.bias) / v.scale
+    elif first.v.shape == q.scale.shape:  # with attitudes v is read, or the state is known
+        speed = first.v / q.scale
     return State((first.q - q.bias) / q.scale, speed, first.x)
 
 

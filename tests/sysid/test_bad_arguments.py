@@ -36,7 +36,7 @@ def filtered():
 
 # function: (its good arguments, {argument: wrong values})
 WRONG_MODEL = [5, "x", None, RUN, {}]
-WRONG_RUNS = [5, "x", None, MODEL, [], [5], [RUN, 5], {"a": RUN}]
+WRONG_RUNS = [5, "x", None, MODEL, [], [5], [RUN, 5], {"a": RUN}, [RUN, RUN]]
 WRONG_UNKNOWNS = [5, "x", None, {}, {"mass": 5}, {"mass": y.Unknown("bodies.nope")}, [MASS],
                   {"mass": y.Unknown("bodies.mass", 7)}, {"mass": y.Unknown(5)},
                   {"mass": y.Unknown("bodies.mass", "x")}]  # fmt: skip
@@ -96,7 +96,7 @@ CASES = {
                                         {5: RUN["q"]}, [RUN["q"]]],
         "initial_state": [5, "x", np.zeros(1)],
     }),
-    "split": ({"recordings": [RUN] * 3}, {
+    "split": ({"recordings": [y.Recording(n, RUN.channels) for n in "abc"]}, {
         "recordings": [5, "x", None, [5], [], MODEL], "train": ["x", NAN, -1, 2, None],
         "validation": ["x", NAN, -1, 2], "test": ["x", NAN, -1], "seed": [-1, "x", 1.5],
     }),
