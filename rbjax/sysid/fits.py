@@ -100,7 +100,14 @@ class Fits:
 
     def whole(self, x: np.ndarray) -> Fitted:
         """The fit of all recordings."""
-        return self._fitted(self._error(self.recordings), x)
+        of = self._error(self.recordings)
+        if of.own and x.size not in (self.shared, of.size):
+            raise InputError(
+                f"identify: resume holds {x.size - self.shared} corrections of initial states, "
+                f"expected {of.size - self.shared} for {of.count} recordings; resume with the "
+                'recordings that were fitted, or with the values alone (a dict name -> value)'
+            )
+        return self._fitted(of, x)
 
     def growing(self, of: SimulationError, x: np.ndarray) -> np.ndarray:
         """x that suits the first part of all recordings, and ever more of it: a short motion does
