@@ -33,12 +33,10 @@ from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.step_length import halved, over_noise, step_error
 from rbjax.sysid.traces import Traces, together, traces
 from rbjax.sysid.unknowns import Unknowns
-from rbjax.sysid.verdict import is_poor
+from rbjax.sysid.verdict import NORMAL, is_poor
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
-#: standard deviation of normal noise over the median of its size
-NORMAL = 1.4826
 #: pulls of the fit to short pieces, which is only a start
 FIRST_PULLS = (1e-4, 1e-7)
 #: parts of all recordings that a growing fit takes, one after the other
@@ -128,7 +126,7 @@ class Fits:
         """The fit, or if it is poor the best of others: one that grows from the first guess, and
         some from other guesses."""
         why = "the first guess failed" if not np.isfinite(fitted.least.cost) else ""
-        why = why or is_poor(fitted.traces, self.recordings, self.setup)
+        why = why or self._why_poor(fitted)
         if not (why and restarts):
             return fitted
         of, best, tried, won = fitted.error, fitted, 0, "the first guess is still the best"
@@ -142,13 +140,17 @@ class Fits:
                 won = "a fit that grew from the first part of the recordings " + (
                     f"and from another guess (number {k}) is better" if k else "is better"
                 )
-            if not is_poor(best.traces, self.recordings, self.setup):
+            if not self._why_poor(best):
                 break
         self.notes.append(
             f"the fit from the first guess was poor ({why}), so {tried} other "
             f"{'start was' if tried == 1 else 'starts were'} tried: {won}"
         )
         return best
+
+    def _why_poor(self, fitted: Fitted) -> str:
+        robust = self.loss == "huber"
+        return is_poor(fitted.traces, self.recordings, self.setup, robust=robust)
 
     def _guesses(self, count: int) -> np.ndarray:
         """(count, n), the first one first."""

@@ -75,7 +75,8 @@ def identify(
             says that it is known (`Recording(initial_state=...)`). False: the first readings of q
             and v are the state, exactly; their noise becomes an error of the numbers that no
             interval shows.
-        loss: "squares", or "huber", by which outliers count less.
+        loss: "squares", or "huber", by which outliers count less; then the verdict leaves up to a
+            fifth of the samples out as outliers, beyond 4 robust standard deviations.
         steps: evaluations of the residual at most, of each fit.
         restarts: starts that are tried at most if the fit from the first guess is poor (R2 below
             0.99, or errors several times the noise): one that grows from the first part of the
@@ -173,6 +174,9 @@ def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
         estimates=said.estimates, recordings=tuple(fits.recordings), traces=best.traces,
         evaluations=fits.evaluations, ok=least.ok, message=least.message, grid=of.grid, error=of,
         noisy=best.estimated or len(stated) == len(of.runs.values), statistics=said,
-        verdict=judged(least.ok, least.message, best.traces, fits.recordings, said.coloured),
+        verdict=judged(
+            least.ok, least.message, best.traces, fits.recordings, said.coloured,
+            robust=how.loss == "huber",
+        ),
         notes=tuple(fits.notes), options=how,
     )  # fmt: skip

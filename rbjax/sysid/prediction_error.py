@@ -132,7 +132,7 @@ class Predicted:
     def _filtered(
         self, recordings: Sequence[Recording] | None
     ) -> tuple[list[str], Series, KalmanFiltered]:
-        runs = self.recordings if recordings is None else recordings
+        runs = self.recordings if recordings is None else recordings_of("Predicted", recordings)
         of = self.likelihood
         series = of.series if recordings is None else series_of(self.first, runs, self.grid)
         return [run.name for run in runs], series, of.filtered(self.x, series)

@@ -22,6 +22,12 @@ ROUGH = 3.0
 CLOSE = 0.999
 #: residuals below this share of the spread are rounding, or the error of integration
 TINY = 1e-5
+#: residuals beyond so many robust standard deviations are outliers; normal noise has 1 in 16,000
+OUTLIER = 4.0
+#: and more of them than this share are not outliers, but a model that is wrong
+MOST = 0.2
+#: standard deviation of normal noise over the median of its size
+NORMAL = 1.4826
 #: a sensor whose values spread by no more than so many times their noise shows no motion
 STILL = 2.0
 
@@ -37,6 +43,7 @@ class Verdict:
         noise_ratio: by sensor with stated noise, the largest of its columns' errors over it.
         sentence: the verdict in words.
         constant: the columns, by sensor, that never change in any recording.
+        outliers: with loss="huber", the share of outliers by sensor. They count in no other field.
     """
 
     good: bool
@@ -45,16 +52,24 @@ class Verdict:
     noise_ratio: dict[str, float]
     sentence: str
     constant: dict[str, tuple[str, ...]]
+    outliers: dict[str, float]
 
 
 def judged(
     converged: bool, message: str, seen: Traces, recordings: Sequence[Recording],
-    coloured: Sequence[str],
+    coloured: Sequence[str], *, robust: bool = False,
 ) -> Verdict:  # fmt: skip
     """The verdict on a fit: it has converged, the recordings move, it explains 99 % of the variance
     of each sensor, errs by at most 1.5 times the stated noise, and leaves residuals that are
-    white."""
+    white. `robust`, of loss="huber": all of that without outliers, of which a fifth is too many."""
     failed = [] if converged else [f"the fit is {message}"]
+    seen, outliers = without_outliers(seen) if robust else (seen, {})
+    for sensor, share in outliers.items():
+        if share > MOST:
+            failed.append(
+                f"{100 * share:.3g} % of the residuals of {sensor} are outliers, above "
+                f"{100 * MOST:.3g} %"
+            )
     shares, ratios = explained_by(seen), noise_ratios(seen, recordings)
     constant = constant_columns(seen)
     if not shares:
@@ -86,7 +101,10 @@ def judged(
         says += f": it explains {100 * worst:.5g} % of the variance, and what remains is noise"
         if constant:
             says += f"; {_listed(constant)} constant, which no model of a motion can explain"
-    return Verdict(not failed, tuple(failed), shares, ratios, says, constant)
+        if any(outliers.values()):
+            parts = [f"{100 * x:.2g} % of {sensor}" for sensor, x in outliers.items() if x]
+            says += f"; outliers do not count ({', '.join(parts)})"
+    return Verdict(not failed, tuple(failed), shares, ratios, says, constant, outliers)
 
 
 def _listed(constant: dict[str, tuple[str, ...]]) -> str:
@@ -133,6 +151,29 @@ def _is_still(every: Sequence[Trace], recordings: Sequence[Recording], sensor: s
     return True
 
 
+def without_outliers(seen: Traces) -> tuple[Traces, dict[str, float]]:
+    """The traces without the samples whose residuals are outliers beside the median size of their
+    column's, and the share of these samples by sensor."""
+    found: dict[str, dict[str, Trace]] = {name: dict(sensors) for name, sensors in seen.items()}
+    shares = {}
+    for sensor in next(iter(seen.values())):
+        if not _traces_of(seen, sensor):
+            continue
+        with warnings.catch_warnings(action="ignore"):  # of columns without samples
+            scale = NORMAL * np.nanmedian(np.abs(together(seen, sensor)), 0)
+        out, count = 0, 0
+        for name, sensors in seen.items():
+            trace = sensors[sensor]
+            far = np.abs(trace.residual) > OUTLIER * scale
+            for k in trace.turns:  # an attitude is one
+                far[:, k : k + 4] = far[:, k : k + 4].any(1, keepdims=True)
+            out += int(far.sum())
+            count += int((~np.isnan(trace.recorded)).sum())
+            found[name][sensor] = trace._replace(recorded=np.where(far, np.nan, trace.recorded))
+        shares[sensor] = out / max(count, 1)
+    return found, shares
+
+
 def explained_by(seen: Traces) -> dict[str, float]:
     """By sensor with samples enough, 1 - sum r^2 / sum (y - mean)^2; nan if it is constant."""
     found = {}
@@ -157,10 +198,17 @@ def noise_ratios(seen: Traces, recordings: Sequence[Recording]) -> dict[str, flo
     return found
 
 
-def is_poor(seen: Traces, recordings: Sequence[Recording], setup: Setup) -> str:
+def is_poor(
+    seen: Traces, recordings: Sequence[Recording], setup: Setup, *, robust: bool = False
+) -> str:
     """Why a fit may be at a wrong minimum, "" if nothing says so: R2 below 0.99, or below 0.999
     with errors above the noise, which is stated or, for joints, as large as third differences of
-    the samples show."""
+    the samples show. `robust`: without outliers."""
+    if robust:
+        seen, outliers = without_outliers(seen)
+        for sensor, share in outliers.items():
+            if share > MOST:
+                return f"{100 * share:.3g} % of the residuals of {sensor} are outliers"
     shares = explained_by(seen)
     for sensor, share in shares.items():
         if share < EXPLAINED:

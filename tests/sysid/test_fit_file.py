@@ -33,8 +33,11 @@ def test_corrections_of_other_recordings_are_rejected(tmp_path):
     """They were cut off, or filled up with 0, in silence."""
     path, run = tmp_path / "fit.json", seen(0, count=40)
     write_fit(path, ["mass"], np.array([1.2, 0.1, 0.0]))  # q and v of one recording
-    with pytest.raises(rb.InputError, match="holds 2 corrections .* expected 4 for 2 recordings"):
-        identify(GUESS, [run, seen(1, count=40)], {"mass": MASS}, starts=True, resume=path, grid=Grid(0.01))
+    with pytest.raises(rb.InputError, match=r"holds 2 corrections .* expected 4 for 2 recordings"):
+        identify(
+            GUESS, [run, seen(1, count=40)], {"mass": MASS}, starts=True, resume=path,
+            grid=Grid(0.01),
+        )  # fmt: skip
     write_fit(path, ["mass"], np.array([1.2, 0.1, 0.0, 0.0, 0.0]))
-    with pytest.raises(rb.InputError, match="holds 4 corrections .* expected 2 for 1 recordings"):
+    with pytest.raises(rb.InputError, match=r"holds 4 corrections .* expected 2 for 1 recordings"):
         identify(GUESS, [run], {"mass": MASS}, starts=True, resume=path, grid=Grid(0.01))

@@ -6,7 +6,7 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import Channel, Recording, Trace, Unknown, held_out, identify
 from rbjax.sysid.variance import explained, varies
-from rbjax.sysid.verdict import constant_columns, is_poor, judged
+from rbjax.sysid.verdict import constant_columns, is_poor, judged, without_outliers
 
 RNG = np.random.default_rng(0)
 MASS = {"mass": Unknown("bodies.mass", 0, positive=True)}
@@ -24,10 +24,10 @@ def run_of(values, name="run", noise=None):
     return Recording(name, {"q": Channel(t, values, noise=noise)})
 
 
-def verdict(recorded, simulated=None, noise=None):
+def verdict(recorded, simulated=None, noise=None, **how):
     """That of a fit that has converged and leaves no colour."""
     seen = {"run": {"q": trace(recorded, simulated)}}
-    return judged(True, "converged", seen, [run_of(recorded, noise=noise)], ())
+    return judged(True, "converged", seen, [run_of(recorded, noise=noise)], (), **how)
 
 
 WAVE = np.sin(0.1 * np.arange(200))[:, None]
@@ -91,6 +91,53 @@ def test_noise_about_a_point_is_no_motion():
     found = verdict(y, np.full_like(y, 0.1), [1e-3])
     assert not found.good and "by no more than its noise" in found.sentence
     assert "by no more than" not in verdict(WAVE, 0 * WAVE).sentence
+
+
+def with_outliers(share, size=0.04, noise=2e-3, count=400):
+    rng = np.random.default_rng(3)
+    y = np.sin(0.05 * np.arange(count))[:, None] * [1, 2]
+    off = noise * rng.normal(size=y.shape)
+    return y + off + size * (rng.random(y.shape) < share), y
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_outliers_do_not_count_in_the_verdict_of_a_robust_fit(stated):
+    """5 % of the samples, 20 times the stated noise: the noise that is left is the stated one."""
+    recorded, simulated = with_outliers(0.05)
+    noise = [2e-3, 2e-3] if stated else None
+    found = verdict(recorded, simulated, noise, robust=True)
+    assert found.good and abs(found.outliers["q"] - 0.05) < 0.02
+    assert "outliers do not count" in found.sentence
+    if stated:
+        assert 0.9 < found.noise_ratio["q"] < 1.1
+        assert not verdict(recorded, simulated, noise).good  # of least squares they are errors
+    seen = {"run": {"q": trace(recorded, simulated)}}
+    assert not is_poor(seen, [run_of(recorded, noise=noise)], None, robust=True)
+    left, shares = without_outliers(seen)
+    assert shares == found.outliers and np.nanmax(np.abs(left["run"]["q"].residual)) < 8.1e-3
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_how_many_outliers_are_too_many(share):
+    recorded, simulated = with_outliers(share)
+    found = verdict(recorded, simulated, [2e-3, 2e-3], robust=True)
+    assert found.good == (share == 0.0) and ("are outliers, above 20 %" in found.sentence) == (
+        share == 0.3
+    )
+    wrong = verdict(recorded, 1.02 * simulated, [2e-3, 2e-3], robust=True)
+    assert not wrong.good  # a model that is wrong everywhere has no outliers, but too large errors
+    seen = {"run": {"q": trace(recorded, simulated)}}
+    why = is_poor(seen, [run_of(recorded)], None, robust=True)
+    assert ("are outliers" in why) == (share == 0.3)
+
+
+def test_an_attitude_is_an_outlier_as_a_whole():
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (50, 1)) + 1e-3 * RNG.normal(size=(50, 4))
+    wild = q.copy()
+    wild[7, 2] += 0.5
+    seen = {"run": {"q": Trace(tuple("wxyz"), np.arange(50) * 0.01, wild, q + 1e-3, (0,))}}
+    left, _ = without_outliers(seen)
+    assert np.isnan(left["run"]["q"].recorded[7]).all()
 
 
 def test_too_few_samples_to_judge():
