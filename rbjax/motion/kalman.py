@@ -137,13 +137,18 @@ def kalman_filter(
         >>> [round(float(P), 3) for P in found.covariance.ravel()]
         [0.5, 1.5, 0.714]
     """
+    _check_space("kalman_filter", space)
     P, W, R = (
         _matrix(name, x)
         for name, x in (("covariance", covariance), ("process", process), ("noise", noise))
     )
     m = R.shape[0]
     if arrived is None:
-        readings = jnp.asarray(readings)
+        try:
+            readings = jnp.asarray(readings)
+        except (TypeError, ValueError) as error:
+            fix = "expected an array (N + 1, m), or a pytree of arrays and `arrived`"
+            raise InputError(f"kalman_filter: readings is {readings!r}, {fix}") from error
         arrived = ~jnp.isnan(readings)
         readings = jnp.where(arrived, readings, 0.0)
     arrived = jnp.asarray(arrived, bool)
@@ -197,6 +202,12 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         >>> [round(float(x), 3) for x in kalman_smoother(walk, found).state.ravel()]
         [0.714, 1.143, 1.571]
     """
+    _check_space("kalman_smoother", space)
+    if not isinstance(filtered, KalmanFiltered):
+        raise InputError(
+            f"kalman_smoother: filtered is {type(filtered).__name__}, expected the result of "
+            "kalman_filter"
+        )
     n = filtered.covariance.shape[-1]
     zero = jnp.zeros(n, filtered.covariance.dtype)
 
@@ -363,8 +374,18 @@ def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | N
     return new, turn
 
 
+def _check_space(where: str, space: Any) -> None:
+    if not isinstance(space, StateSpace):
+        raise InputError(f"{where}: space is {type(space).__name__}, expected a StateSpace")
+
+
 def _matrix(name: str, x: Any) -> jax.Array:
-    x = jnp.asarray(x) if hasattr(x, "dtype") else jnp.asarray(x, float)
+    try:
+        x = jnp.asarray(x) if hasattr(x, "dtype") else jnp.asarray(x, float)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"kalman_filter: {name} is {x!r}, expected variances (n,) or a matrix (n, n)"
+        ) from error
     if not jnp.issubdtype(x.dtype, jnp.floating):
         x = x.astype(float)
     if x.ndim == 1:

@@ -12,6 +12,7 @@ import numpy as np
 
 from rbjax.errors import UnknownName
 from rbjax.model import Model
+from rbjax.sysid.arguments import recordings_of
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_file import write_fit
 from rbjax.sysid.fit_statistics import FitStatistics
@@ -23,7 +24,7 @@ from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates
 from rbjax.sysid.traces import Traces, rms_of
-from rbjax.sysid.verdict import Verdict
+from rbjax.sysid.verdict import Verdict, without_outliers
 
 
 class Options(NamedTuple):
@@ -119,6 +120,7 @@ class Identified:
     ) -> Traces:
         """Other recordings beside what is simulated from their own first samples, or with `starts`
         from the first states that suit them best (`free_run`). None: as the fit did."""
+        recordings = recordings_of("simulated", recordings)
         if starts is None and self.options.starts is not None:
             starts = self.options.starts
         setup = self._in_double()
@@ -159,16 +161,19 @@ class Identified:
         sensor: str | None = None,
     ) -> HeldOut:
         """The verdict on recordings that the fit never saw, simulated as `simulated` does, by the
-        error of a sensor (None: `judged`).
+        error of a sensor (None: `judged`); without outliers if the fit is robust (loss="huber").
 
         Raises:
             InputError: a recording that was fitted.
             UnknownName: a sensor that was not fitted.
         """
+        recordings = recordings_of("on", recordings)
         sensor = self.judged if sensor is None else sensor
         if sensor not in self.rms:
             raise UnknownName("sensor", sensor, self.rms)
         seen, unseen = self.traces, self.simulated(recordings, starts=starts)
+        if self.options.loss == "huber":
+            seen, unseen = (without_outliers(x)[0] for x in (seen, unseen))
         return held_out(
             {name: sensors[sensor].residual for name, sensors in seen.items()},
             {name: sensors[sensor].residual for name, sensors in unseen.items()},

@@ -229,21 +229,13 @@ def _grid(
     setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
     runs: Mapping[str, list[Recording]],
 ) -> Grid | None:  # fmt: skip
-    """The grid that period, substeps and the delay ask for; None for the default of `identify`."""
+    """The grid that period, substeps and the delay ask for; None for the default of `identify`.
+    Unless the file has substeps, `identify` checks the steps with half their length."""
     substeps, period = options.pop("substeps", None), options.pop("period", None)
     if substeps is None and period is None and setup.delay is None:
         return None
     shortest = min(run.end - run.start for use in runs.values() for run in use)
-    grid = grid_of(runs["fit"])
-    if period is not None:
-        grid = grid._replace(period=float(period))
-    if grid.period >= shortest:
-        raise InputError(
-            f"identify: [options] period is {grid.period:g} s, expected less than {shortest:g} s, "
-            "the length of the shortest recording"
-        )
-    if substeps is not None:
-        grid = grid._replace(substeps=substeps)
+    longest = None
     if setup.delay is not None:
         delay = float(controller["delay"])
         longest = float(controller.get("longest_delay", 3 * delay))
@@ -253,9 +245,14 @@ def _grid(
                 f"expected delay <= longest_delay < {shortest:g} s, the length of the shortest "
                 "recording"
             )
-        periods = int(np.ceil(longest / grid.period)) + 1 if longest else 0
-        grid = grid._replace(longest_delay=periods)
-    return grid
+    seconds = None if period is None else float(period)
+    grid = grid_of(runs["fit"], setup, longest=longest, period=seconds)
+    if grid.period >= shortest:
+        raise InputError(
+            f"identify: [options] period is {grid.period:g} s, expected less than {shortest:g} s, "
+            "the length of the shortest recording"
+        )
+    return grid._replace(substeps=0 if substeps is None else substeps)
 
 
 def _read(

@@ -152,7 +152,8 @@ KEYS: dict[str, dict[str, Key]] = {
         "loss": Key("loss", OF_IDENTIFY, "", '"huber": outliers count less'),
         "steps": Key("count", OF_IDENTIFY, "", "evaluations of the residual at most"),
         "period": Key("positive", "the finest clock", "s", "for which a command is held"),
-        "substeps": Key("count", "1", "", "steps of integration in a period"),
+        "substeps": Key("count", "by a check", "", "steps of integration in a period; the check "
+                        "halves them until the numbers do not change"),
     },
     "output": {
         "folder": Key("text", "the file's name", "", "within the file's folder, for the results"),

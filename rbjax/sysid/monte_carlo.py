@@ -20,6 +20,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.identify import fitted
 from rbjax.sysid.precision import in_double
@@ -115,8 +116,10 @@ def monte_carlo(
         >>> again.values.shape
         (20, 1)
     """
+    check_kind("monte_carlo", "found", found, Identified, "the result of `identify`")
     check_whole("monte_carlo", "repetitions", repetitions, 2)
-    if not 0 < level < 1:
+    check_whole("monte_carlo", "seed", seed, 0)
+    if not isinstance(level, (int, float)) or not 0 < level < 1:
         raise InputError(f"monte_carlo: level is {level}, expected a number between 0 and 1")
     of, said = found.error, found.estimates
     if not found.noisy:

@@ -30,7 +30,7 @@ def with_statistics(
     residuals contradict it with at least `FEW` degrees of freedom."""
     psi = found.residual / sd if psi is None else psi
     slope = np.ones_like(psi) if slope is None else slope
-    free = eq.tau.size - found.beta.size
+    free = int(eq.counted.sum()) - found.beta.size
     if negligible(eq, found.residual) or (eq.noise is not None and free < FEW):
         return found
     said = statistics_of(eq, psi, slope, sd)
@@ -47,7 +47,7 @@ def _agrees(eq: Equations, residual: Array) -> bool:
     """Whether the size of the residuals agrees with the given noise, by a two-sided chi-square test
     with 1 % on each side."""
     assert eq.noise is not None
-    free = eq.tau.size - eq.combinations.rank
+    free = int(eq.counted.sum()) - eq.combinations.rank
     squares = float(((residual / eq.noise) ** 2).sum())
     low, high = scipy.stats.chi2.ppf([0.01, 0.99], free)
     return bool(low <= squares <= high)
@@ -55,7 +55,7 @@ def _agrees(eq: Equations, residual: Array) -> bool:
 
 def negligible(eq: Equations, residual: Array) -> bool:
     """Whether the residuals are rounding, or no noise next to the one that was given."""
-    size = np.abs(residual).max()
+    size = np.abs(residual[eq.counted]).max()
     if eq.noise is not None and size < SMALL * eq.noise.min():
         return True
     return bool(size <= 100 * ROUNDING * np.abs(eq.tau).max())
@@ -63,13 +63,13 @@ def negligible(eq: Equations, residual: Array) -> bool:
 
 def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
     """Those of the residuals psi (N, k), in standard deviations."""
-    X, which = eq.X / sd[..., None], np.arange(eq.X.shape[-1])
+    X = eq.X / sd[..., None]
     ends = np.cumsum([0, *eq.lengths])
     columns = [
         Column(
             f"channel {c}",
             [
-                Rows(X[a:b, c], psi[a:b, c], slope[a:b, c], np.arange(b - a), which)
+                _rows(eq.counted[a:b, c], X[a:b, c], psi[a:b, c], slope[a:b, c])
                 for a, b in itertools.pairwise(ends)
             ],
             eq.noise is not None,
@@ -78,3 +78,9 @@ def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStat
     ]
     names = [eq.combinations.names[j] for j in eq.combinations.kept]
     return fit_statistics(names, np.zeros(len(names)), columns)
+
+
+def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> Rows:
+    """The rows of a channel in a recording, of the samples that count."""
+    which = np.arange(X.shape[-1])
+    return Rows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)

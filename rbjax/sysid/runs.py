@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
+from rbjax.motion.integrators import integrator_of
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
@@ -43,19 +44,27 @@ class Run(NamedTuple):
     exact: Any = 0.0
 
 
-def _check_grid(grid: Grid) -> None:
+def _check_grid(setup: Setup, grid: Grid) -> None:
     if not isinstance(grid, Grid):
         raise InputError(f"identify: grid is {type(grid).__name__}, expected a Grid(period)")
     period = grid.period
     if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
         raise InputError(f"identify: grid has period {period!r}, expected seconds above 0")
+    integrator_of("identify", grid.integrator)
     check_whole("identify", "substeps of the grid", grid.substeps, 1)
     check_whole("identify", "longest_delay of the grid", grid.longest_delay, 0)
+    delay = 0.0 if setup.delay is None else float(np.max(np.asarray(setup.delay)))
+    if delay > grid.longest_delay * period * (1 + 1e-6):
+        raise InputError(
+            f"identify: commands are {delay:g} s late, but the grid has longest_delay "
+            f"{grid.longest_delay}, which are {grid.longest_delay * period:g} s; expected a Grid "
+            f"with longest_delay {int(np.ceil(delay / period - 1e-6))} or more"
+        )
 
 
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation."""
-    _check_grid(grid)
+    _check_grid(setup, grid)
     model, dtype = setup.model, setup.model.gravity.dtype
     run = ordered(model, run)
     measured = [s for s in setup.sensors if s in run.channels]
@@ -235,10 +244,22 @@ def batch(runs: Sequence[Run]) -> Run:
     )  # fmt: skip
 
 
-def grid_of(runs: Sequence[Recording]) -> Grid:
-    """The finest clock of all channels: commands may come when they change, seconds apart."""
+def grid_of(
+    runs: Sequence[Recording], setup: Setup, *, longest: float | None = None,
+    period: float | None = None,
+) -> Grid:  # fmt: skip
+    """The finest clock of all channels, unless a period is given: commands may come when they
+    change, seconds apart. A delay may last up to `longest` s; None: three times the one of the
+    set-up, or three periods."""
     step = min(channel.step for run in runs for channel in run.channels.values())
-    return Grid(float(f"{step:.12g}"))  # clocks that differ by rounding have one program
+    # clocks that differ by rounding have one program
+    period = float(f"{step:.12g}") if period is None else period
+    if setup.delay is None:
+        return Grid(period)
+    if longest is None:
+        longest = max(3 * float(np.max(np.asarray(setup.delay))), 3 * period)
+    periods = int(np.ceil(longest / period - 1e-6)) + 1 if longest > 0 else 0
+    return Grid(period, longest_delay=periods)
 
 
 def batch_of(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:

@@ -178,7 +178,11 @@ class SimulationError:
         return other
 
     def _opened(self, runs: Run) -> Run:
-        return runs._replace(known=jnp.zeros_like(runs.known)) if self.all_starts else runs
+        known = jnp.zeros_like(runs.known) if self.all_starts else runs.known
+        shape = runs.commands.shape[:1]  # of a run made by hand, one number for all
+        return runs._replace(
+            known=jnp.broadcast_to(known, shape), exact=jnp.broadcast_to(runs.exact, shape)
+        )
 
     def readings(self, x: np.ndarray) -> dict[str, jax.Array]:
         """By sensor (runs, T, n)."""
@@ -258,7 +262,11 @@ class SimulationError:
 def began(setup: Setup, first: State, v_was_read: bool) -> State:
     """The state of which the first readings are; a v that was not read is the slope of q's."""
     q, v = setup.sensors["q"], setup.sensors["v"]
-    speed = (first.v - v.bias) / v.scale if v_was_read else first.v / q.scale
+    speed = first.v
+    if v_was_read:
+        speed = (first.v - v.bias) / v.scale
+    elif first.v.shape == q.scale.shape:  # with attitudes v is read, or the state is known
+        speed = first.v / q.scale
     return State((first.q - q.bias) / q.scale, speed, first.x)
 
 
