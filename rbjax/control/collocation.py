@@ -50,6 +50,7 @@ from rbjax.control.transcription import (
     stage_states,
     stages,
 )
+from rbjax.control.verdict import VAIN, in_vain
 from rbjax.solvers.tableau import Tableau
 
 FIRST_MU = 0.1
@@ -81,6 +82,8 @@ class Iterate(NamedTuple):
     violation: jax.Array  # at the last change of the centre
     vain: jax.Array  # changes in a row that did not lower it
     closing: jax.Array  # gaps to close to before the filter decides again; infinite: it decides
+    mark: jax.Array  # with idle, those of `in_vain`
+    idle: jax.Array
 
 
 def by_collocation(
@@ -123,6 +126,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
         filter_search.empty(measured.theta), number(jnp.inf), jnp.asarray(0),
         jnp.where(jnp.isfinite(total), GOING, NOT_FINITE), jnp.full(history, jnp.nan, dtype),
         jnp.zeros((N, problem.nu, n), dtype), number(jnp.inf), jnp.asarray(0), number(jnp.inf),
+        number(jnp.inf), jnp.asarray(0),
     )  # fmt: skip
 
 
@@ -134,6 +138,9 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
     bounds = sum(barrier.count(x) for x in t.bounded(begin.point))
     tolerance = jnp.maximum(options.tolerance.astype(dtype), 10 * eps)
     least = tolerance / jnp.maximum(bounds, 1)
+    scale = options.scale
+    if scale is None:
+        scale = jnp.minimum(jnp.abs(begin.measured.cost), 1.0)
     _, b, _ = constants(t.table, dtype)
     history = begin.costs.shape[0]
 
@@ -195,7 +202,11 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         solved = gains.ok & (stop <= jnp.maximum(SOLVED * mu, tolerance))
         solved = solved & (gap <= jnp.maximum(mu, eps**GAP))
         held = m.violation <= options.violation
-        done = solved & (mu <= least) & (stop <= tolerance) & held & (gap <= eps**GAP)
+        share = jnp.maximum(scale, jnp.abs(before.cost))
+        # regularisation makes the foreseen change small anywhere: under it the gradient must be so
+        flat = (reg <= 0) | (jnp.sqrt(gains.square) <= jnp.sqrt(tolerance) * share)
+        done = solved & (mu <= least) & (stop <= tolerance * share) & flat & held
+        done = done & (gap <= eps**GAP)
         vain = (m.violation > FALLS * now.violation) & ~held
         vain = jnp.where(solved, jnp.where(vain, now.vain + 1, 0), now.vain)
         less = jnp.maximum(least, jnp.minimum(0.2 * mu, mu**1.5))
@@ -212,9 +223,11 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         floor = jnp.where(begins | (closing & taken & ~ends), CLOSING_REG, floor)
 
         turns = now.turns + 1
-        lost = ~taken & (reg >= MOST_REG / HARDER)
+        whole = ~closing & (gap <= jnp.maximum(mu, eps**GAP)) & ~(solved & (mu > least))
+        mark, idle = in_vain(now.mark, now.idle, phi(m).phi, whole)
+        lost = (~taken & (reg >= MOST_REG / HARDER)) | (idle >= VAIN)
         outcome = jnp.where(turns >= options.iterations, BUDGET, GOING)
-        outcome = jnp.where(lost, jnp.where(held, STUCK, INFEASIBLE), outcome)
+        outcome = jnp.where(lost, jnp.where(held | (gap > eps**GAP), STUCK, INFEASIBLE), outcome)
         outcome = jnp.where(vain >= OFTEN, INFEASIBLE, outcome)
         outcome = jnp.where(done, CONVERGED, outcome)
         N, s, nu = point.inner.us.shape
@@ -222,7 +235,7 @@ def iterated(t: Transcribed, begin: Iterate, options: Options) -> Iterate:
         return Iterate(
             point, l, m, less, jnp.where(reg > 0, reg, now.reg), floor.astype(dtype), kept, stop,
             turns, outcome, now.costs.at[jnp.minimum(now.turns, history - 1)].set(m.cost), K,
-            jnp.where(solved, m.violation, now.violation), vain, goal,
+            jnp.where(solved, m.violation, now.violation), vain, goal, mark, idle,
         )  # fmt: skip
 
     return jax.lax.while_loop(lambda now: now.outcome == GOING, turn, begin)

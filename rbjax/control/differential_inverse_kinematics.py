@@ -202,7 +202,11 @@ def bounded_quadratic(
     free = jnp.where(found.held, 0.0, 1.0).astype(dtype)
     d = solved(H, free, matvec(H, x) - g)
     x = x + (d - jax.lax.stop_gradient(d))
-    return x, (jnp.abs(matvec(H, x) - g) * free).max()
+    down = matvec(H, x) - g
+    # at a bound only a slope that leads into the range counts
+    down = jnp.where(x <= low, jnp.minimum(down, 0.0), down)
+    down = jnp.where(x >= high, jnp.where(x <= low, 0.0, jnp.maximum(down, 0.0)), down)
+    return x, jnp.abs(down).max()
 
 
 def _speeds(speed: Any, n: int, dtype: Any) -> jax.Array:

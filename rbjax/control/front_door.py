@@ -16,7 +16,7 @@ from rbjax.control.first_guess import Guess, first_guess, guess_of
 from rbjax.control.implicit import differentiable
 from rbjax.control.methods import METHODS, method_of, name_of
 from rbjax.control.options import Options
-from rbjax.control.outcome import CONVERGED, INFEASIBLE, NOT_FINITE
+from rbjax.control.outcome import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError
@@ -208,7 +208,8 @@ def _judged(
         return found, found.violations
     off = violations(problem, found.knots, found.ctrls)
     # a method that weighs constraints against costs may come to rest where they do not hold
-    broken = (off > options.violation).any() & (found.outcome == CONVERGED)
+    rests = (found.outcome == CONVERGED) | (found.outcome == FINISHED)
+    broken = (off > options.violation).any() & rests
     outcome = jnp.where(broken, INFEASIBLE, found.outcome)
     outcome = jnp.where(jnp.isfinite(found.cost + found.gap), outcome, NOT_FINITE)
     return found._replace(outcome=outcome), off

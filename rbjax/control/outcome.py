@@ -10,7 +10,7 @@ import jax
 
 from rbjax.errors import InputError
 
-GOING, CONVERGED, BUDGET, INFEASIBLE, STUCK, NOT_FINITE = range(6)
+GOING, CONVERGED, BUDGET, INFEASIBLE, STUCK, NOT_FINITE, FINISHED = range(7)
 
 SENTENCES = {
     CONVERGED: "converged",
@@ -18,6 +18,8 @@ SENTENCES = {
     INFEASIBLE: "infeasible: the constraints cannot be held together",
     STUCK: "stuck: no step lowers the cost; change the start, or look for a kink in a cost",
     NOT_FINITE: "not finite: the cost or the dynamics of the first guess is nan or infinite",
+    FINISHED: "finished: the best samples cost the same; if they are at an optimum is unknown: "
+    "start ddp or sqp there (guess=)",
 }
 
 

@@ -158,17 +158,25 @@ def actor_critic(
         return policy_loss(segment.costs, worth(values, last), discount), segment
 
     def fit(values: Any, memory: Any, states: State, targets: jax.Array) -> tuple:
+        # samples that are lost have no weight; what stands for them is finite
+        good = jnp.isfinite(targets)
+        for x in jax.tree.leaves(states):
+            good = good & jnp.isfinite(x).all(-1)
+        targets = jnp.where(good, targets, 0.0)
+        states = jax.tree.map(lambda x: jnp.where(good[:, None], x, 0.0), states)
+        weights = good / jnp.maximum(good.mean(), 1 / len(good))
         # in groups: a GPU computes a sum over all samples in a few places only
-        states, targets = jax.tree.map(
-            lambda x: x.reshape(math.gcd(GROUPS, len(x)), -1, *x.shape[1:]), (states, targets)
+        states, targets, weights = jax.tree.map(
+            lambda x: x.reshape(math.gcd(GROUPS, len(x)), -1, *x.shape[1:]),
+            (states, targets, weights),
         )
 
-        def off(values: Any, states: State, targets: jax.Array) -> jax.Array:
-            return ((worth(values, states) - targets) ** 2).mean()
+        def off(values: Any, states: State, targets: jax.Array, weights: jax.Array) -> jax.Array:
+            return (weights * (worth(values, states) - targets) ** 2).mean()
 
         def once(carry: tuple, _: None) -> tuple[tuple, None]:
             values, memory = carry
-            slopes = jax.vmap(jax.grad(off), (None, 0, 0))(values, states, targets)
+            slopes = jax.vmap(jax.grad(off), (None, 0, 0, 0))(values, states, targets, weights)
             slope = jax.tree.map(lambda x: x.mean(0), slopes)
             update, memory = fitter.update(slope, memory, values)
             return (optax.apply_updates(values, update), memory), None
@@ -182,12 +190,7 @@ def actor_critic(
         later = worth(now.slow, flat).reshape(segment.costs.shape)
         targets = returns(segment.costs, later, discount, trace)
         before = jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), segment.states)
-        good = jnp.isfinite(targets).all()  # a sample that is lost spoils one update
         values, value_memory = fit(now.value, now.value_memory, before, targets.reshape(-1))
-        values, value_memory = jax.tree.map(
-            lambda new, old: jnp.where(good, new, old),
-            (values, value_memory), (now.value, now.value_memory),
-        )  # fmt: skip
         behind = jax.tree.map(lambda s, v: s + slow * (v - s), now.slow, values)
         key, other = jax.random.split(now.key)
         samples = renewed(env, other, now.samples, segment, horizon)

@@ -9,7 +9,6 @@ counts as one that does not.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -23,8 +22,10 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.linearise import apart, beside
-from rbjax.motion.rollout import rollout
+from rbjax.motion.rollout import integrated
 from rbjax.solvers.arguments import check_between, check_whole
+
+KEPT = 2**23  # numbers of states that are kept at once: 64 MiB in f64
 
 
 class RegionMap(Record):
@@ -133,9 +134,6 @@ def region_of_attraction(
     x = equilibrium.x if equilibrium.x is not None else model.start(dtype)
     about = State(equilibrium.q, equilibrium.v, x)
     states = jax.vmap(lambda dx: beside(model, about, dx))(plane.reshape(-1, n))
-    with warnings.catch_warnings():  # motions that are not finite are part of the answer
-        warnings.filterwarnings("ignore", "rollout: .* values that are not finite")
-        run = rollout(model, states, policy, step, steps=steps, integrator=integrator, **law)
     turns = _turns(model, angles)
 
     def off(q: jax.Array, v: jax.Array, x: Any) -> jax.Array:
@@ -145,18 +143,36 @@ def region_of_attraction(
         far = jnp.abs(jnp.concatenate([dq, dx[model.nv :]])).max()
         return jnp.where(jnp.isfinite(far), far, jnp.inf)
 
-    path = (run.q, run.v) if run.x is None else (run.q, run.v, run.x)
-    far = jax.vmap(jax.vmap(lambda q, v, x=None: off(q, v, x)))(*path)
-    outside = far > tolerance
-    back = ~outside[:, -1]
-    # the first knot after the last one outside
-    count = far.shape[1]
-    after = count - jnp.argmax(outside[:, ::-1], 1)
-    after = jnp.where(outside.any(1), after, 0)
+    distances = jax.jit(jax.vmap(jax.vmap(off)))
+    size = len(states.q) * sum(leaf.shape[-1] for leaf in jax.tree.leaves(states))
+    few = max(1, min(steps, KEPT // size))
+    after = jnp.zeros(len(states.q), int)  # the first knot after the last one outside
+    lost = jnp.zeros(len(states.q), bool)
+    begin = 0
+    while begin < steps:
+        few = min(few, steps - begin)
+        t = jnp.asarray(begin, dtype) * step
+        part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
+        # without the warning of `rollout`: motions that are not finite are part of the answer
+        run, _, _ = integrated(
+            model, states, part, step, steps=few, integrator=integrator, **law
+        )
+        far = distances(run.q, run.v, run.x)
+        outside = far > tolerance
+        last = begin + few + 1 - jnp.argmax(outside[:, ::-1], 1)
+        after = jnp.where(outside.any(1), last, after)
+        ends = jax.tree.map(lambda x: x[:, -1], State(run.q, run.v, run.x))
+        lost = lost | jnp.isinf(far[:, -1])  # these stand still from here on
+        states = jax.tree.map(
+            lambda x, old, gone=lost[:, None]: jnp.where(gone, old, x), ends, states
+        )
+        begin += few
+    distance = jnp.where(lost, jnp.inf, far[:, -1])
+    back = distance <= tolerance
     time = jnp.where(back, after * step, jnp.nan)
     shape = (ny, nx)
     return RegionMap(
-        lines[0], lines[1], back.reshape(shape), far[:, -1].reshape(shape), time.reshape(shape),
+        lines[0], lines[1], back.reshape(shape), distance.reshape(shape), time.reshape(shape),
         names,
     )  # fmt: skip
 

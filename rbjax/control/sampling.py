@@ -28,7 +28,7 @@ from rbjax.control.ddp import by_ddp
 from rbjax.control.expansion import merit, row_count
 from rbjax.control.knots import largest_gap
 from rbjax.control.options import Options
-from rbjax.control.outcome import BUDGET, CONVERGED, GOING, NOT_FINITE
+from rbjax.control.outcome import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost, violations
 from rbjax.errors import InputError, UnknownName
@@ -147,7 +147,8 @@ def by_sampling(
     how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
     history: int,
 ) -> Found:  # fmt: skip
-    """`solve` by samples. It converges where the costs of the best tenth agree to the tolerance."""
+    """`solve` by samples. It has finished if the costs of the best tenth agree to the tolerance,
+    relative to the cost: their deviation shrinks anywhere, so this does not show an optimum."""
     dtype = ctrls.dtype
     mean, first, low, high = _first(how, problem, start, knots, ctrls)
     key = jax.random.key(options.seed)
@@ -171,7 +172,8 @@ def by_sampling(
         best = jax.tree.map(lambda x, old: jnp.where(better, x[0], old), good, now.best)
         turns, stop = now.turns + 1, least[-1] - least[0]
         outcome = jnp.where(turns >= options.iterations, BUDGET, GOING)
-        outcome = jnp.where(stop < options.tolerance, CONVERGED, outcome)
+        small = stop <= options.tolerance * jnp.maximum(1.0, jnp.abs(cost))
+        outcome = jnp.where(small, FINISHED, outcome)
         outcome = jnp.where(jnp.isfinite(cost) | (outcome == GOING), outcome, NOT_FINITE)
         costs = now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost)
         return Round(mean, deviation, best, cost, stop, turns, costs, outcome)

@@ -8,7 +8,8 @@ Free numbers and the free part of the start are unknowns too. `by_optax` follows
 an optimiser of optax; `by_optimistix` takes BFGS, or Levenberg and Marquardt where all costs are
 residuals. Gradients come from reverse mode through the scan of the steps. Unstable motions make J
 steep: a state after N steps depends on the first control through a product of N matrices, which
-multiple shooting ("ddp") and collocation avoid.
+multiple shooting ("ddp") and collocation avoid. A search has converged if the gradient by w is
+small, scaled by the unknowns and the cost.
 
 Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba 2015 (Adam).
 """
@@ -18,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
@@ -38,12 +40,14 @@ from rbjax.control.options import Options
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost
+from rbjax.control.verdict import CLOSER, FLOOR, LOOSE
 from rbjax.errors import InputError
 
 VAIN = 0.9  # a violation that does not fall to this share at the last penalty stays
 EDGE = 0.98  # a first guess lies within this share of its bounds
 RATE = 0.03  # of Adam
 PATIENCE = 20  # iterations over which a gradient method must lower the cost
+SHORTER, SHORTEST = 0.25, 1e-6  # the factor of its steps if it does not, and the least product
 
 
 class Unknowns(NamedTuple):
@@ -149,8 +153,25 @@ def total(s: Shooting, w: Unknowns, l: Multipliers) -> jax.Array:
     return rest + sum((0.5 * (r * r).sum() for r in found), jnp.zeros_like(rest))
 
 
+class Target(NamedTuple):
+    """tolerance (), relative to the cost or to scale () if the cost is less; iterations () at
+    most."""
+
+    tolerance: jax.Array
+    scale: jax.Array
+    iterations: jax.Array
+
+    def stop(self, w: Unknowns, cost: jax.Array, slope: Unknowns) -> tuple[jax.Array, jax.Array]:
+        """The square of the gradient, scaled by the unknowns, over the cost; and whether it is
+        small."""
+        parts = jax.tree.map(lambda x, g: ((g * jnp.maximum(1, jnp.abs(x))) ** 2).sum(), w, slope)
+        square, share = sum(parts), jnp.maximum(self.scale, jnp.abs(cost))
+        small = square <= self.tolerance * share**2
+        return square / jnp.maximum(share, jnp.finfo(share.dtype).tiny), small
+
+
 class Ended(NamedTuple):
-    """Unknowns; outcome; iterations; stop, the last relative fall of the cost; costs (history,)."""
+    """Unknowns; outcome; iterations; stop, that of `Target`; costs (history,)."""
 
     w: Unknowns
     outcome: jax.Array
@@ -159,46 +180,61 @@ class Ended(NamedTuple):
     costs: jax.Array
 
 
-Inner = Callable[[Shooting, Unknowns, Multipliers, Options, jax.Array, jax.Array], Ended]
+class Best(NamedTuple):
+    """The unknowns of least cost, with their cost (), `stop` () and whether it is small ()."""
+
+    w: Unknowns
+    cost: jax.Array
+    stop: jax.Array
+    small: jax.Array
+
+
+Inner = Callable[[Shooting, Unknowns, Multipliers, Target, jax.Array, jax.Array], Ended]
 
 
 def descended(optimiser: optax.GradientTransformation) -> Inner:
-    """A search by an optimiser of optax; the best point is kept."""
+    """A search by an optimiser of optax. It returns the best point. If this stays the best for
+    `PATIENCE` iterations, the search begins there again with shorter steps."""
 
     def search(
-        s: Shooting, w: Unknowns, l: Multipliers, options: Options, used: jax.Array,
+        s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
         costs: jax.Array,
     ) -> Ended:  # fmt: skip
         value = jax.value_and_grad(lambda w: total(s, w, l))
         dtype, history = w.us.dtype, costs.shape[0]
 
         def turn(now: tuple) -> tuple:
-            w, state, best, best_cost, mark, count, costs, _ = now
+            w, state, rate, best, mark, count, costs, _ = now
             cost, slope = value(w)
             costs = costs.at[jnp.minimum(count, history - 1)].set(cost)
-            better = cost < best_cost
-            best = jax.tree.map(lambda new, old: jnp.where(better, new, old), w, best)
-            best_cost = jnp.where(better, cost, best_cost)
-            change, state = optimiser.update(slope, state, w)
-            w = optax.apply_updates(w, change)
+            fine = jnp.isfinite(cost) & jnp.isfinite(slope.us).all()
+            here = Best(w, cost, *target.stop(w, cost, slope))
+            best = jax.tree.map(
+                lambda new, old: jnp.where(fine & (cost < best.cost), new, old), here, best
+            )
+            change, after = optimiser.update(slope, state, w)
             count = count + 1
             look = (count - used) % PATIENCE == 0
-            still = look & (mark - best_cost <= options.tolerance * jnp.maximum(1, best_cost))
-            mark = jnp.where(look, best_cost, mark)
-            fine = jnp.isfinite(cost) & jnp.isfinite(slope.us).all()
-            outcome = jnp.where(still, CONVERGED, GOING)
-            outcome = jnp.where(count >= options.iterations, BUDGET, outcome)
-            outcome = jnp.where(fine, outcome, NOT_FINITE)
-            return w, state, best, best_cost, mark, count, costs, outcome
+            least = target.tolerance * jnp.maximum(target.scale, jnp.abs(best.cost))
+            again = ~fine | (look & (mark - best.cost <= least))
+            mark = jnp.where(look, best.cost, mark)
+            w = jax.tree.map(lambda x, d, b: jnp.where(again, b, x + rate * d), w, change, best.w)
+            state = jax.tree.map(
+                lambda new, old: jnp.where(again, old, new), after, optimiser.init(w)
+            )
+            rate = jnp.where(again, SHORTER * rate, rate)
+            outcome = jnp.where(count >= target.iterations, BUDGET, GOING)
+            outcome = jnp.where(rate < SHORTEST, STUCK, outcome)
+            outcome = jnp.where(best.small, CONVERGED, outcome)
+            outcome = jnp.where(jnp.isfinite(best.cost), outcome, NOT_FINITE)
+            return w, state, rate, best, mark, count, costs, outcome
 
-        big = jnp.asarray(jnp.inf, dtype)
-        begin = w, optimiser.init(w), w, big, big, used, costs, jnp.asarray(GOING)
-        end = jax.lax.while_loop(lambda now: now[-1] == GOING, turn, begin)
-        fell = jnp.where(jnp.isfinite(end[4]), jnp.abs(end[4] - end[3]), jnp.inf)
-        # a step into what is not finite ends the search, not what was found before
-        lost = jnp.where(jnp.isfinite(end[3]), STUCK, NOT_FINITE)
-        outcome = jnp.where(end[-1] == NOT_FINITE, lost, end[-1])
-        return Ended(end[2], outcome, end[5], fell, end[6])
+        big, one = jnp.asarray(jnp.inf, dtype), jnp.ones((), dtype)
+        best = Best(w, big, big, jnp.asarray(False))
+        begin = w, optimiser.init(w), one, best, big, used, costs, jnp.asarray(GOING)
+        end: Any = jax.lax.while_loop(lambda now: now[-1] == GOING, turn, begin)
+        best = end[3]
+        return Ended(best.w, end[-1], end[5], best.stop, end[6])
 
     return search
 
@@ -207,35 +243,51 @@ def minimised(squares: bool) -> Inner:
     """A search by BFGS, or by Levenberg and Marquardt's method where all costs are residuals."""
 
     def search(
-        s: Shooting, w: Unknowns, l: Multipliers, options: Options, used: jax.Array,
+        s: Shooting, w: Unknowns, l: Multipliers, target: Target, used: jax.Array,
         costs: jax.Array,
     ) -> Ended:  # fmt: skip
-        tol = 1e-6 if w.us.dtype == jnp.float64 else 1e-3
-        found: Any
-        begin = total(s, w, l)
-        budget = costs.shape[0]
-        if squares:
+        dtype, history = w.us.dtype, costs.shape[0]
+        least = 10 * float(jnp.finfo(dtype).eps)  # steps this short end a search that is stuck
+        solver: Any = (optx.LevenbergMarquardt if squares else optx.BFGS)(least, least)
 
-            def residuals(w: Unknowns, _: Any) -> jax.Array:
-                return jnp.concatenate(augmented(s, w, l)[0])
+        def fn(w: Unknowns, _: Any) -> tuple[jax.Array, None]:
+            if squares:
+                return jnp.concatenate(augmented(s, w, l)[0]), None
+            return total(s, w, l), None
 
-            solver: Any = optx.LevenbergMarquardt(tol, tol)
-            found = optx.least_squares(residuals, solver, w, max_steps=budget, throw=False)
-        else:
-            solver = optx.BFGS(tol, tol)
-            found = optx.minimise(
-                lambda w, _: total(s, w, l), solver, w, max_steps=budget, throw=False
-            )
-        taken = used + found.stats["num_steps"]
-        end = total(s, found.value, l)
-        good = jnp.isfinite(end) & (end <= begin)
-        value = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.value, w)
-        right = found.result == optx.RESULTS.successful
-        outcome = jnp.where(right, CONVERGED, BUDGET)
-        outcome = jnp.where(good, outcome, STUCK)
-        outcome = jnp.where(jnp.isfinite(begin), outcome, NOT_FINITE)
-        costs = costs.at[jnp.minimum(taken, budget) - 1].set(jnp.where(good, end, begin))
-        return Ended(value, outcome, taken, jnp.abs(begin - end), costs)
+        like = jax.eval_shape(lambda w: fn(w, None)[0], w)
+        begin: Any = solver.init(fn, w, None, {}, like, None, frozenset())
+        numeric, static = eqx.partition(begin, eqx.is_array)
+
+        def turn(now: tuple) -> tuple:
+            w, numeric, count, costs, before, fall, *_ = now
+            state = eqx.combine(numeric, static)
+            w, state, _ = solver.step(fn, w, None, {}, state, frozenset())
+            seen = state.f_info
+            cost = seen.as_min()
+            slope = seen.compute_grad() if squares else seen.grad
+            stop, small = target.stop(w, cost, slope)
+            # a rejected step leaves the fall of the last accepted one
+            fall = jnp.where((cost == before) | (count == used), fall, before - cost)
+            near = fall <= target.tolerance * jnp.maximum(target.scale, jnp.abs(cost))
+            costs = costs.at[jnp.minimum(count, history - 1)].set(cost)
+            count = count + 1
+            rests = jax.tree.map(
+                lambda x, y: (jnp.abs(x - y) <= least * jnp.maximum(1, jnp.abs(y))).all(),
+                state.y_eval, w,
+            )  # fmt: skip
+            outcome = jnp.where(count >= target.iterations, BUDGET, GOING)
+            rest = rests.us & rests.dx
+            outcome = jnp.where(rest, STUCK, outcome)
+            outcome = jnp.where(small & (near | rest), CONVERGED, outcome)
+            outcome = jnp.where(jnp.isfinite(cost + stop), outcome, NOT_FINITE)
+            numeric = eqx.filter(state, eqx.is_array)
+            return w, numeric, count, costs, cost, fall, stop, outcome
+
+        zero = jnp.zeros((), dtype)
+        first = w, numeric, used, costs, zero, zero, zero, jnp.asarray(GOING)
+        end: Any = jax.lax.while_loop(lambda now: now[-1] == GOING, turn, first)
+        return Ended(end[0], end[-1], end[2], end[-2], end[3])
 
     return search
 
@@ -256,11 +308,16 @@ def by_shooting(
     path, closing = (row_count(problem, at) for at in ("path", "end"))
     l = no_multipliers(problem.horizon, path, closing, dtype)
     costs = jnp.full(history, jnp.nan, dtype)
+    scale = options.scale
+    if scale is None:
+        scale = jnp.minimum(jnp.abs(total(s, w, l)), 1.0)
+    least = jnp.maximum(options.tolerance, FLOOR * jnp.finfo(dtype).eps).astype(dtype)
+    target = Target(least, scale.astype(dtype), options.iterations)
     if not problem.constraints:
-        end = search(s, w, l, options, jnp.asarray(0), costs)
+        end = search(s, w, l, target, jnp.asarray(0), costs)
         outcome = end.outcome
     else:
-        end, l, outcome = _turns(s, w, l, options, costs, search)
+        end, l, outcome = _turns(s, w, l, target, options.violation, costs, search)
     knots, us = s.knots(end.w)
     off, _ = violation_of(s, knots, us, l)
     return Found(
@@ -283,28 +340,34 @@ def violation_of(
 
 
 def _turns(
-    s: Shooting, w: Unknowns, l: Multipliers, options: Options, costs: jax.Array, search: Inner
-) -> tuple[Ended, Multipliers, jax.Array]:
-    """Searches with better and better multipliers."""
-    big = jnp.asarray(jnp.inf, w.us.dtype)
+    s: Shooting, w: Unknowns, l: Multipliers, target: Target, violation: jax.Array,
+    costs: jax.Array, search: Inner,
+) -> tuple[Ended, Multipliers, jax.Array]:  # fmt: skip
+    """Searches with better and better multipliers, each to a smaller tolerance."""
+    big, least = jnp.asarray(jnp.inf, w.us.dtype), target.tolerance
 
     def turn(now: tuple) -> tuple:
-        end, l, before, _ = now
-        end = search(s, end.w, l, options, end.iterations, end.costs)
+        end, l, before, inner, _ = now
+        end = search(s, end.w, l, target._replace(tolerance=inner), end.iterations, end.costs)
         off, after = violation_of(s, *s.knots(end.w), l)
-        held = off <= options.violation
+        held = off <= violation
         penalty, failing = next_penalty(l.penalty, off, before, held)
         after = after._replace(penalty=penalty)
         hopeless = failing & (off > VAIN * before) & (l.penalty >= PENALTY_MOST)
-        outcome = jnp.where(held & (end.outcome == CONVERGED), CONVERGED, GOING)
+        rests = (end.outcome == CONVERGED) & (inner <= least)
+        outcome = jnp.where((end.outcome == STUCK) & held & (before <= violation), STUCK, GOING)
+        outcome = jnp.where(end.iterations >= target.iterations, BUDGET, outcome)
         outcome = jnp.where(hopeless, INFEASIBLE, outcome)
-        spent = (end.iterations >= options.iterations) & (outcome == GOING)
-        outcome = jnp.where(spent, BUDGET, outcome)
+        outcome = jnp.where(held & rests, CONVERGED, outcome)
         outcome = jnp.where(end.outcome == NOT_FINITE, NOT_FINITE, outcome)
-        return end, after, off, outcome
+        return end, after, off, jnp.maximum(CLOSER * inner, least), outcome
 
-    begin = Ended(w, jnp.asarray(GOING), jnp.asarray(0), big, costs), l, big, jnp.asarray(GOING)
-    end, l, _, outcome = jax.lax.while_loop(lambda now: now[3] == GOING, turn, begin)
+    begin = (
+        Ended(w, jnp.asarray(GOING), jnp.asarray(0), big, costs), l, big,
+        jnp.maximum(least, LOOSE), jnp.asarray(GOING),
+    )  # fmt: skip
+    last: Any = jax.lax.while_loop(lambda now: now[-1] == GOING, turn, begin)
+    end, l, _, _, outcome = last
     return end, l, outcome
 
 

@@ -56,7 +56,7 @@ class Solution(Record):
     """A motion and its controls.
 
     Fields: problem; ts (N + 1,) s; states, with a leading axis N + 1; ctrls (N, nu); numbers (p,),
-    what was found of the design and the final time; cost (), without penalties; outcome (), 1 where
+    what was found of the design and the final time; cost (), without penalties; outcome (), 1 if
     it converged; iterations (); stop (), the change of the cost that the last iteration foresaw;
     gap (), the largest between a step and the next state, on the tangent space; violation () of
     constraints, and violations (number of constraints,) of each; costs (history,) of the
@@ -86,7 +86,7 @@ class Solution(Record):
 
     @property
     def converged(self) -> jax.Array:
-        """Whether an optimum was found."""
+        """Whether an optimum was found. Methods without derivatives cannot know it."""
         return self.outcome == CONVERGED
 
     @property

@@ -2,11 +2,12 @@
 regularisation, the next penalty of the constraints, and whether the search ends.
 
 The longest trial is taken that a method accepts. The regularisation falls tenfold after a step
-longer than half and rises tenfold after one of a hundredth, none, or gains that do not exist
-(Mastalli et al. 2020). If the foreseen change of the cost is small relative to the cost, the
-constraints get new multipliers, or the search has converged. Regularisation makes this change small
-anywhere, so under it the gradient must be small too. All of it is one program of one sample
-(`rb.threads`), so one kernel on a GPU.
+longer than half. It rises tenfold after a step of a hundredth or none, or without gains (Mastalli
+et al. 2020); with constraints, after a quarter of a step. A search is stuck if no regularisation
+gives a step, or if many steps lower the cost by rounding only. If the foreseen change of the cost
+is small relative to the cost, the constraints get new multipliers, or the search has converged.
+Regularisation makes this change small anywhere, so under it the gradient must be small too. All of
+it is one program of one sample (`rb.threads`), so one kernel on a GPU.
 """
 
 from __future__ import annotations
@@ -20,20 +21,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control.augmented_lagrangian import PENALTY_MOST, next_penalty
+from rbjax.control.filter_search import rounding
 from rbjax.control.outcome import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 
 LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as none
 LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
+SHORT_HELD = 0.3  # the second with constraints: their multipliers bend a cost that the model lacks
 LOOSE, CLOSER = 1e-3, 0.3  # the tolerance before the first multipliers, and its fall a turn
 FLOOR = 10.0  # the least tolerance, in units in the last place
+VAIN = 50  # iterations that lower the cost by no more than rounding, after which a search is stuck
 
 
 class Standing(NamedTuple):
     """Where a search stands, numbers (): whether the motion is free of gaps; the regularisation;
     cost; scale, of which the tolerance is a share where the cost is less; stop, the change that was
     foreseen; violation; before, that at the last change of
-    multipliers; inner, the tolerance of this turn of multipliers; iterations; outcome; penalty."""
+    multipliers; inner, the tolerance of this turn of multipliers; iterations; outcome; penalty;
+    mark and vain, those of `in_vain`."""
 
     feasible: jax.Array
     reg: jax.Array
@@ -46,6 +51,8 @@ class Standing(NamedTuple):
     turns: jax.Array
     outcome: jax.Array
     penalty: jax.Array
+    mark: jax.Array
+    vain: jax.Array
 
 
 class Limits(NamedTuple):
@@ -109,6 +116,7 @@ def begun(limits: Limits, constrained: bool, penalty: jax.Array) -> Standing:
     return Standing(
         jnp.asarray(False), number(LEAST), number(jnp.inf), scale, number(jnp.inf), number(0),
         number(jnp.inf), inner.astype(dtype), jnp.asarray(0), jnp.asarray(GOING), penalty,
+        number(jnp.inf), jnp.asarray(0),
     )  # fmt: skip
 
 
@@ -127,7 +135,7 @@ def verdict(
     off = jnp.where(accepted, seen.offs[best], seen.violation)
 
     reg = jnp.where(accepted & (a > LONG), jnp.maximum(now.reg / FACTOR, LEAST), now.reg)
-    raised = ~accepted | (a <= SHORT)
+    raised = ~accepted | (a <= (SHORT_HELD if constrained else SHORT))
     stuck = raised & (reg >= MOST)
     reg = jnp.where(raised, jnp.minimum(reg * FACTOR, MOST), reg)
 
@@ -144,14 +152,15 @@ def verdict(
     # gains that do not exist are asked for again with more regularisation: the same iteration
     turns = now.turns + seen.ok.astype(now.turns.dtype)
     outcome = jnp.where(turns >= limits.iterations, BUDGET, GOING)
-    outcome = jnp.where(stuck, STUCK, outcome)
+    mark, vain = in_vain(now.mark, now.vain, cost, seen.gap <= closed(dtype))
+    outcome = jnp.where(stuck | (vain >= VAIN), STUCK, outcome)
     finite = jnp.isfinite(seen.cost) & jnp.isfinite(seen.gap)
     outcome = jnp.where(finite, outcome, NOT_FINITE)
     if not constrained:
         outcome = jnp.where(still, CONVERGED, outcome)
         after = now._replace(
             feasible=feasible, reg=reg, cost=cost, scale=scale, stop=stop, turns=turns,
-            outcome=outcome,
+            outcome=outcome, mark=mark, vain=vain,
         )  # fmt: skip
         return Verdict(after, best, a, accepted, jnp.asarray(False))
 
@@ -168,6 +177,7 @@ def verdict(
         feasible, jnp.where(change, LEAST, reg).astype(dtype), cost, scale, stop, off,
         jnp.where(change, off, now.before), jnp.where(change, inner, now.inner), turns,
         jnp.where(done, CONVERGED, outcome), jnp.where(change, penalty, now.penalty),
+        jnp.where(change, jnp.inf, mark).astype(dtype), vain,
     )  # fmt: skip
     return Verdict(after, best, a, accepted, change)
 
@@ -176,6 +186,16 @@ def _small(now: Standing, seen: Measures, stop: Any, share: Any, tolerance: Any)
     """Whether the predicted change of the cost is small and, with regularisation, the gradient."""
     flat = jnp.sqrt(seen.square) <= jnp.sqrt(tolerance) * share
     return seen.ok & (stop <= tolerance * share) & ((now.reg <= LEAST) | flat)
+
+
+def in_vain(
+    mark: jax.Array, vain: jax.Array, cost: jax.Array, whole: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The cost () at the last iteration that lowered it by more than rounding, and the number () of
+    iterations since then. whole (): whether the gaps are closed: the cost may rise until they
+    are."""
+    lower = ~whole | (cost < mark - rounding(mark)) | ~jnp.isfinite(mark)
+    return jnp.where(lower, cost, mark), jnp.where(lower, 0, vain + 1)
 
 
 def closed(dtype: Any) -> float:

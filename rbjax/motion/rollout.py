@@ -139,6 +139,21 @@ def rollout(
         >>> rb.rollout(model, model.default_state(), jnp.zeros((10, 1)), 0.01).q.shape
         (11, 2)
     """
+    path, step, law = integrated(
+        model, state, ctrls, dt, tau, wrenches, integrator, law, constraints, save_every, steps,
+        kernel, memory,
+    )  # fmt: skip
+    if not isinstance(path.ok, jax.core.Tracer):
+        warn_if_not_finite(model, path, step, law)
+    return path
+
+
+def integrated(
+    model: Model, state: State, ctrls: Any, dt: Any, tau: Any = None, wrenches: Any = None,
+    integrator: Any = None, law: Law = free_motion, constraints: Any = None, save_every: int = 1,
+    steps: int | None = None, kernel: bool | None = None, memory: float | None = None,
+) -> tuple[Trajectory, jax.Array, Law]:  # fmt: skip
+    """The trajectory of `rollout` without its warning; the step in s, and the law."""
     law = law_of("rollout", model, law, constraints)
     advance = integrator_of("rollout", integrator, law)
     _check_where(kernel, memory)
@@ -169,9 +184,7 @@ def rollout(
         path = with_captured(march, *sources.functions, law, advance)
     else:
         path = with_captured(lambda *f: march(*f, advance), *sources.functions, law)
-    if not isinstance(path.ok, jax.core.Tracer):
-        warn_if_not_finite(model, path, step, law)
-    return path
+    return path, step, law
 
 
 def _run(model, state, numbers, dt, key, how, threads, memory) -> Trajectory:

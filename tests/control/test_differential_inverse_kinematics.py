@@ -37,6 +37,28 @@ def test_bounded_quadratic_against_scipy():
     assert held > 30 and np.abs(optimal).max() < 1e-9
 
 
+def test_what_is_left_of_a_search_that_ends_early_is_said(monkeypatch):
+    """`optimal` is the projected gradient, entries at a bound that should be left included."""
+    rng = np.random.default_rng(2)
+    A, b = rng.normal(size=(20, 6, 6)), rng.normal(size=(20, 6))
+    low, high = -rng.uniform(0, 0.5, (20, 6)), rng.uniform(0, 0.5, (20, 6))
+    most = []
+    for steps in (0, 3, 4, 5):
+        monkeypatch.setattr(
+            "rbjax.control.differential_inverse_kinematics.STEPS", steps / 6
+        )
+        x, optimal = jax.vmap(lambda A, b, low, high: bounded_quadratic(
+            A.T @ A + jnp.eye(6), A.T @ b, low, high))(A, b, low, high)  # fmt: skip
+        x = np.asarray(x)
+        down = np.einsum("kij,kj->ki", A.transpose(0, 2, 1) @ A + np.eye(6), x)
+        down -= np.einsum("kji,kj->ki", A, b)
+        step = np.clip(x - down, low, high) - x  # zero just where no entry can be improved
+        rests = np.abs(step).max(1) < 1e-12
+        assert (np.asarray(optimal)[~rests] > 1e-9).all() and (optimal[rests] < 1e-9).all()
+        most.append((~rests).sum())
+    assert most[0] == 20 and min(most) < 20
+
+
 def test_error_falls_at_the_rate(arm):
     """Without limits J v = rate e, and v is the pseudoinverse's."""
     R, p = rb.site_pose(arm, jnp.asarray(Q), "tool")

@@ -150,6 +150,10 @@ def test_closed_forms():
     np.testing.assert_allclose(np.sort_complex(rates), np.array([-1 - 1j, -1 + 1j]) / s, rtol=1e-13)
 
 
+def symmetric(W):
+    return (W + W.T) / 2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("discrete", [False, True])
 def test_the_solution_composes(discrete):
@@ -157,8 +161,8 @@ def test_the_solution_composes(discrete):
     systems = [random_system(k, 3, 2) for k in range(3)]
     xs = [np.stack(x) for x in zip(*systems, strict=True)]
 
-    def solved(A, B, Q, R, S):
-        return lqr(A, B, Q, R, S, discrete=discrete)[:2]
+    def solved(A, B, Q, R, S):  # the differences are those of matrices that are not symmetric
+        return lqr(A, B, symmetric(Q), symmetric(R), S, discrete=discrete)[:2]
 
     check_composes(solved, xs)
 
@@ -170,8 +174,8 @@ def test_slopes_against_differences(discrete):
     rng = np.random.default_rng(8)
     along = [jnp.asarray(rng.normal(size=x.shape)) for x in system]
 
-    def gains(*system):
-        return lqr(*system, discrete=discrete).K
+    def gains(A, B, Q, R, S):
+        return lqr(A, B, symmetric(Q), symmetric(R), S, discrete=discrete).K
 
     slope = jax.jvp(gains, system, along)[1]
     ends = [gains(*(x + h * d for x, d in zip(system, along, strict=True))) for h in (-STEP, STEP)]

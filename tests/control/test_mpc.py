@@ -41,17 +41,20 @@ def test_the_first_control_is_that_of_the_optimum_and_the_tail_is_optimal_again(
     np.testing.assert_allclose(u, s.ctrls[0], atol=1e-6)
 
 
-def test_failing_plans_keep_the_last_and_then_fall_back():
-    """The cost is nan from t = 0.6 s on."""
+@pytest.mark.parametrize("delay", [1, 0, 2])
+def test_failing_plans_keep_the_last_and_then_fall_back(delay):
+    """The cost is nan in plans that begin at 0.6 s or later. The plan that begins at a tick decides
+    its control, whatever the delay, so tick 3 is the first whose plan failed."""
 
     def at(t):
         return cart(cost=lambda _, x, u: jnp.where(t > 0.5, jnp.nan, 1.0) * x)
 
-    controller = mpc(at, patience=2, fallback=lambda t, x: jnp.asarray([0.123]))
+    fallback = lambda t, x: jnp.asarray([0.123])  # noqa: E731
+    controller = mpc(at, delay=delay, patience=2, fallback=fallback)
     run = jax.jit(lambda x: controller.closed_loop(x, 10))(START)
-    assert run.results.tolist() == [PLANNED] * 4 + [KEPT] * 2 + [FALLBACK] * 4
+    assert run.results.tolist() == [PLANNED] * 3 + [KEPT] * 2 + [FALLBACK] * 5
     assert np.isfinite(run.states).all()
-    np.testing.assert_allclose(run.ctrls[-4:], 0.123)
+    np.testing.assert_allclose(run.ctrls[-5:], 0.123)
 
 
 @pytest.mark.slow

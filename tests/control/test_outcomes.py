@@ -1,11 +1,19 @@
-"""Every outcome of the methods of `solve` is reached, in single and in double precision."""
+"""Every outcome of every method of `solve` is reached, in single and in double precision."""
 
 import jax
 import jax.numpy as jnp
 import pytest
 
-from rbjax.control import Constraint, Control, Equations, Problem, solve
-from rbjax.control.outcome import BUDGET, CONVERGED, INFEASIBLE, NOT_FINITE, SENTENCES, STUCK
+from rbjax.control import Constraint, Control, Equations, Problem, SampledStart, Sampling, solve
+from rbjax.control.outcome import (
+    BUDGET,
+    CONVERGED,
+    FINISHED,
+    INFEASIBLE,
+    NOT_FINITE,
+    SENTENCES,
+    STUCK,
+)
 
 LINE = Equations(lambda t, x, u: u, 1, 1)
 BENT = Equations(lambda t, x, u: jnp.sin(3 * x) + u, 1, 1)
@@ -22,6 +30,17 @@ def kinked():
     return Problem(LINE, 6, 0.1, running=[cost])
 
 
+def misled():
+    """A residual whose derivative has the wrong sign: no step along it lowers the cost."""
+
+    @jax.custom_jvp
+    def wrong(x):
+        return x
+
+    wrong.defjvp(lambda x, dx: (wrong(*x), -dx[0]))
+    return Problem(LINE, 3, 1.0, running=[Control()], terminal=[lambda t, x, u: 1 + wrong(x)])
+
+
 def contradictory():
     above = Constraint(lambda t, x, u: x, 2.0, 3.0, "end", "above")
     return plain(constraints=[above, Constraint(lambda t, x, u: x, -3.0, -2.0, "end", "below")])
@@ -31,42 +50,54 @@ def bent():
     return Problem(BENT, 8, 0.3, running=[Control()], terminal=[lambda t, x, u: 30 * (x - 2.0)])
 
 
-#: problem, iterations, first controls
+def log_of_a_negative_number():
+    cost = lambda t, x, u: jnp.log(x - 5.0)  # noqa: E731
+    return Problem(LINE, 3, 1.0, running=[Control()], terminal=[cost])
+
+
+#: problem, iterations
 CASES = {
-    CONVERGED: (plain, 200, None),
-    BUDGET: (bent, 1, None),
-    INFEASIBLE: (contradictory, 500, None),
-    NOT_FINITE: (lambda: Problem(LINE, 3, 1.0, running=[Control()],
-                                 terminal=[lambda t, x, u: jnp.log(x - 5.0)]), 20, None),
-    STUCK: (kinked, 200, 0.0),
-}  # fmt: skip
-STEPPING = {"ddp", "exact_ddp", "sqp", "exact_sqp"}
-#: outcomes that a method does not reach by these problems: why
-NEVER = {
-    (STUCK, "hermite_simpson"): "regularisation makes steps within rounding, until the budget ends",
-    (STUCK, "bfgs"): "its line search ends at the kink",
-    (STUCK, "ddp", "float32"): "test_verdict reaches it, from another guess",
-    (STUCK, "exact_ddp", "float32"): "steps within rounding, until the budget ends",
-    (STUCK, "sqp", "float32"): "steps within rounding, until the budget ends",
-    (STUCK, "exact_sqp", "float32"): "steps within rounding, until the budget ends",
+    CONVERGED: (plain, 200),
+    BUDGET: (bent, 1),
+    INFEASIBLE: (contradictory, 500),
+    NOT_FINITE: (log_of_a_negative_number, 20),
+    STUCK: (misled, 1000),
+    FINISHED: (plain, 300),
 }
-METHODS = [*sorted(STEPPING), "hermite_simpson", "bfgs"]
+FEW = {"samples": 64, "points": 3, "cooling": 0.8}
+SAMPLING = {name: Sampling(name, **FEW) for name in ("predictive", "mppi", "cross_entropy")}
+METHODS = {name: name for name in (
+    "ddp", "exact_ddp", "sqp", "exact_sqp", "hermite_simpson", "gauss_legendre", "radau", "adam",
+    "bfgs", "levenberg_marquardt",
+)} | SAMPLING | {"sampled_ddp": SampledStart(Sampling(**FEW), rounds=2)}  # fmt: skip
+#: outcomes that a method cannot have
+NEVER = {(CONVERGED, name) for name in SAMPLING} | {(STUCK, name) for name in SAMPLING}
+NEVER |= {(FINISHED, name) for name in METHODS if name not in SAMPLING}
+QUICK = [(STUCK, "ddp", "float32"), (INFEASIBLE, "ddp", "float64"), (FINISHED, "mppi", "float32")]
 TABLE = [
-    pytest.param(outcome, method, dtype, marks=() if method == "ddp" and dtype == "float64" else
-                 pytest.mark.slow, id=f"{SENTENCES[outcome].split(':')[0]}-{method}-{dtype}")
+    pytest.param(outcome, method, dtype, id=f"{SENTENCES[outcome].split(':')[0]}-{method}-{dtype}")
     for outcome in CASES for method in METHODS for dtype in ("float32", "float64")
-    if (outcome, method) not in NEVER and (outcome, method, dtype) not in NEVER
+    if (outcome, method) not in NEVER
 ]  # fmt: skip
 
 
+@pytest.mark.parametrize(("outcome", "method", "dtype"), QUICK)
+def test_some_outcomes(outcome, method, dtype):
+    check(outcome, method, dtype)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("outcome", "method", "dtype"), TABLE)
 def test_an_outcome_is_reached_and_said(outcome, method, dtype):
-    make, iterations, first = CASES[outcome]
+    check(outcome, method, dtype)
+
+
+def check(outcome, method, dtype):
+    make, iterations = CASES[outcome]
     with jax.enable_x64(dtype == "float64"):
-        problem = make()
-        ctrls = None if first is None else jnp.full((problem.horizon, 1), first)
-        found = solve(problem, jnp.ones(1) * (first is None), method=method, ctrls=ctrls,
-                      iterations=iterations, violation=1e-4)  # fmt: skip
+        found = solve(make(), jnp.ones(1), method=METHODS[method], iterations=iterations,
+                      violation=1e-4)  # fmt: skip
         assert found.cost.dtype == dtype
         assert int(found.outcome) == outcome, found.status
+        assert bool(found.converged) == (outcome == CONVERGED)
         assert found.status.startswith(SENTENCES[outcome].split(":")[0])

@@ -173,6 +173,25 @@ def test_all_runs_once():
     assert np.abs(found.value.weights[0] - value.weights[0]).max() > 1e-4
 
 
+def test_a_sample_that_is_lost_does_not_stop_the_value_function():
+    """The cost of every other start is nan: the value function learns from the samples that are
+    left."""
+    def start_of(key):
+        return rb.State(jnp.array([jnp.where(jax.random.bernoulli(key), 9.0, 0.1), 0.2]),
+                        jnp.zeros(2))  # fmt: skip
+
+    def bad(state, ctrl):
+        return jnp.where(state.q[0] > 5.0, jnp.nan, cost(state, ctrl))
+
+    env = Environment(MODEL, bad, start_of, dt=0.05, episode=50)
+    policy, value = network(KEY, (4, 3, 1)), network(KEY, (4, 3, 1), "elu")
+    found = actor_critic(env, policy, KEY, value=value, iterations=3, batch=6, horizon=2,
+                         value_steps=1)  # fmt: skip
+    assert np.isfinite(found.costs).all()
+    change = np.abs(found.value.weights[0] - value.weights[0])
+    assert np.isfinite(change).all() and change.max() > 1e-4
+
+
 @pytest.mark.parametrize(
     "call, error, said",
     [

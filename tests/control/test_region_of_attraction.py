@@ -61,6 +61,30 @@ def test_what_is_not_finite_is_not_back():
     assert np.isinf(found.distance[0, 0])
 
 
+@pytest.mark.slow
+def test_a_long_motion_goes_in_parts(monkeypatch):
+    """Few states are kept at once; the policy has the time since the start, and a motion that is
+    not finite in the first part stays so."""
+    model = rb.load(RAIL)
+
+    def law(t, state):
+        lost = (jnp.abs(state.q) > 0.8) & (t > 0.25)
+        return jnp.where(lost, jnp.nan, -(1.0 + jnp.sin(3 * t)) * (2 * state.q + 3 * state.v))
+
+    def ask():
+        return region_of_attraction(
+            model, law, model.default_state(), [("x", -1.0, 1.0), ("x'", -0.5, 0.5)],
+            points=(5, 3), duration=6.3, dt=0.1,
+        )
+
+    whole = ask()
+    monkeypatch.setattr("rbjax.control.region_of_attraction.KEPT", 2 * 15 * 10)
+    parts = ask()
+    assert parts.back.tolist() == whole.back.tolist() and 0 < whole.share < 1
+    np.testing.assert_allclose(parts.distance, whole.distance, rtol=1e-9)
+    np.testing.assert_allclose(parts.time, whole.time, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     "change, error, said",
     [
