@@ -17,6 +17,17 @@ def flat(tree: Any) -> jax.Array:
     return jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(tree)])
 
 
+def cast(tree: Any, like: Any) -> Any:
+    """The floating arrays and NumPy scalars of a record in the dtype of another array."""
+    dtype = jnp.result_type(like)
+
+    def one(x: Any) -> Any:
+        known = isinstance(x, (np.ndarray, np.floating, jax.Array))
+        return jnp.asarray(x, dtype) if known and jnp.issubdtype(x.dtype, jnp.floating) else x
+
+    return jax.tree.map(one, tree)
+
+
 def check_composes(function: Callable[..., Any], xs: list[np.ndarray]) -> None:
     """Compares three calls outside any transformation with the same function inside one compiled
     program, mapped over a batch, and with its derivatives.
