@@ -28,7 +28,7 @@ LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as non
 LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
 SHORT_HELD = 0.3  # the second with constraints: their multipliers bend a cost that the model lacks
-LOOSE, CLOSER = 1e-3, 0.3  # the tolerance before the first multipliers, and its fall a turn
+LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each update
 FLOOR = 10.0  # the least tolerance, in units in the last place
 VAIN = 50  # iterations that lower the cost by no more than rounding, after which a search is stuck
 

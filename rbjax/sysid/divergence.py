@@ -125,7 +125,7 @@ def _excess(x: np.ndarray) -> np.ndarray:
     near = np.abs(x) < 1e-3
     y = np.where(near, x, 0.0)  # the series of a large x overflows
     series = y * y * (1 / 2 - y * (1 / 3 - y * (1 / 4 - y / 5)))
-    with np.errstate(divide="ignore"):  # what rounding puts on the border is infinitely far
+    with np.errstate(divide="ignore"):  # a point that rounding puts on the border
         return np.where(near, series, x - np.log1p(x))
 
 

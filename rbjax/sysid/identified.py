@@ -118,8 +118,8 @@ class Identified:
     def simulated(
         self, recordings: Sequence[Recording], *, starts: bool | None = None
     ) -> Traces:
-        """Other recordings beside what is simulated from their own first samples, or with `starts`
-        from the first states that suit them best (`free_run`). None: as the fit did."""
+        """Simulate other recordings from their first samples or, with `starts`, from the initial
+        states that fit them best (`free_run`). None: as in the fit."""
         recordings = recordings_of("simulated", recordings)
         if starts is None and self.options.starts is not None:
             starts = self.options.starts

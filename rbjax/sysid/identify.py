@@ -134,7 +134,7 @@ def fitted(
     x: np.ndarray | None = None, save: str | Path | None = None, say: Say = lambda text: None,
     dtype: Any = np.float64,
 ) -> Identified:  # fmt: skip
-    """The whole of `identify`, from the first guess or from x, in float64."""
+    """All of `identify` without its checks, from the first guess or from x, in float64."""
     grid, chosen = start_grid(setup, sought, runs, how.grid)
     fits = Fits(
         setup, sought, runs, grid, starts=how.starts, loss=how.loss, steps=how.steps, save=save,

@@ -144,14 +144,15 @@ KEYS: dict[str, dict[str, Key]] = {
     "options": {
         "starts": Key("yes", OF_IDENTIFY, "", "whether initial states are estimated"),
         "pieces": Key("positive", "none", "s", "length of pieces that are fitted first"),
-        "shooting": Key("positive", "none", "s", "length of pieces that are tied (multiple "
-                        "shooting), for a long or chaotic motion"),
-        "many_starts": Key("count", "none", "", "fits from so many first guesses (`many_starts`)"),
-        "restarts": Key("integer", OF_IDENTIFY, "", "fits from other first guesses, if the fit is "
+        "shooting": Key("positive", "none", "s", "length of the segments of multiple shooting, for "
+                        "a long or chaotic motion"),
+        "many_starts": Key("count", "none", "", "number of first guesses of `many_starts`"),
+        "restarts": Key("integer", OF_IDENTIFY, "", "largest number of other starts, if the fit is "
                         "poor"),
-        "loss": Key("loss", OF_IDENTIFY, "", '"huber": outliers count less'),
-        "steps": Key("count", OF_IDENTIFY, "", "evaluations of the residual at most"),
-        "period": Key("positive", "the finest clock", "s", "for which a command is held"),
+        "loss": Key("loss", OF_IDENTIFY, "", '"huber" reduces the weight of outliers'),
+        "steps": Key("count", OF_IDENTIFY, "", "largest number of evaluations of the residual, of "
+                     "each fit"),
+        "period": Key("positive", "the finest clock", "s", "time for which a command is held"),
         "substeps": Key("count", "by a check", "", "steps of integration in a period; the check "
                         "halves them until the numbers do not change"),
     },

@@ -230,7 +230,7 @@ def _has_squares(R: np.ndarray) -> bool:
 
 
 def half_of(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
-    """The Cholesky factor of the metric at x, None where rounding leaves none: a body so thin."""
+    """The Cholesky factor of the metric at x; None if rounding leaves none, as for a thin body."""
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():
         return None

@@ -226,7 +226,7 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
                 break
     scale = _scale(eq, found.residual)
     w, psi, slope = LOSSES[loss](found.residual / scale)
-    # what `with_statistics` keeps if the noise is given and the samples are few
+    # `with_statistics` keeps this covariance if the noise is given and the samples are few
     counted = eq.counted
     spread = (psi[counted] ** 2).mean() / max(slope[counted].mean(), 1e-3) ** 2
     size = np.where(counted, scale, 0.0)

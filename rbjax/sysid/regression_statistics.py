@@ -54,7 +54,7 @@ def _agrees(eq: Equations, residual: Array) -> bool:
 
 
 def negligible(eq: Equations, residual: Array) -> bool:
-    """Whether the residuals are rounding, or no noise next to the one that was given."""
+    """Whether the residuals are rounding, or negligible compared with the given noise."""
     size = np.abs(residual[eq.counted]).max()
     if eq.noise is not None and size < SMALL * eq.noise.min():
         return True
@@ -62,7 +62,7 @@ def negligible(eq: Equations, residual: Array) -> bool:
 
 
 def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
-    """Those of the residuals psi (N, k), in standard deviations."""
+    """The statistics of the residuals psi (N, k), in standard deviations."""
     X = eq.X / sd[..., None]
     ends = np.cumsum([0, *eq.lengths])
     columns = [
