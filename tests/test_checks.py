@@ -60,6 +60,15 @@ def test_kinds_and_arrays():
             array_of("f", "x", bad, "numbers")
 
 
+def test_unknown_names_of_two_kinds_are_listed_apart():
+    many = [f"body_{k}" for k in range(50)]
+    text = str(rb.UnknownName("body or site", "imo", apart={"body": many, "site": ["imu"]}))
+    assert "the body names here are: " in text and "the site names here are: 'imu'" in text
+    assert "and 30 more" in text and "did you mean 'imu'?" in text
+    text = str(rb.UnknownName("joint", "a", []))
+    assert text == "unknown joint 'a'; the joint names here are: (there are none)"
+
+
 def test_what_is_shown():
     assert shown("a") == "'a'" and shown([1]) == "[1]"
     assert shown(np.ones(100)) == "of type ndarray" and shown(len) == (
