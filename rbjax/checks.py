@@ -21,7 +21,7 @@ def check_real(
     try:
         value = np.asarray(x)
         good = value.ndim == 0 and value.dtype.kind in "iuf" and math.isfinite(value)
-        good = good and above < value and least <= value
+        good = bool(good and above < value and least <= value)
     except (TypeError, ValueError, OverflowError, RuntimeError):
         good = False
     if not good:
@@ -45,6 +45,7 @@ def array_of(
     where: str, name: str, x: Any, expected: str, dtype: type = float, *, finite: bool = True
 ) -> np.ndarray:
     """x as an array of NumPy, of finite numbers if `finite`, or an `InputError`."""
+    out: np.ndarray | None
     try:
         given = np.asarray(x)
         known = given.dtype.kind in ("biufc" if dtype is complex else "biuf") or not given.size

@@ -68,8 +68,8 @@ class Footprint(Record):
 
         The discs reach sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides.
         """
-        for name, x in (("ahead", ahead), ("behind", behind)):
-            check_real("Footprint.rectangle", name, x, "a length")
+        for name, length in (("ahead", ahead), ("behind", behind)):
+            check_real("Footprint.rectangle", name, length, "a length")
         _lengths("rectangle", length=ahead + behind, width=width)
         if not isinstance(discs, int) or discs < 1:
             raise InputError(
