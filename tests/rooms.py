@@ -12,6 +12,7 @@ import numpy as np
 import rbjax as rb
 from rbjax import constraints as rc
 from rbjax import planning, solvers, stability, wheeled
+from rbjax.motion import kalman
 
 Room = dict[str, tuple[Callable, dict[str, Any]]]
 
@@ -217,7 +218,22 @@ SOLVERS: Room = {
     ),
 }  # fmt: skip
 
+WALK = kalman.StateSpace.of(lambda x, u, w: x + w, lambda x: x)
+ESTIMATE = kalman.Estimate(jnp.zeros(1), jnp.ones((1, 1)))
+MOTION: Room = {
+    "kalman_filter": (kalman.kalman_filter, {
+        "space": WALK, "start": [0.0], "covariance": [1.0], "inputs": np.zeros(2),
+        "readings": [[1.0], [2.0], [3.0]], "process": [1.0], "noise": [1.0],
+    }),
+    "kalman_update": (kalman.kalman_update, {
+        "space": WALK, "estimate": ESTIMATE, "reading": [1.0], "noise": [1.0],
+    }),
+    "kalman_predict": (kalman.kalman_predict, {
+        "space": WALK, "estimate": ESTIMATE, "process": [1.0], "given": 0.0,
+    }),
+}  # fmt: skip
+
 ROOMS = {
     "planning": PLANNING, "wheeled": WHEELED, "constraints": CONSTRAINTS, "stability": STABILITY,
-    "solvers": SOLVERS,
+    "solvers": SOLVERS, "motion": MOTION,
 }  # fmt: skip
