@@ -1,10 +1,13 @@
 """Sums and products of rows by their numbers, without a model: values, rates, gradients and
 accelerations by the product rule, and rows that are only a rate."""
 
+import math
+
 import pytest
 
 import rbjax as rb
 from rbjax.constraints import Row
+from rbjax.constraints.row import angle
 from rbjax.forces import Loads
 
 A = Row(2.0, 3.0, Loads({0: 5.0}), 7.0)
@@ -52,3 +55,16 @@ def test_rows_of_a_rate():
         RATE * RATE
     with pytest.raises(rb.InputError, match="only a rate"):
         _ = RATE.time_derivative
+
+
+def test_an_angle_of_its_sine_and_cosine():
+    """Of an angle 2 t at t = 0.4: its rate is 2, and it does not accelerate."""
+    turned = 0.8
+    s, c = math.sin(turned), math.cos(turned)
+    sine = Row(s, 2 * c, Loads({0: c}), -4 * s)
+    cosine = Row(c, -2 * s, Loads({0: -s}), -4 * c)
+    found = numbers(angle(sine, cosine))
+    assert found[0] == pytest.approx(turned) and found[1] == pytest.approx(2.0)
+    assert found[2][0] == pytest.approx(1.0) and found[3] == pytest.approx(0.0, abs=1e-12)
+    with pytest.raises(rb.InputError):
+        angle(sine.time_derivative, cosine)
