@@ -67,10 +67,12 @@ demo: $(STAMP) ## the main job on bundled scenes; pictures and a report in ./rbj
 BENCHES = $(subst /,.,$(basename $(wildcard benchmarks/cpu/*.py) benchmarks/accuracy/against_mujoco.py \
   $(if $(shell command -v nvidia-smi),benchmarks/gpu/mjx.py benchmarks/gpu/threads.py)))
 
-bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/
-	@for script in $(BENCHES); do \
-	  echo "$$script"; $(BIN)/python -m $$script || exit 1; \
-	done
+bench: $(STAMP) ## every benchmark; results by device in benchmarks/results/; those that failed at the end
+	@failed=""; \
+	for script in $(BENCHES); do \
+	  echo "$$script"; $(BIN)/python -m $$script || failed="$$failed $$script"; \
+	done; \
+	if [ -n "$$failed" ]; then echo "failed:$$failed"; exit 1; fi
 
 failure-map: $(STAMP) ## every solver on scenes built to break it; docs/failure_map.png
 	$(BIN)/python -m benchmarks.maps.failure_map

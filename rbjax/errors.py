@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 #: the message of an `UnknownName` lists all names up to this number; above it, half as many, the
 #: nearest ones
@@ -32,22 +32,39 @@ class InputError(RbjaxError, ValueError):
     """An argument of the wrong shape, dtype or value."""
 
 
-class UnknownName(RbjaxError, KeyError):
-    """A name that does not exist. The message lists the valid names, and the nearest one."""
+def _nearest(known: Sequence[str], name: object) -> str:
+    """Names for a message: all, or the nearest to a name that does not exist."""
+    more = ""
+    if len(known) > LISTED:
+        text = [str(n) for n in known]
+        nearest = set(difflib.get_close_matches(str(name)[:80], text, LISTED // 2, 0.0))
+        more = f" and {len(known) - len(nearest)} more"
+        known = [n for n in known if str(n) in nearest]
+    return (", ".join(repr(n) for n in known) or "(there are none)") + more
 
-    def __init__(self, kind: str, name: object, valid: Iterable[str]):
-        known = list(valid)
+
+class UnknownName(RbjaxError, KeyError):
+    """A name that does not exist. The message lists the valid names, and the nearest one.
+
+    apart: names of several kinds, listed one kind after the other, by the word for the kind.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        name: object,
+        valid: Iterable[str] = (),
+        *,
+        apart: Mapping[str, Sequence[str]] | None = None,
+    ):
+        groups = {kind: list(valid)} if apart is None else apart
+        known = [n for names in groups.values() for n in names]
         shown = repr(name) if len(repr(name)) <= 80 else f"{repr(name)[:77]}..."
         text = [str(n) for n in known]
         near = difflib.get_close_matches(str(name)[:80], text, 1)
-        more = ""
-        if len(known) > LISTED:
-            nearest = set(difflib.get_close_matches(str(name)[:80], text, LISTED // 2, 0.0))
-            more = f" and {len(known) - len(nearest)} more"
-            known = [n for n in known if str(n) in nearest]
-        names = (", ".join(repr(n) for n in known) or "(there are none)") + more
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        self.message = f"unknown {kind} {shown}; the {kind} names here are: {names}{hint}"
+        lists = (f"the {word} names here are: {_nearest(x, name)}" for word, x in groups.items())
+        self.message = f"unknown {kind} {shown}; {'; '.join(lists)}{hint}"
         super().__init__(self.message)
 
     def __str__(self) -> str:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.checks import check_real, shown
 from rbjax.constraints.pairs import HalfAngle, Pair
 from rbjax.constraints.rank import row_names
 from rbjax.constraints.residuals import jacobian, residual
@@ -83,7 +84,12 @@ def assemble(
     dtype = state.q.dtype
     if tolerance is None:
         tolerance = 1e-12 if dtype == jnp.float64 else 1e-5
+    check_real("assemble", "tolerance", tolerance, "a number above zero", above=0.0)
     free = np.ones(model.nv, bool)
+    if isinstance(pinned, str) or not isinstance(pinned, Iterable):
+        raise InputError(
+            f"assemble: pinned is {shown(pinned)}, expected names of joints, as ('elbow',)"
+        )
     for name in pinned:
         free[model.v_slice(name)] = False
     model, whole = _half_angles(model), model

@@ -22,6 +22,7 @@ from rbjax.constraints.constraint import Constraint
 from rbjax.constraints.geometry import coordinate, time
 from rbjax.constraints.row import Row
 from rbjax.constraints.user_function import check_function, evaluate
+from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.instant import Instant
 from rbjax.model.leaves import numbers, scalar, table
@@ -123,6 +124,7 @@ class Prescribed(Constraint):
 
     def __check_init__(self) -> None:
         check_function("Prescribed(function=...)", self.function)
+        check_takes("Prescribed", "function", self.function, "t")
 
     def rows(self, now: Instant) -> Sequence[Row]:
         _check_kind(now, self.joint, None)

@@ -32,6 +32,7 @@ from rbjax.constraints.user_function import (
     check_size,
     evaluate,
 )
+from rbjax.dynamics.arguments import check_takes
 from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.forces import Loads
 from rbjax.forces.instant import Instant
@@ -79,6 +80,8 @@ class Holonomic(Constraint):
 
     def __check_init__(self) -> None:
         check_function("Holonomic(f=...)", self.f)
+        numbers = () if self.numbers is None else ("numbers",)
+        check_takes("Holonomic", "f", self.f, "t", "q", *numbers)
         check_size("Holonomic(size=...)", self.size)
         check_leaves("Holonomic(numbers=...)", self.numbers)
 

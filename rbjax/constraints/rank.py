@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.checks import check_real
 from rbjax.constraints.residuals import jacobian
 from rbjax.dynamics.crba import mass_matrix
 from rbjax.model import Model
@@ -66,7 +67,9 @@ def mobility(
         (1, 5)
     """
     rows = jacobian(model, q, t)
-    if tolerance is None:
+    if tolerance is not None:
+        check_real("mobility", "tolerance", tolerance, "a number of at least 0", least=0.0)
+    else:
         tolerance = 1e-7 if rows.dtype == jnp.float64 else 1e-4
     G = np.asarray(rows, float)
     root = np.linalg.cholesky(np.asarray(mass_matrix(model, q), float))

@@ -130,7 +130,7 @@ class AtRest:
         if name in sites:
             i = sites.index(name)
             return self.d.site_xpos[i].copy(), self.d.site_xmat[i].reshape(3, 3).copy()
-        raise UnknownName("body or site", name, (*bodies, *sites))
+        raise UnknownName("body or site", name, apart={"body": bodies, "site": sites})
 
     @property
     def gravity(self) -> np.ndarray:

@@ -28,7 +28,9 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
+from rbjax.checks import check_kind
 from rbjax.errors import InputError
+from rbjax.motion.kalman_arguments import check_fits, check_inputs, matrix, real
 
 
 def _apart(x0: jax.Array, x1: jax.Array) -> jax.Array:
@@ -37,6 +39,9 @@ def _apart(x0: jax.Array, x1: jax.Array) -> jax.Array:
 
 def _subtracted(read: Callable[[Any], jax.Array]) -> Callable[[Any, jax.Array], jax.Array]:
     return lambda x, y: y - read(x)
+
+
+SPACE = "a StateSpace, as StateSpace.of(move, read)"
 
 
 class StateSpace(NamedTuple):
@@ -137,18 +142,20 @@ def kalman_filter(
         >>> [round(float(P), 3) for P in found.covariance.ravel()]
         [0.5, 1.5, 0.714]
     """
-    _check_space("kalman_filter", space)
     P, W, R = (
-        _matrix(name, x)
+        matrix(name, x)
         for name, x in (("covariance", covariance), ("process", process), ("noise", noise))
     )
     m = R.shape[0]
+    check_kind("kalman_filter", "space", space, StateSpace, SPACE)
+    if space.beside is operator.add:
+        start = real("kalman_filter", "start", start, "the mean (n,) of the first state")
+    check_inputs("kalman_filter", inputs, samples=True)
+    first = jax.tree.map(lambda x: jnp.asarray(x)[0], inputs)
+    check_fits("kalman_filter", space, start, P, first, W)
     if arrived is None:
-        try:
-            readings = jnp.asarray(readings)
-        except (TypeError, ValueError) as error:
-            fix = "expected an array (N + 1, m), or a pytree of arrays and `arrived`"
-            raise InputError(f"kalman_filter: readings is {readings!r}, {fix}") from error
+        expected = "an array (N + 1, m), nan where nothing arrived; for others give arrived"
+        readings = real("kalman_filter", "readings", readings, expected, finite=False)
         arrived = ~jnp.isnan(readings)
         readings = jnp.where(arrived, readings, 0.0)
     arrived = jnp.asarray(arrived, bool)
@@ -202,7 +209,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         >>> [round(float(x), 3) for x in kalman_smoother(walk, found).state.ravel()]
         [0.714, 1.143, 1.571]
     """
-    _check_space("kalman_smoother", space)
+    check_kind("kalman_smoother", "space", space, StateSpace, SPACE)
     if not isinstance(filtered, KalmanFiltered):
         raise InputError(
             f"kalman_smoother: filtered is {type(filtered).__name__}, expected the result of "
@@ -322,13 +329,22 @@ def kalman_update(
         >>> round(float(found.state[0]), 6), round(float(found.covariance[0, 0]), 6)
         (0.5, 0.5)
     """
-    R = _matrix("noise", noise)
+    where = "kalman_update"
+    R = matrix("noise", noise, where)
+    check_kind(where, "estimate", estimate, Estimate, "an Estimate(state, covariance)")
+    check_kind(where, "space", space, StateSpace, SPACE)
+    P = matrix("covariance", estimate.covariance, where)
+    check_fits(where, space, estimate.state, P, None, None)
     if arrived is None:
-        reading = jnp.asarray(reading)
+        expected = "an array (m,), nan where nothing arrived; for others give arrived"
+        reading = real(where, "reading", reading, expected, finite=False)
+        if reading.shape != R.shape[:1]:
+            raise InputError(
+                f"{where}: the reading has shape {reading.shape}, expected {R.shape[:1]}, as noise"
+            )
         arrived = ~jnp.isnan(reading)
         reading = jnp.where(arrived, reading, 0.0)
     there = jnp.broadcast_to(jnp.asarray(arrived, bool), R.shape[:1])
-    P = _matrix("covariance", estimate.covariance)
     found = _updated(space, estimate.state, P, reading, there, R)
     return Estimate(found.state, found.covariance)
 
@@ -360,8 +376,13 @@ def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: A
         >>> float(found.state[0]), float(found.covariance[0, 0])
         (1.0, 3.0)
     """
-    P = _matrix("covariance", estimate.covariance)
-    state, after, _ = _predicted(space, estimate.state, P, given, _matrix("process", process))
+    where = "kalman_predict"
+    check_kind(where, "estimate", estimate, Estimate, "an Estimate(state, covariance)")
+    P, W = matrix("covariance", estimate.covariance, where), matrix("process", process, where)
+    check_kind(where, "space", space, StateSpace, SPACE)
+    check_inputs(where, given, samples=False)
+    check_fits(where, space, estimate.state, P, given, W)
+    state, after, _ = _predicted(space, estimate.state, P, given, W)
     return Estimate(state, after)
 
 
@@ -372,26 +393,3 @@ def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | N
     new = space.beside(x, dx)
     turn = jax.jacfwd(lambda e: space.apart(new, space.beside(x, dx + e)))(jnp.zeros_like(dx))
     return new, turn
-
-
-def _check_space(where: str, space: Any) -> None:
-    if not isinstance(space, StateSpace):
-        raise InputError(f"{where}: space is {type(space).__name__}, expected a StateSpace")
-
-
-def _matrix(name: str, x: Any) -> jax.Array:
-    try:
-        x = jnp.asarray(x) if hasattr(x, "dtype") else jnp.asarray(x, float)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"kalman_filter: {name} is {x!r}, expected variances (n,) or a matrix (n, n)"
-        ) from error
-    if not jnp.issubdtype(x.dtype, jnp.floating):
-        x = x.astype(float)
-    if x.ndim == 1:
-        return jnp.diag(x)
-    if x.ndim != 2 or x.shape[0] != x.shape[1]:
-        raise InputError(
-            f"kalman_filter: {name} has shape {x.shape}, expected variances (n,) or a matrix (n, n)"
-        )
-    return x

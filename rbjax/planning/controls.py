@@ -19,6 +19,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.checks import check_real
 from rbjax.errors import InputError
 from rbjax.planning.footprint import Footprint
 from rbjax.planning.paths import Path, moved
@@ -95,8 +96,7 @@ class Controls:
         before backwards, and from left to right.
         """
         for name, x in (("radius", radius), ("turn", turn), ("speed", speed)):
-            if not 0 < x < math.inf:
-                raise InputError(f"Controls.car: {name} is {x}, expected a number above zero")
+            check_real("Controls.car", name, x, "a number above zero", above=0.0)
         speeds = speed * np.repeat([1.0, -1.0], 3)
         bend = np.tile([1.0, 0.0, -1.0], 2) / radius
         return cls(speeds, speeds * bend, float(radius * turn / speed), costs, reversal, steering)

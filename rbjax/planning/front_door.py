@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.checks import array_of, check_real
 from rbjax.errors import InputError, UnknownName
 from rbjax.planning.controls import Controls
 from rbjax.planning.footprint import Footprint
@@ -140,8 +141,14 @@ def plan(
         options["max_count"] = max_count
     options = {"headings": HEADINGS} | options
     try:
-        many = np.ndim(start) == 2 or np.ndim(goal) == 2
-        starts, goals = np.broadcast_arrays(*(np.atleast_2d(x) for x in (start, goal)))
+        pair = [
+            array_of("plan", name, x, "poses (3,) or (q, 3), in m and rad")
+            for name, x in (("start", start), ("goal", goal))
+        ]
+        many = any(x.ndim == 2 for x in pair)
+        starts, goals = np.broadcast_arrays(*map(np.atleast_2d, pair))
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(
             f"plan: start and goal have shapes {np.shape(start)} and {np.shape(goal)}, expected "
@@ -163,9 +170,15 @@ def plan(
 
 
 def _fitting(grid: OccupancyGrid, drive: str, radius: float | None, backwards: bool) -> Controls:
-    if drive not in drives():
+    if not isinstance(drive, str) or drive not in drives():
         raise UnknownName("drive", drive, drives())
-    if (radius is None) == (drive == "car") or not (radius is None or 0 < radius < math.inf):
+    try:
+        if radius is not None:
+            check_real("plan", "radius", radius, "a length above zero", above=0.0)
+        wrong = (radius is None) == (drive == "car")
+    except InputError:
+        wrong = True
+    if wrong:
         want = "a length above zero" if drive == "car" else "none: it has no turning radius"
         raise InputError(f"plan(drive={drive!r}): radius is {radius!r}, expected {want}")
     least = float(grid.resolution) * math.sqrt(2) * (1 + 1e-9)  # it leaves any cell

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.checks import check_integer, check_kind, check_real
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.footprint import Footprint, placed
@@ -121,8 +122,7 @@ class Path(Record):
 
         Equal steps in a row are first joined.
         """
-        if not 0 < spacing < math.inf:
-            raise InputError(f"Path.split: spacing is {spacing}, expected a number above zero")
+        check_real("Path.split", "spacing", spacing, "a number above zero", above=0.0)
         if self.start.ndim != 1:
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")
         runs = _joined(np.asarray(self.steps))
@@ -178,6 +178,11 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
         >>> bool(clear_along(field, out, Footprint.disc(0.2), 8))
         False
     """
+    where = "clear_along"
+    check_kind(where, "field", field, DistanceField, "rb.planning.DistanceField")
+    check_kind(where, "path", path, Path, "rb.planning.Path")
+    check_kind(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
+    check_integer(where, "parts", parts)
     poses = path.poses[..., :-1, None, :]
     share = (jnp.arange(parts) + 0.5) / parts
     steps = path.steps[..., None, :]

@@ -28,8 +28,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from rbjax.checks import check_real
 from rbjax.compiling import alone, compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -208,6 +208,7 @@ def smooth(
         InputError: wrong types, a batch, a radius or margin that is not above zero.
 
     Example:
+        >>> import numpy as np
         >>> from rbjax.planning import OccupancyGrid, reeds_shepp
         >>> field = OccupancyGrid(np.zeros((40, 30), bool), 0.1).distance_field()
         >>> bends = Path([0.7, 1.0, 0.0], [[0.5, 0.0, s] for s in (0.5, -0.5, -0.5, 0.5)])
@@ -233,10 +234,7 @@ def smooth(
     margin = 4 * field.resolution if margin is None else margin
     sizes = []
     for name, x in (("radius", radius), ("margin", margin)):
-        if not isinstance(x, jax.core.Tracer) and not (
-            np.ndim(x) == 0 and np.isfinite(x) and x > 0
-        ):
-            raise InputError(f"smooth: {name} is {x!r}, expected a length above zero")
+        check_real("smooth", name, x, "a length above zero", above=0.0)
         sizes.append(jnp.asarray(x, dtype))
     path = Path(path.start.astype(dtype), path.steps.astype(dtype))
     run = _program if alone() else _smooth

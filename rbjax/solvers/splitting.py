@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.checks import array_of, shown
+from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.field import field
 from rbjax.solvers.groups import group_of
@@ -62,9 +64,16 @@ class Splitting(AbstractGroupSolver):
     velocity_forces: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
-        for x in (self.kicks, self.drifts):
-            if abs(sum(x) - 1) > tables.TOLERANCE:
-                raise ValueError(f"splitting: the weights {x} sum to {sum(x)}, expected 1")
+        for name in ("kicks", "drifts"):
+            x = getattr(self, name)
+            weights = array_of("Splitting", name, x, "a tuple of numbers")
+            if weights.ndim != 1 or abs(weights.sum() - 1) > tables.TOLERANCE:
+                raise InputError(f"Splitting: {name} is {shown(x)}, expected weights of sum 1")
+        if len(self.kicks) - len(self.drifts) not in (0, 1):
+            raise InputError(
+                f"Splitting: got {len(self.kicks)} kicks and {len(self.drifts)} drifts, expected "
+                "as many, or one kick more"
+            )
 
     def order(self, terms):
         return self.formula_order

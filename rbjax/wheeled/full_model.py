@@ -29,6 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.checks import check_kind
 from rbjax.constraints import Constraint, Gear, KnifeEdge, Place
 from rbjax.errors import InputError, UnknownName
 from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub, total
@@ -73,6 +74,7 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
         >>> [type(row).__name__ for row in model.constraints]
         ['WheelContact', 'WheelContact', 'WheelContact']
     """
+    check_kind("full_model", "robot", robot, Robot, "rb.wheeled.Robot")
     dtype = jnp.result_type(*jax.tree.leaves(eqx.filter(robot, eqx.is_inexact_array)))
     model = jax.tree.map(jnp.asarray, model_of(numbers_of(robot, dtype), base))
     return model.astype(dtype)
@@ -80,7 +82,7 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
 
 def model_of(n: Numbers, base: str = "planar", steering_rates: Sequence[Lane] = ()) -> Model:
     """As `full_model`, of numbers as lanes: what is known while tracing is known in the model."""
-    if base not in BASES:
+    if not isinstance(base, str) or base not in BASES:
         raise UnknownName("base", base, BASES)
     tree = Tree(n.dtype)
     chassis = _branch(n, tree, base)

@@ -9,8 +9,9 @@ As f does not depend on N, these are linear, so load transfer is exact and has n
 one line or at one point leave the moments across it to supports that are not modelled.
 (Jazar, *Vehicle Dynamics*, ch. 2; Milliken & Milliken, *Race Car Vehicle Dynamics*, ch. 18)
 
-A trailer stands on its axle and on the coupling. Between bodies loads are those at rest: a coupling
-near the ground transfers little. A caster loads the wheels as if its mass were at its pivot.
+A trailer stands on its axle and on the coupling. The loads of a robot with trailers are those at
+rest, also on its chassis: load transfer is only of robots without trailers. A caster loads the
+wheels as if its mass were at its pivot.
 """
 
 from __future__ import annotations

@@ -154,7 +154,7 @@ def rollout(
         (11, 7)
     """
     check_vehicle("rollout", vehicle)
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise UnknownName("method", method, METHODS)
     shape = shape_of("rollout", "state.q", getattr(state, "q", 0.0))
     batch = shape[:1] if len(shape) == 2 else ()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
+from rbjax.dynamics import drivers
 from rbjax.forces.inputs import Inputs
 from rbjax.motion import force_jacobian
 from rbjax.motion.linearise import beside, generalized_forces
@@ -115,3 +116,30 @@ def test_the_program_of_a_chain_of_40_hinges_is_short(monkeypatch):
     args = model, model.random_state(jax.random.key(0)), jnp.zeros(40)
     jax.jit(rb.linearise).lower(*args)
     assert 10_000 < sum(sizes) < 50_000
+
+
+@pytest.mark.parametrize("dt", [None, 0.01])
+def test_link_constants_as_a_program_of_their_own(dt, monkeypatch):
+    """As for large models: values, and derivatives by the model, forward, reverse and of a batch of
+    models."""
+    model = tree(*CASES["hinges, two actuators on one"])
+    state, u = model.random_state(jax.random.key(3)), 0.3 * jnp.ones(model.nu)
+
+    def total(mass):
+        heavy = model.replace(bodies=model.bodies.replace(mass=mass))
+        A, B = rb.linearise(heavy, state, u, dt)
+        return jnp.sin(A).sum() + jnp.sin(B).sum()
+
+    mass = model.bodies.mass
+
+    def found():
+        run = jax.jit(lambda m: (total(m), jax.jacfwd(total)(m), jax.grad(total)(m)))
+        return run(mass), jax.jit(jax.vmap(lambda m: total(m)))(jnp.stack([mass, 2 * mass]))
+
+    want = found()
+    monkeypatch.setattr(drivers, "THREADS_UNROLLED_UP_TO", {4: 0, 8: 0})
+    monkeypatch.setattr(drivers, "CPU_UNROLLED_UP_TO", 0)
+    monkeypatch.setattr(force_jacobian, "CPU_UNROLLED_UP_TO", 0)
+    assert drivers.on_threads(model, float, pairs=True).driver == "rolled"
+    for a, b in zip(jax.tree.leaves(want), jax.tree.leaves(found()), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9)  # sines of entries up to 1e3

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rbjax.checks import array_of
 from rbjax.dynamics import (
     center_of_mass,
     centroidal_momentum,
@@ -78,7 +79,9 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
         >>> found.drifts, round(found.slope, 3)
         (True, 0.05)
     """
-    t, x = np.asarray(ts, np.float64), np.asarray(xs, np.float64)
+    expected = "an array (T,) of numbers"
+    t = array_of("trend", "ts", ts, expected, finite=False)
+    x = array_of("trend", "xs", xs, expected, finite=False)
     if t.ndim != 1 or t.shape != x.shape or len(t) < 16:
         raise InputError(
             f"trend: got ts {t.shape} and xs {x.shape}, expected one shape (T,), T at least 16"

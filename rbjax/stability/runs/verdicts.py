@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rbjax.checks import array_of
 from rbjax.errors import InputError
 from rbjax.stability.runs.drift import trend
 
@@ -123,7 +124,10 @@ def verdict(
 
 
 def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple:
-    t, x = np.asarray(ts, np.float64), np.asarray(xs, np.float64)
+    t, x = (
+        array_of("verdict", name, y, "an array of numbers", finite=False)
+        for name, y in (("ts", ts), ("xs", xs))
+    )
     if t.ndim != 1 or not len(t) or x.shape[:1] != t.shape or x.ndim > 2:
         raise InputError(
             f"verdict: got ts {t.shape} and xs {x.shape}, expected (T,), and (T,) or (T, n)"
@@ -133,7 +137,9 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
             "verdict: got times that are not finite; after an early end of a run of drift times "
             "are nan: give those of the whole run, and its ending"
         )
-    r = None if reference is None else np.asarray(reference, np.float64)
+    r = None
+    if reference is not None:
+        r = array_of("verdict", "reference", reference, "an array of numbers", finite=False)
     if r is not None and r.shape != x.shape:
         raise InputError(f"verdict: got a reference {r.shape}, expected that of xs, {x.shape}")
     if r is not None and not np.isfinite(r).all():
@@ -143,7 +149,7 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
 
 
 def _largest(name: str, series: ArrayLike, length: int) -> float:
-    x = np.asarray(series, np.float64)
+    x = array_of("verdict", "a series", series, "an array of numbers", finite=False)
     if x.shape != (length,) or not np.isfinite(x).all():
         raise InputError(f"verdict: {name} has shape {x.shape}, expected ({length},), all finite")
     return float(np.abs(x).max())

@@ -23,6 +23,7 @@ import mpmath
 import numpy as np
 
 from rbjax import solvers
+from rbjax.checks import shown
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, made
 from rbjax.stability.theory.polynomials import (
@@ -191,7 +192,13 @@ def multistep(rho: Any, sigma: Any) -> Characteristic:
         >>> leapfrog.order, leapfrog.error_constant, leapfrog.zero_stable
         (2, Fraction(1, 6), True)
     """
-    sizes = np.shape(rho), np.shape(sigma)
+    try:
+        sizes = np.shape(rho), np.shape(sigma)
+    except ValueError as error:
+        raise InputError(
+            f"multistep: rho and sigma are {shown(rho)} and {shown(sigma)}, expected one row of "
+            "coefficients each"
+        ) from error
     if not (len(sizes[0]) == len(sizes[1]) == 1 and 1 <= sizes[1][0] <= sizes[0][0] > 1):
         raise InputError(
             f"multistep: got rho {sizes[0]} and sigma {sizes[1]}, expected (k + 1,), k >= 1, and "

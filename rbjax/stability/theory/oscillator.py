@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from rbjax.checks import array_of, check_real
 from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
@@ -129,16 +130,24 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
         >>> float(factor[0].real)
         0.5
     """
-    z = np.asarray(z, complex)
+    z = array_of("growth_factors", "z", z, "finite numbers h lambda", complex)
     if isinstance(solver, Theory):
         return _sorted(characteristic(solver).roots(z))
     solver = _prepared(solver)
+    if not z.size:
+        raise InputError(f"growth_factors: z has shape {z.shape}, expected at least one number")
     rows = np.stack([z.real.ravel(), z.imag.ravel()], -1)
     ones = np.ones((len(rows), _size(_scalar, solver, np.zeros(2), rows[0])))
     real = _measured(_scalar, solver, np.zeros(2), rows, ones)
     # a complex number is [[a, -b], [b, a]]: each block's first column is a + i b
     matrix = real[:, ::2, ::2] + 1j * real[:, 1::2, ::2]
     return _sorted(np.linalg.eigvals(matrix)).reshape(*z.shape, -1)
+
+
+def frequencies(h_omega: Any) -> np.ndarray:
+    """h omega (...) as an array."""
+    expected = "numbers, the step times the angular frequency"
+    return array_of("stability", "h_omega", h_omega, expected, finite=False)
 
 
 def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
@@ -162,15 +171,16 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
         >>> bool(abs(factors - [1j, -1j]).max() < 1e-6)
         True
     """
-    omega = np.asarray(h_omega, float)
+    omega = frequencies(h_omega)
+    if not omega.size:
+        raise InputError("oscillator_factors: h_omega is empty, expected at least one number")
     wrong = ~((omega > 0) & np.isfinite(omega))
     if wrong.any():
         raise InputError(
             f"oscillator_factors: h_omega has {omega[wrong][0]}, expected h times omega, positive "
             "and finite; at zero nothing oscillates"
         )
-    if not np.isfinite(damping_ratio):
-        raise InputError(f"oscillator_factors: damping_ratio is {damping_ratio}, expected a number")
+    check_real("oscillator_factors", "damping_ratio", damping_ratio, "a finite number")
     if isinstance(solver, Theory):  # two scalar equations
         pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
         roots = characteristic(solver).roots(omega[..., None] * pair)
@@ -220,7 +230,7 @@ def spectral_radius(solver: Method, h_omega: Any, damping_ratio: float = 0.0) ->
 def _principal(solver: Method, h_omega: Any) -> np.ndarray:
     """The factor that approximates exp(i Omega); nan if none oscillates."""
     factors = oscillator_factors(solver, h_omega)
-    distance = np.abs(factors - np.exp(1j * np.asarray(h_omega, float))[..., None])
+    distance = np.abs(factors - np.exp(1j * frequencies(h_omega))[..., None])
     factor = np.take_along_axis(factors, distance.argmin(-1)[..., None], -1)[..., 0]
     return np.where(factor.imag > 0, factor, np.nan)
 
@@ -258,7 +268,7 @@ def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
         >>> round(float(rb.stability.period_elongation("newmark", 0.1)) * 12e2, 2)
         1.0
     """
-    return np.asarray(h_omega, float) / np.angle(_principal(solver, h_omega)) - 1
+    return frequencies(h_omega) / np.angle(_principal(solver, h_omega)) - 1
 
 
 def oscillation_limit(solver: Method, highest: float = 20.0) -> float:

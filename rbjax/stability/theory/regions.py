@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.checks import shown
 from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Characteristic
 from rbjax.stability.theory.polynomials import (
@@ -142,6 +143,11 @@ def _simplest(method: Method) -> Method:
     """The stability function of a polynomial of one step."""
     if isinstance(method, StabilityFunction):
         return method
+    if not isinstance(method, Characteristic):
+        raise InputError(
+            f"regions: method is {shown(method)}, expected a StabilityFunction or a "
+            "Characteristic: stability_function(solver) or characteristic(solver)"
+        )
     if method.steps == 1:
         padded = [p + (Fraction(0),) * (2 - len(p)) for p in method.by_power]
         return StabilityFunction(poly(-p[0] for p in padded), poly(p[1] for p in padded))

@@ -1,0 +1,76 @@
+"""Checks of single arguments: what passes, and what is said of the rest."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax.checks import array_of, check_integer, check_kind, check_real, shown
+
+REAL = [1, 2.5, np.float32(3), np.array(4), jnp.array(5.0), jnp.float32(6)]
+NOT_REAL = [None, "1", True, 1j, [1.0], np.ones(2), np.nan, np.inf, 10**400, {}, len, object(),
+            jnp.array(np.nan), np.array("a")]  # fmt: skip
+
+
+@pytest.mark.parametrize("x", REAL)
+def test_numbers_pass(x):
+    check_real("f", "x", x, "a number", above=0.0, least=1.0)
+
+
+@pytest.mark.parametrize("x", [*NOT_REAL, 0, -1.0], ids=str)
+def test_others_are_rejected(x):
+    with pytest.raises(rb.InputError, match=r"f: x is .*, expected a number above zero"):
+        check_real("f", "x", x, "a number above zero", above=0.0)
+
+
+def test_bounds_and_traced_values():
+    check_real("f", "x", 0.0, "at least 0", least=0.0)
+    with pytest.raises(rb.InputError, match=r"f: x is -0.1, expected at least 0"):
+        check_real("f", "x", -0.1, "at least 0", least=0.0)
+
+    def traced(x):
+        check_real("f", "x", x, "a number", above=0.0)
+        return x
+
+    assert jax.jit(traced)(-1.0) == -1.0
+    with pytest.raises(rb.InputError, match="expected a number"):
+        jax.jit(traced)(jnp.ones(2))
+
+
+def test_integers():
+    check_integer("f", "n", 1)
+    check_integer("f", "n", np.int32(0), 0)
+    for bad in (0, -1, 1.0, True, "1", None, [1]):
+        with pytest.raises(rb.InputError, match=r"f: n is .*, expected a positive integer"):
+            check_integer("f", "n", bad)
+    with pytest.raises(rb.InputError, match="expected an integer of at least 2"):
+        check_integer("f", "n", 1, 2)
+
+
+def test_kinds_and_arrays():
+    check_kind("f", "model", rb.load("pendulum"), rb.Model, "rbjax.Model")
+    with pytest.raises(rb.InputError, match=r"f: model is 'a', expected rbjax.Model"):
+        check_kind("f", "model", "a", rb.Model, "rbjax.Model")
+    assert array_of("f", "x", [1, 2], "numbers").dtype == float
+    assert array_of("f", "z", [1, 2j], "numbers", complex).dtype == complex
+    assert np.isnan(array_of("f", "x", [np.nan], "numbers", finite=False)).all()
+    for bad in (None, "a", [[1.0], [1.0, 2.0]], {}, [np.nan], [1j], [None], len):
+        with pytest.raises(rb.InputError, match=r"f: x is .*, expected numbers"):
+            array_of("f", "x", bad, "numbers")
+
+
+def test_unknown_names_of_two_kinds_are_listed_apart():
+    many = [f"body_{k}" for k in range(50)]
+    text = str(rb.UnknownName("body or site", "imo", apart={"body": many, "site": ["imu"]}))
+    assert "the body names here are: " in text and "the site names here are: 'imu'" in text
+    assert "and 30 more" in text and "did you mean 'imu'?" in text
+    text = str(rb.UnknownName("joint", "a", []))
+    assert text == "unknown joint 'a'; the joint names here are: (there are none)"
+
+
+def test_what_is_shown():
+    assert shown("a") == "'a'" and shown([1]) == "[1]"
+    assert shown(np.ones(100)) == "of type ndarray" and shown(len) == (
+        "of type builtin_function_or_method"
+    )
