@@ -45,6 +45,7 @@ def fitted(part: str, name: str, problem: Any, last: int, end: int) -> dict[str,
     model = setup.model
     start = time.perf_counter()
     run = go2.recording(model, 0, last)
+    # as in the source, a motion begins at its first sample, and there is one search
     found = identify(setup, run, unknowns, grid=go2.GRID, steps=STEPS, starts=False, restarts=0)
     seconds = time.perf_counter() - start
     n = len(found.values)

@@ -195,10 +195,9 @@ def _numbers(where: str, name: str, x: Any, *shapes: tuple[int, ...]) -> Array:
 
 
 def _checked(where: str, rows: Sequence[TorqueRows]) -> list[TorqueRows]:
-    rows = [rows] if isinstance(rows, TorqueRows) else rows
-    if not isinstance(rows, Sequence) or isinstance(rows, str):
-        rows = [rows]  # named below
-    rows = list(rows)
+    given: Any = rows
+    several = isinstance(given, (list, tuple))
+    rows = list(given) if several else [given]  # a wrong one is named below
     if not rows or not all(isinstance(r, TorqueRows) for r in rows):
         raise InputError(
             f"{where}: rows is {[type(r).__name__ for r in rows]}, expected the `TorqueRows` of at "

@@ -7,7 +7,7 @@ weights only: methods that change weights again and again cost one matrix produc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -152,9 +152,8 @@ def equations(
         )
     if noise is not None:
         noise = _checked_noise(noise, tau, base.rank)
-    if isinstance(lengths, int):
-        lengths = [lengths]
-    lengths = (len(tau),) if lengths is None else tuple(lengths)
+    given_lengths: Any = (len(tau),) if lengths is None else lengths
+    lengths = tuple(given_lengths) if isinstance(given_lengths, Iterable) else (given_lengths,)
     if not all(isinstance(n, (int, np.integer)) and n > 0 for n in lengths) or sum(lengths) != len(
         tau
     ):

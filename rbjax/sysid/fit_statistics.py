@@ -5,14 +5,16 @@ A fit minimises the sum over rows of rho(r); psi = rho' / 2 is r for squares, an
 
     H = sum_c a_c J_c^T J_c,        a_c = mean psi'_c,        cov = H^-1 M H^-1
     M = sum_c s_c^2 J_c^T J_c,      s_c^2 = sum psi_c^2 / (m_c - h_c)       if psi is white
-    M = sum_|l|<=L (1 - |l| / (L + 1)) sum_t g_t g_(t+l)^T,   g_t = sum_c J_c^T psi_c   if not
+    M = sum_|l|<=L (1 - |l| / (L + 1)) sum_t g_t g_(t+l)^T    if not
+where g_t are scores of the innovations of psi, whose sum is that of J_c^T psi_c (`_scores`).
 h_c is the number of fitted numbers that the column determines (the trace of the hat matrix). So
 intervals follow the residuals, whether the noise is stated, estimated or wrong. m_c is the number
 of rows of the residual; an attitude has three.
 
 Source: Huber, *Robust Statistics*, 6.3 and 7.6; White, Econometrica 48(4), 1980; Newey & West,
 Econometrica 55(3), 1987; Andrews, Econometrica 59(3), 1991; Andrews & Monahan, Econometrica 60(4),
-1992 (prewhitening).
+1992 (scores are made nearly white before the window); Kendall, Biometrika 41, 1954 (the bias of
+the correlation of residuals).
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import signal
 
 from rbjax.sysid.statistics import Estimates, decomposed, estimates, tolerance_for
 from rbjax.sysid.whiteness import ALPHA, meat_of, whiteness
@@ -30,8 +33,8 @@ from rbjax.sysid.whiteness import ALPHA, meat_of, whiteness
 FEW = 5.0
 #: with fewer samples whiteness is not tested
 SHORT = 20
-#: the largest correlation of neighbours that prewhitening removes
-STEADY = 0.97
+#: the largest correlation of neighbours
+STEADY = 0.985
 
 
 class Rows(NamedTuple):
@@ -104,8 +107,12 @@ def fit_statistics(
     variance = np.where(dof >= FEW, alone, np.where(stated, 1.0, pooled))
     coloured, effective = _colours(columns)
     if coloured:
-        meat = _long_run(_scores(columns, turned))
-        free = max(effective * dof.sum(), 1.0)
+        rho = _correlations(columns, hats, counts)
+        meat = meat_of(_scores(columns, turned, rho))
+        steady = max(r for c, r in zip(columns, rho, strict=True) if c.name in coloured)
+        effective = min(effective, (1 - steady) / (1 + steady))
+        # of the samples that are independent, as many as there are numbers are used up
+        free = max(effective * dof.sum() - rank, 2.0)
         meat = meat * (counts.sum() / max(counts.sum() - rank, 1))
     else:
         meat, free = np.zeros((rank, rank)), max(float(dof.sum()), 1.0)
@@ -153,28 +160,37 @@ def _colours(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
     return names, min((w.effective_samples / m for _, w, m in found), default=1.0)
 
 
-def _long_run(scores: Sequence[np.ndarray]) -> np.ndarray:
-    """The covariance of the sum of scores. Each is first prewhitened by a process of first order,
-    because Bartlett's window would cut off long correlations."""
-    before = np.concatenate([g[:-1] for g in scores])
-    after = np.concatenate([g[1:] for g in scores])
-    power = (before**2).sum(0)
-    rho = (after * before).sum(0) / np.where(power > 0, power, 1.0)
-    rho = np.clip(rho, -STEADY, STEADY)
-    left = [np.concatenate([g[:1] * np.sqrt(1 - rho**2), g[1:] - rho * g[:-1]]) for g in scores]
-    return np.asarray(meat_of(left) / np.outer(1 - rho, 1 - rho))
+def _correlations(columns: Sequence[Column], hats: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """By column, the correlation of neighbours in the noise. That of residuals is smaller, as the
+    h numbers that a column determines follow slow noise: by (h + (h + 2) rho) / n at most."""
+    found = np.zeros(len(columns))
+    for c, column in enumerate(columns):
+        power = sum(float(rows.psi @ rows.psi) for rows in column.runs)
+        if power > 0:
+            next_ = sum(float(rows.psi[1:] @ rows.psi[:-1]) for rows in column.runs)
+            found[c] = next_ / power
+    found = found + (hats + (hats + 2) * found) / np.maximum(counts, 1)
+    return np.clip(found, -STEADY, STEADY)
 
 
 def _scores(
-    columns: Sequence[Column], turned: Sequence[Sequence[np.ndarray]]
+    columns: Sequence[Column], turned: Sequence[Sequence[np.ndarray]], rho: np.ndarray
 ) -> list[np.ndarray]:
-    """By run (samples, rank), the sum of all columns at each sample."""
+    """By run (samples, rank), the sum of all columns at each sample, of which the whole sum is that
+    of J^T psi. psi is a process of first order with innovations e, so that each e counts with what
+    it does to all later psi:  sum_t G_t psi_t = sum_s v_s e_s,  v_s = sum_(t>=s) rho^(t-s) G_t."""
     found = []
     for k in range(len(columns[0].runs)):
         length = max((int(c.runs[k].place.max(initial=-1)) for c in columns), default=-1) + 1
         g = np.zeros((max(length, 1), turned[0][k].shape[1]))
-        for column, each in zip(columns, turned, strict=True):
-            rows = column.runs[k]
-            np.add.at(g, rows.place, each[k] * rows.psi[:, None])
+        for column, each, r in zip(columns, turned, rho, strict=True):
+            rows, G = column.runs[k], each[k]
+            if not len(rows.psi):
+                continue
+            e, first = rows.psi.copy(), np.sqrt(1 - r**2)
+            e[1:] -= r * rows.psi[:-1]
+            v = signal.lfilter([1.0], [1.0, -r], G[::-1], axis=0)[::-1].copy()
+            e[0], v[0] = e[0] * first, v[0] / first
+            np.add.at(g, rows.place, v * e[:, None])
         found.append(g)
     return found

@@ -32,6 +32,9 @@ FLAT = 1e-8
 #: x is a minimum if the Gauss-Newton step is expected to lower the cost by less than this fraction:
 #: then the residual is orthogonal to all columns of J to within 3e-4 rad
 OPTIMAL = 1e-7
+#: or that step has such a divergence: it changes no number by more than 5e-8 of its size. Of exact
+#: data the residual is rounding, whose share that a step expects to take off says nothing
+ROUNDING = 1e-15
 #: slopes from here on are those of a motion that ran away
 HUGE = 1e100
 #: Newton's steps of one convex problem
@@ -221,7 +224,7 @@ def _is_minimum(D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float)
     trial = convex_step(R, x, D, ((w * size, x),))
     linear = R[:, :-1] @ (trial - x) + R[:, -1]
     expected = now - float(linear @ linear)
-    return bool(expected <= OPTIMAL * now or D(trial, x).value <= SMALL)
+    return bool(expected <= OPTIMAL * now or D(trial, x).value <= ROUNDING)
 
 
 def _has_squares(R: np.ndarray) -> bool:

@@ -317,9 +317,9 @@ class Recording:
 
     def pieces(self, seconds: float) -> list[Recording]:
         """Pieces of this length, one after the other; a shorter rest at the end is left out."""
-        if not isinstance(seconds, (int, float, np.number)):
-            seconds = np.nan
-        count = int((self.end - self.start) / seconds + 1e-9) if seconds > 0 else 0
+        given: Any = seconds
+        number = isinstance(given, (int, float, np.number)) and seconds > 0
+        count = int((self.end - self.start) / seconds + 1e-9) if number else 0
         if count < 1:
             raise InputError(
                 f"Recording {self.name}.pieces: seconds is {seconds}, expected a positive length "

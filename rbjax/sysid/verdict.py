@@ -93,7 +93,8 @@ def judged(
             )
     if coloured and not _tiny(seen):
         failed.append(
-            f"the residual is not white ({', '.join(coloured)}), so the model lacks something"
+            f"the residual is not white ({', '.join(coloured)}), so the model lacks something, and "
+            "intervals may miss the truth"
         )
     says = "the fit is poor: " + "; ".join(failed) if failed else "the fit is good"
     if not failed:

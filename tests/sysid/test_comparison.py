@@ -19,6 +19,7 @@ def half(first, factor=1.0):
     [(1.0, True, "holds"), (1.6, False, "is weaker"), (5.0, False, "fails")],
 )
 def test_verdicts(factor, holds, words):
+    # errors of 1 in a motion of 10 are R2 = 0.99, which is the least that holds; of 30 0.999
     measured = {n: r + 30 * RNG.normal(size=r.shape) for n, r in half(False, factor).items()}
     found = held_out(half(True), half(False, factor), measured=measured, noise=1.0, unit="mrad")
     rms = np.sqrt(np.mean(np.concatenate(list(half(False, factor).values())) ** 2))

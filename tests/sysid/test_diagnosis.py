@@ -65,6 +65,7 @@ def test_right_data_have_no_cause():
 def test_wrong_data_are_named(name):
     wrong, kind, channels, columns = WRONG[name]
     setup, run = leg()
+    # no other start explains data that are wrong
     found = identify(setup, wrong(run), UNKNOWNS, grid=Grid(T), steps=40, restarts=0)
     said = diagnose(found)
     assert {cause.kind for cause in said.causes} == {kind}

@@ -79,7 +79,7 @@ def test_a_noise_free_motion_gives_the_numbers():
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"shooting": 0.0}, "above 0 and shorter than the longest"),
+        ({"shooting": 0.0}, "shooting is 0.0, expected seconds above 0"),
         ({"shooting": 5.0}, "above 0 and shorter than the longest"),
         ({"shooting": 0.1, "grid": Grid(T, 1, "rk4", 2)}, "delayed commands"),
     ],
