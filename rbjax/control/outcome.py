@@ -41,7 +41,6 @@ class LINEAR_RESULTS(eqx.Enumeration):
         "no cost, or the cost is not bounded from below."
     )
     not_stable = "The matrix is not stable, so the sum over all time has no limit."
-    unreachable = "The controls do not reach the target within the horizon."
 
 
 def raise_failure(where: str, result: Any) -> None:

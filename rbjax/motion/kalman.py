@@ -26,8 +26,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_solve
 
+from rbjax.dynamics.arguments import shape_of
 from rbjax.errors import InputError
 
 
@@ -311,7 +313,13 @@ def kalman_update(
         >>> round(float(found.state[0]), 6), round(float(found.covariance[0, 0]), 6)
         (0.5, 0.5)
     """
+    _check("kalman_update", space, estimate)
     R = _matrix("noise", noise)
+    shape = shape_of("kalman_update", "reading", reading)
+    if shape != R.shape[:1] or isinstance(reading, str):
+        raise InputError(
+            f"kalman_update: reading has shape {shape}, expected {R.shape[:1]} numbers, as noise"
+        )
     if arrived is None:
         reading = jnp.asarray(reading)
         arrived = ~jnp.isnan(reading)
@@ -349,6 +357,7 @@ def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: A
         >>> float(found.state[0]), float(found.covariance[0, 0])
         (1.0, 3.0)
     """
+    _check("kalman_predict", space, estimate)
     P = _matrix("covariance", estimate.covariance)
     state, after, _ = _predicted(space, estimate.state, P, given, _matrix("process", process))
     return Estimate(state, after)
@@ -363,8 +372,21 @@ def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | N
     return new, turn
 
 
+def _check(where: str, space: Any, estimate: Any) -> None:
+    for name, value, kind in (("space", space, StateSpace), ("estimate", estimate, Estimate)):
+        if not isinstance(value, kind):
+            got = type(value).__name__
+            raise InputError(f"{where}: {name} is {got}, expected a {kind.__name__}")
+
+
 def _matrix(name: str, x: Any) -> jax.Array:
-    x = jnp.asarray(x) if hasattr(x, "dtype") else jnp.asarray(x, float)
+    try:
+        x = jnp.asarray(x) if hasattr(x, "dtype") else jnp.asarray(x, float)
+    except (TypeError, ValueError) as error:
+        got = type(x).__name__
+        raise InputError(f"kalman_filter: {name} is {got}, expected numbers") from error
+    if not isinstance(x, jax.core.Tracer) and not np.isfinite(np.asarray(x)).all():
+        raise InputError(f"kalman_filter: {name} is not finite, expected finite numbers")
     if not jnp.issubdtype(x.dtype, jnp.floating):
         x = x.astype(float)
     if x.ndim == 1:
