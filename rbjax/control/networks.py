@@ -82,12 +82,12 @@ def network(
     """
     check_key("network", key)
     sizes = check_several("network", "sizes", sizes, "integers")
-    last = check_array("network", "last", last, ())
+    factor = check_array("network", "last", last, ())
     if len(sizes) < 2 or any(not isinstance(n, int) or n < 1 for n in sizes):
         raise InputError(f"network: sizes is {sizes}, expected two or more positive integers")
     if activation not in ACTIVATIONS:
         raise UnknownName("activation of network", activation, ACTIVATIONS)
-    weights, biases = _drawn(key, sizes, last)
+    weights, biases = _drawn(key, sizes, factor)
     return Network(weights, biases, activation)
 
 

@@ -162,6 +162,7 @@ def test_bounds_and_regularisation_of_the_pass() -> None:
     high = jnp.where(slope < 0, 0.0, 1e9)
     held = backward_pass(A, B, gaps, path, end, Bounds(low, high), None, zero)
     assert held.square == 0
+    assert np.abs(held.k).max() == 0 and np.abs(held.K).max() == 0
     opposite = backward_pass(A, B, gaps, path, end, Bounds(-high, -low), None, zero)
     assert abs(float(opposite.square) / float((slope**2).sum()) - 1) < 1e-12
     reg = 3.0
