@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 test test-all demo: export JAX_COMPILATION_CACHE_DIR := $(CURDIR)/.cache/jax
 test test-all demo: export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS := 0.5
 
-.PHONY: help setup test quick test-gpu test-all lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
+.PHONY: help setup test quick test-gpu test-all test-oldest lint types demo bench failure-map wheel-contact bench-work-precision notebooks clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-20s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,7 +32,7 @@ $(STAMP): pyproject.toml
 	  echo "$(PYTHON) cannot make a virtual environment: on Debian, 'apt install python3-venv'." >&2; \
 	  exit 1; }
 	@echo "installing rbjax and its test tools into $(VENV), a minute or two ..."
-	@$(BIN)/pip install -qq --editable '.[test]'
+	@$(BIN)/pip install -qq --no-compile --editable '.[test]'  # Python compiles what is imported
 	@touch $@
 
 test: $(STAMP) ## lint, types, tests, doctests, notebooks; not the slow ones
@@ -46,6 +46,13 @@ test-gpu: $(STAMP) ## on an NVIDIA GPU: the threads compiler's tests as kernels,
 
 test-all: lint types ## the same with the slow tests; JOBS=16 on many cores; a summary in .cache/test-all.xml
 	$(PYTEST) --durations=20 --junitxml=.cache/test-all.xml
+
+# Old packages warn of the parts of newer ones that they use.
+test-oldest: ## the quick tests with the oldest versions that pyproject.toml accepts, in .venv-oldest
+	$(PYTHON) -m venv .venv-oldest
+	.venv-oldest/bin/python tests/oldest.py > .venv-oldest/constraints.txt
+	.venv-oldest/bin/pip install -qq --editable '.[test]' --constraint .venv-oldest/constraints.txt
+	.venv-oldest/bin/pytest -n $(JOBS) --dist worksteal -m "not slow" -W ignore::DeprecationWarning
 
 lint: $(STAMP) ## ruff
 	$(BIN)/ruff check --quiet .
@@ -90,5 +97,5 @@ notebooks/%.ipynb: notebooks/%.py $(STAMP) FORCE
 FORCE:
 
 clean: ## remove all that make has made, .venv included
-	rm -rf $(VENV) .cache .mypy_cache .pytest_cache .ruff_cache build dist *.egg-info rbjax-demo
+	rm -rf $(VENV) .venv-oldest .cache .mypy_cache .pytest_cache .ruff_cache build dist *.egg-info rbjax-demo
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

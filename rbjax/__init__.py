@@ -73,8 +73,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-#: what is imported on the first use: with diffrax, MuJoCo and SciPy below, it takes several times
-#: as long to import as the rest
+#: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
+#: several times as long as the rest
 _PACKAGES = (
     "body", "constraints", "control", "forces", "loading", "motion", "planning", "plotting",
     "solvers", "stability", "sysid", "validation", "wheeled",
@@ -95,8 +95,8 @@ _MODULES = {
 
 
 def _of(module: str, name: str | None = None) -> Any:
-    """A module, or a name of it, imported on the first use. That may be within a trace, of which no
-    constant of a module may be part."""
+    """Import a module on the first use; return it, or its attribute `name`. The first use may be
+    inside a trace: `ensure_compile_time_eval` keeps the module's constants from being traced."""
     with jax.ensure_compile_time_eval():
         found = importlib.import_module(module)
     return found if name is None else getattr(found, name)
@@ -116,7 +116,7 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-# These packages offer these names too, although the modules of the names import them.
+# These packages export `recommend` too, which is defined in modules that import the packages.
 for _package, _module in (
     ("wheeled", "fidelity"), ("solvers", "solver"), ("control", "control"),
     ("constraints", "formulation"),

@@ -1,11 +1,11 @@
 """All private or unstable names of JAX and its libraries that this package uses.
 
-Each has a function here, which says what it is for. If a version of JAX lacks a name, only this
-file changes. `pyproject.toml` bounds the versions from above by those that were tested.
+Each has a function or a constant here, with its purpose. If a version of JAX lacks a name, only
+this file changes. The upper bounds in `pyproject.toml` are the newest versions that were tested.
 
 Not private, but without JAX's promise of stability, and used elsewhere: `jax.extend.core`
 (jaxprs, their equations and primitives) and `jax.interpreters` (rules of primitives). The layout of
-XLA's foreign function interface is in `threads.llvm_xla`, that of numpy's arrays in
+XLA's foreign function interface is in `threads.llvm_xla`, the layout of numpy's arrays in
 `threads.numpy_abi`; both are checked before use.
 """
 
@@ -27,7 +27,7 @@ CALLS = {
     "custom_vjp_call", "custom_vjp_call_jaxpr", "custom_vmap_call", "eval_jaxpr",
 }  # fmt: skip
 JAXPRS = "jaxpr", "call_jaxpr", "call", "fun_jaxpr"
-#: Equinox' combinations over a batch, and the operations that they are
+#: Equinox's reductions over a batch, and the operation of each
 UNVMAP = {"unvmap_any": "or", "unvmap_all": "and", "unvmap_max": "max"}
 #: the custom call by which XLA loads PTX
 GPU_KERNEL = "__gpu$xla.gpu.ptx"
@@ -56,23 +56,23 @@ def is_error(eqn: JaxprEqn) -> bool:
 
 
 def needs_devices(primitive: Primitive) -> None:
-    """Makes JAX pass the devices of the program to the lowering of a primitive. Without it, a batch
-    that is sharded is gathered on each device."""
+    """Make JAX pass the devices of the program to the lowering of a primitive. Without them, a
+    sharded batch is gathered on each device."""
     try:
         from jax._src.dispatch import prim_requires_devices_during_lowering
 
         prim_requires_devices_during_lowering.add(primitive)
-    except ImportError:  # the batch is gathered: slower, and right
+    except ImportError:  # the batch is gathered: slower, but correct
         pass
 
 
 def apply_primitive(primitive: Primitive, *args: Any, **params: Any) -> Any:
-    """Compiles and runs one primitive, outside of any trace."""
+    """Compile and run one primitive, outside of any trace."""
     return xla.apply_primitive(primitive, *args, **params)
 
 
 def device_count(ctx: Any) -> int:
-    """The devices of the program that is being lowered."""
+    """The number of devices of the program that is being lowered."""
     return getattr(ctx.module_context.axis_context, "num_devices", None) or 1
 
 
@@ -90,14 +90,14 @@ def varying_axes(aval: Any) -> frozenset:
 
 
 def like(aval: Any, shape: tuple[int, ...], dtype: Any) -> ShapedArray:
-    """The type of an array that varies over the devices as another does."""
+    """The abstract value of an array that varies over the devices as `aval` does."""
     mesh = aval.sharding.mesh
     whole = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*[None] * len(shape)))
     return aval.update(shape=shape, dtype=dtype, weak_type=False, sharding=whole)
 
 
 def key_implementation(dtype: Any) -> Any:
-    """The functions of a kind of random keys: seed, split, fold_in and random_bits of raw keys."""
+    """The implementation of a key type: seed, split, fold_in and random_bits of raw keys."""
     return dtype._impl
 
 
@@ -105,20 +105,20 @@ def key_implementation(dtype: Any) -> Any:
 
 
 def without_names(jaxpr: Jaxpr) -> Any:
-    """The debug info of a jaxpr without names of arguments, for a jaxpr derived from it."""
+    """The debug info of a jaxpr without argument names, for a jaxpr that is derived from it."""
     return jaxpr.debug_info._replace(arg_names=None, result_paths=None)
 
 
 def equation(eqn: JaxprEqn, ins: list, outs: list, at: JaxprEqn) -> JaxprEqn:
-    """An equation with other variables, at the place of another in the source."""
+    """`eqn` with other variables, and with the source location and the context of `at`."""
     return JaxprEqn(ins, outs, eqn.primitive, eqn.params, eqn.effects, at.source_info, at.ctx)
 
 
 def custom_rule(
     eqn: JaxprEqn, moving: tuple[bool, ...]
 ) -> tuple[ClosedJaxpr, list[bool]] | None:
-    """The rule of a `custom_jvp` for arguments that move, and which of its rates are not zero; None
-    if JAX keeps it in another form."""
+    """The rule of a `custom_jvp` for the arguments that have tangents (`moving`), and which of its
+    output tangents are not zero. None if JAX stores the rule in another form."""
     rule = eqn.params.get("jvp_jaxpr_fun")
     if rule is None or not eqn.params.get("symbolic_zeros"):
         return None
@@ -127,7 +127,7 @@ def custom_rule(
 
 
 def inside(x: Any) -> Any:
-    """The value under the batch and tangent tracers around it."""
+    """The value inside nested batch and tangent tracers."""
     while isinstance(x, jax.core.Tracer):
         x = getattr(x, "val", getattr(x, "primal", None))
     return x
@@ -137,8 +137,8 @@ def inside(x: Any) -> Any:
 
 
 def typed(attributes: Any, version: Any) -> None:
-    """Marks a custom call as typed in StableHLO's words. JAX writes an attribute of its own, which
-    XLA of jax 0.11 loses when it writes a call again."""
+    """Mark a custom call as typed by StableHLO's attribute. JAX writes an attribute of its own,
+    which the XLA of jax 0.11 loses when it rewrites a call."""
     if "mhlo.backend_config" in attributes:
         attributes["backend_config"] = attributes["mhlo.backend_config"]
         attributes["api_version"] = version
@@ -149,13 +149,13 @@ def typed(attributes: Any, version: Any) -> None:
 
 
 def any_of_batch(x: jax.Array) -> jax.Array:
-    """Whether x holds for some sample of a batch that `vmap` adds."""
+    """Whether x is true for any sample of a batch that `vmap` adds."""
     from equinox.internal import unvmap_any
 
     return unvmap_any(x)
 
 
-#: the option in which diffrax passes the state of an iteration from stage to stage
+#: the option by which diffrax passes the state of an iteration from stage to stage
 FIRST_STATE = "init_state"
 
 
@@ -165,12 +165,12 @@ def correction(state: Any) -> Any:
 
 
 def corrections(state: Any) -> Any:
-    """How many corrections a root finder of optimistix has made."""
+    """The number of corrections that a root finder of optimistix has made."""
     return state.step
 
 
 def scan_kind(solver: Any) -> Any:
     """How a Runge-Kutta method of diffrax loops over its stages ("lax", "checkpointed", ...).
 
-    None is diffrax's choice, "" a solver without one."""
+    None: diffrax chooses. "": the solver has no such field."""
     return getattr(solver, "scan_kind", "")

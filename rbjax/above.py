@@ -1,7 +1,8 @@
-"""Names that a package offers although a module above it, which imports it, defines them.
+"""Names of a package that are defined in a module which imports the package.
 
 `rbjax.solvers.recommend` simulates motions, so its module imports `rbjax.solvers`. The top package
-registers how to reach such names before any of these packages is imported, and each looks here.
+registers an import function for each of these names before any of these packages is imported. The
+`__getattr__` of each package calls it.
 """
 
 from __future__ import annotations
@@ -14,5 +15,5 @@ _names: dict[str, dict[str, Callable[[], Any]]] = defaultdict(dict)
 
 
 def names_from_above(package: str) -> dict[str, Callable[[], Any]]:
-    """name -> how to import it, of a package."""
+    """The table of a package: name -> function that imports it."""
     return _names[package]

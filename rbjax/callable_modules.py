@@ -1,8 +1,8 @@
 """Modules that share their name with a function of their package.
 
-`rbjax.wheeled.kinds` is a module, with the makers of robots, and a function of `rbjax.wheeled`. A
-name of a package has one value, so the function hid the module: `import rbjax.wheeled.kinds as k`
-gave the function. Here the value is the module, and a call of the module calls the function.
+`rbjax.wheeled.kinds` is a module, which creates robots, and also a function of `rbjax.wheeled`. A
+package attribute has one value. If that is the function, `import rbjax.wheeled.kinds as k` gives
+the function. So the value is the module, and a call of the module calls the function.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 
 class CallableModule(ModuleType):
-    """A module that is called as `__wrapped__`, the function of the same name."""
+    """A module whose call calls `__wrapped__`, the function of the same name."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         return vars(self)["__wrapped__"](*args, **kwargs)
@@ -24,8 +24,8 @@ class CallableModule(ModuleType):
 
 
 def make_modules_callable(package: str) -> None:
-    """Replace each function of a package that hides a module of the package by that module, which
-    is then called as the function. To be called at the end of the package's `__init__`."""
+    """Replace each function of a package that hides a module of the package by that module. A call
+    of the module then calls the function. Call this at the end of the package's `__init__`."""
     names = vars(sys.modules[package])
     for name, value in list(names.items()):
         module = sys.modules.get(f"{package}.{name}")

@@ -264,11 +264,11 @@ def _plot(
 @app.command()
 def identify(
     configuration: Annotated[Path, typer.Argument(help="TOML file, or a folder for --example.")],
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the saved fit.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue from the saved fit.")] = False,
     example: Annotated[bool, typer.Option("--example", help="Write an example here.")] = False,
     folder: Annotated[Path | None, typer.Option("--out", help="Folder of the results.")] = None,
 ) -> None:
-    """Fit a robot's numbers to recordings: a table, a report, and the robot's file with them."""
+    """Fit a robot's parameters to recordings. Writes a report and the robot's file with them."""
     from rbjax.sysid.job import Job
     from rbjax.sysid.job_example import write_example
 

@@ -25,7 +25,7 @@ def xla_accepts(option: str, value: Any) -> bool:
     """Whether this jaxlib's compiler knows an option. The options change with jaxlib's version."""
     try:
         jax.jit(lambda x: x + 1, compiler_options={option: value}).lower(1.0).compile()
-    except jax.errors.JaxRuntimeError:  # whose text changes; another cause shows without it too
+    except jax.errors.JaxRuntimeError:  # its text varies; another cause recurs without the option
         return False
     return True
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 
-#: names that the message of an `UnknownName` lists, the nearest ones if there are more
+#: the message of an `UnknownName` lists all names up to this number; above it, half as many, the
+#: nearest ones
 LISTED = 40
 
 
@@ -32,7 +33,7 @@ class InputError(RbjaxError, ValueError):
 
 
 class UnknownName(RbjaxError, KeyError):
-    """A name that does not exist. The message lists the names that do, and the nearest one."""
+    """A name that does not exist. The message lists the valid names, and the nearest one."""
 
     def __init__(self, kind: str, name: object, valid: Iterable[str]):
         known = list(valid)

@@ -17,6 +17,17 @@ def flat(tree: Any) -> jax.Array:
     return jnp.concatenate([jnp.ravel(x) for x in jax.tree.leaves(tree)])
 
 
+def cast(tree: Any, like: Any) -> Any:
+    """The floating arrays and NumPy scalars of a record in the dtype of another array."""
+    dtype = jnp.result_type(like)
+
+    def one(x: Any) -> Any:
+        known = isinstance(x, (np.ndarray, np.floating, jax.Array))
+        return jnp.asarray(x, dtype) if known and jnp.issubdtype(x.dtype, jnp.floating) else x
+
+    return jax.tree.map(one, tree)
+
+
 def check_composes(function: Callable[..., Any], xs: list[np.ndarray]) -> None:
     """Compares three calls outside any transformation with the same function inside one compiled
     program, mapped over a batch, and with its derivatives.
@@ -32,12 +43,16 @@ def check_composes(function: Callable[..., Any], xs: list[np.ndarray]) -> None:
         return flat(function(*arrays))
 
     def everything(tangents, weight, *batch):
-        mapped, rates = jax.vmap(lambda *x: jax.jvp(f, x, tuple(tangents)))(*batch)
-        return mapped, rates[0], jax.vjp(f, *(x[0] for x in batch))[1](weight)
+        def one(*x):  # one linearisation gives the value and both modes: a third less to compile
+            value, linear = jax.linearize(f, *x)
+            return value, linear(*tangents), jax.linear_transpose(linear, *x)(weight)
+
+        return jax.vmap(one)(*batch)
 
     door = [np.asarray(f(*(x[k] for x in xs))) for k in range(3)]  # a loop, and not compiled by us
     weight = rng.normal(size=door[0].shape)
-    mapped, rate, gradient = jax.jit(everything)(tangents, weight, *xs)
+    mapped, rates, gradients = jax.jit(everything)(tangents, weight, *xs)
+    rate, gradient = rates[0], [g[0] for g in gradients]
     assert relative_error(mapped, np.stack(door), batch_dims=1).max() <= F64_TRANSFORM, "vmap, jit"
     ends = [
         np.asarray(f(*(x[0] + side * STEP * t for x, t in zip(xs, tangents, strict=True))))

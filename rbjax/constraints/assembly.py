@@ -1,10 +1,10 @@
 """A consistent state from a rough guess.
 
     min |dq|_M:  g(t, q + dq) = 0,  pinned coordinates held;     then the same for velocities
-Gauss-Newton steps of least norm, each shortened until the residual falls. The rows of a weld and of
-a prismatic joint have the sine of half the angle (`HalfAngle`), so no step leads to a joint that is
-closed half a turn off. (Masarati, *Multibody
-System Dynamics*, ch. 6; Haug, *Computer-Aided Kinematics and Dynamics*, 4.6)
+Gauss-Newton steps of least norm, each shortened until the residual decreases. The rows of a weld
+and of a prismatic joint use the sine of half the angle (`HalfAngle`), so the steps do not converge
+to a configuration that is half a turn off.
+(Masarati, *Multibody System Dynamics*, ch. 6; Haug, *Computer-Aided Kinematics and Dynamics*, 4.6)
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from rbjax.errors import InputError, listed
 from rbjax.model import Model, State
 
 STEPS, HALVINGS = 60, 12
-#: shortest singular value, against the longest, along which a step goes, in f64 and in f32
+#: the least singular value that a step uses, relative to the largest one, in f64 and in f32
 LEAST = 1e-9, 1e-5
-#: how far a guess is moved whose residual or Jacobian is not a number: half a turn off
+#: how far a guess is moved, rad or m, if its residual or Jacobian is NaN, as at half a turn
 MOVED = 0.03
 
 
@@ -141,7 +141,8 @@ def assemble(
 
 
 def _half_angles(model: Model) -> Model:
-    """The model, its joints with rows that are zero only where the joint is closed."""
+    """The model with `HalfAngle` rows for its loop joints: they are zero only if a joint is
+    closed."""
 
     def of(constraint: Any) -> Any:
         joint = constraint.of if isinstance(constraint, Soft) else constraint

@@ -87,8 +87,8 @@ def cosine(A: Frame, u: Vec3, B: Frame, w: Vec3) -> Row:
 
 
 def distance(A: Frame, B: Frame, least: float = 0.0) -> Row:
-    """|p_B - p_A|; `least` keeps it smooth where they meet, as sqrt(d^2 + least^2). Without it,
-    the gradient of a distance of zero is zero: no direction is better than another."""
+    """d = |p_B - p_A|, or sqrt(d^2 + least^2), which is smooth at d = 0. If `least` is 0, the
+    gradient at d = 0 is zero."""
     d, rate, bent = _apart(A, B)
     square = add(d.dot(d), least * least)
     apart = square > 0

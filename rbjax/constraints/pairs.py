@@ -13,7 +13,7 @@ a and b are frames on the two bodies, their z the axis of the joint.
 
 Parallel z axes may point in the same or in opposite directions: these rows are zero for both. The
 rows of a prismatic joint and of a weld are the sine of an angle, so they are zero at half a turn
-too; `assemble` takes the sine of half the angle (`HalfAngle`), which is not.
+too. `assemble` uses the sine of half the angle (`HalfAngle`), which is not zero there.
 (Masarati, *Multibody System Dynamics*, ch. 6; Haug, 1989, 9.4; Reuleaux's lower pairs)
 """
 
@@ -50,14 +50,15 @@ from rbjax.model import Model
 from rbjax.model.leaves import scalar
 from rbjax.model.record import check_number, floats
 
-#: a trace of a rotation is rounding if it is as near to -1, half a turn
+#: if the trace of a rotation is this near to -1 (half a turn), 1 + trace is mostly rounding error
 NEAR = 1e-5
 
 
 class Pair(Constraint):
     """Rows between two frames.
 
-    Fields: a, b, `Place`s. Class field: turns, the rows that `geometry.turn` gives, or None.
+    Fields: a, b, `Place`s. Class field: turns, the slice of the rows that `geometry.turn` gives, or
+    None.
     """
 
     a: Place
@@ -108,9 +109,10 @@ class Pair(Constraint):
 
 
 class HalfAngle(Constraint):
-    """The rows of a pair, with the sine of half the angle between its frames, doubled, in the place
-    of the sine: zero only where the frames are aligned. Not a number within 0.2 degrees of half a
-    turn, where it is rounding.
+    """The rows of a pair, with 2 sin(x / 2) instead of sin(x) for the angle x between its frames.
+
+    They are zero only if the frames are aligned. They are NaN within 0.2 degrees of half a turn,
+    where rounding determines them.
 
     Fields: of, a `Pair` with `turns`.
     """
@@ -178,8 +180,8 @@ class Prismatic(Pair):
 class Screw(Pair):
     """A cylindrical joint whose slide is tied to its turn: s = pitch turn / (2 pi), five rows.
 
-    Fields: pitch, m a turn, not zero. Any number of turns: the turn is what the slide says, within
-    half one.
+    Fields: pitch, m a turn, not zero. The joint may make any number of turns: the slide determines
+    it, to within half a turn.
     """
 
     pitch: jax.Array = eqx.field(converter=floats)
@@ -189,8 +191,8 @@ class Screw(Pair):
         check_number(self, "pitch")
         if not isinstance(self.pitch, jax.core.Tracer) and not np.asarray(self.pitch):
             raise InputError(
-                "Screw(pitch=...): got 0, expected metres a turn that are not zero; without a "
-                "pitch the joint is a Revolute"
+                "Screw(pitch=...): got 0, expected a pitch in metres a turn that is not zero; "
+                "without a pitch the joint is a Revolute"
             )
 
     def between_frames(self, A: Frame, B: Frame, now: Instant) -> Sequence[Row]:
@@ -300,7 +302,7 @@ class Distance(Pair):
         length: Any = None,
         q: jax.Array | None = None,
     ) -> Distance:
-        """The rod between two points, given in the world in a configuration.
+        """A rod between two points, which are given in world axes for one configuration.
 
         Args:
             model: the robot.

@@ -80,8 +80,8 @@ def check_places(constraint: Any) -> None:
 def turn_z_to(axis: jax.Array) -> jax.Array:
     """The quaternion (4,) of a rotation that takes z to an axis (3,) of any length.
 
-    It is the shortest one if the axis's z is not negative. Otherwise it is a half turn about x and
-    the shortest rotation from -z.
+    If the axis's z is not negative, it is the shortest rotation. Otherwise it is a half turn about
+    x, followed by the shortest rotation of -z to the axis.
     """
     length = jnp.sqrt((axis * axis).sum())
     if not isinstance(length, jax.core.Tracer) and not np.asarray(length) > 0:

@@ -46,9 +46,9 @@ def mobility(
     Args:
         model: the robot, with constraints.
         q: (nq,) configuration.
-        t: time in seconds, for rows that look at it.
-        tolerance: a row, scaled to length one, is redundant where less than this is left of it
-            across the rows before it; 1e-7 in f64 and 1e-4 in f32 if None.
+        t: time in seconds, for rows that depend on it.
+        tolerance: a row, scaled to length one, is redundant if its part that is orthogonal to the
+            rows before it is shorter than this; 1e-7 in f64 and 1e-4 in f32 if None.
 
     Returns:
         `Mobility`, of numbers and not of arrays: it is a report, and cannot be traced.

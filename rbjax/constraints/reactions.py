@@ -1,4 +1,4 @@
-"""What constraints do to a robot: accelerations, multipliers, and the wrenches in joints.
+"""Constrained motion: accelerations, multipliers, and the wrenches in joints.
 
     M a + b = tau + sum of J_i^T f_i + G^T l
 """
@@ -57,11 +57,11 @@ def constrained_dynamics(
         v: (nv,) velocity.
         tau: (nv,) all applied generalized forces; `applied_forces` gives those of the model.
         wrenches: (nb, 6) external [moment N m; force N] on bodies, in world axes, at their origins.
-        t: time in seconds, for rows that look at it.
+        t: time in seconds, for rows that depend on it.
 
     Returns:
-        `ConstrainedMotion(acceleration (nv,), multipliers (m,))`, the latter as `multipliers` has
-        them.
+        `ConstrainedMotion(acceleration (nv,), multipliers (m,))`, the multipliers as defined by
+        the function `multipliers`.
 
     Raises:
         InputError: wrong shapes or dtypes, values that are not finite, zero quaternions.
@@ -91,12 +91,12 @@ def constrained_dynamics(
 def multipliers(
     model: Model, state: State, ctrl: jax.Array | None = None, t: Any = 0.0
 ) -> jax.Array:
-    """l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...): the forces that the rows need. Those of
-    `Soft` constraints are the forces by MuJoCo's law, as in a rollout by default.
+    """l (m,) of M a + b = tau + G^T l, G a = -(G' v + ...): the constraint forces. Rows of `Soft`
+    constraints have the forces by MuJoCo's law, as in a rollout by default.
 
-    Of redundant rows the multipliers of least norm, each weighed by the square root of its
-    diag(G M^-1 G^T). A multiplier is in newtons where its row is in metres, in newton metres where
-    it is an angle or a cosine.
+    If rows are redundant, l are the multipliers of least norm, each weighted by the square root of
+    its diag(G M^-1 G^T). A multiplier is in newtons if its row is in metres, and in newton metres
+    if its row is an angle or a cosine.
 
     Args:
         model: the robot, with constraints.
@@ -115,7 +115,7 @@ def _solved(model: Model, state: State, ctrl: Any, t: Any) -> jax.Array:
 
 
 def _motion(model: Model, t: Any, state: State, tau: Any, pushes: Any) -> tuple:
-    """By the formulation that a rollout takes by default; a is the same for all rigid ones."""
+    """a and l by the default formulation of a rollout; all rigid formulations give the same a."""
     solve = compliant_motion if is_soft(model) else constrained_motion
     return solve(model, t, state, tau, pushes)
 
@@ -148,12 +148,12 @@ def joint_wrenches(
     return jnp.stack(out) if out else jnp.zeros((0, 6), state.q.dtype)
 
 
-END = -2  # in the place of a link; WORLD is -1
+END = -2  # index of a recording frame, in place of a link's; WORLD is -1
 
 
 class _End(Frame):
-    """A frame whose wrenches are recorded in its own axes, at its origin, instead of on its link:
-    the world, or a link that the other end of the joint is on too, can be such a frame."""
+    """A frame that records wrenches in its own axes, at its origin, instead of on its link. So the
+    frame may be on the world, or on the same link as the other end of the joint."""
 
     def __init__(self, now: Instant, frame: Frame, *moved: Transform):
         super().__init__(now.links, frame.link, *frame._placed, *moved)

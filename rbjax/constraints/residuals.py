@@ -1,4 +1,4 @@
-"""How far a state is from the constraints: residuals of rows, and their Jacobian."""
+"""Residuals of the constraints at a state, and their Jacobian."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ class Residual(NamedTuple):
 
 @algorithm("state", "t")
 def residual(model: Model, state: State, t: Any = 0.0) -> Residual:
-    """How far a state is from the constraints: g(t, q) and g' = G v + g_t.
+    """The residuals of the constraints at a state: g(t, q) and g' = G v + g_t.
 
     Args:
         model: the robot, with constraints.
         state: `State(q (nq,), v (nv,))`.
-        t: time in seconds, for rows that look at it.
+        t: time in seconds, for rows that depend on it.
 
     Returns:
-        `Residual(value (m,), rate (m,))`, in metres and per second, or without unit for angles.
+        `Residual(value (m,), rate (m,))`. A value is in m, or without unit for angles. A rate is
+        that per second.
 
     Example:
         >>> import rbjax as rb
@@ -53,7 +54,7 @@ def jacobian(model: Model, q: jax.Array, t: Any = 0.0) -> jax.Array:
     Args:
         model: the robot, with constraints.
         q: (nq,) configuration.
-        t: time in seconds, for rows that look at it.
+        t: time in seconds, for rows that depend on it.
     """
     now = Instant.of(model, t, State(q, jnp.zeros(model.nv, q.dtype)), None)
     return gradient_matrix(now, rows_of(model, now))

@@ -3,10 +3,10 @@
     holonomic        g(t, q) = 0,     g' = G v + g_t,     g'' = G a + (G' v + 2 g_t' ...)
     non-holonomic    y = G v + b = 0 (no g behind it),    y' = G a + ...
 
-`gradient` is G as what a multiplier of one does to the robot: generalized forces and wrenches on
-links. A row stands for a scalar: g if it is holonomic, otherwise y. Rows add, scale and multiply as
-these scalars do; `applied` takes a smooth function of g. So a new constraint is written as its
-residual, and its derivatives follow by the chain rule.
+`gradient` is G as the forces on the robot by a multiplier of one: generalized forces and wrenches
+on links. A row stands for a scalar: g if it is holonomic, otherwise y. Rows add, scale and multiply
+as these scalars do; `applied` applies a smooth function to g. So a new constraint needs only its
+residual: its derivatives follow by the chain rule.
 """
 
 from __future__ import annotations

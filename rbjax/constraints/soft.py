@@ -131,7 +131,7 @@ class Soft(Constraint):
 
 
 def is_soft(model: Model) -> bool:
-    """Whether a model has a `Soft` constraint: by default "compliant" enforces it then."""
+    """Whether a model has a `Soft` constraint. If so, "compliant" is the default formulation."""
     return any(isinstance(x, Soft) for x in model.constraints)
 
 

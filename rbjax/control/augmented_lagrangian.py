@@ -38,7 +38,8 @@ def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> 
 
 
 def later(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
-    """Multipliers of a motion that begins later. at (N,): the knots that its knots were before."""
+    """Multipliers of a motion that begins later. at (N,): for each of its knots, the index of the
+    same knot before."""
     if multipliers is None:
         return None
     return multipliers._replace(path=multipliers.path[at])

@@ -23,9 +23,9 @@ from rbjax.control.products import in_registers, product
 class Feedback(NamedTuple):
     """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
     v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
-    step; square (), the squared norm of the gradient of the cost by the controls and by what is
-    free of the first knot, without regularisation and without entries that press against a bound;
-    ok (), whether all control Hessians were positive definite."""
+    step; square (), the squared norm of the gradient of the cost by the controls and by the free
+    coordinates of the first knot, without regularisation and without entries that press against a
+    bound; ok (), whether all control Hessians were positive definite."""
 
     K: jax.Array
     k: jax.Array
@@ -109,7 +109,7 @@ def backward_pass(
 
 
 def unpressed(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """A gradient without the entries that press against a bound. low and high: of the step."""
+    """A gradient without the entries that press against a bound. low, high: bounds of the step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 

@@ -1,8 +1,9 @@
 """The numbers of a robot as constants of a program.
 
-Most numbers of a model are zeros and ones. A program that knows them leaves half of its operations
-out: expanding a quadrotor's problem and trying steps take 0.4 of the time. But it is compiled again
-for other numbers. So the first few robots of a kind are constants, and later ones arguments.
+Most numbers of a model are zeros and ones. If they are compile-time constants, half of the
+operations are left out: expanding a quadrotor's problem and trying steps take 0.4 of the time. But
+other numbers need another program. So the numbers of the first few robots of a form are constants,
+and those of later ones are arguments.
 """
 
 from __future__ import annotations

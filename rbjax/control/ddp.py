@@ -98,11 +98,12 @@ def gains_of(
     problem: Problem, knots: Knot, ctrls: jax.Array, found: Expanded, gaps: jax.Array, reg: Any,
     boxed: bool = False,
 ) -> Feedback:  # fmt: skip
-    """The backward pass at knots. boxed: whether k meets all bounds, or those of controls at them.
+    """The backward pass at knots. boxed: whether k obeys all bounds, or only the bounds at which
+    the controls already are.
 
-    k is the step of a state that stays at its knot. Where gaps or a long step move the state, a
-    bound that k meets need not be met by k + K dx, and without its row of K the closed loop is
-    unstable: such a bound then binds to the end.
+    k is the step if the state stays at its knot. If gaps or a long step move the state, a bound
+    that binds k need not bind k + K dx. A bound that binds removes its row of K, so the closed loop
+    may be unstable, and the bound then binds in all later iterations.
     """
     bounds = None
     if problem.bounded:
@@ -135,7 +136,7 @@ def optimised(
 
     def gains_at(now: Iterate, found: Expanded, gaps: jax.Array) -> Feedback:
         reg = now.standing.reg
-        # second derivatives make steps short along the dynamics: k meets its bounds there
+        # with second derivatives, steps along the dynamics are short: k obeys all bounds there
         boxed = exact and way.rules.closes
         plain = functools.partial(gains_of, problem, now.knots, now.ctrls, boxed=boxed)
         if not exact:

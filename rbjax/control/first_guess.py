@@ -1,11 +1,12 @@
-"""Knots and controls with which a search begins.
+"""The knots and controls from which a search starts.
 
-A solution as the guess is rolled out from the new start by its feedback,
+A solution that is the guess is rolled out from the new start with its feedback,
 
     u_k = us_k + K_k (x_k (-) xs_k),  within the bounds,      x_{k+1} = f(x_k, u_k)
 
-so that the motion stays near it on an unstable plant. Controls without states are rolled out as
-they are, if that costs less than to stand at the start: an unstable plant may carry them away.
+so that the motion stays near the solution on an unstable plant. Controls without states are rolled
+out without feedback. The result is used if it costs less than standing at the start: on an unstable
+plant the motion may diverge.
 """
 
 from __future__ import annotations
@@ -26,8 +27,14 @@ from rbjax.threads import threads
 
 
 class Guess(NamedTuple):
-    """states (N + 1, ...), ctrls (N, nu), numbers (p,), each None for the default; K (N, nu, n),
-    the gains of a solution, and its multipliers, None without one."""
+    """A first guess; None is the default of each field.
+
+    states: (N + 1, ...).
+    ctrls: (N, nu).
+    numbers: (p,).
+    K: (N, nu, n), the gains of a solution.
+    multipliers: the multipliers of a solution.
+    """
 
     states: Any = None
     ctrls: Any = None
@@ -42,7 +49,7 @@ def guess_of(problem: Problem, guess: Any, states: Any, ctrls: Any, numbers: Any
         return Guess(states, None if ctrls is None else jnp.asarray(ctrls), numbers)
     if not isinstance(guess, Solution):
         raise InputError(
-            f"solve: guess is {type(guess).__name__}, expected the Solution of a like problem; "
+            f"solve: guess is {type(guess).__name__}, expected the Solution of a similar problem; "
             "give arrays as states= and ctrls="
         )
     given = {"states": states, "ctrls": ctrls, "numbers": numbers}
@@ -61,7 +68,7 @@ def first_guess(
     problem: Problem, start: Any, states: Any = None, ctrls: Any = None, numbers: Any = None,
     K: Any = None,
 ) -> tuple[Knot, jax.Array]:  # fmt: skip
-    """Knots and controls to begin with, checked."""
+    """The checked knots and controls from which a search starts."""
     N, dtype = problem.horizon, problem.dt.dtype
     one = problem.system.checked("solve", start)
     alone = states is None
@@ -95,7 +102,7 @@ def first_guess(
 def _rolled(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, K: jax.Array
 ) -> tuple[tuple[Knot, jax.Array], jax.Array, jax.Array]:
-    """The motion from the start with feedback about knots, its cost, and that of the knots."""
+    """The motion from the start with feedback about knots, its cost, and the cost of the knots."""
     N, dtype = problem.horizon, ctrls.dtype
     mu, none = jnp.asarray(PENALTY, dtype), jnp.zeros(problem.nu, dtype)
     rows = {at: jnp.zeros(row_count(problem, at), dtype) for at in ("path", "end")}

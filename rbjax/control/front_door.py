@@ -55,13 +55,13 @@ def solve(
             it costs less.
         ctrls: a first guess (N, nu) of the controls; None for zeros.
         numbers: a first guess of the design and, last, of the final time.
-        guess: instead of these three, the `Solution` of a like problem: its motion by its gains
-            from the new start, which follows it on an unstable plant too, and its multipliers.
+        guess: instead of these three, the `Solution` of a similar problem. The search starts from
+            its motion, rolled out with its gains from the new start, and from its multipliers.
         iterations: at most.
-        tolerance: of the change of the cost that an iteration foresees, relative to the cost (to
-            that of the first guess, at most 1, if the cost is less); at least ten roundings.
+        tolerance: of the change of the cost that an iteration predicts, relative to the larger of
+            |cost| and min(|cost of the first guess|, 1); at least 10 eps of the dtype.
         violation: of constraints, in their units.
-        seed: of what a method draws, an integer; with `jax.vmap` over it many are tried.
+        seed: an integer, the seed of a method that draws samples; `jax.vmap` over it tries many.
         progress: show the iterations on a terminal; within a program it is ignored.
 
     Returns:
@@ -143,7 +143,7 @@ def solve(
 
 
 def _check_finite(name: str, value: Any) -> None:
-    """`InputError` if a number is not finite. Traced values and those of a GPU are not read: there
+    """`InputError` if a number is not finite. Traced values and arrays on a GPU are not read; then
     the outcome is `NOT_FINITE`."""
     for x in jax.tree.leaves(value):
         if name != "start" and isinstance(x, str | bytes):  # `checked` says what a start must be

@@ -41,8 +41,8 @@ class Regulator(NamedTuple):
     """Fields: K (m, n), u = -K x; P (n, n), the least cost x'Px; residual (), the largest entry
     that is left over of the Riccati equation, over its largest term; error (), what rounding of
     those terms can do to P, relative to P; result, of `LINEAR_RESULTS`. Without a solution K and P
-    are 0. acceleration (nv,), that the controls leave at the state of `lqr_at`: zero at an
-    equilibrium, None of `lqr`.
+    are 0. acceleration (nv,), of `lqr_at`: v' at the state under the controls, zero at an
+    equilibrium; None for `lqr`.
     """
 
     K: jax.Array
@@ -73,7 +73,7 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
     Returns:
         `Regulator`, of the solution for which A - BK is stable. It is found where Q is positive
         semidefinite (with S) and (A, B) can be stabilised, unless a mode on the edge of stability
-        costs nothing; else `result` says what is wrong in traced code.
+        has no cost. In traced code `result` says if there is none, and why.
 
     Raises:
         InputError: shapes, values that are not finite, Q or R that is not symmetric; outside of
@@ -126,7 +126,7 @@ def lqr_at(
 
     Returns:
         `Regulator`. `feedback` makes a policy of its K. If its acceleration is not zero, ctrl does
-        not hold the state, and the law comes to rest at another point.
+        not hold the robot at the state, and the closed loop comes to rest at another point.
 
     Raises:
         InputError: as `rb.linearise` and `lqr`.

@@ -7,10 +7,10 @@ as long as a computation takes). They are played ahead, and the plan begins wher
     shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    when that tick comes
 
 The feedback K answers what the prediction missed (Diehl, Bock & Schloder 2005, the real-time
-iteration; Mayne et al. 2000). The plan before also leaves its multipliers and penalty, so that a
-few iterations hold the constraints. The result of a tick says if the plan violates a constraint. A
-plan that is not finite, or whose constraints contradict each other, is rejected: the last one goes
-on, for so many ticks as `patience` says, then a fallback policy acts.
+iteration; Mayne et al. 2000). The multipliers and the penalty are kept from the plan before, so a
+few iterations satisfy the constraints. The result of a tick reports if the plan violates a
+constraint. A plan that is not finite, or whose constraints are infeasible, is rejected. Then the
+last plan is continued for at most `patience` ticks; after that a fallback policy acts.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_between, check_whole
 from rbjax.threads import threads
 
-HARDEST = 1e4  # the largest penalty with which a tick begins
+HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
 PLANNED, KEPT, FALLBACK, VIOLATED = range(4)
 RESULTS = {
     PLANNED: "planned: from the plan of this tick",
-    KEPT: "kept: the plan failed, the last one goes on",
+    KEPT: "kept: the plan failed, the last plan is continued",
     FALLBACK: "fallback: plans failed for longer than patience",
     VIOLATED: "violated: the plan violates a constraint; raise iterations or violation",
 }
@@ -60,11 +60,11 @@ class Decided(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What a controller remembers: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) of the
-    last plan; multipliers of its constraints, None for a method without; decided, `Decided` of the
-    ticks of delay, None without; failures (), plans that failed in a row; outcome (), of the last
-    search; cost () and violation () of the plan; gap (), the largest between a step of the plan and
-    its next state."""
+    """The state of a controller: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) and the
+    multipliers of the last plan (None for a method without multipliers); decided, the `Decided` of
+    the ticks of delay (None without delay); failures (), the plans that failed in a row; outcome ()
+    of the last search; cost () and violation () of the plan; gap (), the largest between a step of
+    the plan and its next state."""
 
     knots: Knot
     ctrls: jax.Array
@@ -234,12 +234,12 @@ class Controller:
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
-        """The memory with the plan of this tick, or with the last one where that fails."""
+        """The memory with the plan of this tick, or with the last plan if the new one fails."""
         found = self._search(
             problem, start, memory.knots, memory.ctrls, memory.multipliers, self.iterations
         )
         good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
-        # a start that violates a constraint is no fault of the plan that leads back
+        # do not reject a plan because its start, which is measured, violates a constraint
         first = jax.tree.map(lambda a: a[0], found.knots)
         zero = jnp.zeros((), found.ctrls.dtype)
         off = violation(problem, zero, first, found.ctrls[0], "path") > self.violation
@@ -268,7 +268,7 @@ class Controller:
 
     def _entry(self, memory: Memory, k: int) -> Decided:
         """The control that the plan decides for its tick k."""
-        # states that are not those of the dynamics hold no constraint
+        # if the states do not follow the dynamics, they do not show that constraints are met
         off = jnp.maximum(memory.violation, memory.gap)
         broken = (off > self.violation) if self.problem.constraints else False
         result = jnp.where(broken, VIOLATED, PLANNED)
@@ -304,10 +304,10 @@ def mpc(
     """Model predictive control with a fixed number of iterations a tick.
 
     Args:
-        problem: `Problem`, whose dt is the length of a tick: its costs, constraints and dynamics
-            are functions of the time of the loop, which begins at its start_time. Or a function t
-            -> Problem of the plan that begins at t, whose times count from its own start_time: the
-            problems may differ in numbers only.
+        problem: `Problem`, whose dt is the length of a tick. Its costs, constraints and dynamics
+            depend on the time of the loop, which begins at its start_time. Or a function t ->
+            Problem, the problem of the plan that begins at t; the times of that problem count from
+            its own start_time. The problems may differ only in numbers.
         method: one of `rb.control.methods()` with gains.
         iterations: at most, at a tick. None: 1, and 10 for a problem with constraints.
         delay: ticks from the state that is measured to the control that answers it: 1 where the
@@ -315,9 +315,9 @@ def mpc(
         feedback: whether gains answer what the prediction missed, when the control is applied.
         patience: how many ticks a plan goes on while new ones fail.
         fallback: a policy (t, state) -> (nu,) after that; zeros within the bounds if None.
-        tolerance: of the foreseen change of the cost, absolute, at which iterations end early.
-        violation: of constraints, in their units: a plan that violates one by more has the result
-            `VIOLATED`.
+        tolerance: iterations end if the predicted cost change is below it times max(1, |cost|).
+        violation: of constraints, in their units. The result is `VIOLATED` if a plan violates a
+            constraint by more, or has a larger gap between a step and its next state.
         first: iterations of the first plan.
 
     Returns:
@@ -373,7 +373,7 @@ def mpc(
 
 
 def _multipliers(found: Any) -> Multipliers | None:
-    """The multipliers with which the next search begins."""
+    """The multipliers from which the next search starts."""
     if found.penalty is None:
         return None
     return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))

@@ -12,11 +12,16 @@ from rbjax.model.record import Record
 
 
 class Options(Record):
-    """tolerance of the foreseen change of the cost, relative to the cost; violation of constraints;
-    iterations at most; seed of what is drawn; scale, the least cost to which the tolerance is
-    relative, None for that of the first guess, at most 1; each (). multipliers of the constraints
-    to begin with; None for zeros. say: called with (iterations, cost, violation) after each; None
-    for nothing."""
+    """Options of every method; numbers have the shape ().
+
+    tolerance: of the predicted change of the cost, relative to the larger of |cost| and scale.
+    violation: of constraints.
+    iterations: at most.
+    seed: of random numbers.
+    scale: None: min(|cost of the first guess|, 1).
+    multipliers: of the constraints at the beginning; None for zeros.
+    say: called with (iterations, cost, violation) after each iteration; None for no call.
+    """
 
     tolerance: jax.Array
     violation: jax.Array

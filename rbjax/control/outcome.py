@@ -45,7 +45,7 @@ class LINEAR_RESULTS(eqx.Enumeration):
 
 
 def raise_failure(where: str, result: Any) -> None:
-    """Raises `InputError` unless the result is `successful`. A traced result stays a value."""
+    """Raise `InputError` unless the result is `successful`. A traced result stays a value."""
     values = jax.tree.leaves(result)
     if any(isinstance(x, jax.core.Tracer) or x.ndim for x in values):
         return

@@ -86,7 +86,7 @@ class Problem(Record):
         free_time: (low, high), bounds of the final time in s, which is then found too; horizon * dt
             is its first guess.
         start_time: t_0, the time in s of the first knot, for costs, constraints and systems that
-            depend on the time.
+            depend on time.
         free_start: which coordinates of the start's tangent space are found too: True for all, or
             (n,) booleans.
         integrator, law, held: as `integrator`, `law`, `constraints` of `rb.rollout`, for a Model.

@@ -32,8 +32,8 @@ from rbjax.rotations import se3
 
 
 class StateError(Term):
-    """x (-) reference, (n,): dq on the tangent space, dv, and states of force elements; of a
-    wheeled robot dq, dv and states of tyres; of `Equations` x - reference.
+    """x (-) reference, (n,): dq on the tangent space, dv, and states of force elements. For a
+    wheeled robot dq, dv and states of tyres. For `Equations` x - reference.
 
     Fields: reference, a state; or a function t -> state.
     """
@@ -122,7 +122,7 @@ class Jerk(Term):
 
 
 class CenterOfMass(Term):
-    """The centre of mass of the robot less `position`, (3,) m in world axes.
+    """The centre of mass of the robot minus `position`, (3,) m in world axes.
 
     Fields: position (3,); or a function t -> (3,).
     """
@@ -166,7 +166,7 @@ class Pose(Term):
 
 
 class Point(Term):
-    """The position of a site or body less `position`, (3,) m in world axes.
+    """The position of a site or body minus `position`, (3,) m in world axes.
 
     Fields: position (3,); or a function t -> (3,); site or body, a name.
     """
@@ -198,7 +198,7 @@ class FrameVelocity(Term):
 
 
 def at_time(where: str, reference: Any, t: Any) -> Any:
-    """A reference at the time t."""
+    """The value of a reference at the time t."""
     if not callable(reference):
         return reference
     check_takes(where, "the reference", reference, "t")
@@ -216,7 +216,7 @@ def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | Non
 
 
 def check_frame(where: str, site: Any, body: Any) -> None:
-    """Refuse both of a site and a body, and neither."""
+    """Raise unless exactly one of a site and a body is given."""
     if (site is None) == (body is None):
         raise InputError(f"{where}: got site={site!r} and body={body!r}, expected one of them")
     if not isinstance(body if site is None else site, str):

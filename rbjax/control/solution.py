@@ -32,8 +32,8 @@ class Found(NamedTuple):
     between a step and the next state; violation (), the largest of a constraint; costs
     (history,) of the iterations, nan after the last; K (N, m, n), gains of the feedback; and the
     multipliers of the constraints at the knots with controls (N, c) and at the end (e,). between:
-    a collocation's stages; violations of each constraint, where it knows them better than by
-    controls that are held; penalty () of the augmented Lagrangian, None where there is none."""
+    a collocation's stages; violations of each constraint, from methods whose controls are not held
+    over a step; penalty () of the augmented Lagrangian, None for methods without one."""
 
     knots: Knot
     ctrls: jax.Array

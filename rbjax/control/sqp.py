@@ -5,10 +5,10 @@ small products only,
 
     du_k = k_k + K_k dx_k,     dx_{k+1} = A dx_k + B du_k + gap_{k+1}
 
-without the bounds of controls between them, since the linear model is unstable without feedback.
-Trials x (+) a dx, u + a du of all lengths a, u projected onto its bounds, are measured at all
-knots at once: no motion is rolled out, so nothing waits for N steps of the dynamics in a row. Gaps
-close in proportion, and exactly where the dynamics is linear and no bound is met.
+without clipping du to bounds, because the linear model may be unstable without feedback. The trials
+x (+) a dx, u + a du of all lengths a, with u projected onto its bounds, are evaluated at all knots
+at once: no motion is rolled out, so no evaluation waits for N steps of the dynamics in a row. Gaps
+close in proportion to a, and exactly if the dynamics is linear and no bound is met.
 The trial with the least
 
     phi(a) = J(a) + sum over k of  l_k'gap_k(a) + rho/2 gap_k(a)'V_k gap_k(a)
@@ -76,7 +76,7 @@ def by_sqp(
 
 
 def linear_step(path: Local, gaps: jax.Array, gains: Feedback) -> Step:
-    """The step of the linear model. Controls at a bound stay within it, by their gains."""
+    """The step of the linear model. The gains keep a control at a bound within it."""
 
     def forth(dx: jax.Array, x: tuple) -> tuple:
         A, B, gap, K, k = x

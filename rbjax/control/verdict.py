@@ -28,7 +28,7 @@ LEAST, MOST, FACTOR = 1e-9, 1e9, 10.0  # regularisation; the least counts as non
 LENGTHS = 0.5 ** np.arange(10)  # of the steps that are tried
 LONG, SHORT = 0.5, 0.01  # steps that lower and raise the regularisation
 SHORT_HELD = 0.3  # the second with constraints: their multipliers bend a cost that the model lacks
-LOOSE, CLOSER = 1e-3, 0.3  # the tolerance before the first multipliers, and its fall a turn
+LOOSE, CLOSER = 1e-3, 0.3  # tolerance before the first multipliers; its factor at each update
 FLOOR = 10.0  # the least tolerance, in units in the last place
 VAIN = 50  # iterations that lower the cost by no more than rounding, after which a search is stuck
 
@@ -56,9 +56,7 @@ class Standing(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """tolerance of the foreseen change, relative to the cost; violation; iterations at most; scale,
-    the least cost to which the tolerance is relative, None for that of the first guess, at most 1;
-    each ()."""
+    """tolerance, violation, iterations and scale of `Options`; each ()."""
 
     tolerance: jax.Array
     violation: jax.Array
@@ -67,10 +65,15 @@ class Limits(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """Of an iteration, for its verdict. Here: cost, gap and violation (). Of the step: slope and
-    curvature of the cost along it (), square (), the squared norm of the gradient without
-    regularisation, ok (), whether its gains exist. Of the trials (T,): costs,
-    offs, their violations, and more, what the method knows besides."""
+    """The values of an iteration from which its verdict follows.
+
+    cost, gap, violation: (), of the present motion.
+    slope, curvature: (), of the cost along the step.
+    square: (), the squared norm of the gradient without regularisation.
+    ok: (), whether the gains exist.
+    costs, offs: (T,), costs and violations of the trials.
+    more: further values of the method.
+    """
 
     cost: jax.Array
     gap: jax.Array
@@ -180,7 +183,7 @@ def verdict(
 
 
 def _small(now: Standing, seen: Measures, stop: Any, share: Any, tolerance: Any) -> jax.Array:
-    """Whether the foreseen change of the cost is small, and under regularisation the gradient."""
+    """Whether the predicted change of the cost is small and, with regularisation, the gradient."""
     flat = jnp.sqrt(seen.square) <= jnp.sqrt(tolerance) * share
     return seen.ok & (stop <= tolerance * share) & ((now.reg <= LEAST) | flat)
 

@@ -20,15 +20,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
+from rbjax.dynamics.ahead import made_by_threads
 from rbjax.dynamics.batching import in_chunks
 from rbjax.dynamics.drivers import THREADS_APART_ABOVE, on_threads
 from rbjax.dynamics.tracing import split_tracers
 from rbjax.errors import InputError
 from rbjax.meshes import automatic
-from rbjax.model import Model, State
+from rbjax.model import Model, State, known_zeros
 from rbjax.model.record import FEW
 from rbjax.rotations.arguments import FLOATS
 from rbjax.threads import threaded, wanted
+from rbjax.threads.backend import gpu
 
 #: argument name -> its shape in terms of the model
 SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
@@ -51,7 +53,7 @@ STATIC = ("body", "site", "integrator", "law", "constraints")
 
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")
-#: arguments whose dtype is that of the computation; all others are cast to it
+#: arguments that set the dtype of the computation; all others are cast to it
 LEADING = ("q", "q0", "q1", "v")
 
 
@@ -112,12 +114,20 @@ def algorithm(
     return decorate
 
 
-def for_threads(args: tuple, **work: bool) -> tuple:
-    """The arguments, whose first one, the model, has the driver that suits threads."""
+def for_threads(args: tuple, *, pairs: bool = False, long: bool = False) -> tuple:
+    """The arguments, whose first one, the model, has the driver that suits threads. Of many pairs
+    on a CPU the link constants are a program of their own, if the model is an argument: half of
+    all statements, which would else be compiled once for each part that reads them."""
     model, *rest = args
     arrays = [x for x in jax.tree.leaves(rest) if isinstance(x, jax.Array)]
     floats = [x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
-    return (on_threads(model, floats[0], **work), *rest) if floats else args
+    if not floats:
+        return args
+    model = on_threads(model, floats[0], pairs=pairs, long=long)
+    if pairs and model.driver == "rolled" and not gpu():
+        made = made_by_threads(known_zeros(model), floats[0])
+        model = model.replace(prepared=made.execution.prepared)
+    return (model, *rest)
 
 
 def check_arrays(
@@ -127,8 +137,8 @@ def check_arrays(
     batch: tuple[int, ...] = (),
     required: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The named arrays in the dtype of q and v, after checks of shapes and (where known) values.
-    Each may have batch axes before its own. `required` may not be None."""
+    """Check the shapes of the named arrays, and their values if these are not traced. Cast them to
+    the dtype of q and v. Each may have leading batch axes. Those in `required` may not be None."""
     check_model(where, model)
     given, stated = dict(given), "state" in given
     step = given.pop("dt", None)

@@ -114,7 +114,8 @@ def forward_dynamics_derivatives(
 def accelerated_derivatives(
     model: Model, q: jax.Array, v: jax.Array, tau: jax.Array
 ) -> tuple[jax.Array, ForwardDynamicsDerivatives]:
-    """a = FD(q, v, tau) and its derivatives, on checked arrays: ABA is one part of both."""
+    """a = FD(q, v, tau) and its derivatives, of checked arrays. If the joint axes are constant
+    (`straight`), both share one ABA."""
     if not model.nv:
         none = jnp.zeros((0, 0), q.dtype)
         return jnp.zeros(0, q.dtype), ForwardDynamicsDerivatives(none, none, none)

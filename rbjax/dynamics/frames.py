@@ -48,7 +48,7 @@ def carried_point(
         placed = site_transform(model, i, like.dtype)
         at = placed.p + placed.R @ at
         b = model.topology.site_bodies[i]
-    elif body == "world" and body not in model.body_names:  # MuJoCo's name of the fixed frame
+    elif body == "world" and body not in model.body_names:  # MuJoCo's name for the fixed frame
         b = WORLD
     else:
         b = model.body(body)

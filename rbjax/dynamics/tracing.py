@@ -96,8 +96,8 @@ def _held(residual: Callable, x: Any, *at: Any) -> Any:
 
 
 def of_jax(x: Any) -> Any:
-    """x, or a copy where NumPy arrays inside a batch or tangent tracer become JAX arrays: a custom
-    rule inside a `jit` takes no others (jax 0.10.2 asserts this)."""
+    """x, or, if x is a batch or tangent tracer of a NumPy array, a copy that is one of a JAX array:
+    a custom rule inside a `jit` accepts only JAX arrays (jax 0.10.2 asserts this)."""
     return jnp.copy(x) if isinstance(inside(x), (np.ndarray, np.generic)) else x
 
 

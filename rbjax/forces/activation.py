@@ -42,9 +42,16 @@ class Activation(Record):
         """a after a step h under a held control."""
         return self.within(a + h * self.rate(u, a))
 
-    def within(self, a: Lane) -> Lane:
-        """a within its range."""
-        return clip(a, table(self.limits, a.dtype)[None], 0)
+    def within(self, a: Lane, period: Lane | None = None) -> Lane:
+        """Clip a to its range. With a period (of an angle), a value that differs from one of the
+        range by full periods is left as it is: `advanced` clips first, and then adds periods."""
+        limits = table(self.limits, a.dtype)[None]
+        near = clip(a, limits, 0)
+        if period is None or near is a:
+            return near
+        same = a - period * jnp.round((a - near) / period)
+        rounding = 4 * jnp.finfo(a.dtype).eps * (jnp.abs(a) + period)
+        return jnp.where(jnp.abs(same - clip(same, limits, 0)) <= rounding, a, near)
 
 
 class Integrator(Activation):

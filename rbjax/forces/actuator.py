@@ -8,7 +8,7 @@ state" at joints and sites, all in one table.
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -84,8 +84,8 @@ class Law(Record):
         """x after a step."""
         return []
 
-    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
-        """x within its range."""
+    def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
+        """x within its range. turn(dtype): the change of the length over a full turn."""
         return x
 
 
@@ -121,7 +121,7 @@ class Actuator(Element):
         return now.x if now.u is None else self.law.advanced(self._signals(now), dt)
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
-        return self.law.within(list(x), x.dtype)
+        return self.law.within(list(x), x.dtype, self.transmission.turn)
 
     def _signals(self, now: Instant) -> Signals:
         limits = table(self.ctrlrange, now.q.dtype)
@@ -196,8 +196,11 @@ class GainBias(Law):
         a = self.activation.advanced(self._control(seen), seen.x[0], dt)
         return [seen.nearest(a, seen.length) if self.circular else a]
 
-    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
-        return x if self.activation is None else [self.activation.within(a) for a in x]
+    def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
+        if self.activation is None:
+            return x
+        period = turn(dtype) if self.circular else None
+        return [self.activation.within(a, period) for a in x]
 
     def _control(self, seen: Signals) -> Lane:
         """The control; on a circle, where it is followed, the one nearest to the activation."""

@@ -9,7 +9,7 @@ drives V = (R/K) tau + K l' within its limit; a terminal voltage is added to it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -119,7 +119,7 @@ class DCMotor(Law):
             out.append(self._current_after(seen, dt))
         return out
 
-    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
+    def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
         if self.controller is None:
             return x
         n = self.controller.size

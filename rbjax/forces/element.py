@@ -94,7 +94,7 @@ class Element(Record):
         [40.0, 0.0, 0.0]
     """
 
-    #: fields whose numbers must be above zero
+    #: fields whose values must be above zero
     positive: ClassVar[tuple[str, ...]] = ()
 
     def __check_init__(self) -> None:
@@ -127,7 +127,7 @@ class Element(Record):
         return False
 
     def loads(self, now: Instant) -> Loads:
-        """What it does to the robot at an instant."""
+        """The forces on the robot at an instant."""
         raise NotImplementedError(f"{type(self).__name__} has no method loads(self, now) -> Loads")
 
     def start(self) -> jax.Array:
@@ -153,7 +153,8 @@ class Element(Record):
         return {}
 
     def within(self, x: jax.Array) -> Sequence[Lane]:
-        """Clip its own state to its range. `rollout` calls it after each step of any integrator."""
+        """Clip the element's state x to its range. `rollout` does so after each step, with any
+        integrator."""
         return list(x)
 
     def energy(self, now: Instant) -> Lane:

@@ -26,10 +26,10 @@ from rbjax.model.links import lane
 
 
 class GearLoss(Element):
-    """What gears lose of the torques of their motors.
+    """Friction of gears in proportion to the torques of their motors.
 
-    tau = -mu |tau_motor| tanh(v / v_0), with tau_motor the force of all actuators on the joint,
-    within its force range. Without controls there is no loss.
+    tau = -mu |tau_motor| tanh(v / v_0), with tau_motor the sum of all actuator forces on the joint,
+    clipped to the joint's force range. Without controls there is no loss.
 
     Fields, one entry for each velocity coordinate of the joints, in their order: loss mu (n,), a
     share; smoothing v_0 (n,) rad/s or m/s, above 0. Static: `joints`, their names or indices.

@@ -42,8 +42,8 @@ class Instant:
     links: LinkMotion
     dt: Any = None
     a: Any = None
-    #: generalized forces of the actuators by velocity coordinate, within the joints' force ranges;
-    #: for elements with `after_actuators`
+    #: generalized forces of the actuators by velocity coordinate, clipped to the joints' force
+    #: ranges; only elements with `after_actuators` get them
     driven: Mapping[int, Lane] = field(default_factory=dict, repr=False, compare=False)
     found: dict[int, tuple] = field(default_factory=dict, repr=False, compare=False)
 
@@ -65,7 +65,7 @@ class Instant:
         """The instant of a state; its x is that of all elements. d: the driver, the model's if
         None."""
         links = LinkMotion(driver(model, state.q.dtype) if d is None else d, state.q, state.v)
-        own = without_constants(model)  # elements of the user may change its leaves
+        own = without_constants(model)  # a user's element may change the leaves
         return cls(own, t, state.q, state.v, u, state.x, links, dt)
 
     def accelerating(self, a: jax.Array) -> Instant:

@@ -110,7 +110,7 @@ class JointFriction(Element):
 
 
 def _friction(v: Lane, numbers: Sequence[Lane], falls: bool) -> Lane:
-    """The friction of one coordinate; whether it falls with the speed after break-away."""
+    """The friction of one coordinate. `falls`: whether it decreases with speed after break-away."""
     coulomb, breakaway, v_s, v_0, viscous = numbers
     dry, extra = coulomb, sub(breakaway, coulomb) if falls else 0.0
     if not is_zero(extra):

@@ -30,9 +30,10 @@ def on_each(now: Instant, bodies: Sequence[int], act: Callable[..., Loads], *num
     Args:
         now: the instant.
         bodies: their indices; one may come twice. Those that cannot move are left out.
-        act: from a body's frame and its numbers to `Loads`, a sum of results of `push`. It computes
-            with lanes and does not branch on their values. If it pushes only its body and reads
-            only the body's pose and velocity, it can be a loop; otherwise it is written out.
+        act: a function of a body's frame and its parameters that returns `Loads`, a sum of results
+            of `push`. It computes with lanes and does not branch on their values. If it pushes only
+            its body and reads only the body's pose and velocity, the bodies can be evaluated in a
+            loop. Otherwise the code is unrolled.
         numbers: arrays (n,), of which `act` is given a lane, arrays (n, 3), of which it is given a
             `Vec3`, and pytrees of such.
 
@@ -79,13 +80,13 @@ def on_each(now: Instant, bodies: Sequence[int], act: Callable[..., Loads], *num
     return Loads({}, now.links.scattered(index, forces))
 
 
-#: the index of the link in a loop over links
+#: the index that stands for the body's link in a loop over bodies
 _OWN = -2
 
 
 class _NotItsOwn(Exception):
-    """A force that a loop over bodies does not cover: on something else than its body, or one that
-    reads more than the body's pose and twist."""
+    """A force that the loop over bodies cannot evaluate: it acts on something other than its body,
+    or it reads more than the body's pose and twist."""
 
 
 class _Still:

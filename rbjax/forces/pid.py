@@ -7,7 +7,7 @@ as the limit of its rate allows. The integral may be limited, against wind-up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -120,7 +120,7 @@ class PID(Law):
     def advanced(self, seen: Signals, dt: Any) -> Sequence[Lane]:
         return self._ranged(self.controller.advanced(seen, dt), seen.dtype)
 
-    def within(self, x: Sequence[Lane], dtype: Any) -> Sequence[Lane]:
+    def within(self, x: Sequence[Lane], dtype: Any, turn: Callable) -> Sequence[Lane]:
         return self._ranged(self.controller.within(x, dtype), dtype)
 
     def _ranged(self, x: Sequence[Lane], dtype: Any) -> list[Lane]:

@@ -81,7 +81,7 @@ class Joint:
     #: whether the last coordinates are a unit quaternion, with an angular velocity in body axes
     quaternion: ClassVar[bool] = False
     aligned: ClassVar[bool] = True
-    #: whether the frame is that of the shortest turn of z to the axis, because x and y matter
+    #: whether the joint frame is the shortest rotation of z to the axis, as x and y matter
     shortest_turn: ClassVar[bool] = False
     on_world: ClassVar[bool] = False
 

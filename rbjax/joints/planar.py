@@ -8,8 +8,9 @@ from rbjax.joints.slide import SLIDE
 class Planar(Chain):
     """q = [x, y, m; turn about the normal, rad]. The axis is the normal.
 
-    The directions of x and y are the body's x and y after the shortest rotation that takes z to the
-    normal: the body's own if the normal is z. If it is -z, that is a half turn about x.
+    The directions of x and y are the body's x and y axes after the shortest rotation that takes z
+    to the normal. If the normal is z, they are the body's own axes. If it is -z, the rotation is a
+    half turn about x.
     """
 
     name = "planar"

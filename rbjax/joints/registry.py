@@ -51,11 +51,12 @@ def register(joint: Joint) -> None:
     Args:
         joint: an instance of a subclass of `Node`, or of `Joint` with links of its own.
 
-    A class that is defined again, as in a notebook, replaces the one of the same module and name.
+    A class that is defined again, as in a notebook, replaces the earlier class of the same module
+    and name.
 
     Raises:
-        InputError: not a joint; a name that is not a string; the name of a built-in kind or of
-            another class.
+        InputError: `joint` is not a joint, its name is not a string, or its name belongs to a
+            built-in kind or to another class.
 
     Example: see `rbjax.joints.Node`.
     """

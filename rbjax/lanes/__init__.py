@@ -4,6 +4,7 @@
     products          stacks of matrices, without `dot`
     fusion_barrier    a point where XLA's CPU compiler computes values once and stores them
     ldlt              L D L^T of small symmetric matrices
+    extremes          the smallest and largest entry, with finite derivatives
     inverse           inverses of small matrices, real or complex
     proximal          how singular systems are regularized
     sincos            cosine and sine by polynomials

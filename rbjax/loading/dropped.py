@@ -10,21 +10,21 @@ from rbjax.loading.actuator_kinds import is_at_joint, what_is_left_out
 from rbjax.loading.constraints import equalities_are_on, is_loaded
 
 _SHOWN = 4  # names listed before "and N more"
-#: how an entry about limits in the wrong order begins
+#: the beginning of an entry about limits in the wrong order
 INVERTED = "joint limits whose lower end is above the upper one"
-#: how an entry about the root of a URDF begins
+#: the beginning of an entry about the root of a URDF
 FIXED = "fixed root link"
-#: how an entry begins -> what takes the feature
+#: the beginning of an entry -> how to keep the feature
 _CURES = {
     INVERTED: "swap them in the file",
-    "joint limits": "load(limits=True) takes them",
-    "joint friction loss": "load(friction=True) takes it",
-    "equality constraints (": "load(constraints=True) takes them",
-    "mimic joints": "load(constraints=True) takes those of hinges and slides",
-    "contacts": "rbjax has none; wheels on the ground: rbjax.wheeled",
-    "collision shapes": "rbjax has no contacts; wheels on the ground: rbjax.wheeled",
-    FIXED: "load(floating_base=True) frees it, and floating_base=False says that it is fixed",
-    "sensors": "rbjax.sysid.Setup.with_sensors makes readings",
+    "joint limits": "load(limits=True) loads them",
+    "joint friction loss": "load(friction=True) loads it",
+    "equality constraints (": "load(constraints=True) loads them",
+    "mimic joints": "load(constraints=True) loads them if they are hinges or slides",
+    "contacts": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
+    "collision shapes": "rbjax has no contacts; for wheels on the ground use rbjax.wheeled",
+    FIXED: "load(floating_base=True) frees it; floating_base=False fixes it without a warning",
+    "sensors": "rbjax.sysid.Setup.with_sensors adds sensors",
 }
 
 
@@ -83,7 +83,7 @@ def dropped_features(
 
 
 def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
-    """One entry for each feature that observes the motion and is not modelled."""
+    """One entry for the sensors and one for the cameras, which are not modelled."""
     kinds = (("sensors", mujoco.mjtObj.mjOBJ_SENSOR, m.nsensor),
              ("cameras", mujoco.mjtObj.mjOBJ_CAMERA, m.ncam))  # fmt: skip
     return tuple(
@@ -94,13 +94,12 @@ def unread_features(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def inverted_limits(m: mujoco.MjModel) -> np.ndarray:
-    """Which joints (nj,) have a lower limit above the upper one."""
+    """The mask (nj,) of joints whose lower limit is above the upper one."""
     return m.jnt_limited.astype(bool) & (m.jnt_range[:, 0] > m.jnt_range[:, 1])
 
 
 def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
-    """One entry for each kind of negative number by which a passive joint or tendon gains energy or
-    inertia."""
+    """One entry for each passive property of joints and tendons that is negative somewhere."""
     out = []
     joint, tendon = mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON
     fields = [
@@ -120,13 +119,13 @@ def active_numbers(m: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def cured(entry: str) -> str:
-    """The entry, and what to do about it where there is something."""
+    """The entry, followed by how to keep the feature, if that is possible."""
     return next((f"{entry}: {cure}" for start, cure in _CURES.items() if entry.startswith(start)),
                 entry)  # fmt: skip
 
 
 def _equalities_left_out(m: mujoco.MjModel, *, constraints: bool) -> dict[str, np.ndarray]:
-    """Which equalities do not load, by why."""
+    """The masks of equalities that are not loaded, by reason."""
     if not equalities_are_on(m):
         return {}
     active = m.eq_active0.astype(bool)

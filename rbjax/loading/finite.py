@@ -1,4 +1,4 @@
-"""Numbers that are not finite, which MuJoCo compiles."""
+"""Numbers that are not finite: MuJoCo compiles them, and the loader rejects them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def refuse_nan(record: Record) -> None:
 
 
 def within_range(x: np.ndarray) -> jax.Array:
-    """Numbers of a file in JAX's default dtype, in which finite ones must stay finite."""
+    """Cast numbers of a file to JAX's default dtype. Raise if a finite number overflows."""
     with np.errstate(over="ignore"):
         out = x.astype(jax.dtypes.canonicalize_dtype(x.dtype))
     lost = np.isfinite(x) & ~np.isfinite(out)
@@ -40,7 +40,7 @@ def within_range(x: np.ndarray) -> jax.Array:
 
 
 def refuse_nan_in(m: mujoco.MjModel) -> None:
-    """Reject a compiled model with numbers that are not finite, of which MuJoCo only warns."""
+    """Reject a compiled model with numbers that are not finite. MuJoCo only warns of them."""
     fields = "qpos0 qpos_spring body_mass body_ipos body_iquat body_inertia body_pos body_quat"
     fields += " jnt_pos jnt_axis jnt_stiffness dof_armature dof_damping site_pos site_quat"
     fields += " actuator_gear actuator_gainprm actuator_biasprm key_qpos key_qvel key_ctrl"

@@ -71,12 +71,12 @@ def load(
 
     Args:
         source: a path, an XML string, `mujoco.MjSpec`, `mujoco.MjModel`, or a bundled scene's name.
-        floating_base: give a URDF's root link a free joint, so that its mass counts. False and None
-            fix it to the world; None warns if it has a mass.
-        strict: raise instead of warning about what the model leaves out of the file, or about
-            negative damping, stiffness, armature or friction.
+        floating_base: whether a URDF's root link gets a free joint, so that its mass has an effect.
+            False and None fix it to the world; None warns if it has a mass.
+        strict: raise, instead of warning, if the model leaves out features of the file, or if
+            damping, stiffness, armature or friction is negative.
         limits: hold joints within their ranges by compliant stops (`rbjax.forces.JointLimits`).
-        motors: put a motor of gear 1, named as the joint, on each hinge and slide that has none.
+        motors: add a motor of gear 1, named as the joint, to each hinge and slide without a motor.
         friction: take the file's friction loss of joints as `rbjax.forces.JointFriction`.
         constraints: take the file's connects, welds, joint equalities and mimics as rigid
             constraints (`model.constraints`).
@@ -118,7 +118,7 @@ def load(
         if entries
     ]
     if texts and strict:
-        raise UnsupportedFeature(f"{'. '.join(texts)}. Load with strict=False to go without.")
+        raise UnsupportedFeature(f"{'. '.join(texts)}. Load with strict=False to get a warning.")
     for text in texts:
         warnings.warn(text, stacklevel=2)
     model = from_compiled(compiled, dropped, **taken, compliant=compliant)
@@ -148,8 +148,8 @@ def compile_model(
 def _compile_source(
     source: Any, *, floating_base: bool | None, shapes: Collection[str] = ()
 ) -> tuple[mujoco.MjModel, str, Mimics, tuple[str, ...]]:
-    """The compiled model; of a URDF also, in words, impossible inertials, joints that mimic, and
-    entries of `Model.dropped`."""
+    """The compiled model. Of a URDF also a text about impossible inertials, its mimic joints, and
+    its entries of `Model.dropped`."""
     if isinstance(source, mujoco.MjModel):
         return source, "", Mimics(), ()
     if isinstance(source, mujoco.MjSpec):
@@ -322,7 +322,7 @@ def from_compiled(
 
 
 def names_of(m: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> tuple[str, ...]:
-    """The names of joints, bodies, ...; one without a name is called by its number, as joint0."""
+    """The names of joints, bodies, ...; one without a name is named by its index, as joint0."""
     return tuple(
         mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
     )

@@ -61,8 +61,8 @@ def with_motors(model: Model) -> Model:
 
 
 def _driven(model: Model) -> set[int]:
-    """The joints that an actuator drives by a joint or a tendon. A wrench at a site is no motor of
-    the joints that carry the site."""
+    """The joints that an actuator drives by a joint or tendon transmission. A wrench at a site does
+    not count as a motor of the joints that carry the site."""
     top = model.topology
     driven = set(model.actuators.joints)
     elements = [e for e in model.forces if isinstance(e, Actuator)]
@@ -75,7 +75,6 @@ def _driven(model: Model) -> set[int]:
 
 
 def _followers(model: Model) -> set[int]:
-    """The joints that a constraint makes follow another joint or holds: mimics, joint
-    equalities."""
+    """The joints that a mimic or a joint equality couples to another joint, or holds."""
     couplings = [c for c in model.constraints if isinstance(c, JointPolynomial)]
     return {model.joint(c.joint) for c in couplings}

@@ -18,7 +18,7 @@ def mass_matrix(m: mujoco.MjModel) -> np.ndarray:
     """M (nv, nv) at a generic pose."""
     data = mujoco.MjData(m)
     mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
-    m = copy.copy(m)  # the caller's stays as it is
+    m = copy.copy(m)  # do not write into the caller's model
     m.body_subtreemass[:] = m.body_mass
     for i in range(m.nbody - 1, 0, -1):
         m.body_subtreemass[m.body_parentid[i]] += m.body_subtreemass[i]

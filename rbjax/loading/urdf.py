@@ -86,8 +86,14 @@ def _count(replicate: ET.Element) -> int:
 
 @dataclass(frozen=True)
 class Urdf:
-    """What MuJoCo is given; and what it is not: inertials by link, which joints mimic, which float
-    far from the ground, with the links that they move, and what the model does not have."""
+    """A URDF for MuJoCo's compiler, and the parts that MuJoCo does not get.
+
+    text: the URDF for MuJoCo.
+    inertials: by link.
+    mimics: the mimic joints.
+    floats: floating joints far from the ground, and the links that they move.
+    left_out: entries of `Model.dropped`.
+    """
 
     text: str
     inertials: dict[str, Inertial]
@@ -145,7 +151,8 @@ def prepare_urdf(
 
 
 def _left_out(robot: ET.Element, root: str, *, floating_base: bool) -> tuple[str, ...]:
-    """What the dynamics goes without: shapes that collide, and the mass of a root that is fixed."""
+    """Entries of `Model.dropped`: limits in the wrong order, collision shapes, a fixed root with a
+    mass."""
     out = []
     inverted = [
         joint.get("name", "")

@@ -143,8 +143,8 @@ def made_ahead(model: Model, dtype: Any) -> Model:
 
 
 def without_constants(model: Model) -> Model:
-    """The model without the link constants that `made_ahead` precomputed: for code of the user,
-    which may change the leaves they were computed from."""
+    """The model without the link constants that `made_ahead` precomputed. For user code, which may
+    change the leaves from which they were computed."""
     return model if model.execution.prepared is None else model.replace(prepared=None)
 
 
@@ -313,8 +313,9 @@ def _link_axes(top: Topology, axis, given, xp):
 def _alignments(axis, xp, shortest=False):
     """A (nj, 3, 3) with A z = axis / |axis| (Duff et al. 2017); zero axes count as z.
 
-    If z >= 0, A is the shortest rotation of z to the axis. If z < 0, A turned about the axis is,
-    by an angle that is undefined at -z: only joints that are `shortest` (nj,) are turned so.
+    If z >= 0, A is the shortest rotation of z to the axis. If z < 0, the shortest rotation is A
+    with an additional turn about the axis, whose angle is undefined at -z. Only the joints marked
+    in `shortest` (nj,) get this turn.
     """
     shortest = np.broadcast_to(shortest, len(axis))
     if axis.dtype == object:
@@ -342,7 +343,7 @@ def _alignments(axis, xp, shortest=False):
 
 
 def _alignment_of_cells(row: np.ndarray, shortest: bool = False) -> np.ndarray:
-    """`_alignments` of one axis: numbers where it is literal, cells where it is traced."""
+    """`_alignments` of one axis: numbers if it is literal, cells if it is traced."""
     if all_literal(row):
         known = np.array([[float(lane_of(x)) for x in row]])
         return _alignments(known, np, shortest)[0].astype(object)

@@ -1,7 +1,7 @@
 """Model and State: a robot as a pytree whose leaves are its numbers.
 
-Static is what changes the program (`Topology`, the actuators' kinds); leaves are what changes the
-numbers: masses, gains and gravity are differentiated and changed without recompilation.
+Static fields determine the program (`Topology`, the actuators' kinds). Leaves are its operands:
+masses, gains and gravity can be differentiated, and changed without recompilation.
 """
 
 from __future__ import annotations
@@ -299,7 +299,7 @@ class Model(Record):
         """
         try:
             floating = dtype is not None and np.dtype(dtype) in FLOATS
-        except TypeError:  # numpy's, of what is no dtype
+        except TypeError:  # numpy raises it if this is not a dtype
             floating = False
         if not floating:
             raise InputError(f"Model.astype: got {dtype}, expected float32 or float64")
@@ -323,7 +323,7 @@ class Model(Record):
         return jnp.concatenate([e.start().astype(dtype) for e in self.forces if e.size])
 
     def with_forces(self, *elements: Any) -> Model:
-        """The model with more force elements (`rbjax.forces`). Its actuators go on acting."""
+        """The model with additional force elements (`rbjax.forces`). Its actuators still act."""
         return self._with("forces", "Element", "loads", with_warning(self, elements))
 
     def with_constraints(self, *constraints: Any) -> Model:
@@ -372,8 +372,9 @@ class Model(Record):
         return State(q, self.keyframes.v[i], x)
 
     def random_state(self, key: jax.Array) -> State:
-        """Coordinates within 1 of the default state and in the joints' ranges, uniform attitudes
-        (those of a ball with a range turned back into it), velocities of spread 1."""
+        """A random state. Coordinates are uniform within 1 of the default state and within the
+        joints' ranges. Attitudes are uniform; the angle of a ball joint with a range is scaled into
+        it. Velocities have a standard deviation of 1."""
         return State(*random_coordinates(self, key), self.start(self.joints.reference.dtype))
 
 

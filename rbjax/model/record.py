@@ -94,7 +94,7 @@ def check_number(record: Record, name: str, *, positive: bool = False) -> None:
 
 
 def check_above_zero(where: str, value: Any) -> None:
-    """Reject known numbers that are not above zero."""
+    """Raise if a value that is not traced is not above zero."""
     if isinstance(value, jax.core.Tracer):
         return
     wrong = ~(np.asarray(value) > 0)

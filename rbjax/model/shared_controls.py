@@ -1,4 +1,4 @@
-"""A warning of force elements that take the controls of actuators which go on acting."""
+"""A warning of force elements that read the controls of actuators which still act."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 
 
 def with_warning(model: Any, elements: tuple) -> tuple:
-    """The elements. Warns of each that takes a control of an acting row of `model.actuators`."""
+    """Return the elements. Warn of each that reads a control of a row of `model.actuators` which
+    exerts a force."""
     acting = _acting(model.actuators)
     for one in elements:
         taken = getattr(one, "controls", ()) if getattr(one, "actuates", False) else ()
         twice = [model.actuator_names[k] for k in taken if 0 <= k < len(acting) and acting[k]]
         if twice:
             warnings.warn(
-                f"with_forces: {type(one).__name__} takes the controls of the actuators {twice}, "
-                "which go on acting; if the element replaces them, set their rows of "
+                f"with_forces: {type(one).__name__} reads the controls of the actuators {twice}, "
+                "which still act; if the element replaces them, set their rows of "
                 "model.actuators.gain and model.actuators.bias to zero",
                 stacklevel=4,
             )
@@ -26,7 +27,7 @@ def with_warning(model: Any, elements: tuple) -> tuple:
 
 
 def _acting(actuators: Any) -> np.ndarray:
-    """Which rows (nu,) exert forces. Traced rows are not looked at."""
+    """The mask (nu,) of rows that exert forces; empty if they are traced."""
     if any(isinstance(x, jax.core.Tracer) for x in (actuators.gain, actuators.bias)):
         return np.zeros(0, bool)
     rows = np.concatenate([np.asarray(actuators.gain), np.asarray(actuators.bias)], -1)

@@ -120,21 +120,23 @@ def _check_length(where: str, x: jax.Array, what: str) -> None:
 
 
 def _check_on_world(model: Any, joint: int, name: str, kind: str) -> None:
-    """Reject a joint whose coordinates count from the world on a body that another body carries."""
+    """Raise if the coordinates of a joint are relative to the world and its body is carried by
+    another body, or has another joint."""
     top = model.topology
     body = top.joint_bodies[joint]
     parent = top.body_parents[body]
     if parent != WORLD:
         raise InputError(
             f"with_joint: {name!r} joins the body {top.body_names[body]!r} to the body "
-            f"{top.body_names[parent]!r}, and a {kind} joint counts from the world; expected a "
-            "joint whose parent is the world, or three slides and a ball in the file"
+            f"{top.body_names[parent]!r}, and the coordinates of a {kind} joint are relative to "
+            "the world; expected a joint whose parent is the world, or, in the file, three slides "
+            "and a ball"
         )
     others = [top.joint_names[j] for j, b in enumerate(top.joint_bodies) if b == body]
     if len(others) > 1:
         raise InputError(
             f"with_joint: the body {top.body_names[body]!r} has the joints {others}, expected "
-            f"{name!r} only: a {kind} joint leaves its body no other"
+            f"{name!r} only: a body with a {kind} joint has no other joint"
         )
 
 

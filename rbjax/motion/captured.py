@@ -1,16 +1,17 @@
-"""Functions of a user, known by what they read and not by which object they are.
+"""Functions of a user as pytrees, so that equal code with other numbers is compiled once.
 
     for k in gains:
         rollout(model, state, lambda t, s: -k * s.v, dt, steps=n)
 
-gives a new function each time, and `jit` tells functions by identity: it would compile each. Here a
-function is a pytree. Its leaves are the numbers that it reads, and a `Recipe`, which is equal to
-that of another function where this differs in numbers only.
+creates a new function each time. `jit` compares functions by identity, so it would compile each.
+Here a function is a pytree. Its leaves are the numbers that it reads. Its static part is a
+`Recipe`; two functions that differ only in numbers have equal recipes.
 
-What asks more of a number than an operand can tell (`if k > 0`) is read with its floats in the
-recipe, or with its arrays too. What cannot be read (a generator, what writes as it runs) stays an
-object that equals nothing else, as to `jit`: it is compiled where it is new. A user's function that
-reads what it does not name (`globals()`, a file) is compiled at each call, and a warning says so.
+A function that needs the value of a number (`if k > 0`) is read again with its floats in the
+recipe, and if necessary with its arrays too. A function that cannot be read (a generator, code that
+writes as it runs) stays an object that equals only itself, as for `jit`: it is compiled when it is
+new. A user's function that reads values without naming them (`globals()`, a file) is compiled at
+each call, with a warning.
 
 `equinox.filter_closure_convert` and `jax.closure_convert` trace a function to find its arrays, and
 `equinox.internal.closure_to_pytree` looks into cells only.
@@ -128,15 +129,15 @@ def _read(f: Callable, level: int) -> Any:
 @functools.cache
 def _say(function: str, how: str) -> None:
     warnings.warn(
-        f"{function} uses `{how}`: what that reads may change unseen, so the function is compiled "
-        "at each call, which takes seconds; read the values by their names, or hold them in "
-        "arguments, cells or attributes",
+        f"{function} uses `{how}`: changes of the values that it reads are not detected, so the "
+        "function is compiled at each call, which takes seconds; read the values by their names, "
+        "or hold them in arguments, closure variables or attributes",
         stacklevel=2,
     )
 
 
 def _site(f: Any) -> Any:
-    """What the functions of one place in the caller's code have in common."""
+    """A key that the functions of one place in the caller's code have in common."""
     while isinstance(f, functools.partial):
         f = f.func
     f = getattr(f, "__func__", f)

@@ -1,4 +1,4 @@
-"""What a function's code names, from its instructions."""
+"""The names in a function's code, from its bytecode instructions."""
 
 from __future__ import annotations
 
@@ -15,25 +15,31 @@ LIBRARIES = frozenset({
     "functools", "itertools", "jax", "jaxlib", "jaxtyping", "lineax", "math", "numpy", "operator",
     "optax", "optimistix", "rbjax", "types", "typing",
 })  # fmt: skip
-#: names in code that reads what it does not name: variables, files, other modules
+#: names by which code reads values that it does not name: variables, files, other modules
 HIDDEN = frozenset({"__import__", "eval", "exec", "globals", "open"})
-#: names in code that writes, or runs outside of the program
+#: names by which code writes, or runs outside of the compiled program
 UNREADABLE = HIDDEN | {"callback", "io_callback", "pure_callback", "setattr"}
-#: names in code that reads attributes which it does not name, of objects that it does
+#: names by which code reads attributes that it does not name, of objects that it names
 DEEP = frozenset({"__dict__", "dir", "getattr", "locals", "vars"})
-#: names in code that may see a tracer in the place of a number, and go another way
+#: names by which code may detect a tracer in place of a number, and take another branch
 CURIOUS = frozenset({
     "Tracer", "hash", "id", "isinstance", "issubclass", "repr", "str", "type",
 }) | DEEP  # fmt: skip
-#: folders of packages, whose code may name what it likes
+#: folders of installed packages; `HIDDEN` names in their code cause no warning
 INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 WRITING = frozenset({"STORE_GLOBAL", "DELETE_GLOBAL", "STORE_DEREF", "DELETE_DEREF"})
 
 
 class Names(NamedTuple):
-    """What code names: the globals that it reads, and all; whether it may see a tracer; whether it
-    compares objects by identity; whether it writes nothing and reads nothing else; modules of the
-    user that it imports."""
+    """The names in a function's code, and those of the functions inside it.
+
+    read: globals that it reads.
+    every: all names.
+    curious: whether it may detect a tracer.
+    compares: whether it compares objects by identity.
+    readable: whether it writes nothing, and reads only values that it names.
+    imports: modules of the user that it imports.
+    """
 
     read: tuple[str, ...]
     every: frozenset[str]

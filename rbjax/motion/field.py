@@ -52,11 +52,11 @@ def free_motion(
 @dataclass(frozen=True)
 class Field:
     """The motion of a model under a law, for states of one sample or with the batch last. dt: the
-    step that force elements see; None where none is fixed.
+    step that force elements read; None if no step is fixed.
 
-    `model` has no precomputed link constants: a law or an integrator of the user that changes its
-    leaves (`eqx.tree_at`, `jax.tree.map`) changes the motion. `precomputed` is the same model with
-    the constants that it came with, for code that leaves the model as it is.
+    `model` has no precomputed link constants, so a user's law or integrator that changes its leaves
+    (`eqx.tree_at`, `jax.tree.map`) changes the motion. `precomputed` is the same model with its
+    precomputed constants, for code that does not change the leaves.
     """
 
     model: Model
@@ -101,7 +101,7 @@ class Field:
 
     @property
     def _of_law(self) -> Model:
-        """The model that the law is given."""
+        """The model that is passed to the law."""
         own = self.law is free_motion or isinstance(self.law, Formulation)
         return self.precomputed if own else self.model
 
@@ -152,11 +152,11 @@ class Field:
         return of_samples(functools.partial(self.law.settled, self.precomputed), t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
-        """The states (nx, ...) of force elements, within the ranges that they have."""
+        """The states (nx, ...) of force elements, clipped to their ranges."""
         return within(self.precomputed, x)
 
     def increment_rate(self, u: jax.Array, v: jax.Array) -> jax.Array:
-        """u' of the increment u, where the configuration moves at v."""
+        """u' of the increment u of a configuration that moves at v."""
         return increment_rate(self.precomputed, u, v)
 
 

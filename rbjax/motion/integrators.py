@@ -125,8 +125,9 @@ def integrator_of(
 def advanced(
     integrator: Integrator, field: Field, t: Any, state: State, u: Inputs, dt: Any
 ) -> State:
-    """The state after a step of any integrator: states of force elements within their ranges, and
-    the rest as the law leaves it. Reject anything but a state."""
+    """The state after a step of any integrator: states of force elements are clipped to their
+    ranges, and a formulation projects the state onto its constraints. Reject a result that is no
+    state."""
     after: Any = integrator(field, t, state, u, dt)
     due = [(jnp.shape(x), x.dtype) for x in jax.tree.leaves(state)]
     found = jax.tree.leaves(after)

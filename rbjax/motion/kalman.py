@@ -139,13 +139,18 @@ def kalman_filter(
         >>> [round(float(P), 3) for P in found.covariance.ravel()]
         [0.5, 1.5, 0.714]
     """
+    _check("kalman_filter", space=(space, StateSpace))
     P, W, R = (
         _matrix(name, x)
         for name, x in (("covariance", covariance), ("process", process), ("noise", noise))
     )
     m = R.shape[0]
     if arrived is None:
-        readings = jnp.asarray(readings)
+        try:
+            readings = jnp.asarray(readings)
+        except (TypeError, ValueError) as error:
+            fix = "expected an array (N + 1, m), or a pytree of arrays and `arrived`"
+            raise InputError(f"kalman_filter: readings is {readings!r}, {fix}") from error
         arrived = ~jnp.isnan(readings)
         readings = jnp.where(arrived, readings, 0.0)
     arrived = jnp.asarray(arrived, bool)
@@ -199,6 +204,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         >>> [round(float(x), 3) for x in kalman_smoother(walk, found).state.ravel()]
         [0.714, 1.143, 1.571]
     """
+    _check("kalman_smoother", space=(space, StateSpace), filtered=(filtered, KalmanFiltered))
     n = filtered.covariance.shape[-1]
     zero = jnp.zeros(n, filtered.covariance.dtype)
 
@@ -313,13 +319,12 @@ def kalman_update(
         >>> round(float(found.state[0]), 6), round(float(found.covariance[0, 0]), 6)
         (0.5, 0.5)
     """
-    _check("kalman_update", space, estimate)
+    _check("kalman_update", space=(space, StateSpace), estimate=(estimate, Estimate))
     R = _matrix("noise", noise)
-    shape = shape_of("kalman_update", "reading", reading)
+    shape = shape_of("kalman_update", "reading", reading) if arrived is None else R.shape[:1]
     if shape != R.shape[:1] or isinstance(reading, str):
-        raise InputError(
-            f"kalman_update: reading has shape {shape}, expected {R.shape[:1]} numbers, as noise"
-        )
+        due = f"{R.shape[:1]} numbers, as noise"
+        raise InputError(f"kalman_update: reading has shape {shape}, expected {due}")
     if arrived is None:
         reading = jnp.asarray(reading)
         arrived = ~jnp.isnan(reading)
@@ -357,7 +362,7 @@ def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: A
         >>> float(found.state[0]), float(found.covariance[0, 0])
         (1.0, 3.0)
     """
-    _check("kalman_predict", space, estimate)
+    _check("kalman_predict", space=(space, StateSpace), estimate=(estimate, Estimate))
     P = _matrix("covariance", estimate.covariance)
     state, after, _ = _predicted(space, estimate.state, P, given, _matrix("process", process))
     return Estimate(state, after)
@@ -372,19 +377,18 @@ def _moved(space: StateSpace, x: Any, dx: jax.Array) -> tuple[Any, jax.Array | N
     return new, turn
 
 
-def _check(where: str, space: Any, estimate: Any) -> None:
-    for name, value, kind in (("space", space, StateSpace), ("estimate", estimate, Estimate)):
+def _check(where: str, **given: tuple[Any, type]) -> None:
+    for name, (value, kind) in given.items():
         if not isinstance(value, kind):
-            got = type(value).__name__
-            raise InputError(f"{where}: {name} is {got}, expected a {kind.__name__}")
+            raise InputError(f"{where}: {name} is {repr(value)[:80]}, expected a {kind.__name__}")
 
 
 def _matrix(name: str, x: Any) -> jax.Array:
+    due = "expected variances (n,) or a matrix (n, n)"
     try:
         x = jnp.asarray(x) if hasattr(x, "dtype") else jnp.asarray(x, float)
     except (TypeError, ValueError) as error:
-        got = type(x).__name__
-        raise InputError(f"kalman_filter: {name} is {got}, expected numbers") from error
+        raise InputError(f"kalman_filter: {name} is {x!r}, {due}") from error
     if not isinstance(x, jax.core.Tracer) and not np.isfinite(np.asarray(x)).all():
         raise InputError(f"kalman_filter: {name} is not finite, expected finite numbers")
     if not jnp.issubdtype(x.dtype, jnp.floating):
@@ -392,7 +396,5 @@ def _matrix(name: str, x: Any) -> jax.Array:
     if x.ndim == 1:
         return jnp.diag(x)
     if x.ndim != 2 or x.shape[0] != x.shape[1]:
-        raise InputError(
-            f"kalman_filter: {name} has shape {x.shape}, expected variances (n,) or a matrix (n, n)"
-        )
+        raise InputError(f"kalman_filter: {name} has shape {x.shape}, {due}")
     return x

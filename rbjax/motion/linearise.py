@@ -26,12 +26,18 @@ from rbjax.lanes.products import matmat
 from rbjax.model import Model, State
 from rbjax.model.record import Record
 from rbjax.motion.field import Field, Law, free_motion, law_of
+from rbjax.motion.force_jacobian import by_joint, times_jacobian
 from rbjax.motion.integrators import Integrator, advanced, integrator_of, semi_implicit_euler
 
 
 class Linear(Record):
-    """A (n, n) and B (n, nu) with n = 2 nv + nx, which `A, B = ...` unpacks; acceleration (nv,), v'
-    at the point, zero if the controls hold the robot still there, its mean over a step dt."""
+    """A linearisation, with n = 2 nv + nx. `A, B = linearise(...)` unpacks the matrices.
+
+    A: (n, n).
+    B: (n, nu).
+    acceleration: (nv,) v' at the point; with dt, the mean of v' over the step. It is zero if the
+        controls hold the robot at rest there.
+    """
 
     A: jax.Array
     B: jax.Array
@@ -204,6 +210,11 @@ def _free_rates(
         return found, found
 
     start = jnp.zeros(2 * n + model.nx, state.q.dtype)
+    if by_joint(model):
+        tau = forces(start, jnp.zeros_like(u))[0]
+        a, by = accelerated_derivatives(model, state.q, state.v, tau)
+        a_x, a_u = times_jacobian(model, lambda *x: forces(*x)[0], u.shape[0], by.tau)
+        return a, a_x + jnp.concatenate([by.q, by.v], 1), a_u
     (F_x, F_u), F = jax.jacfwd(forces, (0, 1), has_aux=True)(start, jnp.zeros_like(u))
     a, by = accelerated_derivatives(model, state.q, state.v, F[:n])
     a_x = matmat(by.tau, F_x[:n]).at[:, : 2 * n].add(jnp.concatenate([by.q, by.v], 1))
@@ -252,14 +263,13 @@ def euler_linearised(
         inputs = Inputs(ctrl + du)
         return generalized_forces(model, t, beside(model, state, dx), inputs, dt)[0]
 
-    zero, none = jnp.zeros(2 * n, dtype), jnp.zeros_like(ctrl)
-    tau = forces(zero, none)
-    tau_x, tau_u = jax.jacfwd(forces, (0, 1))(zero, none)
+    tau = forces(jnp.zeros(2 * n, dtype), jnp.zeros_like(ctrl))
     a, by = accelerated_derivatives(model, state.q, state.v, tau)
     v = state.v + dt * a
     q = integrate(model, state.q, dt * v)
     direct = jnp.concatenate([by.q, by.v], 1)
-    a_x, a_u = direct + matmat(by.tau, tau_x), matmat(by.tau, tau_u)
+    a_x, a_u = times_jacobian(model, forces, ctrl.shape[0], by.tau)
+    a_x = direct + a_x
     v_x = dt * a_x + jnp.eye(n, 2 * n, n, dtype=dtype)
     if model.topology.turn_starts:
 

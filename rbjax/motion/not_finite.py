@@ -18,7 +18,7 @@ from rbjax.motion.trajectory import Trajectory
 def warn_if_not_finite(model: Model, path: Trajectory, dt: jax.Array, law: Law) -> None:
     """Warn once of all samples of a rollout that are not finite: how many, the first time, and the
     largest stable step. The trajectory must be known (not traced)."""
-    if not path.ok.is_fully_addressable:  # of another process too
+    if not path.ok.is_fully_addressable:  # a part is on another process
         return
     ok = np.atleast_1d(np.asarray(path.ok))
     if ok.all():
@@ -45,15 +45,15 @@ def _advice(model: Model, state: State, dt: float, law: Law) -> str:
         ctrl = jnp.zeros(model.nu, state.q.dtype) if model.nu else None
         A = np.asarray(linearise(model, state, ctrl, law=law).A)
         largest = np.abs(np.linalg.eigvals(A)).max(initial=0.0) if np.isfinite(A).all() else np.nan
-    except (RbjaxError, TypeError, NotImplementedError):  # a law that cannot be differentiated so
+    except (RbjaxError, TypeError, NotImplementedError):  # `linearise` does not support the law
         pass
     if not np.isfinite(largest) or largest == 0:
-        return "Take a smaller dt; if no step helps, see that rb.mass_matrix is not singular"
+        return "Take a smaller dt; if no step helps, check that rb.mass_matrix is not singular"
     stable = 2 / largest
-    found = f"the largest eigenvalue of its motion at the start is {largest:.4g} /s"
+    found = f"at the start the linearised motion has an eigenvalue s with |s| = {largest:.4g} /s"
     if stable < dt:
-        return f"Take dt below {stable:.2g} s: {found}, and explicit steps need 2 / |it|"
+        return f"Take dt below {stable:.2g} s: {found}, and explicit steps need dt < 2 / |s|"
     return (
         f"Take a smaller dt: {found}, for which this step is stable, so forces, controls or speeds "
-        "later in the motion ask for a smaller one"
+        "later in the motion need a smaller one"
     )

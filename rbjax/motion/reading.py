@@ -52,8 +52,8 @@ class UnreadableError(Exception):
 
 
 class HiddenError(UnreadableError):
-    """A user's code reads variables or files that it does not name, so its result may change
-    although nothing changes that can be read. The argument says which code, and how."""
+    """A user's code reads variables or files that it does not name, so its result may change while
+    its key stays the same. Arguments: the name of the code, and the function by which it reads."""
 
 
 class Same:
@@ -71,7 +71,7 @@ class Same:
         return isinstance(other, Same) and self.x is other.x
 
 
-MISSING = Same(None)  # an empty cell, a global that is none
+MISSING = Same(None)  # an empty cell, a global that does not exist
 
 
 #: where an object keeps a field, which is read there
@@ -88,7 +88,8 @@ class Reader:
         self.operands: list[jax.Array] = []
         self.places: dict[int, tuple[int, Any]] = {}  # of operands that are arrays, by identity
         self.known: dict[int, tuple[int, Any]] = {}  # arrays of numpy in the key, by identity
-        self.deep = self.of_modules = False  # attributes without names are read; modules are
+        # whether code reads attributes that it does not name; whether a user's module is read
+        self.deep = self.of_modules = False
         self.seen: dict[tuple, tuple[Any, Maker] | None] = {}
 
     def read(
@@ -126,13 +127,13 @@ class Reader:
         return found
 
     def _operand(self, x: jax.Array, source: Any) -> tuple[Any, Maker]:
-        """x in the place of `source`. An array that is found again is the same operand."""
+        """x as an operand in place of `source`. An array that occurs again is the same operand."""
         i, is_array = len(self.operands), not isinstance(source, (float, complex))
         if is_array and id(source) in self.places:
             i = self.places[id(source)][0]
             return ("operand", i), lambda operands, _: operands[i]
         if is_array:
-            self.places[id(source)] = i, source  # which lives as long as its number is a key
+            self.places[id(source)] = i, source  # kept alive, so its id stays unique
         self.operands.append(x)
         return "operand", lambda operands, _: operands[i]
 
@@ -141,11 +142,11 @@ class Reader:
         if x.dtype.kind not in "biufc":
             raise UnreadableError
         if x.dtype.kind in "fc" and not held and self.level <= ARRAYS:
-            # a copy: the caller may write into x before it is read
+            # a copy: the caller may write into x before the program reads it
             return self._operand(jnp.array(x), x)
         if x.nbytes > LARGEST:
             raise UnreadableError
-        # equal arrays differ by identity (`x is y`): by their index among the arrays found
+        # equal arrays may differ in identity (`x is y`), so the key has their index
         which, _ = self.known.setdefault(id(x), (len(self.known), x))
         return (type(x), x.dtype, x.shape, x.tobytes(), which), None
 
@@ -172,7 +173,7 @@ class Reader:
             return self._parts(kind, given, held, lambda v: kind(v[0], *v[1], **v[2]))
         if x is os.environ:
             return ("environ", *sorted(x.items())), None
-        if kind in (dict, defaultdict):  # in its order, which a pytree forgets
+        if kind in (dict, defaultdict):  # in its own order: a pytree would sort the keys
             due, keys = tuple(x), tuple(self.read(k, True)[0] for k in x)
             first: tuple = () if kind is dict else (x.default_factory,)
             missing = tuple(self.read(f, True)[0] for f in first)
@@ -286,7 +287,8 @@ class Reader:
         return self._parts((Same(module), *read), [inside[k] for k in read], True, names=names)
 
     def _check_modules(self) -> None:
-        """A user's module has more attributes than are read."""
+        """Raise if code reads attributes that it does not name and a user's module is read: of a
+        module only the attributes that are named are in the key."""
         if self.deep and self.of_modules:
             raise UnreadableError
 

@@ -72,7 +72,7 @@ def rollout(
     Explicit Runge-Kutta methods on the manifold: `rk4`, `tsit5`, `dopri8`, `dop853`, of order 4, 5,
     8, 8 with 4, 6, 13, 12 evaluations. In f64 `dop853` needs 10 to 15 % fewer than `dopri8` for an
     error of 1e-6 (on an arm and a humanoid); in f32 it comes down to 1.1e-6, `dopri8` to 2.4e-7.
-    A body that turns by more than about 3 rad a step makes them diverge, and `ok` False.
+    They diverge, and `ok` is False, if a body turns by more than about 3 rad in a step.
 
     Force elements see the step dt. States of elements end each step within their ranges.
 
@@ -109,8 +109,8 @@ def rollout(
 
     Returns:
         `Trajectory` of 1 + steps / save_every states, the first the initial one; q (T, nq), or
-        (B, T, nq) for a batch; `ok` says whether all is finite. Outside of traced code a warning
-        says how many samples are not, from which time on, and which step would be stable.
+        (B, T, nq) for a batch; `ok`: whether all values are finite. Outside of traced code a
+        warning gives the number of samples that are not, the first time, and a stable step.
 
     Raises:
         InputError: shapes, dtypes, values that are not finite, unknown integrator, a step that is

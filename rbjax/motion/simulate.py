@@ -72,9 +72,9 @@ def simulate(
     reverse gradient where `max_steps` or the adjoint's checkpoints are few; otherwise it runs under
     XLA (docs/threads.md).
 
-    A function (control, tau, wrenches, law) is known by what it reads, and not by which object it
-    is (`rollout`). For arrays on a mesh of explicit axes call it inside `jax.jit`: outside, each
-    call compiles.
+    A new function (control, tau, wrenches, law) is not compiled if it differs from an earlier one
+    only in numbers that it reads (see `rollout`). For arrays on a mesh with explicit axes call
+    `simulate` inside `jax.jit`: outside, each call compiles.
 
     Args:
         model: the robot.

@@ -54,7 +54,7 @@ def on_threads(
     """
     dtype = state.q.dtype
     model = drivers.on_threads(model, dtype)
-    made = made_by_threads(known_zeros(model), dtype)  # whose zeros bind the constants, not a law
+    made = made_by_threads(known_zeros(model), dtype)  # structural zeros only for the constants
     model = model.replace(prepared=made.execution.prepared)
     batched, steps, save_every = how.batched, how.count, how.save_every
     given, treedef = jax.tree.flatten(state)

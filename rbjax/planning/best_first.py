@@ -37,7 +37,7 @@ from rbjax.planning.occupancy import DistanceField
 from rbjax.planning.paths import Plan, chain
 from rbjax.planning.swept_map import SweptMap
 
-#: 4 GB of prices and indices
+#: the largest number of cells of a search: 4 GB of costs and indices
 _MOST_CELLS = 500_000_000
 
 MOST = np.iinfo(np.int32).max
@@ -81,8 +81,8 @@ class Search:
         count = np.ceil(size / cell * (1 - 1e-12))
         if count.prod() * len(table.headings) > _MOST_CELLS:
             raise InputError(
-                f"hybrid_a_star: cell is {cell}, which makes {count.prod():.3g} cells of each of "
-                f"{len(table.headings)} headings, expected {_MOST_CELLS:,} cells at most"
+                f"hybrid_a_star: cell is {cell}, which makes {count.prod():.3g} cells for each of "
+                f"{len(table.headings)} headings, expected at most {_MOST_CELLS:,} cells in all"
             )
         self.shape = (*count.astype(int), len(table.headings))
         self.size = size
@@ -167,7 +167,7 @@ class Search:
         return nodes.those(~later)
 
     def _connect(self, nodes: _Nodes, steps: np.ndarray, price: np.ndarray, most: int) -> None:
-        """Tests the cheapest connections; keeps the others, for a test once OPEN is searched."""
+        """Test the cheapest connections. Keep the others for a test after the search of OPEN."""
         wanted = np.flatnonzero(price < self.best)
         wanted = wanted[np.argsort(price[wanted], kind="stable")]
         if len(wanted) > most:

@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.lanes.extremes import largest
 from rbjax.model import State
 from rbjax.planning.limits import Limits
 from rbjax.planning.paths import Path
@@ -151,7 +152,7 @@ def driven(vehicle: Fidelity, limits: Limits, path: Path) -> DrivenPath:
 def reach_of(vehicle: Fidelity, dtype) -> jax.Array:
     """The largest distance of a wheel of the chassis from its origin, m."""
     places = [jnp.asarray(w.position, dtype) for w in vehicle.robot.wheels if w.body == 0]
-    return jnp.maximum(_norm(jnp.stack(places)).max(), 1e-2)
+    return jnp.maximum(largest(_norm(jnp.stack(places))), 1e-2)
 
 
 def _norm(x: jax.Array) -> jax.Array:

@@ -21,6 +21,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.lanes.extremes import smallest
+
 SHORT = 0.99  # of the way to where something is zero
 FIRST = 0.1  # slack to begin with
 
@@ -65,10 +67,11 @@ def solve(
         out = []
         for k in (0, 1):
             ways = [
-                jnp.where(r[k] < 0, -x[k] / jnp.where(r[k] < 0, r[k], 1.0), jnp.inf).min(initial=1)
+                jnp.where(r[k] < 0, -x[k] / jnp.where(r[k] < 0, r[k], 1.0), jnp.inf)
                 for x, r in zip(pairs(p), rates, strict=True)
             ]
-            out.append(jnp.stack(ways).min())
+            one = jnp.ones(1, ways[0].dtype)
+            out.append(smallest(jnp.concatenate([one, *map(jnp.ravel, ways)])))
         return out[0], out[1]
 
     def turn(p: _Point, _) -> tuple[_Point, None]:

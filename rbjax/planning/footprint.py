@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.lanes.extremes import largest, smallest
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.occupancy import DistanceField
 from rbjax.rotations.arguments import takes
@@ -49,8 +50,10 @@ class Footprint(Record):
     @property
     def reach(self) -> jax.Array:
         """The largest distance () m of a covered point from the frame's origin."""
-        x, y = self.centers[:, 0], self.centers[:, 1]
-        return (jnp.sqrt(x * x + y * y) + self.radii).max()
+        square = (self.centers**2).sum(-1)
+        off = square > 0  # a disc at the origin has no direction
+        far = jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
+        return largest(far + self.radii)
 
     @classmethod
     def disc(cls, radius: float) -> Footprint:
@@ -179,10 +182,7 @@ def clearance(field: DistanceField, poses: jax.Array, footprint: Footprint) -> j
     """
     centers = placed(poses, footprint)
     gaps = field.at(centers) - footprint.radii
-    # Not `min`: its derivative compares the minimum with values that XLA may compute a second time
-    # and round in another way. If none is equal, the derivative is 0 / 0.
-    nearest = jnp.argmin(jax.lax.stop_gradient(gaps), -1, keepdims=True)
-    return jnp.take_along_axis(gaps, nearest, -1)[..., 0]
+    return smallest(gaps)
 
 
 @_of_a_field

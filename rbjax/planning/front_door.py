@@ -43,8 +43,8 @@ def methods() -> dict[str, Callable[..., Plan]]:
 
 
 def _car(radius: float, least: float, backwards: bool) -> Controls:
-    """Arcs to both sides and straights; backwards is a little dearer, a reversal costs as
-    much as `radius` metres ahead."""
+    """Arcs to both sides and straight segments. Driving backwards costs a little more; a reversal
+    costs as much as driving `radius` metres forwards."""
     cell = 2 * math.pi / HEADINGS
     turn = cell * max(1, math.ceil(least / (radius * cell) * (1 - 1e-9)))
     reversal = max(1, round(UNIT * radius / (radius * turn)))

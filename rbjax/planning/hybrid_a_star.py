@@ -30,7 +30,7 @@ from rbjax.planning.grid_dijkstra import check_poses, check_problem
 from rbjax.planning.occupancy import OccupancyGrid
 from rbjax.planning.paths import Path, Plan
 
-#: cells of a search, times headings, at most: each takes eight bytes
+#: the largest number of cells of a search times headings; each takes eight bytes
 MOST_CELLS = 1e9
 
 

@@ -58,7 +58,9 @@ class DistanceField(Record):
         """A lower bound (...) m of the distance at points (..., 2) m: from the nearest centre."""
         u, v, away = self._place(points)
         i, j = jnp.round(u), jnp.round(v)
-        off = self.resolution * jnp.sqrt((u - i) ** 2 + (v - j) ** 2)
+        square = (u - i) ** 2 + (v - j) ** 2
+        off = square > 0  # at a centre the bound is not smooth
+        off = self.resolution * jnp.where(off, jnp.sqrt(jnp.where(off, square, 1.0)), 0.0)
         return self.values[i.astype(int), j.astype(int)] - off - away
 
     def _place(self, points: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -104,12 +106,12 @@ class OccupancyGrid(Record):
 
     @classmethod
     def from_ros(cls, file: Any, *, unknown: str = "occupied") -> OccupancyGrid:
-        """The map of a `map.yaml` of ROS's map_server, and of the image that it names.
+        """Read a map of ROS's map_server: a `map.yaml` and the image that it names.
 
         Args:
             file: path of the YAML file, with image, resolution, origin, negate, occupied_thresh
                 and free_thresh; mode trinary or scale.
-            unknown: what cells between the thresholds count as, "occupied" or "free".
+            unknown: "occupied" or "free": how cells between the thresholds are treated.
 
         Raises:
             InputError: a file that cannot be read, keys that are missing, numbers out of range, a

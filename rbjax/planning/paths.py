@@ -45,7 +45,7 @@ def chain(start: Any, steps: Any, xp: Any = jnp) -> Any:
     return xp.concatenate([xy, headings[..., None]], -1)
 
 
-#: steps of a path, at most
+#: the largest number of steps of a path
 MOST_STEPS = 1e7
 
 
@@ -127,23 +127,29 @@ class Path(Record):
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")
         runs = _joined(np.asarray(self.steps))
         size = np.maximum(np.hypot(runs[:, 0], runs[:, 1]), np.abs(runs[:, 2]))
-        parts = np.maximum(1, np.ceil(size / spacing * (1 - 1e-12)))
+        parts = np.maximum(1, np.ceil(size / spacing * (1 - _rounding(self.steps))))
         if parts.sum() > MOST_STEPS:
             raise InputError(
                 f"Path.split: spacing {spacing} makes {parts.sum():.1e} steps, expected at most "
                 f"{MOST_STEPS:.0e}; take a larger spacing"
             )
         parts = parts.astype(int)
-        return Path(self.start, jnp.asarray(np.repeat(runs / parts[:, None], parts, 0)))
+        steps = np.repeat(runs / parts[:, None], parts, 0)
+        return Path(self.start, jnp.asarray(steps, self.steps.dtype))
+
+
+def _rounding(steps: Any) -> float:
+    return max(1e-12, 8 * float(np.finfo(steps.dtype).eps))
 
 
 def _joined(steps: np.ndarray) -> np.ndarray:
     """Neighbours of one twist as one step; without steps of zeros."""
+    same = _rounding(steps)
     out: list[np.ndarray] = []
-    for step in steps[np.abs(steps).max(1, initial=0.0) > 0]:
+    for step in steps.astype(float)[np.abs(steps).max(1, initial=0.0) > 0]:
         if out:
             last, size, more = out[-1], np.linalg.norm(out[-1]), np.linalg.norm(step)
-            if np.abs(last * more - step * size).max() <= 1e-12 * size * more:
+            if np.abs(last * more - step * size).max() <= same * size * more:
                 out[-1] = last + step
                 continue
         out.append(step)

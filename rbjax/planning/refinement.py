@@ -26,6 +26,7 @@ import jax.numpy as jnp
 
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
+from rbjax.lanes.extremes import largest, smallest
 from rbjax.model.record import Record
 from rbjax.planning.driven_path import reach_of
 from rbjax.planning.footprint import Footprint, placed
@@ -92,10 +93,12 @@ class Refined(Record):
         limits do not even hold on the path."""
         if not bool(self.ok):
             return "infeasible"
-        if not bool(self.residuals.feasible) or self.motion.time > self.start_time * (1 + 1e-6):
+        rounding = 64 * float(jnp.finfo(self.motion.time.dtype).eps)
+        change = float(self.motion.time) / float(self.start_time) - 1
+        if not bool(self.residuals.feasible) or not change <= max(1e-6, rounding):
             return "not converged"
-        faster = self.motion.time < self.start_time * (1 - 1e-9)  # not only by rounding
-        return "refined" if int(self.steps_taken) and bool(faster) else "as it was"
+        faster = change < -max(1e-9, rounding)  # not only by rounding
+        return "refined" if int(self.steps_taken) and faster else "as it was"
 
 
 def refine(
@@ -175,15 +178,23 @@ def _refine(
     vehicle: Fidelity, path: Path, limits: Limits, field: DistanceField | None,
     footprint: Footprint | None, margin: Any, intervals: int, iterations: int, parts: int,
 ) -> Refined:  # fmt: skip
-    # a path that is bent more sharply than the wheels can steer is a guess too
+    # a path that needs more than the steering limit is allowed as a first guess
     first = time_scaling(vehicle, path, limits.replace(steering=jnp.inf))
-    motion, robot = first.motion, vehicle.robot
+    motion = first.motion
     dtype = motion.ts.dtype
+
+    def cast(x: Any) -> Any:
+        return x.astype(dtype) if jnp.issubdtype(jnp.result_type(x), jnp.floating) else x
+
+    given = vehicle, path, limits, field, footprint, margin
+    vehicle, path, limits, field, footprint, margin = jax.tree.map(cast, given)
+    robot = vehicle.robot
     steers = jnp.full(len(robot.steerings), limits.steering_rate)
     units = jnp.concatenate([limits.torques(vehicle), steers]).astype(dtype)
-    largest = jnp.abs(motion.q[:, robot.layout.steerings]).max(initial=PLAIN)
+    bent = jnp.abs(motion.q[:, robot.layout.steerings]).ravel()
+    widest = largest(jnp.append(bent, PLAIN))
     limits = limits.replace(
-        steering=jnp.where(jnp.isinf(limits.steering), largest, limits.steering)
+        steering=jnp.where(jnp.isinf(limits.steering), widest, limits.steering)
     )
     controls, dt = motion.sampled(intervals)
     bare = start(vehicle, path.start)
@@ -240,11 +251,15 @@ def _residuals(s: Shooting, w: jax.Array, coarse: jax.Array) -> Residuals:
         clearance = jax.vmap(s.clearances)(z)
         sure = clearance - s.field.resolution / math.sqrt(2)
         below = s.field.below(placed(z[:, :3], s.footprint)) - s.footprint.radii
-        clearance, free = clearance.min(), (jnp.maximum(sure, below) > 0).all()
+        clearance, free = smallest(clearance), (jnp.maximum(sure, below) > 0).all()
+
+    def worst(x: jax.Array) -> jax.Array:
+        return largest(jnp.append(jnp.abs(x), jnp.zeros((), x.dtype)))
+
     return Residuals(
-        jnp.hypot(off[0], off[1]), jnp.abs(off[2]), jnp.abs(end[s.tracked :] / s.speeds).max(),
-        jnp.abs(w[:, :drives]).max(), jnp.abs(rates).max(), jnp.abs(angles).max(initial=0.0),
-        clearance, free, jnp.abs(end[:2] - coarse[:2]).max(),
+        jnp.hypot(off[0], off[1]), jnp.abs(off[2]), worst(end[s.tracked :] / s.speeds),
+        worst(w[:, :drives]), worst(rates), worst(angles), clearance, free,
+        worst(end[:2] - coarse[:2]),
     )  # fmt: skip
 
 

@@ -1,8 +1,8 @@
-"""Maps of ROS: a YAML file with the numbers, and an image with the cells.
+"""Maps of ROS: a YAML file with the parameters, and an image with the cells.
 
 A pixel of value x has the probability of being occupied p = (255 - x) / 255, or x / 255 with
 `negate`. It is occupied if p > occupied_thresh, free if p < free_thresh, and unknown otherwise. The
-first row of the image is the one of largest y; `origin` is the pose of its lower left corner.
+first row of the image has the largest y; `origin` is the pose of the image's lower left corner.
 (ROS, *map_server* and *nav2_map_server*, map format, modes trinary and scale)
 """
 

@@ -155,6 +155,7 @@ def _smooth(
     z = jnp.stack([jnp.ones_like(bend), jnp.clip(bend, -1.0, 1.0)])
     # an end is met to rounding of as many additions as there are steps
     close = 64 * jnp.finfo(z.dtype).eps * (path.length + radius + jnp.abs(path.start).max())
+    gain = max(1e-6, 64 * float(jnp.finfo(z.dtype).eps))  # not only by rounding
     first = p.cost(z)
 
     def turn_of(carry, _):
@@ -162,7 +163,7 @@ def _smooth(
         new = _step(p, z, damping)
         low, high = p.limits(z)
         value, off = p.cost(new), p.residuals(new)[1]
-        good = (value < cost * (1 - 1e-6)) & (jnp.abs(off).max() <= close)
+        good = (value < cost * (1 - gain)) & (jnp.abs(off).max() <= close)
         good &= ((new >= low) & (new <= high) | ~arcs).all() & p.is_free(new, parts)
         z = jnp.where(good, new, z)
         damping = jnp.clip(jnp.where(good, damping / 4, damping * 4), 1e-6, 1e6)

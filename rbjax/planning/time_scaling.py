@@ -25,6 +25,7 @@ import jax.numpy as jnp
 
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
+from rbjax.lanes.extremes import largest, smallest
 from rbjax.model.record import Record
 from rbjax.planning.driven_path import DrivenPath, Sides, driven
 from rbjax.planning.limits import Limits, Timed, check_can_follow
@@ -44,8 +45,8 @@ class TimeScaled(Record):
 
     @property
     def status(self) -> str:
-        """Of one path: "found", or "infeasible" if the limits do not hold even at rest, or the path
-        bends more sharply than the steering angle allows."""
+        """The status of one path: "found"; or "infeasible" if the limits do not hold even at rest,
+        or the path needs steering angles beyond the limit."""
         return "found" if bool(self.ok) else "infeasible"
 
 
@@ -60,8 +61,8 @@ def time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
         vehicle: a robot that rolls, `wheeled.at(robot, "kinematical")`; its drives are torques. It
             starts with its steerings and trailers straight.
         path: one `Path` of the chassis. Steps of zeros may fill it up. Use `jax.vmap` for many.
-        limits: `Limits`. A steering angle follows from the path, so its limit is met or not
-            whatever the speed.
+        limits: `Limits`. The path determines the steering angles, so a path that exceeds their
+            limit is infeasible at any speed.
 
     Returns:
         `TimeScaled`. Its coordinates are those that the robot has on the path with its rounded
@@ -140,26 +141,31 @@ def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
         step, low, high = k
         a, b, c = rows(step, low, high)
         up = a > 0
-        u = jnp.where(up, (c - b * x) / jnp.where(up, a, 1.0), jnp.inf).min()
+        u = smallest(jnp.where(up, (c - b * x) / jnp.where(up, a, 1.0), jnp.inf))
         after = jnp.clip(x + 2 * step[0] * jnp.where(step[0] > 0, u, 0.0), low, high)
         return after, after
 
     _, x = jax.lax.scan(ahead, zero, (steps, *ends))
     steerings = vehicle.robot.layout.steerings
     angles = jnp.abs(jnp.stack([p.first.q, p.last.q])[..., steerings]).max(initial=0.0)
-    rounding = 64 * jnp.finfo(dtype).eps  # of a path made of arcs at the limit itself
+    rounding = 64 * jnp.finfo(dtype).eps  # for a path of arcs exactly at the limit
     ok = (low <= high).all() & (angles <= limits.steering * (1 + rounding))
     return TimeScaled(_timed(vehicle, p, limits, jnp.concatenate([zero[None], x])), ok)
+
+
+def _fastest(rates: jax.Array) -> jax.Array:
+    """The largest absolute rate of steering of each step; zero if nothing steers."""
+    return largest(jnp.abs(rates)) if rates.shape[-1] else jnp.zeros(rates.shape[:-1], rates.dtype)
 
 
 def _cap(p: DrivenPath, side: Sides, limits: Limits) -> jax.Array:
     """The largest x (n,) by limits of rates at one end of the steps."""
     v = side.twist
-    steer = jnp.abs(p.bends).max(-1, initial=0.0) / limits.steering_rate
+    steer = _fastest(p.bends) / limits.steering_rate
     ways = [
         (v[:, 0] ** 2 + v[:, 1] ** 2) / limits.speed**2, (v[:, 2] / limits.turn_rate) ** 2, steer**2
     ]  # fmt: skip
-    return 1 / jnp.maximum(jnp.stack(ways).max(0), 1e-12)
+    return 1 / jnp.maximum(largest(jnp.stack(ways), 0), 1e-12)
 
 
 def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
@@ -176,8 +182,8 @@ def _eliminated(a, b, c, cap) -> tuple[jax.Array, jax.Array]:
     alpha = alpha.at[-len(b) :].set(jnp.where(flat, b, 0))
     gamma = gamma.at[-len(b) :].set(jnp.where(flat, c, 0))
     ratio = gamma / jnp.where(alpha == 0, 1.0, alpha)
-    high = jnp.minimum(cap, jnp.where(alpha > 0, ratio, jnp.inf).min())
-    low = jnp.maximum(0.0, jnp.where(alpha < 0, ratio, -jnp.inf).max())
+    high = jnp.minimum(cap, smallest(jnp.where(alpha > 0, ratio, jnp.inf)))
+    low = jnp.maximum(0.0, largest(jnp.where(alpha < 0, ratio, -jnp.inf)))
     # rounding may leave nothing of an interval that is a point
     off = ((alpha == 0) & (gamma < -eps)).any() | (low > high + eps * (1 + cap))
     return jnp.where(off, jnp.inf, jnp.minimum(low, high)), high
@@ -190,7 +196,7 @@ def _timed(vehicle: Fidelity, p: DrivenPath, limits: Limits, x: jax.Array) -> Ti
     both = speed[1:] + speed[:-1]
     runs = (p.size > 0) & (both > 0)
     drive = jnp.where(runs, 2 * p.size / jnp.where(runs, both, 1.0), 0.0)
-    turn = jnp.abs(p.turns).max(-1, initial=0.0)
+    turn = _fastest(p.turns)
     stand = turn / limits.steering_rate
     u = jnp.where(runs, (x[1:] - x[:-1]) / (2 * jnp.where(runs, p.size, 1.0)), 0.0)
     tau = [

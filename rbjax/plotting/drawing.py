@@ -196,8 +196,8 @@ def shapes_of(model: Model, source: Any, floating_base: bool = False) -> list[So
     if source is not None and not found:
         warnings.warn(
             "no shapes of the source are drawn (visuals and meshes of a URDF are not read): the "
-            "robot is drawn as rods from joint to joint and ellipsoids of inertia, as with "
-            "source=None; give an MJCF file with geoms to see them",
+            "robot is drawn as rods between its joints and ellipsoids of inertia, as with "
+            "source=None; to see its shapes, give an MJCF file with geoms",
             stacklevel=3,
         )
     return found or skeleton(model)

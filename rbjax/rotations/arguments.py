@@ -38,7 +38,8 @@ SHAPES: dict[str, tuple[int, ...]] = {
 }
 #: the dtypes of all computations; half precision has too few digits for dynamics
 FLOATS = (jnp.float32, jnp.float64)
-# How far from orthonormal a matrix may be. Measured or half-precision matrices pass.
+# How far from orthonormal a matrix may be. Matrices that were measured, or rounded to half
+# precision and cast back, pass.
 ORTHONORMAL = 1e-2
 
 

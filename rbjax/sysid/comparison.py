@@ -10,14 +10,16 @@ import numpy as np
 from scipy import stats
 
 from rbjax.errors import InputError
+from rbjax.sysid.arguments import floats
+from rbjax.sysid.variance import explained
 from rbjax.sysid.whiteness import whiteness
 
 HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
-EXPLAINED = 0.99  # the share of variance that a good model explains
-NOISY = 1.5  # error over the noise, at most
-TESTED = 20  # samples of a column, at least, for a test of whiteness
-ROUNDING = 1e-6  # an error below this share of the spread is none that a test could judge
-ALPHA = 0.01  # a p value below it is no chance
+EXPLAINED = 0.99  # the least share of variance that a good model explains
+NOISY = 1.5  # the largest error of a good model, over the noise
+TESTED = 20  # the least number of samples of a column for a test of whiteness
+ROUNDING = 1e-6  # an error below this share of the spread is not tested for whiteness
+ALPHA = 0.01  # a p value below it is significant
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +27,9 @@ class HeldOut:
     """A model on data that the fit never saw.
 
     Fields: rms on unseen and rms_fitted on fitted data; ratio of the two; by_recording, the rms of
-    each unseen one; r_squared, the share of variance explained, nan if unknown; holds, whether all
-    checks pass; failed, a sentence for each check that does not; sentence.
+    each unseen one; r_squared, the share of variance explained, nan if unknown or if nothing
+    varies; holds, whether all checks pass; failed, a sentence for each check that does not;
+    sentence.
     """
 
     rms: float
@@ -49,9 +52,9 @@ def held_out(
 ) -> HeldOut:
     """The verdict on a model from its residuals on recordings that were not fitted.
 
-    The model holds if its error there is at most 1.25 times the error on fitted data, explains
-    99 % of the variance (with `measured`), is at most 1.5 times the noise (with `noise`), and is
-    white (columns of 20 samples or more). What cannot be checked is left out.
+    The model holds if it explains 99 % of the variance (with `measured`), and its error is at most
+    1.25 times the error on fitted data, at most 1.5 times the noise (with `noise`), and white
+    (columns of 20 samples or more). Checks for which data are missing are left out.
 
     Args:
         fitted: recording -> residuals, an array of any shape; nan is left out.
@@ -71,10 +74,22 @@ def held_out(
         >>> import numpy as np
         >>> from rbjax.sysid import held_out
         >>> print(held_out({"a": [1.0, -1.0]}, {"b": [3.0, -3.0]}, unit="mrad").sentence)
-        the model fails: on 1 recording that the fit never saw it errs by 3 mrad RMS, 3 times as
-        much as where it was fitted; failed: the error is 3 times the error on fitted data, above
-        1.25
+        the model fails: on 1 recording outside of the fit its error is 3 mrad RMS, 3 times the
+        error on fitted data; failed: the error is 3 times the error on fitted data, above 1.25
     """
+    fitted, unseen = _checked("fitted", fitted), _checked("unseen", unseen)
+    if measured is not None:
+        measured = _checked("measured", measured)
+        wrong = [n for n in unseen if n not in measured or measured[n].shape != unseen[n].shape]
+        if wrong:
+            raise InputError(
+                f"held_out: measured of {wrong[0]} is missing or of another shape than its "
+                "residuals, expected one value for each"
+            )
+    if noise is not None and not (_is_number(noise) and noise > 0):
+        raise InputError(f"held_out: noise is {noise!r}, expected a number above 0, or None")
+    if not isinstance(unit, str):
+        raise InputError(f"held_out: unit is {unit!r}, expected a str")
     both = sorted(set(fitted) & set(unseen))
     if both or not fitted or not unseen:
         raise InputError(
@@ -87,24 +102,26 @@ def held_out(
     unit = f" {unit}" if unit else ""
     plural = "recording" if len(unseen) == 1 else "recordings"
     sentence = (
-        f"on {len(unseen)} {plural} that the fit never saw it errs by "
-        f"{rms:.3g}{unit} RMS, {ratio:.3g} times as much as where it was fitted"
+        f"on {len(unseen)} {plural} outside of the fit its error is "
+        f"{rms:.3g}{unit} RMS, {ratio:.3g} times the error on fitted data"
     )
     worst = max(each, key=lambda name: each[name])
     if len(each) > 1:
         sentence += f" (the worst, {worst}: {each[worst]:.3g}{unit})"
-    explained, failed = np.nan, []
+    r_squared, failed, still = np.nan, [], False
     if not ratio <= HOLDS:
         failed.append(f"the error is {ratio:.3g} times the error on fitted data, above {HOLDS}")
     weak = ratio <= WEAK
     if measured is not None:
         parts = [(np.asarray(unseen[n], float), np.asarray(measured[n], float)) for n in unseen]
-        left = sum(float(np.nansum(r**2)) for r, _ in parts)
-        there = sum(float(np.nansum((y - np.nanmean(y, 0)) ** 2)) for _, y in parts)
-        explained = 1 - left / there if there > 0 else np.nan
-        sentence += f"; it explains {100 * explained:.3g} % of the variance"
-        if explained < EXPLAINED:
-            failed.append(f"R2 is {explained:.4g}, below {EXPLAINED}")
+        r_squared = explained(*([_columns(part[k]) for part in parts] for k in (1, 0)))
+        still = np.isnan(r_squared)
+        if still:
+            failed.append("the recordings are constant, so that they cannot test a motion")
+        else:
+            sentence += f"; it explains {100 * r_squared:.3g} % of the variance"
+        if r_squared < EXPLAINED:
+            failed.append(f"R2 is {r_squared:.4g}, below {EXPLAINED}")
             weak = False
     if noise is not None:
         sentence += f"; the error is {rms / noise:.3g} times the noise"
@@ -119,17 +136,19 @@ def held_out(
         if test is not None and not test[0]:
             failed.append(f"the residual is not white (Ljung-Box p = {test[1]:.1g})")
     says = "fails" if not weak else "is weaker" if failed else "holds"
+    if still and weak:
+        says = "is not tested"
     sentence = f"the model {says}: {sentence}"
     if failed:
         sentence += f"; failed: {'; '.join(failed)}"
     return HeldOut(
-        rms, rms_fitted, float(ratio), each, float(explained), not failed, sentence, tuple(failed)
+        rms, rms_fitted, float(ratio), each, float(r_squared), not failed, sentence, tuple(failed)
     )
 
 
 def colour(residuals: Sequence[np.ndarray]) -> tuple[bool, float] | None:
-    """Whether residuals, (samples,) or (samples, columns) each, are white: Bonferroni's bound of
-    Ljung and Box's tests of all columns, and its p value. None if all are too short to test."""
+    """Whether residuals, (samples,) or (samples, columns) each, are white, and the p value:
+    Bonferroni's bound of the Ljung-Box tests of all columns. None if all are too short to test."""
     p = []
     for r in residuals:
         for x in r.reshape(len(r), -1).T:
@@ -140,6 +159,10 @@ def colour(residuals: Sequence[np.ndarray]) -> tuple[bool, float] | None:
         return None
     found = min(min(p) * len(p), 1.0)
     return found >= ALPHA, found
+
+
+def _columns(x: np.ndarray) -> np.ndarray:
+    return x.reshape(len(x), -1)
 
 
 def _arrays(given: Mapping[str, Any]) -> Iterator[np.ndarray]:
@@ -198,6 +221,15 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
         >>> print(compare(plain, rubbed, 100).sentence)
         viscous + Coulomb earns its place beside viscous: F = 144, p = 8e-21, BIC falls by 87
     """
+    for name, model in (("smaller", smaller), ("larger", larger)):
+        fine = isinstance(model, Scored) and all(_is_number(x) for x in model[1:])
+        if not fine:
+            raise InputError(
+                f"compare: {name} is {model!r}, expected Scored(name, squares, parameters) with "
+                "finite numbers"
+            )
+    if not _is_number(samples):
+        raise InputError(f"compare: samples is {samples!r}, expected a finite number")
     more = larger.parameters - smaller.parameters
     left = samples - larger.parameters
     if more < 1 or left <= 0:
@@ -224,6 +256,22 @@ def compare(smaller: Scored, larger: Scored, samples: float) -> Comparison:
         f"F = {F:.3g}, p = {p:.1g}, BIC {'falls' if bic < 0 else 'grows'} by {abs(bic):.0f}"
     )
     return Comparison(float(F), p, aic, bic, earned, sentence)
+
+
+def _is_number(x: Any) -> bool:
+    return (
+        isinstance(x, (int, float, np.number)) and not isinstance(x, bool) and bool(np.isfinite(x))
+    )
+
+
+def _checked(name: str, given: Any) -> dict[str, np.ndarray]:
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"held_out: {name} is {type(given).__name__}, expected a dict recording -> residuals"
+        )
+    return {
+        run: np.atleast_1d(floats("held_out", f"{name}[{run!r}]", x)) for run, x in given.items()
+    }
 
 
 def _rms(residuals: Any) -> float:

@@ -179,7 +179,7 @@ def consistent(
     values, slopes = problem.parameters(found.x), problem.slopes(found.x)
     bread = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
     prior = found.jac[len(problem.R) :]
-    # the data's part of J^T J as their residuals have it: linear.covariance^-1 if they are white
+    # the data's part of the sandwich's middle; linear.covariance follows the residuals
     data = eq.combinations.matrix @ slopes
     X = (eq.X / sd[..., None]).reshape(-1, eq.combinations.rank)
     data = X.T @ X @ data

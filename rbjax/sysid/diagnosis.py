@@ -20,6 +20,8 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from rbjax.progress import Say, progress_line
+from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.clocks import rate_of
 from rbjax.sysid.findings import FAR, hampel
 from rbjax.sysid.fits import FIRST_PULLS
@@ -72,7 +74,7 @@ class Diagnosis:
 
 @in_double
 def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> Diagnosis:
-    """What is wrong with the data of a fit.
+    """Find what is wrong with the data of a fit.
 
     Args:
         found: what `identify` gave; its first guess must explain most of the motion.
@@ -94,6 +96,8 @@ def diagnose(found: Identified, *, steps: int = 15, progress: bool = False) -> D
         >>> [(cause.kind, cause.channels) for cause in diagnose(found).causes]
         [('sign', ('v',))]
     """
+    check_kind("diagnose", "found", found, Identified, "the result of `identify`")
+    check_whole("diagnose", "steps", steps, 1)
     with progress_line("diagnose", progress) as say:
         return _Bench(found, steps, say).diagnosis()
 

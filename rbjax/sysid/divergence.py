@@ -32,23 +32,27 @@ class Divergence:
 
     @functools.cached_property
     def slope(self) -> np.ndarray:
-        return self.sloped()
+        with np.errstate(over="ignore"):
+            return self.sloped()
 
     @functools.cached_property
     def curvature(self) -> np.ndarray:
-        return self.curved()
+        with np.errstate(over="ignore"):
+            return self.curved()
 
     @classmethod
     def impossible(cls, n: int) -> Divergence:
         return cls(np.inf, lambda: np.full(n, np.nan), lambda: np.full((n, n), np.nan))
 
     @classmethod
+    @np.errstate(over="ignore")  # a trial step may be of any size; the value is then inf
     def free(cls, p: np.ndarray, p0: np.ndarray, scale: float) -> Divergence:
         """sum ((p - p0) / scale)^2 / 2"""
         off = (p - p0) / scale
         return cls(float(off @ off) / 2, lambda: off / scale, lambda: np.eye(p.size) / scale**2)
 
     @classmethod
+    @np.errstate(over="ignore")
     def positive(cls, p: np.ndarray, p0: np.ndarray) -> Divergence:
         """sum p / p0 - log(p / p0) - 1"""
         if not ((p > 0) & (p0 > 0)).all():
@@ -60,7 +64,7 @@ class Divergence:
     def bounded(
         cls, p: np.ndarray, p0: np.ndarray, low: float, high: float, scale: float
     ) -> Divergence:
-        """That of the distances to both bounds; an infinite bound is none."""
+        """The divergence of the distances to both bounds; an infinite bound has none."""
         sides = []
         if low > -np.inf:
             sides.append(cls.positive(p - low, p0 - low))
@@ -69,6 +73,7 @@ class Divergence:
         return functools.reduce(cls.__add__, sides) if sides else cls.free(p, p0, scale)
 
     @classmethod
+    @np.errstate(over="ignore")
     def definite(cls, P: np.ndarray, P0: np.ndarray, along: np.ndarray) -> Divergence:
         """The sum of tr(P0^-1 P) - log det(P0^-1 P) - 4 over P (k, 4, 4), each linear in n numbers
         of its own, along = dP/dp (n, 4, 4)."""
@@ -117,9 +122,11 @@ class Divergence:
 
 def _excess(x: np.ndarray) -> np.ndarray:
     """x - log(1 + x), which is x^2 / 2 where x is small, without cancellation."""
-    series = x * x * (1 / 2 - x * (1 / 3 - x * (1 / 4 - x / 5)))
-    with np.errstate(divide="ignore"):  # what rounding puts on the border is infinitely far
-        return np.where(np.abs(x) < 1e-3, series, x - np.log1p(x))
+    near = np.abs(x) < 1e-3
+    y = np.where(near, x, 0.0)  # the series of a large x overflows
+    series = y * y * (1 / 2 - y * (1 / 3 - y * (1 / 4 - y / 5)))
+    with np.errstate(divide="ignore"):  # a point that rounding puts on the border
+        return np.where(near, series, x - np.log1p(x))
 
 
 def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:

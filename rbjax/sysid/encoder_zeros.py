@@ -27,7 +27,7 @@ from rbjax.sysid.torque_rows import TorqueRows
 
 Array = np.ndarray
 DONE = 1e-9  # rad or m that zeros still move
-LEAST = 3  # steps: in the first one zeros move nothing, as the parameters may be 0
+LEAST = 3  # steps; in the first one the parameters may be 0, so zeros have no effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,10 @@ def _numbers(where: str, name: str, x: Any, *shapes: tuple[int, ...]) -> Array:
 
 
 def _checked(where: str, rows: Sequence[TorqueRows]) -> list[TorqueRows]:
-    rows = [rows] if isinstance(rows, TorqueRows) else list(rows)
+    rows = [rows] if isinstance(rows, TorqueRows) else rows
+    if not isinstance(rows, Sequence) or isinstance(rows, str):
+        rows = [rows]  # named below
+    rows = list(rows)
     if not rows or not all(isinstance(r, TorqueRows) for r in rows):
         raise InputError(
             f"{where}: rows is {[type(r).__name__ for r in rows]}, expected the `TorqueRows` of at "

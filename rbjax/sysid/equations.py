@@ -37,7 +37,8 @@ class Equations:
         W: (N, k, p).
         tau: (N, k).
         combinations: of the p parameters.
-        noise: (N, k) standard deviation of each torque, or None if it is to be estimated.
+        noise: (N, k) standard deviation of each torque, inf for one that does not count, or None
+            if it is to be estimated.
         lengths: samples of each recording, one after the other; N in all.
     """
 
@@ -46,6 +47,11 @@ class Equations:
     combinations: Combinations
     noise: Array | None = None
     lengths: tuple[int, ...] = ()
+
+    @property
+    def counted(self) -> Array:
+        """(N, k) whether a torque counts: its noise is not inf."""
+        return np.isfinite(np.zeros(self.tau.shape) if self.noise is None else self.noise)
 
     @cached_property
     def X(self) -> Array:
@@ -145,19 +151,38 @@ def equations(
             "than parameters, and at least one parameter that shows"
         )
     if noise is not None:
-        fits = noise.shape in ((), tau.shape[1:], tau.shape)
-        if not fits or not ((noise > 0) & np.isfinite(noise)).all():
-            raise InputError(
-                f"regress: noise has shape {noise.shape}, expected (), {tau.shape[1:]} or "
-                f"{tau.shape}, all finite and above 0"
-            )
-        noise = np.broadcast_to(noise, tau.shape)
+        noise = _checked_noise(noise, tau, base.rank)
+    if isinstance(lengths, int):
+        lengths = [lengths]
     lengths = (len(tau),) if lengths is None else tuple(lengths)
     if not all(isinstance(n, (int, np.integer)) and n > 0 for n in lengths) or sum(lengths) != len(
         tau
     ):
         raise InputError(
-            f"regress: lengths is {lengths}, expected the samples of each recording, {len(tau)} in "
-            "all"
+            f"regress: lengths is {lengths}, expected the number of samples of each recording, "
+            f"{len(tau)} in all"
         )
     return Equations(W, tau, base, noise, lengths)
+
+
+def _checked_noise(noise: Array, tau: Array, rank: int) -> Array:
+    """The noise (N, k) of each torque; inf means that the torque does not count."""
+    shapes = f"(), {tau.shape[1:]} or {tau.shape}"
+    if noise.shape not in ((), tau.shape[1:], tau.shape):
+        raise InputError(f"regress: noise has shape {noise.shape}, expected {shapes}")
+    wrong = np.argwhere(~(noise > 0))
+    if len(wrong):
+        at = tuple(wrong[0])
+        place = f"[{', '.join(map(str, at))}]" if at else ""
+        raise InputError(
+            f"regress: noise{place} is {noise[at]}, expected standard deviations above 0, inf for "
+            "a torque that does not count"
+        )
+    noise = np.broadcast_to(noise, tau.shape)
+    count = int(np.isfinite(noise).sum())
+    if count <= rank:
+        raise InputError(
+            f"regress: {count} torques have finite noise, for {rank} base parameters; expected "
+            "more torques than parameters"
+        )
+    return noise

@@ -30,7 +30,7 @@ class Motion(NamedTuple):
 
 
 def _seconds(x: Any) -> Any:
-    """A number as a float; `_check_time` rejects what is not a number."""
+    """A number as a float; other values stay, for `_check_time` to reject."""
     return float(x) if isinstance(x, (int, float, np.number)) else x
 
 
@@ -186,13 +186,13 @@ def _random(where: str, key: Any, q0: Any, size: Any) -> jax.Array:
 
 
 def _check_numbers(where: str, name: str, x: Any) -> None:
-    """`InputError` unless x is an array of finite numbers, or one of a program that is traced."""
+    """`InputError` unless x is an array of finite numbers, or traced."""
     if isinstance(x, jax.core.Tracer):
         return
     if x is None or isinstance(x, str):
         raise InputError(f"{where}: {name} is {x!r}, expected an array of numbers")
     if not isinstance(x, (jax.Array, np.ndarray, list, tuple, int, float)):
-        return  # what JAX or equinox put in the place of an array
+        return  # a placeholder of JAX or equinox for an array
     try:
         finite = np.isfinite(np.asarray(x, float)).all()
     except (TypeError, ValueError) as error:

@@ -286,7 +286,7 @@ def design(
 
 
 def _check_joints(start: Fourier | Spline, limits: MotionLimits) -> None:
-    """`InputError` unless each limit is one number, or one a joint."""
+    """`InputError` unless each limit is one number, or one number for each joint."""
     joints = len(start.q0 if isinstance(start, Fourier) else start.points)
     for name in ("low", "high", "speed", "acceleration", "torque"):
         shape = np.shape(getattr(limits, name)) if getattr(limits, name) is not None else ()

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import integrate, ndimage
 
+from rbjax.errors import InputError
 from rbjax.sysid.recording import HELD, Channel, Recording
 
 GAP = 3.0  # median steps of the clock
@@ -61,6 +62,10 @@ def findings(recording: Recording) -> list[Finding]:
         >>> print(findings(run)[0])
         swing: channel q: knee never moves: all 100 samples are 0
     """
+    if not isinstance(recording, Recording):
+        raise InputError(
+            f"findings: recording is {type(recording).__name__}, expected one Recording"
+        )
     found: list[Finding] = []
     for sensor, channel in recording.channels.items():
         found += _of_clock(recording.name, sensor, channel)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.sysid.arguments import floats
 
 
 def write_fit(path: str | Path, names: Sequence[str], x: np.ndarray, **more: Any) -> None:
@@ -35,6 +36,11 @@ def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.
     Raises:
         InputError: no such file, or a fit of other parameters.
     """
+    if not isinstance(fit, (str, Path, Mapping)):
+        raise InputError(
+            f"identify: resume is {type(fit).__name__}, expected the file of a fit, or a dict "
+            "name -> value"
+        )
     path, values, starts = ("resume", fit, []) if isinstance(fit, Mapping) else _read(Path(fit))
     if list(values) != list(names):
         other = sorted(set(values) ^ set(names))
@@ -42,7 +48,10 @@ def read_fit(fit: str | Path | Mapping[str, float], names: Sequence[str]) -> np.
             f"identify: {path} is a fit of {len(values)} parameters, expected the same "
             f"{len(names)} in the same order; only one of the two has: {', '.join(other) or 'none'}"
         )
-    return np.array([*values.values(), *starts], float)
+    found = floats("identify", f"{path}", [*values.values(), *starts], "a fit of numbers")
+    if not np.isfinite(found).all():
+        raise InputError(f"identify: {path} has values that are not finite, expected a fit")
+    return found
 
 
 def _read(path: Path) -> tuple[str, Mapping[str, float], list[float]]:

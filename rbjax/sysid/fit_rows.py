@@ -1,4 +1,4 @@
-"""Residuals and slopes of a simulation error, by column, as statistics take them."""
+"""Residuals and slopes of a simulation error, by column, as input of `fit_statistics`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rbjax.sysid.simulation_error import HUBER, SimulationError
 
 
 def columns_of(of: SimulationError, x: np.ndarray, stated: Collection[str]) -> list[Column]:
-    """The columns of the residual at x; stated, the sensors whose noise is."""
+    """The columns of the residual at x. stated: the sensors whose noise is stated."""
     r, J = of.slopes(x)
     n, l = of.shared, of.own
     which = [np.r_[0:n, n + k * l : n + (k + 1) * l] for k in range(of.count)]
@@ -35,7 +35,7 @@ def columns_of(of: SimulationError, x: np.ndarray, stated: Collection[str]) -> l
                 off = r[k, own].reshape(T, d)[rows, c]
                 slopes = J[k, own].reshape(T, d, -1)[rows, c]
                 psi, inside = off, np.ones(len(off), bool)
-                if of.loss == "huber":  # the residual is sign sqrt(2 rho), beyond its knee
+                if of.loss == "huber":  # beyond its knee the residual is sign sqrt(2 rho)
                     inside = np.abs(off) < HUBER
                     psi = np.where(inside, off, HUBER * np.sign(off))
                     slopes = slopes * np.where(inside, 1.0, np.abs(off) / HUBER)[:, None]
@@ -46,12 +46,12 @@ def columns_of(of: SimulationError, x: np.ndarray, stated: Collection[str]) -> l
 
 
 def _step(times: np.ndarray) -> float:
-    """The median step of clocks (runs, T), which are filled up by their last time."""
+    """The median step of clocks (runs, T), which are padded with their last time."""
     steps = np.diff(times, axis=-1)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
 
 
 def samples_of(of: SimulationError) -> int:
-    """How many residuals are compared: three of an attitude."""
+    """The number of residuals; an attitude has three."""
     weights = jax.tree.map(np.asarray, of.runs.weights)
     return sum(int((of.setup.columns(s).weights(w) > 0).sum()) for s, w in weights.items())

@@ -1,18 +1,18 @@
-"""The covariance of a fit's numbers, the same for every estimator that has residuals and slopes.
+"""The covariance of fitted numbers, the same for every estimator with residuals and slopes.
 
-A fit makes sum over rows of rho(r) small; psi = rho' / 2 is r for squares, and cut off for "huber".
-With rows of several columns c (a sensor's axis), each weighed by 1 / sigma_c,
+A fit minimises the sum over rows of rho(r); psi = rho' / 2 is r for squares, and clipped for
+"huber". With rows of several columns c (a sensor's axis), each weighted by 1 / sigma_c,
 
     H = sum_c a_c J_c^T J_c,        a_c = mean psi'_c,        cov = H^-1 M H^-1
     M = sum_c s_c^2 J_c^T J_c,      s_c^2 = sum psi_c^2 / (m_c - h_c)       if psi is white
     M = sum_|l|<=L (1 - |l| / (L + 1)) sum_t g_t g_(t+l)^T,   g_t = sum_c J_c^T psi_c   if not
-h_c is how many of the numbers the column determines (the trace of the hat matrix). So intervals
-follow the residuals, whether the noise is stated, estimated or wrong. m_c counts rows of the
-residual: three of an attitude.
+h_c is the number of fitted numbers that the column determines (the trace of the hat matrix). So
+intervals follow the residuals, whether the noise is stated, estimated or wrong. m_c is the number
+of rows of the residual; an attitude has three.
 
 Source: Huber, *Robust Statistics*, 6.3 and 7.6; White, Econometrica 48(4), 1980; Newey & West,
 Econometrica 55(3), 1987; Andrews, Econometrica 59(3), 1991; Andrews & Monahan, Econometrica 60(4),
-1992 (scores are made nearly white before the window).
+1992 (prewhitening).
 """
 
 from __future__ import annotations
@@ -26,18 +26,23 @@ import numpy as np
 from rbjax.sysid.statistics import Estimates, decomposed, estimates, tolerance_for
 from rbjax.sysid.whiteness import ALPHA, meat_of, whiteness
 
-#: fewer degrees of freedom say nothing of a column's noise
+#: with fewer degrees of freedom a column's noise is not estimated
 FEW = 5.0
-#: fewer samples say nothing of a correlation
+#: with fewer samples whiteness is not tested
 SHORT = 20
-#: the largest correlation of neighbours that is taken out before the window
+#: the largest correlation of neighbours that prewhitening removes
 STEADY = 0.97
 
 
 class Rows(NamedTuple):
-    """Rows of one column in one run: J (m, k), of the numbers `which` (k,) of x; psi (m,), the
-    residual as far as it counts; inside (m,), whether psi' is 1, else 0; place (m,), which sample
-    of the run each belongs to."""
+    """Rows of one column in one run.
+
+    J: (m, k), the slopes by the numbers `which`.
+    psi: (m,), the residual, clipped for "huber".
+    inside: (m,), psi': 1, or 0 if clipped.
+    place: (m,), the index of the sample in the run.
+    which: (k,), indices of x.
+    """
 
     J: np.ndarray
     psi: np.ndarray
@@ -56,12 +61,15 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FitStatistics:
-    """What residuals and slopes say of a fit.
+    """Statistics of a fit from its residuals and slopes.
 
-    Fields: estimates; scale, by column the standard deviation of the residual over the one that it
-    was weighed by; rows, how many residuals there are; white, whether their correlations in time
-    are chance; coloured, the columns whose are not; effective, the share of samples that are
-    independent of the others.
+    Fields:
+        estimates: values, covariance and intervals.
+        scale: by column, the standard deviation of the residual over the one that weighted it.
+        rows: the number of residuals.
+        white: whether the residuals of all columns are white.
+        coloured: the columns whose residuals are not white.
+        effective: the share of samples that are independent of the others.
     """
 
     estimates: Estimates
@@ -76,7 +84,7 @@ def fit_statistics(
     names: Sequence[str], x: np.ndarray, columns: Sequence[Column],
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> FitStatistics:  # fmt: skip
-    """Covariance and intervals of the numbers x (n,) of a fit that has ended."""
+    """Covariance and intervals of the fitted numbers x (n,)."""
     shares = [_mean([r.inside for r in column.runs]) for column in columns]
     R = _slopes(columns, shares, len(x))
     flat = estimates(names, x, R, 1.0, bounds=bounds)
@@ -112,7 +120,7 @@ def fit_statistics(
 
 
 def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.ndarray:
-    """A triangle R (n, n) with R^T R = H."""
+    """A triangular R (n, n) with R^T R = H."""
     by_run = [[column.runs[k] for column in columns] for k in range(len(columns[0].runs))]
     parts = []
     for run in by_run:
@@ -127,14 +135,14 @@ def _slopes(columns: Sequence[Column], shares: Sequence[float], n: int) -> np.nd
 
 
 def _mean(parts: Sequence[np.ndarray]) -> float:
-    """Of all entries; never 0, which would leave no slope."""
+    """The mean of all entries, at least 1e-3: a mean of 0 would leave no slope."""
     count = sum(len(x) for x in parts)
     return max(sum(float(x.sum()) for x in parts) / max(count, 1), 1e-3)
 
 
 def _colours(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
-    """The columns whose residuals hang together in time, and the share of samples that are
-    independent in the one where it is smallest."""
+    """The columns whose residuals are correlated in time, and the smallest share of independent
+    samples among them."""
     tests = []
     for column in columns:
         for rows in column.runs:
@@ -146,8 +154,8 @@ def _colours(columns: Sequence[Column]) -> tuple[tuple[str, ...], float]:
 
 
 def _long_run(scores: Sequence[np.ndarray]) -> np.ndarray:
-    """The covariance of the sum of scores, each first made nearly white by a process of first
-    order, whose own correlation Bartlett's window would cut off."""
+    """The covariance of the sum of scores. Each is first prewhitened by a process of first order,
+    because Bartlett's window would cut off long correlations."""
     before = np.concatenate([g[:-1] for g in scores])
     after = np.concatenate([g[1:] for g in scores])
     power = (before**2).sum(0)

@@ -1,10 +1,10 @@
 """The fits of `identify`, each from where the last one ended.
 
     pieces      short pieces, each from its first sample: a start for a poor first guess
-    shooting    pieces that are tied, end to start, ever more stiffly: a start for a long motion
-    growing     the first part of all recordings, and ever more of it: another such start
+    shooting    multiple shooting with growing continuity weights: a start for a long motion
+    growing     the first part of all recordings, then longer parts: a start for a poor first guess
     whole       all recordings
-    weighed     the same, each column weighed by the noise of its residuals
+    weighed     the same, each column weighted by the noise of its residuals
     finer       the same with shorter steps, if steps of half the length change the motion
 """
 
@@ -23,21 +23,20 @@ from rbjax.sysid.columns import root_mean_square
 from rbjax.sysid.fit_file import write_fit
 from rbjax.sysid.fit_rows import samples_of
 from rbjax.sysid.guesses import drawn
-from rbjax.sysid.least_squares import Minimum, minimise, sum_of_squares
+from rbjax.sysid.least_squares import PULLS, Minimum, minimise
 from rbjax.sysid.precision import still_tolerance
-from rbjax.sysid.recording import Recording
+from rbjax.sysid.recording import Recording, says_its_noise
 from rbjax.sysid.runs import Run, batch_of, run_of
 from rbjax.sysid.shooting import TIES, Shooting
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
+from rbjax.sysid.step_length import halved, over_noise, step_error
 from rbjax.sysid.traces import Traces, together, traces
 from rbjax.sysid.unknowns import Unknowns
-from rbjax.sysid.verdict import is_poor, roughness
+from rbjax.sysid.verdict import NORMAL, is_poor
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7
-#: standard deviation of normal noise over the median of its size
-NORMAL = 1.4826
 #: pulls of the fit to short pieces, which is only a start
 FIRST_PULLS = (1e-4, 1e-7)
 #: parts of all recordings that a growing fit takes, one after the other
@@ -46,12 +45,8 @@ PARTS = (1 / 16, 1 / 8, 1 / 4, 1 / 2)
 FEW_STEPS = 20
 #: how far other first guesses are drawn, as in `many_starts`
 SPREAD = 1.0
-#: steps are short enough if their error moves no number by more than this part of its sigma
-STEP_ERROR = 0.5
 #: and are refined so often at most, before and after the fit
 FINEST, REFINED = 16, 2
-#: an error of steps below this part of the spread of what was recorded is no reason for finer ones
-SMALL_STEP_ERROR = 1e-6
 
 
 class Fitted(NamedTuple):
@@ -67,8 +62,8 @@ class Fitted(NamedTuple):
 class Fits:
     """Fits of the same numbers to the same recordings.
 
-    Fields: first, the first guess; prior, to which the next fit is pulled where data leave numbers
-    open; evaluations of residuals so far; notes, sentences on what was done by default.
+    Fields: first, the first guess; prior, the value of numbers that the data do not identify;
+    evaluations of residuals so far; notes, sentences on what was done by default.
     """
 
     def __init__(
@@ -103,11 +98,18 @@ class Fits:
 
     def whole(self, x: np.ndarray) -> Fitted:
         """The fit of all recordings."""
-        return self._fitted(self._error(self.recordings), x)
+        of = self._error(self.recordings)
+        if of.own and x.size not in (self.shared, of.size):
+            raise InputError(
+                f"identify: resume holds {x.size - self.shared} corrections of initial states, "
+                f"expected {of.size - self.shared} for {of.count} recordings; resume with the "
+                'recordings that were fitted, or with the values alone (a dict name -> value)'
+            )
+        return self._fitted(of, x)
 
     def growing(self, of: SimulationError, x: np.ndarray) -> np.ndarray:
-        """x that suits the first part of all recordings, and ever more of it: a short motion does
-        not lose a poor guess. The program is that of the whole."""
+        """x of fits to the first part of all recordings, then to longer parts: over a short motion
+        a poor guess stays near the minimum. The program is the same as for the whole."""
         T = max(float(np.max(t)) for t in of.runs.times.values())
         for part in PARTS:
             weights = {
@@ -121,34 +123,37 @@ class Fits:
         return x
 
     def improved(self, fitted: Fitted, restarts: int) -> Fitted:
-        """The fit, or if it is poor the best of others: one that grows from the first guess, and
-        some from other guesses."""
+        """The fit. If it is poor, the best of it, a growing fit from the first guess, and growing
+        fits from other guesses."""
         why = "the first guess failed" if not np.isfinite(fitted.least.cost) else ""
-        why = why or is_poor(fitted.traces, self.recordings, self.setup)
+        why = why or self._why_poor(fitted)
         if not (why and restarts):
             return fitted
         of, best, tried, won = fitted.error, fitted, 0, "the first guess is still the best"
         for k, guess in enumerate(self._guesses(restarts)):
             x = self.growing(of, np.append(guess, np.zeros(of.size - self.shared)))
-            other = self._fitted(of, x, pulls=FIRST_PULLS)
+            # a long motion is so steep that a pull to the first guess would lose what has grown
+            other = self._fitted(of, x, prior=x)
             tried = k + 1
             if other.least.cost < best.least.cost * (1 - 1e-6):
                 best = other
                 won = "a fit that grew from the first part of the recordings " + (
                     f"and from another guess (number {k}) is better" if k else "is better"
                 )
-            if not is_poor(best.traces, self.recordings, self.setup):
+            if not self._why_poor(best):
                 break
         self.notes.append(
             f"the fit from the first guess was poor ({why}), so {tried} other "
             f"{'start was' if tried == 1 else 'starts were'} tried: {won}"
         )
-        if best is not fitted:
-            best = self._fitted(of, best.least.x)
         return best
 
+    def _why_poor(self, fitted: Fitted) -> str:
+        robust = self.loss == "huber"
+        return is_poor(fitted.traces, self.recordings, self.setup, robust=robust)
+
     def _guesses(self, count: int) -> np.ndarray:
-        """(count, n), the first one first."""
+        """Guesses (count, n), beginning with the first guess."""
         try:
             return drawn(self.sought, self.setup, count, SPREAD, 0)
         except InputError:  # an unknown of a kind that cannot be drawn
@@ -161,56 +166,63 @@ class Fits:
         data = _weighed(fitted.error.runs, fitted.traces, self.recordings, robust=robust)
         if data is None:
             return fitted
-        return self._fitted(fitted.error.on(data), fitted.least.x)._replace(estimated=True)
+        of = fitted.error.on(data)
+        return self._refitted(of, fitted.least.x)._replace(estimated=True)
 
     def stepped(self) -> None:
-        """Steps so short that at the first guess their error is below the noise, as far as the
-        recordings show it: longer ones may hide the right minimum."""
+        """Shorten the steps until their error at the first guess is below the noise that the
+        recordings show: longer steps may hide the right minimum."""
         of = self._error(self.recordings)
         x = np.append(self.first, np.zeros(of.size - self.shared))
         first, over, done = self.grid, 0.0, 1
         while done < FINEST:
-            other = self._error(self.recordings, _halved(self.grid))
+            other = self._error(self.recordings, halved(self.grid))
             e = other.residuals(x) - of.residuals(x)
-            now = _over_noise(of, e, self.recordings)
+            now = over_noise(of, e, self.recordings)
             over = max(over, now)
             if not now > 1:
                 break
-            # an error of order 4 or so falls by 16 with each half
+            # an error of order 4 falls by 16 if the step is halved
             again = 2 if now > 16 and 4 * done <= FINEST else 1
-            self.grid = _halved(self.grid, again)
+            self.grid = halved(self.grid, again)
             done *= 2**again
             of = other if again == 1 else self._error(self.recordings)
         self._say_steps(first, over)
 
     def _say_steps(self, first: Grid, error: float) -> None:
         if self.grid != first:
+            why = "the search stalled"
+            if error > 1:
+                why = f"their error is {error:.2g} times what matters"
             self.notes.append(
-                f"steps of {first.period / first.substeps:.3g} s were too long (their error is "
-                f"{error:.2g} times what matters), so the motion has steps of "
+                f"steps of {first.period / first.substeps:.3g} s were too long ({why}), so the "
+                "motion has steps of "
                 f"{self.grid.period / self.grid.substeps:.3g} s; grid= sets them"
             )
 
     def finer(self, fitted: Fitted) -> Fitted:
         """The fit with steps so short that steps of half their length change no number by a part
-        of its standard deviation that matters."""
-        first, error = self.grid, 0.0
+        of its standard deviation that matters. A search that stalls is another sign of long steps:
+        where friction changes its sign within a step, the error is rough."""
+        first, worst, best, needed = self.grid, 0.0, fitted, False
         for _ in range(REFINED):
-            other = self._finer(fitted)
-            error, matters = _step_error(fitted, other)
-            if not matters:
+            other = self._finer(best)
+            error, matters = step_error(best, other)
+            if not matters and best.least.ok:
                 break
-            self.grid = other.grid
-            found = self._fitted(other, fitted.least.x)
-            if found.least.cost > 2 * fitted.least.cost:  # recordings were made with these steps
-                self.grid = fitted.error.grid
+            found = self._refitted(other, best.least.x)
+            if found.least.cost > 2 * best.least.cost:  # recordings were made with these steps
                 break
-            fitted = found._replace(estimated=fitted.estimated)
-        self._say_steps(first, error)
-        return fitted
+            worst, needed = max(worst, error), needed or matters or found.least.ok
+            best = found._replace(estimated=fitted.estimated)
+        if not needed:
+            return fitted
+        self.grid = best.error.grid
+        self._say_steps(first, worst)
+        return best
 
     def _finer(self, fitted: Fitted) -> SimulationError:
-        of = self._error(self.recordings, _halved(fitted.error.grid))
+        of = self._error(self.recordings, halved(fitted.error.grid))
         return of.on(of.runs._replace(weights=fitted.error.runs.weights))
 
     @property
@@ -231,11 +243,18 @@ class Fits:
         least = self._fit(of, x, **how)
         return Fitted(of, least, traces(self.setup, of, least.x, self.recordings))
 
+    def _refitted(self, of: SimulationError, x: np.ndarray) -> Fitted:
+        """A fit from x, the minimum of a residual that is nearly the same: numbers that the data
+        leave open are where they belong, and any pull to the first guess could only lose it."""
+        return self._fitted(of, x, prior=x, pulls=PULLS[-1:])
+
     def _fit(
-        self, of: SimulationError | Shooting, x: np.ndarray, *, last: bool = True, **how: Any
-    ) -> Minimum:
+        self, of: SimulationError | Shooting, x: np.ndarray, *, last: bool = True,
+        prior: np.ndarray | None = None, **how: Any,
+    ) -> Minimum:  # fmt: skip
         self.say("simulating")
-        x, near = (np.append(a, np.zeros(of.size))[: of.size] for a in (x, self.prior))
+        prior = self.prior if prior is None else prior
+        x, near = (np.append(a, np.zeros(of.size))[: of.size] for a in (x, prior))
         slopes = of.triangle(x)
         if last:
             check_moves(self.sought, slopes[:, : self.shared])
@@ -253,54 +272,6 @@ class Fits:
         least = minimise(of, x, near, triangle=slopes, steps=steps, watch=watch, **how)
         self.evaluations += least.evaluations
         return least
-
-
-def _halved(grid: Grid, times: int = 1) -> Grid:
-    """The grid with steps of half the length, so many times over."""
-    k = 2**times
-    return grid._replace(period=grid.period / k, longest_delay=k * grid.longest_delay)
-
-
-def _over_noise(of: SimulationError, e: np.ndarray, recordings: Sequence[Recording]) -> float:
-    """By how much an error (runs, rows) of the residual is larger than what matters, with the
-    noise that the recordings show; 0 below rounding."""
-    squares, at = 0.0, 0
-    for sensor in sorted(of.runs.values):
-        T, n = of.runs.values[sensor].shape[1:]
-        columns = of.setup.columns(sensor)
-        d = n - len(columns.turns)
-        part = e[:, at : at + T * d].reshape(len(e), T, d)
-        at += T * d
-        y, w = np.asarray(of.runs.values[sensor]), np.asarray(of.runs.weights[sensor])
-        spread = float(np.sqrt(np.mean((y - y.mean((0, 1))) ** 2)))
-        if says_its_noise(recordings, sensor):  # rows are in units of it
-            noise, least = 1.0, SMALL_STEP_ERROR * spread * float(w.max(initial=0.0))
-        else:
-            rough = np.max([roughness(run[sensor].values) for run in recordings], 0)
-            rough = rough[np.isfinite(rough)]
-            if not rough.size:
-                continue
-            noise = float(np.sqrt(np.mean(rough**2))) or 1e-100  # its square is not zero
-            least = SMALL_STEP_ERROR * spread
-        found = sum_of_squares(part)
-        squares += found / noise**2 if found > least**2 * part.size else 0.0
-    return float(np.sqrt(squares)) / STEP_ERROR
-
-
-def _step_error(fitted: Fitted, other: SimulationError) -> tuple[float, bool]:
-    """By how much the error of the steps is larger than what matters, and whether it does. The
-    residuals r have n numbers fitted to them; an error e of theirs moves a number by |e| / s of its
-    standard deviation at most, where s^2 is the variance of r."""
-    of, x = fitted.error, fitted.least.x
-    e = other.residuals(x) - of.residuals(x)
-    s = np.sqrt(max(fitted.least.cost, 1e-300) / max(samples_of(of) - of.size, 1))
-    over = float(np.sqrt(sum_of_squares(e)) / (STEP_ERROR * s))
-    size = 0.0
-    for sensor, w in of.runs.weights.items():
-        y = np.asarray(of.runs.values[sensor])
-        size += sum_of_squares(np.asarray(w) * (y - y.mean((0, 1))))
-    small = sum_of_squares(e) <= SMALL_STEP_ERROR**2 * size
-    return over, bool(over > 1 and not small)
 
 
 def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool) -> Run | None:
@@ -324,12 +295,8 @@ def _weighed(data: Run, seen: Traces, runs: Sequence[Recording], *, robust: bool
     return data._replace(weights=weights) if changed else None
 
 
-def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
-    return all(run[sensor].noise is not None for run in runs)
-
-
 def check_moves(sought: Unknowns, J: np.ndarray) -> None:
-    """`InputError` for an unknown none of whose numbers moves anything."""
+    """`InputError` for an unknown that has no effect on any reading."""
     ends = np.cumsum(sought.sizes)
     largest, still = np.abs(J).max(), still_tolerance(J.dtype)
     for (name, u), end, size in zip(sought.members.items(), ends, sought.sizes, strict=True):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
 from rbjax.sysid.least_squares import minimise
 from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.recording import Recording
@@ -35,8 +37,8 @@ def free_run(
         grid: as in `identify`.
         starts: whether each first state is the one from which the simulation comes nearest to the
             whole recording (least squares), not the first readings, which are noisy. So two models
-            can be compared by what they get wrong of a motion, each from its own best start. None:
-            unless the recordings say that their initial states are known.
+            can be compared by their errors on a motion, each from its own best start. None: it is,
+            unless the recordings state that their initial states are known.
         noise: sensor -> standard deviation (n,), by which `starts` weighs it; what channels say, or
             1, if None.
 
@@ -52,12 +54,30 @@ def free_run(
         >>> float(abs(free_run(model, [hangs])["hangs"]["q"].residual).max())
         0.0
     """
-    setup = cast(model if isinstance(model, Setup) else Setup.of(model), np.float64)
-    grid = grid_of(recordings) if grid is None else grid
+    setup = cast(setup_of("free_run", model), np.float64)
+    recordings = recordings_of("free_run", recordings)
+    check_how("free_run", starts=starts)
+    grid = grid_of(recordings, setup) if grid is None else grid
     data = batch_of(setup, recordings, grid)
     if noise is not None:
-        weights = {s: (w > 0) / jnp.asarray(noise[s], w.dtype) for s, w in data.weights.items()}
+        weights = {s: (w > 0) / _noise_of(noise, s, w) for s, w in data.weights.items()}
         data = data._replace(weights=weights)
     of = SimulationError(setup, Unknowns({}, (), ()), data, grid, starts=starts)
     x = minimise(of, np.zeros(of.size)).x if of.own else np.zeros(0)
     return traces(setup, of, x, recordings)
+
+
+def _noise_of(noise: Any, sensor: str, weights: Any) -> np.ndarray:
+    """The standard deviations of a sensor that `noise` states."""
+    if not isinstance(noise, Mapping) or sensor not in noise:
+        raise InputError(
+            f"free_run: noise has no sensor {sensor}, expected a dict with the standard deviations "
+            "of each sensor that was recorded"
+        )
+    sigma = floats("free_run", f"noise[{sensor!r}]", noise[sensor], "standard deviations")
+    if sigma.shape not in ((), weights.shape[-1:]) or not (sigma > 0).all():
+        raise InputError(
+            f"free_run: noise[{sensor!r}] is {sigma.tolist()}, expected one number above 0, or "
+            f"{weights.shape[-1]}, one a column"
+        )
+    return sigma

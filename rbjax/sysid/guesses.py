@@ -28,9 +28,9 @@ from rbjax.sysid.unknowns import (
 def drawn(unknowns: Unknowns, target: Any, count: int, spread: float, seed: int) -> np.ndarray:
     """Guesses (count, n), evenly spread (Sobol's sequence); the first is that of the set-up.
 
-    With z in (-spread, spread): positive numbers p exp(z), free ones p + scale z, bounded ones
-    anywhere between their bounds, or by a factor of the distance to a single one; bodies by z / 2
-    in the log-Cholesky numbers of their inertia.
+    With z in (-spread, spread): positive numbers are p exp(z), and free ones p + scale z. Numbers
+    between two bounds are uniform. The distance to a single bound is scaled by exp(z). Bodies
+    change by z / 2 in the log-Cholesky parameters of their inertia.
 
     Raises:
         InputError: an unknown of another kind.

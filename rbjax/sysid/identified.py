@@ -12,6 +12,7 @@ import numpy as np
 
 from rbjax.errors import UnknownName
 from rbjax.model import Model
+from rbjax.sysid.arguments import recordings_of
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_file import write_fit
 from rbjax.sysid.fit_statistics import FitStatistics
@@ -23,11 +24,11 @@ from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import SimulationError
 from rbjax.sysid.statistics import Estimates
 from rbjax.sysid.traces import Traces, rms_of
-from rbjax.sysid.verdict import Verdict
+from rbjax.sysid.verdict import Verdict, without_outliers
 
 
 class Options(NamedTuple):
-    """How a fit is done: the arguments of `identify`."""
+    """The options of a fit, as the arguments of `identify`."""
 
     grid: Grid | None = None
     pieces: float | None = None
@@ -40,15 +41,24 @@ class Options(NamedTuple):
 
 @dataclass(frozen=True)
 class Identified:
-    """What recordings say of a robot.
+    """The result of an identification.
 
-    Fields: setup with the found numbers; values by name; guess, the first ones; found, the
-    combinations of them that the data show, `found.words()`; estimates, their covariance and
-    intervals; recordings that were fitted, and traces, what they recorded beside what is simulated;
-    evaluations of the residual; ok and message, whether the fit converged; grid; error, the
-    simulation in float64; noisy, whether the noise of all channels is known; statistics, of the
-    residuals; verdict, whether the fit is good, and each check that fails; notes, sentences on what
-    was done by default, such as other starts and shorter steps; options of the fit.
+    Fields:
+        setup: with the estimated numbers.
+        values, guess: the estimates and the first guess, by name.
+        found: the combinations of the unknowns that the data identify; `found.words()`.
+        estimates: values, covariance and intervals.
+        recordings: those that were fitted.
+        traces: recorded and simulated values.
+        evaluations: of the residual.
+        ok, message: whether the fit converged.
+        grid: of the simulation.
+        error: the simulation error, in float64.
+        noisy: whether the noise of all channels is known.
+        statistics: of the residuals.
+        verdict: whether the fit is good, and each check that fails.
+        notes: sentences on what was done by default, such as other starts and shorter steps.
+        options: of the fit.
     """
 
     setup: Setup
@@ -76,7 +86,7 @@ class Identified:
 
     def summary(self) -> str:
         """Whether the fit converged and is good, what was done by default, and each number with
-        its 95 % interval, a sentence a line."""
+        its 95 % interval, one sentence a line."""
         first = [f"{self.message} in {self.evaluations} evaluations", self.verdict.sentence]
         names = range(len(self.values))
         return "\n".join([*first, *self.notes, *(self.estimates.in_words()[k] for k in names)])
@@ -98,7 +108,7 @@ class Identified:
 
     @in_double
     def _in_double(self) -> Setup:
-        """The set-up with the found numbers in float64."""
+        """The set-up with the estimates in float64."""
         of = self.error
         p = jnp.asarray(self.estimates.values[: of.shared])
         found: Setup = of.unknowns.write(of.setup, p)
@@ -108,8 +118,9 @@ class Identified:
     def simulated(
         self, recordings: Sequence[Recording], *, starts: bool | None = None
     ) -> Traces:
-        """Other recordings beside what is simulated from their own first samples, or with `starts`
-        from the first states that suit them best (`free_run`). None: as the fit did."""
+        """Simulate other recordings from their first samples or, with `starts`, from the initial
+        states that fit them best (`free_run`). None: as in the fit."""
+        recordings = recordings_of("simulated", recordings)
         if starts is None and self.options.starts is not None:
             starts = self.options.starts
         setup = self._in_double()
@@ -131,7 +142,7 @@ class Identified:
     @property
     @in_double
     def unmoved(self) -> tuple[str, ...]:
-        """Sensors whose readings no unknown moves: they say nothing of what is sought."""
+        """Sensors whose readings no unknown changes: they contain no information on them."""
         still = self.error.unmoved(self.estimates.values)
         seen = self.traces.values()
         return tuple(s for s in still if any(sensors[s].measured for sensors in seen))
@@ -150,16 +161,19 @@ class Identified:
         sensor: str | None = None,
     ) -> HeldOut:
         """The verdict on recordings that the fit never saw, simulated as `simulated` does, by the
-        error of a sensor (None: `judged`).
+        error of a sensor (None: `judged`); without outliers if the fit is robust (loss="huber").
 
         Raises:
             InputError: a recording that was fitted.
             UnknownName: a sensor that was not fitted.
         """
+        recordings = recordings_of("on", recordings)
         sensor = self.judged if sensor is None else sensor
         if sensor not in self.rms:
             raise UnknownName("sensor", sensor, self.rms)
         seen, unseen = self.traces, self.simulated(recordings, starts=starts)
+        if self.options.loss == "huber":
+            seen, unseen = (without_outliers(x)[0] for x in (seen, unseen))
         return held_out(
             {name: sensors[sensor].residual for name, sensors in seen.items()},
             {name: sensors[sensor].residual for name, sensors in unseen.items()},

@@ -1,10 +1,10 @@
 """`identify`: numbers of a set-up from recordings, by the error of simulated motions.
 
     min over p of  sum |weights (reading(motion(p)) - recorded)|^2
-What the data show is fitted; what they leave open stays at the first guess, or as near to it as a
-body's inertia allows, and the answer says in words which combinations were found. The initial state
-of each recording is fitted too, unless it is known. A fit that is poor is tried again from other
-starts, and the verdict names each check that fails.
+Combinations of the unknowns that the data identify are fitted. The others stay at the first guess,
+or as near to it as a body's inertia allows. The result names the combinations that were found. The
+initial state of each recording is fitted too, unless it is known. A poor fit is tried again from
+other starts, and the verdict names each check that fails.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import Say, progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import check_how, recordings_of, setup_of
 from rbjax.sysid.fit_file import read_fit
 from rbjax.sysid.fit_rows import columns_of
 from rbjax.sysid.fit_statistics import fit_statistics
-from rbjax.sysid.fits import Fits, Fitted, says_its_noise
+from rbjax.sysid.fits import Fits, Fitted
 from rbjax.sysid.identified import Identified, Options
 from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.rank import beside_others, combinations
-from rbjax.sysid.recording import Recording
-from rbjax.sysid.runs import grid_of
+from rbjax.sysid.recording import Recording, says_its_noise
 from rbjax.sysid.simulation import Grid, Setup
+from rbjax.sysid.step_length import start_grid
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 from rbjax.sysid.verdict import judged
 
@@ -61,7 +62,9 @@ def identify(
             first sample of "q" and "v", whose other samples may be missing.
         unknowns: name -> `Unknown`, `Inertia`, `Shared`, `FixedTotal`, `Tilt`, `Derived`.
         grid: how motion is integrated. None: steps of RK4 at the finest clock of all channels,
-            and shorter ones if steps of half the length change the numbers (`notes` says so).
+            and shorter ones if steps of half the length change the numbers (`notes` says so); a
+            delay may last up to its upper bound, else up to three times its first guess.
+            `Grid(period, substeps=0)`: steps are checked in the same way.
         pieces: length in s of pieces that are fitted first, each from its first sample, so that a
             poor first guess does not lose the motion. None: no such fit.
         shooting: length in s of pieces that are fitted first and then tied, end to start, ever more
@@ -72,7 +75,8 @@ def identify(
             says that it is known (`Recording(initial_state=...)`). False: the first readings of q
             and v are the state, exactly; their noise becomes an error of the numbers that no
             interval shows.
-        loss: "squares", or "huber", by which outliers count less.
+        loss: "squares", or "huber", by which outliers count less; then the verdict leaves up to a
+            fifth of the samples out as outliers, beyond 4 robust standard deviations.
         steps: evaluations of the residual at most, of each fit.
         restarts: starts that are tried at most if the fit from the first guess is poor (R2 below
             0.99, or errors several times the noise): one that grows from the first part of the
@@ -83,11 +87,11 @@ def identify(
         progress: whether a line shows the progress.
 
     Returns:
-        `Identified`. All is computed in float64, whatever JAX's default is; the set-up comes back
-        in the dtype of the model. `ok` and `message` say whether the fit converged, `verdict`
-        whether it is good. Channels that do not state their noise get that of their residuals, a
-        number for each column. Intervals follow the residuals: if these are correlated in time,
-        the covariance is the sandwich form (`fit_statistics`).
+        `Identified`. All is computed in float64, whatever JAX's default is; the set-up has the
+        dtype of the model. `ok` and `message`: whether the fit converged. `verdict`: whether it is
+        good. If a channel does not state its noise, it is estimated from the residuals, a number
+        for each column. Intervals follow the residuals: if these are correlated in time, the
+        covariance is the sandwich form (`fit_statistics`).
 
     Raises:
         InputError: recordings that do not suit the model; no unknowns, one outside of its range, or
@@ -108,16 +112,12 @@ def identify(
         >>> round(found.values["mass"], 2)
         1.3
     """
-    setup = model if isinstance(model, Setup) else Setup.of(model)
-    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not runs or not all(isinstance(r, Recording) for r in runs):
-        raise InputError(f"identify: recordings is {recordings!r}, expected one Recording or more")
+    setup, runs = setup_of("identify", model), recordings_of("identify", recordings)
     check_whole("identify", "steps", steps, 1)
     check_whole("identify", "restarts", restarts, 0)
-    if loss not in ("squares", "huber"):
-        raise InputError(f'identify: loss is {loss!r}, expected "squares" or "huber"')
-    if starts not in (None, True, False):
-        raise InputError(f"identify: starts is {starts!r}, expected True, False or None")
+    check_how("identify", loss, starts, pieces=pieces, shooting=shooting)
+    if not (save is None or isinstance(save, (str, Path))):
+        raise InputError(f"identify: save is {type(save).__name__}, expected the path of a file")
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
     sought = Unknowns.of("identify", unknowns, setup)
     how = Options(grid, pieces, shooting, starts, loss, steps, restarts)
@@ -134,14 +134,14 @@ def fitted(
     x: np.ndarray | None = None, save: str | Path | None = None, say: Say = lambda text: None,
     dtype: Any = np.float64,
 ) -> Identified:  # fmt: skip
-    """The whole of `identify`, from the first guess or from x, in float64."""
-    grid = grid_of(runs) if how.grid is None else how.grid
+    """All of `identify` without its checks, from the first guess or from x, in float64."""
+    grid, chosen = start_grid(setup, sought, runs, how.grid)
     fits = Fits(
         setup, sought, runs, grid, starts=how.starts, loss=how.loss, steps=how.steps, save=save,
         say=say,
     )  # fmt: skip
     given = x is not None or how.pieces is not None or how.shooting is not None
-    if how.grid is None:
+    if chosen:
         fits.stepped()
     if x is None:
         x = fits.first
@@ -153,13 +153,13 @@ def fitted(
     if not given:
         best = fits.improved(best, how.restarts)
     best = fits.weighed(best)
-    if how.grid is None:
+    if chosen:
         best = fits.finer(best)
     return _said(fits, best, how, dtype)
 
 
 def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
-    """What the last fit says: numbers, what the data show of them, their covariance, a verdict."""
+    """The result of the last fit: estimates, combinations, covariance, verdict."""
     of, least, n, names = best.error, best.least, fits.shared, fits.sought.names
     stated = {s for s in of.runs.values if says_its_noise(fits.recordings, s)}
     said = fit_statistics(
@@ -174,6 +174,9 @@ def _said(fits: Fits, best: Fitted, how: Options, dtype: Any) -> Identified:
         estimates=said.estimates, recordings=tuple(fits.recordings), traces=best.traces,
         evaluations=fits.evaluations, ok=least.ok, message=least.message, grid=of.grid, error=of,
         noisy=best.estimated or len(stated) == len(of.runs.values), statistics=said,
-        verdict=judged(least.ok, least.message, best.traces, fits.recordings, said.coloured),
+        verdict=judged(
+            least.ok, least.message, best.traces, fits.recordings, said.coloured,
+            robust=how.loss == "huber",
+        ),
         notes=tuple(fits.notes), options=how,
     )  # fmt: skip

@@ -40,7 +40,7 @@ class Results:
 
     Fields:
         found: the fit.
-        verdict: on recordings that were held out, None without any.
+        verdict: on recordings that were held out; None if there are none.
         diagnosis: of the recordings and the fit.
         files: content -> path.
         notes: sentences about these.
@@ -55,7 +55,7 @@ class Results:
 
 @dataclass(frozen=True)
 class Job:
-    """A job as its file states it; `run` runs it."""
+    """A job of identification, read from its file; `run` runs it."""
 
     source: str
     setup: Setup
@@ -73,12 +73,12 @@ class Job:
 
         Args:
             path: of the file.
-            folder: for the results, anywhere; that of [output] if None.
+            folder: of the results, at any place; the folder of [output] if None.
 
         Raises:
-            InputError: no such file, no TOML, a value of the wrong kind, recordings that do not
-                suit the robot; the message names the table and key.
-            UnknownName: a table, key, unit, sensor, joint, body, leaf that does not exist.
+            InputError: no such file, not TOML, a value of the wrong kind, recordings that do not
+                fit the robot; the message names the table and key.
+            UnknownName: a table, key, unit, sensor, joint, body or leaf that does not exist.
         """
         path = Path(path)
         given = _toml(path)
@@ -98,7 +98,7 @@ class Job:
         options = dict(given.get("options", {}))
         grid = _grid(setup, given.get("controller", {}), options, runs)
         unknowns = {n: _unknown(setup, n, line) for n, line in given["unknowns"].items()}
-        Unknowns.of("identify", unknowns, setup)  # rejects what is not there, before any work
+        Unknowns.of("identify", unknowns, setup)  # raises before any work
         guesses = options.pop("many_starts", None)
         return cls(
             source, setup, tuple(runs["fit"]), tuple(runs["held_out"]), unknowns, grid, options,
@@ -112,7 +112,9 @@ class Job:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"identify: folder {self.folder} cannot be made: {error}") from error
+            raise InputError(
+                f"identify: folder {self.folder} cannot be created: {error}"
+            ) from error
         how: dict[str, Any] = {"grid": self.grid, "progress": progress, **self.options}
         if self.guesses is not None and not resume:
             found = many_starts(
@@ -153,7 +155,7 @@ def _toml(path: Path) -> dict[str, Any]:
             f"identify: no file {path} ({error.strerror}); `rbjax identify --example FOLDER` "
             "writes one that works"
         ) from error
-    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of the length of an integer
+    except (ValueError, RecursionError) as error:  # no TOML, no UTF-8, an integer that is too long
         reason = str(error)[:200]
         raise InputError(f"identify: {path} is not a TOML file: {reason}") from error
 
@@ -227,21 +229,13 @@ def _grid(
     setup: Setup, controller: Mapping[str, Any], options: dict[str, Any],
     runs: Mapping[str, list[Recording]],
 ) -> Grid | None:  # fmt: skip
-    """The grid that period, substeps and the delay ask for; None for the default of `identify`."""
+    """The grid that period, substeps and the delay ask for; None for the default of `identify`.
+    Unless the file has substeps, `identify` checks the steps with half their length."""
     substeps, period = options.pop("substeps", None), options.pop("period", None)
     if substeps is None and period is None and setup.delay is None:
         return None
     shortest = min(run.end - run.start for use in runs.values() for run in use)
-    grid = grid_of(runs["fit"])
-    if period is not None:
-        grid = grid._replace(period=float(period))
-    if grid.period >= shortest:
-        raise InputError(
-            f"identify: [options] period is {grid.period:g} s, expected less than {shortest:g} s, "
-            "the length of the shortest recording"
-        )
-    if substeps is not None:
-        grid = grid._replace(substeps=substeps)
+    longest = None
     if setup.delay is not None:
         delay = float(controller["delay"])
         longest = float(controller.get("longest_delay", 3 * delay))
@@ -251,9 +245,14 @@ def _grid(
                 f"expected delay <= longest_delay < {shortest:g} s, the length of the shortest "
                 "recording"
             )
-        periods = int(np.ceil(longest / grid.period)) + 1 if longest else 0
-        grid = grid._replace(longest_delay=periods)
-    return grid
+    seconds = None if period is None else float(period)
+    grid = grid_of(runs["fit"], setup, longest=longest, period=seconds)
+    if grid.period >= shortest:
+        raise InputError(
+            f"identify: [options] period is {grid.period:g} s, expected less than {shortest:g} s, "
+            "the length of the shortest recording"
+        )
+    return grid._replace(substeps=0 if substeps is None else substeps)
 
 
 def _read(

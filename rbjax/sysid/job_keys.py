@@ -1,4 +1,4 @@
-"""The keys of a job file: what each one means, and which values it takes.
+"""The keys of a job file: the meaning and the valid values of each.
 
 `docs/job_files.md` has the same tables; a test compares the two.
 """
@@ -17,8 +17,13 @@ SHOWN = 60
 
 
 class Key(NamedTuple):
-    """A key: the kind of its value (a name of `KINDS`), its default ("" if it must be given, or may
-    be left out without a value), its unit, and its meaning."""
+    """A key of a table.
+
+    kind: of its value, a name of `KINDS`.
+    default: "" if the key is needed, or has no value if it is left out.
+    unit: of its value.
+    means: its meaning.
+    """
 
     kind: str
     default: str
@@ -83,7 +88,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
 }
 
 OF_IDENTIFY = "the default of `identify`"
-#: table -> key -> what it is; "" is the head of the file, "columns" and "unknowns" are each line
+#: table -> key -> `Key`; "" is the head of the file; each line of "columns" and "unknowns" has keys
 KEYS: dict[str, dict[str, Key]] = {
     "": {
         "model": Key("text", "", "", "MJCF or URDF file, or the name of a bundled scene"),
@@ -96,21 +101,22 @@ KEYS: dict[str, dict[str, Key]] = {
         "fit": Key("texts", "", "", "csv, txt or npz files that are fitted"),
         "held_out": Key("texts", "none", "", "files that are not fitted, for the verdict"),
         "time": Key("text", '"t"', "", "name of the column, or array, with the clock"),
-        "time_unit": Key("unit", '"s"', "", "of the clock: s, ms, us, ns or min"),
-        "rate": Key("positive", "", "Hz", "of the samples, if the files have no clock"),
-        "delimiter": Key("character", "found by itself", "", "between the cells of csv and txt"),
-        "decimal": Key("decimal", '"."', "", "mark of csv and txt files"),
-        "comment": Key("character", '"#"', "", "with which lines begin that are skipped"),
+        "time_unit": Key("unit", '"s"', "", "unit of the clock: s, ms, us, ns or min"),
+        "rate": Key("positive", "", "Hz", "sampling rate, if the files have no clock"),
+        "delimiter": Key("character", "detected", "", "between the cells of csv and txt files"),
+        "decimal": Key("decimal", '"."', "", "decimal mark of csv and txt files"),
+        "comment": Key("character", '"#"', "", "first character of lines that are skipped"),
     },
     "columns": {
-        "sensor": Key("text", "", "", "what is measured: the list below"),
-        "joint": Key("texts", "the column's name", "", "joint, of `ctrl` actuator; a list for an "
-                     "array with several columns, or the name of an array with the names"),
-        "unit": Key("unit", '""', "", "of the numbers in the file; SI if empty"),
-        "scale": Key("factor", "1", "", "a further factor: a gear, a torque constant"),
-        "sign": Key("sign", "1", "", "-1 if the sensor counts the other way"),
-        "noise": Key("positive", "estimated", "SI", "standard deviation; of all columns of a sensor"
-                     " or of none"),
+        "sensor": Key("text", "", "", "what is measured: a sensor of the table above"),
+        "joint": Key("texts", "the column's name", "", "the joint, or for `ctrl` the actuator; a "
+                     "list for an array with several columns, or the name of an array that holds "
+                     "the names"),
+        "unit": Key("unit", '""', "", "unit of the numbers in the file; SI if empty"),
+        "scale": Key("factor", "1", "", "a further factor: a gear ratio, a torque constant"),
+        "sign": Key("sign", "1", "", "-1 if the sensor has the opposite positive direction"),
+        "noise": Key("positive", "estimated", "SI", "standard deviation; for all columns of a "
+                     "sensor or for none"),
         "time": Key("text", "the time column of [recordings]", "", "the column's own clock"),
     },
     "unknowns": {
@@ -118,17 +124,18 @@ KEYS: dict[str, dict[str, Key]] = {
         "index": Key("index", "all", "", "entries of the leaf: integers from 0, or names"),
         "positive": Key("yes", "false", "", "whether the numbers are above 0"),
         "bounds": Key("bounds", "none", "SI", "[low, high], neither of which is reached"),
-        "scale": Key("positive", "1", "SI", "of free numbers: a large change"),
+        "scale": Key("positive", "1", "SI", "a large change of numbers that are neither "
+                     "positive nor bounded"),
         "inertia": Key("text", "", "", "instead of leaf: the body whose ten inertial parameters "
-                       "are sought"),
-        "tilt": Key("true", "", "", "instead of leaf: the direction of gravity is sought"),
+                       "are estimated"),
+        "tilt": Key("true", "", "", "instead of leaf: the direction of gravity is estimated"),
     },
     "controller": {
         "kp": Key("numbers", "0", "N m/rad", "ctrl = kp (command - q) - kd v; one, or one for each "
                   "actuator"),
         "kd": Key("numbers", "0", "N m s/rad", "as kp"),
         "delay": Key("not negative", "none", "s", "from a command to its action; can be unknown"),
-        "longest_delay": Key("positive", "3 delays", "s", "up to which an unknown delay is sought"),
+        "longest_delay": Key("positive", "3 delays", "s", "upper limit of an unknown delay"),
     },
     "sensors": {
         "current": Key("positives", "", "N m/A", "torque constant at each joint, if `current` is a "
@@ -137,21 +144,23 @@ KEYS: dict[str, dict[str, Key]] = {
     "options": {
         "starts": Key("yes", OF_IDENTIFY, "", "whether initial states are estimated"),
         "pieces": Key("positive", "none", "s", "length of pieces that are fitted first"),
-        "shooting": Key("positive", "none", "s", "length of pieces that are tied (multiple "
-                        "shooting), for a long or chaotic motion"),
-        "many_starts": Key("count", "none", "", "fits from so many first guesses (`many_starts`)"),
-        "restarts": Key("integer", OF_IDENTIFY, "", "fits from other first guesses, if the fit is "
+        "shooting": Key("positive", "none", "s", "length of the segments of multiple shooting, for "
+                        "a long or chaotic motion"),
+        "many_starts": Key("count", "none", "", "number of first guesses of `many_starts`"),
+        "restarts": Key("integer", OF_IDENTIFY, "", "largest number of other starts, if the fit is "
                         "poor"),
-        "loss": Key("loss", OF_IDENTIFY, "", '"huber": outliers count less'),
-        "steps": Key("count", OF_IDENTIFY, "", "evaluations of the residual at most"),
-        "period": Key("positive", "the finest clock", "s", "for which a command is held"),
-        "substeps": Key("count", "1", "", "steps of integration in a period"),
+        "loss": Key("loss", OF_IDENTIFY, "", '"huber" reduces the weight of outliers'),
+        "steps": Key("count", OF_IDENTIFY, "", "largest number of evaluations of the residual, of "
+                     "each fit"),
+        "period": Key("positive", "the finest clock", "s", "time for which a command is held"),
+        "substeps": Key("count", "by a check", "", "steps of integration in a period; the check "
+                        "halves them until the numbers do not change"),
     },
     "output": {
         "folder": Key("text", "the file's name", "", "within the file's folder, for the results"),
     },
 }  # fmt: skip
-#: what must be there, and an example of it
+#: needed tables and keys -> an example
 NEEDED = {
     "model": 'model = "robot.xml"',
     "recordings": '[recordings] with fit = ["run.csv"]',

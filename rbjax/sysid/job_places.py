@@ -1,4 +1,4 @@
-"""Names in a job file: of joints in its columns, and of entries in the indices of its unknowns."""
+"""Names in a job file: joints of its columns, and entries in the indices of its unknowns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rbjax.sysid.unknowns import leaf_of
 
 
 def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) -> None:
-    """`UnknownName` or `InputError` unless each column of a joint's sensor names a joint (of
+    """`UnknownName` or `InputError` unless each column of a joint's sensor names a joint (for
     `ctrl` an actuator), or one array has all columns in the order of the model."""
     for sensor in JOINT_SENSORS:
         if sensor not in run.channels:
@@ -35,8 +35,8 @@ def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) ->
                 fix = UnknownName(f"{kind} of a column of sensor {sensor}", name, known)
                 if whole or any(columns[n].joint is None for n in named):
                     raise InputError(
-                        f"identify: {fix}; say joint = ... in the column's line, or give an array "
-                        f"with all {size} in the order of the model"
+                        f"identify: {fix}; give joint = ... in the column's line, or an array with "
+                        f"all {size} in the order of the model"
                     )
                 raise fix
         _check_units(model, sensor, named, columns)
@@ -58,11 +58,11 @@ def _check_units(
 
 
 def place_of(setup: Setup, leaf: str, index: Any) -> Any:
-    """An index of a job file as one of numpy.
+    """The numpy index of an index in a job file.
 
-    An integer or a name is an entry of the first axis (a joint with several coordinates: all of
-    them). A list of integers, or of names, is several entries. A list that begins with a name or a
-    list, and goes on with integers, is a place on each axis: ["fore", 2], [["upper", "fore"], 2].
+    An integer or a name is an entry of the first axis (of a joint with several coordinates, all
+    its entries). A list of integers, or of names, is several entries. A list of a name or a list,
+    followed by integers, is an index on each axis: ["fore", 2], [["upper", "fore"], 2].
     """
     value = np.asarray(leaf_of(setup, leaf))
     if isinstance(index, list):
@@ -104,7 +104,7 @@ def _plain(leaf: str, index: Any) -> Any:
     if isinstance(index, list) and not all(isinstance(x, int) for x in index):
         raise InputError(
             f"identify: index of {leaf} has {short(index)} on a later axis, expected integers; "
-            "names are those of the first axis"
+            "only the first axis has names"
         )
     return np.array(index) if isinstance(index, list) else index
 
@@ -118,14 +118,14 @@ def _checked(leaf: str, value: np.ndarray, found: Any) -> Any:
         ) from error
     if not chosen.size or len(np.unique(chosen)) < chosen.size:
         raise InputError(
-            f"identify: index of {leaf} names {'no entry' if not chosen.size else 'one twice'}, "
+            f"identify: index of {leaf} has {'no entry' if not chosen.size else 'an entry twice'}, "
             "expected different entries"
         )
     return found
 
 
 def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
-    """The name of each entry of the first axis of a leaf; a joint's for each of its coordinates."""
+    """The name of each entry of the first axis of a leaf: the joint's name for each coordinate."""
     model = setup.model
     parts = leaf.removeprefix("model.").split(".")
     kind, size = parts[0], len(value) if value.ndim else 0
@@ -147,8 +147,8 @@ def _names(setup: Setup, leaf: str, value: np.ndarray) -> Sequence[str]:
 
 
 def _coordinates(model: Model, joints: Sequence[Any], size: int) -> list[str]:
-    """Names of joints, each as often as it has numbers: one, or one for each of its velocity or
-    configuration coordinates."""
+    """Names of joints, each repeated as often as the joint has entries: one, or one for each
+    velocity or configuration coordinate."""
     if not all(isinstance(j, (str, int)) for j in joints):
         return []
     names = [j if isinstance(j, str) else model.joint_names[j] for j in joints]

@@ -29,8 +29,8 @@ CALM = 1e-6
 COARSE = 1e-2
 #: an expected decrease of this fraction ends the last: less than noise can tell
 FLAT = 1e-8
-#: a minimum: the least that Gauss and Newton's step expects to take off is this fraction, so the
-#: residual is at an angle of less than 3e-4 to all that the numbers could change
+#: x is a minimum if the Gauss-Newton step is expected to lower the cost by less than this fraction:
+#: then the residual is orthogonal to all columns of J to within 3e-4 rad
 OPTIMAL = 1e-7
 #: slopes from here on are those of a motion that ran away
 HUGE = 1e100
@@ -50,9 +50,15 @@ class Residual(Protocol):
 
 @dataclass(frozen=True)
 class Minimum:
-    """x (p,); triangle (p + 1, p + 1) of [J r] there; cost |r|^2; evaluations; ok, whether x is a
-    minimum by the scaled gradient, and message: "converged", "stalled: ...", "not converged ..." or
-    why the first guess cannot be used."""
+    """The end of a minimisation.
+
+    x: (p,).
+    triangle: (p + 1, p + 1), R of [J r] at x.
+    cost: |r|^2.
+    evaluations: of the residual.
+    ok: whether x is a minimum by the scaled gradient.
+    message: "converged", "stalled: ...", "not converged ...", or why the first guess is invalid.
+    """
 
     x: np.ndarray
     triangle: np.ndarray
@@ -138,7 +144,7 @@ def searching(
         return found
 
     R = (yield Asked(x, True)) if triangle is None else triangle
-    ended, half = False, _half(D, x)
+    ended, half = False, half_of(D, x)
     if not _has_squares(R):
         message = "the motion of the first guess is not finite"
         yield Minimum(x, R, np.inf, count, False, message)
@@ -166,7 +172,7 @@ def searching(
             gain = (now - after + pull) / max(expected, 1e-300)
             # where slopes have no squares, or the metric no root, no step could begin: such a point
             # is refused
-            root = _half(D, trial) if gain > 0 else None
+            root = half_of(D, trial) if gain > 0 else None
             there = np.array(np.nan) if root is None else (yield Asked(trial, True))
             if root is not None and _has_squares(there):
                 x, now, R, half = trial, after, there, root
@@ -184,7 +190,7 @@ def searching(
         # noise
         if k and after > now / 10:
             break
-        root = _half(D, trial) if after < now else None
+        root = half_of(D, trial) if after < now else None
         there = np.array(np.nan) if root is None else (yield Asked(trial, True))
         if root is None or not _has_squares(there):
             break
@@ -192,29 +198,27 @@ def searching(
         x, now, R, half = trial, after, there, root
         if ends:
             break
-    best = _is_minimum(D, x, R, prior, pulls[-1], now)
+    best = _is_minimum(D, x, R, pulls[-1], now)
     if best:
         message = "converged"
     elif ended:
-        message = f"stalled: no step lowers the error, whose slope is not 0 ({count} evaluations)"
+        message = f"stalled: no step lowers the error, but its slope is not 0 ({count} evaluations)"
     else:
         message = f"not converged in {count} evaluations"
     yield Minimum(x, R, now, count, best, message)
 
 
-def _is_minimum(
-    D: Callable, x: np.ndarray, R: np.ndarray, prior: np.ndarray, w: float, now: float
-) -> bool:
+def _is_minimum(D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float) -> bool:
     """Whether the step of Gauss and Newton, within what is possible, expects no decrease that
     noise could tell, or is no longer than rounding: a gradient that is 0 on the scale of the
-    columns and the residual."""
-    half = _half(D, x)
+    columns and the residual. A prior has no part in it."""
+    half = half_of(D, x)
     if half is None:
         return False
     if not R[:, -1].any():
         return True
     size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
-    trial = convex_step(R, x, D, ((w * size, prior), (w * size, x)))
+    trial = convex_step(R, x, D, ((w * size, x),))
     linear = R[:, :-1] @ (trial - x) + R[:, -1]
     expected = now - float(linear @ linear)
     return bool(expected <= OPTIMAL * now or D(trial, x).value <= SMALL)
@@ -225,8 +229,8 @@ def _has_squares(R: np.ndarray) -> bool:
     return bool((np.abs(R) < HUGE).all())
 
 
-def _half(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
-    """The Cholesky factor of the metric at x, None where rounding leaves none: a body so thin."""
+def half_of(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> np.ndarray | None:
+    """The Cholesky factor of the metric at x; None if rounding leaves none, as for a thin body."""
     curvature = D(x, x).curvature
     if not np.isfinite(curvature).all():
         return None
@@ -236,6 +240,7 @@ def _half(D: Callable[[np.ndarray, np.ndarray], Divergence], x: np.ndarray) -> n
         return None
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of trial steps, which the line search rejects
 def convex_step(
     R: np.ndarray,
     x: np.ndarray,
@@ -277,6 +282,9 @@ def shown(R: np.ndarray, L: np.ndarray) -> np.ndarray:
     """The shortest Gauss-Newton step in the directions that the data show; L L^T is the metric."""
     tolerance = rank_tolerance(R.dtype)
     A = np.linalg.solve(L, R[:, :-1].T).T
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    kept = s > tolerance * s[0]
-    return -np.linalg.solve(L.T, Vt[kept].T @ ((U.T @ R[:, -1])[kept] / s[kept]))
+    moves = A.any(0)  # rounding of the decomposition must not move what nothing depends on
+    U, s, Vt = np.linalg.svd(A[:, moves], full_matrices=False)
+    kept = s > tolerance * s.max(initial=0.0)
+    z = np.zeros(A.shape[1])
+    z[moves] = Vt[kept].T @ ((U.T @ R[:, -1])[kept] / s[kept])
+    return -np.linalg.solve(L.T, z)

@@ -174,12 +174,12 @@ class Likelihood:
         return triangle_of(np.concatenate([J.reshape(-1, self.size), r.reshape(-1, 1)], 1))
 
     def columns(self, x: np.ndarray, scale: np.ndarray) -> list[Column]:
-        """Rows of the score by column, as statistics take them: of numbers x / scale. Two rows that
-        are alike, of a pair of sensors and the same pair turned round, are one."""
+        """Rows of the score by column, as input of `fit_statistics`, for the numbers x / scale. The
+        rows of sensors (i, j) and (j, i) are equal, so they are combined into one."""
         J, r = (np.asarray(a) for a in self._rows(jnp.asarray(x), self.series))
         runs = J.shape[0]
         there = np.array(self.series.arrived)
-        there[:, 0] = False  # of which the first state is made
+        there[:, 0] = False  # the initial state is made from these
         times, m = there.shape[1:]
         J, r = J.reshape(runs, times, -1, self.size) / scale, r.reshape(runs, times, -1)
         place, which = np.arange(times), np.arange(self.size)
@@ -201,7 +201,7 @@ class Likelihood:
         return found
 
     def filtered(self, x: np.ndarray, series: Series | None = None) -> KalmanFiltered:
-        """What the filter says of each run."""
+        """The result of the filter for each run."""
         return self._filtered(jnp.asarray(x), self.series if series is None else series)
 
     def divergence(self, x: np.ndarray, x0: np.ndarray) -> Divergence:

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics import inertial_parameters
-from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.dynamics.arguments import check_array, check_model, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.spatial import from_pseudo_inertia
@@ -208,8 +208,12 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
         >>> nearest_pseudo_inertia(jnp.diag(jnp.array([-0.1, 0.5, 0.5, 2.0])), 1e-3).shape
         (4, 4)
     """
-    if not margin > 0:
-        raise InputError(f"nearest_pseudo_inertia: margin is {margin}, expected a number above 0")
+    where = "nearest_pseudo_inertia"
+    if isinstance(margin, bool) or not isinstance(margin, (int, float)) or not margin > 0:
+        raise InputError(f"{where}: margin is {margin!r}, expected a number above 0")
+    shape = shape_of(where, "P", P)
+    if shape[-2:] != (4, 4):
+        raise InputError(f"{where}: P has shape {shape}, expected (..., 4, 4)")
     P = jnp.asarray(P)
     w, V = jnp.linalg.eigh((P + jnp.swapaxes(P, -1, -2)) / 2)
     least = margin * w[..., -1:]
@@ -232,8 +236,9 @@ def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
         >>> (heavier.bodies.mass / model.bodies.mass).round(3).tolist()
         [2.0, 2.0]
     """
-    where, nb = "with_inertial_parameters", model.nb
+    where = "with_inertial_parameters"
     check_model(where, model)
+    nb = model.nb
     pi = check_array(where, "pi", pi, (10 * nb,), (nb, 10)).reshape(nb, 10)
     if not isinstance(pi, jax.core.Tracer) and (np.asarray(pi)[:, 0] <= 0).any():
         b = int(np.argmax(np.asarray(pi)[:, 0] <= 0))

@@ -18,15 +18,18 @@ from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
+from rbjax.sysid.fits import Fits
 from rbjax.sysid.guesses import drawn
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.identify import identify
 from rbjax.sysid.least_squares import Asked, Minimum, searching, sum_of_squares
 from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.recording import Recording
-from rbjax.sysid.runs import batch_of, grid_of
+from rbjax.sysid.runs import batch_of
 from rbjax.sysid.simulation import Grid, Setup
 from rbjax.sysid.simulation_error import Programs, SimulationError
+from rbjax.sysid.step_length import start_grid
 from rbjax.sysid.unknowns import Parametrisation, Unknowns
 
 #: pulls of a guess to itself: of all for a few steps, and of the best until they converge
@@ -129,14 +132,25 @@ def many_starts(
         >>> round(found.best.values["armature"], 2)
         0.8
     """
-    given = model if isinstance(model, Setup) else Setup.of(model)
+    given, runs = setup_of("many_starts", model), recordings_of("many_starts", recordings)
     setup = cast(given, np.float64)
-    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
     sought = Unknowns.of("many_starts", unknowns, setup)
+    check_how("many_starts", loss, starts)
     for name, count in (("first_steps", first_steps), ("finalists", finalists)):
         check_whole("many_starts", name, count, 1)
+    check_whole("many_starts", "seed", seed, 0)
+    spread_of = floats("many_starts", "spread", spread, "a number above 0")
+    if spread_of.shape != () or not 0 < spread_of < np.inf:
+        raise InputError(f"many_starts: spread is {spread!r}, expected a number above 0")
     points = _guesses(guesses, sought, setup, spread, seed)
-    grid = grid_of(runs) if grid is None else grid
+    grid, chosen = start_grid(setup, sought, runs, grid)
+    if chosen:
+        fits = Fits(
+            setup, sought, runs, grid, starts=starts, loss=loss, steps=100, save=None,
+            say=lambda text: None,
+        )  # fmt: skip
+        fits.stepped()
+        grid = fits.grid
     of = SimulationError(setup, sought, batch_of(setup, runs, grid), grid, starts=starts, loss=loss)
     beginnings = [np.append(p, np.zeros(of.size - len(p))) for p in points]
     with progress_line("many_starts", progress) as say:
@@ -153,8 +167,8 @@ def many_starts(
         ends = together(of, [first[k].x for k in order], pulls=LONG, steps=100)
     basins = _basins(of, dict(zip(order, ends, strict=True)))
     best = identify(
-        given, runs, unknowns, resume=basins[0].values, grid=grid, starts=starts, loss=loss,
-        progress=progress, **more,
+        given, runs, unknowns, resume=basins[0].values, starts=starts, loss=loss,
+        grid=grid._replace(substeps=0) if chosen else grid, progress=progress, **more,
     )  # fmt: skip
     return ManyStarts(best, basins, basins[0].starts[0], points, costs)
 
@@ -205,7 +219,7 @@ def _guesses(given: Any, sought: Unknowns, setup: Setup, spread: float, seed: in
     if np.ndim(given) == 0:
         check_whole("many_starts", "guesses", given, 1)
         return drawn(sought, setup, int(given), spread, seed)
-    points = np.array(given, float)
+    points = floats("many_starts", "guesses", given, "a number, or an array (K, n)")
     if points.ndim != 2 or points.shape[1] != n or not len(points):
         raise InputError(
             f"many_starts: guesses has shape {points.shape}, expected (K, {n}), or a number"

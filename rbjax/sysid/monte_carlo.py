@@ -1,10 +1,10 @@
 """Monte Carlo of a fit: the same experiment many times over, with other noise.
 
     recorded_k = reading(motion(p_found)) + noise_k,        p_k = identify(guess, recorded_k)
-Each repetition is all that `identify` does with its options: from the user's first guess, with its
-own initial states, weights, other starts where the fit is poor, and intervals. The scatter of p_k
-is the error of the fit; its covariance is an approximation. Intervals hold if a share `level` of
-them contain p_found.
+Each repetition is a whole call of `identify` with its options: from the user's first guess, with
+its own initial states, weights, intervals, and other starts if the fit is poor. The scatter of p_k
+is the error of the fit; the fit's covariance approximates it. Intervals are right if a share
+`level` of them contains p_found.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.identified import Identified
 from rbjax.sysid.identify import fitted
 from rbjax.sysid.precision import in_double
@@ -32,11 +33,17 @@ from rbjax.sysid.traces import Trace
 class MonteCarlo:
     """Repetitions of an experiment.
 
-    Fields: names (n,) of the unknowns; truth (n,), what was simulated; values (k, n) that were
-    found; sigma (k, n), standard deviations as each repetition says them; inside (k, n), whether
-    its intervals hold the truth; level that they claim; seen (n,), whether the data show an unknown
-    by itself, without which its interval is infinite; failed, repetitions that did not converge;
-    good, repetitions whose verdict is good.
+    Fields:
+        names: (n,) of the unknowns.
+        truth: (n,) values of the simulation.
+        values: (k, n) estimates.
+        sigma: (k, n) standard deviations, as estimated by each repetition.
+        inside: (k, n), whether its intervals contain the truth.
+        level: the nominal share of intervals that do.
+        seen: (n,), whether the data identify an unknown by itself; otherwise its interval is
+            infinite.
+        failed: the number of repetitions that did not converge.
+        good: the number of repetitions whose verdict is good.
     """
 
     names: tuple[str, ...]
@@ -81,9 +88,9 @@ def monte_carlo(
         found: a fit, from `identify`.
         repetitions: how many, 2 or more.
         level: of the intervals.
-        seed: of the noise. It is independent, and for loss="squares" normal and as large as each
-            channel says, or as the fit's residuals are; for "huber" it is drawn from the residuals
-            of the fit, with their outliers.
+        seed: of the noise, which is independent. For loss="squares" it is normal, with the standard
+            deviation that each channel states, or of the fit's residuals. For "huber" it is drawn
+            from the residuals of the fit, with their outliers.
         progress: whether a line shows the progress.
 
     Returns:
@@ -109,8 +116,10 @@ def monte_carlo(
         >>> again.values.shape
         (20, 1)
     """
+    check_kind("monte_carlo", "found", found, Identified, "the result of `identify`")
     check_whole("monte_carlo", "repetitions", repetitions, 2)
-    if not 0 < level < 1:
+    check_whole("monte_carlo", "seed", seed, 0)
+    if not isinstance(level, (int, float)) or not 0 < level < 1:
         raise InputError(f"monte_carlo: level is {level}, expected a number between 0 and 1")
     of, said = found.error, found.estimates
     if not found.noisy:
@@ -141,7 +150,7 @@ def monte_carlo(
 
 
 def _repeated(found: Identified, j: int, rng: np.random.Generator) -> Recording:
-    """Recording j with what the found numbers would have read, and other noise."""
+    """Recording j with the readings of the simulation at the estimates, and other noise."""
     recording, of = found.recordings[j], found.error
     traces = found.traces[recording.name]
     first = found.options.starts is False or (
@@ -171,7 +180,7 @@ def _repeated(found: Identified, j: int, rng: np.random.Generator) -> Recording:
 
 
 def _drawn(pool: Sequence[Trace], count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, columns) recorded less simulated of some samples of these traces, by column."""
+    """(count, columns): recorded minus simulated values of random samples, drawn by column."""
     off = []
     for trace in pool:
         there = ~np.isnan(trace.recorded).any(1)

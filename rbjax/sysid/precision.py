@@ -1,8 +1,8 @@
-"""The precision of identification: f64 whatever the caller's is, and the tolerances of a dtype.
+"""The precision of identification, float64 for any caller, and the tolerances of a dtype.
 
 Rank, covariance and convergence compare singular values and decreases that lie 9 decades apart;
 float32, JAX's default, has 7. So an estimator computes in float64 inside `jax.enable_x64`, and
-returns the model in the dtype that it was given in.
+returns the model in its own dtype.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def cast(tree: Any, dtype: Any) -> Any:
         old = getattr(x, "dtype", None)
         if old is None or old == dtype or not jnp.issubdtype(old, jnp.floating):
             return x
-        # by numpy: a cast of JAX is a program to compile for every shape
+        # by numpy: JAX would compile a cast for every shape
         return jnp.asarray(np.asarray(x).astype(dtype))
 
     return jax.tree.map(one, tree)
 
 
 def rank_tolerance(dtype: Any) -> float:
-    """The singular value, relative to the largest, below which rounding explains a direction; of
+    """The singular value, relative to the largest, below which a direction is rounding, for
     Jacobians whose columns have unit length.
 
     >>> rank_tolerance("float64"), rank_tolerance("float32")
@@ -54,7 +54,7 @@ def rank_tolerance(dtype: Any) -> float:
 
 
 def still_tolerance(dtype: Any) -> float:
-    """The size of a Jacobian's column, relative to the largest, below which rounding explains it.
+    """The size of a Jacobian's column, relative to the largest, below which it is rounding.
 
     >>> still_tolerance("float64"), still_tolerance("float32")
     (1e-12, 1e-05)

@@ -25,10 +25,11 @@ from rbjax.model import Model
 from rbjax.motion.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.progress import progress_line
 from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_statistics import FitStatistics, fit_statistics
 from rbjax.sysid.identified import Identified
-from rbjax.sysid.least_squares import Minimum, convex_step, shown
+from rbjax.sysid.least_squares import Minimum, convex_step, half_of, shown
 from rbjax.sysid.likelihood import DRIVES, Levels, Likelihood, Series, series_of
 from rbjax.sysid.precision import cast, in_double
 from rbjax.sysid.rank import Combinations, beside_others, combinations
@@ -42,7 +43,7 @@ from rbjax.sysid.unknowns import Parametrisation, Unknowns
 PULL = 1e-10
 #: an expected decrease of -2 log p below it ends: a step of about 3e-5 standard deviations
 CALM = 1e-9
-#: and below this it is a maximum: a step of a hundredth of a standard deviation
+#: below this expected decrease x is a maximum: a step of a hundredth of a standard deviation
 OPTIMAL = 1e-4
 #: first guesses of the drive, as parts of what moves the recording
 TRIALS = 10.0 ** np.arange(-4, 2)
@@ -50,14 +51,22 @@ TRIALS = 10.0 ** np.arange(-4, 2)
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What recordings say of a robot that noise drives.
+    """The result of an identification with process noise.
 
-    Fields: setup with the found numbers; values by name; guess, the first ones; found, the
-    combinations of them that the data show, `found.words()`; estimates, of values and noise levels,
-    with covariance and intervals; levels, of the noise: `drive` (nv,) N m (or rad/s^2) and
-    `reading` (rows,); recordings that were fitted; log_likelihood; evaluations; ok and message,
-    whether the fit converged; grid; likelihood and the x that maximises it; first, the set-up with
-    the first guesses in float64; statistics of the innovations.
+    Fields:
+        setup: with the estimated numbers.
+        values, guess: the estimates and the first guess, by name.
+        found: the combinations of the unknowns that the data identify; `found.words()`.
+        estimates: of values and noise levels, with covariance and intervals.
+        levels: of the noise: `drive` (nv,) N m (or rad/s^2) and `reading` (rows,).
+        recordings: those that were fitted.
+        log_likelihood: the maximum.
+        evaluations: of the likelihood.
+        ok, message: whether the fit converged.
+        grid: of the filter.
+        likelihood, x: the likelihood, and the point that maximises it.
+        first: the set-up with the first guess, in float64.
+        statistics: of the innovations.
     """
 
     setup: Setup
@@ -131,7 +140,7 @@ class Predicted:
     def _filtered(
         self, recordings: Sequence[Recording] | None
     ) -> tuple[list[str], Series, KalmanFiltered]:
-        runs = self.recordings if recordings is None else recordings
+        runs = self.recordings if recordings is None else recordings_of("Predicted", recordings)
         of = self.likelihood
         series = of.series if recordings is None else series_of(self.first, runs, self.grid)
         return [run.name for run in runs], series, of.filtered(self.x, series)
@@ -166,9 +175,9 @@ def prediction_error(
         progress: whether a line shows the progress.
 
     Returns:
-        `Predicted`. Intervals are those of Fisher's information, and of the sandwich form if the
-        innovations are correlated in time (`fit_statistics`): in the limit of many samples, 95 % of
-        them hold the truth. All is computed in float64, as in `identify`.
+        `Predicted`. Intervals follow Fisher's information, or the sandwich form if the innovations
+        are correlated in time (`fit_statistics`): in the limit of many samples, 95 % of them
+        contain the truth. All is computed in float64, as in `identify`.
 
     Raises:
         InputError: recordings that do not suit the model or the grid; a set-up with delays.
@@ -195,9 +204,7 @@ def prediction_error(
     where = "prediction_error"
     setup, grid = _setup(model, grid)
     dtype, setup = setup.model.gravity.dtype, cast(setup, np.float64)
-    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not runs or not all(isinstance(r, Recording) for r in runs):
-        raise InputError(f"{where}: recordings is {recordings!r}, expected one Recording or more")
+    runs = recordings_of(where, recordings)
     check_whole(where, "steps", steps, 1)
     if drive not in DRIVES:
         raise InputError(f"{where}: drive is {drive!r}, expected one of {DRIVES}")
@@ -245,8 +252,18 @@ def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minim
         message = "the likelihood of the first guess is not finite"
         return Minimum(x, R, np.inf, count, False, message)
     D, damping, growth, ended = of.divergence, 1e-6, 2.0, False
+    curved = half_of(D, x)
+    if curved is None:
+        message = "the first guess is at the border of what is possible"
+        return Minimum(x, R, now, count, False, message)
+
+    def there(trial: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
+        """The metric and the triangle, if a step could begin at a trial."""
+        half = half_of(D, trial)
+        slopes = np.array(np.nan) if half is None else of.triangle(trial)
+        return (half if np.isfinite(slopes).all() else None), slopes
+
     while not ended and count < steps:
-        curved = np.linalg.cholesky(D(x, x).curvature)
         size = float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
         trial = convex_step(R, x, D, ((PULL * size, start), (damping * size, x)))
         linear = R[:, :-1] @ (trial - x) + R[:, -1]
@@ -256,22 +273,23 @@ def _maximised(of: Likelihood, start: np.ndarray, steps: int, say: Any) -> Minim
         say(f"evaluation {count} of at most {steps}, -2 log p {min(now, after):.6g}")
         calm = damping <= 1e-3 and expected < CALM
         gain = (now - after + pull) / max(expected, 1e-300)
-        if gain > 0:
-            x, now, R = trial, after, of.triangle(trial)
+        half, slopes = there(trial) if gain > 0 else (None, R)
+        if half is not None:
+            x, now, R, curved = trial, after, slopes, half
             damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
         else:
             damping, growth = damping * growth, growth * 2
         ended = calm or damping > 1e9
     for _ in range(4):  # without the guess
-        trial = x + shown(R, np.linalg.cholesky(D(x, x).curvature))
+        trial = x + shown(R, curved)
         after = of.cost(trial) if np.isfinite(D(trial, x).value) else np.inf
         count += 1
-        if not after < now:
+        half, slopes = there(trial) if after < now else (None, R)
+        if half is None:
             break
-        x, now, R = trial, after, of.triangle(trial)
-    curved = np.linalg.cholesky(D(x, x).curvature)
+        x, now, R, curved = trial, after, slopes, half
     size = PULL * float(np.linalg.norm(np.linalg.solve(curved, R[:, :-1].T), 2)) ** 2
-    trial = convex_step(R, x, D, ((size, start), (size, x)))
+    trial = convex_step(R, x, D, ((size, x),))
     linear = R[:, :-1] @ (trial - x) + R[:, -1]
     flat = float(R[:, -1] @ R[:, -1] - linear @ linear) < OPTIMAL
     if flat:
@@ -287,7 +305,7 @@ def _setup(model: Any, grid: Grid | None) -> tuple[Setup, Grid | None]:
     """The set-up and the grid to start from; sensors and controls without delay."""
     if isinstance(model, Identified):
         model, grid = model.setup, model.grid if grid is None else grid
-    setup = model if isinstance(model, Setup) else Setup.of(model)
+    setup = setup_of("prediction_error", model)
     late = [
         f"{s} {float(sensor.delay):g} s, so Channel(c.t - {float(sensor.delay):g}, ...)"
         for s, sensor in setup.sensors.items() if float(sensor.delay) != 0
@@ -310,7 +328,7 @@ def _driven(where: str, model: Model, joints: Sequence[str] | None) -> np.ndarra
     if joints is None:
         return np.ones(model.nv, bool)
     found = np.zeros(model.nv, bool)
-    for name in joints:
+    for name in names_of(where, "driven", [joints] if isinstance(joints, str) else joints):
         if name not in model.joint_names:
             raise UnknownName("joint", name, model.joint_names)
         found[model.v_slice(name)] = True

@@ -58,7 +58,7 @@ def kept(make: Callable[..., Any], setup: Any, unknowns: Unknowns, *how: Any) ->
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Whether two values are equal; arrays, such as an index, entry by entry."""
+    """Whether two values are equal. Arrays, such as an index, are compared entry by entry."""
     if a is b:
         return True
     if type(a) is not type(b):
@@ -78,7 +78,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _alike(a: Any, b: Any, unknowns: Unknowns) -> bool:
-    """Whether two set-ups are one as soon as the sought numbers are written."""
+    """Whether two set-ups are equal except for the unknown numbers."""
     x, y = jax.tree.leaves(a), jax.tree.leaves(b)
     kinds: list[Any] = [jax.tree.structure(s) for s in (a, b)]
     if kinds[0] != kinds[1] or not all(map(_same_kind, x, y)):

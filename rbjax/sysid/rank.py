@@ -23,6 +23,7 @@ import numpy as np
 import scipy.linalg
 
 from rbjax.errors import InputError, UnknownName, listed
+from rbjax.sysid.arguments import floats, names_of
 from rbjax.sysid.precision import rank_tolerance
 
 #: A column smaller than this many rounding errors of the largest belongs to what moves nothing.
@@ -165,12 +166,14 @@ def combinations(
         a + 2 b is found; neither by itself.
         Never show: d.
     """
-    names = tuple(names)
+    names = names_of("combinations", "names", names)
+    first = names_of("combinations", "first", first)
+    given = floats("combinations", "J", J)
     J = np.asarray(J)
     eps = float(np.finfo(np.float32 if J.dtype == np.float32 else np.float64).eps)
     if tolerance is None:
         tolerance = rank_tolerance(J.dtype)
-    J = J.astype(float)
+    J = given
     if J.ndim < 2 or J.shape[-1] != len(names):
         raise InputError(
             f"combinations: J has shape {J.shape} and there are {len(names)} names, expected one "
@@ -179,8 +182,8 @@ def combinations(
     if len(set(names)) < len(names):
         twice = sorted({x for x in names if names.count(x) > 1})
         raise InputError(f"combinations: names repeat: {listed(twice, 4)}; expected unique names")
-    if not 0 < tolerance < 1:
-        raise InputError(f"combinations: tolerance is {tolerance}, expected between 0 and 1")
+    if not (isinstance(tolerance, (int, float, np.number)) and 0 < tolerance < 1):
+        raise InputError(f"combinations: tolerance is {tolerance!r}, expected between 0 and 1")
     for name in first:
         if name not in names:
             raise UnknownName("parameter", name, names)
@@ -210,8 +213,8 @@ def combinations(
 
 
 def beside_others(R: np.ndarray, n: int) -> np.ndarray:
-    """Slopes of the first n numbers of a triangle R (m, size + 1) of [J r], without their part that
-    the other numbers, such as initial states and noise levels, could make as well."""
+    """Slopes of the first n numbers of a triangular R (m, size + 1) of [J r], without their part in
+    the span of the other numbers' slopes, such as those of initial states and noise levels."""
     first, others = R[:, :n], R[:, n:-1]
     if not others.shape[1]:
         return first

@@ -27,8 +27,8 @@ class Column(NamedTuple):
         sensor: such as "q" or "gyro:imu".
         joint: the joint's name, or one name a column of an array; the column's name if None.
         unit, scale, sign: as in `Channel`.
-        noise: standard deviation in SI; of all columns of a sensor, or of none.
-        time: the column with its clock, if not the file's.
+        noise: standard deviation in SI; for all columns of a sensor, or for none.
+        time: the column with its clock; the file's clock if None.
     """
 
     sensor: str
@@ -54,8 +54,8 @@ def read_csv(
 ) -> Recording:
     """A recording from a table of text.
 
-    The header is the first line that holds all the names asked for; lines above it and comments
-    are skipped. Blank cells and "nan" are samples that did not arrive. Each row has as many cells
+    The header is the first line that contains all requested names; lines above it and comments are
+    skipped. Blank cells and "nan" are samples that did not arrive. Each row must have as many cells
     as the header.
 
     Args:
@@ -154,7 +154,8 @@ def read_npz(
     wanted = _columns("read_npz", columns)
     clocks = _clocks("read_npz", wanted, time, time_unit, rate)
     try:
-        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:  # one npy is none
+        # `ZipFile` rejects an npy file
+        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:
             for n in (*wanted, *clocks):
                 if n not in file.files:
                     raise UnknownName(f"array of {path.name}", n, file.files)
@@ -164,7 +165,7 @@ def read_npz(
                     wanted[n] = c._replace(joint=tuple(map(str, np.ravel(file[c.joint]))))
     except RbjaxError:
         raise
-    except Exception as error:  # whatever the bytes of a spoilt archive lead to
+    except Exception as error:  # a damaged archive may raise anything
         raise InputError(
             f"read_npz: {path.name} cannot be read ({str(error)[:200]}), expected a file of "
             "numpy.savez with arrays of numbers; pickled objects are not read"
@@ -275,7 +276,7 @@ def _check_column(where: str, c: Column) -> None:
 def _clocks(
     where: str, wanted: Mapping[str, Column], time: Any, time_unit: Any, rate: Any
 ) -> set[str]:
-    """The names of the clocks, none with a rate; all three are checked."""
+    """Check time, time_unit and rate. Return the names of the clocks; none with a rate."""
     if rate is None:
         if not isinstance(time, str):
             raise InputError(f"{where}: time is {time!r}, expected the name of the clock")
@@ -368,7 +369,7 @@ def _header(
     head = [row for _, row in rows[:20]]
     for k, row in enumerate(head):
         if set(names) <= set(row):
-            last = max(i for i, cell in enumerate(row) if cell)  # it may end with a delimiter
+            last = max(i for i, cell in enumerate(row) if cell)  # a line may end with a delimiter
             return row[: last + 1], rows[k + 1 :]
     if not head:
         raise InputError(f"read_csv: {path.name} has no rows, expected a header and numbers")

@@ -15,7 +15,7 @@ A `Recording` holds the channels of one run by sensor:
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import InitVar, dataclass
 from typing import Any
 
@@ -81,11 +81,15 @@ class Channel:
                 "and (samples, columns) with the same number of samples, at least 2"
             )
         columns = values.shape[1]
+        if not (self.names is None or isinstance(self.names, Iterable)):
+            raise InputError(f"Channel: names is {self.names!r}, expected one for each column")
         names = tuple(map(str, range(columns) if self.names is None else self.names))
         if len(names) != columns or len(set(names)) != columns:
             raise InputError(
                 f"Channel: names are {names}, expected {columns} different ones, one a column"
             )
+        if not isinstance(unit, Iterable):
+            raise InputError(f"Channel: unit is {unit!r}, expected a unit, or one for each column")
         units = [unit] * columns if isinstance(unit, str) else list(unit)
         factor = _one_a_column("unit", [in_si(u) for u in units], columns)
         signs = _one_a_column("sign", sign, columns)
@@ -140,8 +144,8 @@ class Recording:
         channels: sensor -> `Channel`; the sensors are listed in `rbjax.sysid.recording`.
         source: the recording that this is a piece of; its own name if "".
         initial_state: the state at the first instant, if it is known exactly, such as rest at a
-            known configuration; `identify` estimates it if None. A channel v with no sample but
-            its first one says the same: the first readings of q and v are the state.
+            known configuration; `identify` estimates it if None. If the channel v has no sample
+            except its first one, the first readings of q and v are the known state.
 
     Raises:
         InputError: no channels, or clocks without a common stretch of time; an initial_state that
@@ -168,12 +172,17 @@ class Recording:
                 f"Recording {self.name}: initial_state is {type(self.initial_state).__name__}, "
                 "expected a State, such as State(q, v), or None to have it estimated"
             )
+        if not isinstance(self.name, str) or not isinstance(self.channels, Mapping):
+            raise InputError(
+                f"Recording: name is {type(self.name).__name__} and channels "
+                f"{type(self.channels).__name__}, expected a str and a dict sensor -> Channel"
+            )
         object.__setattr__(self, "channels", dict(self.channels))
         object.__setattr__(self, "source", self.source or self.name)
         if not self.channels:
             raise InputError(f"Recording {self.name}: no channels, expected at least one sensor")
         for sensor, channel in self.channels.items():
-            kind, _, where = sensor.partition(":")
+            kind, _, where = str(sensor).partition(":")
             if not isinstance(channel, Channel):
                 raise InputError(
                     f"Recording {self.name}: channel {sensor} is {type(channel).__name__}, "
@@ -198,8 +207,8 @@ class Recording:
 
     @property
     def start_is_known(self) -> bool:
-        """Whether the recording says its first state: by `initial_state`, or by a channel v with
-        no sample but its first one."""
+        """Whether the initial state is known: by `initial_state`, or by a channel v with no sample
+        except its first one."""
         if self.initial_state is not None:
             return True
         if "v" not in self.channels:
@@ -250,17 +259,17 @@ class Recording:
     ) -> Recording:
         """All channels at the same times.
 
-        Commands hold their last value; attitudes turn evenly between two samples (slerp), of
-        poses and of the ball and free joints in q; all other columns are cubic splines through the
-        samples that arrived, with an error of order step^4. A value between two samples that lie
-        too far apart is NaN, as is one next to a dropped sample: nothing is invented there.
+        Commands hold their last value. Attitudes, of poses and of ball and free joints in q, are
+        interpolated by slerp. All other columns are cubic splines through the samples that arrived,
+        with an error of order step^4. A value between two samples that are too far apart is NaN, as
+        is a value next to a dropped sample (`gap`).
 
         Args:
             t: (samples,) times in s, within every channel's clock.
             gap: the longest interval in s that is bridged, dropped samples included. If None:
                 3 median steps of the clock, and no dropped sample.
-            model: the robot, whose topology says which columns of q are quaternions. If None: four
-                columns that follow each other, whose length is 1 at every sample.
+            model: the robot, whose topology determines which columns of q are quaternions. If
+                None: any four neighbouring columns that move and have length 1 at every sample.
 
         Raises:
             InputError: times outside of a channel's clock.
@@ -308,6 +317,8 @@ class Recording:
 
     def pieces(self, seconds: float) -> list[Recording]:
         """Pieces of this length, one after the other; a shorter rest at the end is left out."""
+        if not isinstance(seconds, (int, float, np.number)):
+            seconds = np.nan
         count = int((self.end - self.start) / seconds + 1e-9) if seconds > 0 else 0
         if count < 1:
             raise InputError(
@@ -342,7 +353,9 @@ def _one_a_column(name: str, x: Any, columns: int) -> np.ndarray:
 
 
 def _mask(dropped: Any, shape: tuple[int, int]) -> np.ndarray:
-    mask = np.asarray(False if dropped is None else dropped, bool)
+    mask = np.asarray(False if dropped is None else dropped)
+    if mask.dtype != bool:
+        raise InputError(f"Channel: dropped has dtype {mask.dtype}, expected bool")
     if mask.shape not in ((), shape[:1], shape):
         raise InputError(
             f"Channel: dropped has shape {mask.shape}, expected {shape[:1]} or {shape}"
@@ -364,3 +377,8 @@ def _check_clock(t: np.ndarray) -> None:
             f"and at {len(wrong)} samples in all, expected times that increase; leave out samples "
             "that came twice"
         )
+
+
+def says_its_noise(runs: Sequence[Recording], sensor: str) -> bool:
+    """Whether every recording states the noise of a sensor."""
+    return all(run[sensor].noise is not None for run in runs)

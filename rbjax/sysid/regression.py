@@ -39,19 +39,19 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """What a regression found.
+    """The result of a regression.
 
     Fields:
-        combinations: of which the r base parameters are.
-        beta: (r,).
-        covariance: (r, r), by `fit_statistics`: of noise that is independent in time if the
-            residuals are white, else of noise as correlated as they are.
+        combinations: the combinations that are the r base parameters.
+        beta: (r,), their values.
+        covariance: (r, r), by `fit_statistics`: for independent noise if the residuals are white,
+            otherwise for noise with the correlation of the residuals.
         noise: (k,) standard deviation of each channel.
         residual: (N, k), tau - W pi.
-        weights: (N, k), below 1 if a robust method trusts a sample less.
+        weights: (N, k), below 1 if a robust method reduces the weight of a sample.
         dof: degrees of freedom of Student's t; infinite if the noise was given and the residuals
             agree with it.
-        steps: of iterations.
+        steps: number of iterations.
         ok: whether they converged.
         white: whether the residuals of each channel are independent in time.
     """
@@ -117,10 +117,11 @@ def regress(
         tau: (N, k) measured torques, N m or N; or (N,).
         names: (p,) of the columns.
         method: "ordinary", "weighted", "robust" or "instrumental": the keys of `METHODS`.
-        noise: standard deviation of tau where it is known: a number, (k,) or (N, k).
+        noise: standard deviation of tau if it is known: a number, (k,) or (N, k); inf for a torque
+            that does not count.
         base: the combinations to fit; None for those that W shows.
-        lengths: samples of each recording in W, N in all: noise is not correlated from one to the
-            next. None: one recording. Samples are in the order of time.
+        lengths: number of samples of each recording in W, N in all. Noise is not correlated between
+            recordings. None: one recording. Samples are in the order of time.
         options: of the method. robust: loss ("huber", "bisquare"), max_steps. instrumental:
             instruments (N, k, p), or a function of the last `Regression` that returns them; start;
             max_steps.
@@ -168,6 +169,11 @@ def ordinary(eq: Equations) -> Regression:
         noise = np.full(k, np.sqrt((residual**2).sum() / dof))
         covariance = noise[0] ** 2 * covariance
     else:
+        if not eq.counted.all():
+            raise InputError(
+                "regress: noise is inf for some torques, but by method ordinary all count alike; "
+                "use method weighted, or leave these samples out"
+            )
         dof, noise = np.inf, np.sqrt((eq.noise**2).mean(0))
         noisy = (eq.X * eq.noise[..., None]).reshape(-1, beta.size) @ covariance
         covariance = noisy.T @ noisy
@@ -201,7 +207,6 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
     if loss not in LOSSES:
         raise UnknownName("loss", loss, LOSSES)
     check_whole("robust", "max_steps", max_steps, 1)
-    N, k = eq.tau.shape
     sd = _noise_of_channels(eq) if eq.noise is None else eq.noise
     found, done, step = _weighted(eq, sd), False, 0
     stages = ["huber"] if loss == "huber" else ["huber", loss]
@@ -221,11 +226,14 @@ def robust(eq: Equations, *, loss: str = "huber", max_steps: int = 100) -> Regre
                 break
     scale = _scale(eq, found.residual)
     w, psi, slope = LOSSES[loss](found.residual / scale)
-    # what `with_statistics` keeps if the noise is given and the samples are few
-    spread = (psi**2).mean() / max(slope.mean(), 1e-3) ** 2
+    # `with_statistics` keeps this covariance if the noise is given and the samples are few
+    counted = eq.counted
+    spread = (psi[counted] ** 2).mean() / max(slope[counted].mean(), 1e-3) ** 2
+    size = np.where(counted, scale, 0.0)
+    size = np.sqrt((size**2).sum(0) / np.maximum(counted.sum(0), 1))
     found = Regression(
         eq.combinations, found.beta, spread * eq.fit(scale).covariance,
-        np.sqrt((scale**2).mean(0)), found.residual, w, float(N * k - found.beta.size), step, done,
+        size, found.residual, w, float(counted.sum() - found.beta.size), step, done,
     )  # fmt: skip
     return with_statistics(eq, found, scale, psi, slope)
 
@@ -247,6 +255,7 @@ def instrumental(
     """
     check_whole("instrumental", "max_steps", max_steps, 1)
     found, (N, k) = weighted(eq) if start is None else start, eq.tau.shape
+    count = int(eq.counted.sum())
     steps = max_steps if callable(instruments) else 3  # noise of channels settles at once
     for step in range(1, steps + 1):
         Z = np.asarray(instruments(found) if callable(instruments) else instruments, float)
@@ -272,8 +281,8 @@ def instrumental(
             ) from error
         beta = solve @ y
         residual = eq.tau - eq.X @ beta
-        dof = np.inf if given else float(N * k - beta.size)
-        noise = np.sqrt((residual**2).sum(0) * k / (N * k - beta.size))
+        dof = np.inf if given else float(count - beta.size)
+        noise = np.sqrt((np.where(eq.counted, residual, 0) ** 2).sum(0) * k / (count - beta.size))
         covariance = solve @ solve.T
         moved = (np.abs(beta - found.beta) / np.sqrt(covariance.diagonal())).max()
         found = Regression(
@@ -290,7 +299,7 @@ def instrumental(
         np.cumsum(eq.lengths)[:-1],
     )
     bread = scipy.linalg.inv(Zs.T @ X)
-    covariance = bread @ meat_of(scores) @ bread.T * (N * k / (N * k - found.beta.size))
+    covariance = bread @ meat_of(scores) @ bread.T * (count / (count - found.beta.size))
     return dataclasses.replace(
         found, covariance=covariance, dof=said.estimates.dof, white=False
     )
@@ -330,8 +339,9 @@ def _weighted(eq: Equations, noise: Array) -> Regression:
     fitted = eq.fit(noise)
     residual = eq.tau - eq.X @ fitted.beta
     # each channel's degrees of freedom: its samples less what it gave to the parameters
-    free = len(eq.tau) - fitted.leverage
-    found = np.sqrt((residual**2).sum(0) / np.maximum(free, 1e-3 * len(eq.tau)))
+    count = eq.counted.sum(0)
+    free = np.maximum(count - fitted.leverage, 1e-3 * np.maximum(count, 1))
+    found = np.sqrt((np.where(eq.counted, residual, 0.0) ** 2).sum(0) / free)
     ones = np.ones_like(residual)
     dof = np.inf if eq.noise is not None else float(eq.tau.size - fitted.beta.size)
     return Regression(eq.combinations, fitted.beta, fitted.covariance, found, residual, ones, dof)

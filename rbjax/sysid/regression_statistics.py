@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 #: Noise below this times a torque's size is rounding.
 ROUNDING = 1e-13
-#: Residuals below this times the noise that is given say nothing of the noise.
+#: If residuals are below this times the given noise, they are no estimate of the noise.
 SMALL = 1e-6
 
 
@@ -26,11 +26,11 @@ def with_statistics(
     eq: Equations, found: Regression, sd: Array, psi: Array | None = None,
     slope: Array | None = None,
 ) -> Regression:  # fmt: skip
-    """The regression with the covariance of `fit_statistics`. Noise that is given is believed
-    unless at least `FEW` degrees of freedom contradict it."""
+    """The regression with the covariance of `fit_statistics`. Given noise is used unless the
+    residuals contradict it with at least `FEW` degrees of freedom."""
     psi = found.residual / sd if psi is None else psi
     slope = np.ones_like(psi) if slope is None else slope
-    free = eq.tau.size - found.beta.size
+    free = int(eq.counted.sum()) - found.beta.size
     if negligible(eq, found.residual) or (eq.noise is not None and free < FEW):
         return found
     said = statistics_of(eq, psi, slope, sd)
@@ -44,32 +44,32 @@ def with_statistics(
 
 
 def _agrees(eq: Equations, residual: Array) -> bool:
-    """Whether the size of the residuals is that of the noise that was given: not beyond chance, of
-    which the chi-square distribution gives 1 % to each side."""
+    """Whether the size of the residuals agrees with the given noise, by a two-sided chi-square test
+    with 1 % on each side."""
     assert eq.noise is not None
-    free = eq.tau.size - eq.combinations.rank
+    free = int(eq.counted.sum()) - eq.combinations.rank
     squares = float(((residual / eq.noise) ** 2).sum())
     low, high = scipy.stats.chi2.ppf([0.01, 0.99], free)
     return bool(low <= squares <= high)
 
 
 def negligible(eq: Equations, residual: Array) -> bool:
-    """Whether the residuals are rounding, or no noise next to the one that was given."""
-    size = np.abs(residual).max()
+    """Whether the residuals are rounding, or negligible compared with the given noise."""
+    size = np.abs(residual[eq.counted]).max()
     if eq.noise is not None and size < SMALL * eq.noise.min():
         return True
     return bool(size <= 100 * ROUNDING * np.abs(eq.tau).max())
 
 
 def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStatistics:
-    """Those of the residuals psi (N, k), in standard deviations."""
-    X, which = eq.X / sd[..., None], np.arange(eq.X.shape[-1])
+    """The statistics of the residuals psi (N, k), in standard deviations."""
+    X = eq.X / sd[..., None]
     ends = np.cumsum([0, *eq.lengths])
     columns = [
         Column(
             f"channel {c}",
             [
-                Rows(X[a:b, c], psi[a:b, c], slope[a:b, c], np.arange(b - a), which)
+                _rows(eq.counted[a:b, c], X[a:b, c], psi[a:b, c], slope[a:b, c])
                 for a, b in itertools.pairwise(ends)
             ],
             eq.noise is not None,
@@ -78,3 +78,9 @@ def statistics_of(eq: Equations, psi: Array, slope: Array, sd: Array) -> FitStat
     ]
     names = [eq.combinations.names[j] for j in eq.combinations.kept]
     return fit_statistics(names, np.zeros(len(names)), columns)
+
+
+def _rows(counted: Array, X: Array, psi: Array, slope: Array) -> Rows:
+    """The rows of a channel in a recording, of the samples that count."""
+    which = np.arange(X.shape[-1])
+    return Rows(X[counted], psi[counted], slope[counted], np.flatnonzero(counted), which)

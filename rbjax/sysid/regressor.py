@@ -66,8 +66,8 @@ def regressor(
         joint_terms: of "armature", "viscous", "coulomb", "bias", "gear_loss": columns of every
             joint coordinate except those of free joints.
         smoothing: v_0 in rad/s or m/s, the width of the step of dry friction at rest. 0 is sign(v),
-            as of a real drive: with a wider step than the drive's, the estimate of its viscous
-            friction is too small. Data of a simulation have that of the simulated friction.
+            as in a real drive: if the step is wider than the drive's, the estimate of its viscous
+            friction is too small. For simulated data take the smoothing of the simulated friction.
         tau: (nv,) measured torques, which "gear_loss" needs.
 
     Returns:

@@ -10,6 +10,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.html_page import element, listed, page, picture, table
 from rbjax.sysid import report_pictures as pictures
+from rbjax.sysid.arguments import check_kind, recordings_of
 from rbjax.sysid.comparison import HeldOut
 from rbjax.sysid.diagnosis import Diagnosis
 from rbjax.sysid.findings import findings
@@ -58,10 +59,15 @@ def report(
         >>> "Residuals" in path.read_text()
         True
     """
+    check_kind("report", "found", found, Identified, "the result of `identify`")
+    if diagnosis is not None:
+        check_kind("report", "diagnosis", diagnosis, Diagnosis, "the result of `diagnose`")
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"report: path is {type(path).__name__}, expected a str or a Path")
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(f"report: path is {path}, but there is no folder {path.parent}; make it")
-    unseen = [held_out] if isinstance(held_out, Recording) else list(held_out)
+    unseen = recordings_of("report", held_out, empty=True)
     verdict = found.on(unseen) if unseen else None
     body = [*_summary(found), *_causes(diagnosis), *_fit(found), *_residuals(found)]
     body += [*_parameters(found), *_shown(found)]

@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from rbjax.model import Model
 
-#: a quaternion may be off length 1 by so much, and an entry of one that turns changes by so much
+#: tolerance of the length of a quaternion; least change of an entry of a quaternion that turns
 UNIT, MOVES = 1e-3, 0.1
 
 
 def quaternion_columns(sensor: str, values: np.ndarray, model: Model | None) -> tuple[int, ...]:
-    """Where the quaternions (w, x, y, z) of a sensor's columns begin. Without a model, those of q
-    are four columns that move and have length 1 at every sample."""
+    """The first columns of the quaternions (w, x, y, z) of a sensor. Without a model, a quaternion
+    of q is any four neighbouring columns that move and have length 1 at every sample."""
     if sensor.startswith("pose:"):
         return (3,)
     if sensor != "q":
@@ -39,8 +39,8 @@ def interpolated(
     clock: np.ndarray, values: np.ndarray, t: np.ndarray, step: float, gap: float | None,
     turns: tuple[int, ...],
 ) -> np.ndarray:  # fmt: skip
-    """Values (samples, columns) at times t, nan where samples lie too far apart (`Recording.
-    on_clock`); turns, where quaternions begin."""
+    """Values (samples, columns) at times t; nan if samples are too far apart
+    (`Recording.on_clock`). turns: the first columns of quaternions."""
     there = ~np.isnan(values)
     out = np.full((len(t), values.shape[1]), np.nan)
     longest = 3 * step if gap is None else gap

@@ -16,6 +16,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.model import Model, State
+from rbjax.motion.integrators import integrator_of
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation import Grid, Setup
@@ -24,9 +25,14 @@ from rbjax.sysid.simulation import Grid, Setup
 class Run(NamedTuple):
     """One run, or a batch of them.
 
-    Fields: start, the first readings, as a state, or with `exact` 1 the state itself; commands
-    (N, n); by sensor the times (T,) in s after the start, the values (T, n), and weights (T, n):
-    1 / sigma, 0 where nothing was measured; known, 1 if the initial state is known, else 0.
+    Fields:
+        start: the first readings as a state; with `exact` 1, the given initial state.
+        commands: (N, n).
+        times: by sensor, (T,) in s after the start.
+        values: by sensor, (T, n).
+        weights: by sensor, (T, n): 1 / sigma, or 0 if a value was not measured.
+        known: 1 if the initial state is known, else 0.
+        exact: 1 if the recording has an `initial_state`, else 0.
     """
 
     start: State
@@ -38,19 +44,27 @@ class Run(NamedTuple):
     exact: Any = 0.0
 
 
-def _check_grid(grid: Grid) -> None:
+def _check_grid(setup: Setup, grid: Grid) -> None:
     if not isinstance(grid, Grid):
         raise InputError(f"identify: grid is {type(grid).__name__}, expected a Grid(period)")
     period = grid.period
     if not isinstance(period, (int, float, np.number)) or not 0 < period < np.inf:
         raise InputError(f"identify: grid has period {period!r}, expected seconds above 0")
+    integrator_of("identify", grid.integrator)
     check_whole("identify", "substeps of the grid", grid.substeps, 1)
     check_whole("identify", "longest_delay of the grid", grid.longest_delay, 0)
+    delay = 0.0 if setup.delay is None else float(np.max(np.asarray(setup.delay)))
+    if delay > grid.longest_delay * period * (1 + 1e-6):
+        raise InputError(
+            f"identify: commands are {delay:g} s late, but the grid has longest_delay "
+            f"{grid.longest_delay}, which are {grid.longest_delay * period:g} s; expected a Grid "
+            f"with longest_delay {int(np.ceil(delay / period - 1e-6))} or more"
+        )
 
 
 def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
     """A recording on the grid of a simulation."""
-    _check_grid(grid)
+    _check_grid(setup, grid)
     model, dtype = setup.model, setup.model.gravity.dtype
     run = ordered(model, run)
     measured = [s for s in setup.sensors if s in run.channels]
@@ -102,8 +116,8 @@ def run_of(setup: Setup, run: Recording, grid: Grid) -> Run:
 
 
 def start_of(setup: Setup, run: Recording) -> float:
-    """The time in s at which the simulation of a recording starts: the first sample of q at which
-    all channels have begun."""
+    """The time in s at which the simulation of a recording starts: the first sample of q after the
+    beginning of all channels."""
     used = [c for s, c in run.channels.items() if s in setup.sensors or s == HELD]
     start = max(float(c.t[0]) for c in used)
     later = run["q"].t[run["q"].t >= start - 1e-9]
@@ -163,7 +177,7 @@ def _check_columns(setup: Setup, run: Recording, measured: Sequence[str]) -> Non
 
 
 def _said(model: Model, run: Recording, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """q and v of an initial state that the recording says."""
+    """q and v of a recording's initial state, checked."""
     for name, x, size in (("q", state.q, model.nq), ("v", state.v, model.nv)):
         if np.shape(x) != (size,) or not np.isfinite(np.asarray(x)).all():
             raise InputError(
@@ -230,10 +244,22 @@ def batch(runs: Sequence[Run]) -> Run:
     )  # fmt: skip
 
 
-def grid_of(runs: Sequence[Recording]) -> Grid:
-    """The finest clock of all channels: commands may come when they change, seconds apart."""
+def grid_of(
+    runs: Sequence[Recording], setup: Setup, *, longest: float | None = None,
+    period: float | None = None,
+) -> Grid:  # fmt: skip
+    """The finest clock of all channels, unless a period is given: commands may come when they
+    change, seconds apart. A delay may last up to `longest` s; None: three times the one of the
+    set-up, or three periods."""
     step = min(channel.step for run in runs for channel in run.channels.values())
-    return Grid(float(f"{step:.12g}"))  # clocks that differ by rounding have one program
+    # clocks that differ by rounding have one program
+    period = float(f"{step:.12g}") if period is None else period
+    if setup.delay is None:
+        return Grid(period)
+    if longest is None:
+        longest = max(3 * float(np.max(np.asarray(setup.delay))), 3 * period)
+    periods = int(np.ceil(longest / period - 1e-6)) + 1 if longest > 0 else 0
+    return Grid(period, longest_delay=periods)
 
 
 def batch_of(setup: Setup, runs: Sequence[Recording], grid: Grid) -> Run:

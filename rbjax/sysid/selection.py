@@ -29,8 +29,8 @@ class Selected:
 def select(candidates: Mapping[str, tuple[Any, Sequence[str]]], tau: Any) -> Selected:
     """Fit nested models from the smallest to the largest, and keep each that earns its place.
 
-    Each is compared with the last one kept (`compare`). All are fitted and compared with the noise
-    of each channel that weighted least squares of the largest model leaves, so that a larger model
+    Each is compared with the last one kept (`compare`). All are fitted and compared with the same
+    noise of each channel, from weighted least squares of the largest model, so that a larger model
     never fits worse.
 
     Args:

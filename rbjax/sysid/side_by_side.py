@@ -182,8 +182,8 @@ def _maker(entries: list[Any], shape: tuple[int, ...], dtype: Any) -> Callable:
 
 
 def _leaves(record: Any) -> list[tuple[str, Any]]:
-    """The fields of a record that are arrays."""
-    return [(k, x) for k, x in vars(record).items() if hasattr(x, "dtype")]
+    """The fields of a record that are arrays, or None as one that is not given."""
+    return [(k, x) for k, x in vars(record).items() if x is None or hasattr(x, "dtype")]
 
 
 def _array(x: Any) -> Any:
@@ -191,5 +191,5 @@ def _array(x: Any) -> Any:
 
 
 def _taken(x: Any, which: np.ndarray) -> Any:
-    """Rows of an array, known where that is."""
-    return _array(x)[which]
+    """Rows of an array, known where that is; of None, None."""
+    return None if x is None else _array(x)[which]

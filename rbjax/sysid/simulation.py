@@ -124,8 +124,15 @@ class Setup(Record):
 
 
 class Grid(NamedTuple):
-    """How motion is integrated. period: seconds a command is held; substeps: steps in it;
-    integrator: as in `rollout`; longest_delay: periods that a command may be late, 0 for none."""
+    """How motion is integrated.
+
+    Fields:
+        period: seconds a command is held.
+        substeps: steps of integration in it. 0, in `identify` and `many_starts`: as many as the
+            recordings need, by a check with steps of half the length.
+        integrator: as in `rollout`.
+        longest_delay: periods that a command may be late, 0 for none.
+    """
 
     period: float
     substeps: int = 1

@@ -79,7 +79,7 @@ def programs(
             columns = setup.columns(kind)
             off = jax.vmap(columns.minus)(seen, run.values[kind])
             weights = columns.weights(run.weights[kind])
-            # what was not measured may have run away
+            # a value that was not measured may have diverged
             parts.append(jnp.where(weights > 0, weights * off, 0.0).ravel())
         r = jnp.concatenate(parts)
         if loss == "huber":
@@ -146,7 +146,7 @@ class SimulationError:
         self.setup, self.unknowns, self.grid, self.loss = setup, unknowns, grid, loss
         self.count = runs.commands.shape[0]
         self.shared = sum(unknowns.sizes)
-        self.all_starts = starts is True  # even those that the recordings say
+        self.all_starts = starts is True  # even initial states that the recordings give
         self.runs = self._opened(runs)
         if starts is None:
             starts = not np.asarray(runs.known).all()
@@ -172,13 +172,17 @@ class SimulationError:
         return Divergence.joined([first, Divergence.free(x[n:], x0[n:], 1.0)])
 
     def on(self, runs: Run) -> SimulationError:
-        """That of other runs."""
+        """The simulation error of other runs."""
         other = copy.copy(self)
         other.runs, other.count = self._opened(runs), runs.commands.shape[0]
         return other
 
     def _opened(self, runs: Run) -> Run:
-        return runs._replace(known=jnp.zeros_like(runs.known)) if self.all_starts else runs
+        known = jnp.zeros_like(runs.known) if self.all_starts else runs.known
+        shape = runs.commands.shape[:1]  # of a run made by hand, one number for all
+        return runs._replace(
+            known=jnp.broadcast_to(known, shape), exact=jnp.broadcast_to(runs.exact, shape)
+        )
 
     def readings(self, x: np.ndarray) -> dict[str, jax.Array]:
         """By sensor (runs, T, n)."""
@@ -258,7 +262,11 @@ class SimulationError:
 def began(setup: Setup, first: State, v_was_read: bool) -> State:
     """The state of which the first readings are; a v that was not read is the slope of q's."""
     q, v = setup.sensors["q"], setup.sensors["v"]
-    speed = (first.v - v.bias) / v.scale if v_was_read else first.v / q.scale
+    speed = first.v
+    if v_was_read:
+        speed = (first.v - v.bias) / v.scale
+    elif first.v.shape == q.scale.shape:  # with attitudes v is read, or the state is known
+        speed = first.v / q.scale
     return State((first.q - q.bias) / q.scale, speed, first.x)
 
 

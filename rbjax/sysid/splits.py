@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rbjax.errors import InputError
+from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import floats, recordings_of
 from rbjax.sysid.recording import Recording
 
 
@@ -53,7 +55,9 @@ def split(
         >>> [len(part) for part in split(runs)]
         [6, 2, 2]
     """
-    shares = np.array([train, validation, test], float)
+    check_whole("split", "seed", seed, 0)
+    recordings = recordings_of("split", recordings, empty=True)
+    shares = floats("split", "(train, validation, test)", [train, validation, test], "numbers")
     if not (shares >= 0).all() or abs(shares.sum() - 1) > 1e-9 or train <= 0:
         raise InputError(
             f"split: shares are {train}, {validation}, {test}, expected numbers from 0 to 1 that "

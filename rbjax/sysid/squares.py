@@ -20,6 +20,7 @@ import numpy as np
 from rbjax.dynamics.devices import memory_share
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.sysid.arguments import check_how, recordings_of, setup_of
 from rbjax.sysid.programs import kept
 from rbjax.sysid.recording import Recording
 from rbjax.sysid.runs import Run, batch_of, grid_of
@@ -83,9 +84,9 @@ def squares(
             a run and holds k more, so 2 sqrt(N) at least.
 
     Returns:
-        `Squares`, in the dtype of the model: it decides nothing by a tolerance, as `identify` does
-        in float64. Numbers are the physical ones, and nothing keeps them possible: change variables
-        (such as p = exp(y)) where an optimiser could leave their range.
+        `Squares`, in the dtype of the model: it uses no tolerances that would need the float64 of
+        `identify`. The numbers are physical, without limits: change variables (such as p = exp(y))
+        if an optimiser could leave their range.
 
     Raises:
         InputError: as `identify`; a mode of another name; memory that is not positive.
@@ -102,14 +103,15 @@ def squares(
         >>> slope.shape
         (1,)
     """
-    setup = model if isinstance(model, Setup) else Setup.of(model)
-    runs = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if mode not in (None, "forward", "reverse"):
+    setup, runs = setup_of("squares", model), recordings_of("squares", recordings)
+    check_how("squares", loss, starts)
+    if not (mode is None or mode in ("forward", "reverse")):
         raise InputError(f'squares: mode is {mode!r}, expected "forward", "reverse" or None')
-    if memory is not None and not (isinstance(memory, (int, float)) and memory > 0):
+    number = isinstance(memory, (int, float)) and not isinstance(memory, bool)
+    if memory is not None and not (number and memory > 0):
         raise InputError(f"squares: memory is {memory!r}, expected a positive number of bytes")
     sought = Unknowns.of("squares", unknowns, setup)
-    grid = grid_of(runs) if grid is None else grid
+    grid = grid_of(runs, setup) if grid is None else grid
     of = SimulationError(setup, sought, batch_of(setup, runs, grid), grid, starts=starts, loss=loss)
     mode = mode or faster(of.shared + of.own, of.count, setup.model.gravity.dtype.itemsize)
     budget = memory_share() if memory is None else memory

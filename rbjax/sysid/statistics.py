@@ -20,6 +20,7 @@ import numpy as np
 from scipy import linalg, special, stats
 
 from rbjax.errors import InputError, UnknownName
+from rbjax.sysid.arguments import floats, names_of
 from rbjax.sysid.precision import rank_tolerance as tolerance_of
 
 SEEN = 1e-5  # share of a gradient in the null space that is rounding
@@ -162,8 +163,8 @@ def estimates(
         dof: of the noise's estimate, if `noise` is one: m - n, or what `noise_by_channel` says; inf
             if None.
         bounds: name -> (low, high), of positive parameters (0, inf).
-        rank_tolerance: a singular value below it is zero, columns of length 1, largest 1. None:
-            1e-9 for a Jacobian in float64, 1e-4 in float32.
+        rank_tolerance: a singular value below this, relative to the largest one, is zero, for
+            columns scaled to length 1. None: 1e-9 for a Jacobian in float64, 1e-4 in float32.
 
     Returns:
         `Estimates`.
@@ -181,7 +182,7 @@ def estimates(
         >>> [round(x, 3) for x in line.interval("slope")]
         [2.0, 0.032, 1.938, 2.062]
     """
-    names, values = tuple(names), np.asarray(values, float)
+    names, values = names_of("estimates", "names", names), floats("estimates", "values", values)
     rank_tolerance = tolerance_for(jacobian) if rank_tolerance is None else rank_tolerance
     J = checked_rows("estimates", "jacobian", jacobian, 2)
     m, n = J.shape
@@ -190,9 +191,17 @@ def estimates(
             f"estimates: {len(names)} names and {values.size} values, expected {n} different ones, "
             "as the jacobian has columns"
         )
+    if not (bounds is None or isinstance(bounds, Mapping)):
+        raise InputError(f"estimates: bounds is {bounds!r}, expected a dict name -> (low, high)")
     unknown = set(bounds or {}) - set(names)
     if unknown:
         raise UnknownName("parameter", min(unknown), names)
+    for name, limits in (bounds or {}).items():
+        low_high = floats("estimates", f"bounds of {name}", limits, "(low, high)")
+        if low_high.shape != (2,) or not low_high[0] < low_high[1]:
+            raise InputError(f"estimates: bounds of {name} are {limits!r}, expected low < high")
+    _check_positive("rank_tolerance", rank_tolerance, below=1.0)
+    _check_positive("dof", np.inf if dof is None else dof)
     if noise is None:
         if residual is None:
             raise InputError("estimates: neither noise nor residual, expected one of them")
@@ -214,6 +223,12 @@ def estimates(
         names, values.ravel(), half @ half.T, free, np.inf if dof is None else float(dof),
         dict(bounds or {}), lengths,
     )  # fmt: skip
+
+
+def _check_positive(name: str, x: Any, below: float = np.inf) -> None:
+    if isinstance(x, bool) or not isinstance(x, (int, float, np.number)) or not 0 < x <= below:
+        end = "" if below == np.inf else f", at most {below:g}"
+        raise InputError(f"estimates: {name} is {x!r}, expected a number above 0{end}")
 
 
 def tolerance_for(jacobian: Any) -> float:
@@ -287,7 +302,7 @@ def _within(x: float, half: float, low: float, high: float) -> tuple[float, floa
 
 
 def checked_rows(where: str, name: str, x: Any, ndim: int, rows: int | None = None) -> np.ndarray:
-    x = np.asarray(x, float)
+    x = floats(where, name, x)
     if x.ndim != ndim or x.size == 0 or (rows is not None and len(x) != rows):
         due = "(m, n)" if ndim == 2 else "(m,)" if rows is None else f"({rows},)"
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {due}")
@@ -298,7 +313,7 @@ def checked_rows(where: str, name: str, x: Any, ndim: int, rows: int | None = No
 
 
 def _deviations(where: str, noise: Any, rows: int) -> np.ndarray:
-    sigma = np.asarray(noise, float)
+    sigma = floats(where, "noise", noise, "standard deviations")
     if sigma.shape not in ((), (rows,)) or not (np.isfinite(sigma) & (sigma > 0)).all():
         raise InputError(
             f"{where}: noise has shape {sigma.shape}, expected one positive standard deviation, "

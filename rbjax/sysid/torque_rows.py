@@ -4,10 +4,10 @@
 
 The torque is linear in pi, so a linear filter F may act on every column and on the torque: what
 the filter takes away is taken from both, and friction, whose columns have steps, is not distorted.
-Then the equations are thinned out to what the filter leaves. z (nq,) are the zeros of the encoders,
-q = q_read + z, and the equations are linearised at those that are given; the derivatives with
-respect to z are computed when they are first read. A gap of a recording splits it: each stretch
-without a gap is filtered by itself. All is computed in float64.
+Then the equations are decimated to the bandwidth of the filter. z (nq,) are the zeros of the
+encoders, q = q_read + z. The equations are linearised at the given zeros; the derivatives with
+respect to z are computed when they are first read. A gap splits a recording: each stretch without a
+gap is filtered separately. All is computed in float64.
 Source: Gautier, ICRA 1997 (parallel filtering and decimation).
 """
 
@@ -38,7 +38,7 @@ from rbjax.sysid.regressor import (
 )
 
 Array = np.ndarray
-KEPT = 0.8  # Nyquist's frequency of the thinned equations is the cut-off over this
+KEPT = 0.8  # Nyquist's frequency of the decimated equations is the cut-off over this
 FILLED = 1000  # samples are filled up to a multiple of it
 BRIDGED = 0.25  # periods of signal_cutoff that a spline bridges
 
@@ -118,7 +118,7 @@ def torque_rows(
     """Compute the filtered equations of a recording of hinges and slides.
 
     Args:
-        model: the robot; of its numbers only kinematics and gravity matter.
+        model: the robot; only its kinematics and gravity are used.
         recording: with channels "q" (rad or m) and "tau" (N m or N). Samples may be missing: a gap
             shorter than a quarter of a period of `signal_cutoff`, or than 3 samples, is bridged by
             a spline; a longer one splits the recording.
@@ -130,7 +130,7 @@ def torque_rows(
         zeros: (nv,) rad or m, added to the positions that were read; 0 if None.
 
     Returns:
-        `TorqueRows`, without the samples that an end of a stretch disturbs.
+        `TorqueRows`, without the samples at the ends of a stretch, which the filters distort.
 
     Raises:
         InputError: balls or free joints; no stretch without a gap is longer than its filters; a
@@ -190,7 +190,7 @@ def torque_rows(
     ends = np.cumsum([0, *(s.stop - s.start for s in usable)])
 
     def filtered(x: Array) -> Array:
-        """The columns of all stretches behind the filter, thinned out."""
+        """The columns of all stretches, filtered and decimated."""
         found = []
         for s, at, end in zip(usable, ends[:-1], ends[1:], strict=True):
             flat = low_pass(t[s], x[at:end].reshape(end - at, -1), cutoff).values
@@ -206,7 +206,7 @@ def torque_rows(
     )
 
     def slopes() -> Array:
-        """One direction of z at a time: only thinned rows are kept of each."""
+        """One direction of z at a time: only its decimated rows are kept."""
         return np.stack([filtered(columns.slope(e)) for e in np.eye(z.size)], -1)
 
     return TorqueRows(
@@ -217,8 +217,8 @@ def torque_rows(
 
 @dataclass(frozen=True)
 class _Columns:
-    """W of a motion, and its derivative along a direction of the zeros. Samples are filled up so
-    that motions of about a length have one program in common."""
+    """W of a motion, and its derivative along a direction of the zeros. Samples are padded, so that
+    motions of similar length share a program."""
 
     model: Model
     zeros: jax.Array
@@ -252,7 +252,7 @@ class _Columns:
         return np.asarray(found)[: self.samples]
 
 
-#: `functions` are those of the terms: a term that is defined again has another program
+#: `functions`: those of the terms, so that a redefined term is compiled again
 _static = functools.partial(jax.jit, static_argnames=("terms", "smoothing", "functions"))
 
 
@@ -305,7 +305,7 @@ def _in_order(where: str, model: Model, recording: Recording, sensor: str) -> Ch
 
 
 def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
-    """The cut-off of the signals, both checked."""
+    """Check both cut-offs, and return the cut-off of the signals."""
     for name, f in (("cutoff", cutoff), ("signal_cutoff", signal_cutoff)):
         if name == "signal_cutoff" and f is None:
             continue
@@ -318,14 +318,14 @@ def _cutoffs(where: str, cutoff: Any, signal_cutoff: Any, h: float) -> float:
 
 
 def _stretches(there: Array) -> list[slice]:
-    """Runs of samples that are all there."""
+    """Slices of samples without a gap."""
     edges = np.diff(np.concatenate([[0], there.astype(int), [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
 def _disturbed(h: float, cutoff: float, smooth: float) -> int:
-    """Samples at an end that the filters disturb."""
+    """The number of samples at an end that the filters distort."""
     t = h * np.arange(8)
     return max(
         differentiate(t, np.zeros(8), smooth, times=2).settled.start,

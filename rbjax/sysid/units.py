@@ -31,7 +31,7 @@ _ACCELERATION = ("m/s^2", "mm/s^2", "g0")
 #: sensor of a joint -> its units on a hinge, and on a slide
 MOVES = {"q": (_ANGLE, _LENGTH), "v": (_RATE, _SPEED)}
 _FORCE, _TORQUE, _CURRENT = ("N", "mN", "kN"), ("N m", "mN m", "kN m"), ("A", "mA")
-#: kind of sensor -> the units that it can have, besides "" (SI); others may have any
+#: kind of sensor -> its valid units, in addition to "" (SI); other sensors may have any unit
 OF_SENSORS = {
     "q": (*_ANGLE, *_LENGTH), "v": (*_RATE, *_SPEED),
     "a": ("rad/s^2", "deg/s^2", *_ACCELERATION), "tau": (*_TORQUE, *_FORCE, *_CURRENT),

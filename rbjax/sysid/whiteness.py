@@ -16,6 +16,8 @@ import numpy as np
 from scipy import linalg, signal, stats
 
 from rbjax.errors import InputError
+from rbjax.solvers.arguments import check_whole
+from rbjax.sysid.arguments import floats
 
 ALPHA = 0.01  # a p value below it is no chance
 
@@ -60,7 +62,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
         >>> whiteness(noise).white, whiteness(np.cumsum(noise)).white
         (True, False)
     """
-    r = np.asarray(residual, float)
+    r = floats("whiteness", "residual", residual)
     if r.ndim != 1 or len(r) < 10 or not np.isfinite(r).all() or np.ptp(r) == 0:
         raise InputError(
             f"whiteness: residual has shape {r.shape}, expected (samples,), at least 10 finite "
@@ -68,8 +70,7 @@ def whiteness(residual: Any, lags: int | None = None) -> Whiteness:
         )
     n = len(r)
     h = min(20, n // 5) if lags is None else lags
-    if not 1 <= h < n:
-        raise InputError(f"whiteness: lags is {lags}, expected a number from 1 to {n - 1}")
+    check_whole("whiteness", "lags", h, 1, n - 1)
     r = r - r.mean()
     every = signal.correlate(r, r, method="fft")[n - 1 :]
     every = every / every[0]
@@ -118,9 +119,20 @@ def sandwich(jacobians: Any, residuals: Any, *, lag: int | None = None) -> np.nd
         True
     """
     many = isinstance(jacobians, list | tuple)
-    Js: Sequence[np.ndarray] = [np.asarray(J, float) for J in (jacobians if many else [jacobians])]
-    rs = [np.asarray(r, float) for r in (residuals if many else [residuals])]
-    if len(Js) != len(rs) or any(J.shape[:-1] != r.shape for J, r in zip(Js, rs, strict=False)):
+    Js: Sequence[np.ndarray] = [
+        floats("sandwich", "jacobians", J) for J in (jacobians if many else [jacobians])
+    ]
+    rs = [floats("sandwich", "residuals", r) for r in (residuals if many else [residuals])]
+    if lag is not None:
+        check_whole("sandwich", "lag", lag, 0)
+    fits = len(Js) == len(rs) > 0 and all(
+        J.ndim in (2, 3) and J.size and J.shape[:-1] == r.shape
+        for J, r in zip(Js, rs, strict=True)
+    )
+    for name, each in (("jacobians", Js), ("residuals", rs)):
+        if not all(np.isfinite(x).all() for x in each):
+            raise InputError(f"sandwich: {name} are not finite, expected finite values")
+    if not fits:
         raise InputError(
             f"sandwich: jacobians have shapes {[J.shape for J in Js]} and residuals "
             f"{[r.shape for r in rs]}, expected (samples, [channels,] n) and the same without n"

@@ -1,8 +1,7 @@
-"""A call of a typed FFI handler, in StableHLO's own words (`api_version = 4`).
+"""A call of a typed FFI handler, by StableHLO's own attribute (`api_version = 4`).
 
-JAX writes an untyped call with an attribute from which XLA tells later that the handler is typed.
-XLA of jax 0.11 loses that attribute where it writes a call again, for example one with an operand
-without entries.
+JAX writes an untyped call with an attribute by which XLA later recognises a typed handler. The XLA
+of jax 0.11 loses that attribute when it rewrites a call, for example one with an empty operand.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class Equations:
         self.consts: dict[Var, Any] = {}
 
     def write(self, eqn: JaxprEqn, ins: list[Atom], at: JaxprEqn | None = None) -> list[Var]:
-        """An equation with other inputs, and new results, at the place of another in the source."""
+        """`eqn` with other inputs, new results, and the source location of `at`."""
         at, outs = at or eqn, [Var(v.aval) for v in eqn.outvars]
         self.eqns.append(equation(eqn, ins, outs, at))
         return outs

@@ -10,8 +10,8 @@ from rbjax.threads.nvrtc import CompileError
 # of cuda.h
 REGISTERS, LOCAL_BYTES, SHARED_BYTES = 4, 3, 1  # CUfunction_attribute
 CLOCK_KHZ, MULTIPROCESSORS, MEMORY_KHZ, BUS_BITS = 13, 16, 36, 37  # CUdevice_attribute
-#: f32 lanes of a multiprocessor, by compute capability; of others 128. Source: CUDA C++ Programming
-#: Guide, "Throughput of Native Arithmetic Instructions"
+#: f32 lanes of a multiprocessor, by compute capability; all others have 128. Source: CUDA C++
+#: Programming Guide, "Throughput of Native Arithmetic Instructions"
 LANES = {"6.0": 64, "7.0": 64, "7.2": 64, "7.5": 64, "8.0": 64}
 
 
@@ -45,7 +45,7 @@ def _check(status: int, what: str) -> None:
 
 
 def lanes(capability: str) -> int:
-    """The f32 lanes of a multiprocessor of a compute capability ("9.0")."""
+    """The number of f32 lanes of a multiprocessor, by compute capability ("9.0")."""
     return LANES.get(capability, 128)
 
 
@@ -85,7 +85,7 @@ def limits(capability: str, ordinal: int = 0) -> Limits:
 
 
 def _in_context(cuda: ctypes.CDLL, ordinal: int) -> ctypes.c_int:
-    """A device, whose primary context (JAX's own) is made current."""
+    """Make the primary context of a device (JAX's own) current, and return the device."""
     device, context = ctypes.c_int(), ctypes.c_void_p()
     _check(cuda.cuInit(0), "start")
     _check(cuda.cuDeviceGet(ctypes.byref(device), ordinal), "find a device")

@@ -18,7 +18,8 @@ from typing import Any
 
 import jax
 
-#: bytes of the digest with which a file begins; code whose digest differs is compiled again
+#: bytes of the digest at the beginning of a file; if the code has another digest, it is compiled
+#: again
 DIGEST = hashlib.sha256().digest_size
 
 

@@ -20,8 +20,9 @@ _given: set[bytes] = set()  # digests of what it was given in this process
 
 
 def compile_ahead(ptx: str, ordinal: Callable[[], int]) -> threading.Thread | None:
-    """Have the driver compile PTX in a thread; None where it is short or was given before, or where
-    nothing is kept. ordinal: gives the number of the GPU, whose context this process has open."""
+    """Have the driver compile PTX in a thread. None if the PTX is short or was compiled before, or
+    if the driver's cache is off. ordinal: a function that returns the driver's number of the GPU,
+    whose context this process has open."""
     if len(ptx) < LONG or os.environ.get("CUDA_CACHE_DISABLE", "0") == "1":
         return None
     digest, driver = hashlib.sha256(ptx.encode()).digest(), _library()

@@ -61,8 +61,8 @@ def two_sum(a: Number, b: Number) -> tuple[Number, Number]:
 
 
 def lifted(x: Number, power: int) -> tuple[Number, Number]:
-    """|x| 2^power, and whether x is subnormal or zero. Exact, although XLA runs programs with
-    flags by which the processor reads subnormal numbers as zeros."""
+    """|x| 2^power, and whether x is subnormal or zero. It is exact although XLA sets the flags by
+    which the processor reads subnormal numbers as zeros."""
     bits = abs(x).bits(I64)
     one = bits | int(np.float64(2.0**52).view(I64))  # 2^52 + 2^1074 |x| for a subnormal x
     subnormal = bits < 1 << 52
@@ -71,7 +71,7 @@ def lifted(x: Number, power: int) -> tuple[Number, Number]:
 
 
 def widened(x: Number) -> Number:
-    """A number in double precision. Exact for subnormal numbers of single precision, too."""
+    """A number in double precision. It is exact for subnormal numbers of single precision too."""
     if x.value.dtype != np.float32:
         return x.cast(F64)
     bits = abs(x).bits(I32)
@@ -158,7 +158,7 @@ def _behind(x: Number, angle: Number) -> Number:
 def atan2(y: Number, x: Number) -> Found:
     a, b = abs(y), abs(x)
     endless = a.equals(math.inf) & b.equals(math.inf)
-    large = a.op("max", b) > 2.0**400  # where a subnormal number changes nothing
+    large = a.op("max", b) > 2.0**400  # a subnormal number changes nothing then
     a = endless.where(1.0, large.where(a * 2.0**-100, lifted(a, 600)[0]))
     b = endless.where(1.0, large.where(b * 2.0**-100, lifted(b, 600)[0]))
     b = a.op("max", b).equals(0.0).where(1.0, b)

@@ -244,8 +244,14 @@ takes_delayed("triangular_solve")
 @dataclass(frozen=True, eq=False)
 class Solved:
     """A loop of a team in which each thread has solved a system for a column (or row) of the right
-    side: its block, the column, and the entries x, in registers. solution: all of them in memory,
-    as they were at `version`."""
+    side.
+
+    solution: all entries of the solutions in memory, as at `version` of their array.
+    block: the loop's statements.
+    left: whether the matrix is on the left.
+    column: the column of a thread.
+    x: the entries of a thread's solution, in registers.
+    """
 
     solution: View
     version: int

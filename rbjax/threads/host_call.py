@@ -24,7 +24,7 @@ from rbjax.threads.frame import Written, batch_first, write_program
 from rbjax.threads.llvm_xla import handler
 from rbjax.threads.lowering import Unsupported
 
-#: code that XLA may call; it is never freed, because XLA does not say when it forgets a handler
+#: code that XLA may call; never freed, because XLA does not report when it drops a handler
 _registered: dict[str, llvm_jit.Code] = {}
 _lock = threading.Lock()  # XLA rejects a second handler of one name
 
@@ -41,7 +41,7 @@ class HostKernel:
 def host_kernel(
     program: Written, levels: llvm_jit.Levels = llvm_jit.LEVELS, samples: int | None = None
 ) -> HostKernel:
-    """The handler of a program. samples: of a part of the batch; by the work by default.
+    """The handler of a program. samples: the size of a part of the batch; None: by its work.
 
     Raises:
         Unsupported: the program has an operation that LLVM lacks, LLVM rejects it, or XLA rejects
@@ -82,8 +82,8 @@ mlir.register_lowering(_kernel, _lower, platform="cpu")
 
 @functools.cache
 def works() -> bool:
-    """Whether machine code runs inside of XLA here, by a batch of two parts. Tested once; a failure
-    warns."""
+    """Whether machine code runs inside of XLA here. Tested once, with a batch of two parts; a
+    failure warns."""
 
     def double(x: np.ndarray) -> jax.Array:
         traced, parts = jax.make_jaxpr(lambda x: [x + x])(x[0]), 2
@@ -91,7 +91,7 @@ def works() -> bool:
         program = write_program(traced, x.shape, places, places, platform="cpu")
         test = host_kernel(program, samples=x.size // parts)
         run = jax.jit(lambda x: launch(test, [x], [ShapedArray(x.shape, x.dtype)])[0])
-        # with several processes the first device of all may be of another process
+        # with several processes the first device may belong to another process
         own = jax.local_devices(backend="cpu")[0]
         with jax.ensure_compile_time_eval(), jax.default_device(own):
             return run(x)

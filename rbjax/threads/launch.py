@@ -30,13 +30,13 @@ TARGET = GPU_KERNEL
 
 
 def gpu() -> jax.Device:
-    """The GPU of this process with the least compute capability, whose code all others run."""
+    """The GPU of this process with the least compute capability: all others run its code too."""
     version = lambda d: [int(n) for n in str(d.compute_capability).split(".")]  # noqa: E731
     return min(jax.local_devices(backend="cuda"), key=version)
 
 
 def ordinal() -> int:
-    """The number by which the CUDA driver knows that GPU: not 0 in every process of several."""
+    """The CUDA driver's number of that GPU, which need not be 0 if there are several processes."""
     return gpu().local_hardware_id or 0
 
 

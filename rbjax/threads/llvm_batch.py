@@ -49,7 +49,7 @@ def parts(program: Written, lanes: int | None = None, samples: int | None = None
     Args:
         lanes: samples that run at once, as lanes of vectors, if the batch has so many; as many as
             fit into a register by default. The last ones of a part may run twice.
-        samples: of a part, a divisor of the batch; as many as are worth a thread by default.
+        samples: the size of a part, a divisor of the batch. None: as many as are worth a thread.
     """
     size = math.prod(program.batch)
     lanes = _lanes(program) if lanes is None else lanes

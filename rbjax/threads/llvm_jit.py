@@ -18,8 +18,12 @@ from rbjax.threads.llvm_ir import Module
 
 
 class Levels(NamedTuple):
-    """Passes on the IR, or a level of LLVM's own; the level of the instruction selection; and
-    features that LLVM gets beside the processor's own."""
+    """How LLVM compiles.
+
+    passes: passes on the IR, or one of LLVM's own levels.
+    selection: the level of the instruction selection.
+    features: features in addition to those of the processor.
+    """
 
     passes: tuple[str, ...] | int
     selection: int
@@ -98,15 +102,15 @@ def _machine(levels: Levels) -> Any:
     )  # fmt: skip
 
 
-#: the latest code by the hash of its IR and the compiler, the oldest first
+#: the code that was used last, by the hash of its IR and the compiler; the oldest first
 _codes: dict[str, Code] = {}
 KEPT = 128
 _lock = threading.Lock()
 
 
 def compiled(module: Module, levels: Levels = LEVELS) -> Code:
-    """The machine code of a module's function `run`. Equal programs share it, also those that
-    several threads compile at once.
+    """The machine code of a module's function `run`. Equal programs share it, even if several
+    threads compile them at the same time.
 
     Raises:
         NoCompiler: llvmlite is missing, or LLVM does not compile for this machine.

@@ -11,7 +11,7 @@ from rbjax.threads.program import Builder, Op, Var
 
 #: functions of two arguments
 OF_TWO = {"atan2", "pow", "fmod", "nextafter"}
-#: functions whose value for a subnormal argument is not that for zero
+#: functions that have another value at a subnormal argument than at zero
 OF_SMALL = {"atan2", "log", "pow", "cbrt"}
 F64 = np.dtype(np.float64)
 FUNCTIONS = elementary.FUNCTIONS | powers.FUNCTIONS | error_function.FUNCTIONS

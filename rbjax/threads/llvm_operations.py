@@ -34,8 +34,8 @@ INTEGER = {
 LOGICAL = {**INTEGER, "add": "or", "mul": "and", "max": "or", "min": "and"}
 #: of a line of the cache, and of the largest vector
 ALIGNMENT = 64
-#: LLVM keeps vectors that find no register on the stack, and aligns them to 16 bytes unless a
-#: function asks for more. Most of them cross a line then: derivatives take 1.2 times as long.
+#: LLVM puts vectors for which there is no register on the stack, aligned to 16 bytes unless a
+#: function requests more. Most of them then cross a cache line: derivatives take 1.2 times as long.
 ATTRIBUTES = f"nounwind alignstack({ALIGNMENT})"
 COMPARISONS = ("lt", "le", "gt", "ge", "eq", "ne")
 
@@ -75,7 +75,7 @@ class Operations:
         self.emit, self.lanes = emit, lanes
         self.declared: dict[str, str] = like.declared if like else {}
         self.names: Iterator[int] = like.names if like else itertools.count()
-        #: functions of mathematics that are formulas here, by name and type
+        #: mathematical functions that are written as formulas, by name and type
         self.functions: dict[tuple[str, np.dtype], None] = {}
 
     @property
@@ -171,7 +171,7 @@ class Operations:
 
     def _function(self, what: str, kind: np.dtype, x: list[str]) -> str:
         t = self.type(kind)
-        if self.lanes == 1 and what != "atan2":  # C's is wrong for subnormal numbers inside of XLA
+        if self.lanes == 1 and what != "atan2":  # C's is wrong at subnormal numbers in XLA
             return self.call(of_c(what, kind), t, [(t, a) for a in x])
         self.functions[what, kind] = None
         return f"call {t} @{what}.{self.short(kind)}({', '.join(f'{t} {a}' for a in x)})"

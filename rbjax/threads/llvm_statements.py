@@ -113,7 +113,7 @@ class Writer:
         """What comes before the statements."""
 
     def functions(self) -> list[str]:
-        """The functions of mathematics that the statements call, except for those of C."""
+        """The mathematical functions that the statements call, except those of the C library."""
         return definitions(self.operations)
 
     # ---------------------------------------------------------------- functions

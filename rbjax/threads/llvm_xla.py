@@ -16,7 +16,7 @@ from rbjax.threads.llvm_ir import Module
 EXTENSION, API, CONTEXT, STAGE, ARGS, RESULTS = 8, 16, 24, 32, 72, 112  # XLA_FFI_CallFrame
 EXTENSION_TYPE, EXTENSION_NEXT, METADATA = 8, 16, 24  # XLA_FFI_Metadata_Extension
 VERSION, TRAITS = 24, 32  # XLA_FFI_Metadata: the numbers of api_version
-#: the version of c_api.h that has these members; XLA rejects handlers of versions that it left
+#: the version of c_api.h with these members; XLA rejects handlers of versions that it dropped
 MAJOR, MINOR = 0, 3
 DATA = 24  # XLA_FFI_Buffer
 ERROR, SCHEDULE, THREADS = 48, 136, 144  # XLA_FFI_Api
@@ -193,8 +193,8 @@ declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
 
 
 def handler(program: Written, samples: int | None = None) -> tuple[Module, int]:
-    """The handler `run`, and the parts of the batch (the rows of each summed result). samples: of a
-    part; by the work by default."""
+    """The handler `run`, and the number of parts of the batch (the rows of each summed result).
+    samples: the size of a part; None: by its work."""
     made = parts(program, samples=samples)
     n = len(program.operands)
     names = [*((ARGS, k) for k in range(n)), *((RESULTS, k) for k in range(len(program.results)))]

@@ -161,7 +161,7 @@ class Lowering:
         for var in eqn.outvars:
             dtype = dtype_of(var.aval)
             fits = dtype is None or dtype in DTYPES
-            call = called(eqn) or expanded(eqn)  # which names it inside
+            call = called(eqn) or expanded(eqn)  # the inner jaxpr names it
             if not fits and (name in RULES or call is None):
                 raise Unsupported(f"{name} of type {dtype}")
         if name not in TAKES_DELAYED and (name in WRITERS or name in RULES):
@@ -260,7 +260,7 @@ def known(x: Any, aval: Any) -> np.ndarray:
 
 
 def called(eqn: Any) -> ClosedJaxpr | None:
-    """The jaxpr that an equation calls: of `jit`, of custom derivatives, of a checkpoint."""
+    """The jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
     if eqn.primitive.name not in CALLS:
         return None
     for name in JAXPRS:

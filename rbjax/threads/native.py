@@ -151,10 +151,10 @@ class _Call:
             raise MemoryError(f"{_name(self._f)}: no memory for its local arrays")
 
     def _in_order(self, args: tuple, names: dict[str, Any]) -> tuple:
-        """The arguments in the order of the example, from some by position and others by name."""
+        """Positional and named arguments in the order of the example."""
         try:
             bound = inspect.signature(self._f).bind(*args, **names)
-        except (TypeError, ValueError) as error:  # as of a call of f
+        except (TypeError, ValueError) as error:  # the message of a call of f
             raise InputError(f"{_name(self._f)}: {error}") from error
         if bound.kwargs:
             raise InputError(

@@ -30,8 +30,8 @@ def spread(
     levels = range(len(batch))
 
     def parts(shardings: Any) -> list[Any]:
-        """For each axis of the batch, the mesh axes over which it is sharded: each for one only,
-        the first. Operands that are sharded in another way are moved."""
+        """For each axis of the batch, the mesh axes over which it is sharded. A mesh axis is used
+        for only one axis of the batch, the first. Operands with another sharding are moved."""
         found: list[Any] = [None] * len(batch)
         taken: set[str] = set()
         for sharding, axes in zip(shardings, ins, strict=True):

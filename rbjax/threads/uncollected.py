@@ -15,16 +15,17 @@ from typing import Any, TypeVar
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-#: new objects from which on Python searches during such work; a number that no one else would set
+#: the threshold of new objects during such work; a number that nobody else would set
 SEARCH_FROM = 1_000_000_007
 _lock = threading.Lock()
-_running = 0  # calls, of all threads
+_running = 0  # calls that run now, in all threads
 _usual: tuple[int, ...] = ()
 
 
 def uncollected(f: F) -> F:
-    """f, during which Python does not search for dead cycles. What the caller sets meanwhile, in
-    this thread or another, stays: the collector is not switched off, its threshold is raised."""
+    """f, during which Python does not search for dead cycles. The collector is not switched off:
+    its threshold is raised. If another caller sets a threshold meanwhile, in any thread, it
+    stays."""
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -43,7 +44,7 @@ def _begin() -> None:
         _running += 1
         if _running == 1:
             _usual = gc.get_threshold()
-            if _usual[0]:  # 0 is never
+            if _usual[0]:  # 0: never
                 gc.set_threshold(SEARCH_FROM, *_usual[1:])
 
 

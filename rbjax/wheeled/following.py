@@ -30,17 +30,18 @@ from rbjax.wheeled.velocities import free_velocities, ideal, place_of, shaft_spe
 
 
 class Commands(NamedTuple):
-    """speeds (number of drives,) rad/s of shafts; angles (number of steerings,) rad.
+    """speeds: (drives,) rad/s of the shafts. angles: (steerings,) rad.
 
-    They are not controls yet: those of a `TorqueSource` are torques. `controls` converts them.
+    These are not controls: the control of a `TorqueSource`, for example, is a torque. The method
+    `controls` converts them.
     """
 
     speeds: jax.Array
     angles: jax.Array
 
     def controls(self, robot: Robot) -> jax.Array:
-        """The controls (nu,) of the robot: of each drive the command of its motor whose speed
-        without load is this one, in the motor's `unit`; of each steering its angle, rad.
+        """The controls (nu,) of the robot: for each drive the motor command whose no-load speed is
+        the speed of its shaft, in the motor's `unit`; for each steering its angle, rad.
 
         Raises:
             InputError: a `TorqueSource`, which has no speed; a steering without `lag`, whose
@@ -60,7 +61,7 @@ class Commands(NamedTuple):
             if steering.lag is None:
                 raise InputError(
                     f"controls: steerings[{j}] has no lag, so its control is a rate in rad/s and "
-                    "not an angle; give the robot a lag, or control the rate by the angle's error"
+                    "not an angle; give the steering a lag, or control the rate by the angle error"
                 )
         dtype = self.speeds.dtype
         speeds = [
@@ -134,7 +135,7 @@ def _commands(robot: Robot, twist: jax.Array) -> Commands:
 
 
 def _number(where: str, name: str, value: Any, dtype: Any, above: float | None) -> jax.Array:
-    """A number of the dtype; known ones must be above a bound, if there is one."""
+    """A number in the dtype. Raise if it is not traced and not above the bound, if there is one."""
     x = check_array(where, name, value, ())
     if above is not None and not isinstance(x, jax.core.Tracer) and not np.asarray(x) > above:
         raise InputError(f"{where}: {name} is {value}, expected a number above {above:g}")
@@ -150,8 +151,8 @@ def _checked(where: str, path: Any, pose: Any) -> tuple[jax.Array, jax.Array]:
 
 
 def _nearest(path: jax.Array, place: jax.Array) -> tuple[jax.Array, ...]:
-    """The index of the segment next to a place, how far along it, the arc length there, and whether
-    that is the end of the path."""
+    """The segment nearest to a point: its index, the nearest point's fraction along it, the arc
+    length there, and whether that is the end of the path."""
     a, edge = path[:-1, :2], path[1:, :2] - path[:-1, :2]
     size = jnp.maximum((edge * edge).sum(-1), jnp.finfo(path.dtype).tiny)
     part = jnp.clip(((place - a) * edge).sum(-1) / size, 0.0, 1.0)
@@ -171,11 +172,13 @@ def pure_pursuit(path: Any, pose: Any, speed: Any, lookahead: Any) -> jax.Array:
     Args:
         path: (n, 3).
         pose: (3,), of the chassis.
-        speed: v, m/s; below zero it drives along the path with its rear ahead.
-        lookahead: along the path, m, above zero. The point goes on straight beyond the end.
+        speed: v, m/s; if it is negative, the robot drives along the path backwards.
+        lookahead: distance along the path, m, above zero. The path continues straight beyond its
+            end.
 
     Returns:
-        (3,): v, 0, w; zeros once the end of the path is the point next to the robot: it stops.
+        (3,): v, 0, w. It is zero if the end of the path is the path's nearest point: the robot
+        stops.
 
     Raises:
         InputError: wrong shapes, values that are not finite, a lookahead of zero.
@@ -203,18 +206,18 @@ def _pure_pursuit(path: jax.Array, pose: jax.Array, speed: Any, lookahead: Any) 
     aim = along + lookahead
     beyond = jnp.maximum(aim - s[-1], 0.0)
     x, y = (jnp.interp(aim, s, path[:, k]) for k in (0, 1))
-    # the direction in which the path ends, which a robot that reverses has behind it
+    # the direction of the path at its end; a robot that drives backwards looks the other way
     moves = (edges**2).sum(-1) > 0
     last = jnp.where(moves, jnp.arange(len(edges)), 0).max()
     way = edges[last] / jnp.maximum(jnp.sqrt((edges[last] ** 2).sum()), jnp.finfo(s.dtype).tiny)
     x, y = x + beyond * way[0] - pose[0], y + beyond * way[1] - pose[1]
     across = jnp.cos(pose[2]) * y - jnp.sin(pose[2]) * x
-    far = jnp.maximum(x * x + y * y, (NEAREST * lookahead) ** 2)  # where a path comes back
+    far = jnp.maximum(x * x + y * y, (NEAREST * lookahead) ** 2)  # a path may return to the robot
     speed = jnp.where(ends, 0.0, speed)
     return jnp.stack([speed, jnp.zeros_like(speed), 2 * speed * across / far])
 
 
-#: the point that pure pursuit aims at counts as no nearer than this part of the lookahead
+#: the least distance of the point that pure pursuit aims at, as a fraction of the lookahead
 NEAREST = 0.1
 
 
@@ -237,8 +240,8 @@ def stanley(
         soft: m/s, above zero.
 
     Returns:
-        (3,): v, 0, w. The angle b is held within 1.2 rad. Zeros once the end of the path is the
-        point next to the rear axle: the car stops.
+        (3,): v, 0, w. The angle b is clipped to 1.2 rad. The result is zero if the end of the path
+        is its nearest point to the rear axle: the car stops.
 
     Raises:
         InputError: wrong shapes, values that are not finite, numbers outside their range.

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -55,8 +56,9 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
             two slides and a hinge, which MJCF has.
 
     Returns:
-        A `Model`. Its controls are torques in N m, one for each shaft that a drive is on, named
-        after the wheel that sets it. Its steerings keep their rates: those of `SteeringRate`.
+        A `Model` in the robot's dtype. Its controls are torques in N m, one for each shaft that a
+        drive is on, named after the wheel that sets it. Its steerings keep their rates: those of
+        `SteeringRate`.
         Motors, damping of axles and rolling resistance are not in it.
 
     Raises:
@@ -71,8 +73,9 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
         >>> [type(row).__name__ for row in model.constraints]
         ['WheelContact', 'WheelContact', 'WheelContact']
     """
-    dtype = jnp.result_type(float)
-    return jax.tree.map(jnp.asarray, model_of(numbers_of(robot, dtype), base))
+    dtype = jnp.result_type(*jax.tree.leaves(eqx.filter(robot, eqx.is_inexact_array)))
+    model = jax.tree.map(jnp.asarray, model_of(numbers_of(robot, dtype), base))
+    return model.astype(dtype)
 
 
 def model_of(n: Numbers, base: str = "planar", steering_rates: Sequence[Lane] = ()) -> Model:

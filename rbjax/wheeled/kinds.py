@@ -20,9 +20,9 @@ from rbjax.wheeled.robot import Robot
 
 
 def _check(kind: str, **lengths: Any) -> None:
-    """Reject lengths of a robot that are not finite numbers above zero."""
+    """Raise if a length of a robot is not a finite number above zero."""
     for name, x in lengths.items():
-        if isinstance(x, jax.core.Tracer):  # which `Robot` rejects
+        if isinstance(x, jax.core.Tracer):  # `Robot` rejects it
             continue
         try:
             fits = np.ndim(x) == 0 and 0 < float(x) < math.inf
@@ -51,8 +51,8 @@ def differential_drive(
     com: Any = (0.07, 0.0), wheel_mass: float = 0.5, caster: float | None = 0.2,
     height: float = 0.12, motor: Motor | None = None,
 ) -> Robot:  # fmt: skip
-    """Two driven wheels on one axle, the right one first, and a caster `caster` ahead of it, or
-    none."""
+    """Two driven wheels on one axle, the right one first. `caster` is the distance of a caster
+    ahead of the axle; None for no caster."""
     _check("differential_drive", track=track, radius=radius)
     wheels = [_wheel([0.0, y], **_tyred(radius, wheel_mass)) for y in (-track / 2, track / 2)]
     if caster is not None:

@@ -33,7 +33,7 @@ def _number(**given: Any) -> Any:
 
 
 class Motor(Record):
-    """What turns a shaft: a subclass gives `torque`, `free_speed`, `command_for` and `heat`.
+    """A motor of a shaft. A subclass defines `torque`, `free_speed`, `command_for` and `heat`.
 
     Class field: unit, the unit of the command.
     """
@@ -59,11 +59,11 @@ class Motor(Record):
         """The speed without load, rad/s: where `torque` is zero."""
 
     def command_for(self, speed: Lane) -> Lane:
-        """The command whose free speed is a speed, rad/s: the inverse of `free_speed`. Only
+        """The command whose free speed is `speed`, rad/s: the inverse of `free_speed`. Only
         `Commands.controls` uses it."""
         raise InputError(
-            f"{type(self).__name__} does not define `command_for(speed)`, the command whose free "
-            "speed is a speed; give the class this method, or compute the controls yourself"
+            f"{type(self).__name__} does not define `command_for(speed)`, the inverse of "
+            "`free_speed`; give the class this method, or compute the controls yourself"
         )
 
     def damping(self, u: Lane, speed: Lane) -> Lane:
@@ -101,7 +101,7 @@ class TorqueSource(Motor):
         )
 
     def command_for(self, speed: Lane) -> Lane:
-        return self.free_speed(speed)  # which raises
+        return self.free_speed(speed)  # it raises
 
 
 class SpeedServo(Motor):
@@ -205,7 +205,7 @@ class DCMotor(Motor):
         return k * limited(u, self.battery) / (self.resistance * self.friction + k * k)
 
     def command_for(self, speed: Lane) -> Lane:
-        """Within `command_range`: a battery drives no faster."""
+        """The command, clipped to `command_range`: the battery allows no higher speed."""
         k = self._constant
         volts = speed * (self.resistance * self.friction + k * k) / k
         ends = jnp.isfinite(self.battery)

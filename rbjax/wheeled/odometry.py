@@ -1,11 +1,11 @@
-"""Where a robot has gone by the angles of its wheels, rolling or slipping.
+"""Poses of a robot from the angles of its wheels, which roll or slip.
 
     u = S (J S)^+ phi'           the twist at which the wheels would roll, by the rates of shafts
     V = u, or V = slip(u)        the twist of the robot
     pose' = pose * exp(V dt)     exact if V is constant from one sample to the next
-with S the twists that the wheels allow at the angles of the steerings, and J the rates of shafts by
-the twist. It has no dynamics: motions are slow enough for the forces on the ground to balance at
-each instant.
+with S a basis of the twists that the wheels allow at the steering angles, and J the derivative of
+the shafts' rates by the twist. There is no dynamics: motions are assumed to be so slow that the
+forces on the ground balance at each instant.
 """
 
 from __future__ import annotations
@@ -114,12 +114,12 @@ def rolled_twists(robot: Robot, rates: Any, steering: Any = None) -> jax.Array:
     Rates that no twist has, as four wheels may show, are met in the sense of least squares.
 
     Args:
-        robot: its drives determine its motion: at least as many as its `arrangement.mobility`.
-        rates: (..., drives) rad/s. Behind a differential it is the speed of its cage.
-        steering: (..., steerings) rad, the angles of the steerings; None for a robot without.
+        robot: one whose drives determine its motion: at least `arrangement.mobility` of them.
+        rates: (..., drives) rad/s. For a differential it is the speed of its cage.
+        steering: (..., steerings) rad, the steering angles; None for a robot without steerings.
 
     Raises:
-        InputError: drives that leave motions open; another number of rates or of angles.
+        InputError: the drives do not determine the motion; a wrong number of rates or of angles.
 
     Source: Lynch & Park, *Modern Robotics*, 13.4.
 
@@ -147,14 +147,14 @@ def _check_robot(where: str, robot: Any, steering: Any) -> None:
     if len(robot.drives) < robot.arrangement.mobility:
         raise InputError(
             f"{where}: the wheels leave {robot.arrangement.mobility} velocities free and "
-            f"{len(robot.drives)} are driven, expected a drive for each at least; otherwise the "
+            f"{len(robot.drives)} are driven, expected at least one drive for each; otherwise the "
             "angles of the drives do not determine the motion"
         )
     if (steering is None) != (not robot.steerings):
         raise InputError(
             f"{where}: steering is {'None' if steering is None else 'given'} and the robot has "
             f"{len(robot.steerings)} steerings; expected their measured angles in rad, one column "
-            "each, or None for a robot without"
+            "each, or None for a robot without steerings"
         )
 
 
@@ -198,25 +198,25 @@ def odometry(
     *,
     steering: Any = None,
 ) -> jax.Array:
-    """The poses of a robot by the angles of its wheels, as encoders measure them.
+    """The poses of a robot from the angles of its wheels, as encoders measure them.
 
     Args:
-        robot: any whose drives determine its motion, such as a differential drive, a car, a
+        robot: one whose drives determine its motion, such as a differential drive, a car, a
             tricycle or an omnidirectional robot.
-        t: (T,) s, never falling; increasing if there is a `slip`, which depends on rates.
-        angles: (T, drives) rad, of the drives' shafts. Behind a differential it is the angle of its
-            cage, the mean of those of its wheels.
-        slip: how the ground gives way; None if wheels roll.
+        t: (T,) s, not decreasing; increasing if there is a `slip`, which depends on rates.
+        angles: (T, drives) rad, of the drives' shafts. For a differential it is the angle of its
+            cage, which is the mean of the angles of its wheels.
+        slip: the model of slip; None if the wheels roll.
         pose: (3,) the first one, x and y in m and yaw in rad; zeros if None.
-        steering: (T, steerings) rad, the angles of the steerings; None for a robot without. From
-            one sample to the next the robot turns as by their mean.
+        steering: (T, steerings) rad, the steering angles; None for a robot without steerings.
+            Between two samples their mean is used.
 
     Returns:
         (T, 3) poses; the yaw is not wrapped.
 
     Raises:
-        InputError: wrong types or shapes, values that are not finite, falling times, and what
-            `rolled_twists` rejects.
+        InputError: wrong types or shapes, values that are not finite, decreasing times; and as
+            `rolled_twists`.
 
     Source: Lynch & Park, *Modern Robotics*, 13.4.
 
@@ -242,7 +242,7 @@ def odometry(
 
 
 def _times(where: str, t: Any, rising: bool) -> jax.Array:
-    """At least two times, which never fall, or which rise."""
+    """At least two times, which do not decrease or, if `rising`, increase."""
     (count,) = shape_of(where, "t", t)[:1] or (0,)
     t = check_array(where, "t", t, (max(count, 2),))
     if not isinstance(t, jax.core.Tracer):
@@ -252,8 +252,8 @@ def _times(where: str, t: Any, rising: bool) -> jax.Array:
             k = int(wrong[0]) + 1
             raise InputError(
                 f"{where}: t[{k}] is {float(t[k])} after {float(t[k - 1])}, expected times that "
-                f"{'increase' if rising else 'never fall'}; leave out samples that come twice, "
-                "as numpy.unique(t, return_index=True) finds them"
+                f"{'increase' if rising else 'do not decrease'}; leave out repeated samples, "
+                "which numpy.unique(t, return_index=True) finds"
             )
     return t
 
@@ -267,7 +267,7 @@ def _poses(
     slip: HeadingSlip | None,
     first: jax.Array,
 ) -> jax.Array:
-    # a twist times a time: without slip it needs no time, and equal stamps do no harm
+    # a twist times a time: without slip no time is needed, so equal time stamps are allowed
     step = _rolled(robot, jnp.diff(angles, axis=0), (steering[1:] + steering[:-1]) / 2)
     if slip is not None:
         dt = jnp.diff(t)[:, None]

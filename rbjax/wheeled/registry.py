@@ -89,7 +89,7 @@ def _with_trailers(
 
 
 def _named(kind: str, make: Callable[..., Robot]) -> Callable[..., Robot]:
-    """A maker that rejects numbers which the kind does not have, by name."""
+    """A maker that raises `UnknownName` for a parameter that the kind does not have."""
     valid = list(inspect.signature(make).parameters)
 
     @functools.wraps(make)

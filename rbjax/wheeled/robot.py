@@ -102,8 +102,8 @@ class Robot(Record):
         return cls(bodies, tuple(wheels), tuple(drives), tuple(steerings), **others)
 
     def replace(self, **changes: Any) -> Robot:
-        """A copy with the given fields changed. Its arrangement is found again if the parts are
-        given and their numbers are known; traced ones keep it."""
+        """A copy with the given fields changed. If parts are among them, the arrangement is
+        computed again, unless numbers are traced."""
         parts = {"bodies", "wheels", "steerings", "turn_center"} & changes.keys()
         known = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((self, changes)))
         if parts and known and "arrangement" not in changes:

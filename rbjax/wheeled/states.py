@@ -37,7 +37,7 @@ def check_state(where: str, vehicle: Fidelity, state: Any, batch: tuple[int, ...
     for name, n in sizes.items():
         value = getattr(state, name)
         if value is None:
-            if not n or name == "x":  # of the dtype of the others, below
+            if not n or name == "x":  # set below, in the dtype of the others
                 continue
             value = jnp.zeros((*batch, n))
         found[name] = check_array(where, f"state.{name}", value, (*batch, n))

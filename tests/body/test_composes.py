@@ -15,6 +15,7 @@ from rbjax.body import lagrange, particles, virtual_work
 from rbjax.body import relative_motion as rm
 from rbjax.rotations import se3, so3
 from rbjax.spatial import operators, shapes
+from tests.composing import cast
 from tests.tolerances import F64_TRANSFORM, GRADIENT, relative_error
 
 TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -39,7 +40,7 @@ def turn(xi):
 
 
 def inertia(s):
-    return so3.hat(s) @ so3.hat(s).T + 3 * jnp.eye(3)
+    return so3.hat(s) @ so3.hat(s).T + 3 * jnp.eye(3, dtype=s.dtype)
 
 
 def frame(xi):
@@ -51,7 +52,7 @@ FORCES = (body.UniformGravity(), body.Spring(2.0, [1.0, 2, 3], [0.1, 0, 0], 0.3)
 
 
 def situation(s):
-    return body.Situation(BODY._replace(com=s), FORCES)
+    return body.Situation(cast(BODY, s)._replace(com=s), cast(FORCES, s))
 
 
 # name -> (function of six numbers twice, a vector and a positive triple)
@@ -92,7 +93,7 @@ SPATIAL = {
     "check_mass_properties": lambda x, y, s, d: spatial.check_mass_properties(d[0], s, inertia(s)),
     "pseudo_inertia": lambda x, y, s, d: spatial.pseudo_inertia(d[0], s, inertia(s)),
     "from_pseudo_inertia": lambda x, y, s, d: spatial.from_pseudo_inertia(
-        jnp.outer(x[:4], x[:4]) + 3 * jnp.eye(4)
+        jnp.outer(x[:4], x[:4]) + 3 * jnp.eye(4, dtype=x.dtype)
     ),
     "ellipsoid_margin": lambda x, y, s, d: spatial.ellipsoid_margin(d[0], s, inertia(s), d, s + d),
 }
@@ -107,7 +108,7 @@ SHAPES = {
     "ellipsoid": lambda x, y, s, d: shapes.ellipsoid(d, mass=d[0]),
     "hole": lambda x, y, s, d: shapes.hole(shapes.box(d, mass=1.0)),
     "mesh": lambda x, y, s, d: shapes.mesh(
-        jnp.concatenate([jnp.zeros((1, 3)), jnp.diag(d)]), TETRAHEDRON, density=2.0
+        jnp.concatenate([jnp.zeros((1, 3), d.dtype), jnp.diag(d)]), TETRAHEDRON, density=2.0
     ),
     "plate": lambda x, y, s, d: shapes.plate(d[:2], mass=d[2]),
     "points": lambda x, y, s, d: shapes.points(jnp.stack([s, d, x[:3]]), d),
@@ -122,7 +123,7 @@ OPERATORS = {
     "cross_power": lambda x, y, s, d: operators.cross_power(s, 5),
     "rotated_cross": lambda x, y, s, d: operators.rotated_cross(so3.exp(s), d),
     "congruent_cross": lambda x, y, s, d: operators.congruent_cross(
-        jnp.outer(s, d) + jnp.eye(3), d
+        jnp.outer(s, d) + jnp.eye(3, dtype=s.dtype), d
     ),
     "cross_sum": lambda x, y, s, d: operators.cross_sum(jnp.outer(s, d), d),
     "along": lambda x, y, s, d: operators.along(s),

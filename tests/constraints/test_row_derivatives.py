@@ -114,8 +114,11 @@ def test_derivatives(kind: str) -> None:
     m = one.size
     w = np.asarray(jax.random.normal(jax.random.key(7), (3 * m + m * model.nv,)))
     value, slope, back = found(0.0, w)
-    h = 1e-5
-    quotient = (found(h, w)[0] - found(-h, w)[0]) / (2 * h)
+
+    def central(h: float) -> jax.Array:
+        return (found(h, w)[0] - found(-h, w)[0]) / (2 * h)
+
+    quotient = (4 * central(1e-5) - central(2e-5)) / 3  # of order h^4: soft rows are stiff
     for part in np.split(np.arange(len(w)), [m, 2 * m, 2 * m + m * model.nv]):
         scale = 1e-7 * max(np.abs(slope[part]).max(), np.abs(value[part]).max(), 1.0)
         np.testing.assert_allclose(slope[part], quotient[part], rtol=0, atol=scale)

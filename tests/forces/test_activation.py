@@ -2,8 +2,11 @@
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
+import pytest
 
+import rbjax as rb
 from rbjax.forces.activation import Filter, Integrator
 from tests.forces.actuated import actuation, errors, limbs
 from tests.robots import load_quietly
@@ -55,3 +58,49 @@ def test_without_controls_nothing_moves_the_states():
     tau, rate, after = run(model, state, None)
     np.testing.assert_array_equal(after, [0.1, 0.2])
     assert not np.any(tau) and not np.any(rate)
+
+
+TURNED = """
+<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="Euler">
+<flag contact="disable" constraint="disable" eulerdamp="disable"/></option>
+<worldbody><site name="w"/><body><joint name="j"/><geom size="0.1" pos="0.2 0 0"/><site name="s"/>
+</body></worldbody><actuator>
+<general site="s" refsite="w" gear="0 0 0 0 0 1" dyntype="filterexact" dynprm="0.1"
+  actrange="-.3 .4" {} gainprm="2" biastype="affine" biasprm="0 -2 -0.1"/>
+<intvelocity site="s" refsite="w" gear="0 0 0 0 0 2" kp="2" actrange="-.3 .4"/>
+</actuator></mujoco>
+"""
+
+
+@pytest.mark.parametrize("early", ["", 'actearly="true"'])
+def test_an_angle_a_full_turn_from_its_range_is_left_as_mujoco_leaves_it(early):
+    """MuJoCo clips a setpoint to its range, and then adds full turns until it is nearest to the
+    angle: the state may end a turn beyond the range."""
+    m = mujoco.MjModel.from_xml_string(TURNED.format(early))
+    model, u, farthest = load_quietly(m), jnp.zeros((12, 2)), 0.0
+    run = jax.jit(lambda state: rb.rollout(model, state, u).x[1:])
+    for q in (3.1, -3.1, 3.0):
+        data = mujoco.MjData(m)
+        data.qpos, data.qvel, data.act = q, 9.0, [-0.2, 0.3]
+        found = run(rb.State(*(jnp.asarray(x) for x in (data.qpos, data.qvel, data.act))))
+        want = []
+        for _ in range(12):
+            mujoco.mj_step(m, data)
+            want.append(data.act.copy())
+        np.testing.assert_allclose(found, want, atol=1e-11)
+        farthest = max(farthest, np.abs(want).max())
+    assert farthest > 5.0  # some steps did end beyond the range
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_a_range_holds_up_to_full_periods_of_an_angle(dtype):
+    winding, period = Integrator(jnp.array([-0.3, 0.4], dtype)), jnp.asarray(2 * np.pi, dtype)
+    kept = jnp.array([-0.3, 0.1, 0.4], dtype)
+    for turns in (-2, -1, 0, 1, 2):
+        a = kept + turns * period
+        np.testing.assert_array_equal(winding.within(a, period), a)
+    beyond = jnp.array([0.5, 3.0, -0.4, 0.5 + 2 * np.pi], dtype)
+    want = np.array([0.4, 0.4, -0.3, 0.4], dtype)
+    np.testing.assert_array_equal(winding.within(beyond, period), want)
+    np.testing.assert_array_equal(winding.within(beyond), want)
+    assert Integrator(FREE).within(period, period) is period

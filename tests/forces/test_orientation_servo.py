@@ -63,7 +63,7 @@ def test_its_early_target_is_that_of_the_step_and_not_of_the_models_timestep(bat
             jnp.array(jnp.inf), Integrator(jnp.array([-jnp.inf, jnp.inf])), (0, 1, 2), joint=0,
             early=True,
         )  # fmt: skip
-        with pytest.warns(UserWarning, match="OrientationServo takes the controls of"):
+        with pytest.warns(UserWarning, match="OrientationServo reads the controls of"):
             model = model.with_forces(servo)
         state = model.default_state()
         state = jax.tree.map(lambda x: x[None], state) if batch else state

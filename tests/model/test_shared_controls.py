@@ -16,7 +16,7 @@ def test_an_actuator_on_the_control_of_one_of_the_file_is_said(dtype):
     slow = rb.load(GENERAL % 'dyntype="filter" dynprm="0.1"').astype(dtype)
     fast = rb.load(GENERAL % "").astype(dtype)
     (element,) = slow.forces
-    with pytest.warns(UserWarning, match=r"takes the controls of the actuators \['g'\]"):
+    with pytest.warns(UserWarning, match=r"reads the controls of the actuators \['g'\]"):
         both = fast.with_forces(element)
     assert both.nx == 1
     silent = fast.replace(actuators=slow.actuators)

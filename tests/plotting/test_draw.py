@@ -96,3 +96,40 @@ def test_a_mesh_keeps_its_outermost_points() -> None:
     assert kept.max(0) == pytest.approx(points.max(0)) and kept.min(0) == pytest.approx(
         points.min(0)
     )
+
+
+def test_solids_at_a_pose() -> None:
+    """A move along the line of sight's horizontal moves each patch; `world` counts fixed solids."""
+    shapes = rb.plotting.solids("pendulum")
+
+    def drawn(x: float, **options: bool) -> list[np.ndarray]:
+        ax = axis()
+        place = np.array([[x, 0.0, 1.0]])
+        rb.plotting.draw_solids(ax, shapes, np.eye(3)[None], place, shadow=False, **options)
+        return [patch.get_path().vertices for patch in ax.patches]
+
+    still, moved = drawn(0.0, world=False), drawn(0.3, world=False)
+    assert still and len(still) == len(moved)
+    shifts = [b - a for a, b in zip(still, moved, strict=True)]
+    for shift in shifts:
+        np.testing.assert_allclose(shift, shifts[0][:1].repeat(len(shift), 0), atol=1e-9)
+    assert np.abs(shifts[0]).max() > 0.1
+
+
+def test_later_poses_of_a_strobe_are_stronger() -> None:
+    model = rb.load("pendulum")
+    ax = axis()
+    rb.plotting.strobe(ax, None, model, np.linspace(0, 1, 3)[:, None], shadow=False)
+    strengths = {patch.get_zorder() // 1: patch.get_facecolor()[3] for patch in ax.patches}
+    assert strengths[2] < strengths[3] < strengths[4] == 1
+    with pytest.raises(rb.RbjaxError):
+        rb.plotting.strobe(ax, None, model, np.zeros((3, 2)))
+
+
+def test_coordinates_over_time() -> None:
+    axes = matplotlib.figure.Figure().subplots(2)
+    ts, q, v = np.arange(4.0), np.arange(8.0).reshape(4, 2), np.ones((4, 1))
+    rb.plotting.time_plot(axes, ts, q, v, ["hip"])
+    np.testing.assert_array_equal([line.get_ydata() for line in axes[0].lines], q.T)
+    assert [len(ax.lines) for ax in axes] == [2, 1]
+    assert axes[0].lines[0].get_label() == "hip"

@@ -44,10 +44,9 @@ class Case:
 
 
 def floats(tree: Any) -> list[jax.Array]:
-    """The floating arrays of a result."""
-    return [
-        x for x in map(jnp.asarray, jax.tree.leaves(tree)) if jnp.issubdtype(x.dtype, jnp.floating)
-    ]
+    """The floating arrays of a result. A Python number has no dtype."""
+    arrays = (x for x in jax.tree.leaves(tree) if not isinstance(x, (bool, int, float)))
+    return [x for x in map(jnp.asarray, arrays) if jnp.issubdtype(x.dtype, jnp.floating)]
 
 
 def check_types(case: Case) -> None:
@@ -79,7 +78,8 @@ def check_grid(case: Case) -> None:
     for dtype in case.dtypes:
         xs = [np.asarray(x, dtype) for x in case.arrays]
         for n in BATCHES:
-            many = floats(jax.jit(jax.vmap(case.make(dtype)))(*(x[:n] for x in xs)))
+            f = case.make(dtype)
+            many = jax.jit(jax.vmap(lambda *x, f=f: floats(f(*x))))(*(x[:n] for x in xs))
             results[dtype, n] = many
             assert all(x.dtype == dtype for x in many), f"batch of {n}: dtype"
         three = results[dtype, 3]

@@ -1,13 +1,19 @@
 """Every public function of arrays on the grid of dtypes, batches and transformations."""
 
+import importlib
 import inspect
+import pkgutil
+import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import rbjax as rb
+from tests.public.elsewhere import ELSEWHERE
 from tests.public.grid import check_grid, check_types
-from tests.public.tables import ELSEWHERE, TABLES
+from tests.public.tables import TABLES
 
 NAMES = [(room, name) for room, cases in TABLES.items() for name in cases]
 # the others are tested in f64 by files named test_composes and test_registry
@@ -26,13 +32,44 @@ def test_on_the_grid(room: str, name: str) -> None:
     check_grid(TABLES[room][name])
 
 
+ROOMS = {m.name for m in pkgutil.iter_modules(rb.__path__) if m.ispkg} - {"motion"} | {"rb"}
+ALL_TESTS = Path(__file__).parent.parent
+#: rooms whose functions are cases of a table of another name
+TABLE_OF = {"rb": "models", "dynamics": "models", "forces": "models", "spatial": "bodies",
+            "body": "bodies"}  # fmt: skip
+
+
+def package(room: str) -> Any:
+    return rb if room == "rb" else importlib.import_module(f"rbjax.{room}")
+
+
+def with_a_case(room: str) -> set[str]:
+    """Names of a room in its table: a case is "name", "room.name" or "name, variant"."""
+    table = TABLES.get(TABLE_OF.get(room, room), {})
+    names = (case.partition(",")[0].rpartition(".") for case in table)
+    rooms = {room, ""}
+    return {name for owner, _, name in names if owner in rooms}
+
+
+def test_every_room_is_listed() -> None:
+    assert ELSEWHERE.keys() == ROOMS
+    assert not hasattr(importlib.import_module("rbjax.motion"), "__all__")
+
+
 @pytest.mark.parametrize("room", ELSEWHERE)
 def test_no_public_function_is_missing(room: str) -> None:
-    package = rb if room == "rb" else getattr(rb, room)
-    values = {name: getattr(package, name) for name in package.__all__}
+    values = {name: getattr(package(room), name) for name in package(room).__all__}
     public = {n for n, x in values.items() if callable(x) and not inspect.isclass(x)}
-    cases = {name.split(",")[0].rpartition(".")[2] for table in TABLES.values() for name in table}
-    missing = public - cases - ELSEWHERE[room]
-    assert not missing, f"give {sorted(missing)} of {room} a case in tests/public/tables.py"
+    missing = public - with_a_case(room) - ELSEWHERE[room]
+    assert not missing, f"give {sorted(missing)} of {room} a case in tests/public"
     unknown = ELSEWHERE[room] - public
     assert not unknown, f"{sorted(unknown)} are not public functions of {room}"
+    twice = ELSEWHERE[room] & with_a_case(room)
+    assert not twice, f"{sorted(twice)} of {room} have a case"
+
+
+def test_functions_without_a_case_are_used_by_other_tests() -> None:
+    paths = [p for p in ALL_TESTS.rglob("test_*.py") if p.parent.name not in ("public", "mutation")]
+    words = {word for path in paths for word in re.findall(r"\w+", path.read_text())}
+    for room, names in ELSEWHERE.items():
+        assert names <= words, f"no test has {sorted(names - words)} of {room}"

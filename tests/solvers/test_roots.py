@@ -208,3 +208,13 @@ def test_a_stiff_spring_that_shakes_a_heavy_arm(name: str) -> None:
         *old, carried = after(found.x)
         np.testing.assert_allclose(q[step], old[0], rtol=0, atol=1e-9)
         np.testing.assert_allclose(v[step], old[1], rtol=0, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_root_finders_of_a_diagonally_implicit_method_agree() -> None:
+    def end(finder):
+        solver = rb.solvers.SDIRK2(root_finder=finder)
+        return solved(solver, lambda t, y, _: SCENE.term.vf(t, y, SCENE.args), SCENE.y0).ys[0]
+
+    want = end(rb.solvers.very_chord())
+    np.testing.assert_allclose(end(rb.solvers.newton()), want, rtol=1e-12)

@@ -74,9 +74,7 @@ def test_torques_that_are_held():
     tau = rng.normal(size=(n, 2)) * [12.0, 4.0]
     fine = np.repeat(tau, substeps, 0)
     state = rb.State(np.array([-1.5, 0.2]), np.zeros(2))
-    run = jax.jit(
-        lambda s, u: rb.rollout(model, s, tau=u, dt=dt / substeps, integrator="rk4"), ()
-    )
+    run = jax.jit(lambda s, u: rb.rollout(model, s, tau=u, dt=dt / substeps, integrator="rk4"))
     path = run(state, fine)
     q, v = (np.asarray(x)[::2] for x in (path.q, path.v))
     t, torque = np.arange(len(q)) * 2 * dt / substeps, np.repeat(tau, substeps // 2, 0)

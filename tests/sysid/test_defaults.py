@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import Channel, Recording, Unknown, identify
+from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, identify
 from rbjax.sysid.precision import cast
-from rbjax.sysid.runs import grid_of
+from rbjax.sysid.runs import grid_of, run_of
+from rbjax.sysid.step_length import start_grid
+from rbjax.sysid.unknowns import Unknowns
 
 MODEL = rb.load("pendulum")
 MASS = {"mass": Unknown("bodies.mass", 0, positive=True)}
@@ -106,7 +108,7 @@ def test_steps_are_the_finest_clock_and_halved_until_nothing_changes():
     t, _, _, _ = motion()
     ctrl = Channel([0.0, 1.0], [[1.0], [2.0]])
     coarse = Recording("c", {"q": Channel(t, t[:, None]), "ctrl": ctrl})
-    assert grid_of([coarse]).period == pytest.approx(T, rel=1e-9)
+    assert grid_of([coarse], Setup.of(MODEL)).period == pytest.approx(T, rel=1e-9)
     # a damped pendulum read each 0.3 s: one step of RK4 a sample is too long
     stiff = MODEL.replace(joints=MODEL.joints.replace(damping=jnp.array([4.0])))
     t = np.arange(21) * 0.3
@@ -119,6 +121,61 @@ def test_steps_are_the_finest_clock_and_halved_until_nothing_changes():
     assert found.grid.period < 0.1 and any("steps of 0.3 s were too long" in n for n in found.notes)
     span = found.estimates.interval("damping")
     assert abs(span.value - 4.0) < 4 * span.sigma
+
+
+LATE = Unknown("delay", bounds=(0.0, 0.055))
+
+
+@pytest.mark.parametrize(
+    ("delay", "grid", "unknown", "periods"),
+    [
+        (None, None, MASS, 0),
+        (0.0, None, MASS, 4),  # three periods, and one in which it ends
+        (0.012, None, MASS, 5),  # three times the delay
+        (0.012, None, {"delay": LATE}, 7),  # its upper bound
+        (0.012, Grid(T, 0, longest_delay=2), MASS, 2),
+        (0.012, Grid(T, longest_delay=2), MASS, None),
+    ],
+)
+def test_the_grid_to_begin_with(delay, grid, unknown, periods):
+    setup = Setup.of(MODEL, delay=delay)
+    sought = Unknowns.of("identify", unknown, setup)
+    found, checked = start_grid(setup, sought, [seen()], grid)
+    assert checked == (periods is not None)
+    assert found.period == pytest.approx(T, rel=1e-9) and found.substeps == 1
+    if checked:
+        assert found.longest_delay == periods
+    run_of(setup, seen(), found)  # no delay is cut
+
+
+def test_a_delay_that_the_grid_would_cut_is_an_error():
+    """It was ignored in silence."""
+    late = Setup.of(MODEL, delay=0.025)
+    with pytest.raises(rb.InputError, match=r"0\.025 s late, .* longest_delay 3 or more"):
+        run_of(late, seen(), Grid(T))
+    with pytest.raises(rb.InputError, match="longest_delay 2, which are"):
+        run_of(late, seen(), Grid(T, longest_delay=2))
+    run_of(late, seen(), Grid(T, longest_delay=3))
+    run_of(Setup.of(MODEL, delay=0.0), seen(), Grid(T))
+    with pytest.raises(rb.InputError, match="substeps of the grid = 0"):
+        run_of(Setup.of(MODEL), seen(), Grid(T, 0))
+
+
+@pytest.mark.slow
+def test_a_delay_is_found_by_default():
+    t, ctrl, _, _ = motion()
+    heavy = MODEL.replace(bodies=MODEL.bodies.replace(mass=jnp.array([1.4])))
+    fine = np.repeat(ctrl, 100, 0)
+    late = np.vstack([np.zeros((230, 1)), fine])[: len(fine)]  # 23 ms
+    path = rb.rollout(heavy, START, late, T / 100, integrator="rk4", kernel=False)
+    q = np.asarray(path.q)[::100] + 1e-4 * np.random.default_rng(0).normal(size=(len(t), 1))
+    run = Recording("late", {"q": Channel(t, q), "ctrl": Channel(t[:-1], ctrl)})
+    sought = MASS | {"delay": Unknown("delay", bounds=(0.0, 0.05))}
+    found = identify(Setup.of(MODEL, delay=0.01), run, sought)
+    assert found.verdict.good
+    for name, truth in (("mass", 1.4), ("delay", 0.023)):
+        span = found.estimates.interval(name)
+        assert abs(span.value - truth) < 4 * span.sigma
 
 
 @pytest.mark.slow

@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.sysid import identify
+from rbjax.sysid import Grid, identify
+from rbjax.sysid.fit_file import write_fit
 from tests.sysid.test_identify import DAMPING, GUESS, MASS, seen
 
 
 def test_a_fit_that_was_cut_off_goes_on(tmp_path):
     path, unknowns = tmp_path / "fit.json", {"mass": MASS, "damping": DAMPING}
     run = seen(0, count=40)
-    cut = identify(GUESS, run, unknowns, steps=3, save=path)
+    far = GUESS.replace(bodies=GUESS.bodies.replace(mass=np.array([40.0])))
+    cut = identify(far, run, unknowns, steps=1, restarts=0, save=path)
     assert not cut.ok
     left = json.loads(path.read_text())
     assert left["values"] == cut.values and not left["ok"]
-    whole = identify(GUESS, run, unknowns, resume=path, save=path)
+    whole = identify(far, run, unknowns, resume=path, save=path)
     assert whole.ok and json.loads(path.read_text())["ok"]
     np.testing.assert_allclose([*whole.values.values()], [1.4, 0.13], rtol=1e-8)
     assert whole.guess == cut.guess
@@ -25,3 +27,17 @@ def test_a_fit_that_was_cut_off_goes_on(tmp_path):
         identify(GUESS, run, {"mass": MASS}, resume=path)
     with pytest.raises(rb.InputError, match="expected a file that a fit wrote"):
         identify(GUESS, run, unknowns, resume=tmp_path / "none.json")
+
+
+def test_corrections_of_other_recordings_are_rejected(tmp_path):
+    """They were cut off, or filled up with 0, in silence."""
+    path, run = tmp_path / "fit.json", seen(0, count=40)
+    write_fit(path, ["mass"], np.array([1.2, 0.1, 0.0]))  # q and v of one recording
+    with pytest.raises(rb.InputError, match=r"holds 2 corrections .* expected 4 for 2 recordings"):
+        identify(
+            GUESS, [run, seen(1, count=40)], {"mass": MASS}, starts=True, resume=path,
+            grid=Grid(0.01),
+        )  # fmt: skip
+    write_fit(path, ["mass"], np.array([1.2, 0.1, 0.0, 0.0, 0.0]))
+    with pytest.raises(rb.InputError, match=r"holds 4 corrections .* expected 2 for 1 recordings"):
+        identify(GUESS, [run], {"mass": MASS}, starts=True, resume=path, grid=Grid(0.01))

@@ -42,7 +42,7 @@ def test_slopes_along_some_numbers_show_all(setup):
     base = base_parameters(setup.model, joint_terms=["armature"])
     assert error.directions.seeds.shape == (base.rank + 2 + 4, 24 + 4)  # biases and the start too
     x = np.append(of.read(setup), 0.01 * rng.normal(size=4))
-    one = jax.tree.map(lambda a: a[0], run)
+    one = jax.tree.map(lambda a: a[0], error.runs)
     whole = jax.jit(
         jax.jacfwd(lambda x: error.programs.compared(*error.programs.path(x, one), one))
     )

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import rbjax as rb
 from rbjax.cli import app
-from rbjax.sysid import Inertia, Tilt, estimates
+from rbjax.sysid import Grid, Inertia, Tilt, estimates
 from rbjax.sysid.job import Job, Results
 from rbjax.sysid.job_example import CONFIGURATION, TRUTH, write_example
 
@@ -112,6 +112,10 @@ def test_what_a_configuration_says(tmp_path):
     np.testing.assert_array_equal(job.setup.controller.kp, [3.0])
     assert job.setup.delay == 0.012 and job.grid.period == 0.02 and job.grid.substeps == 2
     assert job.grid.longest_delay == 3  # of 36 ms, and one
+    path.write_text(text.replace("substeps = 2\n", ""))
+    assert Job.read(path).grid == Grid(0.02, 0, longest_delay=3)  # `identify` checks the steps
+    path.write_text(text.replace("substeps = 2\n", "").replace("period = 0.02\n", ""))
+    assert Job.read(path).grid == Grid(0.02, 0, longest_delay=3)  # the finest clock
 
 
 def test_the_command_says_what_was_found(tmp_path, monkeypatch):

@@ -68,7 +68,7 @@ def test_a_joint_that_does_not_exist_is_named(example):
         read(example, ANGLE, ANGLE.replace('"shoulder", ', '"sholder", '))
     with pytest.raises(UnknownName, match=r"actuator of a column of sensor ctrl 'hip'"):
         read(example, 'sensor = "ctrl", joint = "elbow"', 'sensor = "ctrl", joint = "hip"')
-    with pytest.raises(InputError, match=r"shoulder angle.*say joint = "):
+    with pytest.raises(InputError, match=r"shoulder angle.*give joint = "):
         read(example, ', joint = "shoulder", unit = "deg"', ', unit = "deg"')
 
 
@@ -150,7 +150,7 @@ def test_names_resolve_within_indices(tree, leaf, index, where):
         ("bodies.mass", "hed", "index of bodies.mass 'hed'.*did you mean 'head'"),
         ("bodies.mass", ["head", 2], "a place on 2 axes, expected one on 1"),
         ("bodies.mass", 3, "out of bounds.*has shape"),
-        ("bodies.mass", ["head", "head"], "names one twice"),
+        ("bodies.mass", ["head", "head"], "an entry twice"),
         ("bodies.com", ["head", 3], "out of bounds"),
         ("bodies.com", [["head"], ["z"]], "later axis, expected integers"),
         ("gravity", "z", "entries have no names; expected integers from 0 to 2"),

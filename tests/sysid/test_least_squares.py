@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rbjax.sysid.divergence import Divergence
-from rbjax.sysid.least_squares import minimise
+from rbjax.sysid.least_squares import minimise, shown
 
 T = np.linspace(0.0, 3.0, 200)
 
@@ -94,3 +94,19 @@ def test_a_minimum_at_a_border_is_one():
     of.seen = 2 * np.exp(0.1 * T)
     least = minimise(of, np.array([1.0, 0.5]), steps=100)
     assert least.ok and 0 < least.x[1] < 1e-3
+
+
+def test_what_nothing_depends_on_does_not_move():
+    """Columns of slopes that are exactly 0, such as those of an initial state that is known: their
+    step is exactly 0, not rounding of the decomposition."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        R = np.linalg.qr(rng.normal(size=(12, 6)), mode="r")
+        R[:, [1, 2]] = 0.0
+        R = np.linalg.qr(R, mode="r")
+        L = np.diag(rng.uniform(0.5, 2.0, 5))
+        step = shown(R, L)
+        assert (step[[1, 2]] == 0).all() and (step[[0, 3, 4]] != 0).all()
+        left = R[:, :-1] @ step + R[:, -1]
+        np.testing.assert_allclose(R[:, :-1].T @ left, 0, atol=1e-12)
+    assert (shown(np.zeros((3, 3)), np.eye(2)) == 0).all()

@@ -30,6 +30,10 @@ def turning(armature):
     return MODEL.replace(joints=MODEL.joints.replace(armature=jnp.array([armature])))
 
 
+#: the recording's steps and those of half their length, which a fit may take, differ by 3e-8
+STEPS = 1e-7
+
+
 def long_run(armature=0.9, count=400):
     """Eight seconds of free swinging: eight periods, and a wrong frequency loses count of them."""
     start = rb.State(jnp.array([1.2]), jnp.array([0.0]))
@@ -41,15 +45,18 @@ def long_run(armature=0.9, count=400):
 @pytest.mark.slow
 def test_a_wrong_frequency_has_many_minima_and_many_starts_find_the_best():
     run, guess = long_run(), turning(0.05)
-    single = identify(guess, run, ROTOR)
+    single = identify(guess, run, ROTOR, restarts=0)
     assert single.ok and single.rms["q"] > 0.1  # it ends, but not at the truth
-    found = many_starts(guess, run, ROTOR, guesses=12, spread=3.5, finalists=4)
-    np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=1e-8)
+    assert not single.verdict.good
+    # by default a poor fit is tried from other starts, one of which grows to the truth
+    np.testing.assert_allclose(identify(guess, run, ROTOR).values["armature"], 0.9, rtol=STEPS)
+    found = many_starts(guess, run, ROTOR, guesses=12, spread=3.5, finalists=8)
+    np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=STEPS)
     assert found.best.guess["armature"] == pytest.approx(0.05) and found.best.ok
     assert found.guesses.shape == (12, 1) and found.guesses[0] == pytest.approx(0.05)
     assert np.argmin(found.costs) in found.basins[0].starts
     assert found.won in found.basins[0].starts
-    assert 1 < len(found.basins) <= 4  # the others are other frequencies
+    assert 1 < len(found.basins) <= 8  # the others are other frequencies
     assert found.basins[1].cost > 1e3 * found.basins[0].cost
     assert f"{len(found.basins)} basins" in found.words()
 
@@ -57,7 +64,7 @@ def test_a_wrong_frequency_has_many_minima_and_many_starts_find_the_best():
 def test_guesses_that_are_given():
     run = long_run()
     found = many_starts(turning(0.05), run, ROTOR, guesses=[[0.02], [0.8], [1.0]])
-    np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=1e-8)
+    np.testing.assert_allclose(found.best.values["armature"], 0.9, rtol=STEPS)
     assert set(found.basins[0].starts) == {1, 2}
 
 

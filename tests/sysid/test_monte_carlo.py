@@ -1,5 +1,6 @@
 """Repetitions of an experiment: intervals that hold, scatter that the covariance foretells."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -90,3 +91,19 @@ def test_it_repeats_the_fit_of_the_user(monkeypatch) -> None:
 def test_refuses(found, how, said) -> None:
     with pytest.raises(rb.InputError, match=said):
         monte_carlo(found(), **how)
+
+
+@pytest.mark.parametrize(("ok", "good"), [(True, True), (True, False), (False, False)])
+def test_repetitions_that_fail_are_counted(monkeypatch, ok, good) -> None:
+    """And those whose verdict is good."""
+    from rbjax.sysid import monte_carlo as module
+
+    found = swung()
+    verdict = dataclasses.replace(found.verdict, good=good)
+    one = dataclasses.replace(found, ok=ok, verdict=verdict)
+    monkeypatch.setattr(
+        __import__("sys").modules["rbjax.sysid.monte_carlo"], "fitted", lambda *x, **more: one
+    )
+    again = module(found, 3)
+    assert again.failed == 3 * (not ok) and again.good == 3 * good
+    assert again.coverage == 1.0 and again.inside.shape == (3, 1)

@@ -11,7 +11,9 @@ from scipy import stats
 import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, estimates, identify
 from rbjax.sysid import prediction_error as fitted
+from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.likelihood import series_of
+from rbjax.sysid.prediction_error import _maximised
 
 T, PUSH, SIGMA = 0.02, 0.3, 1e-3
 EULER = "semi_implicit_euler"  # of one stage, whose program is small
@@ -233,3 +235,62 @@ def test_intervals_hold_where_those_of_simulations_do_not():
     assert (np.abs(off[0].mean(0)) < 4 * scatter[0] / np.sqrt(count)).all()
     assert (held[1] < 0.6).all() and (scatter[1] > 3 * scatter[0]).all()
     assert (scatter[1] > 3 * sigma[1].mean(0)).all()
+
+
+class Normal:
+    """-2 log p = sum over samples of (y - x)^2 + const, of one number x > 0 with mean 2."""
+
+    factor = 1.0
+
+    def cost(self, x):
+        return float(10 * (x[0] - 2.0) ** 2 + 3.0)
+
+    def triangle(self, x):
+        return np.sqrt(10) * np.array([[self.factor, x[0] - 2.0], [0.0, 0.0]])
+
+    def divergence(self, x, x0):
+        return Divergence.positive(x, x0)
+
+
+class Slow(Normal):
+    """r = (x - 2)^3: a step of Gauss and Newton goes a third of the way."""
+
+    def cost(self, x):
+        return float((x[0] - 2.0) ** 6)
+
+    def triangle(self, x):
+        return np.array([[3 * (x[0] - 2.0) ** 2, (x[0] - 2.0) ** 3], [0.0, 0.0]])
+
+
+class Uphill(Normal):
+    factor = -1.0  # no step can succeed
+
+
+class Endless(Normal):
+    def cost(self, x):
+        return np.inf
+
+
+class Thin(Normal):
+    """Of which no point has a metric."""
+
+    def divergence(self, x, x0):
+        return Divergence.impossible(1)
+
+
+@pytest.mark.parametrize(
+    ("of", "steps", "said"),
+    [
+        (Normal(), 60, "converged"),
+        (Slow(), 3, "not converged in 7 evaluations"),
+        (Uphill(), 60, "stalled: no step raises the likelihood"),
+        (Endless(), 60, "the likelihood of the first guess is not finite"),
+        (Thin(), 60, "the first guess is at the border of what is possible"),
+    ],
+)
+def test_each_end_of_a_search(of, steps, said):
+    start = np.array([3.0 if steps == 60 else 200.0])
+    found = _maximised(of, start, steps, lambda text: None)
+    assert found.message.startswith(said) and found.ok == (said == "converged")
+    if found.ok:
+        assert abs(found.x[0] - 2) < 1e-6

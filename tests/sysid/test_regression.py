@@ -250,8 +250,21 @@ def test_bad_arguments():
         sysid.regress(W, np.where(np.arange(200).reshape(100, 2) == 7, np.nan, tau), names)
     with pytest.raises(InputError, match="2 torques for"):
         sysid.regress(W[:1], tau[:1], names, base=base)
-    with pytest.raises(InputError, match="noise has shape"):
+    with pytest.raises(InputError, match=r"noise has shape \(3,\), expected \(\), \(2,\) or"):
+        sysid.regress(W, tau, names, noise=[0.1, 0.1, 0.1])
+    with pytest.raises(InputError, match=r"noise\[1\] is 0.0, expected standard deviations above"):
         sysid.regress(W, tau, names, noise=[0.1, 0.0])
+    with pytest.raises(InputError, match=r"noise\[3, 1\] is nan"):
+        sysid.regress(W, tau, names, noise=np.where(np.arange(200) == 7, np.nan, 1).reshape(100, 2))
+    with pytest.raises(InputError, match=r"noise is -1\.0"):
+        sysid.regress(W, tau, names, noise=-1.0)
+    with pytest.raises(InputError, match="0 torques have finite noise"):
+        sysid.regress(W, tau, names, noise=np.inf)
+    with pytest.raises(InputError, match="noise is inf for some torques"):
+        sysid.regress(
+            W, tau, names, noise=np.where(np.arange(200) == 7, np.inf, 1).reshape(100, 2),
+            method="ordinary",
+        )  # fmt: skip
     with pytest.raises(InputError, match="instruments have shape"):
         sysid.regress(W, tau, names, method="instrumental", instruments=W[1:])
     with pytest.raises(InputError, match="do not show"):

@@ -247,3 +247,23 @@ def test_selection_with_channels_of_unequal_noise():
         earned += [c.earned for c in found.comparisons[1:]]
         assert abs(found.regression.beta[1] - 2) < 0.02
     assert np.mean(earned) < 0.1  # 1 % is the level of the test
+
+
+@pytest.mark.parametrize("method", ["weighted", "robust", "instrumental"])
+@pytest.mark.parametrize("size", [0.1, 3.0])  # as stated, and 30 times as large
+def test_torques_of_infinite_noise_do_not_count(method, size):
+    """They are as if they were left out: the same numbers, intervals and degrees of freedom."""
+    rng = np.random.default_rng(5)
+    W = line(300)[:, None].repeat(2, 1)
+    tau = W @ BETA + size * rng.normal(size=(300, 2))
+    out = np.arange(300) % 4 == 0
+    noise = np.where(out[:, None], np.inf, 0.1) * np.ones((300, 2))
+    wild = np.where(out[:, None], 1e3, tau)
+    options = {"instruments": W} if method == "instrumental" else {}
+    found = regress(W, wild, NAMES, method=method, noise=noise, **options)
+    options = {"instruments": W[~out]} if method == "instrumental" else {}
+    want = regress(W[~out], tau[~out], NAMES, method=method, noise=0.1, **options)
+    np.testing.assert_allclose(found.beta, want.beta, rtol=1e-10)
+    np.testing.assert_allclose(found.errors, want.errors, rtol=1e-6)
+    np.testing.assert_allclose(found.noise, want.noise, rtol=1e-10)
+    assert found.dof == want.dof and found.white == want.white

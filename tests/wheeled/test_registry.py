@@ -17,7 +17,7 @@ from rbjax import wheeled
 from rbjax.callable_modules import CallableModule
 from rbjax.model import State
 from rbjax.wheeled import DCMotor, Fiala, Relaxing, RollingResistance, SpeedServo
-from tests.composing import check_axes, check_composes
+from tests.composing import cast, check_axes, check_composes
 from tests.wheeled.laws import LAWS, numbers
 
 # those that take no arrays, or only known ones (an arrangement of wheels depends on them), and the
@@ -34,6 +34,7 @@ DT, TIMES = 0.05, np.arange(4) * 0.1
 
 def changed(robot, mass, radius):
     """A robot with another mass of its chassis and another radius of a wheel."""
+    robot = cast(robot, mass)
     bodies = (robot.bodies[0].replace(mass=mass), *robot.bodies[1:])
     wheels = (robot.wheels[0].replace(radius=radius), *robot.wheels[1:])
     return robot.replace(bodies=bodies, wheels=wheels)
@@ -45,7 +46,8 @@ def floats(tree: Any) -> Any:
 
 def rates(fidelity: str, robot: Any, **options: Any) -> Callable:
     def found(q, v, u, mass, radius):
-        vehicle = wheeled.at(changed(robot, mass, radius), fidelity, **options)
+        made = changed(robot, mass, radius)
+        vehicle = wheeled.at(made, fidelity, **cast(options, mass))
         return wheeled.rates(vehicle, State(q, v), u)
 
     return found
@@ -62,7 +64,7 @@ def rollout(q, v, controls, mass, radius):
 
 def contacts(q, v, u, tyre):
     law = Fiala(tyre[:2], tyre[2:4], tyre[4])
-    return wheeled.contacts(wheeled.at(CART, "slipping", tyre=law), State(q, v), u)
+    return wheeled.contacts(wheeled.at(cast(CART, q), "slipping", tyre=law), State(q, v), u)
 
 
 def full_model(mass, radius):
@@ -71,7 +73,8 @@ def full_model(mass, radius):
 
 
 def full_model_state(q, v, u):
-    return wheeled.full_model_state(wheeled.at(TRICYCLE, "kinematical"), State(q, v), u, "free")
+    vehicle = wheeled.at(cast(TRICYCLE, q), "kinematical")
+    return wheeled.full_model_state(vehicle, State(q, v), u, "free")
 
 
 def commands(twist, mass, radius):
@@ -83,46 +86,47 @@ def rolled_twists(rates, mass, radius):
 
 
 def odometry(angles, coefficients, pose, mass, radius):
-    slip = wheeled.HeadingSlip(coefficients, 0.2, 0.1, 1, -1)
-    return wheeled.odometry(changed(OMNI, mass, radius), TIMES, angles, slip, pose)
+    slip = cast(wheeled.HeadingSlip(coefficients, 0.2, 0.1, 1, -1), angles)
+    times = cast(TIMES, angles)
+    return wheeled.odometry(changed(OMNI, mass, radius), times, angles, slip, pose)
 
 
 def mean_twists(poses):
-    return wheeled.mean_twists(TIMES, poses)
+    return wheeled.mean_twists(cast(TIMES, poses), poses)
 
 
 def tracking_gains(q, v, controls, Q, R):
-    vehicle = wheeled.at(CART, "kinematical")
+    vehicle = wheeled.at(cast(CART, q), "kinematical")
     return wheeled.tracking_gains(vehicle, State(q, v), controls, DT, Q, R)
 
 
 def traction_along(u, direction):
-    return jnp.stack(wheeled.traction_along(TYRE, *u, (direction[0], direction[1])))
+    return jnp.stack(wheeled.traction_along(cast(TYRE, u), *u, (direction[0], direction[1])))
 
 
 def law(record: Any) -> Callable:
     """The traction and the rates of a law, by its numbers too."""
-    back = numbers(record)[1]
 
     def found(u, z, factors):
-        own = back(numbers(record)[0] * factors)
+        row, back = numbers(cast(record, factors))
+        own = back(row * factors)
         return own.response(*u, [z[0], z[1]])
 
     return found
 
 
 def motor(record: Any) -> Callable:
-    back = numbers(record)[1]
 
     def found(u, speed, factors):
-        own = back(numbers(record)[0] * factors)
+        row, back = numbers(cast(record, factors))
+        own = back(row * factors)
         return own.torque(u, speed), own.free_speed(u), own.heat(u, speed), own.power_in(u, speed)
 
     return found
 
 
 def resisting(coefficient, load, radius, speed):
-    return RollingResistance(coefficient, 0.05).torque(load, radius, speed)
+    return cast(RollingResistance(coefficient, 0.05), load).torque(load, radius, speed)
 
 
 MOTORS = {
@@ -192,9 +196,7 @@ REGISTRY: dict[str, tuple[Callable, list[np.ndarray]]] = {
         resisting, drawn(coefficient=0.02 * ONE, load=10 * ONE, radius=ONE, speed=0.1 * ONE),
     ),
 }  # fmt: skip
-REGISTRY |= {
-    name: (law(x), drawn(u=ROLLS, z=2, factors=factors(x))) for name, x in TYRES.items()
-}
+REGISTRY |= {name: (law(x), drawn(u=ROLLS, z=2, factors=factors(x))) for name, x in TYRES.items()}
 REGISTRY |= {
     name: (motor(x), drawn(u=5 * ONE, speed=4 * ONE, factors=factors(x)))
     for name, x in MOTORS.items()

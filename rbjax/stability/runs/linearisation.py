@@ -15,7 +15,7 @@ from rbjax.model import Model, State
 from rbjax.motion.field import free_motion, law_of
 from rbjax.motion.linearise import beside, linearise, linearised
 
-#: singular values of a Newton step below this part of the largest are zero, by the bytes of a float
+#: relative cutoff of singular values in a Newton step, by the bytes of a float
 RANK = {8: 1e-10, 4: 1e-5}
 
 
@@ -48,7 +48,12 @@ def state_matrix(model: Model, state: State, ctrl: jax.Array | None = None) -> j
 
 
 class Reduced(NamedTuple):
-    """A (r, r) and B (r, nu) of dz, and the basis (n, r) of dx = basis dz, orthonormal."""
+    """The linearisation on the tangent space of the constraints.
+
+    A: (r, r), of dz.
+    B: (r, nu).
+    basis: (n, r) T of dx = T dz, with orthonormal columns.
+    """
 
     A: np.ndarray
     B: np.ndarray
@@ -62,9 +67,10 @@ def reduced_linearisation(
 
         d/dt dz = A dz + B du,     dx = T dz,     [g_q 0; g'_q g'_v] T = 0
 
-    `rb.linearise` gives all n = 2 nv + nx directions. Those that leave the constraints have
-    eigenvalues of zero, or those of a feedback, and no control reaches them, so that no regulator
-    exists. r = n - rank is what is left: twice the freedoms if all rows are holonomic.
+    `rb.linearise` gives all n = 2 nv + nx directions. The directions that leave the constraints
+    have eigenvalues of zero, or the eigenvalues of a feedback, such as Baumgarte's. They are not
+    controllable, so no regulator exists. r = n - rank of the matrix above: twice the degrees of
+    freedom if all rows are holonomic and nx = 0.
 
     Args:
         model: the robot, with constraints or without.
@@ -73,7 +79,7 @@ def reduced_linearisation(
         dt: step in seconds of the discrete form; None for the continuous one.
 
     Returns:
-        `Reduced(A, B, basis)`. A gain K of du = K dz is K basis^T of du by dx.
+        `Reduced(A, B, basis)`. A gain K of du = K dz becomes du = K basis^T dx.
 
     Raises:
         InputError: a state off the constraints; wrong shapes, values that are not finite.
@@ -97,7 +103,7 @@ def reduced_linearisation(
     if np.abs(off).max(initial=0.0) > near:
         raise InputError(
             f"reduced_linearisation: the state is off the constraints by {np.abs(off).max():.1e}, "
-            "expected one on them; rb.constraints.assemble(model, state) finds one"
+            "expected a state on them; rb.constraints.assemble(model, state) finds one"
         )
     size = np.linalg.norm(C, axis=1, keepdims=True)
     C = C / np.where(size > near, size, np.inf)

@@ -204,3 +204,29 @@ def test_the_rim_is_drawn_where_theory_has_it() -> None:
     _, rim = (c for c in ax.collections if isinstance(c, QuadContourSet))
     points = np.concatenate([path.vertices for path in rim.get_paths()])
     np.testing.assert_allclose(np.hypot(points[:, 0] + 1, points[:, 1]), 1, atol=1e-3)
+
+
+def test_spectral_radii_are_drawn_as_measured() -> None:
+    from matplotlib.figure import Figure
+
+    ax, frequencies = Figure().add_subplot(), np.array([0.1, 1.0, 1.9])
+    stability.plot_spectral_radius(ax, {"Verlet": "stoermer_verlet"}, frequencies)
+    (line,) = ax.lines
+    np.testing.assert_allclose(line.get_ydata(), 1, rtol=1e-6)  # stable below h omega = 2
+    np.testing.assert_array_equal(line.get_xdata(), frequencies)
+
+
+def test_factors_of_verlet_are_a_pair_on_the_unit_circle() -> None:
+    """zeta^2 - (2 - Omega^2) zeta + 1 = 0."""
+    omega = np.array([0.5, 1.5])
+    factors = stability.oscillator_factors("stoermer_verlet", omega)
+    assert factors.shape == (2, 2)
+    np.testing.assert_allclose(factors.sum(-1), 2 - omega**2, atol=1e-6)
+    np.testing.assert_allclose(factors.prod(-1), 1, atol=1e-6)
+
+
+def test_the_region_of_euler_is_a_disc() -> None:
+    euler = stability.stability_function(diffrax.Euler())
+    x, y = np.linspace(-3, 1, 9), np.linspace(-2, 2, 5)
+    radius = stability.stability_region(euler, x, y)
+    np.testing.assert_allclose(radius, np.hypot(1 + x[None], y[:, None]), atol=1e-12)

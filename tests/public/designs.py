@@ -1,0 +1,326 @@
+"""Cases of the functions of arrays of control, sysid and stability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rbjax as rb
+from rbjax import control, stability, sysid
+from tests.composing import cast
+from tests.public.grid import Case, same
+from tests.robots import robot
+
+RNG = np.random.default_rng(4)
+F64 = (np.float64,)
+
+
+def positive(n: int, size: int = 3) -> np.ndarray:
+    """Positive definite matrices of condition 10 or so."""
+    A = RNG.normal(size=(n, size, size))
+    return A @ A.swapaxes(1, 2) + size * np.eye(size)
+
+
+def state(q, v):
+    return rb.State(q, v)
+
+
+# ---------------------------------------------------------------- control
+
+STABLE = RNG.normal(size=(3, 3, 3)) - 4 * np.eye(3)
+INPUT, OUTPUT = RNG.normal(size=(3, 3, 2)), RNG.normal(size=(3, 2, 3))
+WEIGHT, SMALL_WEIGHT = positive(3), positive(3, 2)
+START = RNG.normal(size=(3, 3))
+
+
+def linear(A, B, Q, R):
+    return control.constant_problem(A, B, Q, R, 4)
+
+
+def rolled(A, B, Q, R, x):
+    problem = linear(A, B, Q, R)
+    return control.roll(problem, control.backward(problem), x)
+
+
+def rolled_in_parallel(A, B, Q, R, x):
+    problem = linear(A, B, Q, R)
+    return control.parallel_roll(problem, control.parallel_backward(problem), x)
+
+
+def cost(A, B, Q, R, x):
+    problem = linear(A, B, Q, R)
+    return control.quadratic_cost(problem, *rolled(A, B, Q, R, x))
+
+
+LQ = [0.2 * STABLE, INPUT, WEIGHT, SMALL_WEIGHT]
+CONTROL = {
+    "lqr": Case(same(lambda *x: control.lqr(*x)[:2]), [STABLE, *LQ[1:]]),
+    "lqr_finite": Case(same(lambda *x: control.lqr_finite(*x, 4).K), LQ),
+    "backward": Case(same(lambda *x: control.backward(linear(*x))[:4]), LQ),
+    "constant_problem": Case(same(lambda *x: linear(*x)), LQ),
+    "parallel_backward": Case(same(lambda *x: control.parallel_backward(linear(*x))[:4]), LQ),
+    "roll": Case(same(rolled), [*LQ, START]),
+    "parallel_roll": Case(same(rolled_in_parallel), [*LQ, START]),
+    "quadratic_cost": Case(same(cost), [*LQ, START]),
+    "lyapunov": Case(same(lambda A, Q: control.lyapunov(A, Q).X), [STABLE, WEIGHT]),
+    "controllability_gramian": Case(
+        same(lambda A, B: control.controllability_gramian(A, B).X), [STABLE, INPUT]
+    ),
+    "observability_gramian": Case(
+        same(lambda A, C: control.observability_gramian(A, C).X), [STABLE, OUTPUT]
+    ),
+    "discretise": Case(same(lambda A, B: control.discretise(A, B, 0.1)), [STABLE, INPUT]),
+    "kalman_gain": Case(
+        same(lambda A, C, W, V: control.kalman_gain(A, C, W, V)[:2]),
+        [STABLE, OUTPUT, WEIGHT, SMALL_WEIGHT],
+    ),
+}
+
+
+def cart(dtype: Any) -> rb.Model:
+    return robot("cart_pole", "unrolled").model.astype(dtype)
+
+
+def of_arm(make: Callable) -> Callable[[Any], Callable]:
+    """A law of the arm with seven joints at a state: its torques."""
+
+    def found(dtype: Any) -> Callable:
+        model = robot("arm7", "unrolled").model.astype(dtype)
+        return lambda q, v: make(model).tau(jnp.asarray(0.0, dtype), rb.State(q, v))
+
+    return found
+
+
+def of_arm_to(name: str, **options: Any) -> Callable[[Any], Callable]:
+    """A law of the arm that holds its tool at a position."""
+
+    def found(dtype: Any) -> Callable:
+        model = robot("arm7", "unrolled").model.astype(dtype)
+
+        def tau(q, v, position):
+            make = getattr(control, name)
+            law = make(model, position, site="tool", task="position", stiffness=25.0, **options)
+            return law.tau(jnp.asarray(0.0, dtype), rb.State(q, v))
+
+        return tau
+
+    return found
+
+
+def follow(model, q, velocity):
+    """The velocities of the joints that move the tool with a linear velocity."""
+    goal = control.Goal(site="tool", position=velocity)
+    return control.differential_inverse_kinematics(model, q, goal, damping=0.1).v
+
+
+def estimate(x, P):
+    return control.Estimate(x, P)
+
+
+SPACE = control.StateSpace.of(lambda x, u, w: jnp.sin(x) + u + w, lambda x: x[:2])
+SEVEN = [0.5 * RNG.normal(size=(3, 7)) for _ in range(2)]
+REACHED, FEEDBACK = 0.3 * RNG.normal(size=(3, 3)), 0.1 * RNG.normal(size=(3, 2, 3))
+FOUR, CART_STATE = np.full((3, 4), 1.0), [0.2 * RNG.normal(size=(3, 2)) for _ in range(2)]
+ONE = np.full((3, 1), 1.0)
+
+
+def moved(read: Callable) -> Callable[[Any], Callable]:
+    def make(dtype: Any) -> Callable:
+        space = control.observed(cart(dtype), lambda state: state.q, 0.01)
+        return lambda q, v, u: read(space, rb.State(q, v), u)
+
+    return make
+
+
+def planned(method: str) -> Callable[[Any], Callable]:
+    """The controls of a short plan with a strictly convex cost, which has one optimum."""
+
+    def make(dtype: Any) -> Callable:
+        model = cart(dtype)
+        goal = control.StateError(model.default_state())
+        problem = control.Problem(model, 4, 0.05, running=[goal, control.Control()])
+        return lambda q, v: control.solve(problem, rb.State(q, v), method=method).ctrls
+
+    return make
+
+
+def tracked(dtype: Any) -> Callable:
+    def gains(q, v, Q, R):
+        states = rb.State(jnp.stack([q] * 3), jnp.stack([v] * 3))
+        u = jnp.zeros((2, 1), q.dtype)
+        return control.time_varying_lqr(cart(dtype), states, u, 0.01, Q, R).K
+
+    return gains
+
+
+CONTROL |= {
+    "kalman_predict": Case(
+        same(
+            lambda x, P, u: control.kalman_predict(
+                SPACE, estimate(x, P), u, jnp.eye(3, dtype=x.dtype)
+            )
+        ),
+        [START, WEIGHT, START[::-1]],
+    ),
+    "kalman_update": Case(
+        same(lambda x, P, y, V: control.kalman_update(SPACE, estimate(x, P), y, V)),
+        [START, WEIGHT, START[:, :2], SMALL_WEIGHT],
+    ),
+    "observed": Case(
+        moved(lambda space, x, u: space.move(x, u, jnp.zeros(4, u.dtype))), [*CART_STATE, ONE]
+    ),
+    "steer": Case(
+        same(lambda A, B, Q, R, x: control.steer(linear(A, B, Q, R), x, 0 * x)[:2]), [*LQ, START]
+    ),
+    "time_varying_lqr": Case(tracked, [*CART_STATE, FOUR, ONE]),
+    "lqr_at": Case(
+        lambda d: (
+            lambda Q, R: control.lqr_at(cart(d), cart(d).default_state(), jnp.zeros(1, d), Q, R)[:2]
+        ),
+        [FOUR * np.array([1.0, 2.0, 3.0, 4.0]), ONE],
+    ),
+    "feedback": Case(
+        lambda d: (
+            lambda q, v, K: control.feedback(cart(d), cart(d).default_state(), jnp.zeros(1, d), K)(
+                0.0, rb.State(q, v)
+            )
+        ),
+        [*CART_STATE, RNG.normal(size=(3, 1, 4))],
+    ),
+    "allocate": Case(
+        lambda d: lambda q, v, u: control.allocate(cart(d), rb.State(q, v), u)[:2],
+        [*CART_STATE, RNG.normal(size=(3, 2))],
+    ),
+    "computed_torque": Case(
+        of_arm(lambda m: control.computed_torque(m, m.default_state().q, stiffness=25.0)), SEVEN
+    ),
+    "joint_impedance": Case(
+        of_arm(
+            lambda m: control.joint_impedance(m, m.default_state().q, stiffness=25.0, damping=5.0)
+        ),
+        SEVEN,
+    ),
+    "gravity_compensation": Case(of_arm(lambda m: control.gravity_compensation(m)), SEVEN),
+    "operational_space": Case(of_arm_to("operational_space"), [*SEVEN, REACHED]),
+    "cartesian_impedance": Case(of_arm_to("cartesian_impedance", damping=5.0), [*SEVEN, REACHED]),
+    "differential_inverse_kinematics": Case(
+        lambda d: lambda q, p: follow(robot("arm7", "unrolled").model.astype(d), q, p),
+        [SEVEN[0], REACHED],
+    ),
+    "controllability": Case(
+        same(lambda A, B: control.controllability(A, B).inside), [STABLE, INPUT[..., :1]]
+    ),
+    "observability": Case(
+        same(lambda A, C: control.observability(A, C).weakest), [STABLE, OUTPUT[:, :1]]
+    ),
+    "poles": Case(
+        same(lambda A, B, K: jnp.real(control.poles(A, B, K))), [STABLE, INPUT, FEEDBACK]
+    ),
+    # kinks where the loop that is closest to instability changes
+    "margins": Case(
+        same(lambda *x: control.margins(*x)[:3]), [STABLE, INPUT, FEEDBACK], derivatives=False
+    ),
+    "network": Case(lambda d: cast(control.network(jax.random.key(0), (3, 8, 2)), d), [START]),
+    # in JAX's default dtype, whatever that of the model
+    "solve, ddp": Case(planned("ddp"), CART_STATE, dtypes=F64),
+    "solve, sqp": Case(planned("sqp"), CART_STATE, dtypes=F64),
+}
+
+# ---------------------------------------------------------------- sysid
+
+PSEUDO = positive(3, 4)
+THETA = 0.3 * RNG.normal(size=(3, 10))
+
+
+@cache
+def arm(dtype: Any) -> rb.Model:
+    return robot("double_pendulum", "unrolled").model.astype(dtype)
+
+
+def filtered(read: Callable) -> Callable[[Any], Callable]:
+    """A filter of three samples of a system of three states, of noise that is known."""
+
+    def found(x, P, u, y, W, V):
+        space = sysid.StateSpace.of(lambda x, u, w: jnp.sin(x) + u + w, lambda x: x[:2])
+        return read(space, sysid.kalman_filter(space, x, P, u, y, W, V))
+
+    return same(found)
+
+
+def heavier(m):
+    """A function of the masses of the two bodies."""
+    return lambda d: lambda mass: m(arm(d).replace(bodies=arm(d).bodies.replace(mass=mass)))
+
+
+READ = [RNG.normal(size=(3, 2, 3)), RNG.normal(size=(3, 3, 2))]
+LONG = [RNG.normal(size=(3, 4, 2)) for _ in range(3)]
+TWO = [RNG.normal(size=(3, 2)) for _ in range(3)]
+MASSES = np.abs(RNG.normal(size=(3, 2))) + 1
+SYSID = {
+    "regressor": Case(
+        lambda d: lambda q, v, a: sysid.regressor(arm(d), q, v, a, joint_terms=("viscous",)), TWO
+    ),
+    "energy_regressor": Case(lambda d: lambda q, v: sysid.energy_regressor(arm(d), q, v), TWO[:2]),
+    "momentum_regressor": Case(
+        lambda d: lambda q, v: sysid.momentum_regressor(arm(d), q, v), TWO[:2]
+    ),
+    "to_log_cholesky": Case(same(sysid.to_log_cholesky), [PSEUDO]),
+    "from_log_cholesky": Case(same(sysid.from_log_cholesky), [THETA]),
+    "log_cholesky_parameters": Case(same(sysid.log_cholesky_parameters), [THETA]),
+    "log_cholesky_volume": Case(same(sysid.log_cholesky_volume), [THETA]),
+    "pseudo_inertia_of": Case(same(sysid.pseudo_inertia_of), [THETA]),
+    "inertial_parameters_of": Case(same(sysid.inertial_parameters_of), [PSEUDO]),
+    "nearest_pseudo_inertia": Case(same(sysid.nearest_pseudo_inertia), [PSEUDO]),
+    "with_inertial_parameters": Case(
+        lambda d: (
+            lambda t: (
+                sysid.with_inertial_parameters(
+                    arm(d), jnp.stack([sysid.log_cholesky_parameters(t)] * 2)
+                ).bodies
+            )
+        ),
+        [THETA],
+    ),
+    "model_log_cholesky": Case(heavier(sysid.model_log_cholesky), [MASSES]),
+    "parameter_values": Case(heavier(sysid.parameter_values), [MASSES]),
+    "observation_matrix": Case(
+        lambda d: lambda q, v, a: sysid.observation_matrix(arm(d), q, v, a), LONG
+    ),
+    "kalman_filter": Case(
+        filtered(lambda space, x: (x.state, x.covariance, x.log_likelihood)),
+        [START, WEIGHT, *READ, WEIGHT, SMALL_WEIGHT],
+    ),
+    "kalman_smoother": Case(
+        filtered(sysid.kalman_smoother), [START, WEIGHT, *READ, WEIGHT, SMALL_WEIGHT]
+    ),
+    "log_determinant_divergence": Case(
+        same(sysid.log_determinant_divergence), [PSEUDO, PSEUDO[::-1]]
+    ),
+    "affine_invariant_distance": Case(
+        same(sysid.affine_invariant_distance), [PSEUDO, PSEUDO[::-1]]
+    ),
+    "pullback_distance": Case(same(sysid.pullback_distance), [PSEUDO, PSEUDO[::-1] + 1]),
+    "pullback_metric": Case(
+        same(lambda t: sysid.pullback_metric(sysid.log_cholesky_parameters(t))), [THETA]
+    ),
+    "prior_residual": Case(same(sysid.prior_residual), [THETA, THETA[::-1]]),
+}
+
+# ---------------------------------------------------------------- stability
+
+STABILITY = {
+    "state_matrix": Case(
+        lambda d: lambda q, v: stability.state_matrix(arm(d), state(q, v)), TWO[:2]
+    ),
+    "to_canonical": Case(
+        lambda d: lambda q, v: stability.to_canonical(arm(d), state(q, v)), TWO[:2]
+    ),
+    "from_canonical": Case(
+        lambda d: lambda q, p: stability.from_canonical(arm(d), (q, p)), TWO[:2]
+    ),
+}

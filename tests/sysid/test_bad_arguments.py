@@ -1,0 +1,225 @@
+"""Wrong arguments of every public function of identification, one at a time: an error of rbjax that
+names the argument, never a bare one of Python, never silence. `test_misuse.py` has the regressors,
+balances, filters, motions and designs, `test_bad_data.py` the readers."""
+
+import functools
+import inspect
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rbjax as rb
+from rbjax import sysid as y
+from tests.sysid import test_bad_data, test_misuse, test_regression_statistics
+
+NAN = float("nan")
+MODEL = rb.load("pendulum")
+T = np.arange(31) * 0.01
+RUN = y.Recording("a", {"q": y.Channel(T, 0.1 * np.cos(5 * T))})
+MASS = {"mass": y.Unknown("bodies.mass", 0, positive=True)}
+J = np.random.default_rng(0).normal(size=(20, 2))
+R = J[:, 0] - 2 * J[:, 1]
+WALK = y.StateSpace.of(lambda x, u, w: x + w, lambda x: x)
+NUMBER = [None, "x", NAN, [], object(), np.ones((3, 3, 3))]
+
+
+@functools.cache
+def fit():
+    return y.identify(MODEL, RUN, MASS, grid=y.Grid(0.01), restarts=0)
+
+
+def filtered():
+    seen = jnp.array([[1.0], [jnp.nan], [2.0]])
+    return y.kalman_filter(WALK, jnp.zeros(1), [1.0], jnp.zeros(2), seen, [1.0], [1.0])
+
+
+# function: (its good arguments, {argument: wrong values})
+WRONG_MODEL = [5, "x", None, RUN, {}]
+WRONG_RUNS = [5, "x", None, MODEL, [], [5], [RUN, 5], {"a": RUN}, [RUN, RUN]]
+WRONG_UNKNOWNS = [5, "x", None, {}, {"mass": 5}, {"mass": y.Unknown("bodies.nope")}, [MASS],
+                  {"mass": y.Unknown("bodies.mass", 7)}, {"mass": y.Unknown(5)},
+                  {"mass": y.Unknown("bodies.mass", "x")}]  # fmt: skip
+WRONG_GRID = [5, "x", y.Grid(0), y.Grid(NAN), y.Grid(0.01, -1), y.Grid(0.01, 1.5), y.Grid("x"),
+              y.Grid(0.01, longest_delay=-1), y.Grid(100.0), y.Grid(0.01, integrator="x"),
+              y.Grid(0.01, integrator=5)]  # fmt: skip
+FITTED = {"model": MODEL, "recordings": RUN, "unknowns": MASS}
+WRONG_FIT = {
+    "model": WRONG_MODEL, "recordings": WRONG_RUNS, "unknowns": WRONG_UNKNOWNS, "grid": WRONG_GRID,
+}  # fmt: skip
+CASES = {
+    "identify": (FITTED, WRONG_FIT | {
+        "pieces": [0, -1, NAN, "x", [1]], "shooting": [0, -1, NAN, "x", 100.0],
+        "starts": ["x", 5, NAN], "loss": ["x", 5, None, []], "steps": [0, 1.5, "x", None, True],
+        "restarts": [-1, 1.5, "x", None, True], "save": [5, []],
+        "resume": [5, {"nope": 1.0}, {"mass": "x"}, {"mass": NAN}, "nope.json"],
+    }),
+    "many_starts": (FITTED, WRONG_FIT | {
+        "guesses": [0, "x", None, [[1.0, 2.0]], [[-1.0]], [[NAN]], 1.5],
+        "spread": [0, -1, NAN, "x", None], "seed": [-1, "x", None, 1.5],
+        "first_steps": [0, "x"], "finalists": [0, "x"], "loss": ["x", 5], "starts": ["x", 5],
+    }),
+    "squares": (FITTED, WRONG_FIT | {
+        "mode": ["x", 5], "memory": [0, -1, "x", True], "loss": ["x", 5], "starts": ["x", 5],
+    }),
+    "prediction_error": (FITTED, WRONG_FIT | {
+        "drive": ["x", 5, None], "driven": ["x", 5, ["nope"], [5]],
+        "steps": [0, "x", None],
+    }),
+    "free_run": ({"model": MODEL, "recordings": [RUN]}, {
+        "model": WRONG_MODEL, "recordings": WRONG_RUNS, "grid": WRONG_GRID, "starts": ["x", 5],
+        "noise": [5, "x", {}, {"q": "x"}, {"q": [0.0]}, {"q": [NAN]}, {"q": [1.0, 2.0]}],
+    }),
+    "kalman_filter": (
+        {
+            "space": WALK, "start": jnp.zeros(1), "covariance": [1.0], "inputs": jnp.zeros(2),
+            "readings": jnp.ones((3, 1)), "process": [1.0], "noise": [1.0],
+        },
+        {
+            "space": [5, "x", None], "covariance": ["x", None, [[1.0, 2.0]]],
+            "inputs": [np.zeros(5)], "readings": [np.zeros((5, 1)), "x", None],
+            "process": ["x", None, [[1.0, 2.0]]], "noise": ["x", None, np.ones(2)],
+            "arrived": [np.ones((5, 1), bool)],
+        },
+    ),
+    "kalman_smoother": ({"space": WALK, "filtered": filtered()}, {
+        "space": [5, None], "filtered": [5, "x", None],
+    }),
+    "Channel": ({"t": T, "values": T}, {
+        "t": [None, "x", T[::-1], T * NAN, T[:5], T[:, None]],
+        "values": [None, "x", T * NAN, T[:5]],
+        "names": ["ab", ["a", "a"], 5], "unit": ["furlong", 5], "scale": ["x", [1, 2], NAN, None],
+        "sign": [0, 5, "x"], "noise": [-1, NAN, "x", [1, 2]], "dropped": ["x", 5, [True]],
+    }),
+    "Recording": ({"name": "a", "channels": RUN.channels}, {
+        "name": [5, None], "channels": [5, "x", None, {}, {"q": 5}, {"nope": RUN["q"]},
+                                        {5: RUN["q"]}, [RUN["q"]]],
+        "initial_state": [5, "x", np.zeros(1)],
+    }),
+    "split": ({"recordings": [y.Recording(n, RUN.channels) for n in "abc"]}, {
+        "recordings": [5, "x", None, [5], [], MODEL], "train": ["x", NAN, -1, 2, None],
+        "validation": ["x", NAN, -1, 2], "test": ["x", NAN, -1], "seed": [-1, "x", 1.5],
+    }),
+    "findings": ({"recording": RUN}, {"recording": [5, "x", None, [RUN]]}),
+    "in_si": ({"unit": "deg"}, {"unit": [5, None, "x", []]}),
+    "combinations": ({"J": J, "names": ["a", "b"]}, {
+        "J": [*NUMBER, J * NAN, J * 1j, J[0]], "names": [5, None, ["a"], ["a", "a"], [1, 2], "abc"],
+        "tolerance": [0, 2, "x", NAN], "first": [5, ["c"], None],
+    }),
+    "estimates": ({"names": ["a", "b"], "values": [1.0, 2.0], "jacobian": J, "noise": 1.0}, {
+        "names": [5, None, ["a"], ["a", "a"], [1, 2]], "values": ["x", [1.0], None],
+        "jacobian": [*NUMBER, J * NAN, J[0]], "noise": ["x", 0, -1, NAN, [1.0, 2.0]],
+        "bounds": [{"c": (0, 1)}, 5, "x", {"a": 5}, {"a": (1, 0)}],
+        "rank_tolerance": [0, "x", 2, NAN], "dof": ["x", 0, NAN],
+    }),
+    "equations": ({"W": J, "tau": R, "names": ["a", "b"]}, {
+        "W": [*NUMBER, J * NAN, J * 1j, J[:3], J[0]], "tau": ["x", None, R[:3], R * NAN],
+        "names": [5, None, ["a"], ["a", "a"]], "noise": ["x", 0, -1, NAN, np.ones(3), np.inf],
+        "base": [5, "x"], "lengths": [5, [3], ["x"], [0, 20], [10.0, 10.0]],
+    }),
+    "differentiate": ({"t": T, "x": T, "cutoff": 10.0}, {
+        "t": ["x", None, T[::-1], T * NAN, T[:3]], "x": ["x", None, T[:3], T * NAN],
+        "cutoff": ["x", 0, -1, NAN, 1e6], "order": [0, "x", 1.5],
+    }),
+    "information": ({"jacobian": J}, {"jacobian": [*NUMBER, J * NAN], "noise": [0, "x", NAN]}),
+    "crlb": ({"jacobian": J}, {"jacobian": [*NUMBER, J * NAN], "noise": [0, "x", NAN]}),
+    "noise_by_channel": ({"residual": R, "jacobian": J, "channels": ["a"] * 20}, {
+        "residual": [*NUMBER, R[:3], R * NAN], "jacobian": [*NUMBER, J * NAN, J[:3]],
+        "channels": [5, None, ["a"]],
+    }),
+    "whiteness": ({"residual": R}, {
+        "residual": [*NUMBER, R[:3], 0 * R, R * NAN], "lags": [0, 20, "x", 1.5, NAN],
+    }),
+    "sandwich": ({"jacobians": J, "residuals": R}, {
+        "jacobians": [*NUMBER, J[:3], J[0], [J, 5], 0 * J, J * NAN],
+        "residuals": [*NUMBER, R[:3], [R, R], R * NAN], "lag": [-1, "x", 1.5],
+    }),
+    "compare": (
+        {"smaller": y.Scored("a", 2.0, 1), "larger": y.Scored("b", 1.0, 2), "samples": 30},
+        {
+            "smaller": [5, "x", None, y.Scored("a", NAN, 1), y.Scored("a", "x", 1),
+                        y.Scored("a", 2.0, 2), ("a", 2.0, 1)],
+            "larger": [5, "x", None, y.Scored("a", 5.0, 2), y.Scored("a", 1.0, None)],
+            "samples": ["x", None, NAN, 2, [30]],
+        },
+    ),
+    "held_out": ({"fitted": {"a": R}, "unseen": {"b": R}}, {
+        "fitted": [5, None, {}, {"a": "x"}, {"a": None}, {"b": R}, {"a": R * NAN}, [R]],
+        "unseen": [5, None, {}, {"b": "x"}, {"a": R}, {"b": []}],
+        "measured": [5, {}, {"b": R[:3]}, {"b": "x"}], "noise": ["x", 0, -1, NAN],
+        "unit": [5, None],
+    }),
+    "monte_carlo": ({}, {
+        "found": [5, "x", None, MODEL], "repetitions": [0, 1, "x", 2.5], "level": [0, 1, "x", NAN],
+        "seed": [-1, "x"],
+    }),
+    "diagnose": ({}, {"found": [5, "x", None, MODEL], "steps": [0, "x", 1.5]}),
+    "report": ({}, {
+        "found": [5, "x", None, MODEL], "path": [5, None, "no/such/folder/a.html"],
+        "held_out": [5, "x", [5], RUN], "diagnosis": [5, "x"],
+    }),
+    "nearest_pseudo_inertia": ({"P": np.eye(4)}, {
+        "P": [*NUMBER, np.eye(3)], "margin": [0, -1, "x", NAN, None, True],
+    }),
+    "with_inertial_parameters": (
+        {"model": MODEL, "pi": rb.inertial_parameters(MODEL)},
+        {"model": [5, None, "x"], "pi": [5, "x", None, np.zeros(10), np.ones(3)]},
+    ),
+    "fit": (
+        {
+            "model": MODEL, "state": MODEL.default_state(), "ctrls": np.ones((5, 1)),
+            "measured": np.ones((6, 1)), "unknowns": MASS,
+        },
+        {
+            "model": [5, None], "state": [5, None], "ctrls": ["x", None, np.ones((5, 3))],
+            "measured": ["x", None, np.ones((3, 1))], "unknowns": [5, None, {}, {"a": 5}],
+            "dt": [0, "x", NAN], "integrator": ["x", 5], "save_every": [0, "x"],
+            "max_steps": [0, "x"],
+        },
+    ),
+}  # fmt: skip
+OF_A_FIT = {"monte_carlo", "diagnose", "report"}
+#: tables of other files, by function
+ELSEWHERE = {
+    "read_csv", "read_npz", "regress", "consistent", "regress_with_zeros", "zeros_of",
+    "select", "regressor", "observation_matrix", "parameter_names", "parameter_values",
+    "momentum_regressor", "energy_regressor", "momentum_balance", "energy_balance", "low_pass",
+    "base_parameters", "random_motions", "design", "torque_rows",
+}  # fmt: skip
+#: of arrays within traced code, in the grid of `tests/public`
+ARRAYS = {
+    "to_log_cholesky", "from_log_cholesky", "log_cholesky_parameters", "log_cholesky_volume",
+    "pseudo_inertia_of", "inertial_parameters_of", "model_log_cholesky",
+    "log_determinant_divergence", "affine_invariant_distance", "pullback_distance",
+    "pullback_metric", "prior_residual",
+}  # fmt: skip
+
+
+def calls():
+    for name, (_, wrong) in CASES.items():
+        for argument, values in wrong.items():
+            for k, value in enumerate(values):
+                yield pytest.param(name, argument, value, id=f"{name}-{argument}-{k}")
+
+
+@pytest.mark.parametrize(("name", "argument", "value"), [*calls()])
+def test_a_wrong_argument_is_named(name, argument, value, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    good = dict(CASES[name][0])
+    if name in OF_A_FIT and argument != "found":
+        good["found"] = fit()
+    with pytest.raises(rb.RbjaxError) as caught:
+        getattr(y, name)(**(good | {argument: value}))
+    assert 25 < len(str(caught.value)) < 1500
+
+
+def test_every_public_function_has_a_table():
+    functions = {
+        name for name in y.__all__
+        if callable(getattr(y, name)) and not inspect.isclass(getattr(y, name))
+    }  # fmt: skip
+    assert functions - {*CASES} - ELSEWHERE - ARRAYS == set()
+    said = "".join(
+        inspect.getsource(m) for m in (test_bad_data, test_misuse, test_regression_statistics)
+    )
+    assert [n for n in ELSEWHERE if n not in said] == []
