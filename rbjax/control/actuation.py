@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.arguments import check_is
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
@@ -70,6 +71,7 @@ def allocate(model: Model, state: State, tau: jax.Array) -> Allocation:
     check_model("allocate", model)
     check_actuators("allocate", model)
     tau = check_array("allocate", "tau", tau, (model.nv,))
+    check_is("allocate", "state", state, State, "(q, v)")
     ctrl = controls(model, state, tau)
     limits = model.actuators.ctrlrange.astype(ctrl.dtype)
     for element in model.forces:

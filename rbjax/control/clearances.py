@@ -16,14 +16,16 @@ of distances as constraints of trajectories).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.control.arguments import check_at_least, check_several
 from rbjax.control.terms import Term
+from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.model import Model
@@ -58,8 +60,8 @@ class Sphere(Obstacle):
     radius: jax.Array
 
     def __init__(self, centre: Any, radius: Any) -> None:
-        self.centre = _point("Sphere", "centre", centre)
-        self.radius = jnp.asarray(radius, float)
+        self.centre = check_array("Sphere", "centre", centre, (3,))
+        self.radius = check_at_least("Sphere", "radius", radius, ())
 
     def distance(self, points: jax.Array) -> jax.Array:
         return _norm(points - self.centre.astype(points.dtype)) - self.radius
@@ -73,8 +75,9 @@ class Capsule(Obstacle):
     radius: jax.Array
 
     def __init__(self, a: Any, b: Any, radius: Any) -> None:
-        self.a, self.b = (_point("Capsule", n, x) for n, x in (("a", a), ("b", b)))
-        self.radius = jnp.asarray(radius, float)
+        self.a = check_array("Capsule", "a", a, (3,))
+        self.b = check_array("Capsule", "b", b, (3,))
+        self.radius = check_at_least("Capsule", "radius", radius, ())
 
     def distance(self, points: jax.Array) -> jax.Array:
         a, b = self.a.astype(points.dtype), self.b.astype(points.dtype)
@@ -92,9 +95,11 @@ class HalfSpace(Obstacle):
     offset: jax.Array
 
     def __init__(self, normal: Any, offset: Any = 0.0) -> None:
-        n = _point("HalfSpace", "normal", normal)
+        n = check_array("HalfSpace", "normal", normal, (3,))
+        if not isinstance(n, jax.core.Tracer) and not np.asarray(n).any():
+            raise InputError("HalfSpace: normal is the zero vector, expected a direction")
         self.normal = n / jnp.sqrt((n * n).sum())
-        self.offset = jnp.asarray(offset, float)
+        self.offset = check_array("HalfSpace", "offset", offset, ())
 
     def distance(self, points: jax.Array) -> jax.Array:
         return (points * self.normal.astype(points.dtype)).sum(-1) - self.offset
@@ -133,28 +138,26 @@ class Clearance(Term):
     def __init__(
         self, obstacles: Any, bodies: Any, offsets: Any = None, radii: Any = 0.0, margin: Any = 0.0
     ) -> None:
-        obstacles = (obstacles,) if isinstance(obstacles, Obstacle) else tuple(obstacles)
+        if isinstance(obstacles, Obstacle):
+            obstacles = (obstacles,)
+        obstacles = check_several("Clearance", "obstacles", obstacles, "Sphere, Capsule, HalfSpace")
         wrong = [type(x).__name__ for x in obstacles if not isinstance(x, Obstacle)]
         if wrong or not obstacles:
             raise InputError(
                 f"Clearance: obstacles are {wrong}, expected one or more of Sphere, Capsule, "
                 "HalfSpace of rb.control"
             )
-        names: Sequence[str] = (bodies,) if isinstance(bodies, str) else tuple(bodies)
+        if isinstance(bodies, str):
+            bodies = (bodies,)
+        names = check_several("Clearance", "bodies", bodies, "names of bodies")
         if not names or not all(isinstance(x, str) for x in names):
             raise InputError(f"Clearance: bodies is {bodies!r}, expected names of bodies")
         k = len(names)
         self.obstacles, self.bodies = obstacles, tuple(names)
-        self.offsets = jnp.zeros((k, 3)) if offsets is None else jnp.asarray(offsets, float)
-        if self.offsets.shape != (k, 3):
-            raise InputError(
-                f"Clearance: offsets has shape {self.offsets.shape}, expected ({k}, 3): one a body"
-            )
-        radii = jnp.asarray(radii, float)
-        if radii.shape not in ((), (k,)):
-            raise InputError(f"Clearance: radii has shape {radii.shape}, expected () or ({k},)")
-        self.radii = jnp.broadcast_to(radii, (k,))
-        self.margin = jnp.asarray(margin, float)
+        offsets = jnp.zeros((k, 3)) if offsets is None else offsets
+        self.offsets = check_array("Clearance", "offsets", offsets, (k, 3))
+        self.radii = jnp.broadcast_to(check_at_least("Clearance", "radii", radii, (), (k,)), (k,))
+        self.margin = check_array("Clearance", "margin", margin, ())
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         if not isinstance(model, Model):
@@ -169,10 +172,3 @@ class Clearance(Term):
         centres = p + (R * self.offsets.astype(p.dtype)[:, None, :]).sum(-1)
         off = self.radii.astype(p.dtype) + self.margin.astype(p.dtype)
         return jnp.concatenate([x.distance(centres) - off for x in self.obstacles])
-
-
-def _point(where: str, name: str, x: Any) -> jax.Array:
-    x = jnp.asarray(x, float)
-    if x.shape != (3,):
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected (3,), m in world axes")
-    return x

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
+from rbjax.control.arguments import check_at_least, check_bound, check_several
 from rbjax.control.goals import Goal, errors
 from rbjax.control.inverse_kinematics import check_frames
 from rbjax.control.joint_ranges import Ranges
@@ -97,14 +98,14 @@ def differential_inverse_kinematics(
     """
     check_model(WHERE, model)
     check_moves(WHERE, model)
-    goals = (goals,) if isinstance(goals, Goal) else tuple(goals)
+    goals = check_several(WHERE, "goals", (goals,) if isinstance(goals, Goal) else goals, "Goal")
     if not goals or not all(isinstance(g, Goal) for g in goals):
         raise InputError(f"{WHERE}: goals hold what is no Goal, expected a Goal or a list of them")
     check_frames(WHERE, model, goals)
     q = check_array(WHERE, "q", q, (model.nq,))
     check_quaternions(WHERE, "q", model, q)
-    rate = check_array(WHERE, "rate", rate, ()).astype(q.dtype)
-    damping = check_array(WHERE, "damping", damping, ()).astype(q.dtype)
+    rate = check_at_least(WHERE, "rate", rate, ()).astype(q.dtype)
+    damping = check_at_least(WHERE, "damping", damping, ()).astype(q.dtype)
     most = _speeds(speed, model.nv, q.dtype)
     v0 = jnp.zeros(model.nv, q.dtype)
     if rest is not None:
@@ -210,7 +211,7 @@ def bounded_quadratic(
 
 
 def _speeds(speed: Any, n: int, dtype: Any) -> jax.Array:
-    x = jnp.asarray(speed)
+    x = check_bound(WHERE, "speed", speed)
     if x.shape not in ((), (n,)):
         raise InputError(f"{WHERE}: speed has shape {x.shape}, expected () or ({n},)")
     if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():

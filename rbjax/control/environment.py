@@ -16,10 +16,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.arguments import check_flag
 from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.model.record import Record
+from rbjax.motion.field import free_motion
+from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
 from rbjax.solvers.arguments import check_whole
 
@@ -94,7 +97,9 @@ class Environment(Record):
         self.dt = check_step("Environment", "dt", model.timestep if dt is None else dt, dtype)
         self.observe = _all if observe is None else observe
         self.randomise, self.lost = randomise, lost
-        self.episode, self.squash, self.integrator = episode, bool(squash), integrator
+        integrator_of("Environment", integrator, free_motion)
+        self.squash = check_flag("Environment", "squash", squash)
+        self.episode, self.integrator = episode, integrator
         state = jax.eval_shape(start, jax.random.key(0))
         due = ((model.nq,), (model.nv,))
         if not isinstance(state, State) or (state.q.shape, state.v.shape) != due:
@@ -132,7 +137,13 @@ class Environment(Record):
                 "as rb.control.network(key, (n, 32, nu))"
             )
         size = self.observation_size
-        found = eqx.filter_eval_shape(policy, jnp.zeros(size, self.dt.dtype))
+        try:
+            found = eqx.filter_eval_shape(policy, jnp.zeros(size, self.dt.dtype))
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"{where}: the policy fails for an observation ({size},), expected a function "
+                f"of it that returns ({self.model.nu},): {error}"
+            ) from error
         if jnp.shape(found) != (self.model.nu,):
             raise InputError(
                 f"{where}: the policy of an observation ({size},) returned shape "

@@ -100,6 +100,8 @@ def solve(
     for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
                         ("numbers", numbers)):  # fmt: skip
         _check_finite(name, value)
+    if not isinstance(seed, jax.core.Tracer):
+        _check_seed(seed)
     inside = inside_jit()
     show = progress and not inside
     number = jnp.asarray if inside else _plain
@@ -144,6 +146,8 @@ def _check_finite(name: str, value: Any) -> None:
     """`InputError` if a number is not finite. Traced values and arrays on a GPU are not read; then
     the outcome is `NOT_FINITE`."""
     for x in jax.tree.leaves(value):
+        if name != "start" and isinstance(x, str | bytes):  # `checked` says what a start must be
+            raise InputError(f"solve: {name} is {x!r}, expected numbers")
         if isinstance(x, jax.core.Tracer) or (isinstance(x, jax.Array) and not _on_host(x)):
             continue
         try:
@@ -152,6 +156,13 @@ def _check_finite(name: str, value: Any) -> None:
             continue
         if not whole:
             raise InputError(f"solve: {name} has numbers that are not finite, expected finite ones")
+
+
+def _check_seed(seed: Any) -> None:
+    """`InputError` unless a seed is an integer from 0 to 2^32 - 1, or an array of such."""
+    x = np.asarray(seed)
+    if x.dtype.kind not in "iu" or (x.size and not (0 <= x.min() <= x.max() < 2**32)):
+        raise InputError(f"solve: seed is {seed!r}, expected an integer from 0 to 2^32 - 1")
 
 
 def _on_host(x: jax.Array) -> bool:

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.arguments import check_at_least, check_rotation
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.frames import carried_point
 from rbjax.dynamics.joints import own_axes
@@ -85,15 +86,17 @@ class Goal(Record):
             )
         if axis is not None and direction is None:
             raise InputError("Goal: got an axis and no direction for it; give direction=")
+        if not isinstance(body if site is None else site, str):
+            raise InputError(f"Goal: got site={site!r} and body={body!r}, expected a name")
         self.site, self.body = site, body
         self.position = given("position", position, 3)
         self.rotation = given("rotation", rotation, 3, 3)
         self.direction = given("direction", direction, 3)
         self.axis, self.point = given("axis", axis, 3), given("point", point, 3)
-        self.weight = check_array("Goal", "weight", weight, ())
+        self.weight = check_at_least("Goal", "weight", weight, ())
         for name in ("direction", "axis"):
             _check_length(name, getattr(self, name))
-        _check_rotation(self.rotation)
+        check_rotation("Goal", self.rotation)
 
     @property
     def arrays(self) -> list[jax.Array]:
@@ -110,18 +113,6 @@ class Goal(Record):
 def _check_length(name: str, x: jax.Array | None) -> None:
     if x is not None and not isinstance(x, jax.core.Tracer) and not np.any(np.asarray(x)):
         raise InputError(f"Goal: {name} is the zero vector, expected one with a direction")
-
-
-def _check_rotation(R: jax.Array | None) -> None:
-    if R is None or isinstance(R, jax.core.Tracer):
-        return
-    known = np.asarray(R, np.float64)
-    off = np.abs(known @ known.T - np.eye(3)).max()
-    if off > 1e-4 or np.linalg.det(known) < 0:
-        raise InputError(
-            f"Goal: rotation is no rotation matrix (R R^T - 1 has an entry {off:.2g}, det "
-            f"{np.linalg.det(known):.2g}); rbjax.rotations.so3.project gives the nearest"
-        )
 
 
 class Miss:

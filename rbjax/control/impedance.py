@@ -180,7 +180,7 @@ def cartesian_impedance(
     what = task_of(where, model, site, body, task)
     reference = check_poses(where, reference, what.what)
     if posture is not None:
-        posture = check_configurations(where, model, posture)
+        posture = check_configurations(where, model, posture, "posture")
     return CartesianImpedance(
         model, undriven, what, reference, _matrix(where, "stiffness", stiffness, what.size),
         _matrix(where, "damping", damping, what.size), posture,

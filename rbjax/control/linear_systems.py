@@ -25,11 +25,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled
+from rbjax.control.arguments import check_at_least, check_is
 from rbjax.control.lyapunov import Lyapunov, lyapunov
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.solvers.arguments import check_between
 
 
 class Reach(NamedTuple):
@@ -67,7 +69,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
         (1, [1.0, 0.0])
     """
     A, B = pair("controllability", A, B, "B", 0)
-    return _reach(A, B, tolerance)
+    return _reach(A, B, _tolerance("controllability", tolerance))
 
 
 def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
@@ -91,7 +93,11 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
         1
     """
     A, C = pair("observability", A, C, "C", 1)
-    return _reach(A.T, C.T, tolerance)
+    return _reach(A.T, C.T, _tolerance("observability", tolerance))
+
+
+def _tolerance(where: str, tolerance: Any) -> Any:
+    return None if tolerance is None else check_at_least(where, "tolerance", tolerance, ())
 
 
 @compiled
@@ -150,6 +156,8 @@ def directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
         4
     """
     check_model("directions", model)
+    check_is("directions", "reach", reach, Reach, ", of controllability or observability")
+    check_between("directions", "least", least, 0.0, 1.0)
     n = 2 * model.nv + model.nx
     if reach.inside.shape != (n, n):
         raise InputError(
@@ -267,7 +275,10 @@ def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
         >>> [float(x) for x in poles([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[2.0, 3.0]]).real]
         [-1.0, -2.0]
     """
-    if B is None or K is None:
+    if (B is None) != (K is None):
+        missing = "B" if B is None else "K"
+        raise InputError(f"poles: {missing} is None, expected both of B and K, or neither")
+    if B is None:
         n = (*shape_of("poles", "A", A), 0)[0]
         closed = check_array("poles", "A", A, (n, n))
     else:

@@ -24,10 +24,11 @@ import numpy as np
 from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
+from rbjax.control.arguments import check_flag
 from rbjax.control.outcome import raise_failure
 from rbjax.control.riccati import Gains, backward, constant_problem
 from rbjax.control.terms import looked_at
-from rbjax.dynamics.arguments import check_array, check_model, shape_of
+from rbjax.dynamics.arguments import check_array, check_arrays, check_model, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import Law, free_motion
@@ -90,6 +91,7 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
         [1.0, 1.41421]
     """
     A, B, Q, R, S = _matrices("lqr", A, B, Q, R, S)
+    discrete = check_flag("lqr", "discrete", discrete)
     P, K, residual, error, result = riccati(A, B, Q, R, S, bool(discrete))
     raise_failure("lqr", result)
     return Regulator(K, P, residual, error, result)
@@ -142,6 +144,11 @@ def lqr_at(
         >>> lqr_at(model, up, jnp.zeros(1), jnp.ones(2), jnp.ones(1)).K.shape
         (1, 2)
     """
+    if dt is None and integrator is not None:
+        raise InputError(
+            f"lqr_at: got integrator={integrator!r} without dt, expected a step in s; continuous "
+            "time has no integrator"
+        )
     linear = linearise(
         model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints
     )
@@ -218,6 +225,7 @@ def feedback(model: Model, state: State, ctrl: Any, K: Any) -> Any:
     check_model("feedback", model)
     K = check_array("feedback", "K", K, (model.nu, 2 * model.nv + model.nx))
     ctrl = check_array("feedback", "ctrl", ctrl, (model.nu,))
+    state = check_arrays("feedback", model, {"state": state}, ())["state"]
     return jax.tree_util.Partial(_feedback, model, state, ctrl, K)
 
 

@@ -29,6 +29,7 @@ from rbjax.control.linear_systems import pair
 from rbjax.control.lyapunov import cayley, is_stable, pace
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_step
+from rbjax.solvers.arguments import check_between, check_whole
 
 CROSSINGS = 16  # of each kind that are refined
 HALVINGS = 50
@@ -77,6 +78,8 @@ def margins(
     A, B = pair("margins", A, B, "B", 0)
     K = check_array("margins", "K", K, B.shape[::-1]).astype(A.dtype)
     step = None if dt is None else check_step("margins", "dt", dt, A.dtype)
+    check_whole("margins", "frequencies", frequencies, 2)
+    check_between("margins", "decades", decades, 0.0, 30.0)
     return _margins(A, B, K, step, frequencies, decades)
 
 

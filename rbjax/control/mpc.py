@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.arguments import check_flag
 from rbjax.control.augmented_lagrangian import Multipliers, later
 from rbjax.control.first_guess import first_guess
 from rbjax.control.knots import violation
@@ -366,8 +367,8 @@ def mpc(
     else:
         check_takes("mpc", "fallback", fallback, "t", "state")
     return Controller(
-        problem_at, example, method, iterations, delay, bool(feedback), patience, fallback,
-        tolerance, violation, first,
+        problem_at, example, method, iterations, delay,
+        check_flag("mpc", "feedback", feedback), patience, fallback, tolerance, violation, first,
     )  # fmt: skip
 
 

@@ -15,6 +15,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.arguments import check_key, check_several
+from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError, UnknownName
 from rbjax.model.record import Record
 
@@ -78,12 +80,14 @@ def network(
         >>> [W.shape for W in rb.control.network(jax.random.key(0), (3, 8, 2)).weights]
         [(8, 3), (2, 8)]
     """
-    sizes = tuple(sizes)
+    check_key("network", key)
+    sizes = check_several("network", "sizes", sizes, "integers")
+    factor = check_array("network", "last", last, ())
     if len(sizes) < 2 or any(not isinstance(n, int) or n < 1 for n in sizes):
         raise InputError(f"network: sizes is {sizes}, expected two or more positive integers")
     if activation not in ACTIVATIONS:
         raise UnknownName("activation of network", activation, ACTIVATIONS)
-    weights, biases = _drawn(key, sizes, jnp.asarray(last))
+    weights, biases = _drawn(key, sizes, factor)
     return Network(weights, biases, activation)
 
 

@@ -21,14 +21,15 @@ from jax.scipy.linalg import cho_solve
 
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
+from rbjax.control.arguments import check_flag
 from rbjax.control.linear_systems import pair
 from rbjax.control.lqr import weights
 from rbjax.control.products import product
 from rbjax.control.riccati import definite_factor
-from rbjax.dynamics.arguments import check_model, check_takes
+from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.model import Model, State
-from rbjax.motion.field import Law, free_motion
-from rbjax.motion.integrators import Integrator
+from rbjax.motion.field import Law, free_motion, law_of
+from rbjax.motion.integrators import Integrator, integrator_of
 from rbjax.motion.kalman import StateSpace
 from rbjax.motion.linearise import apart, beside, step
 
@@ -73,10 +74,11 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
         [2.0, 2.0]
     """
     A, C = pair("kalman_gain", A, C, "C", 1)
+    discrete = check_flag("kalman_gain", "discrete", discrete)
     W, V = weights("kalman_gain", "W", W, A.shape[0]), weights("kalman_gain", "V", V, C.shape[0])
     dtype = jnp.result_type(A, C, W, V)
     A, C, W, V = (x.astype(dtype) for x in (A, C, W, V))
-    found = riccati(A.T, C.T, W, V, jnp.zeros_like(C.T), bool(discrete))
+    found = riccati(A.T, C.T, W, V, jnp.zeros_like(C.T), discrete)
     gain = found.K.T
     if discrete:
         S = product(C, product(found.P, C.T)) + V
@@ -122,6 +124,9 @@ def observed(
     """
     check_model("observed", model)
     check_takes("observed", "read", read, "state")
+    if dt is not None:
+        check_step("observed", "dt", dt, jnp.zeros(()).dtype)
+    integrator_of("observed", integrator, law_of("observed", model, law, constraints))
 
     def move(state: State, ctrl: Any, w: jax.Array) -> State:
         new = step(model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints)

@@ -132,5 +132,5 @@ def operational_space(
     if posture_damping is not None:
         D0 = gains(WHERE, "posture_damping", posture_damping, model.nv)
     if posture is not None:
-        posture = check_configurations(WHERE, model, posture)
+        posture = check_configurations(WHERE, model, posture, "posture")
     return OperationalSpace(model, undriven, what, reference, K, D, posture, K0, D0)

@@ -15,8 +15,9 @@ GOING, CONVERGED, BUDGET, INFEASIBLE, STUCK, NOT_FINITE, FINISHED = range(7)
 SENTENCES = {
     CONVERGED: "converged",
     BUDGET: "budget spent: raise iterations, or start nearer",
-    INFEASIBLE: "infeasible: the constraints cannot be held together",
-    STUCK: "stuck: no step lowers the cost; change the start, or look for a kink in a cost",
+    INFEASIBLE: "infeasible: the constraints cannot be held together near this motion",
+    STUCK: "stuck: no step lowers the cost; change the start, look for a kink in a cost, or take "
+    "double precision",
     NOT_FINITE: "not finite: the cost or the dynamics of the first guess is nan or infinite",
     FINISHED: "finished: the best samples cost the same; if they are at an optimum is unknown: "
     "start ddp or sqp there (guess=)",
@@ -41,7 +42,6 @@ class LINEAR_RESULTS(eqx.Enumeration):
         "no cost, or the cost is not bounded from below."
     )
     not_stable = "The matrix is not stable, so the sum over all time has no limit."
-    unreachable = "The controls do not reach the target within the horizon."
 
 
 def raise_failure(where: str, result: Any) -> None:

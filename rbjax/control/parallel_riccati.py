@@ -31,8 +31,9 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
+from rbjax.control.arguments import check_is
 from rbjax.control.products import product
-from rbjax.control.riccati import Gains, LinearQuadratic, definite_factor
+from rbjax.control.riccati import MADE, Gains, LinearQuadratic, check_start, definite_factor
 from rbjax.errors import UnknownName
 from rbjax.lanes.products import matrix_transpose, matvec
 
@@ -134,6 +135,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
     """
     if by not in ("doubling", "tree"):
         raise UnknownName("way of parallel_backward", by, ("doubling", "tree"))
+    check_is("parallel_backward", "problem", problem, LinearQuadratic, MADE)
     all_steps, ok = stretches(problem)
     to_end = tails(all_steps, by)
     P, p = to_end.J, -to_end.e
@@ -175,6 +177,7 @@ def parallel_roll(
         >>> [round(float(y), 2) for y in x.ravel()]
         [1.0, 0.4, 0.2]
     """
+    start = check_start("parallel_roll", problem, gains, start)
     F = problem.A - product(problem.B, gains.K)
     b = problem.d - matvec(problem.B, gains.k)
 

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from rbjax.control.arguments import check_key, check_optimiser, check_positive
 from rbjax.control.environment import Environment, Segment
 from rbjax.control.iterations import iterated
 from rbjax.control.networks import network
@@ -124,7 +125,12 @@ def actor_critic(
         >>> policy = rb.control.network(key, (2, 16, 1))
         >>> trained = rb.control.actor_critic(env, policy, key)  # doctest: +SKIP
     """
-    _check("actor_critic", env, policy, iterations, batch)
+    _check("actor_critic", env, policy, key, iterations, batch, optimiser)
+    check_positive("actor_critic", "rate", rate)
+    check_positive("actor_critic", "value_rate", value_rate)
+    if value is not None and not callable(value):
+        got = type(value).__name__
+        raise InputError(f"actor_critic: value is {got}, expected a callable pytree, as the policy")
     layers = (env.observation_size, 64, 64, 1)
 
     def fresh(key: jax.Array) -> Any:
@@ -259,7 +265,8 @@ def through_time(
         >>> found.costs.shape
         (2,)
     """
-    _check("through_time", env, policy, iterations, batch)
+    _check("through_time", env, policy, key, iterations, batch, optimiser)
+    check_positive("through_time", "rate", rate)
     numbers, rest = eqx.partition(policy, eqx.is_inexact_array)
     if optimiser is None:
         optimiser = optax.chain(
@@ -357,12 +364,16 @@ def _falling(rate: float, steps: int) -> Any:
     return optax.cosine_decay_schedule(rate, steps, 0.1)
 
 
-def _check(where: str, env: Any, policy: Any, iterations: int, batch: int) -> None:
+def _check(
+    where: str, env: Any, policy: Any, key: Any, iterations: int, batch: int, optimiser: Any
+) -> None:
     if not isinstance(env, Environment):
         raise InputError(
             f"{where}: env is {type(env).__name__}, expected an rb.control.Environment"
         )
     env.check_policy(where, policy)
+    check_key(where, key)
+    check_optimiser(where, optimiser)
     if not jax.tree.leaves(eqx.filter(policy, eqx.is_inexact_array)):
         raise InputError(
             f"{where}: the policy has no floating arrays to train; give one that is a pytree of "

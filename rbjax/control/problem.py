@@ -17,9 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.arguments import check_bound, check_flag, check_several
 from rbjax.control.system import Linearised, System, system_of
 from rbjax.control.terms import Constraint, Cost, Term, cost_of, looked_at
-from rbjax.dynamics.arguments import check_step, check_takes
+from rbjax.dynamics.arguments import check_array, check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.model.record import Record
 from rbjax.motion.field import free_motion
@@ -40,11 +41,20 @@ class Design(Record):
     def __init__(self, apply: Any, start: Any, low: Any = -np.inf, high: Any = np.inf) -> None:
         check_takes("Design", "apply", apply, "model", "p")
         self.apply = apply
-        self.start = jnp.atleast_1d(jnp.asarray(start, float))
-        n = self.start.shape
+        n = jnp.atleast_1d(check_bound("Design", "start", start)).shape
         if len(n) != 1:
             raise InputError(f"Design: start has shape {n}, expected (n,)")
-        self.low, self.high = (jnp.broadcast_to(jnp.asarray(x, float), n) for x in (low, high))
+        self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
+        low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
+        self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
+        known = [looked_at(x) for x in (self.low, self.start, self.high)]
+        if not any(x is None for x in known):
+            lowest, first, highest = known
+            if not ((lowest <= first) & (first <= highest)).all():
+                raise InputError(
+                    f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
+                    f"{highest.tolist()}, expected low <= start <= high"
+                )
 
 
 class Knot(NamedTuple):
@@ -60,7 +70,7 @@ BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those a
 class Problem(Record):
     """What is to be found: controls, and with them what is free of start, model and time.
 
-    Args (also its fields):
+    Args:
         model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
         horizon: N, the number of steps, each with controls that are held.
         dt: the step in s; the model's timestep if None.
@@ -129,6 +139,7 @@ class Problem(Record):
         self.terminal = _costs("terminal", terminal)
         if not self.running + self.terminal:
             raise InputError("Problem: no cost, expected one in running or terminal")
+        constraints = check_several("Problem", "constraints", constraints, "Constraint")
         wrong = [type(c).__name__ for c in constraints if not isinstance(c, Constraint)]
         if wrong:
             raise InputError(
@@ -136,7 +147,7 @@ class Problem(Record):
             )
         self.constraints = tuple(constraints)
         self.low, self.high, self.bounded = _bounds(self.system, bounds)
-        self.integral = bool(integral)
+        self.integral = check_flag("Problem", "integral", integral)
         if not isinstance(design, Design | None):
             raise InputError(f"Problem: design is {type(design).__name__}, expected a Design")
         self.design = design
@@ -301,6 +312,7 @@ def _root(w: jax.Array) -> jax.Array:
 def _costs(name: str, given: Any) -> tuple[Cost, ...]:
     if isinstance(given, (Cost, Term)) or callable(given):
         given = (given,)
+    given = check_several("Problem", name, given, "costs")
     return tuple(cost_of(f"Problem({name}=...)", x) for x in given)
 
 
@@ -318,8 +330,12 @@ def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
             raise InputError(
                 f"Problem: bounds is {bounds!r}, expected 'model', None or (low, high)"
             ) from error
+    low, high = (
+        check_bound("Problem", f"{side} of bounds", x, (), (system.nu,))
+        for side, x in (("low", low), ("high", high))
+    )
     lowest, highest = looked_at(low), looked_at(high)
-    low, high = (jnp.broadcast_to(jnp.asarray(x, float), (system.nu,)) for x in (low, high))
+    low, high = (jnp.broadcast_to(x, (system.nu,)) for x in (low, high))
     if lowest is None or highest is None:
         return low, high, True
     if not (lowest < highest).all():
@@ -331,7 +347,8 @@ def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
 
 
 def _times(free_time: Any) -> jax.Array:
-    times, known = jnp.asarray(free_time, float), looked_at(free_time)
+    times = check_bound("Problem", "free_time", free_time)
+    known = looked_at(times)
     if times.shape != (2,) or (known is not None and not 0 < known[0] < known[1]):
         raise InputError(
             f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"
@@ -340,11 +357,7 @@ def _times(free_time: Any) -> jax.Array:
 
 
 def _start_time(start_time: Any) -> jax.Array:
-    t = jnp.asarray(start_time, float)
-    known = looked_at(start_time)
-    if t.shape != () or (known is not None and not np.isfinite(known)):
-        raise InputError(f"Problem: start_time is {start_time!r}, expected a finite time in s")
-    return t
+    return check_array("Problem", "start_time", start_time, (), fix=": a finite time in s")
 
 
 def _free(free_start: Any, n: int) -> tuple[bool, ...]:

@@ -39,13 +39,15 @@ class Pose(NamedTuple):
     A: jax.Array
 
 
-def check_configurations(where: str, model: Model, reference: Any) -> Any:
+def check_configurations(
+    where: str, model: Model, reference: Any, name: str = "reference"
+) -> Any:
     """A reference of configurations: (nq,), a function t -> (nq,), or t -> (q, v, a)."""
     if callable(reference):
-        check_takes(where, "reference", reference, "t")
+        check_takes(where, name, reference, "t")
         return reference
-    q = check_array(where, "reference", reference, (model.nq,), fix=" or a function of t")
-    check_quaternions(where, "reference", model, q)
+    q = check_array(where, name, reference, (model.nq,), fix=" or a function of t")
+    check_quaternions(where, name, model, q)
     return q
 
 

@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.arguments import check_model, check_step, check_takes
+from rbjax.control.arguments import check_at_least, check_flag, check_several
+from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 from rbjax.model.record import Record
@@ -124,7 +125,8 @@ def region_of_attraction(
     check_between(where, "tolerance", tolerance, 0.0, 1e12)
     dtype = equilibrium.q.dtype
     step: Any = check_step(where, "dt", model.timestep if dt is None else dt, dtype)
-    steps = round(float(duration) / float(step))
+    angles = check_flag(where, "angles", angles)
+    steps = round(float(check_at_least(where, "duration", duration, ())) / float(step))
     check_whole(where, "the number of steps duration / dt", steps, 1)
     places, names, lines = _axes(where, model, axes, points, dtype)
     nx, ny = (len(line) for line in lines)
@@ -191,18 +193,20 @@ def _axes(
     where: str, model: Model, axes: Any, points: Any, dtype: Any
 ) -> tuple[tuple[int, int], tuple[str, str], tuple[jax.Array, jax.Array]]:
     """Indices on the tangent space, names and values of both axes."""
-    axes = tuple(axes)
-    if len(axes) != 2 or any(len(axis) != 3 for axis in axes):
+    axes = check_several(where, "axes", axes, "(coordinate, low, high)")
+    if len(axes) != 2 or any(np.ndim(axis) > 1 or len(axis) != 3 for axis in axes):
         raise InputError(
             f"{where}: axes is {axes!r}, expected two of (coordinate, low, high), such as "
             "('hinge', -1.0, 1.0)"
         )
-    counts = (points, points) if isinstance(points, int) else tuple(points)
+    counts = (points, points) if isinstance(points, int) else points
+    counts = check_several(where, "points", counts, "two integers")
     if len(counts) != 2:
         raise InputError(f"{where}: points is {points!r}, expected a number or (nx, ny)")
     places, names, lines = [], [], []
     for (name, low, high), count in zip(axes, counts, strict=True):
         check_whole(where, "points", count, 2)
+        low, high = (check_array(where, f"an end of axis {name!r}", x, ()) for x in (low, high))
         if not low < high:
             raise InputError(
                 f"{where}: the axis {name!r} is from {low} to {high}, expected low < high"

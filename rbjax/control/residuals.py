@@ -16,6 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.arguments import check_reference, check_rotation
 from rbjax.control.system import Controlled
 from rbjax.control.terms import Term
 from rbjax.dynamics.arguments import check_takes
@@ -38,6 +39,14 @@ class StateError(Term):
     """
 
     reference: Any
+
+    def __check_init__(self) -> None:
+        if isinstance(self.reference, str):
+            raise InputError(
+                f"StateError: reference is {self.reference!r}, expected a state or a function of "
+                "t; a keyframe is model.keyframe(name)"
+            )
+        check_target("StateError", "reference", self.reference, None)
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         reference = at_time("StateError", self.reference, t)
@@ -73,6 +82,9 @@ class Control(Term):
     """
 
     reference: jax.Array | Callable[[Any], Any] | float = 0.0
+
+    def __check_init__(self) -> None:
+        check_target("Control", "reference", self.reference, None)
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return ctrl - at_time("Control", self.reference, t)
@@ -117,6 +129,9 @@ class CenterOfMass(Term):
 
     position: jax.Array | Callable[[Any], Any]
 
+    def __check_init__(self) -> None:
+        check_target("CenterOfMass", "position", self.position, (3,))
+
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         return center_of_mass(model, state.q) - at_time("CenterOfMass", self.position, t)
 
@@ -135,6 +150,10 @@ class Pose(Term):
 
     def __check_init__(self) -> None:
         check_frame("Pose", self.site, self.body)
+        check_target("Pose", "rotation", self.rotation, (3, 3))
+        check_target("Pose", "position", self.position, (3,))
+        if not isinstance(self.rotation, jax.ShapeDtypeStruct) and not callable(self.rotation):
+            check_rotation("Pose", self.rotation)
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         R, p = pose_of(model, state.q, self.site, self.body)
@@ -158,6 +177,7 @@ class Point(Term):
 
     def __check_init__(self) -> None:
         check_frame("Point", self.site, self.body)
+        check_target("Point", "position", self.position, (3,))
 
     def __call__(self, model: Any, t: Any, state: Any, ctrl: jax.Array) -> jax.Array:
         position = at_time("Point", self.position, t)
@@ -185,10 +205,22 @@ def at_time(where: str, reference: Any, t: Any) -> Any:
     return reference(t)
 
 
+def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
+    """Reject a reference that is neither a function of t nor arrays with these last axes."""
+    if callable(value):
+        check_takes(where, f"the {name}", value, "t")
+        return
+    for x in jax.tree.leaves(value) if shape is None else [value]:
+        if not isinstance(x, jax.ShapeDtypeStruct):
+            check_reference(where, name, x, shape)
+
+
 def check_frame(where: str, site: Any, body: Any) -> None:
     """Raise unless exactly one of a site and a body is given."""
     if (site is None) == (body is None):
         raise InputError(f"{where}: got site={site!r} and body={body!r}, expected one of them")
+    if not isinstance(body if site is None else site, str):
+        raise InputError(f"{where}: got site={site!r} and body={body!r}, expected a name")
 
 
 def pose_of(

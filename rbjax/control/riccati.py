@@ -17,13 +17,18 @@ Quadratic Methods*, 2; Tassa, Erez & Todorov, IROS 2012 (affine terms).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
+from rbjax.control.arguments import check_is, check_shapes
 from rbjax.control.products import product
+from rbjax.dynamics.arguments import check_array, shape_of
+from rbjax.solvers.arguments import check_whole
+
+MADE = ", such as rb.control.constant_problem returns"
 
 
 class LinearQuadratic(NamedTuple):
@@ -57,6 +62,13 @@ class Gains(NamedTuple):
     P: jax.Array
     p: jax.Array
     ok: jax.Array
+
+
+def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
+    """dx_0 (n,) of a problem with its gains, checked."""
+    check_is(where, "problem", problem, LinearQuadratic, MADE)
+    check_is(where, "gains", gains, Gains, ", such as rb.control.backward returns")
+    return check_array(where, "start", start, problem.A.shape[-1:])
 
 
 @jax.custom_jvp
@@ -102,6 +114,7 @@ def backward(problem: LinearQuadratic) -> Gains:
         >>> round(float(gains.K[0, 0, 0]), 6)  # the golden ratio less one
         0.618034
     """
+    check_is("backward", "problem", problem, LinearQuadratic, MADE)
     end = problem.Q[-1], problem.q[-1]
     ok = jnp.isfinite(end[0]).all() & jnp.isfinite(end[1]).all()
     P, p = (jnp.where(ok, x, jnp.zeros_like(x)) for x in end)
@@ -154,6 +167,7 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
         >>> [round(float(y), 2) for y in x.ravel()]
         [1.0, 0.4, 0.2]
     """
+    start = check_start("roll", problem, gains, start)
 
     def step(x, given):
         A, B, d, K, k = given
@@ -176,6 +190,10 @@ def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.
         >>> float(quadratic_cost(problem, jnp.ones((3, 1)), jnp.ones((2, 1))))
         2.5
     """
+    where = "quadratic_cost"
+    check_is(where, "problem", problem, LinearQuadratic, MADE)
+    N, n, m = problem.B.shape
+    x, u = check_shapes(where, [("x", x, (N + 1, n)), ("u", u, (N, m))])
     by_state = ((x / 2) * (problem.Q * x[:, None, :]).sum(-1) + problem.q * x).sum()
     by_control = ((u / 2) * (problem.R * u[:, None, :]).sum(-1) + problem.r * u).sum()
     return by_state + by_control + (x[:-1, :, None] * problem.S * u[:, None, :]).sum()
@@ -218,8 +236,10 @@ def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Stee
         >>> round(float(steer(problem, jnp.zeros(2), jnp.array([1.0, 0.0])).cost), 4)
         12.1212
     """
+    check_is("steer", "problem", problem, LinearQuadratic, MADE)
+    n = problem.A.shape[-1]
+    start, target = check_shapes("steer", [("start", start, (n,)), ("target", target, (n,))])
     gains = backward(problem)
-    n = start.shape[0]
     P = gains.P[1:]
 
     def back(F, given):  # F, from the state before a step to the end
@@ -274,10 +294,15 @@ def constant_problem(
         >>> constant_problem(jnp.eye(2), jnp.ones((2, 1)), jnp.eye(2), jnp.eye(1), 3).q.shape
         (4, 2)
     """
-    A, B, Q, R = map(jnp.asarray, (A, B, Q, R))
-    n, m = B.shape
+    where = "constant_problem"
+    check_whole(where, "horizon", horizon, 1)
+    n, m = (*shape_of(where, "A", A), 0)[0], (*shape_of(where, "R", R), 0)[0]
+    due = [("A", A, (n, n)), ("B", B, (n, m)), ("Q", Q, (n, n)), ("R", R, (m, m))]
+    A, B, Q, R = check_shapes(where, due)
     dtype = jnp.result_type(A, B, Q, R, jnp.float32)
-    S = jnp.zeros((n, m)) if S is None else S
+    S = jnp.zeros((n, m)) if S is None else check_array(where, "S", S, (n, m))
+    if terminal is not None:
+        terminal = check_array(where, "terminal", terminal, (n, n))
     A, B, Q, R, S = (jnp.asarray(x, dtype) for x in (A, B, Q, R, S))
     end = Q if terminal is None else jnp.asarray(terminal, dtype)
 

@@ -82,7 +82,10 @@ class Sampling:
             ("cooling", 0.0, 1.0), ("smoothing", 0.0, 1.0), ("spread", 1e-12, 1e12),
             ("temperature", 1e-12, 1e12), ("penalty", 0.0, 1e300),
         ):  # fmt: skip
-            check_between("Sampling", what, getattr(self, what), low, high)
+            value = getattr(self, what)
+            if np.ndim(value):
+                raise InputError(f"Sampling: {what} has shape {np.shape(value)}, expected a number")
+            check_between("Sampling", what, value, low, high)
 
     def __call__(
         self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,

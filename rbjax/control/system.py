@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.arguments import check_flag
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -226,6 +227,7 @@ class Equations(System):
             n = getattr(self, name)
             if not isinstance(n, int) or n < 1:
                 raise InputError(f"Equations: {name} is {n!r}, expected a positive integer")
+        check_flag("Equations", "discrete", self.discrete)
 
     def with_model(self, model: Any) -> System:
         if not isinstance(model, System):
@@ -241,7 +243,12 @@ class Equations(System):
         return self.controls
 
     def checked(self, where: str, state: Any) -> jax.Array:
-        x = jnp.asarray(state, float)
+        try:
+            x = jnp.asarray(state, float)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"{where}: the state is {type(state).__name__}, expected an array ({self.size},)"
+            ) from error
         if x.shape != (self.size,):
             raise InputError(f"{where}: the state has shape {x.shape}, expected ({self.size},)")
         return x

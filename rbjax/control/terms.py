@@ -16,9 +16,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.arguments import check_bound
 from rbjax.errors import InputError
 from rbjax.model.record import Record
 
@@ -62,13 +62,13 @@ class Cost(Record):
 
     def __init__(self, term: Any, weight: Any = 1.0) -> None:
         self.term = term_of("Cost", term)
-        known = looked_at(weight)
+        self.weight = check_bound(f"Cost({self.term.label})", "weight", weight)
+        known = looked_at(self.weight)
         if known is not None and ((known < 0).any() or not np.isfinite(known).all()):
             raise InputError(
                 f"Cost({self.term.label}): the weight is {known.tolist()}, expected finite "
                 "numbers that are not negative"
             )
-        self.weight = jnp.asarray(weight, float)
 
 
 class Constraint(Record):
@@ -89,17 +89,17 @@ class Constraint(Record):
         name: str | None = None,
     ) -> None:  # fmt: skip
         self.term = term_of("Constraint", term)
-        self.low, self.high = jnp.asarray(low, float), jnp.asarray(high, float)
         self.name = self.term.label if name is None else name
+        if not isinstance(self.name, str):
+            raise InputError(f"Constraint: name is {name!r}, expected a string")
+        here = f"Constraint({self.name})"
+        self.low, self.high = check_bound(here, "low", low), check_bound(here, "high", high)
         self.where = where
         if where not in ("path", "end", "all"):
             raise InputError(
                 f"Constraint({self.name}): where is {where!r}, expected 'path', 'end' or 'all'"
             )
-        lowest, highest = looked_at(low), looked_at(high)
-        for bound in (lowest, highest):
-            if bound is not None and np.isnan(bound).any():
-                raise InputError(f"Constraint({self.name}): a bound is nan, expected numbers")
+        lowest, highest = looked_at(self.low), looked_at(self.high)
         if lowest is not None and highest is not None and (lowest > highest).any():
             raise InputError(
                 f"Constraint({self.name}): low {lowest.tolist()} is above high "

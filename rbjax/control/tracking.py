@@ -109,6 +109,11 @@ def time_varying_lqr(
         raise InputError(f"{where}: ctrls has shape {shape}, expected (N, {model.nu}){hint}")
     N, n = shape[0], 2 * model.nv + model.nx
     u = check_array(where, "ctrls", ctrls, (N, model.nu))
+    if not (hasattr(states, "q") and hasattr(states, "v")):
+        raise InputError(
+            f"{where}: states is {type(states).__name__}, expected a State or Trajectory of "
+            f"{N + 1} states"
+        )
     q = check_array(where, "states.q", states.q, (N + 1, model.nq))
     v = check_array(where, "states.v", states.v, (N + 1, model.nv))
     x = getattr(states, "x", None)

@@ -1,12 +1,15 @@
 """The backward pass beside the Riccati recursion, and its half of the work beside the whole."""
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
 from rbjax.control import LinearQuadratic
-from rbjax.control.backward_pass import backward_pass, carried, carried_by_velocities
+from rbjax.control.backward_pass import Bounds, backward_pass, carried, carried_by_velocities
 from rbjax.control.box_qp import box_gains, box_qp
 from rbjax.control.expansion import Quadratic
 from rbjax.control.riccati import backward
@@ -91,3 +94,84 @@ def test_gains_in_a_box(width: float) -> None:
 def test_gains_of_an_indefinite_hessian_are_not_ok() -> None:
     H, ones = -jnp.eye(2), jnp.ones(2)
     assert not bool(box_gains(H, ones, jnp.ones((2, 3)), -ones, ones)[2])
+
+
+def cost_of(A, B, gaps, H, g, dx0, du) -> jax.Array:
+    """Of a linear problem along controls, from dx0."""
+    x, total = dx0, 0.0
+    for k in range(N):
+        z = jnp.concatenate([x, du[k]])
+        total = total + 0.5 * z @ H[k] @ z + g[k] @ z
+        x = A[k] @ x + B[k] @ du[k] + gaps[k + 1]
+    return total + 0.5 * x @ H[N, :n, :n] @ x + g[N, :n] @ x
+
+
+def played(A, B, gaps, found, dx0) -> jax.Array:
+    """The controls of a full step from dx0."""
+    x, us = dx0, []
+    for k in range(N):
+        us.append(found.k[k] + found.K[k] @ x)
+        x = A[k] @ x + B[k] @ us[-1] + gaps[k + 1]
+    return jnp.stack(us)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("free", [None, (1.0, 0.0, 1.0, 1.0)])
+@pytest.mark.parametrize("gapped", [False, True])
+def test_slope_curvature_and_gradient_are_those_of_the_cost(gapped: bool, free: Any) -> None:
+    """The change of the cost of a full step, and without gaps of a shorter one; the gradient is
+    that of autodiff; the controls, and what is free of the start, are the least."""
+    A, B, H, g, d = drawn(5)
+    gaps = jnp.concatenate([d[:1] if free is None else 0 * d[:1], d]) * gapped
+    path = Quadratic(g[:N, 0], g[:N, :n], H[:N, :n, :n], g[:N, n:], H[:N, n:, n:], H[:N, :n, n:])
+    end = Quadratic(g[N, 0], g[N, :n], H[N, :n, :n], g[N, n:], H[N, n:, n:], H[N, :n, n:])
+    wide = 1e9 * jnp.ones((N, m))
+    first = None if free is None else (jnp.asarray(free), -1e9 * jnp.ones(n), 1e9 * jnp.ones(n))
+    found = backward_pass(A, B, gaps, path, end, Bounds(-wide, wide), first, jnp.zeros(()))
+    cost = lambda dx0, du: cost_of(A, B, gaps, H, g, dx0, du)  # noqa: E731
+    us = played(A, B, gaps, found, found.first)
+    zero = jnp.zeros((N, m))
+    # before the step the states do not follow the dynamics: they are at their knots, with no cost
+    full = float(cost(found.first, us))
+    assert abs(full - float(found.slope + 0.5 * found.curvature)) < 1e-9 * abs(full)
+    by_start, by_controls = jax.grad(cost, (0, 1))(found.first, us)
+    assert np.abs(by_controls).max() < 1e-9
+    mask = np.zeros(n) if free is None else np.asarray(free)
+    assert np.abs(mask * by_start).max() < 1e-9
+    assert np.abs(found.first - gaps[0])[mask == 0].max() == 0
+    if not gapped:
+        half = float(cost(0.5 * found.first, 0.5 * us))
+        assert abs(half - float(0.5 * found.slope + 0.125 * found.curvature)) < 1e-9 * abs(half)
+        by_start, by_controls = jax.grad(cost, (0, 1))(jnp.zeros(n), zero)
+        due = (by_controls**2).sum() + ((mask * by_start) ** 2).sum()
+        assert abs(float(found.square) / float(due) - 1) < 1e-12
+
+
+@pytest.mark.slow
+def test_bounds_and_regularisation_of_the_pass() -> None:
+    """Controls at a bound that presses have no gradient and no gains; regularisation is added to
+    the Hessians of the controls and of the value function."""
+    A, B, H, g, _ = drawn(6)
+    gaps, one = jnp.zeros((N + 1, n)), jnp.ones((N, m))
+    path = Quadratic(g[:N, 0], g[:N, :n], H[:N, :n, :n], g[:N, n:], H[:N, n:, n:], H[:N, :n, n:])
+    end = Quadratic(g[N, 0], g[N, :n], H[N, :n, :n], g[N, n:], H[N, n:, n:], H[N, :n, n:])
+    zero = jnp.zeros(())
+    cost = lambda du: cost_of(A, B, gaps, H, g, jnp.zeros(n), du)  # noqa: E731
+    slope = jax.grad(cost)(0 * one)
+    low = jnp.where(slope > 0, 0.0, -1e9)  # each control at the bound that presses
+    high = jnp.where(slope < 0, 0.0, 1e9)
+    held = backward_pass(A, B, gaps, path, end, Bounds(low, high), None, zero)
+    assert held.square == 0
+    assert np.abs(held.k).max() == 0 and np.abs(held.K).max() == 0
+    opposite = backward_pass(A, B, gaps, path, end, Bounds(-high, -low), None, zero)
+    assert abs(float(opposite.square) / float((slope**2).sum()) - 1) < 1e-12
+    reg = 3.0
+    eye_x, eye_u = reg * jnp.eye(n), reg * jnp.eye(m)
+    plain = backward_pass(A, B, gaps, path, end, None, None, jnp.asarray(reg))
+    more = H.at[:N, :n, :n].add(eye_x).at[:N, n:, n:].add(eye_u).at[N, :n, :n].add(eye_x)
+    other = Quadratic(path.c, path.q, more[:N, :n, :n], path.r, more[:N, n:, n:], path.S)
+    last = Quadratic(end.c, end.q, more[N, :n, :n], end.r, end.R, end.S)
+    due = backward_pass(A, B, gaps, other, last, None, None, zero)
+    assert relative_error(plain.K, due.K) < F64_TRANSFORM
+    assert relative_error(plain.k, due.k) < F64_TRANSFORM
+    assert relative_error(plain.V[:N], due.V[:N]) < F64_TRANSFORM

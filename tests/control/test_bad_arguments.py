@@ -58,7 +58,8 @@ def state():
 
 def array(*shape):
     """Of this shape."""
-    return ["x", np.ones((*shape, 5, 5)), np.full(shape, np.nan), np.full(shape, np.inf), [[1], [2, 3]]]
+    wrong = [np.full(shape, np.nan), np.full(shape, np.inf)]
+    return ["x", np.ones((*shape, 5, 5)), *wrong, [[1], [2, 3]]]
 
 
 def positive():
@@ -177,6 +178,7 @@ TABLE = {
     }),
     "lqr": (C.lqr, LQ, MATRICES | {"S": array(2, 1), "discrete": flag()}),
     "lqr_finite": (C.lqr_finite, LQ | {"horizon": 3}, MATRICES | {
+        "R": array(1, 1),  # one that is not definite is a result: ok is false
         "horizon": count(), "terminal": array(2, 2), "S": array(2, 1),
     }),
     "lqr_at": (C.lqr_at, POISED | {"Q": np.ones(4), "R": np.ones(1)}, {
@@ -229,7 +231,9 @@ TABLE = {
     "observability_gramian": (C.observability_gramian, {"A": -np.eye(2), "C": ONE.T}, {
         "A": array(2, 2), "C": array(1, 2), "discrete": flag(),
     }),
-    "directions": (C.directions, {"model": CART, "reach": C.controllability(np.eye(4), np.eye(4))}, {
+    "directions": (C.directions, {
+        "model": CART, "reach": C.controllability(np.eye(4), np.eye(4)),
+    }, {
         "model": model(), "reach": [3, "x", C.controllability(TWO, ONE)], "least": share(),
     }),
     "poles": (C.poles, {"A": TWO, "B": ONE, "K": np.ones((1, 2))}, {
@@ -243,7 +247,7 @@ TABLE = {
         "frequencies": count(), "decades": ["x", -1.0, np.nan],
     }),
     "kalman_gain": (C.kalman_gain, {"A": TWO, "C": ONE.T, "W": np.eye(2), "V": np.eye(1)}, {
-        "A": array(2, 2), "C": array(1, 2), "W": array(2, 2), "V": [*array(1, 1), -np.eye(1)],
+        "A": array(2, 2), "C": array(1, 2), "W": array(2, 2), "V": array(1, 1),
         "discrete": flag(),
     }),
     "kalman_predict": (C.kalman_predict, {
@@ -343,13 +347,8 @@ WITHOUT = {
     "GravityCompensation", "InverseKinematics", "Jerk", "JointImpedance", "LINEAR_RESULTS", "Law",
     "LinearQuadratic", "Lyapunov", "Margins", "Method", "Network", "OperationalSpace", "Reach",
     "RegionMap", "Regulator", "Solution", "StateSpace", "SteadyFilter", "Steered", "System", "Term",
-    "Tracking", "Trained", "Velocity", "methods", "recommend",
+    "Tracking", "Trained", "Velocity", "methods",
 }  # fmt: skip
-CASES = [
-    pytest.param(function, what, i, id=f"{function}-{what}-{i}")
-    for function, (_, _, bad) in TABLE.items() for what, values in bad.items()
-    for i in range(len(values))
-]  # fmt: skip
 
 
 def test_every_public_name_is_in_the_table():
@@ -359,9 +358,14 @@ def test_every_public_name_is_in_the_table():
         assert set(given) | set(bad) <= set(known)
 
 
-@pytest.mark.parametrize(("function", "what", "i"), CASES)
-def test_a_bad_argument_is_rejected(function, what, i):
+@pytest.mark.parametrize("function", TABLE)
+def test_bad_arguments_are_rejected(function):
     call, given, bad = TABLE[function]
-    with pytest.raises(RbjaxError) as caught:
-        call(**given | {what: bad[what][i]})
-    assert len(str(caught.value)) > 20
+    for what, values in bad.items():
+        for value in values:
+            with pytest.raises(RbjaxError) as caught:
+                call(**given | {what: value})
+                pytest.fail(f"{what}={value!r} is accepted")
+            said = str(caught.value)
+            cures = ("expected", "names here are", "give ", "Give ", "which name their own", ";")
+            assert any(cure in said for cure in cures), said

@@ -111,6 +111,24 @@ def test_distances_are_those_of_the_shapes():
     np.testing.assert_allclose(found, [-0.1, 0.4, 0.0], atol=1e-15)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["ddp", "sqp", "exact_ddp", "exact_sqp"])
+def test_the_acrobot_ends_upright(method):
+    """From rest at the bottom, with an end state as a constraint, from controls of zero and from
+    random ones. Its multipliers bend the cost far from the model of an iteration."""
+    model = rb.load("acrobot")
+    upright = Constraint(StateError(model.keyframe("up")), where="end", name="upright")
+    problem = Problem(
+        model, 100, 0.05, running=[Control()], constraints=[upright], bounds=(-20, 20)
+    )
+    for seed in range(4):
+        ctrls = min(seed, 1) * 2 * np.random.default_rng(seed).normal(size=(100, 1))
+        s = solve(problem, model.keyframe("down"), method=method, ctrls=ctrls, iterations=1000)
+        assert s.status == "converged" and s.violation <= 1e-6
+        end = StateError(model.keyframe("up"))(model, 0.0, s.state(-1), jnp.zeros(1))
+        assert np.abs(end).max() <= 2e-6
+
+
 def test_spheres_move_with_their_bodies():
     model = rb.load("arm7")
     state = model.default_state()

@@ -1,10 +1,22 @@
-"""Every outcome of every method of `solve` is reached, in single and in double precision."""
+"""Every outcome of every method of `solve`, and every result of the linear solvers, is reached, in
+single and in double precision."""
 
 import jax
 import jax.numpy as jnp
 import pytest
 
-from rbjax.control import Constraint, Control, Equations, Problem, SampledStart, Sampling, solve
+from rbjax.control import (
+    LINEAR_RESULTS,
+    Constraint,
+    Control,
+    Equations,
+    Problem,
+    SampledStart,
+    Sampling,
+    lqr,
+    lyapunov,
+    solve,
+)
 from rbjax.control.outcome import (
     BUDGET,
     CONVERGED,
@@ -84,6 +96,31 @@ TABLE = [
 @pytest.mark.parametrize(("outcome", "method", "dtype"), QUICK)
 def test_some_outcomes(outcome, method, dtype):
     check(outcome, method, dtype)
+
+
+#: A, B, Q, R of a regulator in continuous time
+LINEAR = {
+    "successful": (0.0, 1.0, 1.0, 1.0),
+    "not_finite": (jnp.nan, 1.0, 1.0, 1.0),
+    "indefinite_control_cost": (0.0, 1.0, 1.0, -1.0),
+    "not_stabilisable": (1.0, 0.0, 1.0, 1.0),
+    "no_stabilising_solution": (0.0, 1.0, 0.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_every_result_of_a_linear_solver_is_reached(dtype):
+    """Traced, where a failure is a value."""
+    reached = {"not_stable"}
+    with jax.enable_x64(dtype == "float64"):
+        program = jax.jit(lambda *x: lqr(*x).result)
+        for name, numbers in LINEAR.items():
+            found = program(*(jnp.full((1, 1), x) for x in numbers))
+            assert bool(found == getattr(LINEAR_RESULTS, name)), name
+            reached.add(name)
+        found = jax.jit(lambda A: lyapunov(A, jnp.eye(1)).result)(jnp.ones((1, 1)))
+        assert bool(found == LINEAR_RESULTS.not_stable)
+    assert len(reached) == len(LINEAR_RESULTS)
 
 
 @pytest.mark.slow

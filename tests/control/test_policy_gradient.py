@@ -134,6 +134,15 @@ def test_a_gradient_that_is_not_finite_changes_nothing():
     assert np.abs(two - np.array([0.9, 0.8])).max() < 1e-15 and fine
 
 
+def test_updates_that_are_skipped_are_counted():
+    """The slope of the cost is nan: each update is skipped, and the policy stays."""
+    env = Environment(MODEL, lambda s, u: jnp.sqrt(s.q[0] - 9.0) + u[0], start, dt=0.05, episode=2)
+    policy = network(KEY, (4, 3, 1))
+    found = through_time(env, policy, KEY, iterations=2, batch=2)
+    assert found.skipped == 2
+    assert jax.tree.all(jax.tree.map(lambda a, b: (a == b).all(), found.policy, policy))
+
+
 @pytest.mark.slow
 def test_gains_come_to_those_of_the_regulator():
     """A mass with a quadratic cost, long episodes: the gains of `lqr`."""

@@ -7,6 +7,7 @@ import pytest
 
 from rbjax.control import Control, Cost, Equations, Problem, solve
 from rbjax.control.outcome import CONVERGED, STUCK
+from rbjax.control.verdict import LEAST, LENGTHS, Limits, Measures, Rules, begun, in_vain, verdict
 
 LINE = Equations(lambda t, x, u: u, 1, 1)
 STEPPING = ("ddp", "sqp")
@@ -64,10 +65,54 @@ def test_single_precision_converges_by_its_own_floor(method):
 
 @pytest.mark.parametrize("method", STEPPING)
 def test_bounds_that_never_bind_change_nothing(method):
+    never_bind(method)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["exact_ddp", "exact_sqp", "hermite_simpson", "bfgs"])
+def test_bounds_that_never_bind_change_nothing_by_other_methods(method):
+    never_bind(method, 1e-6)
+
+
+def never_bind(method, rtol=1e-9):
     free = solve(smooth(), jnp.zeros(2), method=method)
     most = 1.5 * float(np.abs(free.ctrls).max())
     held = solve(smooth(bounds=(-most, most)), jnp.zeros(2), method=method)
-    np.testing.assert_allclose(held.cost, free.cost, rtol=1e-9)
+    assert free.status == held.status == "converged"
+    np.testing.assert_allclose(held.cost, free.cost, rtol=rtol)
+
+
+@pytest.mark.parametrize(("constrained", "a", "rises"), [
+    (True, 0.25, True), (True, 0.5, False), (False, 0.25, False), (False, 2.0**-8, True),
+])  # fmt: skip
+def test_short_steps_raise_the_regularisation(constrained, a, rises):
+    """With constraints sooner: short steps say that the model lacks their curvature."""
+    number = jnp.asarray
+    limits = Limits(number(1e-9), number(1e-6), number(100), number(1.0))
+    standing = begun(limits, constrained, number(10.0))._replace(feasible=number(True))
+    rules = Rules(lambda seen, lengths: (lengths <= a, number(0.5)), True)
+    lengths = jnp.asarray(LENGTHS)
+    seen = Measures(number(9.0), number(0.0), number(1.0), number(-1.0), number(1.0), number(1.0),
+                    number(True), 9.0 - lengths, 0 * lengths, None)  # fmt: skip
+    found = verdict(rules, constrained, standing, limits, seen)
+    assert found.accepted and found.a == a
+    assert found.standing.reg == LEAST * (10 if rises else 1)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_cost_that_falls_by_rounding_only_ends_as_stuck(dtype):
+    """The first cost is the mark; one that falls by more than rounding is the next."""
+    with jax.enable_x64(dtype == "float64"):
+        mark, vain, one = jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(True)
+        eps = float(jnp.finfo(mark.dtype).eps)
+        for k in range(3):
+            mark, vain = in_vain(mark, vain, jnp.asarray(1.0 - k * eps), one)
+        assert (float(mark), int(vain)) == (1.0, 2)
+        low = jnp.asarray(1.0 - 100 * eps)
+        mark, vain = in_vain(mark, vain, low, one)
+        assert (mark, int(vain)) == (low, 0)
+        mark, vain = in_vain(mark, vain, jnp.asarray(5.0), ~one)  # gaps are being closed
+        assert (float(mark), int(vain)) == (5.0, 0)
 
 
 @pytest.mark.parametrize("method", STEPPING)
