@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.constraints.pairs import HalfAngle, Pair
 from rbjax.constraints.rank import row_names
 from rbjax.constraints.residuals import jacobian, residual
@@ -81,6 +82,8 @@ def assemble(
     """
     state = check_arrays("assemble", model, {"state": state})["state"]
     dtype = state.q.dtype
+    if tolerance is not None:
+        tolerance = real_number("assemble", "tolerance", tolerance, above=0.0)
     if tolerance is None:
         tolerance = 1e-12 if dtype == jnp.float64 else 1e-5
     free = np.ones(model.nv, bool)

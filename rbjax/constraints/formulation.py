@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import jax
-import jax.numpy as jnp
 
+from rbjax.arguments import real_number
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
 from rbjax.dynamics.link_forces import LinkForces
@@ -63,11 +63,7 @@ def _check(where: str, field: dataclasses.Field, value: Any) -> None:
             "rbjax.constraints.formulations()"
         )
     if field.type == "float" and not isinstance(value, jax.core.Tracer):
-        number = isinstance(value, int | float) or jnp.shape(value) == ()
-        if isinstance(value, bool | str) or not number:
-            raise InputError(f"{where}: got {value!r}, expected a number")
-        if not 0 <= value < math.inf:
-            raise InputError(f"{where}: got {value}, expected a finite number of at least 0")
+        real_number(where, field.name, value, least=0.0)
     if field.type == "int" or (field.type == "int | None" and value is not None):
         integer = isinstance(value, int) and not isinstance(value, bool)
         if not integer or value < 1:

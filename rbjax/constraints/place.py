@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.arguments import check_array
+from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.forces.anchor import check_named, named_frame
@@ -44,6 +44,10 @@ class Place(Record):
     def __check_init__(self) -> None:
         check_fields(self)
         check_named(self)
+        for name, size in (("position", 3), ("orientation", 4)):
+            shape = jnp.shape(getattr(self, name))
+            if shape[-1:] != (size,):
+                raise InputError(f"Place({name}=...): got the shape {shape}, expected ({size},)")
 
     @classmethod
     def on(
@@ -112,6 +116,7 @@ def places(
         axis: (3,), of any length, in the world.
         q: (nq,); the model's default state if None.
     """
+    check_model("places", model)
     q = model.default_state().q if q is None else q
     point = check_array("places", "point", point, (3,)).astype(q.dtype)
     turn = turn_z_to(check_array("places", "axis", axis, (3,)).astype(q.dtype))

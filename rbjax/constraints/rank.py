@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.constraints.residuals import jacobian
 from rbjax.dynamics.crba import mass_matrix
 from rbjax.model import Model
@@ -66,6 +67,8 @@ def mobility(
         (1, 5)
     """
     rows = jacobian(model, q, t)
+    if tolerance is not None:
+        tolerance = real_number("mobility", "tolerance", tolerance, above=0.0)
     if tolerance is None:
         tolerance = 1e-7 if rows.dtype == jnp.float64 else 1e-4
     G = np.asarray(rows, float)

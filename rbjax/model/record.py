@@ -79,7 +79,7 @@ def floats(x: Any) -> Any:
     """A field's converter: numbers as an array. What is none stays for `check_fields` to refuse."""
     try:
         return x if hasattr(x, "dtype") else jnp.asarray(x, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return x
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_array, real_number
 from rbjax.errors import InputError
 from rbjax.planning.footprint import Footprint
 from rbjax.planning.paths import Path, moved
@@ -49,7 +50,8 @@ class Controls:
 
     def __post_init__(self) -> None:
         speeds, rates = (
-            np.atleast_1d(np.asarray(x, float)) for x in (self.speeds, self.turn_rates)
+            np.atleast_1d(real_array("Controls", name, x))
+            for name, x in (("speeds", self.speeds), ("turn_rates", self.turn_rates))
         )
         costs = np.ones(len(speeds), int) if self.costs is None else np.asarray(self.costs)
         if speeds.ndim != 1 or not len(speeds) or not speeds.shape == rates.shape == costs.shape:
@@ -63,12 +65,7 @@ class Controls:
                 f"Controls: sideways is {self.sideways!r}, expected {len(speeds)} finite speeds "
                 "in m/s"
             )
-        if not (np.isfinite(speeds).all() and np.isfinite(rates).all()):
-            raise InputError(
-                "Controls: speeds or turn_rates are not finite, expected m/s and rad/s"
-            )
-        if not 0 < self.dt < math.inf:
-            raise InputError(f"Controls: dt is {self.dt}, expected a time above zero")
+        real_number("Controls", "dt", self.dt, above=0.0)
         if costs.dtype.kind not in "iu" or (costs < 1).any():
             raise InputError(
                 f"Controls: costs are {costs.tolist()}, expected positive integers: choose a unit "
@@ -95,8 +92,7 @@ class Controls:
         before backwards, and from left to right.
         """
         for name, x in (("radius", radius), ("turn", turn), ("speed", speed)):
-            if not 0 < x < math.inf:
-                raise InputError(f"Controls.car: {name} is {x}, expected a number above zero")
+            real_number("Controls.car", name, x, above=0.0)
         speeds = speed * np.repeat([1.0, -1.0], 3)
         bend = np.tile([1.0, 0.0, -1.0], 2) / radius
         return cls(speeds, speeds * bend, float(radius * turn / speed), costs, reversal, steering)

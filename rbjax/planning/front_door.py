@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice, real_array, real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.planning.controls import Controls
 from rbjax.planning.footprint import Footprint
@@ -127,18 +128,21 @@ def plan(
         >>> found.status, found.refinement, int(found.path.cusps)
         ('found', 'smoothed', 0)
     """
-    if method not in methods():
-        raise UnknownName("method", method, methods())
+    choice("method", method, methods())
+    choice("drive", drive, drives())
+    if radius is not None:
+        real_number("plan", "radius", radius, above=0.0)
     if not isinstance(grid, OccupancyGrid) or not isinstance(footprint, Footprint):
         raise InputError(
-            f"plan: got {type(grid).__name__} and {type(footprint).__name__}, expected "
-            "rb.planning.OccupancyGrid and rb.planning.Footprint"
+            f"plan: grid is {type(grid).__name__} and footprint {type(footprint).__name__}, "
+            "expected rb.planning.OccupancyGrid and rb.planning.Footprint"
         )
     if controls is None:
         controls = _fitting(grid, drive, radius, backwards)
     if max_count is not None:
         options["max_count"] = max_count
     options = {"headings": HEADINGS} | options
+    start, goal = real_array("plan", "start", start), real_array("plan", "goal", goal)
     try:
         many = np.ndim(start) == 2 or np.ndim(goal) == 2
         starts, goals = np.broadcast_arrays(*(np.atleast_2d(x) for x in (start, goal)))

@@ -43,6 +43,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rbjax.arguments import integer, real_array
 from rbjax.errors import InputError
 from rbjax.planning.controls import Controls, MotionTable
 from rbjax.planning.footprint import Footprint, clear
@@ -291,6 +292,10 @@ def check_poses(where: str, start: Any, goal: Any, axes: int = 1) -> tuple[np.nd
     return poses[0], poses[1]
 
 
+#: the largest numbers of cells of a turn, and of nodes that an index can count
+MOST = {"headings": 100_000, "max_count": 2**31 - 1}
+
+
 def check_problem(where: str, grid, footprint, controls, tolerance, headings, max_count) -> None:
     """Refuse arguments of a search that are no such thing."""
     for name, x, kind in (
@@ -302,8 +307,9 @@ def check_problem(where: str, grid, footprint, controls, tolerance, headings, ma
             raise InputError(
                 f"{where}: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
             )
-    if np.shape(tolerance) != (2,) or not (np.asarray(tolerance) >= 0).all():
+    room = real_array(where, "tolerance", tolerance, finite=False)
+    if room.shape != (2,) or not (room >= 0).all():
         raise InputError(f"{where}: tolerance is {tolerance!r}, expected two numbers, m and rad")
     for name, x in (("headings", headings), ("max_count", 1 if max_count is None else max_count)):
-        if not isinstance(x, (int, np.integer)) or x < 1:
-            raise InputError(f"{where}: {name} is {x!r}, expected a positive integer")
+        if integer(where, name, x, least=1) > MOST[name]:
+            raise InputError(f"{where}: {name} is {x:.3g}, expected at most {MOST[name]}")

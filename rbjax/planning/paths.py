@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.footprint import Footprint, placed
@@ -172,6 +173,16 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
         >>> bool(clear_along(field, out, Footprint.disc(0.2), 8))
         False
     """
+    for name, x, kind in (
+        ("field", field, DistanceField),
+        ("path", path, Path),
+        ("footprint", footprint, Footprint),
+    ):
+        if not isinstance(x, kind):
+            raise InputError(
+                f"clear_along: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
+            )
+    integer("clear_along", "parts", parts, least=1)
     poses = path.poses[..., :-1, None, :]
     share = (jnp.arange(parts) + 0.5) / parts
     steps = path.steps[..., None, :]

@@ -28,8 +28,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.compiling import alone, compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -232,10 +232,8 @@ def smooth(
     margin = 4 * field.resolution if margin is None else margin
     sizes = []
     for name, x in (("radius", radius), ("margin", margin)):
-        if not isinstance(x, jax.core.Tracer) and not (
-            np.ndim(x) == 0 and np.isfinite(x) and x > 0
-        ):
-            raise InputError(f"smooth: {name} is {x!r}, expected a length above zero")
+        if not isinstance(x, jax.core.Tracer):
+            real_number("smooth", name, x, above=0.0)
         sizes.append(jnp.asarray(x, dtype))
     path = Path(path.start.astype(dtype), path.steps.astype(dtype))
     run = _program if alone() else _smooth

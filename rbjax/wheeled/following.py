@@ -332,6 +332,8 @@ def tracking_gains(
     steps = shape_of("tracking_gains", "controls", controls)[0]
     size = vehicle.nq + vehicle.nv
     u = check_array("tracking_gains", "controls", controls, (steps, vehicle.nu))
+    if not isinstance(states, State):
+        raise InputError(f"tracking_gains: states is {type(states).__name__}, expected State(q, v)")
     q = check_array("tracking_gains", "states.q", states.q, (steps + 1, vehicle.nq))
     v = check_array("tracking_gains", "states.v", states.v, (steps + 1, vehicle.nv))
     Q = check_array("tracking_gains", "Q", Q, (size,)).astype(q.dtype)

@@ -73,6 +73,8 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
         >>> [type(row).__name__ for row in model.constraints]
         ['WheelContact', 'WheelContact', 'WheelContact']
     """
+    if not isinstance(robot, Robot):
+        raise InputError(f"full_model: robot is {type(robot).__name__}, expected a Robot")
     dtype = jnp.result_type(*jax.tree.leaves(eqx.filter(robot, eqx.is_inexact_array)))
     model = jax.tree.map(jnp.asarray, model_of(numbers_of(robot, dtype), base))
     return model.astype(dtype)

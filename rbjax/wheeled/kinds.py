@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from rbjax.arguments import integer, real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.wheeled.motors import Motor, TorqueSource
 from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
@@ -25,8 +26,9 @@ def _check(kind: str, **lengths: Any) -> None:
         if isinstance(x, jax.core.Tracer):  # which `Robot` rejects
             continue
         try:
-            fits = np.ndim(x) == 0 and 0 < float(x) < math.inf
-        except (TypeError, ValueError):
+            number = np.ndim(x) == 0 and not isinstance(x, (str, bytes))
+            fits = number and 0 < float(x) < math.inf
+        except (TypeError, ValueError, OverflowError):
             fits = False
         if not fits:
             raise InputError(f"{kind}({name}=...): got {x!r}, expected a length above zero, m")
@@ -186,6 +188,10 @@ def with_trailers(
 
     hitch: how far behind a body's origin the next is coupled; 0 is on the axle.
     """
+    if not isinstance(robot, Robot):
+        raise InputError(f"with_trailers: robot is {type(robot).__name__}, expected a Robot")
+    integer("with_trailers", "number", number, least=1)
+    real_number("with_trailers", "hitch", hitch)
     _check("with_trailers", drawbar=drawbar, track=track, radius=radius)
     bodies, wheels = list(robot.bodies), list(robot.wheels)
     ahead = 0

@@ -37,6 +37,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.constraints import Gear, JointPolynomial
 from rbjax.errors import InputError, UnknownName, UnsupportedFeature
 from rbjax.loading.draft import Draft, text
@@ -139,8 +140,7 @@ def _check(robot: Any, wheel: str, **positive: Any) -> None:
     if wheel not in SHAPES:
         raise UnknownName("shape of a wheel", wheel, SHAPES)
     for name, x in positive.items():
-        if not (np.ndim(x) == 0 and np.isfinite(x) and x > 0):
-            raise InputError(f"wheeled.write_mjcf: {name} is {x}, expected a number above zero")
+        real_number("wheeled.write_mjcf", name, x, above=0.0)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
         raise InputError(
             "wheeled.write_mjcf: got a traced robot, expected known numbers; call it outside of "

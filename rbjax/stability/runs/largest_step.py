@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import solvers
+from rbjax.arguments import real_array
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -99,7 +100,7 @@ def stable_step(method: Method, matrices: Any) -> float:
 
 def _square(matrices: Any) -> np.ndarray:
     """A (T, 2 nv, 2 nv)."""
-    A = np.asarray(matrices, np.float64)
+    A = real_array("stable_step", "matrices", matrices, finite=False)
     if A.ndim not in (2, 3) or A.shape[-1] != A.shape[-2] or A.shape[-1] % 2 or not A.size:
         raise InputError(
             f"stable_step: matrices have shape {A.shape}, expected (2 nv, 2 nv) or "

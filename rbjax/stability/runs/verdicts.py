@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rbjax.arguments import real_array
 from rbjax.errors import InputError
 from rbjax.stability.runs.drift import trend
 
@@ -123,7 +124,8 @@ def verdict(
 
 
 def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple:
-    t, x = np.asarray(ts, np.float64), np.asarray(xs, np.float64)
+    t = real_array("verdict", "ts", ts, finite=False)
+    x = real_array("verdict", "xs", xs, finite=False)
     if t.ndim != 1 or not len(t) or x.shape[:1] != t.shape or x.ndim > 2:
         raise InputError(
             f"verdict: got ts {t.shape} and xs {x.shape}, expected (T,), and (T,) or (T, n)"
@@ -133,7 +135,7 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
             "verdict: got times that are not finite; after an early end of a run of drift times "
             "are nan: give those of the whole run, and its ending"
         )
-    r = None if reference is None else np.asarray(reference, np.float64)
+    r = None if reference is None else real_array("verdict", "reference", reference, finite=False)
     if r is not None and r.shape != x.shape:
         raise InputError(f"verdict: got a reference {r.shape}, expected that of xs, {x.shape}")
     if r is not None and not np.isfinite(r).all():
@@ -143,7 +145,7 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
 
 
 def _largest(name: str, series: ArrayLike, length: int) -> float:
-    x = np.asarray(series, np.float64)
+    x = real_array("verdict", name, series, finite=False)
     if x.shape != (length,) or not np.isfinite(x).all():
         raise InputError(f"verdict: {name} has shape {x.shape}, expected ({length},), all finite")
     return float(np.abs(x).max())

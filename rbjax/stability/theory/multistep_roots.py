@@ -23,6 +23,7 @@ import mpmath
 import numpy as np
 
 from rbjax import solvers
+from rbjax.arguments import flag
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, made
 from rbjax.stability.theory.polynomials import (
@@ -225,6 +226,7 @@ def adams(order: int, implicit: bool) -> Characteristic:
         (Fraction(5, 12), Fraction(-1, 12))
     """
     _ordered("adams", order)
+    implicit = flag("adams", "implicit", implicit)
     steps = max(order - 1, 1) if implicit else order
     last = steps if implicit else steps - 1
     nodes = list(range(last, last - order, -1))  # times of the rates, the last first

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from rbjax.arguments import real_array, real_number
 from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
@@ -129,7 +130,7 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
         >>> float(factor[0].real)
         0.5
     """
-    z = np.asarray(z, complex)
+    z = _points(z)
     if isinstance(solver, Theory):
         return _sorted(characteristic(solver).roots(z))
     solver = _prepared(solver)
@@ -162,15 +163,16 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
         >>> bool(abs(factors - [1j, -1j]).max() < 1e-6)
         True
     """
-    omega = np.asarray(h_omega, float)
+    omega = real_array("oscillator_factors", "h_omega", h_omega, finite=False)
+    if not omega.size:
+        raise InputError("oscillator_factors: h_omega is empty, expected at least one number")
     wrong = ~((omega > 0) & np.isfinite(omega))
     if wrong.any():
         raise InputError(
             f"oscillator_factors: h_omega has {omega[wrong][0]}, expected h times omega, positive "
             "and finite; at zero nothing oscillates"
         )
-    if not np.isfinite(damping_ratio):
-        raise InputError(f"oscillator_factors: damping_ratio is {damping_ratio}, expected a number")
+    damping_ratio = real_number("oscillator_factors", "damping_ratio", damping_ratio)
     if isinstance(solver, Theory):  # two scalar equations
         pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
         roots = characteristic(solver).roots(omega[..., None] * pair)
@@ -182,6 +184,18 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
     powers = _powers(solver, _size(_oscillator, solver, like, rows[0]))
     matrix = _measured(_oscillator, solver, like, rows, w[:, None] ** powers)
     return _sorted(np.linalg.eigvals(matrix)).reshape(*omega.shape, -1)
+
+
+def _points(z: Any) -> np.ndarray:
+    """The points z of growth_factors as complex numbers."""
+    try:
+        known = np.asarray(z)
+        out = known.astype(complex) if known.dtype.kind in "biufc" else None
+    except (TypeError, ValueError, OverflowError):
+        out = None
+    if out is None or not out.size or not np.isfinite(out).all():
+        raise InputError(f"growth_factors: z is {z!r}, expected finite numbers, real or complex")
+    return out
 
 
 def _powers(solver: Any, n: int) -> np.ndarray:
@@ -258,7 +272,8 @@ def period_elongation(solver: Method, h_omega: Any) -> np.ndarray:
         >>> round(float(rb.stability.period_elongation("newmark", 0.1)) * 12e2, 2)
         1.0
     """
-    return np.asarray(h_omega, float) / np.angle(_principal(solver, h_omega)) - 1
+    omega = real_array("period_elongation", "h_omega", h_omega)
+    return omega / np.angle(_principal(solver, omega)) - 1
 
 
 def oscillation_limit(solver: Method, highest: float = 20.0) -> float:
