@@ -66,7 +66,7 @@ def real_number(
         InputError: not a real number, or out of range.
     """
     x = real_array(where, name, value, finite=False)
-    limit = f" above {above:g}" if above > -math.inf else ""
+    limit = f" above {above:g}".replace("above 0", "above zero") if above > -math.inf else ""
     limit += f" of at least {least:g}" if least > -math.inf else ""
     if x.shape != ():
         raise InputError(f"{where}: {name} has shape {x.shape}, expected a number{limit}")
@@ -74,7 +74,7 @@ def real_number(
     if math.isnan(number) or (finite and math.isinf(number)):
         raise InputError(f"{where}: {name} is {number}, expected a finite number{limit}")
     if not (number > above or above == -math.inf) or number < least:
-        raise InputError(f"{where}: {name} is {number:g}, expected a number{limit}")
+        raise InputError(f"{where}: {name} is {number}, expected a number{limit}")
     return number
 
 

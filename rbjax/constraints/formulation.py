@@ -63,7 +63,7 @@ def _check(where: str, field: dataclasses.Field, value: Any) -> None:
             "rbjax.constraints.formulations()"
         )
     if field.type == "float" and not isinstance(value, jax.core.Tracer):
-        real_number(where, field.name, value, least=0.0)
+        real_number(where.partition("(")[0], field.name, value, least=0.0)
     if field.type == "int" or (field.type == "int | None" and value is not None):
         integer = isinstance(value, int) and not isinstance(value, bool)
         if not integer or value < 1:

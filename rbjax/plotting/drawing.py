@@ -243,7 +243,7 @@ def draw(
     check_model("draw", model)
     if ax is not None:
         check_axis("draw", ax)
-    q = real_array("draw", "q", q).astype(model.joints.reference.dtype)
+    q = real_array("draw", "q", q, finite=False).astype(model.joints.reference.dtype)
     if q.shape != (model.nq,) or not np.isfinite(q).all():
         raise InputError(f"draw: got q = {q}, expected shape ({model.nq},) of finite numbers")
     if ax is None:

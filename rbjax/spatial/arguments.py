@@ -8,8 +8,8 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import numpy as np
 
+from rbjax.arguments import real_array
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
 from rbjax.rotations.arguments import checked, entries, stacked, takes
@@ -29,9 +29,9 @@ def positive(*names: str) -> Callable[[Callable], Callable]:
             bound = signature.bind(*args, **kwargs)
             for name in names:
                 x = bound.arguments.get(name)
-                if x is None or isinstance(x, jax.core.Tracer):
+                if x is None or any(isinstance(e, jax.core.Tracer) for e in jax.tree.leaves(x)):
                     continue
-                if (np.asarray(checked(f.__name__, name, x, "scalar")) <= 0).any():
+                if (real_array(f.__name__, name, x, finite=False) <= 0).any():
                     raise InputError(f"{f.__name__}: {name} is {x}, expected more than zero")
             return f(*args, **kwargs)
 

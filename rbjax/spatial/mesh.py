@@ -43,6 +43,9 @@ def mesh(
     if (density is None) == (mass is None):
         both = "neither" if mass is None else "both"
         raise InputError(f"mesh: got {both} of density and mass, expected exactly one")
+    for name, x in (("density", density), ("mass", mass)):
+        if x is not None and checked("mesh", name, x, "scalar").ndim:
+            raise InputError(f"mesh: {name} has shape {jnp.shape(x)}, expected a number")
     corners = checked("mesh", "vertices", vertices, "vector")
     volume, com, second = _integrals(corners, _closed(triangles, len(corners)))
     if not isinstance(volume, jax.core.Tracer) and not volume > 0:
@@ -63,10 +66,11 @@ def points(positions: jax.Array, masses: jax.Array) -> MassProperties:
     """
     positions = checked("points", "positions", positions, "vector")
     weights = checked("points", "masses", masses, "scalar")
-    if positions.ndim != 2 or weights.shape != positions.shape[:1]:
+    if positions.ndim != 2:
+        raise InputError(f"points: positions has shape {positions.shape}, expected (n, 3)")
+    if weights.shape != positions.shape[:1]:
         raise InputError(
-            f"points: positions has shape {positions.shape} and masses {weights.shape}, expected "
-            "(n, 3) and (n,)"
+            f"points: masses has shape {weights.shape}, expected ({len(positions)},)"
         )
     return _points(positions, weights[:, None])
 

@@ -36,7 +36,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import real_array
+from rbjax.arguments import real_number
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
 from rbjax.model.record import Record, check_fields, check_number, check_numbers
@@ -150,13 +150,15 @@ def traction_along(
     """
     if not isinstance(law, Tyre):
         raise InputError(f"traction_along: law is {type(law).__name__}, expected a Tyre")
-    given = {"ux": ux, "uy": uy, "roll_speed": roll_speed, "direction": direction}
-    for name, x in given.items():
-        known = jax.tree.leaves(x)
-        if not known or not any(isinstance(leaf, jax.core.Tracer) for leaf in known):
-            real_array("traction_along", name, x)
-    if np.shape(direction)[:1] != (2,):
+    if not isinstance(direction, (tuple, list)) and jnp.shape(direction)[:1] != (2,):
         raise InputError(f"traction_along: direction is {direction!r}, expected two numbers")
+    if len(direction) != 2:
+        raise InputError(f"traction_along: direction is {direction!r}, expected two numbers")
+    given = {"ux": (ux,), "uy": (uy,), "roll_speed": (roll_speed,), "direction": direction}
+    for name, numbers in given.items():
+        for x in numbers:
+            if not hasattr(x, "dtype"):  # arrays, complex ones too, are lanes
+                real_number("traction_along", name, x)
     ax, ay = direction
     slides = (ux - roll_speed) * ax + uy * ay
     mu, _ = law.traction(slides / law.reference_speed(roll_speed), jnp.zeros_like(slides))

@@ -91,11 +91,11 @@ def bad_values(good: Any) -> dict[str, Any]:
 #: what a message says of parts of an argument
 OTHER_NAMES = {"state": (" q", " v"), "states": (" q", " v"), "y": (" q ", " p "),
                "method": ("solver",), "y0": (" q", " v", "state"),
-               "source": ("regular file", "scene"),
-               "parts": ("part",), "joint": ("joint",)}  # fmt: skip
+               "source": ("regular file", "scene", "representation"),
+               "parts": ("part",), "target": ("representation",), "joint": ("joint",)}  # fmt: skip
 #: arguments whose other shapes are right too: several samples, another number of points or steps
-ANY_SHAPE = ("z", "h_omega", "x", "y", "max_steps", "transient", "wrenches", "points", "positions",
-             "rates", "poses", "path")  # fmt: skip
+ANY_SHAPE = ("z", "h_omega", "ctrl", "x", "y", "max_steps", "transient", "wrenches", "points",
+             "positions", "rates", "poses", "path")  # fmt: skip
 
 Case = tuple[str, str, Callable[[], Any], Callable[[], Any]]
 

@@ -209,9 +209,15 @@ def multistep(rho: Any, sigma: Any) -> Characteristic:
     return Characteristic((a, poly(-c for c in b)))
 
 
+#: the highest order of a formula: far above those that are stable
+HIGHEST = 1000
+
+
 def _ordered(name: str, order: Any, least: int = 1) -> None:
-    if not isinstance(order, (int, np.integer)) or order < least:
-        raise InputError(f"{name}: order is {order!r}, expected a whole number from {least} on")
+    if not isinstance(order, (int, np.integer)) or not least <= order <= HIGHEST:
+        raise InputError(
+            f"{name}: order is {order!r}, expected an integer from {least} to {HIGHEST}"
+        )
 
 
 def adams(order: int, implicit: bool) -> Characteristic:
