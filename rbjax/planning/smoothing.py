@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import real_number
+from rbjax.arguments import integer, real_number
 from rbjax.compiling import alone, compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -226,8 +226,7 @@ def smooth(
             f"smooth: got a batch of paths {path.start.shape[:-1]}, expected one; use jax.vmap"
         )
     for name, n in (("iterations", iterations), ("parts", parts)):
-        if not isinstance(n, int) or n < 1:
-            raise InputError(f"smooth: {name} is {n!r}, expected a positive integer")
+        integer("smooth", name, n, least=1)
     dtype = jnp.result_type(path.steps, field.values)
     margin = 4 * field.resolution if margin is None else margin
     sizes = []

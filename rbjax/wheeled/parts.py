@@ -135,8 +135,8 @@ class Drive(Record):
         numbers = isinstance(self.wheels, (tuple, list)) and all(
             isinstance(i, (int, np.integer)) for i in self.wheels
         )
-        if not numbers:
-            raise InputError(f"Drive: wheels is {self.wheels!r}, expected a tuple of indices")
+        if not numbers or not self.wheels:
+            raise InputError(f"Drive: wheels is {self.wheels!r}, expected indices, at least one")
         n = len(self.wheels)
         self.split = floats([1.0 / n] * n if self.split is None else self.split)
 

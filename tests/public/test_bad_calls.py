@@ -94,8 +94,11 @@ OTHER_NAMES = {"state": (" q", " v"), "states": (" q", " v"), "y": (" q ", " p "
                "source": ("regular file", "scene", "representation"),
                "parts": ("part",), "target": ("representation",), "joint": ("joint",)}  # fmt: skip
 #: arguments whose other shapes are right too: several samples, another number of points or steps
-ANY_SHAPE = ("z", "h_omega", "ctrl", "x", "y", "max_steps", "transient", "wrenches", "points",
-             "positions", "rates", "poses", "path")  # fmt: skip
+ANY_SHAPE = ("z", "h_omega", "ctrl", "lag", "friction", "x", "y", "max_steps", "transient",
+             "wrenches", "points", "positions", "rates", "poses", "path")  # fmt: skip
+
+#: arguments that may be infinite
+ENDLESS = ("battery", "limit", "speed", "turn_rate", "steering_rate")
 
 Case = tuple[str, str, Callable[[], Any], Callable[[], Any]]
 
@@ -131,7 +134,7 @@ def wrong_with(argument: str, call: Callable, good: Callable) -> str | None:
         return None if named else f"does not name the argument: {text[:200]!r}"
     except Exception as error:
         return f"{type(error).__name__}: {str(error)[:150]}"
-    return None if argument in ANY_SHAPE and finite(got) else wrong_with_result(got, good)
+    return None if argument in ANY_SHAPE and finite(got) else wrong_with_result(argument, got, good)
 
 
 def numeric(tree: Any) -> list[np.ndarray]:
@@ -143,14 +146,14 @@ def finite(tree: Any) -> bool:
     return all(np.isfinite(x).all() for x in numeric(tree) if x.dtype.kind == "f")
 
 
-def wrong_with_result(got: Any, good: Callable) -> str | None:
+def wrong_with_result(argument: str, got: Any, good: Callable) -> str | None:
     """A result that is not finite if that of the good call is, or of other shapes but for leading
     axes of a batch."""
     if isinstance(got, rb.Trajectory) and not np.all(got.ok):
         return None
     want = good()
     due, shapes = ([x.shape for x in numeric(tree)] for tree in (want, got))
-    if not finite(got) and finite(want):
+    if not finite(got) and finite(want) and argument not in ENDLESS:
         return f"gives {[x for x in numeric(got) if x.dtype.kind == 'f'][:2]} without a word"
     same = len(shapes) == len(due) and all(
         shape[len(shape) - len(d) :] == d for shape, d in zip(shapes, due, strict=True)
