@@ -72,7 +72,7 @@ def series(where: str, name: str, x: Any, length: int) -> np.ndarray:
     return found
 
 
-def two_axes(where: str, axes: Any) -> Sequence[Any]:
+def check_two_axes(where: str, axes: Any) -> None:
     """Two axes of matplotlib.
 
     Raises:
@@ -82,4 +82,3 @@ def two_axes(where: str, axes: Any) -> Sequence[Any]:
         raise InputError(f"{where}: axes is {type(axes).__name__}, expected two axes")
     for ax in axes[:2]:
         check_axis(where, ax, "axes")
-    return axes

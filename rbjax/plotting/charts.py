@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from rbjax.arguments import real_array
 from rbjax.errors import InputError
-from rbjax.plotting.arguments import series, two_axes
+from rbjax.plotting.arguments import check_two_axes, series
 
 
 def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str] = ()) -> None:
@@ -31,7 +31,7 @@ def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str
         >>> len(axes[0].lines)
         2
     """
-    two_axes("time_plot", axes)
+    check_two_axes("time_plot", axes)
     ts = real_array("time_plot", "ts", ts, ndim=1)
     if isinstance(names, str) or not isinstance(names, Sequence):
         raise InputError(f"time_plot: names is {names!r}, expected a sequence of names")

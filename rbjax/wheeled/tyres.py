@@ -150,9 +150,9 @@ def traction_along(
     """
     if not isinstance(law, Tyre):
         raise InputError(f"traction_along: law is {type(law).__name__}, expected a Tyre")
-    if not isinstance(direction, (tuple, list)) and jnp.shape(direction)[:1] != (2,):
-        raise InputError(f"traction_along: direction is {direction!r}, expected two numbers")
-    if len(direction) != 2:
+    pair: Any = direction
+    size = len(pair) if isinstance(pair, (tuple, list)) else getattr(pair, "shape", (0,))[:1]
+    if size not in (2, (2,)):
         raise InputError(f"traction_along: direction is {direction!r}, expected two numbers")
     given = {"ux": (ux,), "uy": (uy,), "roll_speed": (roll_speed,), "direction": direction}
     for name, numbers in given.items():
