@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, real_array, real_number
+from rbjax.arguments import choice, flag, real_array, real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.planning.controls import Controls
 from rbjax.planning.footprint import Footprint
@@ -130,6 +130,7 @@ def plan(
     """
     choice("method", method, methods())
     choice("drive", drive, drives())
+    flag("plan", "backwards", backwards)
     if radius is not None:
         real_number("plan", "radius", radius, above=0.0)
     if not isinstance(grid, OccupancyGrid) or not isinstance(footprint, Footprint):

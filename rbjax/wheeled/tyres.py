@@ -157,7 +157,8 @@ def traction_along(
     given = {"ux": (ux,), "uy": (uy,), "roll_speed": (roll_speed,), "direction": direction}
     for name, numbers in given.items():
         for x in numbers:
-            if not hasattr(x, "dtype"):  # arrays, complex ones too, are lanes
+            lane = hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)
+            if not lane or isinstance(x, np.floating):  # arrays, complex ones too, are lanes
                 real_number("traction_along", name, x)
     ax, ay = direction
     slides = (ux - roll_speed) * ax + uy * ay

@@ -95,7 +95,8 @@ OTHER_NAMES = {"state": (" q", " v"), "states": (" q", " v"), "y": (" q ", " p "
                "parts": ("part",), "target": ("representation",), "joint": ("joint",)}  # fmt: skip
 #: arguments whose other shapes are right too: several samples, another number of points or steps
 ANY_SHAPE = ("z", "h_omega", "ctrl", "lag", "friction", "x", "y", "max_steps", "transient",
-             "wrenches", "points", "positions", "rates", "poses", "path")  # fmt: skip
+             "wrenches", "points", "positions", "rates", "poses", "path",
+             "coefficients")  # fmt: skip
 
 #: arguments that may be infinite
 ENDLESS = ("battery", "limit", "speed", "turn_rate", "steering_rate")
