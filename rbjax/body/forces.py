@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from rbjax import spatial
+from rbjax.body.arguments import Force, field
 from rbjax.body.rigid_body import Body
 from rbjax.lanes import matvec
 from rbjax.rotations.coefficients import length
@@ -28,11 +28,11 @@ def _world_force(T: jax.Array, f: jax.Array, point: jax.Array) -> jax.Array:
     return spatial.force_at(matvec(T[:3, :3].T, f), point)
 
 
-class UniformGravity(eqx.Module):
+class UniformGravity(Force):
     """The same acceleration (3,) everywhere, in m/s^2."""
 
-    acceleration: jax.Array = eqx.field(
-        converter=jnp.asarray, default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
+    acceleration: jax.Array = field(
+        "vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
     )
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
@@ -42,15 +42,15 @@ class UniformGravity(eqx.Module):
         return -body.mass * (self.acceleration * _at(T, body.com)).sum()
 
 
-class CentralGravity(eqx.Module):
+class CentralGravity(Force):
     """Attraction by a point mass at `centre` (3,), mu = G M in m^3/s^2, to second order in size.
 
     MacCullagh: V = -mu m / r - mu (tr I_c - 3 n . I_c n) / (2 r^3), with n from the centre to com.
     The torque is 3 mu n x I_c n / r^3.
     """
 
-    mu: jax.Array = eqx.field(converter=jnp.asarray)
-    centre: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    mu: jax.Array = field("scalar")
+    centre: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         R = T[:3, :3]
@@ -70,16 +70,16 @@ class CentralGravity(eqx.Module):
         return -self.mu * body.mass / r - self.mu * second / (2 * r**3)
 
 
-class Buoyancy(eqx.Module):
+class Buoyancy(Force):
     """Archimedes: minus the weight of the fluid of `density` in a fully immersed `volume`, at the
     centre (3,) of the volume in the body.
     """
 
-    density: jax.Array = eqx.field(converter=jnp.asarray)
-    volume: jax.Array = eqx.field(converter=jnp.asarray)
-    centre: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
-    gravity: jax.Array = eqx.field(
-        converter=jnp.asarray, default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
+    density: jax.Array = field("scalar")
+    volume: jax.Array = field("scalar")
+    centre: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
+    gravity: jax.Array = field(
+        "vector", default_factory=lambda: jnp.array([0.0, 0.0, -9.81])
     )
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
@@ -89,34 +89,34 @@ class Buoyancy(eqx.Module):
         return self.density * self.volume * (self.gravity * _at(T, self.centre)).sum()
 
 
-class LinearDrag(eqx.Module):
+class LinearDrag(Force):
     """-D (V - V_fluid), D (6, 6) in body axes at the frame's origin; `stream` (3,) in the world."""
 
-    coefficients: jax.Array = eqx.field(converter=jnp.asarray)
-    stream: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    coefficients: jax.Array = field("matrix6")
+    stream: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         return -matvec(self.coefficients, _through(T, V, self.stream))
 
 
-class QuadraticDrag(eqx.Module):
+class QuadraticDrag(Force):
     """-d_i |V_i| V_i for each of the six, d (6,); rho C_D A / 2 is d of a face, in kg/m."""
 
-    coefficients: jax.Array = eqx.field(converter=jnp.asarray)
-    stream: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    coefficients: jax.Array = field("twist")
+    stream: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         past = _through(T, V, self.stream)
         return -self.coefficients * jnp.abs(past) * past
 
 
-class Spring(eqx.Module):
+class Spring(Force):
     """A spring from a world point (`anchor`) to a body point: k (l - l_0) along the line."""
 
-    stiffness: jax.Array = eqx.field(converter=jnp.asarray)
-    anchor: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
-    point: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
-    rest_length: jax.Array = eqx.field(converter=jnp.asarray, default=0.0)
+    stiffness: jax.Array = field("scalar")
+    anchor: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
+    point: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
+    rest_length: jax.Array = field("scalar", default=0.0)
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor
@@ -130,12 +130,12 @@ class Spring(eqx.Module):
         return self.stiffness * (length((d * d).sum()) - self.rest_length) ** 2 / 2
 
 
-class Damper(eqx.Module):
+class Damper(Force):
     """A damper between two such points: -c times the rate of their distance, along the line."""
 
-    damping: jax.Array = eqx.field(converter=jnp.asarray)
-    anchor: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
-    point: jax.Array = eqx.field(converter=jnp.asarray, default_factory=lambda: jnp.zeros(3))
+    damping: jax.Array = field("scalar")
+    anchor: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
+    point: jax.Array = field("vector", default_factory=lambda: jnp.zeros(3))
 
     def __call__(self, t: Any, body: Body, T: jax.Array, V: jax.Array) -> jax.Array:
         d = _at(T, self.point) - self.anchor

@@ -9,12 +9,12 @@ from __future__ import annotations
 import functools
 from types import MappingProxyType
 
+from rbjax.arguments import choice
 from rbjax.body.attitude_lagrange import Lagrange, QuasiLagrange
 from rbjax.body.formulation import Formulation
 from rbjax.body.kirchhoff import Kirchhoff
 from rbjax.body.newton_euler import NewtonEuler
 from rbjax.body.spatial_equations import Momentum, Spatial
-from rbjax.errors import UnknownName
 from rbjax.rotations import representations
 
 
@@ -43,6 +43,4 @@ def formulations() -> MappingProxyType[str, Formulation]:
 def formulation(name: str) -> Formulation:
     """The formulation of that name."""
     known = formulations()
-    if name not in known:
-        raise UnknownName("formulation", name, known)
-    return known[name]
+    return known[choice("formulation", name, known)]

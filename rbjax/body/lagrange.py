@@ -24,7 +24,9 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
+from rbjax.body.arguments import row
 from rbjax.errors import InputError
+from rbjax.spatial.arguments import checked
 
 Energy = Callable[..., jax.Array]
 
@@ -47,13 +49,14 @@ def mass_matrix(system: System, q: jax.Array, v: jax.Array | None = None) -> jax
     >>> mass_matrix(System(lambda q, v: (1 + q[0] ** 2) * v @ v), jnp.array([2.0])).tolist()
     [[10.0]]
     """
-    q = _coordinates("mass_matrix", q)
-    return jax.hessian(system.kinetic, 1)(q, jnp.zeros_like(q) if v is None else v)
+    q = _position("mass_matrix", system, q)
+    v = jnp.zeros_like(q) if v is None else _like("mass_matrix", "v", v, q)
+    return jax.hessian(system.kinetic, 1)(q, v)
 
 
 def christoffel_symbols(system: System, q: jax.Array) -> jax.Array:
     """Gamma (n, n, n) of the first kind: Gamma_ijk = (dM_ij/dq_k + dM_ik/dq_j - dM_jk/dq_i) / 2."""
-    q = _coordinates("christoffel_symbols", q)
+    q = _position("christoffel_symbols", system, q)
     dM = jax.jacfwd(lambda q: mass_matrix(system, q))(q)
     return (dM + dM.transpose(0, 2, 1) - dM.transpose(2, 0, 1)) / 2
 
@@ -65,25 +68,25 @@ def coriolis_matrix(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
     >>> coriolis_matrix(M, jnp.array([2.0]), jnp.array([3.0])).tolist()
     [[12.0]]
     """
-    q, v = _state("coriolis_matrix", q, v)
+    q, v = _state("coriolis_matrix", system, q, v)
     return (christoffel_symbols(system, q) * v).sum(-1)
 
 
 def gravity_forces(system: System, q: jax.Array) -> jax.Array:
     """g (n,) = dV/dq."""
-    q = _coordinates("gravity_forces", q)
+    q = _position("gravity_forces", system, q)
     return jax.grad(_scalar(system.potential))(q)
 
 
 def damping_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
     """dD/dq' (n,)."""
-    q, v = _state("damping_forces", q, v)
+    q, v = _state("damping_forces", system, q, v)
     return jax.grad(_scalar(system.dissipation), 1)(q, v)
 
 
 def bias_forces(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
     """The left-hand side without M q'': (d p/dq) q' - dT/dq + dV/dq + dD/dq', p = dT/dq'."""
-    q, v = _state("bias_forces", q, v)
+    q, v = _state("bias_forces", system, q, v)
     T = _scalar(system.kinetic)
     _, swept = jax.jvp(lambda q: jax.grad(T, 1)(q, v), (q,), (v,))
     bias = swept - jax.grad(T)(q, v)
@@ -94,19 +97,23 @@ def acceleration(
     system: System, q: jax.Array, v: jax.Array, Q: jax.Array | float = 0.0
 ) -> jax.Array:
     """q'' (n,) under generalized forces Q (n,)."""
-    q, v = _state("acceleration", q, v)
+    q, v = _state("acceleration", system, q, v)
+    if not isinstance(Q, (int, float)):
+        Q = checked("acceleration", "Q", Q, "scalar")
+        Q = _like("acceleration", "Q", Q, q) if Q.ndim else Q
     return jnp.linalg.solve(mass_matrix(system, q, v), Q - bias_forces(system, q, v))
 
 
 def generalized_forces(system: System, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """Q (n,) that gives the acceleration a (n,): inverse dynamics."""
-    q, v = _state("generalized_forces", q, v)
+    q, v = _state("generalized_forces", system, q, v)
+    a = _like("generalized_forces", "a", a, q)
     return (mass_matrix(system, q, v) * a).sum(-1) + bias_forces(system, q, v)
 
 
 def energy(system: System, q: jax.Array, v: jax.Array) -> jax.Array:
     """dT/dq' . q' - T + V, which is T + V if T is quadratic. It is constant if Q and D are zero."""
-    q, v = _state("energy", q, v)
+    q, v = _state("energy", system, q, v)
     T = _scalar(system.kinetic)
     return jax.grad(T, 1)(q, v) @ v - T(q, v) + _scalar(system.potential)(q)
 
@@ -134,16 +141,23 @@ def _scalar(energy: Energy) -> Energy:
     return value
 
 
-def _coordinates(where: str, q: Any) -> jax.Array:
-    q = jnp.asarray(q)
-    q = q.astype(jnp.result_type(q, float)) if not jnp.issubdtype(q.dtype, jnp.floating) else q
-    if q.ndim != 1:
-        raise InputError(f"{where}: q has shape {q.shape}, expected (n,); for a batch use jax.vmap")
-    return q
+def _position(where: str, system: Any, q: Any) -> jax.Array:
+    if not isinstance(system, System) or not all(callable(f) for f in system):
+        raise InputError(
+            f"{where}: system is {type(system).__name__}, expected lagrange.System(kinetic, "
+            "potential, dissipation) of functions"
+        )
+    return row(where, "q", q)
 
 
-def _state(where: str, q: Any, v: Any) -> tuple[jax.Array, jax.Array]:
-    q, v = _coordinates(where, q), _coordinates(where, v)
-    if q.shape != v.shape:
-        raise InputError(f"{where}: v has shape {v.shape}, expected {q.shape}, that of q")
-    return q, v
+def _state(where: str, system: Any, q: Any, v: Any) -> tuple[jax.Array, jax.Array]:
+    q = _position(where, system, q)
+    return q, _like(where, "v", v, q)
+
+
+def _like(where: str, name: str, value: Any, q: jax.Array) -> jax.Array:
+    """An array of the shape of q."""
+    x = row(where, name, value)
+    if x.shape != q.shape:
+        raise InputError(f"{where}: {name} has shape {x.shape}, expected {q.shape}, that of q")
+    return x

@@ -15,11 +15,12 @@ the centrifugal force -m omega x (omega x R r).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from rbjax.body.arguments import one
 from rbjax.errors import InputError
 from rbjax.lanes import matmat, matvec
 from rbjax.rotations import so3
@@ -79,13 +80,13 @@ def moving_frame(path: Callable[[jax.Array], jax.Array], t: jax.Array) -> Moving
 
 def position(frame: MovingFrame, r: jax.Array) -> jax.Array:
     """p + R r (3,) of a point at r in B."""
-    r = _vector("position", r)
+    (r,) = _vectors("position", frame, r=r)
     return frame.p + matvec(frame.R, r)
 
 
 def velocity(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> jax.Array:
     """The velocity in A's axes (3,) of a point at r in B that moves there with rd."""
-    r, rd = _vector("velocity", r), _vector("velocity", rd)
+    r, rd = _vectors("velocity", frame, r=r, rd=rd)
     return frame.v + jnp.cross(frame.omega, matvec(frame.R, r)) + matvec(frame.R, rd)
 
 
@@ -93,7 +94,8 @@ def acceleration_terms(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
 ) -> AccelerationTerms:
     """The terms of the acceleration of a point at r in B that moves there with rd and rdd."""
-    r, rd, rdd = (matvec(frame.R, _vector("acceleration_terms", x)) for x in (r, rd, rdd))
+    given = _vectors("acceleration_terms", frame, r=r, rd=rd, rdd=rdd)
+    r, rd, rdd = (matvec(frame.R, x) for x in given)
     w = frame.omega
     return AccelerationTerms(
         transport=frame.a,
@@ -111,7 +113,8 @@ def acceleration(frame: MovingFrame, r: jax.Array, rd: jax.Array, rdd: jax.Array
     >>> acceleration(wheel, [1.0, 0.0, 0.0], [3.0, 0.0, 0.0], jnp.zeros(3)).tolist()
     [-4.0, 12.0, 0.0]
     """
-    return sum(acceleration_terms(frame, r, rd, rdd), start=jnp.zeros_like(frame.a))
+    terms = acceleration_terms(frame, r, rd, rdd)
+    return sum(terms, start=jnp.zeros_like(terms.relative))
 
 
 def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> ApparentForces:
@@ -122,6 +125,7 @@ def apparent_forces(frame: MovingFrame, r: jax.Array, rd: jax.Array) -> Apparent
     >>> forces.centrifugal[0].item(), forces.coriolis[1].item()
     (4.0, -12.0)
     """
+    _known("apparent_forces", frame)
     terms = acceleration_terms(frame, r, rd, jnp.zeros_like(frame.a))
     return ApparentForces(*(-matvec(frame.R.T, x) for x in terms[:4]))
 
@@ -130,7 +134,8 @@ def relative_acceleration(
     frame: MovingFrame, r: jax.Array, rd: jax.Array, a: jax.Array
 ) -> jax.Array:
     """r'' (3,) in B's axes of a point whose acceleration in A is a (3,): f/m if A is inertial."""
-    a = matvec(frame.R.T, _vector("relative_acceleration", a))
+    (a,) = _vectors("relative_acceleration", frame, a=a)
+    a = matvec(frame.R.T, a)
     return sum(apparent_forces(frame, r, rd), start=a)
 
 
@@ -139,6 +144,7 @@ def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
 
     alpha_AC = alpha_AB + R alpha_BC + omega_AB x R omega_BC
     """
+    _known("compose", outer, "outer"), _known("compose", inner, "inner")
     omega, alpha = matvec(outer.R, inner.omega), matvec(outer.R, inner.alpha)
     return MovingFrame(
         so3.compose(outer.R, inner.R),
@@ -152,6 +158,7 @@ def compose(outer: MovingFrame, inner: MovingFrame) -> MovingFrame:
 
 def inverse(frame: MovingFrame) -> MovingFrame:
     """A seen from B."""
+    _known("inverse", frame)
     Rt = frame.R.T
     r = -matvec(Rt, frame.p)
     rd = -matvec(Rt, frame.v + jnp.cross(frame.omega, -frame.p))
@@ -159,8 +166,13 @@ def inverse(frame: MovingFrame) -> MovingFrame:
     return MovingFrame(Rt, r, -matvec(Rt, frame.omega), rd, -matvec(Rt, frame.alpha), rdd)
 
 
-def _vector(where: str, x: jax.Array) -> jax.Array:
-    x = jnp.asarray(x)
-    if x.shape != (3,):
-        raise InputError(f"{where}: got shape {x.shape}, expected (3,); for a batch use jax.vmap")
-    return x
+def _known(where: str, frame: Any, name: str = "frame") -> MovingFrame:
+    if not isinstance(frame, MovingFrame):
+        raise InputError(f"{where}: {name} is {type(frame).__name__}, expected MovingFrame")
+    return frame
+
+
+def _vectors(where: str, frame: Any, **vectors: Any) -> list[jax.Array]:
+    """The vectors of a function of a frame, checked with it."""
+    _known(where, frame)
+    return [one(where, name, x, "vector") for name, x in vectors.items()]

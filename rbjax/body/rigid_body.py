@@ -17,6 +17,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax import spatial
+from rbjax.body.arguments import one
+from rbjax.errors import InputError
 from rbjax.spatial import MassProperties
 
 Force = Callable[[Any, "Body", jax.Array, jax.Array], jax.Array]
@@ -50,11 +52,22 @@ def rigid_body(
     """A body with these mass properties, after a check, under these forces.
 
     Raises:
-        InputError: no body can have this inertia.
+        InputError: no body can have this inertia; a force that cannot be called.
 
     >>> rigid_body(spatial.shapes.sphere(1.0, mass=5.0)).body.inertia.diagonal().tolist()
     [2.0, 2.0, 2.0]
     """
+    if not (isinstance(properties, tuple) and len(properties) >= 3):
+        raise InputError(
+            f"rigid_body: properties is {type(properties).__name__}, expected MassProperties or "
+            "Body"
+        )
+    known = isinstance(forces, Sequence) and not isinstance(forces, str)
+    if not known or not all(callable(f) for f in forces):
+        raise InputError(
+            f"rigid_body: forces is {forces!r}, expected a sequence of functions "
+            "(t, body, T, V) -> wrench (6,), such as rbjax.body.Spring(...)"
+        )
     mass, com, inertia = spatial.check_mass_properties(*properties[:3])
     if added_mass is None and isinstance(properties, Body):
         added_mass = properties.added_mass
@@ -64,14 +77,30 @@ def rigid_body(
 
 def inertia_matrix(body: Body) -> jax.Array:
     """M (6, 6) at the origin of the body's frame, added mass included: T = V . M V / 2."""
+    if not isinstance(body, Body):
+        raise InputError(
+            f"inertia_matrix: body is {type(body).__name__}, expected Body; rigid_body(...).body "
+            "makes one of mass properties"
+        )
     matrix = spatial.spatial_inertia(body.mass, body.com, body.inertia)
     return matrix if body.added_mass is None else matrix + body.added_mass
 
 
 def total_wrench(situation: Situation, t: Any, T: jax.Array, V: jax.Array) -> jax.Array:
     """The sum (6,) of all forces, at the frame's origin in body axes."""
-    body, forces = situation
+    body, forces = _parts("total_wrench", situation)
+    T, V = one("total_wrench", "T", T, "pose"), one("total_wrench", "V", V, "twist")
     return sum((f(t, body, T, V).astype(V.dtype) for f in forces), start=jnp.zeros_like(V))
+
+
+def _parts(where: str, situation: Any) -> tuple[Body, tuple[Force, ...]]:
+    known = isinstance(situation, tuple) and len(situation) == 2
+    if not known or not isinstance(situation[0], Body):
+        raise InputError(
+            f"{where}: situation is {type(situation).__name__}, expected Situation(body, forces), "
+            "as rigid_body makes it"
+        )
+    return situation[0], situation[1]
 
 
 def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
@@ -84,8 +113,9 @@ def split(situation: Situation) -> tuple[tuple[Any, ...], Situation]:
 
 def potential_energy(situation: Situation, T: jax.Array) -> jax.Array:
     """The potential energy of all forces that have a potential."""
-    conservative, _ = split(situation)
-    body = situation[0]
+    body, forces = _parts("potential_energy", situation)
+    T = one("potential_energy", "T", T, "pose")
+    conservative, _ = split(Situation(body, forces))
     energies = (f.potential(body, T).astype(T.dtype) for f in conservative)
     return sum(energies, start=jnp.zeros((), T.dtype))
 
@@ -97,4 +127,4 @@ def kinetic_energy(body: Body, V: jax.Array) -> jax.Array:
     >>> float(kinetic_energy(body, jnp.array([0.0, 0.0, 2.0, 1.0, 0.0, 0.0])))
     6.5
     """
-    return spatial.kinetic_energy(inertia_matrix(body), V)
+    return spatial.kinetic_energy(inertia_matrix(body), one("kinetic_energy", "V", V, "twist"))

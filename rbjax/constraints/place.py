@@ -45,6 +45,10 @@ class Place(Record):
     def __check_init__(self) -> None:
         check_fields(self)
         check_named(self)
+        for name, size in (("position", 3), ("orientation", 4)):
+            shape = jnp.shape(getattr(self, name))
+            if shape[-1:] != (size,):
+                raise InputError(f"Place({name}=...): got the shape {shape}, expected ({size},)")
 
     @classmethod
     def on(

@@ -51,6 +51,8 @@ SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {
 #: arguments that are part of the program
 STATIC = ("body", "site", "integrator", "law", "constraints")
 
+#: programs that an algorithm keeps, by the functions that it was called with (laws, integrators)
+PROGRAMS_OF_FUNCTIONS = 64
 #: arguments that may be None
 OPTIONAL = ("ctrl", "wrenches", "point")
 #: arguments that set the dtype of the computation; all others are cast to it
@@ -99,6 +101,17 @@ def algorithm(
 
         program = compiled(inlined, static_argnames=static)
 
+        @functools.lru_cache(PROGRAMS_OF_FUNCTIONS)
+        def program_with(**functions: Callable) -> Callable:
+            """The program of functions of a user. As static arguments `jax.jit` would keep them."""
+
+            def own(*args: Any, **kwargs: Any) -> Any:
+                return inlined(*args, **kwargs, **functions)
+
+            left = [p for n, p in signature.parameters.items() if n not in functions]
+            own.__signature__ = signature.replace(parameters=left)  # type: ignore[attr-defined]
+            return compiled(own, static_argnames=[n for n in static if n not in functions])
+
         @functools.wraps(f)
         def call(model: Model, *args: Any, **kwargs: Any) -> Any:
             bound = signature.bind(model, *args, **kwargs)
@@ -106,8 +119,14 @@ def algorithm(
             bound.arguments.update(check_arrays(f.__name__, model, given, (), required))
             for n in static:
                 check_static(f.__name__, n, bound.arguments.get(n))
-            inside = split_tracers((bound.args, bound.kwargs))[0] and inside_jit()
-            return (inlined if inside else program)(*bound.args, **bound.kwargs)
+            if split_tracers((bound.args, bound.kwargs))[0] and inside_jit():
+                return inlined(*bound.args, **bound.kwargs)
+            functions = {n: x for n in static if callable(x := bound.arguments.get(n))}
+            if not functions:
+                return program(*bound.args, **bound.kwargs)
+            for n in functions:
+                del bound.arguments[n]
+            return program_with(**functions)(*bound.args, **bound.kwargs)
 
         return call
 
@@ -178,7 +197,7 @@ def check_model(
     """Refuse what is no model, or is several in one; `fix` says what to do with those."""
     if not isinstance(model, Model):
         raise InputError(
-            f"{where}: the first argument is {type(model).__name__}, expected a Model (rbjax.load)"
+            f"{where}: model is {type(model).__name__}, expected a Model (rbjax.load)"
         )
     several = model.several()
     if several is not None:

@@ -32,6 +32,7 @@ def per_link(d: Driver, pushes: LinkForces | None) -> Any:
 
 def added(a: LinkForces, b: LinkForces) -> LinkForces:
     """The sum of both."""
+    a, b = a or {}, b or {}  # None is no force
     if isinstance(a, Force) and isinstance(b, Force):
         return a + b
     if isinstance(a, Force):

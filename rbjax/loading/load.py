@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from rbjax.arguments import flag
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
 from rbjax.loading import dropped as features
 from rbjax.loading.actuator_kinds import is_affine, is_off, reflected
@@ -98,6 +99,10 @@ def load(
         >>> model.joint_names
         ('shoulder', 'elbow')
     """
+    for name, given in (("strict", strict), ("limits", limits), ("friction", friction)):
+        flag("load", name, given)
+    for name, given in (("motors", motors), ("constraints", constraints), ("compliant", compliant)):
+        flag("load", name, given)
     compiled, odd, mimics, lost = _compile_source(source, floating_base=bool(floating_base))
     if floating_base is False:
         lost = tuple(x for x in lost if not x.startswith(features.FIXED))
@@ -156,7 +161,7 @@ def _compile_source(
         return _compile(source, "MjSpec"), "", Mimics(), ()
     if not isinstance(source, (str, Path)):
         raise ModelError(
-            f"load: got {type(source).__name__}, expected a path, an XML string, "
+            f"load: source is {type(source).__name__}, expected a path, an XML string, "
             f"mujoco.MjSpec, mujoco.MjModel or one of the scenes {', '.join(scenes())}"
         )
     text, path = _read(source)

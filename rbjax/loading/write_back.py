@@ -14,6 +14,7 @@ import jax
 import mujoco
 import numpy as np
 
+from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError, ModelError
 from rbjax.forces import JointFriction
 from rbjax.loading.draft import text
@@ -52,6 +53,11 @@ def write_back(model: Model, source: str | Path, path: str | Path | None = None)
         >>> (again.bodies.mass / model.bodies.mass).tolist()
         [2.0]
     """
+    check_model("write_back", model)
+    if not isinstance(source, (str, Path)):
+        raise InputError(
+            f"write_back: source is {type(source).__name__}, expected a path or the text of a file"
+        )
     given, place = _read(source)
     urdf = is_urdf(given, str(source))
     floating = urdf and "free" in model.topology.joint_kinds

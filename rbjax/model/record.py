@@ -77,9 +77,11 @@ def _is_real(dtype: Any) -> bool:
 
 def floats(x: Any) -> Any:
     """A field's converter: numbers as an array. What is none stays for `check_fields` to refuse."""
+    if isinstance(x, (str, bytes)):  # NumPy reads "1" as a number
+        return x
     try:
         return x if hasattr(x, "dtype") else jnp.asarray(x, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return x
 
 

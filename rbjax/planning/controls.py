@@ -19,6 +19,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_array, real_number
 from rbjax.checks import check_real
 from rbjax.errors import InputError
 from rbjax.planning.footprint import Footprint
@@ -50,7 +51,8 @@ class Controls:
 
     def __post_init__(self) -> None:
         speeds, rates = (
-            np.atleast_1d(np.asarray(x, float)) for x in (self.speeds, self.turn_rates)
+            np.atleast_1d(real_array("Controls", name, x))
+            for name, x in (("speeds", self.speeds), ("turn_rates", self.turn_rates))
         )
         costs = np.ones(len(speeds), int) if self.costs is None else np.asarray(self.costs)
         if speeds.ndim != 1 or not len(speeds) or not speeds.shape == rates.shape == costs.shape:
@@ -64,12 +66,7 @@ class Controls:
                 f"Controls: sideways is {self.sideways!r}, expected {len(speeds)} finite speeds "
                 "in m/s"
             )
-        if not (np.isfinite(speeds).all() and np.isfinite(rates).all()):
-            raise InputError(
-                "Controls: speeds or turn_rates are not finite, expected m/s and rad/s"
-            )
-        if not 0 < self.dt < math.inf:
-            raise InputError(f"Controls: dt is {self.dt}, expected a time above zero")
+        real_number("Controls", "dt", self.dt, above=0.0)
         if costs.dtype.kind not in "iu" or (costs < 1).any():
             raise InputError(
                 f"Controls: costs are {costs.tolist()}, expected positive integers: choose a unit "

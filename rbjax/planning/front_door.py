@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice, flag, real_number
 from rbjax.checks import array_of, check_real
 from rbjax.errors import InputError, UnknownName
 from rbjax.planning.controls import Controls
@@ -128,12 +129,15 @@ def plan(
         >>> found.status, found.refinement, int(found.path.cusps)
         ('found', 'smoothed', 0)
     """
-    if method not in methods():
-        raise UnknownName("method", method, methods())
+    choice("method", method, methods())
+    choice("drive", drive, drives())
+    flag("plan", "backwards", backwards)
+    if radius is not None:
+        real_number("plan", "radius", radius, above=0.0)
     if not isinstance(grid, OccupancyGrid) or not isinstance(footprint, Footprint):
         raise InputError(
-            f"plan: got {type(grid).__name__} and {type(footprint).__name__}, expected "
-            "rb.planning.OccupancyGrid and rb.planning.Footprint"
+            f"plan: grid is {type(grid).__name__} and footprint {type(footprint).__name__}, "
+            "expected rb.planning.OccupancyGrid and rb.planning.Footprint"
         )
     if controls is None:
         controls = _fitting(grid, drive, radius, backwards)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from rbjax.errors import InputError
+from rbjax.arguments import real_number
 from rbjax.planning.best_first import Search
 from rbjax.planning.controls import Controls, MotionTable
 from rbjax.planning.ending import GoalSet
@@ -79,5 +78,4 @@ def grid_a_star(
 
 def check_weight(where: str, weight: Any) -> None:
     """Refuse what is no weight of a search."""
-    if not isinstance(weight, (int, float, np.number)) or not 1 <= weight < math.inf:
-        raise InputError(f"{where}: weight is {weight!r}, expected a number of at least 1")
+    real_number(where, "weight", weight, least=1.0)

@@ -43,6 +43,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rbjax.arguments import integer
 from rbjax.checks import array_of
 from rbjax.errors import InputError
 from rbjax.planning.controls import Controls, MotionTable
@@ -292,6 +293,10 @@ def check_poses(where: str, start: Any, goal: Any, axes: int = 1) -> tuple[np.nd
     return poses[0], poses[1]
 
 
+#: the largest numbers of cells of a turn, and of nodes that an index can count
+MOST = {"headings": 100_000, "max_count": 2**31 - 1}
+
+
 def check_problem(where: str, grid, footprint, controls, tolerance, headings, max_count) -> None:
     """Refuse arguments of a search that are no such thing."""
     for name, x, kind in (
@@ -307,5 +312,5 @@ def check_problem(where: str, grid, footprint, controls, tolerance, headings, ma
     if near.shape != (2,) or not (near >= 0).all():
         raise InputError(f"{where}: tolerance is {tolerance!r}, expected two numbers, m and rad")
     for name, x in (("headings", headings), ("max_count", 1 if max_count is None else max_count)):
-        if not isinstance(x, (int, np.integer)) or x < 1:
-            raise InputError(f"{where}: {name} is {x!r}, expected a positive integer")
+        if integer(where, name, x, least=1) > MOST[name]:
+            raise InputError(f"{where}: {name} is {x:.3g}, expected at most {MOST[name]}")

@@ -24,6 +24,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
 from rbjax.lanes.extremes import largest, smallest
@@ -166,8 +167,7 @@ def refine(
             )
     counts = {"intervals": intervals, "iterations": iterations, "parts": parts}
     for name, n in counts.items():
-        if not isinstance(n, int) or n < 1:
-            raise InputError(f"refine: {name} is {n!r}, expected a positive integer")
+        integer("refine", name, n, least=1)
     if margin is None and field is not None:
         margin = field.resolution
     run = _program if alone() else _refine

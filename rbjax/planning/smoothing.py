@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import integer
 from rbjax.checks import check_real
 from rbjax.compiling import alone, compiled, wide_vectors
 from rbjax.errors import InputError
@@ -228,8 +229,7 @@ def smooth(
             f"smooth: got a batch of paths {path.start.shape[:-1]}, expected one; use jax.vmap"
         )
     for name, n in (("iterations", iterations), ("parts", parts)):
-        if not isinstance(n, int) or n < 1:
-            raise InputError(f"smooth: {name} is {n!r}, expected a positive integer")
+        integer("smooth", name, n, least=1)
     dtype = jnp.result_type(path.steps, field.values)
     margin = 4 * field.resolution if margin is None else margin
     sizes = []

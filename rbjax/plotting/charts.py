@@ -8,6 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from rbjax.arguments import real_array
+from rbjax.errors import InputError
+from rbjax.plotting.arguments import check_two_axes, series
+
 
 def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str] = ()) -> None:
     """Configuration and velocity coordinates over time, on two axes.
@@ -27,6 +31,11 @@ def time_plot(axes: Sequence[Axes], ts: Any, q: Any, v: Any, names: Sequence[str
         >>> len(axes[0].lines)
         2
     """
+    check_two_axes("time_plot", axes)
+    ts = real_array("time_plot", "ts", ts, ndim=1)
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise InputError(f"time_plot: names is {names!r}, expected a sequence of names")
+    q, v = series("time_plot", "q", q, len(ts)), series("time_plot", "v", v, len(ts))
     for ax, x, label in ((axes[0], q, "q  [m, rad, -]"), (axes[1], v, "v  [m/s, rad/s]")):
         for i in range(np.shape(x)[-1]):
             ax.plot(ts, x[:, i], lw=1.4, label=names[i] if i < len(names) else None)

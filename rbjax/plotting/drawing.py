@@ -17,8 +17,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull, QhullError
 
+from rbjax.arguments import real_array
+from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
+from rbjax.plotting.arguments import check_axis, check_solids
 from rbjax.plotting.camera import Camera
 from rbjax.plotting.film import Film, film
 from rbjax.plotting.skeleton import skeleton
@@ -110,6 +113,8 @@ def draw_solids(
         >>> len(ax.patches)
         3
     """
+    check_axis("draw_solids", ax)
+    R, p = check_solids("draw_solids", shapes, R, p, alpha)
     camera = camera or Camera()
     if shadow:
         for hull in shadows(shapes, R, p, camera, world=world):
@@ -235,7 +240,10 @@ def draw(
         >>> rb.plotting.draw(model, [0.3, 0.5], ax).get_aspect()
         1.0
     """
-    q = np.asarray(q, model.joints.reference.dtype)
+    check_model("draw", model)
+    if ax is not None:
+        check_axis("draw", ax)
+    q = real_array("draw", "q", q, finite=False).astype(model.joints.reference.dtype)
     if q.shape != (model.nq,) or not np.isfinite(q).all():
         raise InputError(f"draw: got q = {q}, expected shape ({model.nq},) of finite numbers")
     if ax is None:

@@ -14,6 +14,7 @@ from rbjax.dynamics import difference, forward_kinematics, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.trajectory import Trajectory
+from rbjax.plotting.arguments import configurations
 from rbjax.plotting.camera import Camera, facing
 from rbjax.plotting.moving import schedule
 from rbjax.plotting.solids import Solid
@@ -49,6 +50,7 @@ class Film:
 
 def poses(model: Model, q: Array) -> tuple[Array, Array]:
     """Rotations (T, nb, 3, 3) and positions (T, nb, 3) of the bodies along a motion q (T, nq)."""
+    q = configurations("poses", model, q)
     R, p = jax.jit(jax.vmap(forward_kinematics, (None, 0)))(model, jnp.asarray(q))
     return np.asarray(R, float), np.asarray(p, float)
 

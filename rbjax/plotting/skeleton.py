@@ -12,6 +12,7 @@ import colorsys
 import numpy as np
 from matplotlib.colors import to_rgb
 
+from rbjax.dynamics.arguments import check_model
 from rbjax.lanes import quaternion_matrix
 from rbjax.model import WORLD, Model
 from rbjax.plotting.solids import Solid, capsule, cylinder, ellipsoid, sphere
@@ -36,6 +37,7 @@ def skeleton(model: Model) -> list[Solid]:
         >>> len(skeleton(rb.load("double_pendulum")))  # for each of two: rod, pin, ellipsoid
         6
     """
+    check_model("skeleton", model)
     return _Skeleton(model).solids()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rbjax.model import Model
+from rbjax.plotting.arguments import check_axis, configurations
 from rbjax.plotting.camera import Camera
 from rbjax.plotting.drawing import bare, draw_solids, shapes_of
 from rbjax.plotting.film import poses
@@ -48,8 +49,10 @@ def strobe(
         >>> len(ax.patches)
         11
     """
+    check_axis("strobe", ax)
+    q = configurations("strobe", model, q)
     shapes = shapes_of(model, source, floating_base)
-    R, p = poses(model, np.asarray(q))
+    R, p = poses(model, q)
     for i in range(len(q)):
         last = i == len(q) - 1
         alpha = 1.0 if last else 0.12 + 0.4 * (i / len(q)) ** 2

@@ -11,10 +11,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 
+from rbjax.arguments import integer
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.motion.trajectory import Trajectory
 from rbjax.plotting import movie_files
+from rbjax.plotting.arguments import check_axis
 from rbjax.plotting.from_above import (
     FORCES,
     SLIDING,
@@ -62,6 +64,8 @@ def top_view(
         >>> path = wheeled.rollout(car, wheeled.start(car), jnp.full((8, 2), 0.2), 0.1)
         >>> top_view(matplotlib.figure.Figure().subplots(), car, path)
     """
+    check_axis("top_view", ax)
+    robots = min(integer("top_view", "robots", robots, least=0), 10_000)
     _check("top_view", path, controls, vehicle)
     q = np.asarray(path.q)
     _ground(ax, grid)
@@ -250,6 +254,10 @@ def _given(controls: Any, t: Any, state: State, k: int) -> Any:
 
 
 def _check(where: str, path: Trajectory, controls: Any, vehicle: Fidelity) -> None:
+    if not isinstance(vehicle, Fidelity):
+        raise InputError(f"{where}: vehicle is {type(vehicle).__name__}, expected wheeled.at(...)")
+    if not isinstance(path, Trajectory):
+        raise InputError(f"{where}: path is {type(path).__name__}, expected a Trajectory")
     if path.q.ndim != 2:
         raise InputError(f"{where}: path.q has shape {path.q.shape}, expected (T, nq): one motion")
     due = [(vehicle.nu,), (len(path.q), vehicle.nu)]

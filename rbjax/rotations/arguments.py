@@ -79,10 +79,22 @@ def takes(static: Iterable[str] = (), **kinds: str) -> Callable[[Callable], Call
     return decorate
 
 
+def checked(where: str, name: str, value: Any, kind: str) -> jax.Array:
+    """The argument `name` of the function `where` as an array of a kind; values if they are known.
+
+    Raises:
+        InputError: not an array, another shape or dtype, values that are not finite.
+    """
+    x = _array(where, name, value, SHAPES[kind])
+    if not isinstance(x, jax.core.Tracer):
+        _check_values(where, name, np.asarray(x), kind)
+    return x
+
+
 def _array(where: str, name: str, value: Any, shape: tuple[int, ...]) -> jax.Array:
     try:
         x = jnp.asarray(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{where}: {name} is {type(value).__name__}, expected an array") from error
     if x.ndim < len(shape) or x.shape[x.ndim - len(shape) :] != shape:
         want = ", ".join(["...", *map(str, shape)])

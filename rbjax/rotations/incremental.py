@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from rbjax.errors import InputError
 from rbjax.lanes import matvec
 from rbjax.rotations import quaternion
+from rbjax.rotations.arguments import takes
 from rbjax.rotations.euler import SEQUENCES
 from rbjax.rotations.representation import Representation, find
 
@@ -38,6 +39,7 @@ class Incremental(NamedTuple):
     x: jax.Array
 
 
+@takes(q="quaternion")
 def start(q: jax.Array) -> Incremental:
     """The attitude of a unit quaternion (..., 4), with its local parameter at zero."""
     q = quaternion.normalize(q)

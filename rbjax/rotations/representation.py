@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
-from rbjax.errors import UnknownName
+from rbjax.arguments import choice
 from rbjax.lanes import quaternion_matrix
 from rbjax.rotations import quaternion, redundant
 from rbjax.rotations.arguments import entries, stacked, takes
@@ -180,6 +180,4 @@ def convert(x: jax.Array, source: str, target: str) -> jax.Array:
 def find(name: str) -> Representation:
     """The representation of that name."""
     known = representations()
-    if name not in known:
-        raise UnknownName("representation", name, known)
-    return known[name]
+    return known[choice("representation", name, known)]

@@ -25,7 +25,7 @@ def check_between(solver: str, what: str, value: Any, low: float, high: float) -
     """`InputError` unless value is from low to high. A traced value is not checked."""
     if isinstance(value, jax.core.Tracer):
         return
-    numbers = np.asarray(value)
+    numbers = np.asarray(value) if not isinstance(value, (list, tuple)) else np.array("a list")
     if numbers.dtype.kind not in "biuf":
         got = f"{value!r} of {type(value).__name__}"
         raise InputError(f"{solver}: {what} = {got}, expected a number from {low} to {high}")

@@ -13,7 +13,7 @@ Sources: Newmark 1959; Hilber, Hughes & Taylor 1977; Chung & Hulbert 1993; Arnol
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -175,8 +175,8 @@ def generalized_alpha(rho_inf: float = 0.9, **options) -> GeneralizedAlpha:
 def newmark(beta: float = 0.25, gamma: float = 0.5, **options) -> GeneralizedAlpha:
     """Newmark's method: order 2 if gamma is 1/2; a larger gamma damps. beta 1/4 is the average
     acceleration, which is A-stable."""
-    check_between("newmark", "beta", beta, 0, math.inf)
-    check_between("newmark", "gamma", gamma, 0.5, math.inf)  # below, oscillations grow
+    check_between("newmark", "beta", beta, 0, sys.float_info.max)
+    check_between("newmark", "gamma", gamma, 0.5, sys.float_info.max)  # below, oscillations grow
     return GeneralizedAlpha(0.0, 0.0, beta, gamma, **options)
 
 

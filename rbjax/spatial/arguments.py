@@ -8,18 +8,18 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import numpy as np
 
+from rbjax.arguments import real_array
 from rbjax.errors import InputError
 from rbjax.lanes import Mat3, Vec3
-from rbjax.rotations.arguments import entries, stacked, takes
+from rbjax.rotations.arguments import checked, entries, stacked, takes
 from rbjax.spatial.vectors import Force, Motion
 
-__all__ = ["force", "motion", "stacked", "pose_parts", "positive", "takes", "entries"]
+__all__ = ["checked", "force", "motion", "stacked", "pose_parts", "positive", "takes", "entries"]
 
 
 def positive(*names: str) -> Callable[[Callable], Callable]:
-    """Decorate a function whose named arguments must be greater than zero, where known."""
+    """Decorate a function whose named arguments must be numbers above zero, if they are known."""
 
     def decorate(f: Callable) -> Callable:
         signature = inspect.signature(f)
@@ -28,9 +28,10 @@ def positive(*names: str) -> Callable[[Callable], Callable]:
         def call(*args: Any, **kwargs: Any) -> Any:
             bound = signature.bind(*args, **kwargs)
             for name in names:
-                x = bound.arguments.get(name, 1.0)
-                known = not isinstance(x, jax.core.Tracer)
-                if known and np.asarray(x).dtype.kind in "iuf" and (np.asarray(x) <= 0).any():
+                x = bound.arguments.get(name)
+                if x is None or any(isinstance(e, jax.core.Tracer) for e in jax.tree.leaves(x)):
+                    continue
+                if (real_array(f.__name__, name, x, finite=False) <= 0).any():
                     raise InputError(f"{f.__name__}: {name} is {x}, expected more than zero")
             return f(*args, **kwargs)
 

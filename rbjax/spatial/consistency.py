@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.spatial.arguments import positive, takes
+from rbjax.spatial.arguments import checked, positive, takes
 from rbjax.spatial.mass import MassProperties, parallel_axes
 
 
@@ -80,7 +80,7 @@ def consistency(mass: jax.Array, inertia: jax.Array) -> Consistency:
     )
 
 
-@positive("semi_axes")
+@positive("mass", "semi_axes")
 @takes(mass="scalar", com="vector", inertia="matrix", semi_axes="vector", centre="vector")
 def ellipsoid_margin(
     mass: jax.Array, com: jax.Array, inertia: jax.Array, semi_axes: jax.Array, centre: jax.Array
@@ -108,7 +108,8 @@ def check_mass_properties(mass: jax.Array, com: jax.Array, inertia: jax.Array) -
     rbjax.errors.InputError: inertia: the principal moments 1, 1, 3 break the triangle ...
     """
     found = consistency(mass, inertia)
-    out = MassProperties(jnp.asarray(mass), jnp.asarray(com), jnp.asarray(inertia))
+    com = checked("check_mass_properties", "com", com, "vector")
+    out = MassProperties(jnp.asarray(mass), com, jnp.asarray(inertia))
     if any(isinstance(x, jax.core.Tracer) for x in (*found, *out)):
         return out
     I, m = np.asarray(out.inertia), np.asarray(out.mass)

@@ -10,13 +10,14 @@ For a tetrahedron (0, a, b, c) of volume V = a . (b x c) / 6 and s = a + b + c
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.spatial.arguments import positive, takes
+from rbjax.spatial.arguments import checked, positive, takes
 from rbjax.spatial.mass import MassProperties
 
 
@@ -42,8 +43,11 @@ def mesh(
     if (density is None) == (mass is None):
         both = "neither" if mass is None else "both"
         raise InputError(f"mesh: got {both} of density and mass, expected exactly one")
-    corners = _as_vertices(vertices)
-    volume, com, second = _integrals(corners, _closed(np.asarray(triangles), len(corners)))
+    for name, x in (("density", density), ("mass", mass)):
+        if x is not None and checked("mesh", name, x, "scalar").ndim:
+            raise InputError(f"mesh: {name} has shape {jnp.shape(x)}, expected a number")
+    corners = checked("mesh", "vertices", vertices, "vector")
+    volume, com, second = _integrals(corners, _closed(triangles, len(corners)))
     if not isinstance(volume, jax.core.Tracer) and not volume > 0:
         raise InputError(
             f"mesh: the volume is {float(volume):g}, expected more than zero; a negative volume "
@@ -60,11 +64,15 @@ def points(positions: jax.Array, masses: jax.Array) -> MassProperties:
     >>> points([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], [1.0, 1.0]).inertia.diagonal().tolist()
     [0.0, 2.0, 2.0]
     """
-    if np.shape(masses) != np.shape(positions)[:1]:
+    positions = checked("points", "positions", positions, "vector")
+    weights = checked("points", "masses", masses, "scalar")
+    if positions.ndim != 2:
+        raise InputError(f"points: positions has shape {positions.shape}, expected (n, 3)")
+    if weights.shape != positions.shape[:1]:
         raise InputError(
-            f"points: masses has shape {np.shape(masses)}, expected ({np.shape(positions)[0]},)"
+            f"points: masses has shape {weights.shape}, expected ({len(positions)},)"
         )
-    return _points(positions, jnp.asarray(masses)[:, None])
+    return _points(positions, weights[:, None])
 
 
 @takes(positions="vector", weights="scalar")
@@ -79,11 +87,6 @@ def _points(positions: jax.Array, weights: jax.Array) -> MassProperties:
 def _inertia(second: jax.Array) -> jax.Array:
     """tr(S) 1 - S of the second moment S."""
     return jnp.trace(second) * jnp.eye(3, dtype=second.dtype) - second
-
-
-@takes(vertices="vector")
-def _as_vertices(vertices: jax.Array) -> jax.Array:
-    return vertices
 
 
 @jax.jit
@@ -101,8 +104,12 @@ def _integrals(vertices: jax.Array, index: jax.Array) -> tuple[jax.Array, jax.Ar
     return volume, middle + centre, second - volume * centre[:, None] * centre[None, :]
 
 
-def _closed(triangles: np.ndarray, count: int) -> np.ndarray:
+def _closed(given: Any, count: int) -> np.ndarray:
     """The triangles, if every edge occurs once in each direction."""
+    try:
+        triangles = np.asarray(given)
+    except ValueError as error:
+        raise InputError("mesh: triangles is ragged, expected (m, 3) integers") from error
     if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
         raise InputError(
             f"mesh: triangles has shape {triangles.shape} and dtype {triangles.dtype}, expected "

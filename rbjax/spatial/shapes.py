@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.spatial.arguments import entries, positive, stacked, takes
+from rbjax.spatial.arguments import checked, entries, positive, stacked, takes
 from rbjax.spatial.mass import MassProperties, parallel_axes
 from rbjax.spatial.mesh import mesh, points
 
@@ -94,6 +94,8 @@ def tube(
     >>> tube(2.0, 1.0, 3.0, mass=2.0).inertia.diagonal().tolist()
     [4.0, 4.0, 5.0]
     """
+    outer = checked("tube", "outer", outer, "scalar")
+    inner = checked("tube", "inner", inner, "scalar")
     known = not any(isinstance(x, jax.core.Tracer) for x in (outer, inner))
     if known and (np.asarray(outer) <= np.asarray(inner)).any():
         raise InputError(f"tube: inner is {inner} and outer {outer}, expected inner < outer")
@@ -169,10 +171,13 @@ def combine(parts: Sequence[MassProperties]) -> MassProperties:
     >>> combine(two).com.tolist(), combine(two).inertia.diagonal().tolist()
     ([1.0, 0.0, 0.0], [0.0, 8.0, 8.0])
     """
-    parts = list(parts)
-    if not parts or not all(isinstance(part, MassProperties) for part in parts):
-        got = [type(part).__name__ for part in parts]
-        raise InputError(f"combine: got {got}, expected at least one MassProperties")
+    given = list(parts) if isinstance(parts, Sequence) else parts
+    if not isinstance(given, list) or not all(isinstance(part, MassProperties) for part in given):
+        got = [type(x).__name__ for x in given] if isinstance(given, list) else type(parts).__name__
+        raise InputError(f"combine: parts is {got}, expected a sequence of MassProperties")
+    if not given:
+        raise InputError("combine: parts is empty, expected at least one MassProperties")
+    parts = given
     mass = sum((part.mass for part in parts[1:]), start=parts[0].mass)
     moment = sum(part.mass[..., None] * part.com for part in parts)
     com = moment / mass[..., None]
@@ -182,6 +187,8 @@ def combine(parts: Sequence[MassProperties]) -> MassProperties:
 
 def hole(part: MassProperties) -> MassProperties:
     """The part with negative mass and inertia: `combine` then removes it."""
+    if not isinstance(part, MassProperties):
+        raise InputError(f"hole: part is {type(part).__name__}, expected MassProperties")
     return MassProperties(-part.mass, part.com, -part.inertia)
 
 

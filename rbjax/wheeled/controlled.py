@@ -18,8 +18,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import choice
 from rbjax.control.system import System
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.solvers.arguments import check_whole
 from rbjax.wheeled.fidelity import Fidelity, as_state
@@ -41,8 +42,7 @@ class Vehicle(System):
 
     def __check_init__(self) -> None:
         check_vehicle("Vehicle", self.vehicle)
-        if self.method not in METHODS:
-            raise UnknownName("method", self.method, METHODS)
+        choice("method", self.method, METHODS)
         check_whole("Vehicle", "parts", self.parts, 1)
 
     @property

@@ -332,9 +332,16 @@ def tracking_gains(
             f"tracking_gains: the vehicle has {vehicle.nx} states of tyres, which no regulator "
             "sees; expected a law of tyres that does not relax"
         )
-    steps = shape_of("tracking_gains", "controls", controls)[0]
+    shape = shape_of("tracking_gains", "controls", controls)
+    if len(shape) != 2:
+        raise InputError(
+            f"tracking_gains: controls has shape {shape}, expected (steps, {vehicle.nu})"
+        )
+    steps = shape[0]
     size = vehicle.nq + vehicle.nv
     u = check_array("tracking_gains", "controls", controls, (steps, vehicle.nu))
+    if not isinstance(states, State):
+        raise InputError(f"tracking_gains: states is {type(states).__name__}, expected State(q, v)")
     q = check_array("tracking_gains", "states.q", states.q, (steps + 1, vehicle.nq))
     v = check_array("tracking_gains", "states.v", states.v, (steps + 1, vehicle.nv))
     Q = check_array("tracking_gains", "Q", Q, (size,)).astype(q.dtype)

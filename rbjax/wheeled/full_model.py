@@ -29,9 +29,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice
 from rbjax.checks import check_kind
 from rbjax.constraints import Constraint, Gear, KnifeEdge, Place
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub, total
 from rbjax.model import WORLD, Model
 from rbjax.wheeled.arrangement import Leader
@@ -82,8 +83,7 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
 
 def model_of(n: Numbers, base: str = "planar", steering_rates: Sequence[Lane] = ()) -> Model:
     """As `full_model`, of numbers as lanes: what is known while tracing is known in the model."""
-    if not isinstance(base, str) or base not in BASES:
-        raise UnknownName("base", base, BASES)
+    choice("base", base, BASES)
     tree = Tree(n.dtype)
     chassis = _branch(n, tree, base)
     for j in range(len(n.robot.drives)):

@@ -26,8 +26,9 @@ def _check(kind: str, **lengths: Any) -> None:
         if isinstance(x, jax.core.Tracer):  # `Robot` rejects it
             continue
         try:
-            fits = np.ndim(x) == 0 and 0 < float(x) < math.inf
-        except (TypeError, ValueError):
+            number = np.ndim(x) == 0 and not isinstance(x, (str, bytes))
+            fits = number and 0 < float(x) < math.inf
+        except (TypeError, ValueError, OverflowError):
             fits = False
         if not fits:
             raise InputError(f"{kind}({name}=...): got {x!r}, expected a length above zero, m")

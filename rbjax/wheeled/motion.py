@@ -15,11 +15,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import choice, integer
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
 from rbjax.dynamics.batching import in_chunks
 from rbjax.dynamics.tracing import split_tracers
-from rbjax.errors import InputError, UnknownName
+from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, fusion_barrier, mul
 from rbjax.model import State
 from rbjax.motion.captured import with_captured
@@ -154,8 +155,7 @@ def rollout(
         (11, 7)
     """
     check_vehicle("rollout", vehicle)
-    if not isinstance(method, str) or method not in METHODS:
-        raise UnknownName("method", method, METHODS)
+    choice("method", method, METHODS)
     shape = shape_of("rollout", "state.q", getattr(state, "q", 0.0))
     batch = shape[:1] if len(shape) == 2 else ()
     state = check_state("rollout", vehicle, state, batch)
@@ -299,6 +299,8 @@ def simulate(
     else:
         given = jnp.zeros(vehicle.nu) if controls is None else controls
         controls = check_array("simulate", "controls", given, (vehicle.nu,)).astype(dtype)
+    if max_steps is not None:
+        integer("simulate", "max_steps", max_steps, least=1)
     if tolerance is None:
         tolerance = 1e-10 if dtype == jnp.float64 else 1e-5
     solve = functools.partial(

@@ -11,11 +11,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.model.record import Record, check_fields, check_number, floats
 from rbjax.wheeled.motors import Motor, TorqueSource
-from rbjax.wheeled.tyres import check_above, check_at_least
+from rbjax.wheeled.tyres import check_at_least
 
 KINDS = ("fixed", "steered", "caster", "rollers")
 
@@ -130,6 +132,11 @@ class Drive(Record):
     split: Any = None
 
     def __post_init__(self) -> None:
+        numbers = isinstance(self.wheels, (tuple, list)) and all(
+            isinstance(i, (int, np.integer)) for i in self.wheels
+        )
+        if not numbers or not self.wheels:
+            raise InputError(f"Drive: wheels is {self.wheels!r}, expected indices, at least one")
         n = len(self.wheels)
         self.split = floats([1.0 / n] * n if self.split is None else self.split)
 
@@ -173,10 +180,8 @@ class Steering(Record):
         check_fields(self)
         if not self.wheels:
             raise InputError("Steering: got no wheels, expected the numbers of at least one")
-        if self.lag is not None and jnp.shape(self.lag) != ():
-            raise InputError(f"Steering: lag has shape {jnp.shape(self.lag)}, expected a number")
-        if self.lag is not None:
-            check_above(self, lag=0.0)
+        if self.lag is not None and not isinstance(self.lag, jax.core.Tracer):
+            real_number("Steering", "lag", self.lag, above=0.0)
 
 
 def _pairs(record: Record, *names: str) -> None:

@@ -36,6 +36,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_number
 from rbjax.errors import InputError
 from rbjax.lanes import Lane
 from rbjax.model.record import Record, check_fields, check_number, check_numbers
@@ -147,6 +148,18 @@ def traction_along(
         >>> [round(float(x), 2) for x in mu]
         [1.0, 0.0]
     """
+    if not isinstance(law, Tyre):
+        raise InputError(f"traction_along: law is {type(law).__name__}, expected a Tyre")
+    pair: Any = direction
+    size = len(pair) if isinstance(pair, (tuple, list)) else getattr(pair, "shape", (0,))[:1]
+    if size not in (2, (2,)):
+        raise InputError(f"traction_along: direction is {direction!r}, expected two numbers")
+    given = {"ux": (ux,), "uy": (uy,), "roll_speed": (roll_speed,), "direction": direction}
+    for name, numbers in given.items():
+        for x in numbers:
+            lane = hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)
+            if not lane or isinstance(x, np.floating):  # arrays, complex ones too, are lanes
+                real_number("traction_along", name, x)
     ax, ay = direction
     slides = (ux - roll_speed) * ax + uy * ay
     mu, _ = law.traction(slides / law.reference_speed(roll_speed), jnp.zeros_like(slides))

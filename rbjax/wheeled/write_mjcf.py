@@ -37,8 +37,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import choice, real_number
 from rbjax.constraints import Gear, JointPolynomial
-from rbjax.errors import InputError, UnknownName, UnsupportedFeature
+from rbjax.errors import InputError, UnsupportedFeature
 from rbjax.loading.draft import Draft, text
 from rbjax.loading.write_mjcf import compiled, drafted, serialised
 from rbjax.model import Model
@@ -136,11 +137,9 @@ def write_mjcf(
 def _check(robot: Any, wheel: str, **positive: Any) -> None:
     if not isinstance(robot, Robot):
         raise InputError(f"wheeled.write_mjcf: robot is {type(robot).__name__}, expected a Robot")
-    if wheel not in SHAPES:
-        raise UnknownName("shape of a wheel", wheel, SHAPES)
+    choice("shape of a wheel", wheel, SHAPES)
     for name, x in positive.items():
-        if not (np.ndim(x) == 0 and np.isfinite(x) and x > 0):
-            raise InputError(f"wheeled.write_mjcf: {name} is {x}, expected a number above zero")
+        real_number("wheeled.write_mjcf", name, x, above=0.0)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(robot)):
         raise InputError(
             "wheeled.write_mjcf: got a traced robot, expected known numbers; call it outside of "

@@ -53,10 +53,10 @@ MADE: dict[str, Callable] = {
     "pitch=...): got 0, expected": lambda: rc.Screw(HERE, LOWER, 0.0),
     "of=...): got 'kkt', expected a Formulation": lambda: rc.Projected(of="kkt"),
     "TangentSpace(of=...): got 'kkt'": lambda: rc.TangentSpace(of="kkt"),
-    "Baumgarte(alpha=...): got nan": lambda: rc.Baumgarte(np.nan),
-    "Baumgarte(beta=...): got '3'": lambda: rc.Baumgarte(1.0, "3"),
+    "Baumgarte: alpha is nan": lambda: rc.Baumgarte(np.nan),
+    "Baumgarte: beta is '3'": lambda: rc.Baumgarte(1.0, "3"),
     "Baumgarte.for_step: dt is 0": lambda: rc.Baumgarte.for_step(0),
-    "Penalty(stiffness=...): got -1.0": lambda: rc.Penalty(-1.0),
+    "Penalty: stiffness is -1.0": lambda: rc.Penalty(-1.0),
     "Projected(iterations=...): got 0": lambda: rc.Projected(iterations=0),
     "AugmentedLagrangian(iterations=...): got 1.5": lambda: rc.AugmentedLagrangian(
         iterations=1.5

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from rbjax.lanes import sincos
+from rbjax.lanes import horner, polynomial_sincos, sincos
 from tests.tolerances import F64_ROUNDING
 
 ANGLES = np.concatenate(
@@ -75,3 +75,13 @@ def test_sincos_of_what_no_angle_is(dtype: type) -> None:
     c, s = jax.jit(sincos)(np.array([1e9, -1e20, 3e38], dtype))
     np.testing.assert_allclose(c * c + s * s, 1.0, atol=1e-6)
     assert np.isnan(jax.jit(sincos)(np.array([np.nan, np.inf], dtype))).all()
+
+
+def test_the_polynomials_without_the_primitive() -> None:
+    x = np.linspace(-9.0, 9.0, 101)
+    for dtype, limit in ((np.float64, 1e-15), (np.float32, 1e-6)):
+        c, s = polynomial_sincos(jnp.asarray(x, dtype))
+        assert c.dtype == s.dtype == dtype
+        np.testing.assert_allclose(c, np.cos(x.astype(dtype)), atol=limit)
+        np.testing.assert_allclose(s, np.sin(x.astype(dtype)), atol=limit)
+    assert horner([1.0, 2.0, 3.0], 2.0) == 17.0

@@ -188,7 +188,7 @@ ROUND = Footprint.disc(0.1)
     ("call", "words"),
     [
         (lambda: Controls([1.0], [0.0, 1.0], 0.1), ["(1,), (2,) and (1,)", "(n,) each"]),
-        (lambda: Controls([np.nan], [0.0], 0.1), ["not finite"]),
+        (lambda: Controls([np.nan], [0.0], 0.1), ["speeds[0] is nan", "finite"]),
         (lambda: Controls([1.0], [0.0], 0.0), ["dt is 0.0", "above zero"]),
         (lambda: Controls([1.0], [0.0], 0.1, [1.5]), ["costs are [1.5]", "positive integers"]),
         (lambda: Controls([1.0], [0.0], 0.1, reversal=-1), ["reversal is -1"]),
@@ -209,7 +209,7 @@ ROUND = Footprint.disc(0.1)
         ),
         (
             lambda: grid_dijkstra(GRID, ROUND, [0.5] * 3, [0.6] * 3, car_like(72), max_count=0),
-            ["max_count is 0", "positive integer"],
+            ["max_count is 0", "integer of at least 1"],
         ),
         (
             lambda: grid_dijkstra(GRID, ROUND, [0.5] * 3, [0.6] * 3, car_like(72), (0.1,)),

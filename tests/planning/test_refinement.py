@@ -172,7 +172,7 @@ def test_failures_are_results() -> None:
     [
         (dict(field=GRID.distance_field()), ["only one of field and footprint"]),
         (dict(field=GRID, footprint=Footprint.disc(0.2)), ["OccupancyGrid", "DistanceField"]),
-        (dict(intervals=0), ["intervals is 0", "positive integer"]),
+        (dict(intervals=0), ["intervals is 0", "integer of at least 1"]),
         (dict(vehicle=rb.wheeled.at(cart().robot, "kinematic")), ["Kinematic", "kinematical"]),
         (dict(path=Path(np.zeros((2, 3)), np.zeros((2, 4, 3)))), ["(2, 4, 3)", "jax.vmap"]),
     ],

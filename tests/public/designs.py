@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -129,6 +130,11 @@ FOUR, CART_STATE = np.full((3, 4), 1.0), [0.2 * RNG.normal(size=(3, 2)) for _ in
 ONE = np.full((3, 1), 1.0)
 
 
+def on(model: Callable[[Any], rb.Model], f: Callable) -> Callable[[Any], Callable]:
+    """A function of a model and arrays. The model is made before any tracing."""
+    return lambda dtype: functools.partial(f, model(dtype))
+
+
 def moved(read: Callable) -> Callable[[Any], Callable]:
     def make(dtype: Any) -> Callable:
         space = control.observed(cart(dtype), lambda state: state.q, 0.01)
@@ -179,21 +185,20 @@ CONTROL |= {
     ),
     "time_varying_lqr": Case(tracked, [*CART_STATE, FOUR, ONE]),
     "lqr_at": Case(
-        lambda d: (
-            lambda Q, R: control.lqr_at(cart(d), cart(d).default_state(), jnp.zeros(1, d), Q, R)[:2]
-        ),
+        on(cart, lambda m, Q, R: control.lqr_at(m, m.default_state(), 0 * R, Q, R)[:2]),
         [FOUR * np.array([1.0, 2.0, 3.0, 4.0]), ONE],
     ),
     "feedback": Case(
-        lambda d: (
-            lambda q, v, K: control.feedback(cart(d), cart(d).default_state(), jnp.zeros(1, d), K)(
+        on(
+            cart,
+            lambda m, q, v, K: control.feedback(m, m.default_state(), 0 * q[:1], K)(
                 0.0, rb.State(q, v)
-            )
+            ),
         ),
         [*CART_STATE, RNG.normal(size=(3, 1, 4))],
     ),
     "allocate": Case(
-        lambda d: lambda q, v, u: control.allocate(cart(d), rb.State(q, v), u)[:2],
+        on(cart, lambda m, q, v, u: control.allocate(m, rb.State(q, v), u)[:2]),
         [*CART_STATE, RNG.normal(size=(3, 2))],
     ),
     "computed_torque": Case(
@@ -252,9 +257,9 @@ def filtered(read: Callable) -> Callable[[Any], Callable]:
     return same(found)
 
 
-def heavier(m):
+def heavier(f: Callable) -> Callable[[Any], Callable]:
     """A function of the masses of the two bodies."""
-    return lambda d: lambda mass: m(arm(d).replace(bodies=arm(d).bodies.replace(mass=mass)))
+    return on(arm, lambda model, mass: f(model.replace(bodies=model.bodies.replace(mass=mass))))
 
 
 READ = [RNG.normal(size=(3, 2, 3)), RNG.normal(size=(3, 3, 2))]
@@ -263,12 +268,10 @@ TWO = [RNG.normal(size=(3, 2)) for _ in range(3)]
 MASSES = np.abs(RNG.normal(size=(3, 2))) + 1
 SYSID = {
     "regressor": Case(
-        lambda d: lambda q, v, a: sysid.regressor(arm(d), q, v, a, joint_terms=("viscous",)), TWO
+        on(arm, lambda m, q, v, a: sysid.regressor(m, q, v, a, joint_terms=("viscous",))), TWO
     ),
-    "energy_regressor": Case(lambda d: lambda q, v: sysid.energy_regressor(arm(d), q, v), TWO[:2]),
-    "momentum_regressor": Case(
-        lambda d: lambda q, v: sysid.momentum_regressor(arm(d), q, v), TWO[:2]
-    ),
+    "energy_regressor": Case(on(arm, lambda m, q, v: sysid.energy_regressor(m, q, v)), TWO[:2]),
+    "momentum_regressor": Case(on(arm, lambda m, q, v: sysid.momentum_regressor(m, q, v)), TWO[:2]),
     "to_log_cholesky": Case(same(sysid.to_log_cholesky), [PSEUDO]),
     "from_log_cholesky": Case(same(sysid.from_log_cholesky), [THETA]),
     "log_cholesky_parameters": Case(same(sysid.log_cholesky_parameters), [THETA]),
@@ -277,19 +280,20 @@ SYSID = {
     "inertial_parameters_of": Case(same(sysid.inertial_parameters_of), [PSEUDO]),
     "nearest_pseudo_inertia": Case(same(sysid.nearest_pseudo_inertia), [PSEUDO]),
     "with_inertial_parameters": Case(
-        lambda d: (
-            lambda t: (
+        on(
+            arm,
+            lambda m, t: (
                 sysid.with_inertial_parameters(
-                    arm(d), jnp.stack([sysid.log_cholesky_parameters(t)] * 2)
+                    m, jnp.stack([sysid.log_cholesky_parameters(t)] * 2)
                 ).bodies
-            )
+            ),
         ),
         [THETA],
     ),
     "model_log_cholesky": Case(heavier(sysid.model_log_cholesky), [MASSES]),
     "parameter_values": Case(heavier(sysid.parameter_values), [MASSES]),
     "observation_matrix": Case(
-        lambda d: lambda q, v, a: sysid.observation_matrix(arm(d), q, v, a), LONG
+        on(arm, lambda m, q, v, a: sysid.observation_matrix(m, q, v, a)), LONG
     ),
     "kalman_filter": Case(
         filtered(lambda space, x: (x.state, x.covariance, x.log_likelihood)),
@@ -314,13 +318,7 @@ SYSID = {
 # ---------------------------------------------------------------- stability
 
 STABILITY = {
-    "state_matrix": Case(
-        lambda d: lambda q, v: stability.state_matrix(arm(d), state(q, v)), TWO[:2]
-    ),
-    "to_canonical": Case(
-        lambda d: lambda q, v: stability.to_canonical(arm(d), state(q, v)), TWO[:2]
-    ),
-    "from_canonical": Case(
-        lambda d: lambda q, p: stability.from_canonical(arm(d), (q, p)), TWO[:2]
-    ),
+    "state_matrix": Case(on(arm, lambda m, q, v: stability.state_matrix(m, state(q, v))), TWO[:2]),
+    "to_canonical": Case(on(arm, lambda m, q, v: stability.to_canonical(m, state(q, v))), TWO[:2]),
+    "from_canonical": Case(on(arm, lambda m, q, p: stability.from_canonical(m, (q, p))), TWO[:2]),
 }

@@ -50,22 +50,19 @@ def floats(tree: Any) -> list[jax.Array]:
 
 
 def check_types(case: Case) -> None:
-    """Dtypes and shapes in f32, JAX's default, by tracing only: one sample and a batch of none."""
+    """Dtypes and shapes in f32, JAX's default, by tracing a batch of no sample."""
     dtype = case.dtypes[-1]
     f = case.make(dtype)
 
     def traced(*arrays: Any) -> list[jax.Array]:
         return floats(f(*arrays))
 
-    shapes = [jax.ShapeDtypeStruct(np.shape(x)[1:], dtype) for x in case.arrays]
-    one = jax.eval_shape(traced, *shapes)
-    assert one, "no floating result"
-    wrong = [x.dtype for x in one if x.dtype != dtype]
+    none = [jax.ShapeDtypeStruct((0, *np.shape(x)[1:]), dtype) for x in case.arrays]
+    results = jax.eval_shape(jax.vmap(traced), *none)
+    assert results, "no floating result"
+    wrong = [x.dtype for x in results if x.dtype != dtype]
     assert not wrong, f"arguments in {np.dtype(dtype)} give {wrong}"
-    none = jax.eval_shape(
-        jax.vmap(traced), *(jax.ShapeDtypeStruct((0, *x.shape), dtype) for x in shapes)
-    )
-    assert [(x.shape, x.dtype) for x in none] == [((0, *x.shape), x.dtype) for x in one]
+    assert all(x.shape[0] == 0 for x in results)
 
 
 def check_grid(case: Case) -> None:

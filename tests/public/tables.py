@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -126,20 +127,28 @@ def loop(dtype: Any) -> rb.Model:
 ANGLE = np.array([0.3, -0.5, 1.1])
 ON = np.stack([np.sin(ANGLE), -np.cos(ANGLE)], -1)
 ALONG = np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
+
+
+def of_loop(f: Callable) -> Callable[[Any], Callable]:
+    """A function of the loop and arrays. The model is made before any tracing."""
+
+    def make(dtype: Any) -> Callable:
+        return functools.partial(f, loop(dtype))
+
+    return make
+
+
 CONSTRAINTS = {
-    "jacobian": Case(lambda d: lambda q: constraints.jacobian(loop(d), q), [ON]),
-    "residual": Case(
-        lambda d: lambda q, v: constraints.residual(loop(d), state(q, v)), [ON, ALONG]
-    ),
+    "jacobian": Case(of_loop(constraints.jacobian), [ON]),
+    "residual": Case(of_loop(lambda m, q, v: constraints.residual(m, state(q, v))), [ON, ALONG]),
     "multipliers": Case(
-        lambda d: lambda q, v: constraints.multipliers(loop(d), state(q, v)), [ON, ALONG]
+        of_loop(lambda m, q, v: constraints.multipliers(m, state(q, v))), [ON, ALONG]
     ),
     "constrained_dynamics": Case(
-        lambda d: lambda q, v, u: constraints.constrained_dynamics(loop(d), q, v, u),
-        [ON, ALONG, RNG.normal(size=(3, 2))],
+        of_loop(constraints.constrained_dynamics), [ON, ALONG, RNG.normal(size=(3, 2))]
     ),
     "joint_wrenches": Case(
-        lambda d: lambda q, v: constraints.joint_wrenches(loop(d), state(q, v)), [ON, ALONG]
+        of_loop(lambda m, q, v: constraints.joint_wrenches(m, state(q, v))), [ON, ALONG]
     ),
 }
 
@@ -172,9 +181,13 @@ def field(dtype: Any) -> planning.DistanceField:
 DISC = planning.Footprint.disc(0.2)
 
 
+def clearance(field, footprint, poses):
+    return planning.clearance(field, poses, footprint)
+
+
 PLANNING = {name: Case(same(curve(name)), [POSES, FAR]) for name in ("dubins", "reeds_shepp")}
 PLANNING["clearance"] = Case(
-    lambda d: lambda p: planning.clearance(field(d), p, cast(DISC, d)), [0.5 * POSES]
+    lambda d: functools.partial(clearance, field(d), cast(DISC, d)), [0.5 * POSES]
 )
 
 TABLES: dict[str, dict[str, Case]] = {

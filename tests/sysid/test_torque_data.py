@@ -173,7 +173,7 @@ def test_columns_go_to_the_joints_of_their_names():
         ({"joint_terms": ["viscous", "viscous"]}, "expected none twice"),
         ({"joint_terms": 5}, "joint_terms is 5, expected a list"),
         ({"recording": [1]}, "recording is list, expected one Recording"),
-        ({"model": "arm"}, "first argument is str, expected a Model"),
+        ({"model": "arm"}, "model is str, expected a Model"),
     ],
 )
 def test_bad_arguments_are_named(change, error):

@@ -49,7 +49,7 @@ PARTS: dict[str, Callable] = {
     "Wheel.inertia=.*at least 0": lambda: Wheel([0.0, 0.0], inertia=-1.0),
     "Wheel.damping=.*at least 0": lambda: Wheel([0.0, 0.0], damping=-1.0),
     "Wheel.radius=.*number above zero": lambda: Wheel([0.0, 0.0], radius=0.0),
-    "Steering.lag=.*above 0": lambda: Steering((0,), 0.0),
+    "Steering: lag is 0.0.*above zero": lambda: Steering((0,), 0.0),
     "expected rbjax.wheeled.TorqueSource": lambda: wheeled.Drive((0,), 3.0),
     "at: robot is NoneType": lambda: wheeled.at(None, "kinematical"),
     "unknown fidelity 'nope'": lambda: wheeled.at(KINDS["car"].make(), "nope"),

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rbjax.arguments import integer
 from rbjax.checks import array_of
 from rbjax.dynamics import (
     center_of_mass,
@@ -33,7 +34,7 @@ from rbjax.forces import elastic_energy
 from rbjax.model import Model, State, Topology
 from rbjax.motion.term import motion, unit
 from rbjax.stability.methods import Solver, stepping
-from rbjax.stability.runs.long_run import March, long_run
+from rbjax.stability.runs.long_run import March, check_state, long_run
 
 BLOCKS = 64  # block means of a series, to which the slope is fitted
 SIGNIFICANT = 4.0  # standard errors beyond which a slope is a trend
@@ -89,8 +90,9 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
     bad = int(np.sum(~(np.isfinite(t) & np.isfinite(x))))
     if bad:
         raise InputError(
-            f"trend: {bad} of {len(t)} samples are not finite, expected all; after an early end of "
-            "a run of drift (its ending is not DONE) times are nan: select with np.isfinite(ts)"
+            f"trend: {bad} of {len(t)} samples are not finite, expected all of ts and xs; after an "
+            "early end of a run of drift (its ending is not DONE) times are nan: select with "
+            "np.isfinite(ts)"
         )
     if not (np.diff(t) > 0).all():
         raise InputError("trend: ts must increase from the first to the last")
@@ -189,14 +191,21 @@ def drift(
         True
         False
     """
-    if samples < 1 or steps < samples or steps % samples:
+    integer("drift", "samples", samples, least=1)
+    integer("drift", "steps", steps, least=1)
+    if steps < samples or steps % samples:
         raise InputError(
             f"drift: got {steps} steps and {samples} samples, expected a multiple of the samples"
         )
     one = stepping(solver)
     if isinstance(system, Model):
+        check_state("drift", system, y0)
         term, y0 = motion(system, y0, one)
         args, keep = system, Invariants() if keep is None else keep
+    elif not isinstance(system, diffrax.AbstractTerm):
+        raise InputError(
+            f"drift: system is {type(system).__name__}, expected a Model or a term of diffrax"
+        )
     elif keep is None:
         raise InputError("drift: keep is None, expected (t, y, args) -> arrays for a term")
     else:

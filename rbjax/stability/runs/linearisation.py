@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import real_array
 from rbjax.constraints import residual
-from rbjax.dynamics.arguments import algorithm, check_arrays
+from rbjax.dynamics.arguments import algorithm, check_arrays, check_model
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.field import free_motion, law_of
@@ -179,6 +180,13 @@ def motion_matrices(model: Model, states: State, ctrl: Any = None) -> np.ndarray
         >>> np.linalg.eigvals(rb.stability.motion_matrices(model, states)).shape
         (9, 2)
     """
+    check_model("motion_matrices", model)
+    if not isinstance(states, State):
+        raise InputError(
+            f"motion_matrices: states is {type(states).__name__}, expected State(q, v) of arrays"
+        )
+    real_array("motion_matrices", "states.q", states.q)
+    real_array("motion_matrices", "states.v", states.v)
     q, v = jnp.asarray(states.q), jnp.asarray(states.v)
     if q.ndim != 2 or v.ndim != 2 or len(q) != len(v):
         raise InputError(

@@ -17,7 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import integer, real_array, real_number
 from rbjax.errors import InputError
+from rbjax.model import Model, State
 
 #: the endings of a run, by the number in `March.ending`
 DONE, NOT_FINITE, NO_ROOT = ENDINGS = range(3)
@@ -52,7 +54,7 @@ def long_run(
     args: Any = None,
 ) -> March:
     """samples * every steps of dt from t = 0. One program serves all dt, `every`, y0 and args."""
-    y0 = as_floats(y0)
+    y0 = as_floats("a run", y0)
     dtype = jnp.result_type(*jax.tree.leaves(y0))
     check_times(dt, every * samples, dtype)
     return _run(term, solver, y0, jnp.asarray(dt, dtype), keep, jnp.asarray(every), samples, args)
@@ -95,18 +97,36 @@ def finite(y: Any) -> jax.Array:
     return jnp.stack([jnp.isfinite(x).all() for x in jax.tree.leaves(y)]).all()
 
 
-def as_floats(y: Any) -> Any:
-    """A state as arrays of one float type."""
-    dtype = jnp.result_type(*jax.tree.leaves(y))
+def check_state(where: str, model: Model, y0: Any) -> None:
+    """Reject what is not the state of a robot."""
+    if not isinstance(y0, State):
+        raise InputError(f"{where}: y0 is {type(y0).__name__}, expected State(q, v) of the robot")
+    if jnp.shape(y0.q) != (model.nq,) or jnp.shape(y0.v) != (model.nv,):
+        raise InputError(
+            f"{where}: y0 has q {jnp.shape(y0.q)} and v {jnp.shape(y0.v)}, expected ({model.nq},) "
+            f"and ({model.nv},)"
+        )
+
+
+def as_floats(where: str, y: Any) -> Any:
+    """A state as finite arrays of one float type."""
+    leaves = jax.tree.leaves(y)
+    if not leaves or not all(hasattr(x, "dtype") or isinstance(x, (int, float)) for x in leaves):
+        raise InputError(f"{where}: y0 is {y!r}, expected arrays of numbers")
+    if not any(isinstance(x, jax.core.Tracer) for x in leaves):
+        for x in leaves:
+            real_array(where, "y0", x)
+    dtype = jnp.result_type(*leaves)
     dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
     return jax.tree.map(lambda x: jnp.asarray(x, dtype), y)
 
 
 def check_times(dt: Any, steps: int, dtype: Any) -> None:
     """`InputError` for times that the dtype cannot resolve: t + h - t would differ from h."""
-    h = np.asarray(dt, dtype)
-    if not (np.isfinite(h) and h > 0 and steps > 0):
-        raise InputError(f"got {steps} steps of dt = {dt} s, expected positive numbers")
+    h = np.asarray(real_number("a run", "dt", dt, above=0.0), dtype)
+    steps = integer("a run", "steps", steps, least=1)
+    if not (np.isfinite(h) and h > 0):
+        raise InputError(f"a run: dt is {dt} s, which is {h} in {np.dtype(dtype).name}")
     exact = np.frexp(h)[0] == 0.5 and steps * np.finfo(dtype).eps <= 1
     if not exact and steps * np.finfo(dtype).eps > 1e-3:
         power = float(2.0 ** np.round(np.log2(float(h))))

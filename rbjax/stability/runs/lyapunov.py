@@ -20,12 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax._jax_compat import scan_kind
+from rbjax.arguments import integer, real_number
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.motion.term import motion
 from rbjax.solvers import rkmk
 from rbjax.stability.methods import Solver, stepping
-from rbjax.stability.runs.long_run import as_floats, check_times, finite
+from rbjax.stability.runs.long_run import as_floats, check_state, check_times, finite
 
 BLOCKS = 16  # blocks of the run, whose means give the error of the result
 
@@ -101,14 +102,16 @@ def lyapunov(
         >>> round(found.value, 6)
         0.5
     """
-    samples = steps // every if every > 0 else 0
+    integer("lyapunov", "steps", steps, least=1)
+    samples = steps // integer("lyapunov", "every", every, least=1)
+    transient = real_number("lyapunov", "transient", transient, least=0.0)
     skip = int(transient * samples)
-    if not 0 <= transient < 1 or samples - skip < 16:
+    if transient >= 1 or samples - skip < 16:
         raise InputError(
             f"lyapunov: got {steps} steps, every {every}, transient {transient}; expected at least "
             "16 normalizations after the transient, and a transient from 0 to below 1"
         )
-    term, solver, y0, args = _opened(system, y0, solver, args, dt, steps)
+    term, solver, y0, args = _opened("lyapunov", system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
     direction = np.random.default_rng(0).normal(size=(size, 1))
     direction /= np.linalg.norm(direction)
@@ -160,12 +163,14 @@ def gradient_growth(
         >>> round(found.f32, 1), round(found.f64, 1)
         (15.9, 36.0)
     """
-    if samples < 1 or steps < samples or steps % samples:
+    integer("gradient_growth", "samples", samples, least=1)
+    integer("gradient_growth", "steps", steps, least=1)
+    if steps < samples or steps % samples:
         raise InputError(
             f"gradient_growth: got {steps} steps and {samples} samples, expected steps to be a "
             "multiple of samples"
         )
-    term, solver, y0, args = _opened(system, y0, solver, args, dt, steps)
+    term, solver, y0, args = _opened("gradient_growth", system, y0, solver, args, dt, steps)
     size = sum(x.size for x in jax.tree.leaves(y0))
     every = steps // samples
     parts, fine = _stretching(term, solver, y0, dt, np.eye(size), every, samples, args)
@@ -190,14 +195,21 @@ def _crossing(ts: np.ndarray, xs: np.ndarray, level: float) -> float:
     return float(np.interp(level, xs[i - 1 : i + 1], ts[i - 1 : i + 1]))
 
 
-def _opened(system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int) -> tuple:
+def _opened(
+    where: str, system: Any, y0: Any, solver: Any, args: Any, dt: float, steps: int
+) -> tuple:
     solver = rkmk(4) if solver is None else stepping(solver)
     if isinstance(system, Model):
+        check_state(where, system, y0)
         term, y0 = motion(system, y0, solver)
         args = system
-    else:
+    elif isinstance(system, diffrax.AbstractTerm):
         term = system
-    y0 = as_floats(y0)
+    else:
+        raise InputError(
+            f"{where}: system is {type(system).__name__}, expected a Model or a term of diffrax"
+        )
+    y0 = as_floats(where, y0)
     check_times(dt, steps, jnp.result_type(*jax.tree.leaves(y0)))
     return term, _forward(solver), y0, args
 

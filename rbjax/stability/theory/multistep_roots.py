@@ -23,6 +23,7 @@ import mpmath
 import numpy as np
 
 from rbjax import solvers
+from rbjax.arguments import flag
 from rbjax.checks import shown
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, made
@@ -215,9 +216,15 @@ def multistep(rho: Any, sigma: Any) -> Characteristic:
     return Characteristic((a, poly(-c for c in b)))
 
 
+#: the highest order of a formula: far above those that are stable
+HIGHEST = 1000
+
+
 def _ordered(name: str, order: Any, least: int = 1) -> None:
-    if not isinstance(order, (int, np.integer)) or order < least:
-        raise InputError(f"{name}: order is {order!r}, expected a whole number from {least} on")
+    if not isinstance(order, (int, np.integer)) or not least <= order <= HIGHEST:
+        raise InputError(
+            f"{name}: order is {order!r}, expected an integer from {least} to {HIGHEST}"
+        )
 
 
 def adams(order: int, implicit: bool) -> Characteristic:
@@ -232,6 +239,7 @@ def adams(order: int, implicit: bool) -> Characteristic:
         (Fraction(5, 12), Fraction(-1, 12))
     """
     _ordered("adams", order)
+    implicit = flag("adams", "implicit", implicit)
     steps = max(order - 1, 1) if implicit else order
     last = steps if implicit else steps - 1
     nodes = list(range(last, last - order, -1))  # times of the rates, the last first

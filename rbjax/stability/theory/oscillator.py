@@ -194,6 +194,18 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
     return _sorted(np.linalg.eigvals(matrix)).reshape(*omega.shape, -1)
 
 
+def _points(z: Any) -> np.ndarray:
+    """The points z of growth_factors as complex numbers."""
+    try:
+        known = np.asarray(z)
+        out = known.astype(complex) if known.dtype.kind in "biufc" else None
+    except (TypeError, ValueError, OverflowError):
+        out = None
+    if out is None or not out.size or not np.isfinite(out).all():
+        raise InputError(f"growth_factors: z is {z!r}, expected finite numbers, real or complex")
+    return out
+
+
 def _powers(solver: Any, n: int) -> np.ndarray:
     """The powers of omega that scale q, v and the memory to similar size."""
     if isinstance(solver, GeneralizedAlpha):

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from rbjax.arguments import real_array
 from rbjax.checks import shown
 from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Characteristic
@@ -136,7 +137,18 @@ def at_infinity(method: Method) -> float:
 
 def stability_region(method: Method, x: Any, y: Any) -> np.ndarray:
     """The largest |zeta| (len(y), len(x)) on a grid x + i y of z; at most one means stable."""
+    _check(method)
+    x = real_array("stability_region", "x", x, ndim=1)
+    y = real_array("stability_region", "y", y, ndim=1)
     return method.radius(np.asarray(x)[None, :] + 1j * np.asarray(y)[:, None])
+
+
+def _check(method: Any) -> None:
+    if not isinstance(method, (StabilityFunction, Characteristic)):
+        raise InputError(
+            f"regions: method is {type(method).__name__}, expected a StabilityFunction or a "
+            "Characteristic: rb.stability.linear_analysis(solver).method"
+        )
 
 
 def _simplest(method: Method) -> Method:

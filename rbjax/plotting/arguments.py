@@ -1,0 +1,84 @@
+"""Argument checks of the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from rbjax.arguments import real_array, real_number
+from rbjax.dynamics.arguments import check_model
+from rbjax.errors import InputError
+from rbjax.model import Model
+
+
+def check_axis(where: str, ax: Any, name: str = "ax") -> None:
+    """Reject what is not an axis of matplotlib."""
+    if not hasattr(ax, "add_collection"):
+        raise InputError(
+            f"{where}: {name} is {type(ax).__name__}, expected an axis of matplotlib, such as "
+            "matplotlib.pyplot.gca()"
+        )
+
+
+def configurations(where: str, model: Model, q: Any) -> np.ndarray:
+    """q (T, nq) of one robot.
+
+    Raises:
+        InputError: not a model, or q of another shape or not finite.
+    """
+    check_model(where, model)
+    x = real_array(where, "q", q)
+    if x.ndim != 2 or x.shape[1] != model.nq:
+        raise InputError(f"{where}: q has shape {x.shape}, expected (T, {model.nq})")
+    return x
+
+
+def check_solids(where: str, shapes: Any, R: Any, p: Any, alpha: Any) -> tuple[Any, Any]:
+    """R (nb, 3, 3) and p (nb, 3) as arrays.
+
+    Raises:
+        InputError: other shapes, values that are not finite, an opacity outside of 0 to 1.
+    """
+    if not isinstance(shapes, Iterable) or not all(hasattr(s, "placed") for s in shapes):
+        raise InputError(
+            f"{where}: shapes is {type(shapes).__name__}, expected what solids or skeleton returns"
+        )
+    R, p = real_array(where, "R", R), real_array(where, "p", p)
+    if R.shape[1:] != (3, 3) or p.shape != (len(R), 3):
+        raise InputError(
+            f"{where}: R has shape {R.shape} and p {p.shape}, expected (nb, 3, 3) and (nb, 3)"
+        )
+    bodies = 1 + max((s.body for s in shapes), default=-1)
+    if len(R) < bodies:
+        raise InputError(f"{where}: R and p have {len(R)} bodies, expected at least {bodies}")
+    if real_number(where, "alpha", alpha, least=0.0) > 1:
+        raise InputError(f"{where}: alpha is {alpha}, expected an opacity from 0 to 1")
+    return R, p
+
+
+def series(where: str, name: str, x: Any, length: int) -> np.ndarray:
+    """Columns over time (T, n), which may have gaps (NaN).
+
+    Raises:
+        InputError: not numbers, or another shape.
+    """
+    found = real_array(where, name, x, finite=False)
+    if found.ndim != 2 or len(found) != length:
+        raise InputError(
+            f"{where}: {name} has shape {found.shape}, expected ({length}, n), a row for each of ts"
+        )
+    return found
+
+
+def check_two_axes(where: str, axes: Any) -> None:
+    """Two axes of matplotlib.
+
+    Raises:
+        InputError: anything else.
+    """
+    if not isinstance(axes, (Sequence, np.ndarray)) or isinstance(axes, str) or len(axes) < 2:
+        raise InputError(f"{where}: axes is {type(axes).__name__}, expected two axes")
+    for ax in axes[:2]:
+        check_axis(where, ax, "axes")
