@@ -47,9 +47,8 @@ class Design(Record):
         self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
         low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
         self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
-        known = [looked_at(x) for x in (self.low, self.start, self.high)]
-        if not any(x is None for x in known):
-            lowest, first, highest = known
+        lowest, first, highest = (looked_at(x) for x in (self.low, self.start, self.high))
+        if lowest is not None and first is not None and highest is not None:
             if not ((lowest <= first) & (first <= highest)).all():
                 raise InputError(
                     f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
