@@ -18,7 +18,7 @@ def test_numbers_pass(x):
     check_real("f", "x", x, "a number", above=0.0, least=1.0)
 
 
-@pytest.mark.parametrize("x", [*NOT_REAL, 0, -1.0], ids=str)
+@pytest.mark.parametrize("x", [*NOT_REAL, 0, -1.0], ids=range(len(NOT_REAL) + 2))
 def test_others_are_rejected(x):
     with pytest.raises(rb.InputError, match=r"f: x is .*, expected a number above zero"):
         check_real("f", "x", x, "a number above zero", above=0.0)

@@ -93,9 +93,9 @@ def stages() -> Iterator[dict[str, float]]:
     before = [getattr(module, name) for module, name, _ in parts]
 
     def timed(f: Callable, stage: str) -> Callable:
-        def call(*args: Any) -> Any:
+        def call(*args: Any, **options: Any) -> Any:
             start = time.process_time()
-            out = f(*args)
+            out = f(*args, **options)
             found[stage] += time.process_time() - start
             found["statements"] += getattr(out, "statements", 0)
             return out

@@ -48,12 +48,13 @@ class Design(Record):
         low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
         self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
         lowest, first, highest = (looked_at(x) for x in (self.low, self.start, self.high))
-        if lowest is not None and first is not None and highest is not None:
-            if not ((lowest <= first) & (first <= highest)).all():
-                raise InputError(
-                    f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
-                    f"{highest.tolist()}, expected low <= start <= high"
-                )
+        if lowest is None or first is None or highest is None:  # traced
+            return
+        if not ((lowest <= first) & (first <= highest)).all():
+            raise InputError(
+                f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
+                f"{highest.tolist()}, expected low <= start <= high"
+            )
 
 
 class Knot(NamedTuple):

@@ -18,6 +18,7 @@ from rbjax.loading.actuator_kinds import Bias, Dyn, Gain, Trn, Wrap, is_off, ref
 from rbjax.loading.actuator_kinds import what_is_left_out as left_out_of
 from rbjax.loading.load import compile_model, names_of
 from rbjax.loading.round_shapes import Round, round_shape
+from rbjax.loading.singular import data_of
 
 _OBJ = mujoco.mjtObj
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -194,7 +195,7 @@ def at_rest(source: Any, q: Any = None) -> AtRest:
         ModelError: the source cannot be read. UnknownName, InputError: q is none of these.
     """
     m = compile_model(source, floating_base=None)
-    d = mujoco.MjData(m)
+    d = data_of(m)
     names = names_of(m, _OBJ.mjOBJ_JOINT, m.njnt)
     if isinstance(q, str):
         keys = names_of(m, _OBJ.mjOBJ_KEY, m.nkey)

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from rbjax.errors import ModelError, listed
-from rbjax.loading.singular import joints_that_cancel, mass_matrix
+from rbjax.loading.singular import data_of, joints_that_cancel, mass_matrix
 
 #: a moment beyond the sum of the other two by less than this part of it is the file's rounding
 ROUNDING = 1e-6
@@ -77,7 +77,7 @@ def write_inertials(m: mujoco.MjModel, inertials: dict[str, Inertial], name: str
         if oddity and m.body_weldid[i]:
             odd.setdefault(oddity, []).append(m.body(i).name)
     _refuse_massless_motion(m, name)
-    mujoco.mj_setConst(m, mujoco.MjData(m))
+    mujoco.mj_setConst(m, data_of(m))
     return "; ".join(f"{kind}: {listed(links, _SHOWN)}" for kind, links in odd.items())
 
 

@@ -7,6 +7,7 @@ import copy
 import mujoco
 import numpy as np
 
+from rbjax.errors import ModelError
 from rbjax.loading.actuator_kinds import reflected
 
 #: part of the largest below which an eigenvalue of M is rounding, for each velocity
@@ -14,9 +15,21 @@ _SINGULAR = 1e-15
 _SMALL = 300  # velocities up to which eigenvalues take no time
 
 
+def data_of(m: mujoco.MjModel) -> mujoco.MjData:
+    """MuJoCo's data of a model."""
+    try:
+        return mujoco.MjData(m)
+    except mujoco.FatalError as error:
+        size = m.narena / 2**20
+        raise ModelError(
+            f"MuJoCo cannot make the data of the model, which take more than {size:.0f} MiB: "
+            f"{error}; free memory, or lower <size memory=...>"
+        ) from error
+
+
 def mass_matrix(m: mujoco.MjModel) -> np.ndarray:
     """M (nv, nv) at a generic pose."""
-    data = mujoco.MjData(m)
+    data = data_of(m)
     mujoco.mj_integratePos(m, data.qpos, np.cos(np.arange(1.0, m.nv + 1)), 1.0)
     m = copy.copy(m)  # do not write into the caller's model
     m.body_subtreemass[:] = m.body_mass

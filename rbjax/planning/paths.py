@@ -27,6 +27,9 @@ from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.footprint import Footprint, placed
 from rbjax.planning.occupancy import DistanceField
 
+#: the largest number of parts of a step that `clear_along` takes
+MOST_PARTS = 1_000_000
+
 
 def moved(heading: Any, steps: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """Displacements (...) m in the world by steps (..., 3) from headings (...)."""
@@ -183,6 +186,8 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
     check_kind(where, "path", path, Path, "rb.planning.Path")
     check_kind(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
     check_integer(where, "parts", parts)
+    if parts > MOST_PARTS:
+        raise InputError(f"{where}: parts is {parts:.3g}, expected at most {MOST_PARTS:,}")
     poses = path.poses[..., :-1, None, :]
     share = (jnp.arange(parts) + 0.5) / parts
     steps = path.steps[..., None, :]

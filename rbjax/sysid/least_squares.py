@@ -220,11 +220,17 @@ def _is_minimum(D: Callable, x: np.ndarray, R: np.ndarray, w: float, now: float)
         return False
     if not R[:, -1].any():
         return True
+
+    def ends(y: np.ndarray) -> bool:
+        linear = R[:, :-1] @ (y - x) + R[:, -1]
+        expected = now - float(linear @ linear)
+        return bool(expected <= OPTIMAL * now or D(y, x).value <= ROUNDING)
+
+    # without limits a step is at least as long and expects at least as large a decrease
+    if ends(x + shown(R, half)):
+        return True
     size = float(np.linalg.norm(np.linalg.solve(half, R[:, :-1].T), 2)) ** 2
-    trial = convex_step(R, x, D, ((w * size, x),))
-    linear = R[:, :-1] @ (trial - x) + R[:, -1]
-    expected = now - float(linear @ linear)
-    return bool(expected <= OPTIMAL * now or D(trial, x).value <= ROUNDING)
+    return ends(convex_step(R, x, D, ((w * size, x),)))
 
 
 def _has_squares(R: np.ndarray) -> bool:

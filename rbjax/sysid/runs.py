@@ -245,7 +245,7 @@ def batch(runs: Sequence[Run]) -> Run:
 
 
 def grid_of(
-    runs: Sequence[Recording], setup: Setup, *, longest: float | None = None,
+    runs: Sequence[Recording], setup: Setup | None = None, *, longest: float | None = None,
     period: float | None = None,
 ) -> Grid:  # fmt: skip
     """The finest clock of all channels, unless a period is given: commands may come when they
@@ -254,7 +254,7 @@ def grid_of(
     step = min(channel.step for run in runs for channel in run.channels.values())
     # clocks that differ by rounding have one program
     period = float(f"{step:.12g}") if period is None else period
-    if setup.delay is None:
+    if setup is None or setup.delay is None:
         return Grid(period)
     if longest is None:
         longest = max(3 * float(np.max(np.asarray(setup.delay))), 3 * period)

@@ -109,8 +109,9 @@ def test_leaves_of_a_model_a_design_at_its_bound_and_a_free_final_time():
         return jnp.concatenate([s.ctrls.ravel(), s.states.q.ravel(), s.numbers, s.ts[-1:],
                                 s.cost[None]])  # fmt: skip
 
-    # a search ends at ten roundings of the cost, so the controls are known to about 1e-10
-    np.testing.assert_allclose(jax.jacrev(run)(p), differences(run, p, 1e-4), atol=1e-6)
+    # a search ends at ten roundings of the cost, so the controls are known to about 1e-10, and the
+    # differences to 1e-6 beside their own error in the step
+    np.testing.assert_allclose(jax.jacrev(run)(p), differences(run, p, 1e-4), atol=1e-5)
 
 
 @pytest.mark.slow

@@ -228,7 +228,9 @@ CONTROL |= {
     ),
     # kinks where the loop that is closest to instability changes
     "margins": Case(
-        same(lambda *x: control.margins(*x)[:3]), [STABLE, INPUT, FEEDBACK], derivatives=False
+        same(lambda *x: [1 / y for y in control.margins(*x)[:3]]),  # some are infinite
+        [STABLE, INPUT, FEEDBACK],
+        derivatives=False,
     ),
     "network": Case(lambda d: cast(control.network(jax.random.key(0), (3, 8, 2)), d), [START]),
     # in JAX's default dtype, whatever that of the model
