@@ -34,7 +34,7 @@ CONFIGURATION = """# rbjax identify identify.toml
 model = "arm.xml"                  # MJCF, URDF, or a bundled scene's name
 
 [recordings]
-fit = ["run1.csv", "run2.csv"]     # csv or npz; each is simulated from its first sample
+fit = ["run1.csv", "run2.csv"]     # csv or npz
 held_out = ["run3.csv"]            # never fitted: the verdict is about these
 time = "t"
 time_unit = "s"

@@ -92,7 +92,10 @@ OF_IDENTIFY = "the default of `identify`"
 KEYS: dict[str, dict[str, Key]] = {
     "": {
         "model": Key("text", "", "", "MJCF or URDF file, or the name of a bundled scene"),
-        "floating_base": Key("yes", "false", "", "whether a URDF's root link is free"),
+        "floating_base": Key(
+            "yes", "false, with a warning if the root has a mass", "",
+            "whether a URDF's root link is free",
+        ),
         "friction": Key("yes", "false", "", "whether the file's friction loss is simulated"),
         "limits": Key("yes", "false", "", "whether the file's joint limits are simulated"),
         "motors": Key("yes", "false", "", "whether joints without an actuator get a motor"),
