@@ -21,10 +21,13 @@ from pathlib import Path
 
 PATH = Path(__file__).parent / "slow.txt"
 #: CPU seconds of one case, on average, and of all cases of a function
-LIMIT, TOTAL = 0.7, 3.5
-#: files whose tests are always quick: the compiler's core, and every public function
-KEPT = ("tests/test_registry.py", "tests/threads/test_primitives.py",
-        "tests/threads/test_quick_programs.py", "tests/public/")  # fmt: skip
+LIMIT, TOTAL = 0.4, 2.0
+#: files whose tests are always quick: the compiler's core, every public function, wrong arguments
+KEPT = (
+    "tests/test_registry.py", "tests/threads/test_primitives.py",
+    "tests/threads/test_quick_programs.py", "tests/public/",
+    "tests/control/test_bad_arguments.py", "tests/sysid/test_bad_arguments.py",
+)  # fmt: skip
 #: the environment variable that names the file of measured times
 VARIABLE = "RBJAX_TEST_TIMES"
 

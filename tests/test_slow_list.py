@@ -17,7 +17,10 @@ def test_every_name_is_that_of_a_test():
 
 
 def test_functions_are_listed_by_the_mean_and_the_sum_of_their_cases():
-    cheap = {f"a::many[{i}]": 0.4 for i in range(20)}  # 8 seconds together
-    times = {"a::f[1]": 0.5, "a::f[2]": 4.0, "a::g": 0.6, "a::h[x]": 2.6, "a::i[1]": 0.1, **cheap}
+    limit, total = slow_list.LIMIT, slow_list.TOTAL
+    half = 0.5 * limit
+    cheap = {f"a::many[{i}]": half for i in range(2 * int(total / half))}
+    times = {"a::f[1]": half, "a::f[2]": 3 * limit, "a::g": 0.9 * limit, "a::h[x]": 1.1 * limit,
+             "a::i[1]": half, **cheap}  # fmt: skip
     assert slow_list.slow(times) == {"a::f", "a::h", "a::many"}
     assert not slow_list.slow({"tests/test_registry.py::test_composes[x]": 9.0})

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import jax
 
-from rbjax.checks import check_real
+from rbjax.arguments import real_number
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
 from rbjax.dynamics.link_forces import LinkForces
@@ -63,10 +63,10 @@ def _check(where: str, field: dataclasses.Field, value: Any) -> None:
             "rbjax.constraints.formulations()"
         )
     if field.type == "float" and not isinstance(value, jax.core.Tracer):
-        what = "a finite number of at least 0"
+        name = where.partition("(")[0]
         if isinstance(value, bool):
-            raise InputError(f"{where}: got {value!r}, expected {what}")
-        check_real(where, "it", value, what, least=0.0)
+            raise InputError(f"{name}: {field.name} is {value!r}, expected a number of at least 0")
+        real_number(name, field.name, value, least=0.0)
     if field.type == "int" or (field.type == "int | None" and value is not None):
         integer = isinstance(value, int) and not isinstance(value, bool)
         if not integer or value < 1:

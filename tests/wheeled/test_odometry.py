@@ -141,7 +141,7 @@ def test_equal_stamps_do_no_harm_without_slip():
         wheeled.odometry(ROBOT, t, angles, slip)
     with pytest.raises(InputError, match=r"t\[2\] is 0.1 after 0.1"):
         wheeled.mean_twists(t, poses)
-    with pytest.raises(InputError, match=r"t\[1\] is 0.1 after 0.2, expected times that never"):
+    with pytest.raises(InputError, match=r"t\[1\] is 0.1 after 0.2, expected times that do not"):
         wheeled.odometry(ROBOT, t[::-1], angles)
     traced = jax.jit(lambda t: wheeled.odometry(ROBOT, t, angles, slip))(jnp.asarray(t))
     np.testing.assert_allclose(traced, poses, atol=1e-12)
