@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import check_integer, check_kind, check_real
+from rbjax.checks import check_integer, check_kind, check_real, shown
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.footprint import Footprint, placed
@@ -187,7 +187,7 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
     check_kind(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
     check_integer(where, "parts", parts)
     if parts > MOST_PARTS:
-        raise InputError(f"{where}: parts is {parts:.3g}, expected at most {MOST_PARTS:,}")
+        raise InputError(f"{where}: parts is {shown(parts)}, expected at most {MOST_PARTS:,}")
     poses = path.poses[..., :-1, None, :]
     share = (jnp.arange(parts) + 0.5) / parts
     steps = path.steps[..., None, :]

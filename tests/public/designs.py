@@ -228,7 +228,7 @@ CONTROL |= {
     ),
     # kinks where the loop that is closest to instability changes
     "margins": Case(
-        same(lambda *x: [1 / y for y in control.margins(*x)[:3]]),  # some are infinite
+        same(lambda *x: [jnp.arctan(y) for y in control.margins(*x)[:4]]),  # some are infinite
         [STABLE, INPUT, FEEDBACK],
         derivatives=False,
     ),
