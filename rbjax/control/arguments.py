@@ -13,13 +13,6 @@ from rbjax.dynamics.arguments import check_array
 from rbjax.errors import InputError
 
 
-def check_flag(where: str, name: str, value: Any) -> bool:
-    """A bool, or an InputError."""
-    if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{where}: {name} is {value!r}, expected True or False")
-    return bool(value)
-
-
 def check_is(where: str, name: str, value: Any, kind: type, made_by: str = "") -> None:
     """`InputError` unless value has a type. made_by: how one is made."""
     if not isinstance(value, kind):

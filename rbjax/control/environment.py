@@ -16,7 +16,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.arguments import check_flag
+from rbjax.arguments import flag
 from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -98,7 +98,7 @@ class Environment(Record):
         self.observe = _all if observe is None else observe
         self.randomise, self.lost = randomise, lost
         integrator_of("Environment", integrator, free_motion)
-        self.squash = check_flag("Environment", "squash", squash)
+        self.squash = flag("Environment", "squash", squash)
         self.episode, self.integrator = episode, integrator
         state = jax.eval_shape(start, jax.random.key(0))
         due = ((model.nq,), (model.nv,))

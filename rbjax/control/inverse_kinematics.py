@@ -22,8 +22,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import flag
 from rbjax.compiling import compiled, inside_jit
-from rbjax.control.arguments import check_flag, check_key
+from rbjax.control.arguments import check_key
 from rbjax.control.goals import Goal, body_of, errors
 from rbjax.control.joint_ranges import Ranges, random_configurations
 from rbjax.control.restarts import Found, Settings, search
@@ -169,7 +170,7 @@ def inverse_kinematics(
     within = _pair("tolerance", tolerance, dtype)
     key = jax.random.key(0) if key is None else key
     check_key(WHERE, key)
-    limits = check_flag(WHERE, "limits", limits)
+    limits = flag(WHERE, "limits", limits)
     args = (model, goals, given["start"], given["posture"], key, weighting, within)
     inside = split_tracers(args)[0] and inside_jit()
     run = _inlined if inside else _program

@@ -21,10 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import flag
 from rbjax.compiling import compiled
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
-from rbjax.control.arguments import check_flag
 from rbjax.control.outcome import raise_failure
 from rbjax.control.riccati import Gains, backward, constant_problem
 from rbjax.control.terms import looked_at
@@ -91,7 +91,7 @@ def lqr(A: Any, B: Any, Q: Any, R: Any, S: Any = None, *, discrete: bool = False
         [1.0, 1.41421]
     """
     A, B, Q, R, S = _matrices("lqr", A, B, Q, R, S)
-    discrete = check_flag("lqr", "discrete", discrete)
+    discrete = flag("lqr", "discrete", discrete)
     P, K, residual, error, result = riccati(A, B, Q, R, S, bool(discrete))
     raise_failure("lqr", result)
     return Regulator(K, P, residual, error, result)

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.arguments import flag
 from rbjax.compiling import compiled
-from rbjax.control.arguments import check_flag
 from rbjax.control.outcome import LINEAR_RESULTS, first_of, raise_failure
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, shape_of
@@ -76,7 +76,7 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
     A, Q = A.astype(dtype), Q.astype(dtype)
     if method not in METHODS:
         raise UnknownName("method of lyapunov", method, METHODS)
-    found = _lyapunov(A, Q, check_flag("lyapunov", "discrete", discrete), method)
+    found = _lyapunov(A, Q, flag("lyapunov", "discrete", discrete), method)
     raise_failure("lyapunov", found.result)
     return found
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.arguments import check_flag
+from rbjax.arguments import flag
 from rbjax.control.augmented_lagrangian import Multipliers, later
 from rbjax.control.first_guess import first_guess
 from rbjax.control.knots import violation
@@ -368,7 +368,7 @@ def mpc(
         check_takes("mpc", "fallback", fallback, "t", "state")
     return Controller(
         problem_at, example, method, iterations, delay,
-        check_flag("mpc", "feedback", feedback), patience, fallback, tolerance, violation, first,
+        flag("mpc", "feedback", feedback), patience, fallback, tolerance, violation, first,
     )  # fmt: skip
 
 

@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
+from rbjax.arguments import flag
 from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
-from rbjax.control.arguments import check_flag
 from rbjax.control.linear_systems import pair
 from rbjax.control.lqr import weights
 from rbjax.control.products import product
@@ -74,7 +74,7 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
         [2.0, 2.0]
     """
     A, C = pair("kalman_gain", A, C, "C", 1)
-    discrete = check_flag("kalman_gain", "discrete", discrete)
+    discrete = flag("kalman_gain", "discrete", discrete)
     W, V = weights("kalman_gain", "W", W, A.shape[0]), weights("kalman_gain", "V", V, C.shape[0])
     dtype = jnp.result_type(A, C, W, V)
     A, C, W, V = (x.astype(dtype) for x in (A, C, W, V))

@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.arguments import check_bound, check_flag, check_several
+from rbjax.arguments import flag
+from rbjax.control.arguments import check_bound, check_several
 from rbjax.control.system import Linearised, System, system_of
 from rbjax.control.terms import Constraint, Cost, Term, cost_of, looked_at
 from rbjax.dynamics.arguments import check_array, check_step, check_takes
@@ -147,7 +148,7 @@ class Problem(Record):
             )
         self.constraints = tuple(constraints)
         self.low, self.high, self.bounded = _bounds(self.system, bounds)
-        self.integral = check_flag("Problem", "integral", integral)
+        self.integral = flag("Problem", "integral", integral)
         if not isinstance(design, Design | None):
             raise InputError(f"Problem: design is {type(design).__name__}, expected a Design")
         self.design = design

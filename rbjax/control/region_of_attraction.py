@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.control.arguments import check_at_least, check_flag, check_several
+from rbjax.arguments import flag
+from rbjax.control.arguments import check_at_least, check_several
 from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
@@ -125,7 +126,7 @@ def region_of_attraction(
     check_between(where, "tolerance", tolerance, 0.0, 1e12)
     dtype = equilibrium.q.dtype
     step: Any = check_step(where, "dt", model.timestep if dt is None else dt, dtype)
-    angles = check_flag(where, "angles", angles)
+    angles = flag(where, "angles", angles)
     steps = round(float(check_at_least(where, "duration", duration, ())) / float(step))
     check_whole(where, "the number of steps duration / dt", steps, 1)
     places, names, lines = _axes(where, model, axes, points, dtype)

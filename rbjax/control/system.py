@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.arguments import check_flag
+from rbjax.arguments import flag
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -227,7 +227,7 @@ class Equations(System):
             n = getattr(self, name)
             if not isinstance(n, int) or n < 1:
                 raise InputError(f"Equations: {name} is {n!r}, expected a positive integer")
-        check_flag("Equations", "discrete", self.discrete)
+        flag("Equations", "discrete", self.discrete)
 
     def with_model(self, model: Any) -> System:
         if not isinstance(model, System):

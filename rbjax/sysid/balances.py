@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.integrate
 
+from rbjax.arguments import flag
 from rbjax.dynamics import forward_kinematics, inertial_regressor, integrate
 from rbjax.dynamics.arguments import SHAPES, check_array, check_model, shape_of
 from rbjax.errors import InputError
@@ -122,7 +123,7 @@ def momentum_balance(
         >>> W.shape, y.shape
         ((4, 1, 10), (4, 1))
     """
-    _check_held("momentum_balance", held)
+    flag("momentum_balance", "held", held)
     t, q, v, tau = _motion("momentum_balance", model, t, q, v, tau, window)
     inertial = 10 * model.nb
 
@@ -176,7 +177,7 @@ def energy_balance(
         >>> W.shape, y.shape
         ((4, 1, 10), (4, 1))
     """
-    _check_held("energy_balance", held)
+    flag("energy_balance", "held", held)
     t, q, v, tau = _motion("energy_balance", model, t, q, v, tau, window)
     inertial, places = 10 * model.nb, _columns(model, joint_terms)
 
@@ -207,11 +208,6 @@ def energy_balance(
 def _velocity(where: str, model: Model, v: Any) -> jax.Array:
     check_model(where, model)
     return check_array(where, "v", v, (model.nv,))
-
-
-def _check_held(where: str, held: Any) -> None:
-    if not isinstance(held, (bool, np.bool_)):
-        raise InputError(f"{where}: held is {held!r}, expected True or False")
 
 
 def _columns(model: Model, joint_terms: Sequence[str]) -> Array:
