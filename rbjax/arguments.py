@@ -1,4 +1,4 @@
-"""Conversion and check of arguments that are numbers on the host, outside of traced code."""
+"""Checks of arguments, outside of traced code: numbers, integers, arrays, flags, names, objects."""
 
 from __future__ import annotations
 
@@ -6,13 +6,21 @@ import math
 from collections.abc import Collection
 from typing import Any
 
+import jax
 import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 
 
 def real_array(
-    where: str, name: str, value: Any, *, ndim: int | None = None, finite: bool = True
+    where: str,
+    name: str,
+    value: Any,
+    expected: str | None = None,
+    *,
+    ndim: int | None = None,
+    finite: bool = True,
+    complex_numbers: bool = False,
 ) -> np.ndarray:
     """A float64 array.
 
@@ -20,26 +28,29 @@ def real_array(
         where: the function, for the message.
         name: the argument, for the message.
         value: what the user gave.
+        expected: what is expected, for the message, if numbers say too little.
         ndim: the number of axes, if it is fixed.
         finite: whether NaN and infinity are rejected.
+        complex_numbers: whether complex numbers are accepted; the array is complex128 then.
 
     Raises:
         InputError: not real numbers; another number of axes; values that are not finite.
     """
+    numbers = "numbers" if complex_numbers else "real numbers"
     try:
         found = np.asarray(value)
-        known = found.dtype.kind in "biuf"
-        x = found.astype(np.float64) if known else np.zeros(0)
+        known = found.dtype.kind in ("biufc" if complex_numbers else "biuf")
+        x = found.astype(np.complex128 if complex_numbers else np.float64) if known else np.zeros(0)
     except (TypeError, ValueError, OverflowError):
         known = False
     if not known:
-        raise InputError(f"{where}: {name} is {_shown(value)}, expected real numbers")
+        raise InputError(f"{where}: {name} is {shown(value)}, expected {expected or numbers}")
     if ndim is not None and x.ndim != ndim:
         raise InputError(f"{where}: {name} has shape {x.shape}, expected {ndim} axes")
     if finite and not np.isfinite(x).all():
         at = tuple(map(int, np.argwhere(~np.isfinite(x))[0]))
         place = f"{name}{list(at)}" if at else name
-        raise InputError(f"{where}: {place} is {x[at]}, expected finite numbers")
+        raise InputError(f"{where}: {place} is {x[at]}, expected {expected or 'finite numbers'}")
     return x
 
 
@@ -47,34 +58,45 @@ def real_number(
     where: str,
     name: str,
     value: Any,
+    expected: str | None = None,
     *,
     above: float = -math.inf,
     least: float = -math.inf,
     finite: bool = True,
-) -> float:
+    traced: bool = False,
+) -> Any:
     """A float.
 
     Args:
         where: the function, for the message.
         name: the argument, for the message.
         value: what the user gave.
+        expected: what is expected, for the message, if a number and its limits say too little.
         above: the value must be larger.
         least: the value must be at least this.
         finite: whether infinity is rejected. NaN always is.
+        traced: whether a traced number is accepted; it is returned as it is.
 
     Raises:
         InputError: not a real number, or out of range.
     """
-    x = real_array(where, name, value, finite=False)
+    if traced and isinstance(value, jax.core.Tracer) and value.shape == ():
+        return value
     limit = f" above {above:g}".replace("above 0", "above zero") if above > -math.inf else ""
     limit += f" of at least {least:g}" if least > -math.inf else ""
+    if isinstance(value, bool | np.bool_):
+        value = str(value)  # a flag is not a number
+    x = real_array(where, name, value, expected, finite=False)
     if x.shape != ():
-        raise InputError(f"{where}: {name} has shape {x.shape}, expected a number{limit}")
+        raise InputError(
+            f"{where}: {name} has shape {x.shape}, expected {expected or f'a number{limit}'}"
+        )
     number = float(x)
     if math.isnan(number) or (finite and math.isinf(number)):
-        raise InputError(f"{where}: {name} is {number}, expected a finite number{limit}")
+        finite_number = f"a finite number{limit}"
+        raise InputError(f"{where}: {name} is {number}, expected {expected or finite_number}")
     if not (number > above or above == -math.inf) or number < least:
-        raise InputError(f"{where}: {name} is {number}, expected a number{limit}")
+        raise InputError(f"{where}: {name} is {number}, expected {expected or f'a number{limit}'}")
     return number
 
 
@@ -86,10 +108,10 @@ def integer(where: str, name: str, value: Any, *, least: int | None = None) -> i
     """
     known = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
     if known and abs(value) > 2**53:
-        raise InputError(f"{where}: {name} is {_shown(value)}, expected at most 2**53")
+        raise InputError(f"{where}: {name} is {shown(value)}, expected at most 2**53")
     if not known or (least is not None and value < least):
         limit = "" if least is None else f" of at least {least}"
-        raise InputError(f"{where}: {name} is {_shown(value)}, expected an integer{limit}")
+        raise InputError(f"{where}: {name} is {shown(value)}, expected an integer{limit}")
     return int(value)
 
 
@@ -100,7 +122,7 @@ def flag(where: str, name: str, value: Any) -> bool:
         InputError: anything else.
     """
     if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{where}: {name} is {_shown(value)}, expected True or False")
+        raise InputError(f"{where}: {name} is {shown(value)}, expected True or False")
     return bool(value)
 
 
@@ -115,7 +137,16 @@ def choice(kind: str, name: Any, known: Collection[str]) -> str:
     return name
 
 
-def _shown(value: Any) -> str:
-    """A value for a message, or its type if it is long."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{type(value).__name__} {text[:50]}..."
+def instance(where: str, name: str, value: Any, kind: type, public: str) -> None:
+    """`InputError` unless the value is an instance of a class, whose public name is given."""
+    if not isinstance(value, kind):
+        raise InputError(f"{where}: {name} is {shown(value)}, expected {public}")
+
+
+def shown(value: Any) -> str:
+    """A value for a message; its type if it is long or has no short text."""
+    plain = isinstance(value, bool | str | int | float | complex | list | tuple | np.ndarray)
+    text = repr(value) if plain or value is None or isinstance(value, np.generic) else ""
+    if 0 < len(text) <= 60:
+        return text
+    return f"{type(value).__name__} {text[:50]}..." if text else f"of type {type(value).__name__}"

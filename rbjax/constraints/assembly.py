@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import check_real, shown
+from rbjax.arguments import real_number, shown
 from rbjax.constraints.pairs import HalfAngle, Pair
 from rbjax.constraints.rank import row_names
 from rbjax.constraints.residuals import jacobian, residual
@@ -84,7 +84,7 @@ def assemble(
     dtype = state.q.dtype
     if tolerance is None:
         tolerance = 1e-12 if dtype == jnp.float64 else 1e-5
-    check_real("assemble", "tolerance", tolerance, "a number above zero", above=0.0)
+    real_number("assemble", "tolerance", tolerance, "a number above zero", above=0.0, traced=True)
     free = np.ones(model.nv, bool)
     if isinstance(pinned, str) or not isinstance(pinned, Iterable):
         raise InputError(

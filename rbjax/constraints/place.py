@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import check_kind
+from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_array
 from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
@@ -117,7 +117,7 @@ def places(
         axis: (3,), of any length, in the world.
         q: (nq,); the model's default state if None.
     """
-    check_kind("between", "model", model, Model, "the Model that the joint is for (rbjax.load)")
+    instance("between", "model", model, Model, "the Model that the joint is for (rbjax.load)")
     q = model.default_state().q if q is None else q
     point = check_array("places", "point", point, (3,)).astype(q.dtype)
     turn = turn_z_to(check_array("places", "axis", axis, (3,)).astype(q.dtype))

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import check_real
+from rbjax.arguments import real_number
 from rbjax.constraints.residuals import jacobian
 from rbjax.dynamics.crba import mass_matrix
 from rbjax.model import Model
@@ -68,7 +68,7 @@ def mobility(
     """
     rows = jacobian(model, q, t)
     if tolerance is not None:
-        check_real("mobility", "tolerance", tolerance, "a number of at least 0", least=0.0)
+        real_number("mobility", "tolerance", tolerance, least=0.0, traced=True)
     else:
         tolerance = 1e-7 if rows.dtype == jnp.float64 else 1e-4
     G = np.asarray(rows, float)

@@ -28,7 +28,7 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
-from rbjax.checks import check_kind
+from rbjax.arguments import instance
 from rbjax.errors import InputError
 from rbjax.motion.kalman_arguments import check_fits, check_inputs, matrix, real
 
@@ -147,7 +147,7 @@ def kalman_filter(
         for name, x in (("covariance", covariance), ("process", process), ("noise", noise))
     )
     m = R.shape[0]
-    check_kind("kalman_filter", "space", space, StateSpace, SPACE)
+    instance("kalman_filter", "space", space, StateSpace, SPACE)
     if space.beside is operator.add:
         start = real("kalman_filter", "start", start, "the mean (n,) of the first state")
     check_inputs("kalman_filter", inputs, samples=True)
@@ -209,7 +209,7 @@ def kalman_smoother(space: StateSpace, filtered: KalmanFiltered) -> Smoothed:
         >>> [round(float(x), 3) for x in kalman_smoother(walk, found).state.ravel()]
         [0.714, 1.143, 1.571]
     """
-    check_kind("kalman_smoother", "space", space, StateSpace, SPACE)
+    instance("kalman_smoother", "space", space, StateSpace, SPACE)
     if not isinstance(filtered, KalmanFiltered):
         raise InputError(
             f"kalman_smoother: filtered is {type(filtered).__name__}, expected the result of "
@@ -331,8 +331,8 @@ def kalman_update(
     """
     where = "kalman_update"
     R = matrix("noise", noise, where)
-    check_kind(where, "estimate", estimate, Estimate, "an Estimate(state, covariance)")
-    check_kind(where, "space", space, StateSpace, SPACE)
+    instance(where, "estimate", estimate, Estimate, "an Estimate(state, covariance)")
+    instance(where, "space", space, StateSpace, SPACE)
     P = matrix("covariance", estimate.covariance, where)
     check_fits(where, space, estimate.state, P, None, None)
     if arrived is None:
@@ -377,9 +377,9 @@ def kalman_predict(space: StateSpace, estimate: Estimate, given: Any, process: A
         (1.0, 3.0)
     """
     where = "kalman_predict"
-    check_kind(where, "estimate", estimate, Estimate, "an Estimate(state, covariance)")
+    instance(where, "estimate", estimate, Estimate, "an Estimate(state, covariance)")
     P, W = matrix("covariance", estimate.covariance, where), matrix("process", process, where)
-    check_kind(where, "space", space, StateSpace, SPACE)
+    instance(where, "space", space, StateSpace, SPACE)
     check_inputs(where, given, samples=False)
     check_fits(where, space, estimate.state, P, given, W)
     state, after, _ = _predicted(space, estimate.state, P, given, W)

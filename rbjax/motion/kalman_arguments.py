@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import array_of, shown
+from rbjax.arguments import real_array, shown
 from rbjax.errors import InputError
 
 
@@ -28,7 +28,7 @@ def real(where: str, name: str, x: Any, expected: str, *, finite: bool = True) -
     """x as an array of floating-point numbers; known ones are checked."""
     if not isinstance(x, jax.core.Tracer):
         dtype = getattr(x, "dtype", None)
-        x = array_of(where, name, x, expected, finite=finite)
+        x = real_array(where, name, x, expected, finite=finite)
         dtype = dtype if dtype is not None and jnp.issubdtype(dtype, jnp.floating) else None
         return jnp.asarray(x, float if dtype is None else dtype)
     return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)

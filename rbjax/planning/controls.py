@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import real_array, real_number
-from rbjax.checks import check_real
 from rbjax.errors import InputError
 from rbjax.planning.footprint import Footprint
 from rbjax.planning.paths import Path, moved
@@ -93,7 +92,7 @@ class Controls:
         before backwards, and from left to right.
         """
         for name, x in (("radius", radius), ("turn", turn), ("speed", speed)):
-            check_real("Controls.car", name, x, "a number above zero", above=0.0)
+            real_number("Controls.car", name, x, "a number above zero", above=0.0, traced=True)
         speeds = speed * np.repeat([1.0, -1.0], 3)
         bend = np.tile([1.0, 0.0, -1.0], 2) / radius
         return cls(speeds, speeds * bend, float(radius * turn / speed), costs, reversal, steering)

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import check_real
+from rbjax.arguments import real_number
 from rbjax.errors import InputError
 from rbjax.lanes.extremes import largest, smallest
 from rbjax.model.record import Record, check_fields, floats
@@ -69,7 +69,7 @@ class Footprint(Record):
         The discs reach sqrt((length / discs)^2 + width^2) / 2 - width / 2 beyond its sides.
         """
         for name, length in (("ahead", ahead), ("behind", behind)):
-            check_real("Footprint.rectangle", name, length, "a length")
+            real_number("Footprint.rectangle", name, length, "a length", traced=True)
         _lengths("rectangle", length=ahead + behind, width=width)
         if not isinstance(discs, int) or discs < 1:
             raise InputError(

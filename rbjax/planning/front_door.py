@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice, flag, real_number
-from rbjax.checks import array_of, check_real
+from rbjax.arguments import choice, flag, real_array, real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.planning.controls import Controls
 from rbjax.planning.footprint import Footprint
@@ -146,7 +145,7 @@ def plan(
     options = {"headings": HEADINGS} | options
     try:
         pair = [
-            array_of("plan", name, x, "poses (3,) or (q, 3), in m and rad")
+            real_array("plan", name, x, "poses (3,) or (q, 3), in m and rad")
             for name, x in (("start", start), ("goal", goal))
         ]
         many = any(x.ndim == 2 for x in pair)
@@ -178,7 +177,7 @@ def _fitting(grid: OccupancyGrid, drive: str, radius: float | None, backwards: b
         raise UnknownName("drive", drive, drives())
     try:
         if radius is not None:
-            check_real("plan", "radius", radius, "a length above zero", above=0.0)
+            real_number("plan", "radius", radius, "a length above zero", above=0.0, traced=True)
         wrong = (radius is None) == (drive == "car")
     except InputError:
         wrong = True

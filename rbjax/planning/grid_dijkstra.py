@@ -43,8 +43,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rbjax.arguments import integer
-from rbjax.checks import array_of
+from rbjax.arguments import integer, real_array
 from rbjax.errors import InputError
 from rbjax.planning.controls import Controls, MotionTable
 from rbjax.planning.footprint import Footprint, clear
@@ -308,7 +307,7 @@ def check_problem(where: str, grid, footprint, controls, tolerance, headings, ma
             raise InputError(
                 f"{where}: {name} is {type(x).__name__}, expected rb.planning.{kind.__name__}"
             )
-    near = array_of(where, "tolerance", tolerance, "two numbers, m and rad")
+    near = real_array(where, "tolerance", tolerance, "two numbers, m and rad")
     if near.shape != (2,) or not (near >= 0).all():
         raise InputError(f"{where}: tolerance is {tolerance!r}, expected two numbers, m and rad")
     for name, x in (("headings", headings), ("max_count", 1 if max_count is None else max_count)):

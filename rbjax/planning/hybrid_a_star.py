@@ -20,7 +20,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import check_real
+from rbjax.arguments import real_number
 from rbjax.errors import InputError
 from rbjax.planning.best_first import Search
 from rbjax.planning.controls import Controls, MotionTable
@@ -87,7 +87,7 @@ def hybrid_a_star(
     check_problem(where, grid, footprint, controls, (0.0, 0.0), headings, max_count)
     start, goal = check_poses(where, start, goal)
     cell = float(grid.resolution) if cell is None else cell
-    check_real(where, "cell", cell, "a length above zero, or None", above=0.0)
+    real_number(where, "cell", cell, "a length above zero, or None", above=0.0, traced=True)
     cells = np.prod(np.ceil(np.array(grid.occupied.shape) * float(grid.resolution) / cell))
     if cells * headings > MOST_CELLS:
         raise InputError(

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import check_integer, check_kind, check_real, shown
+from rbjax.arguments import instance, integer, real_number, shown
 from rbjax.errors import InputError
 from rbjax.model.record import Record, check_fields, floats
 from rbjax.planning.footprint import Footprint, placed
@@ -125,7 +125,7 @@ class Path(Record):
 
         Equal steps in a row are first joined.
         """
-        check_real("Path.split", "spacing", spacing, "a number above zero", above=0.0)
+        real_number("Path.split", "spacing", spacing, "a number above zero", above=0.0, traced=True)
         if self.start.ndim != 1:
             raise InputError(f"Path.split: got a batch {self.start.shape[:-1]}, expected one path")
         runs = _joined(np.asarray(self.steps))
@@ -182,10 +182,10 @@ def clear_along(field: DistanceField, path: Path, footprint: Footprint, parts: i
         False
     """
     where = "clear_along"
-    check_kind(where, "field", field, DistanceField, "rb.planning.DistanceField")
-    check_kind(where, "path", path, Path, "rb.planning.Path")
-    check_kind(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
-    check_integer(where, "parts", parts)
+    instance(where, "field", field, DistanceField, "rb.planning.DistanceField")
+    instance(where, "path", path, Path, "rb.planning.Path")
+    instance(where, "footprint", footprint, Footprint, "rb.planning.Footprint")
+    integer(where, "parts", parts, least=1)
     if parts > MOST_PARTS:
         raise InputError(f"{where}: parts is {shown(parts)}, expected at most {MOST_PARTS:,}")
     poses = path.poses[..., :-1, None, :]

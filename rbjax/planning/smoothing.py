@@ -29,8 +29,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from rbjax.arguments import integer
-from rbjax.checks import check_real
+from rbjax.arguments import integer, real_number
 from rbjax.compiling import alone, compiled, wide_vectors
 from rbjax.errors import InputError
 from rbjax.model.record import Record
@@ -234,7 +233,7 @@ def smooth(
     margin = 4 * field.resolution if margin is None else margin
     sizes = []
     for name, x in (("radius", radius), ("margin", margin)):
-        check_real("smooth", name, x, "a length above zero", above=0.0)
+        real_number("smooth", name, x, "a length above zero", above=0.0, traced=True)
         sizes.append(jnp.asarray(x, dtype))
     path = Path(path.start.astype(dtype), path.steps.astype(dtype))
     run = _program if alone() else _smooth

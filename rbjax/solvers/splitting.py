@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.checks import array_of, shown
+from rbjax.arguments import real_array, shown
 from rbjax.errors import InputError
 from rbjax.solvers import tableau as tables
 from rbjax.solvers.field import field
@@ -66,7 +66,7 @@ class Splitting(AbstractGroupSolver):
     def __check_init__(self):
         for name in ("kicks", "drifts"):
             x = getattr(self, name)
-            weights = array_of("Splitting", name, x, "a tuple of numbers")
+            weights = real_array("Splitting", name, x, "a tuple of numbers")
             if weights.ndim != 1 or abs(weights.sum() - 1) > tables.TOLERANCE:
                 raise InputError(f"Splitting: {name} is {shown(x)}, expected weights of sum 1")
         if len(self.kicks) - len(self.drifts) not in (0, 1):

@@ -29,8 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.arguments import choice
-from rbjax.checks import check_kind
+from rbjax.arguments import choice, instance
 from rbjax.constraints import Constraint, Gear, KnifeEdge, Place
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, is_literal, is_zero, mul, neg, sub, total
@@ -75,7 +74,7 @@ def full_model(robot: Robot, base: str = "planar") -> Model:
         >>> [type(row).__name__ for row in model.constraints]
         ['WheelContact', 'WheelContact', 'WheelContact']
     """
-    check_kind("full_model", "robot", robot, Robot, "rb.wheeled.Robot")
+    instance("full_model", "robot", robot, Robot, "rb.wheeled.Robot")
     dtype = jnp.result_type(*jax.tree.leaves(eqx.filter(robot, eqx.is_inexact_array)))
     model = jax.tree.map(jnp.asarray, model_of(numbers_of(robot, dtype), base))
     return model.astype(dtype)

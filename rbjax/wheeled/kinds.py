@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.checks import check_integer, check_kind, check_real
+from rbjax.arguments import instance, integer, real_number
 from rbjax.errors import InputError, UnknownName
 from rbjax.wheeled.motors import Motor, TorqueSource
 from rbjax.wheeled.parts import Body, Drive, Steering, Wheel
@@ -189,9 +189,9 @@ def with_trailers(
     hitch: how far behind a body's origin the next is coupled; 0 is on the axle.
     """
     where = "with_trailers"
-    check_kind(where, "robot", robot, Robot, "rb.wheeled.Robot")
-    check_integer(where, "number", number, 0)
-    check_real(where, "hitch", hitch, "a length in m")
+    instance(where, "robot", robot, Robot, "rb.wheeled.Robot")
+    integer(where, "number", number, least=0)
+    real_number(where, "hitch", hitch, "a length in m", traced=True)
     _check(where, drawbar=drawbar, track=track, radius=radius)
     bodies, wheels = list(robot.bodies), list(robot.wheels)
     ahead = 0

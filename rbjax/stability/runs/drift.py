@@ -21,8 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rbjax.arguments import integer
-from rbjax.checks import array_of
+from rbjax.arguments import integer, real_array
 from rbjax.dynamics import (
     center_of_mass,
     centroidal_momentum,
@@ -81,8 +80,8 @@ def trend(ts: ArrayLike, xs: ArrayLike) -> Trend:
         (True, 0.05)
     """
     expected = "an array (T,) of numbers"
-    t = array_of("trend", "ts", ts, expected, finite=False)
-    x = array_of("trend", "xs", xs, expected, finite=False)
+    t = real_array("trend", "ts", ts, expected, finite=False)
+    x = real_array("trend", "xs", xs, expected, finite=False)
     if t.ndim != 1 or t.shape != x.shape or len(t) < 16:
         raise InputError(
             f"trend: got ts {t.shape} and xs {x.shape}, expected one shape (T,), T at least 16"

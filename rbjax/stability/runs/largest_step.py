@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax import solvers
-from rbjax.checks import array_of
+from rbjax.arguments import real_array
 from rbjax.dynamics.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
@@ -101,7 +101,7 @@ def stable_step(method: Method, matrices: Any) -> float:
 def _square(matrices: Any) -> np.ndarray:
     """A (T, 2 nv, 2 nv)."""
     expected = "an array (2 nv, 2 nv) or (T, 2 nv, 2 nv)"
-    A = array_of("stable_step", "matrices", matrices, expected, finite=False)
+    A = real_array("stable_step", "matrices", matrices, expected, finite=False)
     if A.ndim not in (2, 3) or A.shape[-1] != A.shape[-2] or A.shape[-1] % 2 or not A.size:
         raise InputError(
             f"stable_step: matrices have shape {A.shape}, expected (2 nv, 2 nv) or "

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rbjax.checks import array_of
+from rbjax.arguments import real_array
 from rbjax.errors import InputError
 from rbjax.stability.runs.drift import trend
 
@@ -125,7 +125,7 @@ def verdict(
 
 def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple:
     t, x = (
-        array_of("verdict", name, y, "an array of numbers", finite=False)
+        real_array("verdict", name, y, "an array of numbers", finite=False)
         for name, y in (("ts", ts), ("xs", xs))
     )
     if t.ndim != 1 or not len(t) or x.shape[:1] != t.shape or x.ndim > 2:
@@ -139,7 +139,7 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
         )
     r = None
     if reference is not None:
-        r = array_of("verdict", "reference", reference, "an array of numbers", finite=False)
+        r = real_array("verdict", "reference", reference, "an array of numbers", finite=False)
     if r is not None and r.shape != x.shape:
         raise InputError(f"verdict: got a reference {r.shape}, expected that of xs, {x.shape}")
     if r is not None and not np.isfinite(r).all():
@@ -149,7 +149,7 @@ def _checked(ts: ArrayLike, xs: ArrayLike, reference: ArrayLike | None) -> tuple
 
 
 def _largest(name: str, series: ArrayLike, length: int) -> float:
-    x = array_of("verdict", "a series", series, "an array of numbers", finite=False)
+    x = real_array("verdict", "a series", series, "an array of numbers", finite=False)
     if x.shape != (length,) or not np.isfinite(x).all():
         raise InputError(f"verdict: {name} has shape {x.shape}, expected ({length},), all finite")
     return float(np.abs(x).max())

@@ -23,8 +23,7 @@ import mpmath
 import numpy as np
 
 from rbjax import solvers
-from rbjax.arguments import flag
-from rbjax.checks import shown
+from rbjax.arguments import flag, shown
 from rbjax.errors import InputError
 from rbjax.stability.methods import Solver, made
 from rbjax.stability.theory.polynomials import (

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from rbjax.checks import array_of, check_real
+from rbjax.arguments import real_array, real_number
 from rbjax.errors import InputError
 from rbjax.solvers import Adams, GeneralizedAlpha
 from rbjax.solvers.multistep import AbstractMultistep
@@ -130,7 +130,7 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
         >>> float(factor[0].real)
         0.5
     """
-    z = array_of("growth_factors", "z", z, "finite numbers h lambda", complex)
+    z = real_array("growth_factors", "z", z, "finite numbers h lambda", complex_numbers=True)
     if isinstance(solver, Theory):
         return _sorted(characteristic(solver).roots(z))
     solver = _prepared(solver)
@@ -147,7 +147,7 @@ def growth_factors(solver: Method, z: Any) -> np.ndarray:
 def frequencies(h_omega: Any) -> np.ndarray:
     """h omega (...) as an array."""
     expected = "numbers, the step times the angular frequency"
-    return array_of("stability", "h_omega", h_omega, expected, finite=False)
+    return real_array("stability", "h_omega", h_omega, expected, finite=False)
 
 
 def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0) -> np.ndarray:
@@ -180,7 +180,7 @@ def oscillator_factors(solver: Method, h_omega: Any, damping_ratio: float = 0.0)
             f"oscillator_factors: h_omega has {omega[wrong][0]}, expected h times omega, positive "
             "and finite; at zero nothing oscillates"
         )
-    check_real("oscillator_factors", "damping_ratio", damping_ratio, "a finite number")
+    real_number("oscillator_factors", "damping_ratio", damping_ratio, traced=True)
     if isinstance(solver, Theory):  # two scalar equations
         pair = -damping_ratio + np.array([1j, -1j]) * np.emath.sqrt(1 - damping_ratio**2)
         roots = characteristic(solver).roots(omega[..., None] * pair)

@@ -24,8 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.arguments import real_array
-from rbjax.checks import shown
+from rbjax.arguments import real_array, shown
 from rbjax.errors import InputError
 from rbjax.stability.theory.multistep_roots import Characteristic
 from rbjax.stability.theory.polynomials import (
