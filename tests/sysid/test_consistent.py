@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax import sysid
 from rbjax.errors import InputError
-from rbjax.sysid.consistent import _Problem
+from rbjax.sysid.torque.consistency import _Problem
 from tests.oracles import load
 from tests.robots import load_quietly
 from tests.sysid.arms import fourier, planar_2R
