@@ -4,7 +4,8 @@
 results/<cpu or gpu>-gradient-modes-<device>.json. A recording is that of a 7-joint arm; the unknown
 numbers are the first n of its armatures, friction, and inertias. ratio is the time of forward mode
 over that of reverse mode; chosen, the mode that
-`rbjax.sysid.simulation.objective` takes by the shape. f64 on a CPU, f32 on a GPU. memory is what the compiled program holds besides its arguments and results.
+`rbjax.sysid.simulation.objective` takes by the shape. f64 on a CPU, f32 on a GPU. memory is what
+the compiled program holds besides its arguments and results.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ def tree():
     ],
 )
 def test_names_resolve_within_indices(tree, leaf, index, where):
-    value = rb.sysid.unknowns.leaf_of(tree, leaf)
+    value = rb.sysid.parameters.unknowns.leaf_of(tree, leaf)
     numbers = np.arange(value.size).reshape(value.shape)
     where = tuple(np.array(x) if isinstance(x, list) else x for x in where)
     np.testing.assert_array_equal(numbers[place_of(tree, leaf, index)], numbers[where])
