@@ -41,7 +41,7 @@ from rbjax.dynamics import (
     potential_energy,
     site_pose,
 )
-from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.model import Model, State
 from rbjax.threads import compile, threads

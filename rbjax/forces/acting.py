@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.link_forces import LinkForces, added, on_links
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.algorithms.link_forces import LinkForces, added, on_links
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.actuators.table import Actuators, clip
 from rbjax.forces.element import Element, Loads, check_shapes

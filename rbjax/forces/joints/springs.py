@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from rbjax.dynamics.manifold import difference_lanes
+from rbjax.dynamics.algorithms.manifold import difference_lanes
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, is_zero, mul, neg, total
