@@ -25,7 +25,7 @@ from rbjax.sysid import (
     to_log_cholesky,
 )
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.setup import motion
+from rbjax.sysid.simulation.setup import motion
 
 ORACLES = Path(__file__).parents[2] / "tests" / "oracles"
 GO2 = Path(__file__).parents[3] / "shared" / "data" / "go2_in_air"

@@ -41,8 +41,8 @@ from benchmarks.work.scenes import bare
 from rbjax.model import State
 from rbjax.sysid import Derived, Grid, Setup
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.runs import Run
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError
+from rbjax.sysid.simulation.runs import Run
+from rbjax.sysid.simulation.simulation_error import SimulationError
 
 COLUMNS = (
     "engine", "recordings", "chunk", "lower_s", "compile_s", "run_s", "slopes_s", "motion_s",

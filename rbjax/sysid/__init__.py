@@ -66,14 +66,14 @@ from rbjax.sysid.parameters.log_cholesky import (
     with_inertial_parameters,
 )
 from rbjax.sysid.parameters.unknowns import Derived, FixedTotal, Inertia, Shared, Tilt, Unknown
-from rbjax.sysid.simulation.setup.objective import Squares, squares
-from rbjax.sysid.simulation.setup.setup import PD, Grid, Sensor, Setup
-from rbjax.sysid.simulation.setup.traces import Trace
-from rbjax.sysid.statistics.intervals.channel_noise import ChannelNoise, noise_by_channel
-from rbjax.sysid.statistics.intervals.comparisons import Comparison, HeldOut, Scored, compare, held_out
-from rbjax.sysid.statistics.intervals.intervals import Estimates, Interval, crlb, estimates, information
-from rbjax.sysid.statistics.intervals.rank import Combinations, combinations
-from rbjax.sysid.statistics.intervals.whiteness_tests import Whiteness, sandwich, whiteness
+from rbjax.sysid.simulation.objective import Squares, squares
+from rbjax.sysid.simulation.setup import PD, Grid, Sensor, Setup
+from rbjax.sysid.simulation.traces import Trace
+from rbjax.sysid.statistics.channel_noise import ChannelNoise, noise_by_channel
+from rbjax.sysid.statistics.comparisons import Comparison, HeldOut, Scored, compare, held_out
+from rbjax.sysid.statistics.intervals import Estimates, Interval, crlb, estimates, information
+from rbjax.sysid.statistics.rank import Combinations, combinations
+from rbjax.sysid.statistics.whiteness_tests import Whiteness, sandwich, whiteness
 from rbjax.sysid.torque.balances import (
     energy_balance,
     energy_regressor,

@@ -11,8 +11,8 @@ import rbjax as rb
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, identify
 from rbjax.sysid.estimators.step_length import start_grid
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.runs import grid_of, run_of
-from rbjax.sysid.statistics.intervals.precision import cast
+from rbjax.sysid.simulation.runs import grid_of, run_of
+from rbjax.sysid.statistics.precision import cast
 
 MODEL = rb.load("pendulum")
 MASS = {"mass": Unknown("bodies.mass", 0, positive=True)}

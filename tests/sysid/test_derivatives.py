@@ -24,9 +24,9 @@ from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown
 from rbjax.sysid.estimators.likelihood import Levels, Likelihood, series_of
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.runs import batch_of, run_of
-from rbjax.sysid.simulation.setup.shooting import Shooting
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError
+from rbjax.sysid.simulation.runs import batch_of, run_of
+from rbjax.sysid.simulation.shooting import Shooting
+from rbjax.sysid.simulation.simulation_error import SimulationError
 from rbjax.sysid.torque.consistency import _Problem
 from rbjax.sysid.torque.encoder_zeros import _augmented
 from rbjax.sysid.torque.regression import LOSSES, METHODS, weighted

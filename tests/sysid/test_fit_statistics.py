@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rbjax.sysid.simulation.setup.simulation_error import HUBER
-from rbjax.sysid.statistics.intervals.fit_statistics import Column, Rows, _scores, fit_statistics
+from rbjax.sysid.simulation.simulation_error import HUBER
+from rbjax.sysid.statistics.fit_statistics import Column, Rows, _scores, fit_statistics
 
 M = 300
 T = np.linspace(0.0, 3.0, M)

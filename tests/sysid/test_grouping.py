@@ -10,11 +10,11 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import Grid, Inertia, Reads, Setup, Tilt, Unknown, base_parameters
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup import grouping
-from rbjax.sysid.simulation.setup.grouping import grouped
-from rbjax.sysid.simulation.setup.islands import directions
-from rbjax.sysid.simulation.setup.runs import Run
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError
+from rbjax.sysid.simulation import grouping
+from rbjax.sysid.simulation.grouping import grouped
+from rbjax.sysid.simulation.islands import directions
+from rbjax.sysid.simulation.runs import Run
+from rbjax.sysid.simulation.simulation_error import SimulationError
 
 SOUGHT = {
     "armature": Unknown("joints.armature", positive=True), "bias": Unknown("sensors.q.bias"),

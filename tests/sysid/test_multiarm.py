@@ -9,9 +9,9 @@ from benchmarks.cases import pendulums
 from benchmarks.cases.pendulums import NAMES, Arms, chain
 from rbjax.sysid import Channel, Grid, Recording, Setup, Unknown, free_run, identify
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.runs import run_of
-from rbjax.sysid.simulation.setup.setup import motion
-from rbjax.sysid.simulation.setup.shooting import Shooting
+from rbjax.sysid.simulation.runs import run_of
+from rbjax.sysid.simulation.setup import motion
+from rbjax.sysid.simulation.shooting import Shooting
 
 T = 0.02
 GRID = Grid(T, 2)

@@ -6,7 +6,7 @@ import numpy as np
 import rbjax as rb
 from rbjax.sysid import Channel, Derived, Grid, Recording, Setup, Unknown, identify
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.programs import kept
+from rbjax.sysid.simulation.programs import kept
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")

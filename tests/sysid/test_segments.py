@@ -10,9 +10,9 @@ import pytest
 import rbjax as rb
 from rbjax.sysid import PD, Grid, Setup, Unknown
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup import segments
-from rbjax.sysid.simulation.setup.segments import in_segments
-from rbjax.sysid.simulation.setup.setup import motion
+from rbjax.sysid.simulation import segments
+from rbjax.sysid.simulation.segments import in_segments
+from rbjax.sysid.simulation.setup import motion
 
 N = 50
 SOUGHT = {

@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from rbjax.sysid.simulation.setup.simulation_error import HUBER, SimulationError
-from rbjax.sysid.statistics.intervals.fit_statistics import Column, Rows
+from rbjax.sysid.simulation.simulation_error import HUBER, SimulationError
+from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
 
 def columns_of(of: SimulationError, x: np.ndarray, stated: Collection[str]) -> list[Column]:

@@ -28,12 +28,12 @@ from rbjax.sysid.estimators.step_length import halved, over_noise, step_error
 from rbjax.sysid.estimators.verdict import NORMAL, is_poor
 from rbjax.sysid.parameters.guesses import drawn
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.runs import Run, batch_of, run_of
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.simulation.setup.shooting import TIES, Shooting
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError
-from rbjax.sysid.simulation.setup.traces import Traces, together, traces
-from rbjax.sysid.statistics.intervals.precision import still_tolerance
+from rbjax.sysid.simulation.runs import Run, batch_of, run_of
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.shooting import TIES, Shooting
+from rbjax.sysid.simulation.simulation_error import SimulationError
+from rbjax.sysid.simulation.traces import Traces, together, traces
+from rbjax.sysid.statistics.precision import still_tolerance
 
 #: an rms below this fraction of a channel's spread is no noise
 NOISELESS = 1e-7

@@ -13,11 +13,11 @@ from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.runs import batch_of, grid_of
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError
-from rbjax.sysid.simulation.setup.traces import Traces, traces
-from rbjax.sysid.statistics.intervals.precision import cast, in_double
+from rbjax.sysid.simulation.runs import batch_of, grid_of
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.simulation_error import SimulationError
+from rbjax.sysid.simulation.traces import Traces, traces
+from rbjax.sysid.statistics.precision import cast, in_double
 
 
 @in_double

@@ -29,10 +29,10 @@ from rbjax.sysid.estimators.identified import Identified, Options
 from rbjax.sysid.estimators.step_length import start_grid
 from rbjax.sysid.estimators.verdict import judged
 from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.statistics.intervals.fit_statistics import fit_statistics
-from rbjax.sysid.statistics.intervals.precision import cast, in_double
-from rbjax.sysid.statistics.intervals.rank import beside_others, combinations
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.statistics.fit_statistics import fit_statistics
+from rbjax.sysid.statistics.precision import cast, in_double
+from rbjax.sysid.statistics.rank import beside_others, combinations
 
 
 @in_double

@@ -17,14 +17,14 @@ from rbjax.sysid.data.recording import HELD, Recording
 from rbjax.sysid.estimators.fit_file import write_fit
 from rbjax.sysid.estimators.free_running import free_run
 from rbjax.sysid.estimators.verdict import Verdict, without_outliers
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError
-from rbjax.sysid.simulation.setup.traces import Traces, rms_of
-from rbjax.sysid.statistics.intervals.comparisons import HeldOut, held_out
-from rbjax.sysid.statistics.intervals.fit_statistics import FitStatistics
-from rbjax.sysid.statistics.intervals.intervals import Estimates
-from rbjax.sysid.statistics.intervals.precision import in_double
-from rbjax.sysid.statistics.intervals.rank import Combinations
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.simulation_error import SimulationError
+from rbjax.sysid.simulation.traces import Traces, rms_of
+from rbjax.sysid.statistics.comparisons import HeldOut, held_out
+from rbjax.sysid.statistics.fit_statistics import FitStatistics
+from rbjax.sysid.statistics.intervals import Estimates
+from rbjax.sysid.statistics.precision import in_double
+from rbjax.sysid.statistics.rank import Combinations
 
 
 class Options(NamedTuple):

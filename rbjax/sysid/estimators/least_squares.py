@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from rbjax.sysid.parameters.divergence import Divergence
-from rbjax.sysid.statistics.intervals.precision import rank_tolerance
+from rbjax.sysid.statistics.precision import rank_tolerance
 
 #: weights of the prior, relative to the largest curvature of |r|^2, of successive minimisations
 PULLS = (1e-4, 1e-7, 1e-10)

@@ -32,10 +32,10 @@ from rbjax.motion.linearise import apart, beside
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.runs import run_of
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.simulation.setup.simulation_error import began, triangle_of
-from rbjax.sysid.statistics.intervals.fit_statistics import Column, Rows
+from rbjax.sysid.simulation.runs import run_of
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.simulation_error import began, triangle_of
+from rbjax.sysid.statistics.fit_statistics import Column, Rows
 
 #: a sample may be this part of a period off the instants of the grid
 OFF = 1e-2

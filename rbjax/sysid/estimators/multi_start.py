@@ -27,10 +27,10 @@ from rbjax.sysid.estimators.least_squares import Asked, Minimum, searching, sum_
 from rbjax.sysid.estimators.step_length import start_grid
 from rbjax.sysid.parameters.guesses import drawn
 from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
-from rbjax.sysid.simulation.setup.runs import batch_of
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.simulation.setup.simulation_error import Programs, SimulationError
-from rbjax.sysid.statistics.intervals.precision import cast, in_double
+from rbjax.sysid.simulation.runs import batch_of
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.simulation_error import Programs, SimulationError
+from rbjax.sysid.statistics.precision import cast, in_double
 
 #: pulls of a guess to itself: of all for a few steps, and of the best until they converge
 SHORT, LONG = (1e-4,), (1e-4, 1e-7)

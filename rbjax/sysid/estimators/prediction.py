@@ -31,13 +31,13 @@ from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import Minimum, convex_step, half_of, shown
 from rbjax.sysid.estimators.likelihood import DRIVES, Levels, Likelihood, Series, series_of
 from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
-from rbjax.sysid.simulation.setup.runs import ordered
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.statistics.intervals.comparisons import HeldOut, held_out
-from rbjax.sysid.statistics.intervals.fit_statistics import FitStatistics, fit_statistics
-from rbjax.sysid.statistics.intervals.intervals import Estimates
-from rbjax.sysid.statistics.intervals.precision import cast, in_double
-from rbjax.sysid.statistics.intervals.rank import Combinations, beside_others, combinations
+from rbjax.sysid.simulation.runs import ordered
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.statistics.comparisons import HeldOut, held_out
+from rbjax.sysid.statistics.fit_statistics import FitStatistics, fit_statistics
+from rbjax.sysid.statistics.intervals import Estimates
+from rbjax.sysid.statistics.precision import cast, in_double
+from rbjax.sysid.statistics.rank import Combinations, beside_others, combinations
 
 #: weight of the guess relative to the largest curvature; the last steps are without it
 PULL = 1e-10

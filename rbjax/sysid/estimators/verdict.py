@@ -10,11 +10,11 @@ import numpy as np
 
 from rbjax.sensors.columns import root_mean_square
 from rbjax.sysid.data.recording import HELD, Recording
-from rbjax.sysid.simulation.setup.runs import ordered
-from rbjax.sysid.simulation.setup.setup import Setup
-from rbjax.sysid.simulation.setup.traces import FEW, Trace, Traces, together
-from rbjax.sysid.statistics.intervals.comparisons import EXPLAINED, NOISY
-from rbjax.sysid.statistics.intervals.variance import explained, varies
+from rbjax.sysid.simulation.runs import ordered
+from rbjax.sysid.simulation.setup import Setup
+from rbjax.sysid.simulation.traces import FEW, Trace, Traces, together
+from rbjax.sysid.statistics.comparisons import EXPLAINED, NOISY
+from rbjax.sysid.statistics.variance import explained, varies
 
 #: residuals above this many times the roughness of the recordings are not noise
 ROUGH = 3.0

@@ -29,9 +29,9 @@ from rbjax.sysid.jobs.places import check_joints, place_of
 from rbjax.sysid.judgement.diagnosis import Diagnosis, diagnose
 from rbjax.sysid.judgement.report_page import report
 from rbjax.sysid.parameters.unknowns import Inertia, Parametrisation, Tilt, Unknown, Unknowns
-from rbjax.sysid.simulation.setup.runs import grid_of
-from rbjax.sysid.simulation.setup.setup import PD, Grid, Setup
-from rbjax.sysid.statistics.intervals.comparisons import HeldOut
+from rbjax.sysid.simulation.runs import grid_of
+from rbjax.sysid.simulation.setup import PD, Grid, Setup
+from rbjax.sysid.statistics.comparisons import HeldOut
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from rbjax.sysid.data.recording import HELD, JOINT_SENSORS, Recording
 from rbjax.sysid.data.units import MOVES
 from rbjax.sysid.jobs.keys import short
 from rbjax.sysid.parameters.unknowns import leaf_of
-from rbjax.sysid.simulation.setup.setup import Setup
+from rbjax.sysid.simulation.setup import Setup
 
 
 def check_joints(model: Model, run: Recording, columns: Mapping[str, Column]) -> None:

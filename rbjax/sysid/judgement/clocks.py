@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rbjax.sysid.simulation.setup.traces import FEW, Trace, Traces
+from rbjax.sysid.simulation.traces import FEW, Trace, Traces
 
 #: rates that are tried
 RATES = np.linspace(-0.05, 0.05, 201)

@@ -29,9 +29,9 @@ from rbjax.sysid.estimators.fits import FIRST_PULLS
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.estimators.least_squares import minimise
 from rbjax.sysid.judgement.clocks import rate_of
-from rbjax.sysid.simulation.setup.runs import Run, batch, ordered, run_of
-from rbjax.sysid.simulation.setup.traces import FEW, Trace, Traces, traces
-from rbjax.sysid.statistics.intervals.precision import in_double
+from rbjax.sysid.simulation.runs import Run, batch, ordered, run_of
+from rbjax.sysid.simulation.traces import FEW, Trace, Traces, traces
+from rbjax.sysid.statistics.precision import in_double
 
 BETTER = 0.5  # error with a mend over that without, at which the cause is named
 SUSPECT = 0.3  # error of a column over its spread from which on its sign and place are doubted

@@ -24,9 +24,9 @@ from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.estimators.identification import fitted
 from rbjax.sysid.estimators.identified import Identified
-from rbjax.sysid.simulation.setup.runs import ordered, start_of
-from rbjax.sysid.simulation.setup.traces import Trace
-from rbjax.sysid.statistics.intervals.precision import in_double
+from rbjax.sysid.simulation.runs import ordered, start_of
+from rbjax.sysid.simulation.traces import Trace
+from rbjax.sysid.statistics.precision import in_double
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from rbjax.sysid.data.recording_checks import findings
 from rbjax.sysid.estimators.identified import Identified
 from rbjax.sysid.judgement import report_pictures as pictures
 from rbjax.sysid.judgement.diagnosis import Diagnosis
-from rbjax.sysid.simulation.setup.traces import Trace
-from rbjax.sysid.statistics.intervals.comparisons import HeldOut
-from rbjax.sysid.statistics.intervals.whiteness_tests import Whiteness, whiteness
+from rbjax.sysid.simulation.traces import Trace
+from rbjax.sysid.statistics.comparisons import HeldOut
+from rbjax.sysid.statistics.whiteness_tests import Whiteness, whiteness
 
 #: pictures show so many recordings, those with the largest errors
 SHOWN = 3

@@ -11,8 +11,8 @@ import numpy as np
 
 from rbjax.style import BLUE, INK, ORANGE, RED, STYLE
 from rbjax.sysid.estimators.identified import Identified
-from rbjax.sysid.simulation.setup.traces import Trace
-from rbjax.sysid.statistics.intervals.whiteness_tests import whiteness
+from rbjax.sysid.simulation.traces import Trace
+from rbjax.sysid.statistics.whiteness_tests import whiteness
 
 COLUMNS = 12  # of a sensor that are shown
 POINTS = 1500  # dots of a recording

@@ -19,8 +19,8 @@ import numpy as np
 from rbjax.compiling import inside_jit
 from rbjax.forces import JointFriction, JointLimits
 from rbjax.sysid.parameters.unknowns import Inertia, Unknown, Unknowns
-from rbjax.sysid.simulation.setup.setup import Setup
-from rbjax.sysid.statistics.intervals.rank import combinations
+from rbjax.sysid.simulation.setup import Setup
+from rbjax.sysid.statistics.rank import combinations
 from rbjax.sysid.torque.base_combinations import random_motions
 from rbjax.sysid.torque.regressors import observation_matrix
 

@@ -22,8 +22,8 @@ import scipy.linalg
 
 from rbjax.model import WORLD, Model
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.grouping import BY_JOINT, grouped, no_part_of_a_program
-from rbjax.sysid.simulation.setup.setup import PD, Setup
+from rbjax.sysid.simulation.grouping import BY_JOINT, grouped, no_part_of_a_program
+from rbjax.sysid.simulation.setup import PD, Setup
 
 #: sensors whose columns are the joints'
 OF_JOINTS = frozenset("qv")

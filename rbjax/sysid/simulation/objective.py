@@ -23,10 +23,10 @@ from rbjax.model import Model
 from rbjax.sysid.arguments import check_how, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.parameters.unknowns import Parametrisation, Unknowns
-from rbjax.sysid.simulation.setup.programs import kept
-from rbjax.sysid.simulation.setup.runs import Run, batch_of, grid_of
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError, programs
+from rbjax.sysid.simulation.programs import kept
+from rbjax.sysid.simulation.runs import Run, batch_of, grid_of
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.simulation_error import SimulationError, programs
 
 #: forward derivatives of a full vector that take as long as one reverse derivative of it
 #: (benchmarks/results/cpu-gradient-modes-*.json)

@@ -19,7 +19,7 @@ from rbjax.model import Model, State
 from rbjax.motion.integrators import integrator_of
 from rbjax.solvers.arguments import check_whole
 from rbjax.sysid.data.recording import HELD, JOINT_SENSORS, Channel, Recording
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
+from rbjax.sysid.simulation.setup import Grid, Setup
 
 
 class Run(NamedTuple):

@@ -26,7 +26,7 @@ from rbjax.motion.integrators import Integrator
 from rbjax.motion.linearise import step
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.readings import Moment, Reading, reading_of
-from rbjax.sysid.simulation.setup.segments import in_segments
+from rbjax.sysid.simulation.segments import in_segments
 from rbjax.threads import threads, wanted
 
 #: (t, reading, command (n,)) -> ctrl (nu,), called once for each command

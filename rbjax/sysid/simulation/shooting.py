@@ -25,11 +25,11 @@ from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.programs import kept
-from rbjax.sysid.simulation.setup.runs import Run, batch
-from rbjax.sysid.simulation.setup.setup import Grid, Setup
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError, triangle_of
-from rbjax.sysid.simulation.setup.simulation_error import programs as pieces_programs
+from rbjax.sysid.simulation.programs import kept
+from rbjax.sysid.simulation.runs import Run, batch
+from rbjax.sysid.simulation.setup import Grid, Setup
+from rbjax.sysid.simulation.simulation_error import SimulationError, triangle_of
+from rbjax.sysid.simulation.simulation_error import programs as pieces_programs
 
 #: ties, one after the other: at 1 a gap counts as much as a piece that is off by it throughout
 TIES = (0.1, 1.0, 10.0)

@@ -17,8 +17,8 @@ import numpy as np
 from rbjax.model import WORLD, Model, State, Topology
 from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Sites
 from rbjax.motion.integrators import looped
-from rbjax.sysid.simulation.setup.islands import islands_of
-from rbjax.sysid.simulation.setup.setup import PD, Grid, Path, Sensor, Setup, motion, ready, stepped
+from rbjax.sysid.simulation.islands import islands_of
+from rbjax.sysid.simulation.setup import PD, Grid, Path, Sensor, Setup, motion, ready, stepped
 
 
 class Part(NamedTuple):

@@ -22,13 +22,13 @@ from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.model import State
 from rbjax.sysid.parameters.divergence import Divergence
 from rbjax.sysid.parameters.unknowns import Unknowns
-from rbjax.sysid.simulation.setup.islands import Directions, directions
-from rbjax.sysid.simulation.setup.programs import kept
-from rbjax.sysid.simulation.setup.runs import Run
-from rbjax.sysid.simulation.setup.segments import segments
-from rbjax.sysid.simulation.setup.setup import Grid, Path, Setup, reading
-from rbjax.sysid.simulation.setup.side_by_side import equal_parts, motion_of_parts
-from rbjax.sysid.statistics.intervals.precision import still_tolerance
+from rbjax.sysid.simulation.islands import Directions, directions
+from rbjax.sysid.simulation.programs import kept
+from rbjax.sysid.simulation.runs import Run
+from rbjax.sysid.simulation.segments import segments
+from rbjax.sysid.simulation.setup import Grid, Path, Setup, reading
+from rbjax.sysid.simulation.side_by_side import equal_parts, motion_of_parts
+from rbjax.sysid.statistics.precision import still_tolerance
 
 #: with loss="huber" residuals above this many sigma count by their size, not by its square
 HUBER = 1.345

@@ -11,9 +11,9 @@ import numpy as np
 from rbjax.model import Model
 from rbjax.sensors.columns import Columns, root_mean_square
 from rbjax.sysid.data.recording import JOINT_SENSORS, Recording
-from rbjax.sysid.simulation.setup.runs import ordered
-from rbjax.sysid.simulation.setup.setup import Setup
-from rbjax.sysid.simulation.setup.simulation_error import SimulationError
+from rbjax.sysid.simulation.runs import ordered
+from rbjax.sysid.simulation.setup import Setup
+from rbjax.sysid.simulation.simulation_error import SimulationError
 
 #: fewer samples say nothing of a motion
 FEW = 10

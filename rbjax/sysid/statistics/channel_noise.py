@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.sysid.statistics.intervals.intervals import checked_rows, decomposed, tolerance_for
+from rbjax.sysid.statistics.intervals import checked_rows, decomposed, tolerance_for
 
 ROUNDS = 100  # of the fixed point
 

@@ -11,8 +11,8 @@ from scipy import stats
 
 from rbjax.errors import InputError
 from rbjax.sysid.arguments import floats
-from rbjax.sysid.statistics.intervals.variance import explained
-from rbjax.sysid.statistics.intervals.whiteness_tests import whiteness
+from rbjax.sysid.statistics.variance import explained
+from rbjax.sysid.statistics.whiteness_tests import whiteness
 
 HOLDS, WEAK = 1.25, 2.0  # error on unseen data over that on fitted data
 EXPLAINED = 0.99  # the least share of variance that a good model explains

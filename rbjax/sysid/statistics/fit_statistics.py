@@ -26,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal
 
-from rbjax.sysid.statistics.intervals.intervals import Estimates, decomposed, estimates, tolerance_for
-from rbjax.sysid.statistics.intervals.whiteness_tests import ALPHA, meat_of, whiteness
+from rbjax.sysid.statistics.intervals import Estimates, decomposed, estimates, tolerance_for
+from rbjax.sysid.statistics.whiteness_tests import ALPHA, meat_of, whiteness
 
 #: with fewer degrees of freedom a column's noise is not estimated
 FEW = 5.0

@@ -21,7 +21,7 @@ from scipy import linalg, special, stats
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.sysid.arguments import floats, names_of
-from rbjax.sysid.statistics.intervals.precision import rank_tolerance as tolerance_of
+from rbjax.sysid.statistics.precision import rank_tolerance as tolerance_of
 
 SEEN = 1e-5  # share of a gradient in the null space that is rounding
 

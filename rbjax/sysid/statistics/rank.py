@@ -24,7 +24,7 @@ import scipy.linalg
 
 from rbjax.errors import InputError, UnknownName, listed
 from rbjax.sysid.arguments import floats, names_of
-from rbjax.sysid.statistics.intervals.precision import rank_tolerance
+from rbjax.sysid.statistics.precision import rank_tolerance
 
 #: A column smaller than this many rounding errors of the largest belongs to what moves nothing.
 NOTHING = 500

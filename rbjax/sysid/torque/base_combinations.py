@@ -19,7 +19,7 @@ from rbjax.dynamics.arguments import check_model, check_moves
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.solvers.arguments import check_whole
-from rbjax.sysid.statistics.intervals.rank import Combinations, combinations
+from rbjax.sysid.statistics.rank import Combinations, combinations
 from rbjax.sysid.torque.regressors import observation_matrix, parameter_names
 
 

@@ -37,7 +37,7 @@ from rbjax.sysid.parameters.log_cholesky import (
     parameter_jacobian,
     with_inertial_parameters,
 )
-from rbjax.sysid.statistics.intervals.rank import Combinations
+from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.torque.regression import Regression, weighted
 from rbjax.sysid.torque.regressors import joint_coordinates, parameter_names, parameter_values
 from rbjax.sysid.torque.stacking import equations

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.stats
 
-from rbjax.sysid.statistics.intervals.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
+from rbjax.sysid.statistics.fit_statistics import FEW, Column, FitStatistics, Rows, fit_statistics
 from rbjax.sysid.torque.stacking import Equations
 
 if TYPE_CHECKING:

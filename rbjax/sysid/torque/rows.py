@@ -29,7 +29,7 @@ from rbjax.errors import InputError, UnknownName, listed
 from rbjax.model import Model
 from rbjax.sysid.data.filtering import differentiate, low_pass
 from rbjax.sysid.data.recording import Channel, Recording
-from rbjax.sysid.statistics.intervals.precision import cast, in_double
+from rbjax.sysid.statistics.precision import cast, in_double
 from rbjax.sysid.torque.regressors import (
     JOINT_TERMS,
     joint_coordinates,

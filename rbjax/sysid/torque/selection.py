@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.sysid.statistics.intervals.comparisons import Comparison, Scored, compare
+from rbjax.sysid.statistics.comparisons import Comparison, Scored, compare
 from rbjax.sysid.torque.regression import Regression, regress
 from rbjax.sysid.torque.regression_statistics import ROUNDING
 

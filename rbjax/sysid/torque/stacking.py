@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from rbjax.errors import InputError
-from rbjax.sysid.statistics.intervals.rank import Combinations, combinations
+from rbjax.sysid.statistics.rank import Combinations, combinations
 
 Array = np.ndarray
 
