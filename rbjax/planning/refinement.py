@@ -28,7 +28,7 @@ from rbjax.arguments import integer
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
 from rbjax.lanes.extremes import largest, smallest
-from rbjax.model.record import Record
+from rbjax.model.record import Record, cast_floats
 from rbjax.planning.driven_path import reach_of
 from rbjax.planning.footprint import Footprint, placed
 from rbjax.planning.limits import Limits, Timed, check_can_follow
@@ -182,12 +182,9 @@ def _refine(
     first = time_scaling(vehicle, path, limits.replace(steering=jnp.inf))
     motion = first.motion
     dtype = motion.ts.dtype
-
-    def cast(x: Any) -> Any:
-        return x.astype(dtype) if jnp.issubdtype(jnp.result_type(x), jnp.floating) else x
-
-    given = vehicle, path, limits, field, footprint, margin
-    vehicle, path, limits, field, footprint, margin = jax.tree.map(cast, given)
+    vehicle, path, limits, field, footprint, margin = cast_floats(
+        (vehicle, path, limits, field, footprint, margin), dtype
+    )
     robot = vehicle.robot
     steers = jnp.full(len(robot.steerings), limits.steering_rate)
     units = jnp.concatenate([limits.torques(vehicle), steers]).astype(dtype)

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 from rbjax.compiling import alone, compiled
 from rbjax.errors import InputError
 from rbjax.lanes.extremes import largest, smallest
-from rbjax.model.record import Record
+from rbjax.model.record import Record, cast_floats
 from rbjax.planning.driven_path import DrivenPath, Sides, driven
 from rbjax.planning.limits import Limits, Timed, check_can_follow
 from rbjax.planning.paths import Path
@@ -102,9 +102,10 @@ def check_path(where: str, path: Any) -> None:
 
 
 def _time_scaling(vehicle: Fidelity, path: Path, limits: Limits) -> TimeScaled:
+    dtype = path.steps.dtype
+    vehicle, limits = cast_floats((vehicle, limits), dtype)
     p = driven(vehicle, limits, path)
-    dtype = p.size.dtype
-    most = limits.torques(vehicle).astype(dtype)
+    most = limits.torques(vehicle)
     caps = jnp.stack([_cap(p, side, limits) for side in (p.first, p.last)])
     zero = jnp.zeros((), dtype)
     # a cap of the begin of a step holds for the end of the one before
