@@ -42,7 +42,7 @@ from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.threads import threaded, wanted
 
 WHERE = "inverse_kinematics"

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
 from rbjax.arguments import flag
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
 from rbjax.control.linear_systems import pair
 from rbjax.control.lqr import weights

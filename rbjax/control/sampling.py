@@ -32,7 +32,7 @@ from rbjax.control.outcome import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost, violations
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 from rbjax.threads import threads
 
 UPDATES = ("predictive", "mppi", "cross_entropy")

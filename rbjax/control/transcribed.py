@@ -35,7 +35,7 @@ from rbjax.control.transcription import (
     stages,
 )
 from rbjax.lanes.products import matvec
-from rbjax.solvers.tableau import Tableau
+from rbjax.solvers.common.tableau import Tableau
 from rbjax.threads import threads
 
 

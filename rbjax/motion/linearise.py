@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.derivatives import accelerated_derivatives
 from rbjax.dynamics.manifold import difference, integrate

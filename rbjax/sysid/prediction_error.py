@@ -24,7 +24,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.motion.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.progress import progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.comparison import HeldOut, held_out
 from rbjax.sysid.fit_statistics import FitStatistics, fit_statistics

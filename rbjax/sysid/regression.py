@@ -28,7 +28,7 @@ import scipy.linalg
 import scipy.stats
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.equations import Equations, equations
 from rbjax.sysid.rank import Combinations
 from rbjax.sysid.regression_statistics import ROUNDING, negligible, statistics_of, with_statistics

@@ -211,8 +211,8 @@ def test_wrong_arguments(call, words: list[str]) -> None:
 
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
 def test_a_limit_of_the_steering_angle_binds(dtype: type) -> None:
-    """A bicycle with a wheelbase of 1 m on a circle of 1 m steers by 45 degrees. The vehicle and the
-    limits are in float64; the motion has the dtype of the path."""
+    """A bicycle with a wheelbase of 1 m on a circle of 1 m steers by 45 degrees. The vehicle and
+    the limits are in float64; the motion has the dtype of the path."""
     vehicle = rb.wheeled.at(KINDS["bicycle"].make(wheelbase=1.0), "kinematical")
     steps = jnp.asarray([[1.57, 0, 1.57]], dtype)
     path = Path(jnp.zeros(3, dtype), steps).split(0.4)
