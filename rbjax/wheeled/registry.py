@@ -15,8 +15,7 @@ from rbjax.wheeled.models.fidelity import Fidelity
 from rbjax.wheeled.models.quasi_velocities import QuasiVelocities
 from rbjax.wheeled.models.rolling import Dynamical, Kinematic, Kinematical
 from rbjax.wheeled.models.slipping import Slipping
-from rbjax.wheeled.robot import catalogue
-from rbjax.wheeled.robot.robot import Robot
+from rbjax.wheeled.robot.robot import Robot, catalogue
 
 _FIDELITIES: tuple[type[Fidelity], ...] = (
     Kinematic,

@@ -28,7 +28,7 @@ from rbjax.constraints.equations.projection import projected
 from rbjax.constraints.equations.system import rows_of
 from rbjax.constraints.methods.clusters import Cluster, clusters
 from rbjax.constraints.methods.recursive import by_clusters
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Vec3
 from rbjax.model import WORLD

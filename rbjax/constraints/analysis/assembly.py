@@ -20,9 +20,9 @@ from rbjax.constraints.analysis.rank import row_names
 from rbjax.constraints.equations.residuals import jacobian, residual
 from rbjax.constraints.methods.soft import Soft
 from rbjax.constraints.rows.pairs import HalfAngle, Pair
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.arguments import check_arrays
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.manifold import integrate
 from rbjax.errors import InputError, listed
 from rbjax.model import Model, State
 

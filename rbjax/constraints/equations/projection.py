@@ -32,9 +32,9 @@ from rbjax.constraints.equations.least_change import (
     off_of,
 )
 from rbjax.constraints.equations.system import response, rows_of
-from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.manifold import moved
+from rbjax.dynamics.algorithms.aba import factorize
+from rbjax.dynamics.algorithms.manifold import moved
+from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.instant import Instant
 from rbjax.model import Model, State
 

@@ -31,8 +31,8 @@ from rbjax.constraints.rows.constraint import Constraint
 from rbjax.constraints.rows.geometry import AXES, cosine, displacement, turn
 from rbjax.constraints.rows.pairs import Pair
 from rbjax.constraints.rows.row import Row
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Lane, neg, sub
