@@ -15,7 +15,8 @@ from rbjax.wheeled.models.fidelity import Fidelity
 from rbjax.wheeled.models.quasi_velocities import QuasiVelocities
 from rbjax.wheeled.models.rolling import Dynamical, Kinematic, Kinematical
 from rbjax.wheeled.models.slipping import Slipping
-from rbjax.wheeled.robot.robot import Robot, catalogue
+from rbjax.wheeled.robot import catalogue
+from rbjax.wheeled.robot.robot import Robot
 
 _FIDELITIES: tuple[type[Fidelity], ...] = (
     Kinematic,
