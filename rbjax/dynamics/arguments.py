@@ -4,7 +4,7 @@ Outside traced code an algorithm checks the values of its arguments and runs com
 numbers are arguments of the program, so changing one never recompiles. The same holds under a
 `vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
 is constant, and its zeros vanish from the program. A batch runs as a program of one sample: a
-thread on a GPU, a lane of machine code on a CPU (`rbjax.threads`). Under XLA on a CPU `batching`
+thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`). Under XLA on a CPU `batching`
 runs it.
 """
 
@@ -19,6 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threaded, wanted
+from rbjax.compiler.jax.backend import gpu
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.ahead import made_by_threads
 from rbjax.dynamics.batching import in_chunks
@@ -29,8 +31,6 @@ from rbjax.meshes import automatic
 from rbjax.model import Model, State, known_zeros
 from rbjax.model.record import FEW
 from rbjax.rotations.arguments import FLOATS
-from rbjax.threads import threaded, wanted
-from rbjax.threads.backend import gpu
 
 #: argument name -> its shape in terms of the model
 SHAPES: dict[str, Callable[[Model], tuple[int, ...]]] = {

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import side_by_side, threaded
 from rbjax.dynamics.aba import velocity_step
 from rbjax.dynamics.arguments import algorithm, check_model
 from rbjax.dynamics.composites import (
@@ -37,7 +38,6 @@ from rbjax.dynamics.pairs import pair_matrix
 from rbjax.lanes import Mat3, Sym3, Vec3, add, batch_first, mul
 from rbjax.model import Model, as_declared
 from rbjax.spatial import Force, Motion, RigidInertia, Transform
-from rbjax.threads import side_by_side, threaded
 
 
 @algorithm("q", "v")

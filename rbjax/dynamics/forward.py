@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
+from rbjax.compiler import wanted
 from rbjax.dynamics.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.arguments import algorithm
 from rbjax.dynamics.columns import inverse_mass_by_columns
@@ -24,7 +25,6 @@ from rbjax.dynamics.link_forces import LinkForces, on_links
 from rbjax.dynamics.rnea import rnea
 from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
 from rbjax.model import Model, made_ahead
-from rbjax.threads import wanted
 
 #: the names of values that a derivative may read instead of recomputing them
 LEFT = ("acceleration", "factors")
