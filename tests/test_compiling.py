@@ -13,7 +13,7 @@ import pytest
 import rbjax as rb
 from rbjax.compiler import wanted
 from rbjax.compiling import xla_accepts
-from rbjax.dynamics.unrolled import Unrolled
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from tests.tolerances import F64_ROUNDING
 
 

@@ -14,7 +14,7 @@ from jax.tree_util import Partial
 
 import rbjax as rb
 from rbjax.compiler.jax.function import threaded
-from rbjax.dynamics import batching
+from rbjax.dynamics.tracing import batching
 from tests.eight_devices import check, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples
 from tests.tolerances import F64_TRANSFORM, relative_error

@@ -25,8 +25,8 @@ import numpy as np
 
 from rbjax.control.arguments import check_at_least, check_several
 from rbjax.control.terms import Term
+from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array
-from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.model.record import Record

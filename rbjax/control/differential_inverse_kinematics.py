@@ -32,7 +32,7 @@ from rbjax.dynamics.arguments import (
     check_quaternions,
     check_step,
 )
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic

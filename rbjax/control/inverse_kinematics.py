@@ -29,6 +29,7 @@ from rbjax.control.arguments import check_key
 from rbjax.control.goals import Goal, body_of, errors
 from rbjax.control.joint_ranges import Ranges, random_configurations
 from rbjax.control.restarts import Found, Settings, search
+from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.arguments import (
     check_array,
     check_model,
@@ -36,8 +37,7 @@ from rbjax.dynamics.arguments import (
     check_quaternions,
     shape_of,
 )
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from rbjax.control.law import Law, check_law, gains, unforced
 from rbjax.control.references import check_configurations, check_poses, configuration
 from rbjax.control.task import Inertia, Motion, Task, inertia, motion, task_of
-from rbjax.dynamics.manifold import difference
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.lanes import matvec
 from rbjax.model import Model, State
 

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from rbjax.control.damped_least_squares import half_square, step, weighted
 from rbjax.control.goals import Goal, Miss, written_out
 from rbjax.control.joint_ranges import Ranges
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
+from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.lanes import Lane, is_zero
 from rbjax.model import Model
 

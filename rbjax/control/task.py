@@ -21,11 +21,11 @@ import jax.numpy as jnp
 
 from rbjax.control.goals import Goal, body_of
 from rbjax.control.references import Pose, pose
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.frames import frame_bias_acceleration, site_pose
+from rbjax.dynamics.algorithms.jacobians import jacobian
+from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_static
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.frames import frame_bias_acceleration, site_pose
-from rbjax.dynamics.jacobians import jacobian
-from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.model import Model, State

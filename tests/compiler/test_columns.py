@@ -14,9 +14,9 @@ import rbjax as rb
 from rbjax.compiler.cuda.kernels import kernel
 from rbjax.compiler.jax.primitive import on_gpu
 from rbjax.compiler.lower.frame import Layout, write_program
-from rbjax.dynamics import columns
-from rbjax.dynamics.bodywise import regressor_by_columns
-from rbjax.dynamics.drivers import THREADS_APART_ABOVE
+from rbjax.dynamics.algorithms import columns
+from rbjax.dynamics.algorithms.regressor import regressor_by_columns
+from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE
 from tests.compiler.block import emulated
 from tests.compiler.host import COMPILER
 from tests.compiler.test_algorithms import switch  # noqa: F401 (a fixture)

@@ -10,10 +10,10 @@ import pytest
 
 import rbjax as rb
 from rbjax.compiler.lower.frame import batch_first, write_program
-from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.limbs import Limbs
-from rbjax.dynamics.unrolled import Unrolled
+from rbjax.dynamics.algorithms.aba import factorize
+from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.limbs import Limbs
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.lanes import fusion_barrier
 from rbjax.model import WORLD, partition
 from tests.compiler.host import COMPILER, on_host

@@ -8,7 +8,7 @@ import pytest
 import rbjax as rb
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import traced
-from rbjax.dynamics.operations import OperationCount, leaf_names, operation_count
+from rbjax.dynamics.tracing.operations import OperationCount, leaf_names, operation_count
 from rbjax.lanes import fusion_barrier, sincos
 from tests.forces.test_drivers import TWO_ARMED
 from tests.oracles.random_actuators import random_actuated

@@ -14,7 +14,7 @@ from jax.extend.core import jaxpr_as_fun
 import rbjax as rb
 from rbjax.compiler.jax.primitive import run
 from rbjax.compiler.jax.programs import traced
-from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field

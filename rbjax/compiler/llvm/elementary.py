@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rbjax.compiler.ir.expressions import Number
-from rbjax.lanes.sincos import SERIES, horner
+from rbjax.lanes.trigonometry import SERIES, horner
 
 F64, I32, I64 = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.int64)
 

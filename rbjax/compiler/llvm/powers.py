@@ -23,7 +23,7 @@ from rbjax.compiler.llvm.elementary import (
     scaled,
     two_sum,
 )
-from rbjax.lanes.sincos import horner
+from rbjax.lanes.trigonometry import horner
 
 #: a sum of two numbers that do not overlap
 Double = tuple[Number, Number]
