@@ -37,8 +37,6 @@ def test_the_module_is_called_as_the_function() -> None:
     import rbjax.control.lqr as k
 
     assert rb.control.lqr is k
-    assert rb.threads.explain is sys.modules["rbjax.threads.explain"]  # type: ignore[attr-defined]
-    assert callable(rb.threads)
     assert pickle.loads(pickle.dumps(k)) is k
     assert list(inspect.signature(rb.control.lqr).parameters)[:2] == ["A", "B"]
 
