@@ -23,7 +23,7 @@ from rbjax.forces.actuators.limits import clip
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.instant import Instant
-from rbjax.forces.joints.springs import JointSprings
+from rbjax.forces.joints.polynomials import linear_springs
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.model import Model, State
 from rbjax.model.leaves import table
@@ -31,7 +31,7 @@ from rbjax.model.leaves import table
 
 def elements(model: Model) -> tuple[Element, ...]:
     """All force elements of a model, in the order in which their states stand in x."""
-    return (JointSprings(), *from_columns(model), *model.forces)
+    return (linear_springs(model), *from_columns(model), *model.forces)
 
 
 def sighted(model: Model, now: Instant) -> list[tuple[Element, Instant]]:
