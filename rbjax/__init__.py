@@ -13,6 +13,7 @@ import jax
 from rbjax import dynamics, joints, rotations, spatial
 from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
+from rbjax.compiler import compile, threads
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
@@ -44,16 +45,17 @@ from rbjax.dynamics import (
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.model import Model, State
-from rbjax.threads import compile, threads
 
 if TYPE_CHECKING:
     from rbjax import (
         body,
         constraints,
         control,
+        estimation,
         forces,
         planning,
         plotting,
+        sensors,
         solvers,
         stability,
         sysid,
@@ -74,8 +76,8 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "forces", "loading", "motion", "planning", "plotting",
-    "solvers", "stability", "sysid", "validation", "wheeled",
+    "body", "constraints", "control", "estimation", "forces", "loading", "motion", "planning",
+    "plotting", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
 )  # fmt: skip
 _MODULES = {
     "Linear": "motion.linearise",
@@ -148,6 +150,7 @@ __all__ = [
     "coriolis_matrix",
     "difference",
     "dynamics",
+    "estimation",
     "forces",
     "forward_dynamics",
     "forward_dynamics_derivatives",
@@ -175,6 +178,7 @@ __all__ = [
     "rollout",
     "rotations",
     "scenes",
+    "sensors",
     "simulate",
     "site_pose",
     "solvers",

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threads
 from rbjax.control.ddp import by_ddp
 from rbjax.control.expansion import merit, row_count
 from rbjax.control.knots import largest_gap
@@ -32,8 +33,7 @@ from rbjax.control.outcome import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost, violations
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_between, check_whole
-from rbjax.threads import threads
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")
