@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         constraints,
         control,
         forces,
+        kinematics,
         planning,
         plotting,
         solvers,
@@ -76,8 +77,8 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "forces", "loading", "motion", "planning", "plotting",
-    "solvers", "stability", "sysid", "validation", "wheeled",
+    "body", "constraints", "control", "forces", "kinematics", "loading", "motion", "planning",
+    "plotting", "solvers", "stability", "sysid", "validation", "wheeled",
 )  # fmt: skip
 _MODULES = {
     "Linear": "motion.linearise",
@@ -166,6 +167,7 @@ __all__ = [
     "jacobian",
     "jacobian_rate",
     "joints",
+    "kinematics",
     "kinetic_energy",
     "linearise",
     "load",

@@ -24,11 +24,11 @@ import rbjax as rb
 from benchmarks.cases.optimal_control import given, reach, target_of
 from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
-from rbjax.control import ddp, sqp
-from rbjax.control import knots as knots_of
-from rbjax.control.first_guess import first_guess
-from rbjax.control.options import Options
-from rbjax.control.verdict import Limits
+from rbjax.control.optimal.first_guess import first_guess
+from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.shooting import ddp, sqp
+from rbjax.control.optimal.shooting import knots as knots_of
+from rbjax.control.optimal.shooting.verdict import Limits
 from rbjax.threads import threads
 
 COLUMNS = (

@@ -22,8 +22,8 @@ import numpy as np
 
 from benchmarks.shared.gpu_timing import timed
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.control.backward_pass import Bounds, backward_pass
-from rbjax.control.expansion import Quadratic
+from rbjax.control.optimal.shooting.backward_pass import Bounds, backward_pass
+from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.threads import device, team, threads
 from rbjax.threads.launch import capability, ordinal
 from rbjax.threads.nvrtc import ptx

@@ -12,8 +12,8 @@ import pytest
 from jax import lax
 from jax.scipy.linalg import solve_triangular
 
-from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
-from rbjax.control.expansion import Quadratic
+from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
+from rbjax.control.optimal.shooting.expansion import Quadratic
 from rbjax.threads import team
 from rbjax.threads.frame import batch_first, batch_last, write_program
 from rbjax.threads.function import threaded
