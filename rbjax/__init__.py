@@ -41,7 +41,7 @@ from rbjax.dynamics import (
     potential_energy,
     site_pose,
 )
-from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.model import Model, State
 from rbjax.threads import compile, threads
@@ -64,9 +64,7 @@ if TYPE_CHECKING:
     from rbjax import loading as loading
     from rbjax import motion as motion
     from rbjax.forces import applied_forces
-    from rbjax.loading.load import load, scenes
-    from rbjax.loading.write_back import write_back
-    from rbjax.loading.write_mjcf import write_mjcf
+    from rbjax.loading import load, scenes, write_back, write_mjcf
     from rbjax.motion.linearise import Linear, linearise, step
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
@@ -85,13 +83,13 @@ _MODULES = {
     "Trajectory": "motion.trajectory",
     "applied_forces": "forces",
     "linearise": "motion.linearise",
-    "load": "loading.load",
+    "load": "loading",
     "rollout": "motion.rollout",
-    "scenes": "loading.load",
+    "scenes": "loading",
     "simulate": "motion.simulate",
     "step": "motion.linearise",
-    "write_back": "loading.write_back",
-    "write_mjcf": "loading.write_mjcf",
+    "write_back": "loading",
+    "write_mjcf": "loading",
 }
 
 

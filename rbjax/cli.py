@@ -26,7 +26,7 @@ from rich.table import Table
 from rich.tree import Tree
 
 import rbjax as rb
-from rbjax.dynamics.operations import OperationCount, operation_count
+from rbjax.dynamics.tracing.operations import OperationCount, operation_count
 from rbjax.errors import InputError, RbjaxError
 from rbjax.model import Model
 

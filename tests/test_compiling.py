@@ -12,7 +12,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.compiling import xla_accepts
-from rbjax.dynamics.unrolled import Unrolled
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.threads import wanted
 from tests.tolerances import F64_ROUNDING
 

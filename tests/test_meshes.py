@@ -13,7 +13,7 @@ from jax.sharding import PartitionSpec as P
 from jax.tree_util import Partial
 
 import rbjax as rb
-from rbjax.dynamics import batching
+from rbjax.dynamics.tracing import batching
 from rbjax.threads.function import threaded
 from tests.eight_devices import check, on_eight_devices
 from tests.test_registry import MODEL, REGISTRY, samples

@@ -20,9 +20,9 @@ from rbjax.constraints.pairs import HalfAngle, Pair
 from rbjax.constraints.rank import row_names
 from rbjax.constraints.residuals import jacobian, residual
 from rbjax.constraints.soft import Soft
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.dynamics.arguments import check_arrays
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.manifold import integrate
 from rbjax.errors import InputError, listed
 from rbjax.model import Model, State
 

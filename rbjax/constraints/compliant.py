@@ -25,9 +25,9 @@ from rbjax.constraints.projection import projected
 from rbjax.constraints.row import Row
 from rbjax.constraints.soft import Soft, softness
 from rbjax.constraints.system import OnMatrices
-from rbjax.dynamics.aba import aba
-from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.link_forces import LinkForces
+from rbjax.dynamics.algorithms.aba import aba
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane
 from rbjax.model import Model, State

@@ -39,7 +39,7 @@ from rbjax.constraints.user_function import (
     check_leaves,
     evaluate,
 )
-from rbjax.dynamics.tracing import jvp_of, with_jvp
+from rbjax.dynamics.tracing.custom_rules import jvp_of, with_jvp
 from rbjax.errors import InputError
 from rbjax.forces.instant import Instant
 from rbjax.model.record import check_fields, floats

@@ -31,11 +31,11 @@ from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.law import Solve, System, constrained_motion
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import as_free_bodies, gradient_matrix
-from rbjax.dynamics.crba import crba
-from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.packing import pack
-from rbjax.dynamics.rnea import rnea
+from rbjax.dynamics.algorithms.crba import crba
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane
 from rbjax.lanes.products import matmat, matvec

@@ -30,11 +30,11 @@ from rbjax.constraints.formulation import Formulation, Projected
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import as_free_bodies, rows_of, with_multipliers
-from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.manifold import increment_rate, moved
-from rbjax.dynamics.packing import pack
-from rbjax.dynamics.rnea import rnea
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.manifold import increment_rate, moved
+from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model, State

@@ -17,7 +17,7 @@ import jax
 from rbjax.arguments import real_number
 from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
-from rbjax.dynamics.link_forces import LinkForces
+from rbjax.dynamics.algorithms.link_forces import LinkForces
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 

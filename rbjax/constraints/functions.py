@@ -32,8 +32,8 @@ from rbjax.constraints.user_function import (
     check_size,
     evaluate,
 )
+from rbjax.dynamics.algorithms.manifold import integrate_lanes
 from rbjax.dynamics.arguments import check_takes
-from rbjax.dynamics.manifold import integrate_lanes
 from rbjax.forces import Loads
 from rbjax.forces.instant import Instant
 

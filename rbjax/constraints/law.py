@@ -24,12 +24,12 @@ import jax.numpy as jnp
 
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import response, rows_of, with_multipliers
-from rbjax.dynamics.aba import aba
-from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.packing import pack
-from rbjax.dynamics.rnea import rnea
-from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
+from rbjax.dynamics.algorithms.aba import aba
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, mul, neg
 from rbjax.model import Model, State

@@ -20,11 +20,11 @@ import numpy as np
 
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import gradient_matrix, rows_of, with_multipliers
-from rbjax.dynamics.drivers import Driver, driver
-from rbjax.dynamics.manifold import moved
-from rbjax.dynamics.packing import pack
-from rbjax.dynamics.rnea import rnea
-from rbjax.dynamics.tracing import split_tracers, with_implicit_jvp
+from rbjax.dynamics.algorithms.manifold import moved
+from rbjax.dynamics.algorithms.rnea import rnea
+from rbjax.dynamics.drivers.choice import Driver, driver
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Vec3
 from rbjax.lanes.products import matvec

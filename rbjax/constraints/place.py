@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import instance
+from rbjax.dynamics.algorithms.kinematics import forward_kinematics
 from rbjax.dynamics.arguments import check_array
-from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.forces.anchor import check_named, named_frame
 from rbjax.forces.instant import Frame, Instant

@@ -25,9 +25,9 @@ import jax.numpy as jnp
 
 from rbjax.constraints.least_change import Changes, Solve, least_changes, leveled, off, off_of
 from rbjax.constraints.system import response, rows_of
-from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.manifold import moved
+from rbjax.dynamics.algorithms.aba import factorize
+from rbjax.dynamics.algorithms.manifold import moved
+from rbjax.dynamics.drivers.choice import Driver
 from rbjax.forces.instant import Instant
 from rbjax.model import Model, State
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from rbjax.arguments import real_number
 from rbjax.constraints.residuals import jacobian
-from rbjax.dynamics.crba import mass_matrix
+from rbjax.dynamics.algorithms.crba import mass_matrix
 from rbjax.model import Model
 
 

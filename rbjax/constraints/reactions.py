@@ -15,10 +15,10 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.pairs import Pair
 from rbjax.constraints.soft import Soft, is_soft
 from rbjax.constraints.system import by_link
-from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.link_forces import on_links
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.algorithms.link_forces import on_links
+from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied
 from rbjax.forces.element import Loads

@@ -42,11 +42,11 @@ from rbjax.constraints.system import (
     shared,
     triangle,
 )
-from rbjax.dynamics.aba import Factor, eliminate, factorize, rigid_mass, to_parent
-from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.link_forces import LinkForces
-from rbjax.dynamics.packing import pack, unpack
-from rbjax.dynamics.rnea import forces_on_links, rnea
+from rbjax.dynamics.algorithms.aba import Factor, eliminate, factorize, rigid_mass, to_parent
+from rbjax.dynamics.algorithms.link_forces import LinkForces
+from rbjax.dynamics.algorithms.rnea import forces_on_links, rnea
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.drivers.packing import pack, unpack
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, fusion_barrier, mul, sub
 from rbjax.lanes.proximal import LeastNorm

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.constraints.system import gradient_matrix, rows_of
-from rbjax.dynamics.arguments import algorithm
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.drivers.packing import pack
+from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.forces.instant import Instant
 from rbjax.model import Model, State
 

@@ -31,8 +31,8 @@ from rbjax.constraints.pairs import Pair
 from rbjax.constraints.residuals import jacobian
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import gradient_matrix
-from rbjax.dynamics.crba import mass_matrix
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.algorithms.crba import mass_matrix
+from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.instant import Frame, Instant
 from rbjax.lanes import Lane, neg, sub

@@ -38,10 +38,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints.row import Row
-from rbjax.dynamics.aba import Factor, accelerated, eliminated, solve
-from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.link_forces import LinkForces, added
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.algorithms.aba import Factor, accelerated, eliminated, solve
+from rbjax.dynamics.algorithms.link_forces import LinkForces, added
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.drivers.packing import pack
 from rbjax.errors import InputError
 from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant

@@ -27,11 +27,11 @@ from rbjax.constraints.least_change import Changes, Solve, least_changes, levele
 from rbjax.constraints.projection import projected
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import OnMatrices, gradient_matrix, least_norm, rows_of
-from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.aba import solve as solved
-from rbjax.dynamics.drivers import Driver
-from rbjax.dynamics.manifold import difference_lanes, moved, velocity_lanes
-from rbjax.dynamics.packing import pack
+from rbjax.dynamics.algorithms.aba import factorize
+from rbjax.dynamics.algorithms.aba import solve as solved
+from rbjax.dynamics.algorithms.manifold import difference_lanes, moved, velocity_lanes
+from rbjax.dynamics.drivers.choice import Driver
+from rbjax.dynamics.drivers.packing import pack
 from rbjax.forces.instant import Instant
 from rbjax.lanes.products import matmat, matvec
 from rbjax.lanes.proximal import least

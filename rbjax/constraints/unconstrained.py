@@ -16,8 +16,8 @@ from rbjax.constraints.dense import Dense, Solution, pseudo_inverse, solve_posit
 from rbjax.constraints.formulation import Formulation
 from rbjax.constraints.row import Row
 from rbjax.constraints.system import rows_of, with_multipliers
-from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.forward import acceleration
+from rbjax.dynamics.algorithms.forward import acceleration
+from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Lane, add, mul, neg
 from rbjax.lanes.products import matmat, matvec

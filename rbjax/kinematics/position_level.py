@@ -24,6 +24,7 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.compiling import compiled, inside_jit
+from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
 from rbjax.dynamics.arguments import (
     check_array,
     check_model,
@@ -31,8 +32,7 @@ from rbjax.dynamics.arguments import (
     check_quaternions,
     shape_of,
 )
-from rbjax.dynamics.manifold import difference_lanes, integrate_lanes
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_key
 from rbjax.kinematics.goals import Goal, body_of, errors

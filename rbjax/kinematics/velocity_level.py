@@ -27,7 +27,7 @@ from rbjax.dynamics.arguments import (
     check_quaternions,
     check_step,
 )
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.kinematics.arguments import check_at_least, check_bound, check_several
 from rbjax.kinematics.goals import Goal, errors

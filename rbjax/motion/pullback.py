@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Literal, Var, jaxpr_as_fun
 
-from rbjax.dynamics.forward import LEFT
+from rbjax.dynamics.algorithms.forward import LEFT
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import Program, traced
 

@@ -23,13 +23,13 @@ from rbjax.dynamics.arguments import (
     check_takes,
     shape_of,
 )
-from rbjax.dynamics.drivers import on_threads
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.drivers.choice import on_threads
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
 from rbjax.model import Model, State, made_ahead
-from rbjax.motion.captured import with_captured
+from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, itself, motion, unit

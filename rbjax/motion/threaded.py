@@ -10,11 +10,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics import drivers
-from rbjax.dynamics.ahead import made_by_threads
-from rbjax.dynamics.devices import on_each_device
-from rbjax.dynamics.operations import operation_count
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.drivers import choice
+from rbjax.dynamics.tracing.ahead import made_by_threads
+from rbjax.dynamics.tracing.custom_rules import split_tracers
+from rbjax.dynamics.tracing.devices import on_each_device
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import joined, shapes
 from rbjax.model import Model, State, known_zeros
 from rbjax.motion.field import Field, Law
@@ -53,7 +53,7 @@ def on_threads(
     between the steps, by XLA's matrix products.
     """
     dtype = state.q.dtype
-    model = drivers.on_threads(model, dtype)
+    model = choice.on_threads(model, dtype)
     made = made_by_threads(known_zeros(model), dtype)  # structural zeros only for the constants
     model = model.replace(prepared=made.execution.prepared)
     batched, steps, save_every = how.batched, how.count, how.save_every

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.dynamics import mass_matrix
-from rbjax.dynamics.manifold import difference
+from rbjax.dynamics.algorithms.manifold import difference
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.motion.kalman import KalmanFiltered, Smoothed, kalman_smoother

@@ -17,9 +17,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.frames import frame_velocity, site_pose
-from rbjax.dynamics.kinematics import forward_kinematics
-from rbjax.dynamics.manifold import integrate
+from rbjax.dynamics.algorithms.frames import frame_velocity, site_pose
+from rbjax.dynamics.algorithms.kinematics import forward_kinematics
+from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.errors import UnknownName
 from rbjax.forces.acting import applied_forces
 from rbjax.forces.inputs import Inputs

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.manifold import difference, integrate
+from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.sysid.divergence import Divergence

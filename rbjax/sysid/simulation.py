@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.dynamics.manifold import difference, integrate
+from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.links import known_zeros, made_ahead
 from rbjax.model.record import Record

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-from rbjax.dynamics.manifold import integrate
+from rbjax.dynamics.algorithms.manifold import integrate
 from rbjax.model import State
 from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.islands import Directions, directions

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.dynamics.devices import memory_share
+from rbjax.dynamics.tracing.devices import memory_share
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.sysid.arguments import check_how, recordings_of, setup_of

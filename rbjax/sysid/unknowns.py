@@ -20,7 +20,7 @@ import numpy as np
 
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
-from rbjax.spatial.consistency import from_pseudo_inertia, pseudo_inertia
+from rbjax.spatial.physical_consistency import from_pseudo_inertia, pseudo_inertia
 from rbjax.sysid.divergence import Divergence
 from rbjax.sysid.log_cholesky import PARAMETERS, inertial_parameters_of, pseudo_inertia_of
 from rbjax.sysid.setup_leaves import leaf_of as leaf_of

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rbjax.lanes.sincos import SERIES, horner
+from rbjax.lanes.trigonometry import SERIES, horner
 from rbjax.threads.expressions import Number
 
 F64, I32, I64 = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.int64)

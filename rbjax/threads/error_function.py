@@ -9,7 +9,7 @@ coefficients are Chebyshev's interpolation in 400 bits.
 
 from __future__ import annotations
 
-from rbjax.lanes.sincos import horner
+from rbjax.lanes.trigonometry import horner
 from rbjax.threads.elementary import Found, limited, power_of_two, scaled
 from rbjax.threads.expressions import Number
 from rbjax.threads.powers import product

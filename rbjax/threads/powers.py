@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from rbjax.lanes.sincos import horner
+from rbjax.lanes.trigonometry import horner
 from rbjax.threads.elementary import (
     I64,
     LN2,

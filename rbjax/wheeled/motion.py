@@ -18,12 +18,12 @@ import jax.numpy as jnp
 from rbjax.arguments import choice, integer
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
-from rbjax.dynamics.batching import in_chunks
-from rbjax.dynamics.tracing import split_tracers
+from rbjax.dynamics.tracing.batching import in_chunks
+from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, fusion_barrier, mul
 from rbjax.model import State
-from rbjax.motion.captured import with_captured
+from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.threads import threaded, wanted
 from rbjax.wheeled.fidelity import Fidelity, as_state

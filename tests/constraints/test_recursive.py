@@ -28,7 +28,7 @@ from rbjax.constraints.law import constrained_motion
 from rbjax.constraints.projection import projected
 from rbjax.constraints.recursive import by_clusters
 from rbjax.constraints.system import rows_of
-from rbjax.dynamics.drivers import driver
+from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Vec3
 from rbjax.model import WORLD

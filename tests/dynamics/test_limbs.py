@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.aba import factorize
-from rbjax.dynamics.drivers import driver
-from rbjax.dynamics.limbs import Limbs
-from rbjax.dynamics.unrolled import Unrolled
+from rbjax.dynamics.algorithms.aba import factorize
+from rbjax.dynamics.drivers.choice import driver
+from rbjax.dynamics.drivers.limbs import Limbs
+from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.lanes import fusion_barrier
 from rbjax.model import WORLD, partition
 from rbjax.threads.frame import batch_first, write_program

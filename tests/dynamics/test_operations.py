@@ -6,7 +6,7 @@ import mujoco
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics.operations import OperationCount, leaf_names, operation_count
+from rbjax.dynamics.tracing.operations import OperationCount, leaf_names, operation_count
 from rbjax.lanes import fusion_barrier, sincos
 from rbjax.threads.primitive import run
 from rbjax.threads.programs import traced

@@ -12,7 +12,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.extend.core import jaxpr_as_fun
 
 import rbjax as rb
-from rbjax.dynamics.operations import operation_count
+from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.forces.inputs import Inputs
 from rbjax.model import State
 from rbjax.motion.field import Field

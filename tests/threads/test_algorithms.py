@@ -11,7 +11,7 @@ import pytest
 
 import rbjax as rb
 from benchmarks.shared.robots import as_model, compiled, states
-from rbjax.dynamics.drivers import on_threads
+from rbjax.dynamics.drivers.choice import on_threads
 from tests.dynamics.test_limbs import CART, walker
 from tests.robots import robot
 from tests.test_registry import REGISTRY
@@ -135,7 +135,7 @@ def switch(monkeypatch):
 
     def turn(on: bool) -> None:
         jax.clear_caches()
-        for name in ("dynamics.arguments", "dynamics.forward", "motion.rollout"):
+        for name in ("dynamics.tracing.algorithm", "dynamics.algorithms.forward", "motion.rollout"):
             monkeypatch.setattr(importlib.import_module(f"rbjax.{name}"), "wanted", lambda: on)
 
     yield turn

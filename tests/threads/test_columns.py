@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics import columns
-from rbjax.dynamics.bodywise import regressor_by_columns
-from rbjax.dynamics.drivers import THREADS_APART_ABOVE
+from rbjax.dynamics.algorithms import columns
+from rbjax.dynamics.algorithms.regressor import regressor_by_columns
+from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE
 from rbjax.threads.cuda import kernel
 from rbjax.threads.frame import Layout, write_program
 from rbjax.threads.primitive import on_gpu

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rbjax as rb
-from rbjax.dynamics import drivers
+from rbjax.dynamics.drivers import choice
 from rbjax.lanes import inverse
 from rbjax.threads.cuda import ARRAY_BYTES_UP_TO, STATEMENTS_UP_TO
 from rbjax.threads.program import Block, Builder, If, Load, Loop, Reserve, Store, While, walk
@@ -109,7 +109,7 @@ def test_inverses() -> None:
 def bytes_of(scene: str, name: str, of) -> int:
     """The bytes of a thread in f64."""
     model = rb.load(scene).astype(jnp.float64)
-    model = drivers.on_threads(model, F64)
+    model = choice.on_threads(model, F64)
     state = model.default_state()
     q, v = np.asarray(state.q)[None], np.ones((1, model.nv))
     program = written(of(model, name), q, v)[0]

@@ -17,7 +17,8 @@ from tests.eight_devices import check, mesh, on_eight_devices
 from tests.tolerances import F64_TRANSFORM, relative_error
 
 threaded_rollout, places = (
-    importlib.import_module(f"rbjax.{name}") for name in ("motion.threaded", "dynamics.devices")
+    importlib.import_module(f"rbjax.{name}")
+    for name in ("motion.threaded", "dynamics.tracing.devices")
 )
 
 

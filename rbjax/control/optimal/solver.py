@@ -20,7 +20,7 @@ from rbjax.control.optimal.registry import METHODS, method_of, name_of
 from rbjax.control.optimal.solution import Found, Solution, solution_of, violations
 from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.errors import InputError
-from rbjax.motion.captured import with_captured
+from rbjax.motion.closures.captured import with_captured
 from rbjax.progress import Say, progress_line
 from rbjax.solvers.arguments import check_between, check_whole
 

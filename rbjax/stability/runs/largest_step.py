@@ -20,7 +20,7 @@ import numpy as np
 
 from rbjax import solvers
 from rbjax.arguments import real_array
-from rbjax.dynamics.manifold import difference, integrate
+from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.integrators import INTEGRATORS
