@@ -51,10 +51,12 @@ if TYPE_CHECKING:
         body,
         constraints,
         control,
+        estimation,
         forces,
         kinematics,
         planning,
         plotting,
+        sensors,
         solvers,
         stability,
         sysid,
@@ -75,8 +77,8 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "forces", "kinematics", "loading", "motion", "planning",
-    "plotting", "solvers", "stability", "sysid", "validation", "wheeled",
+    "body", "constraints", "control", "estimation", "forces", "kinematics", "loading", "motion",
+    "planning", "plotting", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
 )  # fmt: skip
 _MODULES = {
     "Linear": "motion.linearise",
@@ -149,6 +151,7 @@ __all__ = [
     "coriolis_matrix",
     "difference",
     "dynamics",
+    "estimation",
     "forces",
     "forward_dynamics",
     "forward_dynamics_derivatives",
@@ -177,6 +180,7 @@ __all__ = [
     "rollout",
     "rotations",
     "scenes",
+    "sensors",
     "simulate",
     "site_pose",
     "solvers",

@@ -34,9 +34,14 @@ FLOORS = {
     "loading": "constraints",
     "solvers": "rotations",
     "motion": "solvers loading",
+    "estimation": "motion",
+    "sensors": "motion",
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
-FLOORS |= dict.fromkeys("wheeled planning sysid kinematics stability flexible".split(), "motion")  # noqa: SIM905
+FLOORS |= dict.fromkeys(
+    "wheeled planning sysid kinematics stability flexible".split(),  # noqa: SIM905
+    "estimation sensors",
+)
 FLOORS |= {"control": "kinematics"}
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how

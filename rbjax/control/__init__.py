@@ -42,7 +42,7 @@ from rbjax.control.learning.environment import Environment
 from rbjax.control.learning.networks import Network, network
 from rbjax.control.learning.policy_gradient import Trained, actor_critic, through_time
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
-from rbjax.control.linear.observer import SteadyFilter, kalman_gain, observed
+from rbjax.control.linear.observer import SteadyFilter, kalman_gain
 from rbjax.control.linear.parallel_riccati import parallel_backward, parallel_roll
 from rbjax.control.linear.regulators import Regulator, feedback, lqr, lqr_at, lqr_finite
 from rbjax.control.linear.riccati import (
@@ -97,7 +97,6 @@ from rbjax.kinematics.velocity_level import (
     DifferentialInverseKinematics,
     differential_inverse_kinematics,
 )
-from rbjax.motion.kalman import Estimate, StateSpace, kalman_predict, kalman_update
 
 #: names offered here whose module imports this package; `rbjax` fills this table
 FROM_ABOVE = names_from_above("rbjax.control")
@@ -208,11 +207,7 @@ __all__ = [
     "observability_gramian",
     "poles",
     # what is not measured
-    "Estimate",
     "SteadyFilter",
-    "StateSpace",
     "kalman_gain",
-    "kalman_predict",
-    "kalman_update",
-    "observed",
 ]
+
