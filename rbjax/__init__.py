@@ -13,6 +13,7 @@ import jax
 from rbjax import dynamics, joints, rotations, spatial
 from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
+from rbjax.compiler import compile, threads
 from rbjax.compiling import compiler_options
 from rbjax.dynamics import (
     Poses,
@@ -44,7 +45,6 @@ from rbjax.dynamics import (
 from rbjax.dynamics.tracing.operations import operation_count
 from rbjax.errors import InputError, ModelError, RbjaxError, UnknownName, UnsupportedFeature
 from rbjax.model import Model, State
-from rbjax.threads import compile, threads
 
 if TYPE_CHECKING:
     from rbjax import (

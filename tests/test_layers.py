@@ -21,13 +21,13 @@ FLOORS = {
     "compiling": "progress style html_page above arguments _jax_compat",
     "meshes": "compiling",
     "lanes": "meshes",
-    "threads": "lanes",
+    "compiler": "lanes",
     "rotations": "lanes",
     "spatial": "rotations",
     "body": "spatial",
     "joints": "spatial",
     "model": "joints",
-    "dynamics": "body model threads",
+    "dynamics": "body model compiler",
     # above dynamics, which never adds a force of its own: a wrench at a site needs its Jacobian
     "forces": "dynamics",
     "constraints": "forces",
@@ -51,7 +51,7 @@ TOP = {"", "validation", "demo", "cli", "plotting"}  # may import anything; "" i
 GUESTS = {  # packages that only some files may import
     "mujoco": ("loading/", "validation/", "plotting", "cli"),
     "optax": ("sysid", "control", "demo"),
-    "jax.config": ("threads/disk_cache",),  # the caller's; read to keep kernels beside JAX's cache
+    "jax.config": ("compiler/disk_cache",),  # the caller's; read to keep kernels beside JAX's cache
 }
 
 

@@ -2,7 +2,7 @@
 
 Iterations that solve with one matrix often and correct their own rounding take the inverse: a
 product is faster than two triangular solves. GPU threads know no complex numbers and have little
-memory; there the inverse takes the place of the matrix (`rbjax.threads.inversion`).
+memory; there the inverse takes the place of the matrix (`rbjax.compiler.lower.inversion`).
 """
 
 from __future__ import annotations

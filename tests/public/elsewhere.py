@@ -63,5 +63,5 @@ ELSEWHERE: dict[str, set[str]] = {
               "quaternion_matrix", "rotation_z", "sincos", "sub", "total"},
     "model": {"as_declared", "known_zeros", "made_ahead", "partition", "prepare", "spans",
               "without_constants"},
-    "threads": {"compile", "explain", "threads"},
+    "compiler": {"compile", "explain", "threads"},
 }  # fmt: skip

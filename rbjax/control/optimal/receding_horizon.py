@@ -24,19 +24,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.compiler import threads
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS
 from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, later
 from rbjax.control.optimal.shooting.knots import violation
-from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_between, check_whole
-from rbjax.threads import threads
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without

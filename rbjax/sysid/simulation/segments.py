@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from rbjax.threads.backend import gpu
+from rbjax.compiler.jax.backend import gpu
 
 #: threads that a GPU runs as fast as one
 THREADS = 8192

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads, wanted
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.model import Model, State
 from rbjax.model.links import known_zeros, made_ahead
@@ -27,7 +28,6 @@ from rbjax.motion.linearise import step
 from rbjax.sensors.columns import Columns
 from rbjax.sensors.readings import Moment, Reading, reading_of
 from rbjax.sysid.simulation.segments import in_segments
-from rbjax.threads import threads, wanted
 
 #: (t, reading, command (n,)) -> ctrl (nu,), called once for each command
 Controller = Callable[[Any, State, jax.Array], jax.Array]

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control.optimal.collocation import barrier
 from rbjax.control.optimal.collocation.barrier import Bounded, Duals
 from rbjax.control.optimal.collocation.condensing import (
@@ -36,7 +37,6 @@ from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
 from rbjax.control.optimal.shooting.expansion import limits, row_sizes
 from rbjax.lanes.products import matvec
 from rbjax.solvers.tableau import Tableau
-from rbjax.threads import threads
 
 
 class Point(NamedTuple):

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, no_multipliers
@@ -47,7 +48,6 @@ from rbjax.control.optimal.shooting.verdict import (
 )
 from rbjax.control.optimal.solution import Found, plain_cost
 from rbjax.control.status import GOING
-from rbjax.threads import threads
 
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
 

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threads
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.ddp import by_ddp
@@ -33,7 +34,6 @@ from rbjax.control.optimal.solution import Found, plain_cost, violations
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_between, check_whole
-from rbjax.threads import threads
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")

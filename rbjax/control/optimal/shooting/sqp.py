@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import in_parts, threads
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback
@@ -43,7 +44,6 @@ from rbjax.control.optimal.shooting.knots import FEW, Expanded, at_places, numbe
 from rbjax.control.optimal.shooting.verdict import LENGTHS, Measures, Rules, Verdict
 from rbjax.control.optimal.solution import Found
 from rbjax.control.products import product
-from rbjax.threads import in_parts, threads
 
 RHO = 3.0
 
