@@ -21,6 +21,7 @@ from rbjax.compiler import threads
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import PENALTY, Multipliers
 from rbjax.control.optimal.shooting.expansion import merit, row_count
+from rbjax.control.optimal.solution import Solution
 from rbjax.control.products import product
 from rbjax.errors import InputError
 

@@ -31,6 +31,7 @@ from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS
 from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, later
 from rbjax.control.optimal.shooting.knots import violation
+from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
 from rbjax.dynamics.arguments import check_takes
