@@ -33,7 +33,7 @@ from rbjax.control.optimal.shooting.knots import largest_gap
 from rbjax.control.optimal.solution import Found, plain_cost, violations
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")
