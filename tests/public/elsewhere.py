@@ -23,6 +23,7 @@ ELSEWHERE: dict[str, set[str]] = {
                  "grid_dijkstra_many", "hybrid_a_star", "methods", "plan", "refine", "smooth",
                  "time_scaling"},
     # searches, training, sentences; `solve` has cases by its methods
+    "kinematics": {"inverse_kinematics"},
     "control": {"actor_critic", "directions", "inverse_kinematics", "methods", "mpc",
                 "region_of_attraction", "through_time"},
     # recordings, fits and their statistics, which run in NumPy on the host
