@@ -269,8 +269,8 @@ def identify(
     folder: Annotated[Path | None, typer.Option("--out", help="Folder of the results.")] = None,
 ) -> None:
     """Fit a robot's parameters to recordings. Writes a report and the robot's file with them."""
-    from rbjax.sysid.job import Job
-    from rbjax.sysid.job_example import write_example
+    from rbjax.sysid.jobs.example import write_example
+    from rbjax.sysid.jobs.job import Job
 
     with _session():
         if example:

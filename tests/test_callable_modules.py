@@ -38,8 +38,6 @@ def test_the_module_is_called_as_the_function() -> None:
 
     assert rb.wheeled.kinds is k and "car" in rb.wheeled.kinds()
     assert k.car(wheelbase=2.0).arrangement.mobility == 1
-    assert rb.threads.explain is sys.modules["rbjax.threads.explain"]  # type: ignore[attr-defined]
-    assert callable(rb.threads)
     assert pickle.loads(pickle.dumps(k)) is k
     due = ["robot", "t", "angles"]
     assert list(inspect.signature(rb.wheeled.odometry).parameters)[:3] == due

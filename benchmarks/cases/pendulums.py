@@ -26,7 +26,7 @@ from rbjax.sysid import (
     free_run,
     identify,
 )
-from rbjax.sysid.traces import Trace
+from rbjax.sysid.simulation.traces import Trace
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "multiarm_pendulum"
 NAMES = ("single", "double", "triple")

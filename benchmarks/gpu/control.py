@@ -24,12 +24,12 @@ import rbjax as rb
 from benchmarks.cases.optimal_control import given, reach, target_of
 from benchmarks.shared.gpu_timing import CALLS, alone, timed
 from benchmarks.shared.timing import markdown_table, measure, save
+from rbjax.compiler import threads
 from rbjax.control import ddp, sqp
 from rbjax.control import knots as knots_of
 from rbjax.control.first_guess import first_guess
 from rbjax.control.options import Options
 from rbjax.control.verdict import Limits
-from rbjax.threads import threads
 
 COLUMNS = (
     "robot", "what", "method", "horizon", "batch", "lower_s", "compile_s", "run_s", "M/s median",

@@ -62,7 +62,7 @@ from rbjax.control.margins import Margins, margins
 from rbjax.control.methods import Method, methods
 from rbjax.control.mpc import Controller, mpc
 from rbjax.control.networks import Network, network
-from rbjax.control.observer import SteadyFilter, kalman_gain, observed
+from rbjax.control.observer import SteadyFilter, kalman_gain
 from rbjax.control.operational_space import OperationalSpace, operational_space
 from rbjax.control.outcome import LINEAR_RESULTS
 from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
@@ -98,7 +98,6 @@ from rbjax.control.solution import Solution
 from rbjax.control.system import Equations, System
 from rbjax.control.terms import Constraint, Cost, Term
 from rbjax.control.tracking import Tracking, time_varying_lqr
-from rbjax.motion.kalman import Estimate, StateSpace, kalman_predict, kalman_update
 
 #: names offered here whose module imports this package; `rbjax` fills this table
 FROM_ABOVE = names_from_above("rbjax.control")
@@ -209,13 +208,8 @@ __all__ = [
     "observability_gramian",
     "poles",
     # what is not measured
-    "Estimate",
     "SteadyFilter",
-    "StateSpace",
     "kalman_gain",
-    "kalman_predict",
-    "kalman_update",
-    "observed",
 ]
 
 make_modules_callable(__name__)

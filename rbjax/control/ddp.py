@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control.augmented_lagrangian import Multipliers, no_multipliers
 from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
 from rbjax.control.expansion import row_count
@@ -41,7 +42,6 @@ from rbjax.control.verdict import (
     begun,
     verdict,
 )
-from rbjax.threads import threads
 
 ACCEPTED, ASCENT = 0.1, 2.0  # shares of the foreseen change
 

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.arguments import check_at_least, check_bound, check_several
 from rbjax.control.goals import Goal, errors
@@ -37,7 +38,6 @@ from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
-from rbjax.threads import threaded, wanted
 
 WHERE = "differential_inverse_kinematics"
 #: steps a coordinate, each of which holds or frees one: it takes two or three

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control.augmented_lagrangian import PENALTY, Multipliers
 from rbjax.control.expansion import merit, row_count
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.products import product
 from rbjax.control.solution import Solution
 from rbjax.errors import InputError
-from rbjax.threads import threads
 
 
 class Guess(NamedTuple):

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.arguments import check_key
 from rbjax.control.goals import Goal, body_of, errors
@@ -43,7 +44,6 @@ from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
 from rbjax.solvers.arguments import check_whole
-from rbjax.threads import threaded, wanted
 
 WHERE = "inverse_kinematics"
 #: a row of J is redundant if the square of what no other row has is below this share of its own,

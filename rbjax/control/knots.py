@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import in_parts, side_by_side, threads
 from rbjax.control.augmented_lagrangian import Multipliers, next_multipliers, violated
 from rbjax.control.expansion import (
     Local,
@@ -25,7 +26,6 @@ from rbjax.control.expansion import (
     second_order,
 )
 from rbjax.control.problem import BODY, NEXT, Knot, Problem
-from rbjax.threads import in_parts, side_by_side, threads
 
 #: knots, of all problems together, up to which a GPU has a thread a column
 FEW = 2048

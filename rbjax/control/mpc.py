@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.compiler import threads
 from rbjax.control.augmented_lagrangian import Multipliers, later
 from rbjax.control.first_guess import first_guess
 from rbjax.control.knots import violation
@@ -36,7 +37,6 @@ from rbjax.control.system import system_of
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_between, check_whole
-from rbjax.threads import threads
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without

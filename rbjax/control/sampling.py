@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threads
 from rbjax.control.ddp import by_ddp
 from rbjax.control.expansion import merit, row_count
 from rbjax.control.knots import largest_gap
@@ -33,7 +34,6 @@ from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost, violations
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_between, check_whole
-from rbjax.threads import threads
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")

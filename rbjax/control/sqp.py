@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import in_parts, threads
 from rbjax.control.backward_pass import Feedback
 from rbjax.control.ddp import Iterate, Way, searched
 from rbjax.control.expansion import Local, merit
@@ -43,7 +44,6 @@ from rbjax.control.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.products import product
 from rbjax.control.solution import Found
 from rbjax.control.verdict import LENGTHS, Measures, Rules, Verdict
-from rbjax.threads import in_parts, threads
 
 RHO = 3.0
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threads
 from rbjax.control import barrier
 from rbjax.control.backward_pass import Feedback, backward_pass
 from rbjax.control.barrier import Bounded, Duals
@@ -36,7 +37,6 @@ from rbjax.control.transcription import (
 )
 from rbjax.lanes.products import matvec
 from rbjax.solvers.tableau import Tableau
-from rbjax.threads import threads
 
 
 class Point(NamedTuple):

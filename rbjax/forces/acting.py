@@ -18,11 +18,11 @@ from rbjax.dynamics.algorithms.link_forces import LinkForces, added, on_links
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.errors import InputError
-from rbjax.forces.actuators import Actuators, clip
+from rbjax.forces.actuators.table import Actuators, clip
 from rbjax.forces.element import Element, Loads, check_shapes
 from rbjax.forces.inputs import NO_INPUTS, Inputs
 from rbjax.forces.instant import Instant
-from rbjax.forces.joint_springs import JointSprings
+from rbjax.forces.joints.springs import JointSprings
 from rbjax.lanes import Lane, add, is_zero, total
 from rbjax.model import Model, State
 from rbjax.model.leaves import table

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.constraints import JointPolynomial
-from rbjax.forces.actuator import Actuator
+from rbjax.forces.actuators.actuator import Actuator
+from rbjax.forces.actuators.transmissions import SiteWrench
 from rbjax.forces.instant import Instant
-from rbjax.forces.transmissions import SiteWrench
 from rbjax.model import Model
 
 

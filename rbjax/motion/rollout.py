@@ -20,6 +20,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
@@ -38,7 +39,6 @@ from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.solvers.arguments import check_whole
-from rbjax.threads import wanted
 
 
 def rollout(

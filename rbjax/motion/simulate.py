@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.constraints.formulation import Formulation
 from rbjax.dynamics.arguments import (
@@ -35,7 +36,6 @@ from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
 from rbjax.solvers.arguments import check_whole
-from rbjax.threads import threaded, wanted
 
 
 @automatic

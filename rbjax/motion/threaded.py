@@ -10,6 +10,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import Moving, Program
+from rbjax.compiler.jax.uniform import divided
 from rbjax.dynamics.drivers import choice
 from rbjax.dynamics.tracing.ahead import made_by_threads
 from rbjax.dynamics.tracing.custom_rules import split_tracers
@@ -21,10 +25,6 @@ from rbjax.motion.field import Field, Law
 from rbjax.motion.integrators import Integrator, advanced
 from rbjax.motion.march import March, keep_every
 from rbjax.motion.sources import Sources
-from rbjax.threads.function import trace
-from rbjax.threads.primitive import run
-from rbjax.threads.programs import Moving, Program
-from rbjax.threads.uniform import divided
 
 #: operations of a step from which on it is faster to keep what it leaves than to compute it again
 LEAVING_ABOVE = 4_000

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import choice, integer
+from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_array, check_step, check_takes, shape_of
 from rbjax.dynamics.tracing.batching import in_chunks
@@ -25,7 +26,6 @@ from rbjax.lanes import Lane, add, fusion_barrier, mul
 from rbjax.model import State
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.threads import threaded, wanted
 from rbjax.wheeled.fidelity import Fidelity, as_state
 from rbjax.wheeled.instant import Instant
 from rbjax.wheeled.numbers import Numbers

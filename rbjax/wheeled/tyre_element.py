@@ -36,7 +36,7 @@ from rbjax.constraints.place import Place, check_places
 from rbjax.errors import InputError
 from rbjax.forces import Element, Instant, Loads
 from rbjax.forces.element import Shapes
-from rbjax.forces.joint_limits import stop_energy, stop_force
+from rbjax.forces.joints.limits import stop_energy, stop_force
 from rbjax.lanes import Lane, Vec3
 from rbjax.model import Model
 from rbjax.model.record import check_number, floats

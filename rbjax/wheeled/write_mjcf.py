@@ -40,8 +40,8 @@ import numpy as np
 from rbjax.arguments import choice, real_number
 from rbjax.constraints import Gear, JointPolynomial
 from rbjax.errors import InputError, UnsupportedFeature
-from rbjax.loading.draft import Draft, text
-from rbjax.loading.write_mjcf import compiled, drafted, serialised
+from rbjax.loading.write.draft import Draft, text
+from rbjax.loading.write.mjcf import compiled, drafted, serialised
 from rbjax.model import Model
 from rbjax.wheeled.full_model import full_model, knuckle_joint, wheel_joint
 from rbjax.wheeled.loads import wheel_loads

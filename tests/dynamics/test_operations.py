@@ -6,10 +6,10 @@ import mujoco
 import pytest
 
 import rbjax as rb
+from rbjax.compiler.jax.primitive import run
+from rbjax.compiler.jax.programs import traced
 from rbjax.dynamics.tracing.operations import OperationCount, leaf_names, operation_count
 from rbjax.lanes import fusion_barrier, sincos
-from rbjax.threads.primitive import run
-from rbjax.threads.programs import traced
 from tests.forces.test_drivers import TWO_ARMED
 from tests.oracles.random_actuators import random_actuated
 from tests.robots import load_quietly

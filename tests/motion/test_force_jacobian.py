@@ -102,7 +102,7 @@ def test_forces_that_reach_beyond_their_joint_take_one_tangent_a_column(monkeypa
 @pytest.mark.slow
 def test_the_program_of_a_chain_of_40_hinges_is_short(monkeypatch):
     """63,713 statements before; the compile time is proportional to them."""
-    from rbjax.threads import primitive
+    from rbjax.compiler.jax import primitive
 
     write, sizes = primitive.write_program, []
 

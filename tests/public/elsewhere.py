@@ -33,6 +33,8 @@ ELSEWHERE: dict[str, set[str]] = {
               "parameter_names", "prediction_error", "random_motions", "read_csv", "read_npz",
               "regress", "regress_with_zeros", "report", "sandwich", "select", "split", "squares",
               "torque_rows", "whiteness", "zeros_of"},
+    "estimation": set(),
+    "sensors": set(),
     # theory by polynomials in NumPy, runs of a million steps, pictures
     "stability": {"adams", "alpha_degrees", "attempt", "backward_differentiation", "characteristic",
                   "dissipation", "drift", "equilibrium", "gradient_growth", "growth_factors",
@@ -61,5 +63,5 @@ ELSEWHERE: dict[str, set[str]] = {
               "quaternion_matrix", "rotation_z", "sincos", "sub", "total"},
     "model": {"as_declared", "known_zeros", "made_ahead", "partition", "prepare", "spans",
               "without_constants"},
-    "threads": {"compile", "explain", "threads"},
+    "compiler": {"compile", "explain", "threads"},
 }  # fmt: skip

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import side_by_side, threaded
 from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
 from rbjax.dynamics.algorithms.operands import inverse_pairs, operands
@@ -27,7 +28,6 @@ from rbjax.lanes import Lane, Mat3, Vec3, batch_first, batch_last
 from rbjax.model import Model, prepare
 from rbjax.model.cells import stacked
 from rbjax.spatial import Force, Motion, Transform
-from rbjax.threads import side_by_side, threaded
 
 #: a row: axis S, then U and 1 / D if columns are solved, all in world axes
 AXIS, FACTORS = slice(0, 6), slice(6, 13)

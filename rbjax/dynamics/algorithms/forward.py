@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 
+from rbjax.compiler import wanted
 from rbjax.dynamics.algorithms.aba import Factor, aba, factorize, solve
 from rbjax.dynamics.algorithms.columns import inverse_mass_by_columns
 from rbjax.dynamics.algorithms.link_forces import LinkForces, on_links
@@ -24,7 +25,6 @@ from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import split_tracers, with_implicit_jvp
 from rbjax.model import Model, made_ahead
-from rbjax.threads import wanted
 
 #: the names of values that a derivative may read instead of recomputing them
 LEFT = ("acceleration", "factors")

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.compiler import side_by_side, threaded
 from rbjax.dynamics.algorithms.composites import link_axes, tree_poses
 from rbjax.dynamics.algorithms.jacobians import ancestor_mask
 from rbjax.dynamics.algorithms.kinematics import accelerated_base, body_transforms, sweep
@@ -19,7 +20,6 @@ from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.lanes import Mat3, Vec3, add, batch_first, mul
 from rbjax.model import Model, as_declared
 from rbjax.spatial import Force, Motion, Transform
-from rbjax.threads import side_by_side, threaded
 
 
 def regressor_factors(

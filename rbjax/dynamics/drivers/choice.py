@@ -20,13 +20,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from rbjax.compiler.jax.backend import gpu
 from rbjax.dynamics.drivers.contract import Driver as Driver
 from rbjax.dynamics.drivers.limbs import Limbs
 from rbjax.dynamics.drivers.rolled import Rolled
 from rbjax.dynamics.drivers.rolled import allocate_slots as allocate_slots
 from rbjax.dynamics.drivers.unrolled import Unrolled
 from rbjax.model import DRIVER_NAMES, Model, Prepared, partition, prepare
-from rbjax.threads.backend import gpu
 
 #: above this many velocity coordinates "auto" rolls. On the CPU unrolled code runs two to three
 #: times as fast, but its gradient compiles in 0.8 s a link; that of rolled code in 4 s for any

@@ -26,7 +26,7 @@ from rbjax.dynamics.drivers.joint_lanes import joint_lanes
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.joints import HINGE, JointMotion, PosedJoint, turning
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal, sincos, sub
-from rbjax.lanes.fusion_barrier import whole_cotangent
+from rbjax.lanes.barriers import whole_cotangent
 from rbjax.model import WORLD, Group, Link, LinkConstants, Model, Prepared, partition
 from rbjax.model.links import lane
 

@@ -23,7 +23,7 @@ from rbjax.dynamics.drivers.joint_lanes import joint_columns, joint_lanes
 from rbjax.dynamics.drivers.packing import pack
 from rbjax.joints import JointMotion, PosedJoint
 from rbjax.lanes import Lane, add, as_arrays, fusion_barrier, is_literal
-from rbjax.lanes.fusion_barrier import whole_cotangent
+from rbjax.lanes.barriers import whole_cotangent
 from rbjax.model import WORLD, Model, Prepared
 from rbjax.model.cells import lane_of
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import jax
 
+from rbjax.compiler.jax.function import trace
+from rbjax.compiler.jax.primitive import run
 from rbjax.model import Model, made_ahead
-from rbjax.threads.function import trace
-from rbjax.threads.primitive import run
 
 
 def made_by_threads(model: Model, dtype: Any) -> Model:

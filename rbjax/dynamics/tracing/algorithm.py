@@ -4,7 +4,7 @@ Outside traced code an algorithm checks the values of its arguments and runs com
 numbers are arguments of the program, so changing one never recompiles. The same holds under a
 `vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
 is constant, and its zeros vanish from the program. A batch runs as a program of one sample: a
-thread on a GPU, a lane of machine code on a CPU (`rbjax.threads`). Under XLA on a CPU `batching`
+thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`). Under XLA on a CPU `batching`
 runs it.
 """
 
@@ -18,6 +18,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler import threaded, wanted
+from rbjax.compiler.jax.backend import gpu
 from rbjax.compiling import compiled, inside_jit
 from rbjax.dynamics.arguments import check_arrays, check_static
 from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE, on_threads
@@ -26,8 +28,6 @@ from rbjax.dynamics.tracing.batching import in_chunks
 from rbjax.dynamics.tracing.custom_rules import split_tracers
 from rbjax.meshes import automatic
 from rbjax.model import Model, known_zeros
-from rbjax.threads import threaded, wanted
-from rbjax.threads.backend import gpu
 
 #: arguments that are part of the program
 STATIC = ("body", "site", "integrator", "law", "constraints")

@@ -2,7 +2,7 @@
 
 A lane of the whole batch outgrows the cache, so a large batch runs in chunks
 (benchmarks/results/cpu-thresholds-*.json has the widths). Derivatives are those of the plain
-function. (Programs of one sample need no chunks: `rbjax.threads`.)
+function. (Programs of one sample need no chunks: `rbjax.compiler`.)
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Slices across the whole batch would make XLA gather it, and sums over samples would be reduced over
 the devices in every iteration. So the batch is first split into one part for each device, and the
 parts run side by side. If the batch is sharded evenly, each part lies on one device.
-(Threads on a GPU: `rbjax.threads.sharding`.)
+(Threads on a GPU: `rbjax.compiler.jax.sharding`.)
 """
 
 from __future__ import annotations

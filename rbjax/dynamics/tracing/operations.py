@@ -18,9 +18,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from rbjax.compiler.lower.control import over_time
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
-from rbjax.threads.control import over_time
 
 
 @dataclass(frozen=True)
