@@ -51,7 +51,7 @@ from rbjax.control.transcription import (
     stages,
 )
 from rbjax.control.verdict import VAIN, in_vain
-from rbjax.solvers.tableau import Tableau
+from rbjax.solvers.common.tableau import Tableau
 
 FIRST_MU = 0.1
 LEAST_REG, MOST_REG, HARDER, EASIER = 1e-4, 1e10, 8.0, 3.0

@@ -23,7 +23,7 @@ from rbjax.control.expansion import Quadratic
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.transcription import Inner, at_end, at_stage, combined, constants, stages
 from rbjax.lanes.products import matmat, matvec
-from rbjax.solvers.tableau import Tableau
+from rbjax.solvers.common.tableau import Tableau
 
 
 class Rows(NamedTuple):

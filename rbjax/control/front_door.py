@@ -22,7 +22,7 @@ from rbjax.control.solution import Found, Solution, solution_of, violations
 from rbjax.errors import InputError
 from rbjax.motion.closures.captured import with_captured
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 
 def solve(

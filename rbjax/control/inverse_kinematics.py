@@ -43,7 +43,7 @@ from rbjax.lanes import ldlt, matmat, matvec
 from rbjax.meshes import automatic
 from rbjax.model import Model
 from rbjax.model.record import Record
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 WHERE = "inverse_kinematics"
 #: a row of J is redundant if the square of what no other row has is below this share of its own,

@@ -31,7 +31,7 @@ from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.solvers.arguments import check_between
+from rbjax.solvers.common.arguments import check_between
 
 
 class Reach(NamedTuple):

@@ -12,7 +12,7 @@ from rbjax.control.sampling import SampledStart, Sampling
 from rbjax.control.single_shooting import by_adam, by_bfgs, by_shooting, by_squares
 from rbjax.control.sqp import by_sqp
 from rbjax.errors import UnknownName
-from rbjax.solvers.tableau import Tableau, gauss, lobatto_iiia, radau_iia
+from rbjax.solvers.common.tableau import Tableau, gauss, lobatto_iiia, radau_iia
 
 
 class Method(NamedTuple):

@@ -36,7 +36,7 @@ from rbjax.control.products import product
 from rbjax.control.system import system_of
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 HARDEST = 1e4  # the largest penalty at the beginning of a tick
 WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without

@@ -33,7 +33,7 @@ from rbjax.control.outcome import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.control.problem import Knot, Problem
 from rbjax.control.solution import Found, plain_cost, violations
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_between, check_whole
+from rbjax.solvers.common.arguments import check_between, check_whole
 
 UPDATES = ("predictive", "mppi", "cross_entropy")
 SPLINES = ("hold", "linear", "cubic")

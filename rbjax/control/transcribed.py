@@ -36,7 +36,7 @@ from rbjax.control.transcription import (
     stages,
 )
 from rbjax.lanes.products import matvec
-from rbjax.solvers.tableau import Tableau
+from rbjax.solvers.common.tableau import Tableau
 
 
 class Point(NamedTuple):

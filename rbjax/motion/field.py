@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeGuard
 
 import jax
 
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces

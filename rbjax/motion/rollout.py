@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from rbjax.compiler import wanted
 from rbjax.compiling import compiled, inside_jit
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.dynamics.arguments import check_arrays, check_moves, check_step, shape_of
 from rbjax.dynamics.tracing.batching import chunks
 from rbjax.dynamics.tracing.custom_rules import split_tracers
@@ -38,7 +38,7 @@ from rbjax.motion.not_finite import warn_if_not_finite
 from rbjax.motion.sources import Sources, check_sources
 from rbjax.motion.threaded import Steps, on_threads
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 
 def rollout(

@@ -15,7 +15,7 @@ import numpy as np
 
 from rbjax.compiler import threaded, wanted
 from rbjax.compiling import compiled, inside_jit
-from rbjax.constraints.formulation import Formulation
+from rbjax.constraints.methods.formulation import Formulation
 from rbjax.dynamics.arguments import (
     check_array,
     check_arrays,
@@ -35,7 +35,7 @@ from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 
 @automatic

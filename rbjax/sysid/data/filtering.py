@@ -23,7 +23,7 @@ import numpy as np
 from scipy import interpolate, signal
 
 from rbjax.errors import InputError
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 EVEN = 0.01  # steps may differ so much of their median on an even clock
 FLAT = 0.01  # the amplitude within the bandwidth

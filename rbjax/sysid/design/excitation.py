@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 DEGREE = 5  # of the splines: the acceleration is smooth
 

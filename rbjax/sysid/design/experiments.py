@@ -31,7 +31,7 @@ from rbjax.dynamics import inverse_dynamics
 from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.design.excitation import Fourier, Spline
 
 FINE = 10  # samples of the check at the end for each one of the optimisation

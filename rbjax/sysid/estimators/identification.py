@@ -19,7 +19,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_how, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording, says_its_noise
 from rbjax.sysid.estimators.fit_file import read_fit

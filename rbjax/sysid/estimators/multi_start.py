@@ -17,7 +17,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_how, floats, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.fits import Fits

@@ -24,7 +24,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.estimation.kalman import KalmanFiltered, Smoothed, kalman_smoother
 from rbjax.model import Model
 from rbjax.progress import progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import names_of, recordings_of, setup_of
 from rbjax.sysid.data.recording import Recording
 from rbjax.sysid.estimators.identified import Identified

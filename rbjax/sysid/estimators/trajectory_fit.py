@@ -25,7 +25,7 @@ from rbjax.errors import InputError, UnknownName
 from rbjax.model import Model, State
 from rbjax.motion.integrators import integrator_of
 from rbjax.motion.rollout import rollout
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.parameters.unknowns import Unknown
 
 

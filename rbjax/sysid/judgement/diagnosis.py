@@ -20,7 +20,7 @@ import numpy as np
 from scipy import ndimage, optimize
 
 from rbjax.progress import Say, progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.data.corrections import Lost, Mend, flip, stretch, swap, without
 from rbjax.sysid.data.recording import HELD, Recording

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg, signal, stats
 
 from rbjax.errors import InputError
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import floats
 
 ALPHA = 0.01  # a p value below it is no chance

@@ -26,7 +26,7 @@ from rbjax.dynamics import forward_kinematics, inertial_regressor, integrate
 from rbjax.dynamics.arguments import SHAPES, check_array, check_model, shape_of
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.torque.regressors import joint_coordinates, regressor
 
 Array = np.ndarray

@@ -18,7 +18,7 @@ import numpy as np
 from rbjax.dynamics.arguments import check_model, check_moves
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.statistics.rank import Combinations, combinations
 from rbjax.sysid.torque.regressors import observation_matrix, parameter_names
 

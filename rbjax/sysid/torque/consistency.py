@@ -29,7 +29,7 @@ import scipy.stats
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.parameters.inertia_metric import prior_residual, scalar_residual
 from rbjax.sysid.parameters.log_cholesky import (
     log_cholesky_parameters,

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.torque.regression import Regression, regress
 from rbjax.sysid.torque.rows import TorqueRows
 

@@ -28,7 +28,7 @@ import scipy.linalg
 import scipy.stats
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.statistics.whiteness_tests import meat_of
 from rbjax.sysid.torque.regression_statistics import (
