@@ -12,16 +12,18 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+import jax
 import mujoco
 import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
+from rbjax.forces.actuators.affine import is_affine, to_columns
 from rbjax.loading.complaints import fix_of, sentence
 from rbjax.loading.meshes import without_missing_mesh
 from rbjax.loading.mjcf import dropped as features
-from rbjax.loading.mjcf.actuator_kinds import is_affine, is_off, reflected
-from rbjax.loading.mjcf.actuators import key_states
+from rbjax.loading.mjcf.actuator_kinds import reflected
+from rbjax.loading.mjcf.actuators import actuator_elements, key_states
 from rbjax.loading.mjcf.constraints import constraints_of, mimicking
 from rbjax.loading.mjcf.finite import refuse_nan_in, within_range
 from rbjax.loading.mjcf.forces import elements
@@ -31,7 +33,7 @@ from rbjax.loading.urdf.floating import add_floats
 from rbjax.loading.urdf.inertials import write_inertials
 from rbjax.loading.urdf.mimics import Mimics
 from rbjax.loading.urdf.prepare import is_urdf, prepare_urdf
-from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
+from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
 
 _KINDS = {
@@ -294,6 +296,9 @@ def from_compiled(
     armature, damping, _ = reflected(m)
     ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool) & ~features.inverted_limits(m)
     ranged = ranged[:, None]
+    driven = actuator_elements(m)
+    affine = [x for x in driven if is_affine(x)]
+    others = [x for x in driven if not is_affine(x)]
     return Model(
         bodies=Bodies(
             mass=array(m.body_mass[1:]),
@@ -314,14 +319,14 @@ def from_compiled(
             range=array(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
             numbers=array(np.zeros(0)),
         ),
-        actuators=_actuators(m, array),
+        actuators=jax.tree.map(array, to_columns(affine, m.nu)),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
         gravity=array(unless(bit.mjDSBL_GRAVITY, m.opt.gravity)),
         topology=topology,
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
-        forces=elements(m, limits=limits, friction=friction),
+        forces=(*elements(m, limits=limits, friction=friction), *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
     )
 
@@ -346,42 +351,3 @@ def _keyframes(m: mujoco.MjModel, array) -> Keyframes:
     states = key_states(m)
     x = array(states) if states.shape[1] else None
     return Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl), x=x)
-
-
-def _actuators(m: mujoco.MjModel, array) -> Actuators:
-    """One row for each control; rows of disabled actuators, and of those that are force
-    elements or are left out, drive nothing.
-
-    MuJoCo's arrays have a row for each actuator, but control limits for each control and gears for
-    each output: an actuator of several shifts those of the next.
-    """
-    gear, gain, bias = np.zeros((m.nu, 6)), np.zeros((m.nu, 3)), np.zeros((m.nu, 3))
-    ctrlrange = np.tile([-np.inf, np.inf], (m.nu, 1))
-    forcerange = ctrlrange.copy()
-    joints, sites = [-1] * m.nu, [-1] * m.nu
-    clamp = not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    for i in range(m.nactuator):
-        row = int(m.actuator_ctrladr[i])
-        if is_off(m, i) or not is_affine(m, i):
-            continue
-        gear[row] = m.actuator_gear[m.actuator_outadr[i]]
-        affine_gain = m.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE)
-        gain[row] = m.actuator_gainprm[i, :3] * [1, affine_gain, affine_gain]
-        if m.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE):
-            bias[row] = m.actuator_biasprm[i, :3]
-        if m.actuator_ctrllimited[row] and clamp:
-            ctrlrange[row] = m.actuator_ctrlrange[row]
-        if m.actuator_forcelimited[i]:
-            forcerange[row] = m.actuator_forcerange[i]
-        at_site = m.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_SITE)
-        target = sites if at_site else joints
-        target[row] = int(m.actuator_trnid[i, 0])
-    return Actuators(
-        gear=array(gear),
-        gain=array(gain),
-        bias=array(bias),
-        ctrlrange=array(ctrlrange),
-        forcerange=array(forcerange),
-        joints=tuple(joints),
-        sites=tuple(sites),
-    )
