@@ -15,17 +15,14 @@ is a policy (t, state) -> ctrl: `computed_torque`, `operational_space`, `cartesi
 `joint_impedance`, `gravity_compensation`; `allocate` turns forces into controls (`actuation`).
 
 A solution has derivatives (`implicit`: `optimality`, `riccati_solve`). `clearances` are distances
-to obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock. `recommend` tries
-the methods on a problem.
+to obstacles. `mpc` plans again at every tick; `RealTime` does so with a clock.
+`rbjax.recommend.control_method` tries the methods on a problem.
 
 Linear systems: regulators of matrices, a model, a motion (`lqr`, `lqr_at`, `time_varying_lqr`);
 Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); controllability,
 observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
 """
 
-from typing import Any
-
-from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
 from rbjax.control.actuation import Allocation, allocate
 from rbjax.control.clearances import Capsule, Clearance, HalfSpace, Sphere
@@ -98,17 +95,6 @@ from rbjax.control.solution import Solution
 from rbjax.control.system import Equations, System
 from rbjax.control.terms import Constraint, Cost, Term
 from rbjax.control.tracking import Tracking, time_varying_lqr
-
-#: names offered here whose module imports this package; `rbjax` fills this table
-FROM_ABOVE = names_from_above("rbjax.control")
-
-
-def __getattr__(name: str) -> Any:
-    """`recommend` solves problems, so its module imports this package; it is loaded on use."""
-    if name in FROM_ABOVE:
-        return FROM_ABOVE[name]()
-    raise AttributeError(f"module 'rbjax.control' has no attribute {name!r}")
-
 
 __all__ = [
     "Problem",
