@@ -89,7 +89,8 @@ class Setup(Record):
         Args:
             added: names of sensors: "a", "tau", "pose:BODY", "pose:SITE", "position:SITE",
                 "gyro:SITE", "accelerometer:SITE"; or a dict name ->
-                sensor of `rbjax.sensors`, such as {"current": Currents(constant)}, {"other:height": CustomSensor(...)}.
+                sensor of `rbjax.sensors`, such as {"current": Currents(constant)} or
+                {"other:height": CustomSensor(...)}.
 
         Raises:
             UnknownName: a sensor, body or site that is not known.
