@@ -23,7 +23,7 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.compiling import compiled
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation
 from rbjax.control.algebraic_riccati import riccati
 from rbjax.control.outcome import raise_failure
 from rbjax.control.riccati import Gains, backward, constant_problem
