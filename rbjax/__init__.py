@@ -25,6 +25,7 @@ from rbjax.dynamics import (
     forward_dynamics_derivatives,
     forward_kinematics,
     frame_bias_acceleration,
+    frame_pose,
     frame_velocity,
     gravity_forces,
     inertial_parameters,
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
         control,
         estimation,
         forces,
+        kinematics,
         planning,
         plotting,
         recommend,
@@ -75,8 +77,9 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "estimation", "forces", "loading", "motion", "planning",
-    "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
+    "body", "constraints", "control", "estimation", "forces", "kinematics", "loading", "motion",
+    "planning", "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation",
+    "wheeled",
 )  # fmt: skip
 _MODULES = {
     "Linear": "motion.linearise",
@@ -145,6 +148,7 @@ __all__ = [
     "forward_dynamics_derivatives",
     "forward_kinematics",
     "frame_bias_acceleration",
+    "frame_pose",
     "frame_velocity",
     "gravity_forces",
     "inertial_parameters",
@@ -156,6 +160,7 @@ __all__ = [
     "jacobian",
     "jacobian_rate",
     "joints",
+    "kinematics",
     "kinetic_energy",
     "linearise",
     "load",
