@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from rbjax import loading as loading
     from rbjax import motion as motion
     from rbjax.forces import applied_forces
-    from rbjax.loading import load, scenes, write_back, write_mjcf
+    from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
     from rbjax.motion.linearise import Linear, linearise, step
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
@@ -80,6 +80,7 @@ _PACKAGES = (
     "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
 )  # fmt: skip
 _MODULES = {
+    "ModelBuilder": "loading",
     "Linear": "motion.linearise",
     "Trajectory": "motion.trajectory",
     "applied_forces": "forces",
@@ -119,6 +120,7 @@ def __dir__() -> list[str]:
 __all__ = [
     "InputError",
     "Model",
+    "ModelBuilder",
     "ModelError",
     "Poses",
     "Linear",
