@@ -24,7 +24,8 @@ def rows(scene: str, batch: int) -> list[dict]:
         row = case.row | {"operations": case.operations}
         row = timed(row, case.run, *case.args, work=batch * STEPS)
         if "M/s" in row:
-            row["of limit"] = row["M/s"] * 1e6 * case.operations / device.limits(capability()).instructions
+            peak = device.limits(capability()).instructions
+            row["of limit"] = row["M/s"] * 1e6 * case.operations / peak
         out.append(row)
     return out
 
