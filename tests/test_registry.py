@@ -102,6 +102,7 @@ REGISTRY = {
     "jacobian_rate": Entry(rb.jacobian_rate, ("q", "v"), {"site": "tip"}),
     "kinetic_energy": Entry(rb.kinetic_energy, ("q", "v")),
     "linearise": Entry(_linearise, ("q", "v", "ctrl"), robot="cart_pole"),
+    "lagrange_coefficients": Entry(rb.lagrange_coefficients, ("q",), robot="cart_pole"),
     "mass_matrix": Entry(rb.mass_matrix, ("q",)),
     "potential_energy": Entry(rb.potential_energy, ("q",)),
     "site_pose": Entry(rb.site_pose, ("q",), {"site": "tip"}),

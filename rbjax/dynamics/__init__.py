@@ -23,6 +23,7 @@ from rbjax.dynamics.algorithms.frames import (
 )
 from rbjax.dynamics.algorithms.jacobians import generalized_forces, jacobian, jacobian_rate
 from rbjax.dynamics.algorithms.kinematics import Poses, body_velocities, forward_kinematics
+from rbjax.dynamics.algorithms.lagrange import LagrangeCoefficients, lagrange_coefficients
 from rbjax.dynamics.algorithms.manifold import difference, integrate
 from rbjax.dynamics.algorithms.regressor import inertial_parameters, inertial_regressor
 from rbjax.dynamics.algorithms.rnea import bias_forces, gravity_forces, inverse_dynamics
@@ -30,6 +31,7 @@ from rbjax.dynamics.algorithms.rnea import bias_forces, gravity_forces, inverse_
 __all__ = [
     "ForwardDynamicsDerivatives",
     "InverseDynamicsDerivatives",
+    "LagrangeCoefficients",
     "Poses",
     "bias_forces",
     "body_velocities",
@@ -54,6 +56,7 @@ __all__ = [
     "jacobian",
     "jacobian_rate",
     "kinetic_energy",
+    "lagrange_coefficients",
     "mass_matrix",
     "potential_energy",
     "site_pose",
