@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+import rbjax as rb
+
 PAGES = [pytest.param("docs/extending.md", marks=pytest.mark.slow), "docs/wheeled.md"]
 
 
@@ -31,3 +33,23 @@ def test_benchmarks_that_are_named_exist():
     assert len(named) > 20
     missing = [(page, name) for page, name in named if not (root / f"{name}.py").exists()]
     assert not missing
+
+
+ROOT = Path(__file__).parents[1]
+GUIDES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", GUIDES, ids=lambda page: page.stem)
+def test_names_and_files_of_a_page_exist(page):
+    text = page.read_text()
+    missing = set()
+    for name in re.findall(r"\brb\.[A-Za-z_]+(?:\.[A-Za-z_]+)*", text):
+        found = rb
+        for part in name.split(".")[1:]:
+            found = getattr(found, part, None)
+        if found is None:
+            missing.add(name)
+    for file in re.findall(r"`((?:[a-z_0-9]+/)+[a-z_0-9]+\.py)`", text):
+        if not any((ROOT / folder / file).exists() for folder in ("", "rbjax")):
+            missing.add(file)
+    assert not missing, f"{page.name} names {sorted(missing)}"
