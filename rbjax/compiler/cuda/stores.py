@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.cuda.c_source import Printer, c_type
-from rbjax.compiler.ir.program import Block, Load, Loop, Op, Store, Var, walk
-from rbjax.compiler.lower.frame import Written
+from rbjax.compiler.cuda.c_source import Printer
+from rbjax.compiler.ir.c_text import c_type
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import Block, Load, Loop, Op, Store, walk
+from rbjax.compiler.ir.values import Var
 
 #: rows with more entries than about a sector, and at most this many, are staged whole
 SHORT, WHOLE = 8, 128

@@ -16,20 +16,11 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, c_type, table
+from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, sample_index, table
 from rbjax.compiler.cuda.kernels import BASICS, STATEMENTS_UP_TO, Kernel
-from rbjax.compiler.ir.program import (
-    Await,
-    Barrier,
-    Block,
-    Load,
-    Loop,
-    Op,
-    Reserve,
-    Store,
-    walk,
-)
-from rbjax.compiler.lower.frame import Written, offset, parameters, sample_index
+from rbjax.compiler.ir.c_text import c_type
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import Await, Barrier, Block, Load, Loop, Op, Reserve, Store, walk
 
 #: threads of a team where there are fewer samples than this; a warp where there are more
 TEAMS = {600: 128, 1200: 64}

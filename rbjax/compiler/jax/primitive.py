@@ -32,14 +32,16 @@ from rbjax._jax_compat import (
 )
 from rbjax.compiler.cuda import kernels as cuda
 from rbjax.compiler.cuda import team
+from rbjax.compiler.ir.program import Layout
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.jax import backend, host_call, launch
 from rbjax.compiler.jax.programs import Program
 from rbjax.compiler.jax.sharding import spread
 from rbjax.compiler.jax.uncollected import uncollected
 from rbjax.compiler.jax.uniform import divided
 from rbjax.compiler.llvm import jit as llvm_jit
-from rbjax.compiler.lower.frame import Layout, write_program
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.lower.lowering import Lowering, rule
+from rbjax.compiler.lower.write import write_program
 
 Axes = tuple[int | None, ...]
 

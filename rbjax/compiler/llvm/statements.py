@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Block,
@@ -24,10 +25,9 @@ from rbjax.compiler.ir.program import (
     Op,
     Reserve,
     Store,
-    Value,
-    Var,
     While,
 )
+from rbjax.compiler.ir.values import Value, Var
 from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import (
     ALIGNMENT,
@@ -36,7 +36,6 @@ from rbjax.compiler.llvm.operations import (
     literal,
     llvm_type,
 )
-from rbjax.compiler.lower.frame import Written
 from rbjax.compiler.passes.cutting import Cuts, Frame, cut
 
 #: larger local arrays lie in the workspace, not on the stack, of which a thread has little

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import Array, Block, Op, Value, Var
+from rbjax.compiler.ir.program import Written
+from rbjax.compiler.ir.statements import Array, Block, Op
+from rbjax.compiler.ir.values import Value, Var
 from rbjax.compiler.llvm.mathematics import definitions
 from rbjax.compiler.llvm.operations import ALIGNMENT, Operations, llvm_type, splat
 from rbjax.compiler.llvm.statements import (
@@ -22,7 +24,6 @@ from rbjax.compiler.llvm.statements import (
     stored,
     written_function,
 )
-from rbjax.compiler.lower.frame import Written
 from rbjax.compiler.passes.cutting import Cuts, cut
 from rbjax.compiler.passes.divergence import divergence, part_of
 

@@ -14,7 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import I32, Array, Builder, Value, Var
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.program import row_major
+from rbjax.compiler.ir.statements import Array
+from rbjax.compiler.ir.values import I32, Value, Var
 from rbjax.compiler.lower.delayed import Delayed, Shaped
 
 
@@ -144,11 +147,6 @@ Small = Any  # np.ndarray of numbers, np.ndarray of Values, View, or Delayed
 FEW = 16
 #: work from which on the threads of a team share it, in operations
 SHARED_ABOVE = 64
-
-
-def row_major(shape: Sequence[int]) -> tuple[int, ...]:
-    """Strides, in entries, of an array that is written row by row."""
-    return tuple(math.prod(shape[k + 1 :]) for k in range(len(shape)))
 
 
 def is_known(x: Small) -> bool:

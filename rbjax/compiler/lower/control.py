@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from rbjax.compiler.ir.program import BOOL, I32, Await, Block, Builder, If, Value, Var, While
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.statements import Await, Block, If, While
+from rbjax.compiler.ir.values import BOOL, I32, Value, Var
 from rbjax.compiler.lower.arrays import (
     FEW,
     Small,

@@ -13,7 +13,8 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 
 from rbjax._jax_compat import UNVMAP, is_error
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.lower.lowering import Lowering, rule
 from rbjax.compiler.lower.reductions import reduced
 
 

@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rbjax.compiler.ir.folding import FOLD
-from rbjax.compiler.ir.program import BOOL, Builder, Value
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.operations import OF_PRIMITIVE
+from rbjax.compiler.ir.values import BOOL, Unsupported, Value
 from rbjax.compiler.lower.arrays import (
     FEW,
     SHARED_ABOVE,
@@ -27,28 +28,13 @@ from rbjax.compiler.lower.arrays import (
     spread,
 )
 from rbjax.compiler.lower.delayed import Delayed
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
 from rbjax.lanes import polynomial_sincos
 
 #: larger arrays use loops over memory
 LOOP_ABOVE = 1024
 #: the same for arrays that are in memory already
 LOOP_ABOVE_IN_MEMORY = 64
-
-#: primitives with a single operation, and its number of arguments
-SAME = {
-    "add": "add", "add_any": "add", "sub": "sub", "mul": "mul", "neg": "neg", "lt": "lt",
-    "le": "le", "gt": "gt", "ge": "ge", "eq": "eq", "ne": "ne", "and": "and", "or": "or",
-    "xor": "xor", "not": "not", "sqrt": "sqrt", "rsqrt": "rsqrt", "cbrt": "cbrt", "exp": "exp",
-    "exp2": "exp2", "expm1": "expm1", "log": "log", "log1p": "log1p", "log2": "log2", "sin": "sin",
-    "cos": "cos", "tan": "tan", "asin": "asin", "acos": "acos", "atan": "atan", "sinh": "sinh",
-    "cosh": "cosh", "tanh": "tanh", "asinh": "asinh", "acosh": "acosh", "atanh": "atanh",
-    "erf": "erf", "erfc": "erfc", "lgamma": "lgamma", "floor": "floor", "ceil": "ceil",
-    "abs": "abs", "atan2": "atan2", "nextafter": "nextafter", "is_finite": "isfinite",
-    "max": "max", "min": "min", "population_count": "popcount", "clz": "clz",
-    "shift_left": "shl", "shift_right_logical": "shr", "shift_right_arithmetic": "sar",
-    "copysign": "copysign",
-}  # fmt: skip
 
 
 def entrywise(
@@ -141,18 +127,18 @@ def _shape(eqn: Any) -> tuple[int, ...]:
 
 
 def _one(low: Lowering, eqn: Any, ins: list) -> list:
-    name, dtype = SAME[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
-    if name in FOLD and name != "shl" and all(map(is_known, ins)):
+    operation, dtype = OF_PRIMITIVE[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
+    if operation.fold and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
-            return [np.asarray(FOLD[name](*ins), dtype)]
-    f = functools.partial(low.b.op, name, dtype)
+            return [np.asarray(operation.fold(*ins), dtype)]
+    f = functools.partial(low.b.op, operation.name, dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
-rule(*SAME)(_one)
+rule(*OF_PRIMITIVE)(_one)
 takes_delayed(
-    *SAME, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round", "clamp",
-    "select_n", "convert_element_type",
+    *OF_PRIMITIVE, "div", "rem", "pow", "square", "integer_pow", "logistic", "sign", "round",
+    "clamp", "select_n", "convert_element_type",
 )  # fmt: skip
 
 

@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from rbjax.compiler.ir.program import I32, Block, Value, Var
+from rbjax.compiler.ir.statements import Block
+from rbjax.compiler.ir.values import I32, Value, Var
 from rbjax.compiler.lower.arrays import Small, View, each, get, in_memory, put, settled
 from rbjax.compiler.lower.elementwise import source
 from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed

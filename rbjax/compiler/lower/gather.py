@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from jax.lax import GatherScatterMode
 
-from rbjax.compiler.ir.program import BOOL, I32, Value, Var
+from rbjax.compiler.ir.values import BOOL, I32, Unsupported, Value, Var
 from rbjax.compiler.lower.arrays import View, each, filled, get, in_memory, objects, put, tidy
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE
 from rbjax.compiler.lower.indexing import SELECT_UP_TO, changeable, clamped, in_bounds
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, dtype_of, rule
+from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule
 
 FILL = GatherScatterMode.FILL_OR_DROP
 

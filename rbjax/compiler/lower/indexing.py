@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import BOOL, I32, Value, Var
+from rbjax.compiler.ir.values import BOOL, I32, Value, Var
 from rbjax.compiler.lower.arrays import Small, View, in_memory, is_known, objects, owned_copy, write
 from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule
 

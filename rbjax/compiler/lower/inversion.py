@@ -13,11 +13,12 @@ import operator
 from collections.abc import Sequence
 from typing import Any
 
+from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.expressions import Number
-from rbjax.compiler.ir.program import BOOL, I32, Builder, Value
+from rbjax.compiler.ir.values import BOOL, I32, Unsupported, Value
 from rbjax.compiler.lower.arrays import View, get, put
 from rbjax.compiler.lower.indexing import changeable
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.lower.lowering import Lowering, rule
 
 Entry = tuple[Number, ...]  # real, or real and imaginary parts
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import BOOL, I32, Builder, Value
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.values import BOOL, I32, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
     Small,

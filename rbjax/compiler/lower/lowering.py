@@ -21,7 +21,8 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
 
 from rbjax._jax_compat import CALLS, JAXPRS, expanded
-from rbjax.compiler.ir.program import Builder
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.lower.arrays import FEW, Small, View, scalars, settled, tidy, write
 from rbjax.compiler.lower.delayed import Delayed
 
@@ -33,10 +34,6 @@ WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
 
 #: a key of threefry: its first number is the low half
 KEY = np.dtype(np.uint64)
-
-
-class Unsupported(Exception):
-    """A primitive or a type that threads do not support."""
 
 
 #: the dtypes that a thread supports

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 
 from rbjax._jax_compat import key_implementation
-from rbjax.compiler.ir.program import Value
+from rbjax.compiler.ir.values import Unsupported, Value
 from rbjax.compiler.lower.arrays import Small, View, each, get, put, spread
-from rbjax.compiler.lower.lowering import KEY, Lowering, Unsupported, dtype_of, rule
+from rbjax.compiler.lower.lowering import KEY, Lowering, dtype_of, rule
 
 U32 = np.dtype(np.uint32)
 #: more blocks than this are computed by a loop

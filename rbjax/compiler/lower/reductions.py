@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import BOOL, Value
+from rbjax.compiler.ir.values import BOOL, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
     Small,

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from rbjax.compiler.ir.program import BOOL, I32, Block, Builder, Value, While
+from rbjax.compiler.ir.builder import Builder
+from rbjax.compiler.ir.statements import Block, While
+from rbjax.compiler.ir.values import BOOL, I32, Value
 from rbjax.compiler.lower.arrays import Small, View, each, get, owned_copy, put
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, entrywise
 from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule

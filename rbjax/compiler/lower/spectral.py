@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.lower.factorise import UNROLL_UP_TO, mapped, qr
-from rbjax.compiler.lower.lowering import Lowering, Unsupported, rule
+from rbjax.compiler.lower.lowering import Lowering, rule
 
 #: more than any matrix needs: 4 to 8 are usual
 MOST_SWEEPS = 20

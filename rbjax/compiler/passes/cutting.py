@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Block,
@@ -26,10 +26,10 @@ from rbjax.compiler.ir.program import (
     Op,
     Reserve,
     Store,
-    Var,
     While,
     walk,
 )
+from rbjax.compiler.ir.values import Var
 
 #: statements of a block from which on it is cut, and of a function
 CUT_ABOVE, EACH = 12_000, 1_500

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Block,
@@ -21,10 +21,9 @@ from rbjax.compiler.ir.program import (
     Op,
     Reserve,
     Store,
-    Value,
-    Var,
     While,
 )
+from rbjax.compiler.ir.values import Value, Var
 
 
 @dataclass

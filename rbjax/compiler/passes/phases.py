@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Await,
@@ -24,10 +24,10 @@ from rbjax.compiler.ir.program import (
     Op,
     Reserve,
     Store,
-    Var,
     While,
     walk,
 )
+from rbjax.compiler.ir.values import Var
 
 
 def synchronised(block: Block) -> Block:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rbjax.compiler.ir.program import (
+from rbjax.compiler.ir.statements import (
     Array,
     Assign,
     Await,
@@ -16,10 +16,10 @@ from rbjax.compiler.ir.program import (
     Op,
     Reserve,
     Store,
-    Var,
     While,
     walk,
 )
+from rbjax.compiler.ir.values import Var
 
 
 def prune(block: Block) -> None:
