@@ -23,6 +23,7 @@ from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, 
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written, batch_first, batch_last
 from rbjax.compiler.ir.statements import Loop, walk
+from rbjax.compiler.ir.verify import verify
 from rbjax.compiler.jax.function import threaded
 from rbjax.compiler.jax.native import compile
 from rbjax.compiler.llvm.batch import parts
@@ -111,6 +112,7 @@ def written(
     ins = [layout(x.shape, (size,)) for x in one]
     outs = [layout(v.aval.shape, (size,)) for v in closed.jaxpr.outvars]
     program = write_program(closed, (size,), ins, outs, platform=platform, team=team)
+    verify(program)
     return program, shape[0], closed.out_avals
 
 

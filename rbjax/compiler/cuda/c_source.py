@@ -99,7 +99,7 @@ class Printer:
                 yield f"{self.place(array, base, offset)}={v(value)};"
             case Declare(var=var, value=None):
                 yield f"{c_type(var.dtype)} {v(var)};"
-            case Declare(var=var, value=value):
+            case Declare(var=var, value=value) if value is not None:
                 yield f"{c_type(var.dtype)} {v(var)}={v(value)};"
             case Assign(var=var, value=value):
                 yield f"{v(var)}={v(value)};"
@@ -138,7 +138,7 @@ class Printer:
     def _in_groups(self, loop: Loop) -> Iterator[str]:
         """Some turns at a time, which read all that they read before they write."""
         body, i = loop.body.statements, self.value(loop.counter)
-        own = {self.value(s.dest) for s in body if not isinstance(s, Store)} | {i}
+        own = {self.value(s.dest) for s in body if isinstance(s, Op | Load)} | {i}
         name = re.compile("|".join(rf"\b{x}\b" for x in own))
         first = [s for s in body if not isinstance(s, Store)]
         last = [s for s in body if isinstance(s, Store)]

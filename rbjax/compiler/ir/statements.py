@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -39,17 +38,51 @@ class Array:
         return self.space in ("local", "result")
 
 
+Name = Var | Array
+
+
+class Statement:
+    """A statement: what it reads, what it writes, and the blocks inside it.
+
+    `reads` and `writes` are of the statement itself, without its inner blocks.
+    """
+
+    __slots__ = ()
+
+    def reads(self) -> tuple[Name, ...]:
+        """The variables and arrays that it reads."""
+        return ()
+
+    def writes(self) -> tuple[Name, ...]:
+        """The variables and arrays that it changes."""
+        return ()
+
+    def children(self) -> tuple[Block, ...]:
+        """Its inner blocks, in the order in which they run."""
+        return ()
+
+
+def _variables(*values: Value | None) -> tuple[Var, ...]:
+    return tuple([x for x in values if isinstance(x, Var)])
+
+
 @dataclass(slots=True)
-class Op:
+class Op(Statement):
     """dest = name(args)."""
 
     dest: Var
     name: str
-    args: tuple
+    args: tuple[Value, ...]
+
+    def reads(self) -> tuple[Name, ...]:
+        return _variables(*self.args)
+
+    def writes(self) -> tuple[Name, ...]:
+        return (self.dest,)
 
 
 @dataclass(slots=True)
-class Load:
+class Load(Statement):
     """dest = array[base + offset]; base is None for 0."""
 
     dest: Var
@@ -57,9 +90,15 @@ class Load:
     base: Value | None
     offset: int
 
+    def reads(self) -> tuple[Name, ...]:
+        return (self.array, *_variables(self.base))
+
+    def writes(self) -> tuple[Name, ...]:
+        return (self.dest,)
+
 
 @dataclass(slots=True)
-class Store:
+class Store(Statement):
     """array[base + offset] = value."""
 
     array: Array
@@ -67,32 +106,50 @@ class Store:
     offset: int
     value: Value
 
+    def reads(self) -> tuple[Name, ...]:
+        return _variables(self.base, self.value)
+
+    def writes(self) -> tuple[Name, ...]:
+        return (self.array,)
+
 
 @dataclass(slots=True)
-class Declare:
+class Declare(Statement):
     """A variable that is assigned later; its first value, or None."""
 
     var: Var
     value: Value | None
 
+    def reads(self) -> tuple[Name, ...]:
+        return _variables(self.value)
+
+    def writes(self) -> tuple[Name, ...]:
+        return (self.var,)
+
 
 @dataclass(slots=True)
-class Assign:
+class Assign(Statement):
     """var = value."""
 
     var: Var
     value: Value
 
+    def reads(self) -> tuple[Name, ...]:
+        return _variables(self.value)
+
+    def writes(self) -> tuple[Name, ...]:
+        return (self.var,)
+
 
 @dataclass(slots=True)
-class Reserve:
+class Reserve(Statement):
     """The declaration of a local array."""
 
     array: Array
 
 
 @dataclass(slots=True)
-class Loop:
+class Loop(Statement):
     """`counter` runs over 0 ... count - 1, or backwards.
 
     team: its turns do not depend on each other, and the threads of a team share them. early: it
@@ -108,52 +165,63 @@ class Loop:
     early: bool = False
     part: int = 0
 
+    def writes(self) -> tuple[Name, ...]:
+        return (self.counter,)
+
+    def children(self) -> tuple[Block, ...]:
+        return (self.body,)
+
 
 @dataclass(slots=True)
-class Await:
+class Await(Statement):
     """Until here, early copies have arrived."""
 
 
 @dataclass(slots=True)
-class Barrier:
+class Barrier(Statement):
     """The threads of a team wait for each other (`phases.synchronised`)."""
 
 
 @dataclass(slots=True)
-class While:
+class While(Statement):
     """Repeat: run `test`; stop if `condition` is false; run `body`."""
 
     test: Block
     condition: Value
     body: Block
 
+    def reads(self) -> tuple[Name, ...]:
+        return _variables(self.condition)
+
+    def children(self) -> tuple[Block, ...]:
+        return (self.test, self.body)
+
 
 @dataclass(slots=True)
-class If:
+class If(Statement):
     """One of two blocks."""
 
     condition: Value
     then: Block
     otherwise: Block
 
+    def reads(self) -> tuple[Name, ...]:
+        return _variables(self.condition)
+
+    def children(self) -> tuple[Block, ...]:
+        return (self.then, self.otherwise)
+
 
 @dataclass(slots=True)
 class Block:
     """A sequence of statements."""
 
-    statements: list = field(default_factory=list)
+    statements: list[Statement] = field(default_factory=list)
 
 
-def walk(block: Block) -> Iterator[Any]:
+def walk(block: Block) -> Iterator[Statement]:
     """All statements; those of inner blocks follow the statement that contains them."""
     for statement in block.statements:
         yield statement
-        match statement:
-            case Loop(body=body):
-                yield from walk(body)
-            case While(test=test, body=body):
-                yield from walk(test)
-                yield from walk(body)
-            case If(then=then, otherwise=otherwise):
-                yield from walk(then)
-                yield from walk(otherwise)
+        for inner in statement.children():
+            yield from walk(inner)

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BOOL, I32, I64, F64 = (np.dtype(x) for x in (bool, np.int32, np.int64, np.float64))
+BOOL: np.dtype = np.dtype(bool)
+I32: np.dtype = np.dtype(np.int32)
+I64: np.dtype = np.dtype(np.int64)
+F64: np.dtype = np.dtype(np.float64)
 
 
 class Unsupported(Exception):

@@ -8,7 +8,7 @@ has a fourth, `Delayed`: entries that are computed where they are read.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -165,6 +165,11 @@ def objects(x: np.ndarray) -> np.ndarray:
     return out
 
 
+def every_index(shape: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """The indices of all entries of a shape, row by row."""
+    return iter(np.ndindex(tuple(shape)))
+
+
 def filled(shape: Sequence[int], value: Value) -> np.ndarray:
     """One value everywhere (`np.full` would convert it to a Python number)."""
     out = np.empty(shape, object)
@@ -177,7 +182,7 @@ def scalars(b: Builder, x: Small) -> np.ndarray:
     if isinstance(x, Delayed):
         if not b.teamed or x.work <= SHARED_ABOVE or x.size == 1:
             out = np.empty(x.shape, object)
-            for i in np.ndindex(x.shape):
+            for i in every_index(x.shape):
                 out[i] = x.entry(*map(I32.type, i))
             return out
         x = stored(b, x)
@@ -185,7 +190,7 @@ def scalars(b: Builder, x: Small) -> np.ndarray:
         return objects(x)
     out = np.empty(x.shape, object)
     places = x.places()
-    for i in np.ndindex(x.shape):
+    for i in every_index(x.shape):
         out[i] = b.load(x.array, x.base, int(places[i]))
     return out
 
@@ -270,7 +275,7 @@ def write(b: Builder, to: View, x: Small, *, loop_above: int = 64) -> None:
         each(b, to.shape, lambda *i: put(b, to, i, get(b, source, i)))
         return
     values, places = scalars(b, x), to.places()
-    for i in np.ndindex(to.shape):
+    for i in every_index(to.shape):
         b.store(to.array, to.base, int(places[i]), values[i])
 
 

@@ -15,6 +15,7 @@ from rbjax.compiler.lower.arrays import (
     FEW,
     Small,
     View,
+    every_index,
     get,
     in_a_row,
     in_memory,
@@ -29,7 +30,7 @@ from rbjax.compiler.lower.arrays import (
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.effects import only_reports
 from rbjax.compiler.lower.gather import COMBINE
-from rbjax.compiler.lower.lowering import Lowering, called, dtype_of, rule, writer
+from rbjax.compiler.lower.lowering import Equation, Lowering, called, dtype_of, rule, writer
 
 #: the most entries of a loop's carry that are kept in registers
 REGISTERS = 256
@@ -73,7 +74,7 @@ def indexed(closed: ClosedJaxpr, unknown: Sequence[bool]) -> set[int]:
     return found
 
 
-def _inner(eqn: Any) -> list[tuple[ClosedJaxpr, list]]:
+def _inner(eqn: Equation) -> list[tuple[ClosedJaxpr, list]]:
     P, atoms = eqn.params, list(eqn.invars)
     match eqn.primitive.name:
         case "cond":
@@ -101,7 +102,7 @@ class Carry:
                 self.values.append(self._array(x, aval))
             else:
                 entries, out = low.scalars(x), np.empty(aval.shape, object)
-                for i in np.ndindex(aval.shape):
+                for i in every_index(aval.shape):
                     out[i] = low.b.declare(dtype_of(aval), entries[i])
                 self.values.append(out)
 
@@ -146,7 +147,7 @@ def _most(x: Small) -> int:
 
 
 @writer("scan")
-def _scan(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     P, b = eqn.params, low.b
     length, body = P["length"], P["jaxpr"]
     nk = len(eqn.outvars) - over_time(eqn.outvars, body.jaxpr.outvars)
@@ -241,13 +242,13 @@ def _copied_early(b: Builder, to: View, x: View) -> None:
         put(b, to, index, get(b, x, index))
 
 
-def over_time(outside: list, inside: list) -> int:
+def over_time(outside: Sequence[Any], inside: Sequence[Any]) -> int:
     """The number of arguments or results of a scan with a time axis (jax 0.11 gives no counts)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 
 
 @rule("while")
-def _while(low: Lowering, eqn: Any, ins: list) -> list:
+def _while(low: Lowering, eqn: Equation, ins: list) -> list:
     P, b = eqn.params, low.b
     nc, nb = P["cond_nconsts"], P["body_nconsts"]
     test_consts, body_consts, init = ins[:nc], ins[nc : nc + nb], ins[nc + nb :]
@@ -261,21 +262,21 @@ def _while(low: Lowering, eqn: Any, ins: list) -> list:
     }
     with low.held([*test_consts, *body_consts]):
         carry = Carry(low, init, [v.aval for v in eqn.outvars], memory)
-    loop = While(Block(), None, Block())
+    loop = While(Block(), np.bool_(False), Block())
     b.block.statements.append(loop)
     with low.held([*test_consts, *body_consts]):
         with b.inside(loop.test), low.held(carry.values):
             (goes,) = low.closed(test, [*test_consts, *carry.values])
-            loop.condition = low.scalars(goes)[()]
+            loop.condition = low.scalar(goes)
         with b.inside(loop.body):
             carry.advance(low.closed(body, [*body_consts, *carry.values]))
     return carry.values
 
 
 @writer("cond")
-def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
+def _cond(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     branches, args = eqn.params["branches"], ins[1:]
-    which = low.scalars(ins[0])[()]
+    which = low.scalar(ins[0])
     going_on = [branch for branch in branches if not only_reports(branch)]
     if len(going_on) == 1:
         return low.closed(going_on[0], args, places)
@@ -294,7 +295,7 @@ def _cond(low: Lowering, eqn: Any, ins: list, places: list) -> list:
             outs.append(View.of(b.local(dtype_of(aval), aval.size), aval.shape))
         else:
             entries = np.empty(aval.shape, object)
-            for i in np.ndindex(aval.shape):
+            for i in every_index(aval.shape):
                 entries[i] = b.declare(dtype_of(aval))
             outs.append(entries)
 
@@ -369,7 +370,7 @@ def _versions(closed: ClosedJaxpr) -> list[int | None]:
 
 
 @rule("platform_index")
-def _platform(low: Lowering, eqn: Any, ins: list) -> list:
+def _platform(low: Lowering, eqn: Equation, ins: list) -> list:
     groups = eqn.params["platforms"]
     here = [k for k, group in enumerate(groups) if group is None or low.b.platform in group]
     return [np.asarray(here[0] if here else len(groups) - 1, np.int32)]

@@ -13,13 +13,14 @@ import numpy as np
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.operations import OF_PRIMITIVE
-from rbjax.compiler.ir.values import BOOL, Unsupported, Value
+from rbjax.compiler.ir.values import BOOL, Unsupported, Value, Var
 from rbjax.compiler.lower.arrays import (
     FEW,
     SHARED_ABOVE,
     Small,
     View,
     each,
+    every_index,
     filled,
     get,
     in_memory,
@@ -28,7 +29,7 @@ from rbjax.compiler.lower.arrays import (
     spread,
 )
 from rbjax.compiler.lower.delayed import Delayed
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 from rbjax.lanes import polynomial_sincos
 
 #: larger arrays use loops over memory
@@ -43,7 +44,7 @@ def entrywise(
     """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
     if not shape:
         out = np.empty((), object)
-        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalars(x)[()] for x in xs))
+        out[()] = f(*(x[()] if isinstance(x, np.ndarray) else low.scalar(x) for x in xs))
         return out
     size = math.prod(shape)
     if low.b.teamed and _is_wide(xs, size):
@@ -61,7 +62,7 @@ def entrywise(
     arrays = [low.scalars(x) for x in xs]
     out = np.empty(shape, object)
     arrays = [x if x.shape == shape else np.broadcast_to(x, shape) for x in arrays]
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         out[i] = f(*(x[i] for x in arrays))
     return out
 
@@ -112,8 +113,8 @@ def source(b: Builder, x: Small, shape: tuple) -> Delayed:
     memory = in_memory(b, x, dtype)
 
     def entry(*i: Value) -> Value:
-        known = all(isinstance(k, np.generic) for k in i)
-        return x[tuple(map(int, i))] if known else get(b, memory, i)
+        known = [k.item() for k in i if not isinstance(k, Var)]
+        return x[tuple(known)] if len(known) == len(i) else get(b, memory, i)
 
     return Delayed(shape, dtype, entry, frozenset(), 1)
 
@@ -122,11 +123,11 @@ def _dtype(x: np.ndarray) -> np.dtype:
     return x.flat[0].dtype
 
 
-def _shape(eqn: Any) -> tuple[int, ...]:
+def _shape(eqn: Equation) -> tuple[int, ...]:
     return eqn.outvars[0].aval.shape
 
 
-def _one(low: Lowering, eqn: Any, ins: list) -> list:
+def _one(low: Lowering, eqn: Equation, ins: list) -> list:
     operation, dtype = OF_PRIMITIVE[eqn.primitive.name], dtype_of(eqn.outvars[0].aval)
     if operation.fold and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
@@ -143,7 +144,7 @@ takes_delayed(
 
 
 @rule("div")
-def _div(low: Lowering, eqn: Any, ins: list) -> list:
+def _div(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     if dtype.kind == "f" and all(map(is_known, ins)):
         with np.errstate(all="ignore"):
@@ -153,14 +154,14 @@ def _div(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("rem")
-def _rem(low: Lowering, eqn: Any, ins: list) -> list:
+def _rem(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     f = functools.partial(low.b.op, "fmod" if dtype.kind == "f" else "irem", dtype)
     return [entrywise(low, dtype, _shape(eqn), f, *ins)]
 
 
 @rule("pow")
-def _pow(low: Lowering, eqn: Any, ins: list) -> list:
+def _pow(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     if dtype.kind != "f":
         raise Unsupported("pow of integers")
@@ -169,18 +170,18 @@ def _pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("square")
-def _square(low: Lowering, eqn: Any, ins: list) -> list:
+def _square(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     return [entrywise(low, dtype, _shape(eqn), lambda x: low.b.op("mul", dtype, x, x), *ins)]
 
 
 @rule("one_minus_square")  # from jax 0.11 on, in the derivatives of tanh, asin, acos, atanh
-def _one_minus_square(low: Lowering, eqn: Any, ins: list) -> list:
+def _one_minus_square(low: Lowering, eqn: Equation, ins: list) -> list:
     return low.evaluate(lambda x: (1 + x) * (1 - x), *ins, avals=[eqn.invars[0].aval])
 
 
 @rule("integer_pow")
-def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
+def _integer_pow(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, y = dtype_of(eqn.outvars[0].aval), eqn.params["y"]
 
     def power(x: Value) -> Value:
@@ -198,7 +199,7 @@ def _integer_pow(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("logistic")
-def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
+def _logistic(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     one = dtype.type(1)
 
@@ -210,7 +211,7 @@ def _logistic(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("sign")
-def _sign(low: Lowering, eqn: Any, ins: list) -> list:
+def _sign(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     zero = dtype.type(0)
 
@@ -224,7 +225,7 @@ def _sign(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("round")
-def _round(low: Lowering, eqn: Any, ins: list) -> list:
+def _round(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     to_even = int(eqn.params["rounding_method"]) == 1
     f = functools.partial(b.op, "rint" if to_even else "round", dtype)
@@ -232,7 +233,7 @@ def _round(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("clamp")
-def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
+def _clamp(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(least: Value, x: Value, most: Value) -> Value:
@@ -242,7 +243,7 @@ def _clamp(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("select_n")
-def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
+def _select_n(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
 
     def f(which: Value, *cases: Value) -> Value:
@@ -259,7 +260,7 @@ def _select_n(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("convert_element_type", "reduce_precision")
-def _convert(low: Lowering, eqn: Any, ins: list) -> list:
+def _convert(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype, b = dtype_of(eqn.outvars[0].aval), low.b
     if eqn.primitive.name == "reduce_precision":
         bits = (eqn.params["exponent_bits"], eqn.params["mantissa_bits"])
@@ -281,7 +282,7 @@ def _convert(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("bitcast_convert_type")
-def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
+def _bitcast(low: Lowering, eqn: Equation, ins: list) -> list:
     dtype = dtype_of(eqn.outvars[0].aval)
     if eqn.invars[0].aval.dtype.itemsize != dtype.itemsize:
         raise Unsupported("bitcast_convert_type to another size")
@@ -290,13 +291,13 @@ def _bitcast(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("sincos")
-def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
+def _sincos(low: Lowering, eqn: Equation, ins: list) -> list:
     """Cosine and sine by polynomials of one reduced angle."""
     aval = jax.ShapeDtypeStruct((), eqn.invars[0].aval.dtype)
     closed = _traced(polynomial_sincos, aval.dtype)
 
     def pair(angle: Value) -> list[Value]:
-        return [low.scalars(x)[()] for x in low.closed(closed, [filled((), angle)])]
+        return [low.scalar(x) for x in low.closed(closed, [filled((), angle)])]
 
     b, shape = low.b, _shape(eqn)
     if math.prod(shape) > LOOP_ABOVE_IN_MEMORY:
@@ -311,7 +312,7 @@ def _sincos(low: Lowering, eqn: Any, ins: list) -> list:
         return list(views)
     x = low.scalars(ins[0])
     out = np.empty(shape, object), np.empty(shape, object)
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         out[0][i], out[1][i] = pair(x[i])
     return list(out)
 

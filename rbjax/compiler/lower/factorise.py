@@ -20,7 +20,7 @@ from rbjax.compiler.ir.statements import Block
 from rbjax.compiler.ir.values import I32, Value, Var
 from rbjax.compiler.lower.arrays import Small, View, each, get, in_memory, put, settled
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 
 #: matrices with more columns are factorised by a loop
 UNROLL_UP_TO = 8
@@ -199,7 +199,7 @@ def qr(a: jax.Array, *, full_matrices: bool, pivoting: bool = False) -> tuple[ja
     return (*found, order) if pivoting else found
 
 
-def mapped(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
+def mapped(low: Lowering, eqn: Equation, ins: list, f: Callable, ranks: tuple[int, ...]) -> list:
     """The results of f, mapped over the axes before the last ones."""
     for _ in range(eqn.invars[0].aval.ndim - ranks[0]):
         f = jax.vmap(f)
@@ -207,7 +207,7 @@ def mapped(low: Lowering, eqn: Any, ins: list, f: Callable, ranks: tuple[int, ..
 
 
 @rule("cholesky")
-def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
+def _cholesky(low: Lowering, eqn: Equation, ins: list) -> list:
     if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= UNROLL_UP_TO:
         a = low.scalars(ins[0])
         with low.b.by_itself():  # each thread the whole factor, in its registers
@@ -219,18 +219,18 @@ def _cholesky(low: Lowering, eqn: Any, ins: list) -> list:
 
 
 @rule("lu")
-def _lu(low: Lowering, eqn: Any, ins: list) -> list:
+def _lu(low: Lowering, eqn: Equation, ins: list) -> list:
     return mapped(low, eqn, ins, lu, (2,))
 
 
 @rule("lu_pivots_to_permutation")
-def _permutation(low: Lowering, eqn: Any, ins: list) -> list:
+def _permutation(low: Lowering, eqn: Equation, ins: list) -> list:
     f = functools.partial(permutation, size=eqn.params["permutation_size"])
     return mapped(low, eqn, ins, f, (1,))
 
 
 @rule("triangular_solve")
-def _triangular_solve(low: Lowering, eqn: Any, ins: list) -> list:
+def _triangular_solve(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "left_side", "lower", "transpose_a", "unit_diagonal"
     if low.b.teamed and ins[0].ndim == 2 and ins[0].shape[0] <= ROWS_UP_TO:
         return [_solved_by_team(low, eqn, *ins)]
@@ -264,13 +264,14 @@ class Solved:
     def goes_on(self, left: bool, used: list[Any], right: View) -> bool:
         """Whether the same threads can solve the next system at once: with numbers that were
         there before the loop, and the whole of the solutions."""
-        there = all(not isinstance(v, Var) or v.id < self.column.id for v in used)
+        column = self.column.id if isinstance(self.column, Var) else 0
+        there = all(not isinstance(v, Var) or v.id < column for v in used)
         known = not any(isinstance(v, View) for v in used)
         whole = self.solution.same(right) and right.array.version == self.version
         return self.left == left and there and known and whole
 
 
-def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
+def _solved_by_team(low: Lowering, eqn: Equation, a: Small, right: Small) -> Small:
     """Each thread solves for some columns of the right side (or its rows, from the right), which
     are in its registers, with the inverses of the diagonal."""
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]
@@ -290,8 +291,9 @@ def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
 
     def solve(x: list[Value]) -> list[Value]:
         for k in range(n) if forwards else reversed(range(n)):
-            if inverse[k] is not None:
-                x[k] = b.op("mul", dtype, x[k], inverse[k])
+            by = inverse[k]
+            if by is not None:
+                x[k] = b.op("mul", dtype, x[k], by)
             for j in range(k + 1, n) if forwards else range(k):
                 x[j] = b.op("sub", dtype, x[j], b.op("mul", dtype, entry(j, k), x[k]))
         return x
@@ -325,24 +327,24 @@ def _solved_by_team(low: Lowering, eqn: Any, a: Small, right: Small) -> Small:
 
 
 @rule("geqrf")
-def _geqrf(low: Lowering, eqn: Any, ins: list) -> list:
+def _geqrf(low: Lowering, eqn: Equation, ins: list) -> list:
     return mapped(low, eqn, ins, lambda a: geqrf(a)[:2], (2,))
 
 
 @rule("householder_product")
-def _householder_product(low: Lowering, eqn: Any, ins: list) -> list:
+def _householder_product(low: Lowering, eqn: Equation, ins: list) -> list:
     return mapped(low, eqn, ins, householder_product, (2,))
 
 
 @rule("qr")
-def _qr(low: Lowering, eqn: Any, ins: list) -> list:
+def _qr(low: Lowering, eqn: Equation, ins: list) -> list:
     names = "full_matrices", "pivoting"
     f = functools.partial(qr, **{name: eqn.params.get(name, False) for name in names})
     return mapped(low, eqn, ins, f, (2,))
 
 
 @rule("custom_linear_solve")
-def _custom_linear_solve(low: Lowering, eqn: Any, ins: list) -> list:
+def _custom_linear_solve(low: Lowering, eqn: Equation, ins: list) -> list:
     counts, jaxprs = eqn.params["const_lengths"], eqn.params["jaxprs"]
     sizes = [counts.matvec, counts.vecmat, counts.solve, counts.transpose_solve]
     start = sum(sizes[:2])

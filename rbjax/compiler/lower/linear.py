@@ -17,6 +17,7 @@ from rbjax.compiler.lower.arrays import (
     Small,
     View,
     each,
+    every_index,
     get,
     in_memory,
     put,
@@ -25,7 +26,7 @@ from rbjax.compiler.lower.arrays import (
 )
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.elementwise import source
-from rbjax.compiler.lower.lowering import Lowering, dtype_of, rule, takes_delayed
+from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 
 #: products with more terms are loops
 UNROLL_UP_TO = 512
@@ -40,7 +41,7 @@ SIDE_BY_SIDE = 12
 
 
 @rule("dot_general")
-def _dot(low: Lowering, eqn: Any, ins: list) -> list:
+def _dot(low: Lowering, eqn: Equation, ins: list) -> list:
     ((ca, cb), (ba, bb)), dtype = eqn.params["dimension_numbers"], dtype_of(eqn.outvars[0].aval)
     fa = [k for k in range(len(ins[0].shape)) if k not in (*ca, *ba)]
     fb = [k for k in range(len(ins[1].shape)) if k not in (*cb, *bb)]
@@ -56,10 +57,10 @@ def _dot(low: Lowering, eqn: Any, ins: list) -> list:
         return [_looped(low, x, y, shape, contracted, (nb, na, ny), dtype)]
     a, c = low.scalars(x), low.scalars(y)
     b, out = low.b, np.empty(shape, object)
-    for i in np.ndindex(shape):
+    for i in every_index(shape):
         left, right = (*i[: nb + na],), (*i[:nb], *i[nb + na :])
         total: Value = dtype.type(0)
-        for t in np.ndindex(contracted):
+        for t in every_index(contracted):
             term = b.op("mul", dtype, b.cast(a[left + t], dtype), b.cast(c[right + t], dtype))
             total = b.op("add", dtype, total, term)
         out[i] = total
@@ -106,7 +107,7 @@ def _delayed(
 def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) -> Value:
     """term(*index) of each index of a shape, which has entries, put together by add."""
     if math.prod(shape) <= TERMS_UP_TO:
-        every = [term(*map(I32.type, k)) for k in np.ndindex(shape)]
+        every = [term(*map(I32.type, k)) for k in every_index(shape)]
         return functools.reduce(add, every)
     first = term(*(I32.type(0) for _ in shape))
     total = b.declare(dtype, first)

@@ -13,23 +13,57 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Var
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, Var
 
 from rbjax._jax_compat import CALLS, JAXPRS, expanded
 from rbjax.compiler.ir.builder import Builder
-from rbjax.compiler.ir.values import Unsupported
+from rbjax.compiler.ir.values import Unsupported, Value
 from rbjax.compiler.lower.arrays import FEW, Small, View, scalars, settled, tidy, write
 from rbjax.compiler.lower.delayed import Delayed
 
-Rule = Callable[["Lowering", Any, list], list]
+
+class Aval(Protocol):
+    """The shape and the type of a variable of a jaxpr."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    @property
+    def dtype(self) -> np.dtype: ...
+    @property
+    def size(self) -> int: ...
+    @property
+    def ndim(self) -> int: ...
+
+
+class Atom(Protocol):
+    """A variable or a constant of a jaxpr."""
+
+    @property
+    def aval(self) -> Aval: ...
+
+
+class Equation(Protocol):
+    """An equation of a jaxpr (`jax.extend.core.JaxprEqn`, whose types lack shapes)."""
+
+    @property
+    def primitive(self) -> Primitive: ...
+    @property
+    def invars(self) -> Sequence[Atom]: ...
+    @property
+    def outvars(self) -> Sequence[Atom]: ...
+    @property
+    def params(self) -> dict[str, Any]: ...
+
+
+Rule = Callable[["Lowering", Equation, list], list]
 RULES: dict[str, Rule] = {}
 #: rules that write a result to a given place: f(lowering, equation, inputs, places)
-WRITERS: dict[str, Callable[[Lowering, Any, list, list], list]] = {}
+WRITERS: dict[str, Callable[[Lowering, Equation, list, list], list]] = {}
 
 
 #: a key of threefry: its first number is the low half
@@ -232,6 +266,10 @@ class Lowering:
     def scalars(self, x: Small) -> np.ndarray:
         return scalars(self.b, x)
 
+    def scalar(self, x: Small) -> Value:
+        """The value of an array with one entry and no axes."""
+        return self.scalars(x).item()
+
     def evaluate(self, f: Callable, *args: Small, avals: Sequence[Any]) -> list[Small]:
         """The results of a JAX function, traced for arguments of these shapes and types."""
         return self.closed(jax.make_jaxpr(f)(*avals), args)
@@ -256,7 +294,7 @@ def known(x: Any, aval: Any) -> np.ndarray:
     return np.asarray(x, aval.dtype)
 
 
-def called(eqn: Any) -> ClosedJaxpr | None:
+def called(eqn: Equation) -> ClosedJaxpr | None:
     """The jaxpr that an equation calls: `jit`, custom derivatives, `checkpoint`."""
     if eqn.primitive.name not in CALLS:
         return None

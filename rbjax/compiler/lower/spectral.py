@@ -19,7 +19,7 @@ from jax import lax
 
 from rbjax.compiler.ir.values import Unsupported
 from rbjax.compiler.lower.factorise import UNROLL_UP_TO, mapped, qr
-from rbjax.compiler.lower.lowering import Lowering, rule
+from rbjax.compiler.lower.lowering import Equation, Lowering, rule
 
 #: more than any matrix needs: 4 to 8 are usual
 MOST_SWEEPS = 20
@@ -114,19 +114,19 @@ def svd(a: jax.Array, *, full_matrices: bool) -> tuple[jax.Array, jax.Array, jax
     return jnp.where(jnp.isfinite(size), size * s, jnp.nan), u, vt
 
 
-def _whole(eqn: Any) -> None:
+def _whole(eqn: Equation) -> None:
     if eqn.params.get("subset_by_index") is not None:
         raise Unsupported(f"{eqn.primitive.name} of a subset")
 
 
 @rule("eigh")
-def _eigh(low: Lowering, eqn: Any, ins: list) -> list:
+def _eigh(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
     return mapped(low, eqn, ins, functools.partial(eigh, lower=eqn.params["lower"]), (2,))
 
 
 @rule("svd")
-def _svd(low: Lowering, eqn: Any, ins: list) -> list:
+def _svd(low: Lowering, eqn: Equation, ins: list) -> list:
     _whole(eqn)
     f = functools.partial(svd, full_matrices=eqn.params.get("full_matrices", False))
     if not eqn.params["compute_uv"]:

@@ -16,9 +16,6 @@ from rbjax.compiler.ir.statements import (
     Block,
     Declare,
     If,
-    Load,
-    Loop,
-    Op,
     Reserve,
     Store,
     While,
@@ -56,35 +53,20 @@ def divergence(block: Block, different: Iterable[Array]) -> Divergence:
 
 
 def _visit(block: Block, part: int, found: Divergence) -> None:
-    of, add = found.of, found.different.add
     for s in block.statements:
+        differs = any(map(found.of, s.reads()))
         match s:
-            case Op(dest=dest, args=args):
-                if any(map(of, args)):
-                    add(dest.id)
-            case Load(dest=dest, array=array, base=base):
-                if of(array) or of(base):
-                    add(dest.id)
-            case Store(array=array, base=base, value=value):
-                if of(value) or of(base) or found.outlives(array, part):
-                    add(array.id)
-            case Declare(var=var, value=value):
-                found.home[var.id] = part
-                if of(value):
-                    add(var.id)
-            case Assign(var=var, value=value):
-                if of(value) or found.outlives(var, part):
-                    add(var.id)
-            case Reserve(array=array):
-                found.home[array.id] = part
-            case Loop(body=body):
-                _visit(body, part, found)
-            case While(test=test, condition=condition, body=body):
-                _visit(test, part_of(test, condition, part, found), found)
-                _visit(body, part_of(body, condition, part, found), found)
-            case If(condition=condition, then=then, otherwise=otherwise):
-                _visit(then, part_of(then, condition, part, found), found)
-                _visit(otherwise, part_of(otherwise, condition, part, found), found)
+            case Declare(var=declared) | Reserve(array=declared):
+                found.home[declared.id] = part
+            case Store(array=changed) | Assign(var=changed):
+                differs = differs or found.outlives(changed, part)
+        if differs:
+            found.different.update(x.id for x in s.writes())
+        for inner in s.children():
+            among = part
+            if isinstance(s, While | If):
+                among = part_of(inner, s.condition, part, found)
+            _visit(inner, among, found)
 
 
 def part_of(block: Block, condition: Value, part: int, found: Divergence) -> int:

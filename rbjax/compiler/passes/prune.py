@@ -2,81 +2,61 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rbjax.compiler.ir.statements import (
-    Array,
-    Assign,
     Await,
+    Barrier,
     Block,
-    Declare,
     If,
-    Load,
     Loop,
-    Op,
+    Name,
     Reserve,
+    Statement,
     Store,
     While,
     walk,
 )
-from rbjax.compiler.ir.values import Var
 
 
 def prune(block: Block) -> None:
-    """Removes the statements that no result and no condition depends on."""
-    needed = _needed(block)
-    _keep(block, needed)
+    """Remove the statements that no result and no condition depends on."""
+    _keep(block, _needed(block))
 
 
-def _needed(block: Block) -> set[Var | Array]:
+def _needed(block: Block) -> set[Name]:
     """The variables and arrays that results and conditions depend on."""
-    made_of: dict[Any, list] = {}
-    reached: list = []
+    sources: dict[Name, list[Name]] = {}
+    reached: list[Name] = []
     for statement in walk(block):
-        match statement:
-            case Op(dest=dest, args=args):
-                made_of.setdefault(dest, []).extend(args)
-            case Load(dest=dest, array=array, base=base):
-                made_of.setdefault(dest, []).extend((array, base))
-            case Declare(var=var, value=value) | Assign(var=var, value=value):
-                made_of.setdefault(var, []).append(value)
-            case Store(array=array, base=base, value=value):
-                where = reached if array.space == "result" else made_of.setdefault(array, [])
-                where.extend((array, base, value))
-            case If(condition=condition) | While(condition=condition):
-                reached.append(condition)
-    needed: set = set()
+        if isinstance(statement, If | While):
+            reached.extend(statement.reads())
+        elif isinstance(statement, Store) and statement.array.space == "result":
+            reached.extend((statement.array, *statement.reads()))
+        else:
+            for x in statement.writes():
+                sources.setdefault(x, []).extend(statement.reads())
+    needed: set[Name] = set()
     while reached:
         x = reached.pop()
-        if isinstance(x, Var | Array) and x not in needed:
+        if x not in needed:
             needed.add(x)
-            reached.extend(made_of.get(x, ()))
+            reached.extend(sources.get(x, ()))
     return needed
 
 
-def _keep(block: Block, needed: set[Var | Array]) -> None:
-    kept = []
+def _keep(block: Block, needed: set[Name]) -> None:
+    """Remove the other statements of a block and its inner blocks."""
     for statement in block.statements:
-        match statement:
-            case Op(dest=x) | Load(dest=x) | Declare(var=x) | Assign(var=x):
-                keep = x in needed
-            case Store(array=x) | Reserve(array=x):
-                keep = x in needed
-            case Loop(body=body):
-                _keep(body, needed)
-                keep = bool(body.statements)
-            case While(test=test, body=body):
-                _keep(test, needed)
-                _keep(body, needed)
-                keep = True
-            case If(then=then, otherwise=otherwise):
-                _keep(then, needed)
-                _keep(otherwise, needed)
-                keep = bool(then.statements or otherwise.statements)
-            case Await():
-                keep = True
-            case _:
-                raise TypeError(f"no such statement: {statement}")
-        if keep:
-            kept.append(statement)
-    block.statements = kept
+        for inner in statement.children():
+            _keep(inner, needed)
+    block.statements = [s for s in block.statements if _is_needed(s, needed)]
+
+
+def _is_needed(statement: Statement, needed: set[Name]) -> bool:
+    match statement:
+        case Loop() | If():
+            return any(inner.statements for inner in statement.children())
+        case While() | Await() | Barrier():
+            return True
+        case Reserve(array=array):
+            return array in needed
+    return any(x in needed for x in statement.writes())
