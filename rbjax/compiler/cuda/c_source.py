@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from rbjax.compiler.ir.statements import (
     Loop,
     Op,
     Reserve,
+    Statement,
     Store,
     While,
 )
@@ -34,26 +35,28 @@ PREAMBLE = "".join(x.helper for x in OPERATIONS.values()) + "\n"
 GROUP, SHORT_BODY = 16, 10
 
 
-def literal(x: Any) -> str:
+def literal(x: np.generic) -> str:
     """A known number."""
     kind = x.dtype.kind
     if kind == "b":
         return "true" if x else "false"
     if kind in "iu":
+        n = int(x)
         suffix = {"int64": "ll", "uint64": "ull", "uint32": "u"}.get(x.dtype.name, "")
-        if x.dtype == np.int64 and x == np.iinfo(np.int64).min:
+        if x.dtype == np.int64 and n == np.iinfo(np.int64).min:
             return "(-9223372036854775807ll-1)"
-        if x.dtype == np.int32 and x == np.iinfo(np.int32).min:
+        if x.dtype == np.int32 and n == np.iinfo(np.int32).min:
             return "(-2147483647-1)"
-        text = f"{int(x)}{suffix}"
-        return f"({text})" if x < 0 else text
+        text = f"{n}{suffix}"
+        return f"({text})" if n < 0 else text
     f = "f" if x.dtype == np.float32 else ""
-    if np.isnan(x):
+    number = float(x)
+    if math.isnan(number):
         return f"((c_{c_type(x.dtype)})NAN)"
-    if np.isinf(x):
-        return f"({'-' if x < 0 else ''}(c_{c_type(x.dtype)})INFINITY)"
-    text = f"{float(x)!r}{f}"
-    return f"({text})" if np.signbit(x) else text
+    if math.isinf(number):
+        return f"({'-' if number < 0 else ''}(c_{c_type(x.dtype)})INFINITY)"
+    text = f"{number!r}{f}"
+    return f"({text})" if math.copysign(1.0, number) < 0 else text
 
 
 def _moves_entries(loop: Loop) -> bool:
@@ -88,7 +91,7 @@ class Printer:
         for statement in block.statements:
             yield from self._lines(statement)
 
-    def _lines(self, statement: Any) -> Iterator[str]:
+    def _lines(self, statement: Statement) -> Iterator[str]:
         v = self.value
         match statement:
             case Op(dest=dest):

@@ -14,13 +14,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 from rbjax.compiler.cuda.c_source import PREAMBLE, Printer, offset, parameters, sample_index, table
 from rbjax.compiler.cuda.kernels import BASICS, STATEMENTS_UP_TO, Kernel
 from rbjax.compiler.ir.c_text import c_type
 from rbjax.compiler.ir.program import Written
-from rbjax.compiler.ir.statements import Await, Barrier, Block, Load, Loop, Op, Reserve, Store, walk
+from rbjax.compiler.ir.statements import (
+    Await,
+    Barrier,
+    Block,
+    Load,
+    Loop,
+    Op,
+    Reserve,
+    Statement,
+    Store,
+    walk,
+)
 
 #: threads of a team where there are fewer samples than this; a warp where there are more
 TEAMS = {600: 128, 1200: 64}
@@ -115,7 +125,7 @@ class TeamPrinter(Printer):
     def barrier(self) -> str:
         return "__syncwarp();" if self.team == WARP else "__syncthreads();"
 
-    def _lines(self, statement: Any) -> Iterator[str]:
+    def _lines(self, statement: Statement) -> Iterator[str]:
         match statement:
             case Barrier():
                 yield self.barrier

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.folding import folded, keys_of, simpler
 from rbjax.compiler.ir.statements import (
@@ -55,10 +56,10 @@ class Builder:
 
     # ---------------------------------------------------------------- scalars
 
-    def var(self, dtype: Any) -> Var:
+    def var(self, dtype: DTypeLike) -> Var:
         return Var(next(self.ids), np.dtype(dtype))
 
-    def op(self, name: str, dtype: Any, *args: Value) -> Value:
+    def op(self, name: str, dtype: DTypeLike, *args: Value) -> Value:
         """name(args), of the given type."""
         dtype = np.dtype(dtype)
         known = [a for a in args if not isinstance(a, Var)]
@@ -80,7 +81,7 @@ class Builder:
                 self.negated[dest.id] = args[0]
         return dest
 
-    def cast(self, x: Value, dtype: Any) -> Value:
+    def cast(self, x: Value, dtype: DTypeLike) -> Value:
         """x as another type."""
         return x if x.dtype == dtype else self.op("cast", dtype, x)
 
@@ -88,7 +89,7 @@ class Builder:
         """yes if the condition holds, else no."""
         return self.op("select", yes.dtype, condition, yes, no)
 
-    def declare(self, dtype: Any, value: Value | None = None) -> Var:
+    def declare(self, dtype: DTypeLike, value: Value | None = None) -> Var:
         """A variable that is assigned later."""
         var = self.var(dtype)
         self.block.statements.append(Declare(var, value))
@@ -100,12 +101,12 @@ class Builder:
 
     # ---------------------------------------------------------------- memory
 
-    def local(self, dtype: Any, size: int) -> Array:
+    def local(self, dtype: DTypeLike, size: int) -> Array:
         array = Array(next(self.ids), np.dtype(dtype), size, "local", shared=self.teamed)
         self.block.statements.append(Reserve(array))
         return array
 
-    def outside(self, dtype: Any, size: int, space: str, index: Any = I32) -> Array:
+    def outside(self, dtype: DTypeLike, size: int, space: str, index: DTypeLike = I32) -> Array:
         """An operand or a result."""
         return Array(next(self.ids), np.dtype(dtype), size, space, index=np.dtype(index))
 

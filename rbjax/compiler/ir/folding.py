@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -71,5 +71,5 @@ def keys_of(name: str, args: Sequence[Value]) -> list:
     return keys
 
 
-def _order(key: Any) -> tuple:
+def _order(key: tuple | int) -> tuple:
     return (1, *key) if isinstance(key, tuple) else (0, key)

@@ -8,20 +8,21 @@ returns; None for types that the operation does not support.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 
 class Instructions(Protocol):
     """What a text function needs of the writer (`llvm.operations.Operations`)."""
 
-    def type(self, dtype: Any) -> str: ...
-    def number(self, x: Any, dtype: Any = None) -> str: ...
+    def type(self, dtype: DTypeLike) -> str: ...
+    def number(self, x: float | np.generic, dtype: np.dtype | None = None) -> str: ...
     def made(self, text: str, name: str | None = None) -> str: ...
     def mathematical(self, name: str, kind: np.dtype, x: Sequence[str]) -> str: ...
     def intrinsic(
-        self, name: str, of: list[Any], result: Any, x: Sequence[str], *more: str
+        self, name: str, of: Sequence[DTypeLike], result: DTypeLike, x: Sequence[str], *more: str
     ) -> str: ...
 
 

@@ -16,6 +16,9 @@ from rbjax.compiler.ir import c_text as c
 from rbjax.compiler.ir import elementary, error_function, powers
 from rbjax.compiler.ir import llvm_text as llvm
 
+Fold = Callable[..., Any]
+Formula = Callable[..., elementary.Found]
+
 
 @dataclass(frozen=True)
 class Operation:
@@ -38,17 +41,17 @@ class Operation:
     arity: int
     c: c.CText
     llvm: llvm.LlvmText | None
-    fold: Callable[..., Any] | None = None
+    fold: Fold | None = None
     fold_types: str = "fiub"
     primitives: tuple[str, ...] = ()
-    formula: Callable[..., elementary.Found] | None = None
+    formula: Formula | None = None
     sees_subnormals: bool = False
     commutes: bool = False
     helper: str = ""
 
 
 def _binary(
-    name: str, symbol: str, text: llvm.LlvmText | None, fold: Any = None, *primitives: str,
+    name: str, symbol: str, text: llvm.LlvmText | None, fold: Fold | None = None, *primitives: str,
     wraps: bool = False, commutes: bool = False, fold_types: str = "fiub",
 ) -> Operation:  # fmt: skip
     """An operation that is an operator in C."""
@@ -57,13 +60,13 @@ def _binary(
     )
 
 
-def _comparison(name: str, symbol: str, fold: Any, commutes: bool = False) -> Operation:
+def _comparison(name: str, symbol: str, fold: Fold | None, commutes: bool = False) -> Operation:
     return _binary(name, symbol, llvm.comparison(name), fold, name, commutes=commutes)
 
 
 def _function(
-    name: str, formula: Any = None, fold: Any = None, arity: int = 1, primitive: bool = True,
-    sees_subnormals: bool = False,
+    name: str, formula: Formula | None = None, fold: Fold | None = None, arity: int = 1,
+    primitive: bool = True, sees_subnormals: bool = False,
 ) -> Operation:  # fmt: skip
     """A function of C's mathematics."""
     text = llvm.mathematical(name)
@@ -74,13 +77,13 @@ def _function(
     )  # fmt: skip
 
 
-def _rounding(name: str, fold: Any, *primitives: str, arity: int = 1) -> Operation:
+def _rounding(name: str, fold: Fold | None, *primitives: str, arity: int = 1) -> Operation:
     """A function of floats that is an instruction of the machine."""
     text = llvm.by_kind(f=llvm.intrinsic(name))
     return Operation(name, arity, c.function(name), text, fold, primitives=primitives)
 
 
-def _shift_left(a: Any, b: Any) -> Any:
+def _shift_left(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     inside = (b >= 0) & (b < 8 * a.dtype.itemsize)
     return np.where(inside, np.left_shift(a, np.where(inside, b, 0)), 0)
 

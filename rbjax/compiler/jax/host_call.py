@@ -70,7 +70,9 @@ _kernel.multiple_results = True
 _kernel.def_abstract_eval(lambda *operands, results, name: list(results))
 
 
-def launch(kernel: HostKernel, operands: Sequence[Any], results: Sequence[Any]) -> list[Any]:
+def launch(
+    kernel: HostKernel, operands: Sequence[jax.Array], results: Sequence[Any]
+) -> list[jax.Array]:
     """The kernel's results, with these shapes and types. Only for programs lowered for a CPU."""
     return _kernel.bind(*operands, results=tuple(results), name=kernel.name)
 

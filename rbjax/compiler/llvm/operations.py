@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.operations import OPERATIONS
 from rbjax.compiler.ir.statements import Op
@@ -23,13 +23,13 @@ ATTRIBUTES = f"nounwind alignstack({ALIGNMENT})"
 
 
 @functools.lru_cache(64)
-def llvm_type(dtype: Any) -> str:
+def llvm_type(dtype: np.dtype) -> str:
     """The type of a value in a register."""
     dtype = np.dtype(dtype)
     return TYPES.get(dtype.name) or f"i{8 * dtype.itemsize}"
 
 
-def literal(x: Any) -> str:
+def literal(x: np.generic) -> str:
     """A known number. Floats are given by their bits, those of float as double."""
     if x.dtype.kind == "b":
         return "true" if x else "false"
@@ -65,14 +65,15 @@ class Operations:
         """The called functions of C's mathematics."""
         return sorted(name for name in self.declared if not name.startswith("llvm."))
 
-    def type(self, dtype: Any) -> str:
+    def type(self, dtype: DTypeLike) -> str:
         """The type of a value in a register."""
-        t = llvm_type(dtype)
+        t = llvm_type(np.dtype(dtype))
         return t if self.lanes == 1 else f"<{self.lanes} x {t}>"
 
-    def number(self, x: Any, dtype: Any = None) -> str:
+    def number(self, x: float | np.generic, dtype: np.dtype | None = None) -> str:
         """A known number, in every lane."""
-        x = x if dtype is None else np.dtype(dtype).type(x)
+        if not isinstance(x, np.generic) or dtype is not None:
+            x = np.dtype(dtype).type(x)
         text = literal(x)
         return text if self.lanes == 1 else f"splat ({llvm_type(x.dtype)} {text})"
 
@@ -91,13 +92,15 @@ class Operations:
         self.declared[function] = f"declare {result} @{function}({types}){pure}"
         return f"call {result} @{function}({', '.join(f'{t} {x}' for t, x in args)})"
 
-    def intrinsic(self, name: str, of: list[Any], result: Any, x: Sequence[str], *more: str) -> str:
+    def intrinsic(
+        self, name: str, of: Sequence[DTypeLike], result: DTypeLike, x: Sequence[str], *more: str
+    ) -> str:
         """The text of a call of `llvm.name`, which is overloaded by the types of `of`."""
         suffix = ".".join(self.short(dtype) for dtype in of)
         args = [(self.type(of[-1]), a) for a in x] + [("i1", a) for a in more]
         return self.call(f"llvm.{name}.{suffix}", self.type(result), args)
 
-    def short(self, dtype: Any) -> str:
+    def short(self, dtype: DTypeLike) -> str:
         dtype = np.dtype(dtype)
         plain = f"f{8 * dtype.itemsize}" if dtype.kind == "f" else llvm_type(dtype)
         return plain if self.lanes == 1 else f"v{self.lanes}{plain}"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +21,10 @@ from rbjax.compiler.ir.statements import (
     If,
     Load,
     Loop,
+    Name,
     Op,
     Reserve,
+    Statement,
     Store,
     While,
 )
@@ -158,11 +159,11 @@ class Writer:
         pointers = ", ".join("ptr " + x.split()[-1] for x in takes)
         self.lines[:] = [*outside[1], f"call void @{name}({pointers})"]
 
-    def shares(self, x: Any) -> bool:
+    def shares(self, x: Name) -> bool:
         """Whether a variable or an array lies in the frame."""
         return self.frame is not None and x in self.frame.places
 
-    def framed(self, x: Any, lines: list[str] | None = None) -> str:
+    def framed(self, x: Name, lines: list[str] | None = None) -> str:
         """The address of what lies in the frame."""
         assert self.frame is not None
         lines, name = self.lines if lines is None else lines, f"%p{next(self.numbers)}"
@@ -264,7 +265,7 @@ class Writer:
                 if isinstance(statement, Op | Load):
                     self.keep(statement.dest)
 
-    def statement(self, statement: Any) -> None:
+    def statement(self, statement: Statement) -> None:
         match statement:
             case Op(dest=dest, args=args):
                 self.operations.write(statement, f"%t{dest.id}", [self.value(a) for a in args])

@@ -13,7 +13,7 @@ from rbjax.compiler.ir.statements import Await, Block, If, While
 from rbjax.compiler.ir.values import BOOL, I32, Value, Var
 from rbjax.compiler.lower.arrays import (
     FEW,
-    Small,
+    ThreadArray,
     View,
     every_index,
     get,
@@ -30,7 +30,16 @@ from rbjax.compiler.lower.arrays import (
 from rbjax.compiler.lower.delayed import Delayed
 from rbjax.compiler.lower.effects import only_reports
 from rbjax.compiler.lower.gather import COMBINE
-from rbjax.compiler.lower.lowering import Equation, Lowering, called, dtype_of, rule, writer
+from rbjax.compiler.lower.lowering import (
+    Atom,
+    Aval,
+    Equation,
+    Lowering,
+    called,
+    dtype_of,
+    rule,
+    writer,
+)
 
 #: the most entries of a loop's carry that are kept in registers
 REGISTERS = 256
@@ -94,7 +103,9 @@ def _inner(eqn: Equation) -> list[tuple[ClosedJaxpr, list]]:
 class Carry:
     """The carry of a loop: variables or local arrays."""
 
-    def __init__(self, low: Lowering, init: Sequence[Small], avals: Sequence[Any], memory: set):
+    def __init__(
+        self, low: Lowering, init: Sequence[ThreadArray], avals: Sequence[Aval], memory: set[int]
+    ):
         self.low = low
         self.values: list[Any] = []
         for k, (x, aval) in enumerate(zip(init, avals, strict=True)):
@@ -106,19 +117,19 @@ class Carry:
                     out[i] = low.b.declare(dtype_of(aval), entries[i])
                 self.values.append(out)
 
-    def _array(self, x: Small, aval: Any) -> View:
+    def _array(self, x: ThreadArray, aval: Aval) -> View:
         taken = {y.array for y in self.values if isinstance(y, View)}
         if isinstance(x, View) and x.changeable and x.array not in taken:
             return x
         return owned_copy(self.low.b, x, dtype_of(aval))
 
-    def advance(self, new: Sequence[Small]) -> None:
+    def advance(self, new: Sequence[ThreadArray]) -> None:
         """Updates all at once: old values are read before any of them changes."""
         b = self.low.b
         old = {v.id for x in self.values if not isinstance(x, View) for v in x.flat}
         arrays = {x.array for x in self.values if isinstance(x, View)}
         moves: list[tuple[Var, Value]] = []
-        copies: list[tuple[View, Small]] = []
+        copies: list[tuple[View, ThreadArray]] = []
         for to, x in zip(self.values, new, strict=True):
             if isinstance(to, View):
                 if isinstance(x, View) and x.same(to):
@@ -141,7 +152,7 @@ class Carry:
             b.assign(var, value)
 
 
-def _most(x: Small) -> int:
+def _most(x: ThreadArray) -> int:
     """The most entries that a team keeps in registers."""
     return 4 * FEW if isinstance(x, np.ndarray) and not is_known(x) else FEW // 2
 
@@ -154,7 +165,7 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     nc = len(eqn.invars) - nk - over_time(eqn.invars, body.jaxpr.invars)
     consts, init, xs = ins[:nc], ins[nc : nc + nk], ins[nc + nk :]
     avals = [v.aval for v in body.jaxpr.invars]
-    ys: list[Small] = []
+    ys: list[ThreadArray] = []
     rows_in = dict(zip(body.jaxpr.invars[nc + nk :], xs, strict=True))
     # for each stacked output, the input whose rows it returns unchanged
     same = [None if isinstance(v, Literal) else rows_in.get(v) for v in body.jaxpr.outvars[nk:]]
@@ -169,7 +180,7 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     if length == 1:
         first = [x.at(b, 0, I32.type(0)) if isinstance(x, View) else x[0, ...] for x in xs]
         spots = [
-            y.at(b, 0, I32.type(0)) if given is None else None
+            y.at(b, 0, I32.type(0)) if isinstance(y, View) and given is None else None
             for y, given in zip(ys, same, strict=True)
         ]
         out = low.closed(body, [*consts, *init, *first], [*[None] * nk, *spots])
@@ -192,7 +203,7 @@ def _scan(low: Lowering, eqn: Equation, ins: list, places: list) -> list:
     ):
         rows = rows_at(counter)
         spots = [
-            y.at(b, 0, counter) if given is None else None
+            y.at(b, 0, counter) if isinstance(y, View) and given is None else None
             for y, given in zip(ys, same, strict=True)
         ]
         out = low.closed(body, [*consts, *carry.values, *rows], [*[None] * nk, *spots])
@@ -242,7 +253,7 @@ def _copied_early(b: Builder, to: View, x: View) -> None:
         put(b, to, index, get(b, x, index))
 
 
-def over_time(outside: Sequence[Any], inside: Sequence[Any]) -> int:
+def over_time(outside: Sequence[Atom], inside: Sequence[Atom]) -> int:
     """The number of arguments or results of a scan with a time axis (jax 0.11 gives no counts)."""
     return sum(a.aval.ndim > b.aval.ndim for a, b in zip(outside, inside, strict=True))
 

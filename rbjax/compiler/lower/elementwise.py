@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.operations import OF_PRIMITIVE
@@ -17,7 +18,7 @@ from rbjax.compiler.ir.values import BOOL, Unsupported, Value, Var
 from rbjax.compiler.lower.arrays import (
     FEW,
     SHARED_ABOVE,
-    Small,
+    ThreadArray,
     View,
     each,
     every_index,
@@ -39,8 +40,8 @@ LOOP_ABOVE_IN_MEMORY = 64
 
 
 def entrywise(
-    low: Lowering, dtype: Any, shape: tuple, f: Callable[..., Value], *xs: Small
-) -> Small:
+    low: Lowering, dtype: DTypeLike, shape: tuple, f: Callable[..., Value], *xs: ThreadArray
+) -> ThreadArray:
     """f of the entries of arrays of equal shape; an axis may have 1 entry, a shape may be ()."""
     if not shape:
         out = np.empty((), object)
@@ -55,7 +56,7 @@ def entrywise(
     in_memory_now = size > LOOP_ABOVE_IN_MEMORY and any(isinstance(x, View) for x in xs)
     if size > LOOP_ABOVE or in_memory_now:
         b = low.b
-        sources = [spread(b, x, x.dtype if x.dtype != object else _dtype(x), shape) for x in xs]
+        sources = [spread(b, x, _dtype(x), shape) for x in xs]
         view = View.of(b.local(dtype, math.prod(shape)), shape)
         each(b, shape, lambda *i: put(b, view, i, f(*(get(b, s, i) for s in sources))))
         return view
@@ -81,7 +82,7 @@ def own_entries(x: np.ndarray) -> np.ndarray:
     return x[tuple(own)] if x.size and x.ndim else x
 
 
-def _delayed(b: Builder, dtype: Any, shape: tuple, f: Callable, xs: tuple) -> Delayed:
+def _delayed(b: Builder, dtype: DTypeLike, shape: tuple, f: Callable, xs: tuple) -> Delayed:
     """The same of a team, entry by entry when they are read."""
     sources = [source(b, x, shape) for x in xs]
     arrays = frozenset().union(*(s.sources for s in sources))
@@ -93,7 +94,7 @@ def _delayed(b: Builder, dtype: Any, shape: tuple, f: Callable, xs: tuple) -> De
     return Delayed(shape, np.dtype(dtype), entry, arrays, cost)
 
 
-def source(b: Builder, x: Small, shape: tuple) -> Delayed:
+def source(b: Builder, x: ThreadArray, shape: tuple) -> Delayed:
     """The entries of an array, broadcast to a shape as numpy does. Values in registers are also in
     memory, for an index that is not known."""
     if not isinstance(x, np.ndarray):
@@ -106,7 +107,7 @@ def source(b: Builder, x: Small, shape: tuple) -> Delayed:
         )
     x = np.broadcast_to(x, shape)
     own = own_entries(x)
-    dtype = x.dtype if x.dtype != object else _dtype(x)
+    dtype = _dtype(x)
     if own.size == 1:
         value = own.reshape(-1)[0]
         return Delayed(shape, dtype, lambda *i: value, frozenset(), 0)
@@ -119,8 +120,8 @@ def source(b: Builder, x: Small, shape: tuple) -> Delayed:
     return Delayed(shape, dtype, entry, frozenset(), 1)
 
 
-def _dtype(x: np.ndarray) -> np.dtype:
-    return x.flat[0].dtype
+def _dtype(x: ThreadArray) -> np.dtype:
+    return x.flat[0].dtype if isinstance(x, np.ndarray) and x.dtype == object else x.dtype
 
 
 def _shape(eqn: Equation) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ unrolled, entry by entry. Larger ones use a loop over the columns.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.typing import ArrayLike
 
 from rbjax.compiler.ir.statements import Block
 from rbjax.compiler.ir.values import I32, Value, Var
-from rbjax.compiler.lower.arrays import Small, View, each, get, in_memory, put, settled
+from rbjax.compiler.lower.arrays import ThreadArray, View, each, get, in_memory, put, settled
 from rbjax.compiler.lower.elementwise import source
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 
@@ -28,7 +29,7 @@ UNROLL_UP_TO = 8
 ROWS_UP_TO = 16
 
 
-def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
+def _columns(n: int, step: Callable, *state: jax.Array, reverse: bool = False) -> Any:
     """step(k, *state) for each column; k is known if there are few."""
     if n <= UNROLL_UP_TO:
         for k in reversed(range(n)) if reverse else range(n):
@@ -38,7 +39,7 @@ def _columns(n: int, step: Callable, *state: Any, reverse: bool = False) -> Any:
     return lax.fori_loop(0, n, turn, state)
 
 
-def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
+def _row(a: jax.Array, k: ArrayLike, first: int = 0) -> jax.Array:
     """a[k], where k is at least `first`; by selections if k is not known and rows are few."""
     if isinstance(k, int) or len(a) > UNROLL_UP_TO:
         return a[k]
@@ -48,7 +49,7 @@ def _row(a: jax.Array, k: Any, first: Any = 0) -> jax.Array:
     return out
 
 
-def _exchanged(x: jax.Array, k: Any, p: Any, first: Any = 0) -> jax.Array:
+def _exchanged(x: jax.Array, k: ArrayLike, p: ArrayLike, first: int = 0) -> jax.Array:
     """x, with rows k and p in each other's place, where p is at least `first`."""
     rows = np.arange(len(x))
     here = (rows == p).reshape(-1, *[1] * (x.ndim - 1))
@@ -71,7 +72,7 @@ def _cholesky_by(a: jax.Array, inverse: bool) -> tuple[jax.Array, jax.Array]:
     n = len(a)
     rows = np.arange(n)
 
-    def step(k: Any, a: jax.Array, factors: jax.Array, bad: jax.Array) -> tuple:
+    def step(k: ArrayLike, a: jax.Array, factors: jax.Array, bad: jax.Array) -> tuple:
         pivot = a[k, k]
         bad = bad | ~(pivot > 0)
         factor = lax.rsqrt(pivot) if inverse else jnp.ones_like(pivot)
@@ -93,7 +94,7 @@ def lu(a: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
-    def step(k: Any, a: jax.Array, pivots: jax.Array, order: jax.Array) -> tuple:
+    def step(k: ArrayLike, a: jax.Array, pivots: jax.Array, order: jax.Array) -> tuple:
         size = jnp.where(rows < k, -1, jnp.abs(a[:, k]))
         size = jnp.where(jnp.isnan(size), jnp.inf, size)
         p = jnp.argmax(size[k:] if isinstance(k, int) else size).astype(jnp.int32)
@@ -117,7 +118,7 @@ def permutation(pivots: jax.Array, *, size: int) -> jax.Array:
     """The order of rows after the swaps, one after another."""
     rows = np.arange(size)
 
-    def step(k: Any, order: jax.Array) -> tuple:
+    def step(k: ArrayLike, order: jax.Array) -> tuple:
         p = pivots[k]
         return (jnp.where(rows == k, _row(order, p), jnp.where(rows == p, order[k], order)),)
 
@@ -138,7 +139,7 @@ def triangular_solve(
     n = len(a)
     rows = np.arange(n)
 
-    def step(k: Any, b: jax.Array) -> tuple:
+    def step(k: ArrayLike, b: jax.Array) -> tuple:
         x = b[k] if unit_diagonal else b[k] / a[k, k]
         later = rows > k if lower else rows < k
         b = jnp.where(later[:, None], b - a[:, k][:, None] * x, b)
@@ -154,7 +155,7 @@ def geqrf(a: jax.Array, pivoting: bool = False) -> tuple[jax.Array, jax.Array, j
     m, n = a.shape
     rows, columns, count = np.arange(m), np.arange(n), min(m, n)
 
-    def step(k: Any, a: jax.Array, taus: jax.Array, order: jax.Array) -> tuple:
+    def step(k: ArrayLike, a: jax.Array, taus: jax.Array, order: jax.Array) -> tuple:
         if pivoting:
             left = jnp.where((rows >= k)[:, None], a, 0)
             p = jnp.where(columns >= k, (left * left).sum(0), -1).argmax().astype(jnp.int32)
@@ -181,7 +182,7 @@ def householder_product(a: jax.Array, taus: jax.Array) -> jax.Array:
     """The first columns of the product of reflections."""
     rows = np.arange(a.shape[0])
 
-    def step(k: Any, q: jax.Array) -> tuple:
+    def step(k: ArrayLike, q: jax.Array) -> tuple:
         v = jnp.where(rows == k, 1, jnp.where(rows > k, a[:, k], 0))
         return (q - taus[k] * v[:, None] * (v @ q),)
 
@@ -261,7 +262,7 @@ class Solved:
     column: Value
     x: list[Value]
 
-    def goes_on(self, left: bool, used: list[Any], right: View) -> bool:
+    def goes_on(self, left: bool, used: Sequence[View | Value | None], right: View) -> bool:
         """Whether the same threads can solve the next system at once: with numbers that were
         there before the loop, and the whole of the solutions."""
         column = self.column.id if isinstance(self.column, Var) else 0
@@ -271,7 +272,9 @@ class Solved:
         return self.left == left and there and known and whole
 
 
-def _solved_by_team(low: Lowering, eqn: Equation, a: Small, right: Small) -> Small:
+def _solved_by_team(
+    low: Lowering, eqn: Equation, a: ThreadArray, right: ThreadArray
+) -> ThreadArray:
     """Each thread solves for some columns of the right side (or its rows, from the right), which
     are in its registers, with the inverses of the diagonal."""
     b, P, dtype, n = low.b, eqn.params, dtype_of(eqn.outvars[0].aval), a.shape[0]

@@ -37,7 +37,9 @@ def _starts(low: Lowering, indices: np.ndarray, at: tuple, axes: Sequence[int], 
     return out
 
 
-def _batch_starts(starts: list, at: tuple, operand_axes: Any, index_axes: Any) -> None:
+def _batch_starts(
+    starts: list, at: tuple, operand_axes: Sequence[int], index_axes: Sequence[int]
+) -> None:
     for axis, k in zip(operand_axes, index_axes, strict=True):
         starts[axis] = at[k] if isinstance(at[k], Var) else I32.type(at[k])
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.values import BOOL, I32, Value, Var
 from rbjax.compiler.lower.arrays import (
-    Small,
+    ThreadArray,
     View,
     every_index,
     in_memory,
@@ -54,7 +54,7 @@ def in_bounds(low: Lowering, index: Value, most: int) -> Value:
     return ok
 
 
-def changeable(low: Lowering, x: Small, dtype: Any) -> View:
+def changeable(low: Lowering, x: ThreadArray, dtype: DTypeLike) -> View:
     """x as memory that may be updated: itself if nothing reads it later, else a copy."""
     if isinstance(x, View) and x.changeable:
         return x

@@ -6,15 +6,15 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.values import BOOL, I32, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
-    Small,
+    ThreadArray,
     View,
     each,
     every_index,
@@ -78,8 +78,9 @@ def _unrolled(b: Builder, matrices: bool) -> int:
 
 
 def _delayed(
-    low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
-) -> Small:
+    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
+    dtype: DTypeLike,
+) -> ThreadArray:
     """Each sum where it is read. What several sums read is in memory, or as good as there."""
     b, (nb, na, ny) = low.b, sizes
     terms = math.prod(contracted)
@@ -101,10 +102,11 @@ def _delayed(
 
         return summed(b, contracted, term, functools.partial(b.op, "add", dtype), dtype)
 
-    return Delayed(shape, dtype, entry, s.sources | t.sources, terms * (2 + s.cost + t.cost))
+    cost = terms * (2 + s.cost + t.cost)
+    return Delayed(shape, np.dtype(dtype), entry, s.sources | t.sources, cost)
 
 
-def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) -> Value:
+def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: DTypeLike) -> Value:
     """term(*index) of each index of a shape, which has entries, put together by add."""
     if math.prod(shape) <= TERMS_UP_TO:
         every = [term(*map(I32.type, k)) for k in every_index(shape)]
@@ -124,7 +126,8 @@ def summed(b: Builder, shape: tuple, term: Callable, add: Callable, dtype: Any) 
 
 
 def _looped(
-    low: Lowering, x: Small, y: Small, shape: tuple, contracted: tuple, sizes: tuple, dtype: Any
+    low: Lowering, x: ThreadArray, y: ThreadArray, shape: tuple, contracted: tuple, sizes: tuple,
+    dtype: DTypeLike,
 ) -> View:
     """Sums in loops. On a CPU some run side by side: each waits for its last term, not for the
     others, and they share what they read of x."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from rbjax._jax_compat import key_implementation
 from rbjax.compiler.ir.values import Unsupported, Value
-from rbjax.compiler.lower.arrays import Small, View, each, every_index, get, put, spread
+from rbjax.compiler.lower.arrays import ThreadArray, View, each, every_index, get, put, spread
 from rbjax.compiler.lower.lowering import KEY, Equation, Lowering, dtype_of, rule
 
 U32 = np.dtype(np.uint32)
@@ -69,7 +69,7 @@ def threefry(low: Lowering, k0: Value, k1: Value, x: Value, y: Value) -> tuple[V
     return x, y
 
 
-def unwrapped(low: Lowering, keys: Small) -> np.ndarray:
+def unwrapped(low: Lowering, keys: ThreadArray) -> np.ndarray:
     """Keys as pairs of 32-bit numbers."""
     b, x = low.b, low.scalars(keys)
     out = np.empty((*x.shape, 2), object)
@@ -79,7 +79,7 @@ def unwrapped(low: Lowering, keys: Small) -> np.ndarray:
     return out
 
 
-def wrapped(low: Lowering, data: Small) -> np.ndarray:
+def wrapped(low: Lowering, data: ThreadArray) -> np.ndarray:
     """Pairs of numbers as keys."""
     b, x = low.b, low.scalars(data)
     out = np.empty(x.shape[:-1], object)
@@ -142,7 +142,7 @@ def _fold_in(low: Lowering, eqn: Equation, ins: list) -> list:
     return [wrapped(low, out)]
 
 
-def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[Small]:
+def _each(low: Lowering, f: Callable, shape: tuple, args: list, dtypes: list) -> list[ThreadArray]:
     """f mapped over the leading axes of this shape."""
     for _ in shape:
         f = jax.vmap(f)

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.values import BOOL, Value
 from rbjax.compiler.lower.arrays import (
     SHARED_ABOVE,
-    Small,
+    ThreadArray,
     View,
     each,
     every_index,
@@ -26,7 +27,9 @@ from rbjax.compiler.lower.linear import summed
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule, takes_delayed
 
 
-def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Small:
+def reduced(
+    low: Lowering, x: ThreadArray, axes: tuple, dtype: DTypeLike, f: Callable
+) -> ThreadArray:
     """Entries reduced along axes by f of two values."""
     axes = tuple(axes)
     kept = [k for k in range(x.ndim) if k not in axes]
@@ -46,7 +49,7 @@ def reduced(low: Lowering, x: Small, axes: tuple, dtype: Any, f: Callable) -> Sm
 
 
 def _delayed(
-    low: Lowering, x: Small, kept: list, axes: list, dtype: Any, f: Callable
+    low: Lowering, x: ThreadArray, kept: list, axes: list, dtype: DTypeLike, f: Callable
 ) -> Delayed | None:
     """Reductions of a team, each where it is read; None if a thread does them sooner. One of more
     than one axis is first of all but the longest."""
@@ -90,7 +93,7 @@ def _reduce_by_function(low: Lowering, eqn: Equation, ins: list) -> list:
     return list(outs)
 
 
-def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: Any, f: Callable) -> View:
+def _looped(low: Lowering, x: View, kept: list, axes: list, dtype: DTypeLike, f: Callable) -> View:
     b = low.b
     x = x.transposed([*kept, *axes])
     shape, rest = x.shape[: len(kept)], x.shape[len(kept) :]
@@ -223,7 +226,7 @@ def _cumulative_looped(low: Lowering, x: View, eqn: Equation, name: str) -> View
     return out
 
 
-def _along(low: Lowering, x: View, axis: int, dtype: Any, f: Callable) -> View:
+def _along(low: Lowering, x: View, axis: int, dtype: DTypeLike, f: Callable) -> View:
     """f(x with the axis last, the result, *index) for each index of the other axes."""
     rest = [k for k in range(x.ndim) if k != axis]
     moved = x.transposed([*rest, axis])

@@ -10,7 +10,7 @@ import numpy as np
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.statements import Block, While
 from rbjax.compiler.ir.values import BOOL, I32, Value
-from rbjax.compiler.lower.arrays import Small, View, each, every_index, get, owned_copy, put
+from rbjax.compiler.lower.arrays import View, each, every_index, get, owned_copy, put
 from rbjax.compiler.lower.elementwise import LOOP_ABOVE, entrywise
 from rbjax.compiler.lower.lowering import Equation, Lowering, dtype_of, rule
 
@@ -37,7 +37,7 @@ def _sort(low: Lowering, eqn: Equation, ins: list) -> list:
     return sort(low, ins, dtypes, eqn.params["dimension"], eqn.params["num_keys"])
 
 
-def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Small]:
+def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[np.ndarray | View]:
     """Arrays in the order of the first `keys` of them; the sort is stable."""
     if xs[0].shape[axis] > REGISTERS or xs[0].size > LOOP_ABOVE:
         return _sort_in_memory(low, xs, dtypes, axis, keys)
@@ -54,7 +54,9 @@ def sort(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Sm
     return [np.moveaxis(out, -1, axis) for out in outs]
 
 
-def _sort_in_memory(low: Lowering, xs: list, dtypes: list, axis: int, keys: int) -> list[Small]:
+def _sort_in_memory(
+    low: Lowering, xs: list, dtypes: list, axis: int, keys: int
+) -> list[np.ndarray | View]:
     """Insertion sort: each entry moves down until the one before it comes no later."""
     b = low.b
     outs = [owned_copy(b, x, dtype) for x, dtype in zip(xs, dtypes, strict=True)]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from rbjax.compiler.lower.arrays import (
     FEW,
-    Small,
+    ThreadArray,
     View,
     filled,
     owned_copy,
@@ -49,7 +49,7 @@ def _slice(low: Lowering, eqn: Equation, ins: list) -> list:
     return [cut(low, ins[0], box)]
 
 
-def cut(low: Lowering, x: Small, box: tuple[slice, ...]) -> Small:
+def cut(low: Lowering, x: ThreadArray, box: tuple[slice, ...]) -> ThreadArray:
     """A rectangle of x."""
     if isinstance(x, Delayed):
         return x.sliced(low.b, box)
@@ -61,7 +61,7 @@ def _reshape(low: Lowering, eqn: Equation, ins: list) -> list:
     return [reshaped(low, ins[0], eqn.outvars[0].aval.shape)]
 
 
-def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
+def reshaped(low: Lowering, x: ThreadArray, shape: tuple[int, ...]) -> ThreadArray:
     """x with another shape."""
     if isinstance(x, Delayed):
         delayed = x.reshaped(shape)
@@ -70,7 +70,7 @@ def reshaped(low: Lowering, x: Small, shape: tuple[int, ...]) -> Small:
         x = stored(low.b, x)
     if isinstance(x, View):
         out = x.reshaped(shape)
-        return owned_copy(low.b, x, x.dtype).reshaped(shape) if out is None else out
+        return View.of(owned_copy(low.b, x, x.dtype).array, shape) if out is None else out
     return x.reshape(shape)
 
 
@@ -185,7 +185,9 @@ def _splits(low: Lowering, eqn: Equation, ins: list) -> list:
     return _split(low, ins[0], eqn.params["axis"], eqn.params["sizes"])
 
 
-def _split(low: Lowering, x: Small, axis: int, sizes: Any, squeeze: bool = False) -> list:
+def _split(
+    low: Lowering, x: ThreadArray, axis: int, sizes: Sequence[int], squeeze: bool = False
+) -> list:
     out, start = [], 0
     for size in sizes:
         box = [slice(0, n, 1) for n in x.shape]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr
+from numpy.typing import DTypeLike
 
 from rbjax.compiler.ir.builder import Builder
 from rbjax.compiler.ir.program import Layout, Written
@@ -70,7 +70,7 @@ def write_program(
     return Written(b, tuple(ins), tuple(outs), layouts, batch, summed)
 
 
-def _array(b: Builder, dtype: Any, layout: Layout, space: str) -> Array:
+def _array(b: Builder, dtype: DTypeLike, layout: Layout, space: str) -> Array:
     if dtype not in DTYPES:
         raise Unsupported(f"{space} of type {dtype}")
     reach = sum((n - 1) * s for n, s in zip(layout.sample, layout.strides, strict=True)) + 1
