@@ -81,7 +81,7 @@ def with_length(length):
 
 def angles(length):
     longer = with_length(length)
-    begin = rc.Projected(iterations=8).settled(longer, 0.0, start)
+    begin = rc.Projection(iterations=8).project(longer, 0.0, start)
     return rb.rollout(longer, begin, None, 2e-3, steps=250, integrator="rk4").q[::10, 0]
 
 
@@ -156,6 +156,6 @@ for axes in (left, right):
 
 # %%
 crank = model.keyframe("turning").replace(q=2.2 * jnp.array([1.0, -1.0, 1.0]), v=jnp.zeros(3))
-choice = rc.recommend(model, crank, 1e-6, horizon=0.5, dt=0.01, progress=False)
+choice = rb.recommend.formulation(model, crank, 1e-6, horizon=0.5, dt=0.01, progress=False)
 print(choice.name, choice.dt)
 print(choice.reason)

@@ -4,14 +4,12 @@ A robot file goes in. Fast, accurate and differentiable motion comes out, for on
 batch of a million. Every function takes one sample and composes with jit, vmap, grad, jvp and vjp.
 """
 
-import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
 import jax
 
 from rbjax import dynamics, joints, rotations, spatial
-from rbjax.above import names_from_above
 from rbjax.callable_modules import make_modules_callable
 from rbjax.compiler import compile, threads
 from rbjax.compiling import compiler_options
@@ -27,6 +25,7 @@ from rbjax.dynamics import (
     forward_dynamics_derivatives,
     forward_kinematics,
     frame_bias_acceleration,
+    frame_pose,
     frame_velocity,
     gravity_forces,
     inertial_parameters,
@@ -53,8 +52,10 @@ if TYPE_CHECKING:
         control,
         estimation,
         forces,
+        kinematics,
         planning,
         plotting,
+        recommend,
         sensors,
         solvers,
         stability,
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
     from rbjax import loading as loading
     from rbjax import motion as motion
     from rbjax.forces import applied_forces
-    from rbjax.loading import load, scenes, write_back, write_mjcf
+    from rbjax.loading import ModelBuilder, load, scenes, write_back, write_mjcf
     from rbjax.motion.linearise import Linear, linearise, step
     from rbjax.motion.rollout import rollout
     from rbjax.motion.simulate import simulate
@@ -76,10 +77,12 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "estimation", "forces", "loading", "motion", "planning",
-    "plotting", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
+    "body", "constraints", "control", "estimation", "forces", "kinematics", "loading", "motion",
+    "planning", "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation",
+    "wheeled",
 )  # fmt: skip
 _MODULES = {
+    "ModelBuilder": "loading",
     "Linear": "motion.linearise",
     "Trajectory": "motion.trajectory",
     "applied_forces": "forces",
@@ -116,19 +119,10 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-# These packages export `recommend` too, which is defined in modules that import the packages.
-for _package, _module in (
-    ("wheeled", "fidelity"), ("solvers", "solver"), ("control", "control"),
-    ("constraints", "formulation"),
-):  # fmt: skip
-    for _name in ("recommend", "Recommendation"):
-        names_from_above(f"rbjax.{_package}")[_name] = functools.partial(
-            _of, f"rbjax.recommend.{_module}", _name
-        )
-
 __all__ = [
     "InputError",
     "Model",
+    "ModelBuilder",
     "ModelError",
     "Poses",
     "Linear",
@@ -156,6 +150,7 @@ __all__ = [
     "forward_dynamics_derivatives",
     "forward_kinematics",
     "frame_bias_acceleration",
+    "frame_pose",
     "frame_velocity",
     "gravity_forces",
     "inertial_parameters",
@@ -167,6 +162,7 @@ __all__ = [
     "jacobian",
     "jacobian_rate",
     "joints",
+    "kinematics",
     "kinetic_energy",
     "linearise",
     "load",
@@ -175,6 +171,7 @@ __all__ = [
     "planning",
     "plotting",
     "potential_energy",
+    "recommend",
     "rollout",
     "rotations",
     "scenes",

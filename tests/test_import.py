@@ -11,8 +11,9 @@ import rbjax as rb
 HEAVY = """
     chex diffrax glfw lineax llvmlite.ir matplotlib mpmath mujoco optax optimistix PIL rich
     scipy.integrate scipy.interpolate scipy.optimize scipy.signal scipy.stats typer
-    rbjax.body rbjax.constraints rbjax.control rbjax.forces rbjax.loading rbjax.motion
-    rbjax.planning rbjax.plotting rbjax.solvers rbjax.stability rbjax.sysid rbjax.wheeled
+    rbjax.body rbjax.constraints rbjax.control rbjax.forces rbjax.kinematics rbjax.loading
+    rbjax.motion rbjax.planning rbjax.plotting rbjax.solvers rbjax.stability rbjax.sysid
+    rbjax.wheeled
 """
 CHILD = """
 import sys
@@ -29,9 +30,8 @@ def end(v):
     return rbjax.rollout(model, model.default_state().replace(v=v), None, 0.01, steps=2).q[-1]
 one = jax.jit(end)(jnp.ones(2))
 assert jnp.abs(one - end(jnp.ones(2))).max() < 1e-6
-assert rbjax.wheeled.recommend is not rbjax.solvers.recommend
 import rbjax.control
-assert rbjax.control.recommend
+assert rbjax.recommend.solver
 """
 
 

@@ -15,7 +15,6 @@ from rbjax.forces.joints.limits import JointLimits
 from rbjax.forces.joints.polynomials import JointPolynomials
 from rbjax.forces.many import on_each
 from rbjax.forces.point_spring import PointSpring
-from rbjax.forces.rotational_drag import RotationalDrag
 
 __all__ = [
     "Anchor",
@@ -34,7 +33,6 @@ __all__ = [
     "JointPolynomials",
     "Loads",
     "PointSpring",
-    "RotationalDrag",
     "applied_forces",
     "elastic_energy",
     "on_each",

@@ -12,26 +12,30 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+import jax
 import mujoco
 import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.errors import ModelError, UnknownName, UnsupportedFeature, listed
+from rbjax.forces.actuators.affine import is_affine, to_columns
 from rbjax.loading.complaints import fix_of, sentence
 from rbjax.loading.meshes import without_missing_mesh
 from rbjax.loading.mjcf import dropped as features
-from rbjax.loading.mjcf.actuator_kinds import is_affine, is_off, reflected
-from rbjax.loading.mjcf.actuators import key_states
-from rbjax.loading.mjcf.constraints import constraints_of, mimicking
+from rbjax.loading.mjcf.actuator_kinds import reflected
+from rbjax.loading.mjcf.actuators import actuator_elements, key_states
+from rbjax.loading.mjcf.constraints import constraints_of
 from rbjax.loading.mjcf.finite import refuse_nan_in, within_range
 from rbjax.loading.mjcf.forces import elements
+from rbjax.loading.mjcf.geoms import geoms_of
+from rbjax.loading.mjcf.names import names_of
 from rbjax.loading.motors import with_motors
 from rbjax.loading.singular import joints_that_cancel
-from rbjax.loading.urdf.floating import add_floats
 from rbjax.loading.urdf.inertials import write_inertials
 from rbjax.loading.urdf.mimics import Mimics
-from rbjax.loading.urdf.prepare import is_urdf, prepare_urdf
-from rbjax.model.model import Actuators, Bodies, Joints, Keyframes, Model, Sites
+from rbjax.loading.urdf.reader import read_urdf
+from rbjax.loading.urdf.tree import is_urdf
+from rbjax.model.model import Bodies, Joints, Keyframes, Model, Sites
 from rbjax.model.topology import Topology
 
 _KINDS = {
@@ -103,7 +107,9 @@ def load(
         flag("load", name, given)
     for name, given in (("motors", motors), ("constraints", constraints), ("compliant", compliant)):
         flag("load", name, given)
-    compiled, odd, mimics, lost = _compile_source(source, floating_base=bool(floating_base))
+    compiled, odd, mimics, lost = _compile_source(
+        source, floating_base=bool(floating_base), shapes=None
+    )
     if floating_base is False:
         lost = tuple(x for x in lost if not x.startswith(features.FIXED))
     if odd:
@@ -115,6 +121,8 @@ def load(
         )
     taken = {"limits": limits, "friction": friction, "constraints": constraints}
     dropped = features.dropped_features(compiled, **taken) + features.unread_features(compiled)
+    if any(x.startswith(features.COLLISION) for x in lost):  # of a URDF, which names the links
+        dropped = tuple(x for x in dropped if not x.startswith(features.CONTACTS))
     dropped += lost + mimics.left_out(constraints=constraints)
     active = features.active_numbers(compiled)
     texts = [
@@ -128,7 +136,7 @@ def load(
         warnings.warn(text, stacklevel=2)
     model = from_compiled(compiled, dropped, **taken, compliant=compliant)
     if constraints:
-        model = model.with_constraints(*mimicking(mimics))
+        model = model.with_constraints(*mimics.couplings)
     undone = joints_that_cancel(compiled)
     if undone:
         warnings.warn(
@@ -151,44 +159,46 @@ def compile_model(
 
 
 def _compile_source(
-    source: Any, *, floating_base: bool | None, shapes: Collection[str] = ()
+    source: Any, *, floating_base: bool | None, shapes: Collection[str] | None = ()
 ) -> tuple[mujoco.MjModel, str, Mimics, tuple[str, ...]]:
     """The compiled model. Of a URDF also a text about impossible inertials, its mimic joints, and
-    its entries of `Model.dropped`."""
+    its entries of `Model.dropped`. shapes None: the shapes of a URDF that are no meshes."""
     if isinstance(source, mujoco.MjModel):
         return source, "", Mimics(), ()
+    name, spec = _describe(source), spec_of(source)
+    if spec is not None:
+        if floating_base and not isinstance(source, mujoco.MjSpec):
+            raise ModelError(
+                f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
+            )
+        return _compile(spec, name), "", Mimics(), ()
+    text, path = _read(source)
+    folder, floats = Path() if path is None else path.parent, floating_base is not False
+    urdf = read_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
+    compiled = _compile(urdf.spec, name)
+    odd = write_inertials(compiled, urdf.inertials, name)
+    return compiled, odd, urdf.mimics, urdf.left_out
+
+
+def spec_of(source: Any) -> mujoco.MjSpec | None:
+    """The spec of an MJCF source; None for a URDF."""
     if isinstance(source, mujoco.MjSpec):
-        return _compile(source, "MjSpec"), "", Mimics(), ()
+        return source
     if not isinstance(source, (str, Path)):
         raise ModelError(
             f"load: source is {type(source).__name__}, expected a path, an XML string, "
             f"mujoco.MjSpec, mujoco.MjModel or one of the scenes {', '.join(scenes())}"
         )
     text, path = _read(source)
-    name, urdf = _describe(source), None
+    name = _describe(source)
     if is_urdf(text, name):
-        folder = Path() if path is None else path.parent
-        floats = floating_base is not False
-        urdf = prepare_urdf(text, name, floating_base=floats, shapes=shapes, folder=folder)
-        text, path = urdf.text, None  # what is outside the file has absolute paths
-    elif floating_base:
-        raise ModelError(
-            f"{name}: floating_base=True is for URDF; in MJCF give the root body a <freejoint/>"
-        )
+        return None
     try:
-        spec = (
-            mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(str(path))
-        )
+        read = mujoco.MjSpec
+        return read.from_string(text) if path is None else read.from_file(str(path))
     except Exception as error:
         message = sentence(error)
         raise ModelError(f"{name}: MuJoCo cannot parse it: {message}{fix_of(message)}") from error
-    if urdf is not None:
-        add_floats(spec, urdf.floats)
-    compiled = _compile(spec, name)
-    if urdf is None:
-        return compiled, "", Mimics(), ()
-    odd = write_inertials(compiled, urdf.inertials, name)
-    return compiled, odd, urdf.mimics, urdf.left_out
 
 
 def _read(source: str | Path) -> tuple[str, Path | None]:
@@ -294,6 +304,9 @@ def from_compiled(
     armature, damping, _ = reflected(m)
     ranged = unless(bit.mjDSBL_LIMIT, m.jnt_limited).astype(bool) & ~features.inverted_limits(m)
     ranged = ranged[:, None]
+    driven = actuator_elements(m)
+    affine = [x for x in driven if is_affine(x)]
+    others = [x for x in driven if not is_affine(x)]
     return Model(
         bodies=Bodies(
             mass=array(m.body_mass[1:]),
@@ -314,22 +327,16 @@ def from_compiled(
             range=array(np.where(ranged, m.jnt_range, [-np.inf, np.inf])),
             numbers=array(np.zeros(0)),
         ),
-        actuators=_actuators(m, array),
+        actuators=jax.tree.map(array, to_columns(affine, m.nu)),
+        geoms=geoms_of(m, array),
         sites=Sites(position=array(m.site_pos), orientation=array(m.site_quat)),
         keyframes=_keyframes(m, array),
         gravity=array(unless(bit.mjDSBL_GRAVITY, m.opt.gravity)),
         topology=topology,
         timestep=float(m.opt.timestep),
         dropped=tuple(dropped),
-        forces=elements(m, limits=limits, friction=friction),
+        forces=(*elements(m, limits=limits, friction=friction), *others),
         constraints=constraints_of(m, compliant=compliant) if constraints else (),
-    )
-
-
-def names_of(m: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> tuple[str, ...]:
-    """The names of joints, bodies, ...; one without a name is named by its index, as joint0."""
-    return tuple(
-        mujoco.mj_id2name(m, kind, i) or f"{kind.name[6:].lower()}{i}" for i in range(count)
     )
 
 
@@ -346,42 +353,3 @@ def _keyframes(m: mujoco.MjModel, array) -> Keyframes:
     states = key_states(m)
     x = array(states) if states.shape[1] else None
     return Keyframes(q=array(m.key_qpos), v=array(m.key_qvel), ctrl=array(m.key_ctrl), x=x)
-
-
-def _actuators(m: mujoco.MjModel, array) -> Actuators:
-    """One row for each control; rows of disabled actuators, and of those that are force
-    elements or are left out, drive nothing.
-
-    MuJoCo's arrays have a row for each actuator, but control limits for each control and gears for
-    each output: an actuator of several shifts those of the next.
-    """
-    gear, gain, bias = np.zeros((m.nu, 6)), np.zeros((m.nu, 3)), np.zeros((m.nu, 3))
-    ctrlrange = np.tile([-np.inf, np.inf], (m.nu, 1))
-    forcerange = ctrlrange.copy()
-    joints, sites = [-1] * m.nu, [-1] * m.nu
-    clamp = not m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-    for i in range(m.nactuator):
-        row = int(m.actuator_ctrladr[i])
-        if is_off(m, i) or not is_affine(m, i):
-            continue
-        gear[row] = m.actuator_gear[m.actuator_outadr[i]]
-        affine_gain = m.actuator_gaintype[i] == int(mujoco.mjtGain.mjGAIN_AFFINE)
-        gain[row] = m.actuator_gainprm[i, :3] * [1, affine_gain, affine_gain]
-        if m.actuator_biastype[i] == int(mujoco.mjtBias.mjBIAS_AFFINE):
-            bias[row] = m.actuator_biasprm[i, :3]
-        if m.actuator_ctrllimited[row] and clamp:
-            ctrlrange[row] = m.actuator_ctrlrange[row]
-        if m.actuator_forcelimited[i]:
-            forcerange[row] = m.actuator_forcerange[i]
-        at_site = m.actuator_trntype[i] == int(mujoco.mjtTrn.mjTRN_SITE)
-        target = sites if at_site else joints
-        target[row] = int(m.actuator_trnid[i, 0])
-    return Actuators(
-        gear=array(gear),
-        gain=array(gain),
-        bias=array(bias),
-        ctrlrange=array(ctrlrange),
-        forcerange=array(forcerange),
-        joints=tuple(joints),
-        sites=tuple(sites),
-    )

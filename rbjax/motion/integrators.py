@@ -18,7 +18,7 @@ import diffrax
 import jax
 import jax.numpy as jnp
 
-from rbjax.constraints.differential_algebraic import stepped
+from rbjax.constraints.methods.differential_algebraic import stepped
 from rbjax.dynamics.arguments import check_takes
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs
@@ -26,9 +26,9 @@ from rbjax.model import State
 from rbjax.motion.field import Field, Law, free_motion
 from rbjax.motion.implicit import ByStages, stepped_by
 from rbjax.motion.variational import variational_midpoint
-from rbjax.solvers.dop853 import DOP853
-from rbjax.solvers.steps import combine, explicit_stages, scaled
-from rbjax.solvers.tableau import KUTTA4, Tableau, of_diffrax
+from rbjax.solvers.common.steps import combine, explicit_stages, scaled
+from rbjax.solvers.common.tableau import KUTTA4, Tableau, of_diffrax
+from rbjax.solvers.explicit.dop853 import DOP853
 
 #: stages times velocity coordinates up to which the stages of a step are written out
 WRITTEN_UP_TO = 13
@@ -52,7 +52,7 @@ def semi_implicit_euler(field: Field, t: Any, state: State, u: Inputs, dt: Any) 
     mass matrix is constant and no force depends on v, not for a mass matrix that moves with q."""
     a, x = field.pushed(t, state, u, dt)
     v = state.v + dt * a
-    return State(field.moved(state.q, dt * v), v, x)
+    return State(field.retract(state.q, dt * v), v, x)
 
 
 def runge_kutta(
@@ -66,7 +66,7 @@ def runge_kutta(
     begun = t
 
     def staged(t, dq, dv, x):
-        return field.staged(t, State(field.moved(q0, dq), v0 + dv, x), begun, state)
+        return field.staged(t, State(field.retract(q0, dq), v0 + dv, x), begun, state)
 
     def rate(t, k):
         at = staged(t, k[0], k[1], None if x0 is None else x0 + k[2])

@@ -35,7 +35,7 @@ from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling, solver_of
 from rbjax.motion.term import check_takes_robots, itself, motion, unit
 from rbjax.motion.trajectory import Trajectory, all_finite
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 
 
 @automatic
@@ -94,7 +94,7 @@ def simulate(
             diffrax.ForwardMode() for `jvp` and `jacfwd`, diffrax.DirectAdjoint() for both.
         law: from forces to accelerations (`rbjax.motion.field.Law`).
         constraints: how those of the model are enforced: a name of `rbjax.constraints.formulations`
-            or a `Formulation`; None for "projected", as `rbjax.constraints.recommend(model)`.
+            or a `Formulation`; None for "projected", as `rbjax.recommend.formulation(model)`.
         progress: show diffrax's meter.
         throw: raise if the solve fails; otherwise `result` and `ok` say so.
         max_steps: the largest number of steps.

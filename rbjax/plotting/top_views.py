@@ -30,7 +30,7 @@ from rbjax.plotting.from_above import (
 )
 from rbjax.plotting.moving import canvas_of, check_positive, clock, picture, schedule
 from rbjax.style import GRID, INK, ORANGE
-from rbjax.wheeled.fidelity import Fidelity
+from rbjax.wheeled.models.fidelity import Fidelity
 
 
 def top_view(

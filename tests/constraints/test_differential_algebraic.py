@@ -13,12 +13,12 @@ import scipy.special
 import rbjax as rb
 from benchmarks.cases.mechanisms import andrews, four_bars, tilted_four_bar
 from rbjax import constraints as rc
-from rbjax.constraints.projection import projected
+from rbjax.constraints.equations.projection import projected
 from rbjax.forces.acting import applied
 from rbjax.motion.implicit import increment, stages
 from rbjax.motion.implicit_multistep import BDFSolver
 from rbjax.motion.term import motion
-from rbjax.solvers.steps import mixed
+from rbjax.solvers.common.steps import mixed
 from tests.constraints.test_formulations import hung_twice, pendulum, skate
 from tests.oracles import load
 from tests.tolerances import GRADIENT
@@ -355,7 +355,7 @@ def test_steps_that_are_not_solved() -> None:
 def test_projection_after_steps() -> None:
     """Velocities of index 3, put back on the constraints."""
     model, start = four_bars(1)
-    both = rc.Projected(of=rc.Index3())
+    both = rc.Formulation(rc.Index3(), projection=rc.Projection())
     path = rb.rollout(model, start, None, 0.01, steps=10, constraints=both)
     adaptive = rb.simulate(model, start, path.ts[::5], constraints=both)
     np.testing.assert_allclose(adaptive.q, path.q[::5], rtol=0, atol=1e-7)

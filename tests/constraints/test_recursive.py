@@ -23,11 +23,11 @@ from benchmarks.cases.mechanisms import (
     walker,
 )
 from rbjax import constraints as rc
-from rbjax.constraints.clusters import Cluster, clusters
-from rbjax.constraints.law import constrained_motion
-from rbjax.constraints.projection import projected
-from rbjax.constraints.recursive import by_clusters
-from rbjax.constraints.system import rows_of
+from rbjax.constraints.equations.law import constrained_motion
+from rbjax.constraints.equations.projection import projected
+from rbjax.constraints.equations.system import rows_of
+from rbjax.constraints.methods.clusters import Cluster, clusters
+from rbjax.constraints.methods.recursive import by_clusters
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.forces.instant import Instant
 from rbjax.lanes import Vec3
@@ -288,7 +288,7 @@ def test_a_cluster_of_many_rows_is_solved_on_matrices() -> None:
     assert off(own, a) < 1e-10
 
 
-def operations(model: rb.Model, one: rc.Formulation) -> int:
+def operations(model: rb.Model, one: rc.Method) -> int:
     start = model.default_state()
     v = jnp.ones(model.nv)
     return rb.operation_count(lambda v: one(model, 0.0, rb.State(start.q, v), v, {}), v).total

@@ -95,7 +95,6 @@ def test_our_elements_have_counts(driver: str) -> None:
         rb.forces.Bushing.of(*ends, stiffness=3.0, damping=1.0),
         rb.forces.GearLoss.of(arms, one, 0.1),
         rb.forces.JointCurves.of(arms, one, (-1.0, 1.0), torque=0.3, coulomb=0.1),
-        rb.forces.RotationalDrag(jnp.array([0.1]), ("left",)),
     )
     immersed = [load_quietly(fluid.format(shape)) for shape in ("ellipsoid", "none")]
     names = set()

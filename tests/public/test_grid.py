@@ -36,7 +36,7 @@ ROOMS = {m.name for m in pkgutil.iter_modules(rb.__path__) if m.ispkg} - {"motio
 ALL_TESTS = Path(__file__).parent.parent
 #: rooms whose functions are cases of a table of another name
 TABLE_OF = {"rb": "models", "dynamics": "models", "forces": "models", "spatial": "bodies",
-            "body": "bodies"}  # fmt: skip
+            "body": "bodies", "kinematics": "control"}  # fmt: skip
 
 
 def package(room: str) -> Any:
@@ -59,6 +59,8 @@ def test_every_room_is_listed() -> None:
 @pytest.mark.parametrize("room", ELSEWHERE)
 def test_no_public_function_is_missing(room: str) -> None:
     values = {name: getattr(package(room), name) for name in package(room).__all__}
+    for inner in [x for x in values.values() if hasattr(x, "__path__") and room != "rb"]:
+        values |= {name: getattr(inner, name) for name in getattr(inner, "__all__", ())}
     public = {n for n, x in values.items() if callable(x) and not inspect.isclass(x)}
     missing = public - with_a_case(room) - ELSEWHERE[room]
     assert not missing, f"give {sorted(missing)} of {room} a case in tests/public"

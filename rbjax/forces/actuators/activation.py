@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.forces.actuators.table import clip
+from rbjax.forces.actuators.limits import clip
 from rbjax.lanes import Lane, is_literal
 from rbjax.model.leaves import scalar, table
 from rbjax.model.links import lane

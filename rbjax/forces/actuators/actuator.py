@@ -1,8 +1,8 @@
 """An actuator of any kind: a transmission, and a law from its controls to a force.
 
     tau = r(q) f(u, x, l, l'),      x' = rate(u, x, l, l')
-(MuJoCo, *Computation*, actuation model.) `model.actuators` are the same with the law "affine, no
-state" at joints and sites, all in one table.
+(MuJoCo, *Computation*, actuation model.) `model.actuators` stores those whose law is affine and has
+no state by columns (`affine`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.forces.actuators.activation import Activation
+from rbjax.forces.actuators.limits import clip
 from rbjax.forces.actuators.muscle import Muscle
-from rbjax.forces.actuators.table import clip
-from rbjax.forces.actuators.transmissions import Reach, Transmission
+from rbjax.forces.actuators.transmissions import JointAxis, Reach, Transmission
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant
-from rbjax.lanes import Lane, add, inner, mul
+from rbjax.lanes import Lane, add, inner, is_zero, mul, neg
 from rbjax.model.leaves import numbers, table
 from rbjax.model.model import Record
 
@@ -88,6 +89,10 @@ class Law(Record):
         """x within its range. turn(dtype): the change of the length over a full turn."""
         return x
 
+    def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
+        """The derivatives of the force by l and l', for an implicit step; zero if not known."""
+        return 0.0, 0.0
+
 
 class Actuator(Element):
     """One actuator. Fields: ctrlrange (n, 2) of its controls and forcerange (2,), infinite where
@@ -114,6 +119,21 @@ class Actuator(Element):
         force = add(clip(force, limits, 0), self.law.friction(seen))
         return Loads({n: mul(arm, force) for n, arm in seen.reach.arms.items()})
 
+    def chord(self, now: Instant, h: Any) -> dict[int, Lane]:
+        """The implicit stiffness of servos and dampers on joints whose coordinates add, which those
+        of an attitude do not. It is zero while the force is at the end of its range."""
+        joint = self.transmission.joint if isinstance(self.transmission, JointAxis) else -1
+        if joint < 0 or now.model.topology.joints[joint].quaternion:
+            return {}
+        seen = self._signals(now)
+        k, d = self.law.slopes(seen)
+        if is_zero(k) and is_zero(d):
+            return {}
+        own = neg(add(mul(h / 2, d), mul(h * h / 4, k)))
+        force, limits = self.law.force(seen), table(self.forcerange, seen.dtype)[None]
+        own = jnp.where(clip(force, limits, 0) == force, jnp.maximum(own, 0.0), 0.0)
+        return {n: mul(mul(arm, arm), own) for n, arm in seen.reach.arms.items()}
+
     def rate(self, now: Instant) -> Sequence[Lane]:
         return [0.0] * self.size if now.u is None else self.law.rate(self._signals(now))
 
@@ -137,6 +157,10 @@ class Affine(Record):
     def __call__(self, seen: Signals) -> Lane:
         found = numbers(self.coefficients, seen.dtype)
         return found[0] if len(found) == 1 else inner(found, (1.0, seen.length, seen.speed))
+
+    def slopes(self, dtype: Any) -> Sequence[Lane]:
+        """c1, c2."""
+        return numbers(self.coefficients, dtype)[1:] or (0.0, 0.0)
 
 
 class Active(Record):
@@ -184,6 +208,15 @@ class GainBias(Law):
         a = seen.nearest(a, seen.length) if self.circular else a
         bias = 0.0 if self.bias is None else self.bias(seen)
         return add(mul(self.gain(seen), a), bias)
+
+    def slopes(self, seen: Signals) -> tuple[Lane, Lane]:
+        gain, bias = self.gain, Affine(np.zeros(1)) if self.bias is None else self.bias
+        if self.activation or self.circular or not isinstance(gain, Affine):
+            return 0.0, 0.0
+        if not isinstance(bias, Affine):
+            return 0.0, 0.0
+        (g1, g2), (b1, b2) = gain.slopes(seen.dtype), bias.slopes(seen.dtype)
+        return add(mul(g1, seen.u[0]), b1), add(mul(g2, seen.u[0]), b2)
 
     def rate(self, seen: Signals) -> Sequence[Lane]:
         if self.activation is None:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.actuators.activation import Activation
-from rbjax.forces.actuators.table import clip
+from rbjax.forces.actuators.limits import clip
 from rbjax.forces.actuators.transmissions import Arms, between, merged, relative
 from rbjax.forces.element import Element, Loads
 from rbjax.forces.instant import Instant

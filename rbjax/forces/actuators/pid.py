@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.forces.actuators.actuator import Law, Signals
-from rbjax.forces.actuators.table import clip
+from rbjax.forces.actuators.limits import clip
 from rbjax.lanes import Lane, add, mul, neg, sub
 from rbjax.model.leaves import numbers, scalar, table
 from rbjax.model.model import Record

@@ -27,21 +27,6 @@ def is_off(m: mujoco.MjModel, i: int) -> bool:
     return bool(all_off or (0 <= group <= _LAST_GROUP and m.opt.disableactuator >> group & 1))
 
 
-def is_affine(m: mujoco.MjModel, i: int) -> bool:
-    """Whether actuator i is an affine force on a joint, or a wrench at a site: a row of
-    `model.actuators`."""
-    transmission = m.actuator_trntype[i]
-    at_site = transmission == Trn.SITE and m.actuator_trnid[i, 1] == -1
-    return bool(
-        (transmission == Trn.JOINT or at_site)
-        and m.actuator_dyntype[i] == Dyn.NONE
-        and m.actuator_gaintype[i] in (Gain.FIXED, Gain.AFFINE)
-        and m.actuator_biastype[i] in (Bias.NONE, Bias.AFFINE)
-        and not is_circular(m, i)
-        and not what_is_left_out(m, i)
-    )
-
-
 def is_at_joint(m: mujoco.MjModel, i: int) -> bool:
     """Whether actuator i drives a joint."""
     return m.actuator_trntype[i] in (Trn.JOINT, Trn.JOINTINPARENT)

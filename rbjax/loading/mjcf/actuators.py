@@ -1,4 +1,4 @@
-"""Actuators of a compiled model that are not rows of `model.actuators`, as force elements."""
+"""The actuators of a compiled model as force elements."""
 
 from __future__ import annotations
 
@@ -29,23 +29,25 @@ from rbjax.loading.mjcf.actuator_kinds import (
     Gain,
     Trn,
     Wrap,
-    is_affine,
     is_circular,
     is_off,
     what_is_left_out,
 )
+from rbjax.loading.mjcf.finite import refuse_nan
 
 _VOLTAGE = 8  # mjINPUT_VOLTAGE, a bit of actuator_ctrlspec
 
 
 def actuator_elements(m: mujoco.MjModel) -> tuple[Element, ...]:
-    """The elements of actuators with states, of laws that are not affine, and of transmissions
-    beside joints and sites."""
-    return tuple(_element(m, i) for i in _modelled(m))
+    """All actuators that the file does not switch off and that rbjax has, in the file's order."""
+    found = tuple(_element(m, i) for i in _modelled(m))
+    for element in found:
+        refuse_nan(element)
+    return found
 
 
 def key_states(m: mujoco.MjModel) -> np.ndarray:
-    """The states (nk, n) of these elements in the file's keyframes."""
+    """The states (nk, n) of the actuators in the file's keyframes."""
     index = [
         int(m.actuator_actadr[i]) + k for i in _modelled(m) for k in range(m.actuator_actnum[i])
     ]
@@ -53,11 +55,7 @@ def key_states(m: mujoco.MjModel) -> np.ndarray:
 
 
 def _modelled(m: mujoco.MjModel) -> list[int]:
-    return [
-        i
-        for i in range(m.nactuator)
-        if not (is_off(m, i) or is_affine(m, i) or what_is_left_out(m, i))
-    ]
+    return [i for i in range(m.nactuator) if not (is_off(m, i) or what_is_left_out(m, i))]
 
 
 def _element(m: mujoco.MjModel, i: int) -> Element:

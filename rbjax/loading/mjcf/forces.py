@@ -9,16 +9,15 @@ from __future__ import annotations
 import mujoco
 
 from rbjax.forces import Element
-from rbjax.loading.mjcf.actuators import actuator_elements
 from rbjax.loading.mjcf.finite import refuse_nan
 from rbjax.loading.mjcf.fluid import fluid_elements
 from rbjax.loading.mjcf.joint_forces import joint_elements
 
 
 def elements(m: mujoco.MjModel, *, limits: bool, friction: bool) -> tuple[Element, ...]:
-    """The elements beside the joints' linear springs and the affine actuators."""
+    """The force elements other than the joints' linear springs and the actuators."""
     joints = joint_elements(m, limits=limits, friction=friction)
-    found = (*joints, *fluid_elements(m), *actuator_elements(m))
+    found = (*joints, *fluid_elements(m))
     for element in found:
         refuse_nan(element)
     return found

@@ -1,4 +1,4 @@
-"""The shapes of a URDF that MuJoCo can read: cylinders, spheres, capsules, and meshes it finds.
+"""The shapes of a URDF as geoms: boxes, cylinders, spheres, capsules, and meshes.
 
 `package://name/path` is looked for in the folders above the file, as no search path is known here:
 in one that is named so, and beneath each.
@@ -6,38 +6,76 @@ in one that is named so, and beneath each.
 
 from __future__ import annotations
 
+import contextlib
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
-ROUND = ("cylinder", "sphere", "capsule")
+import mujoco
+
+from rbjax.errors import ModelError
+from rbjax.loading.urdf.numbers import number, origin, read_numbers
+
+#: how many numbers the size of a shape has
+_SIZES = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
+_KINDS = {name: getattr(mujoco.mjtGeom, f"mjGEOM_{name.upper()}") for name in _SIZES}
 READ = (".stl", ".obj", ".msh")
 
 
-def take_shapes(link: ET.Element, folder: Path | None) -> None:
-    """Remove a link's shapes; with the folder of the file only those that MuJoCo cannot read, and
-    those that are only seen if others stay.
+def add_shapes(spec: mujoco.MjSpec, body: Any, link: ET.Element, folder: Path, at: str) -> None:
+    """Give a body the round shapes and meshes of its link for collisions or, if there are none, the
+    visual ones. Meshes that MuJoCo cannot read are left out. at: the place in the file."""
+    for tag in ("collision", "visual"):
+        found = [
+            _add_mesh(spec, body, shape, folder, at) or _add_primitive(body, shape, at, box=False)
+            for shape in link.findall(tag)
+        ]
+        if any(found):
+            return
 
-    Names of meshes that stay are absolute paths afterwards.
-    """
-    stay = False
+
+def add_primitives(body: Any, link: ET.Element, at: str) -> None:
+    """Give a body all shapes of its link but meshes, and those without a size."""
     for shape in (*link.findall("collision"), *link.findall("visual")):
-        if folder is None or (stay and shape.tag == "visual") or not _stays(shape, folder):
-            link.remove(shape)
-        else:
-            for material in shape.findall("material"):
-                shape.remove(material)
-            stay = True
+        with contextlib.suppress(ModelError):  # the dynamics does not need shapes
+            _add_primitive(body, shape, at)
 
 
-def _stays(shape: ET.Element, folder: Path) -> bool:
+def _given(shape: ET.Element, at: str) -> dict[str, Any]:
+    """Pose and masks of a shape, which are MuJoCo's for a URDF."""
+    given = dict(zip(("pos", "quat"), origin(shape, at), strict=True))
+    seen = {"contype": 0, "conaffinity": 0, "group": 1}
+    return given | (seen if shape.tag == "visual" else {})
+
+
+def _add_mesh(spec: mujoco.MjSpec, body: Any, shape: ET.Element, folder: Path, at: str) -> bool:
     mesh = shape.find("geometry/mesh")
-    if mesh is None:
-        return any(shape.find(f"geometry/{kind}") is not None for kind in ROUND)
-    path = find_mesh(mesh.get("filename", ""), folder)
-    if path is not None:
-        mesh.set("filename", str(path))
-    return path is not None
+    path = None if mesh is None else find_mesh(mesh.get("filename", ""), folder)
+    if path is None:
+        return False
+    scale = read_numbers(mesh, "scale", 3, at, 1.0)
+    name = f"{path} {scale}"
+    if spec.mesh(name) is None:
+        spec.add_mesh(name=name, file=str(path), scale=scale)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **_given(shape, at))
+    return True
+
+
+def _add_primitive(body: Any, shape: ET.Element, at: str, *, box: bool = True) -> bool:
+    for name, kind in _KINDS.items():
+        element = shape.find(f"geometry/{name}")
+        if element is not None and (box or name != "box"):
+            if name == "box":
+                size = read_numbers(element, "size", 3, at) / 2
+            else:
+                radius, length = (number(element, key, at) for key in ("radius", "length"))
+                size = [radius, length / 2, 0.0]
+            if min(size[: _SIZES[name]]) <= 0 and box:
+                return False
+            body.add_geom(type=kind, size=size, **_given(shape, at))
+            return True
+    return False
 
 
 def find_mesh(name: str, folder: Path) -> Path | None:

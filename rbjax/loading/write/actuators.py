@@ -13,6 +13,7 @@ import numpy as np
 from rbjax.forces import Element
 from rbjax.forces.actuators.activation import Activation, Filter, Integrator, Recruitment
 from rbjax.forces.actuators.actuator import Active, Actuator, Affine, GainBias, Law, Passive
+from rbjax.forces.actuators.affine import from_columns, is_affine
 from rbjax.forces.actuators.dc_motor import DCMotor
 from rbjax.forces.actuators.muscle import Muscle
 from rbjax.forces.actuators.orientation_servo import OrientationServo
@@ -26,7 +27,7 @@ from rbjax.forces.actuators.transmissions import (
     SliderCrank,
     Transmission,
 )
-from rbjax.loading.write.draft import Draft, text, unusual
+from rbjax.loading.write.draft import Draft, text
 
 _OFF = 30  # the group of controls that drive nothing, which the file switches off
 _RANGES = {"pos": "ctrlrange", "vel": "velrange", "ff": "ffrange"}
@@ -36,6 +37,7 @@ def write_actuators(draft: Draft) -> list[Element]:
     """Write them in the order of their controls; return the elements as they will be read."""
     model, elements = draft.model, []
     at: dict[float, Element | None] = dict.fromkeys(range(model.nu))
+    at |= {one.controls[0]: _shortest(one) for one in from_columns(model)}
     last = -0.5
     for element in model.forces:
         if type(element) in (Actuator, OrientationServo):
@@ -46,31 +48,20 @@ def write_actuators(draft: Draft) -> list[Element]:
             at[last] = element
     for row, element in sorted(at.items(), key=lambda item: item[0]):
         if element is None:
-            _write_row(draft, int(row))
+            _write_nothing(draft, model.actuator_names[int(row)])
         else:
             elements.append(_write_element(draft, element))
-    return elements
+    return [x for x in elements if not is_affine(x)]
 
 
-def _write_row(draft: Draft, row: int) -> None:
-    """An affine force on a joint, or a wrench at a site."""
-    own, name = draft.model.actuators, draft.model.actuator_names[row]
-    joint, site = own.joints[row], own.sites[row]
-    if joint < 0 and site < 0:
-        _write_nothing(draft, name)
-        return
-    where = {"joint": draft.joint(joint)} if site < 0 else {"site": draft.sites[site]}
-    # what is no constant is affine, and then not taken for a servo on an angle
-    gain, bias = {"gainprm": _short(own.gain[row])}, {}
-    if own.bias[row].any():
-        bias = {"biastype": "affine", "biasprm": text(own.bias[row])}
-    if own.bias[row].any() or own.gain[row][1:].any():
-        gain["gaintype"] = "affine"
-    elif own.gain[row][0] == 1:
-        gain = {}
-    given = unusual(name=name, **where, gear=_short(own.gear[row])) | gain | bias
-    given |= _range("ctrlrange", own.ctrlrange[row]) | _range("forcerange", own.forcerange[row])
-    ET.SubElement(draft.actuator, "general", given)
+def _shortest(row: Actuator) -> Actuator:
+    """A row of `model.actuators` without a bias of zeros, and with a constant gain if it has no
+    bias. With a bias its gain is affine: MuJoCo takes a constant one for a servo on an angle."""
+    law: Any = row.law
+    bias = law.bias if law.bias.coefficients.any() else None
+    constant = bias is None and not law.gain.coefficients[1:].any()
+    gain = Affine(law.gain.coefficients[:1]) if constant else law.gain
+    return dataclasses.replace(row, law=GainBias(gain, bias, None))
 
 
 def _write_nothing(draft: Draft, name: str) -> None:
@@ -210,8 +201,9 @@ def _gain_bias(law: GainBias) -> dict[str, str]:
         out["lengthrange"] = text(muscles[0].lengthrange)
     if isinstance(law.gain, Affine):
         constant = len(law.gain.coefficients) == 1
-        out |= {"gaintype": "fixed" if constant else "affine"}
-        out |= {"gainprm": text(law.gain.coefficients)}
+        out |= {} if constant else {"gaintype": "affine"}
+        if not (constant and law.gain.coefficients[0] == 1):
+            out["gainprm"] = text(law.gain.coefficients)
     else:
         out |= {"gaintype": "muscle", "gainprm": text(law.gain.muscle.parameters)}
     if isinstance(law.bias, Affine):

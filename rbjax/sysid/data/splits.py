@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import floats, recordings_of
 from rbjax.sysid.data.recording import Recording
 

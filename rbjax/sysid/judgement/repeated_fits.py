@@ -19,7 +19,7 @@ import numpy as np
 
 from rbjax.errors import InputError
 from rbjax.progress import progress_line
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.arguments import check_kind
 from rbjax.sysid.data.recording import Channel, Recording
 from rbjax.sysid.estimators.identification import fitted

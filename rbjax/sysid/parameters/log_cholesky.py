@@ -18,7 +18,6 @@ as in `rbjax.inertial_parameters`. Rucker & Wensing, IEEE RA-L 7(2), 2022.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import jax
@@ -49,7 +48,7 @@ def pseudo_inertia_of(phi: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import pseudo_inertia_of
+        >>> from rbjax.sysid.parameters import pseudo_inertia_of
         >>> ball = jnp.array([2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
         >>> jnp.diag(pseudo_inertia_of(ball)).tolist()
         [0.5, 0.5, 0.5, 2.0]
@@ -66,7 +65,7 @@ def inertial_parameters_of(P: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import inertial_parameters_of
+        >>> from rbjax.sysid.parameters import inertial_parameters_of
         >>> inertial_parameters_of(jnp.diag(jnp.array([0.5, 0.5, 0.5, 2.0]))).tolist()
         [2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]
     """
@@ -87,7 +86,7 @@ def from_log_cholesky(theta: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import from_log_cholesky
+        >>> from rbjax.sysid.parameters import from_log_cholesky
         >>> from_log_cholesky(jnp.zeros(10)).diagonal().tolist()
         [1.0, 1.0, 1.0, 1.0]
     """
@@ -106,7 +105,7 @@ def log_cholesky_parameters(theta: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import log_cholesky_parameters
+        >>> from rbjax.sysid.parameters import log_cholesky_parameters
         >>> log_cholesky_parameters(jnp.zeros(10)).tolist()
         [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 2.0, 0.0, 0.0, 2.0]
     """
@@ -129,7 +128,7 @@ def to_log_cholesky(P: jax.Array) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import to_log_cholesky
+        >>> from rbjax.sysid.parameters import to_log_cholesky
         >>> to_log_cholesky(jnp.eye(4)).tolist()
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
@@ -171,25 +170,6 @@ def upper_factor(theta: jax.Array) -> jax.Array:
     return jnp.exp(a)[..., None, None] * stacked(rows, 4, 4)
 
 
-@takes(theta="inertial")
-def log_cholesky_volume(theta: jax.Array) -> jax.Array:
-    """log |det d phi / d theta| (...): how a density over theta becomes one over phi.
-
-        log 32 + 20 a + 2 d1 + 3 d2 + 4 d3
-
-    Source: the product of the Cholesky map's derivative (Muirhead 1982, theorem 2.1.9) and the
-    exponentials'.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import log_cholesky_volume
-        >>> round(float(jnp.exp(log_cholesky_volume(jnp.zeros(10)))), 3)
-        32.0
-    """
-    a, d1, d2, d3 = entries(theta)[:4]
-    return math.log(32) + 20 * a + 2 * d1 + 3 * d2 + 4 * d3
-
-
 def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
     """The nearest pseudo-inertia whose eigenvalues are at least `margin` times the largest.
 
@@ -204,7 +184,7 @@ def nearest_pseudo_inertia(P: jax.Array, margin: float = 1e-6) -> jax.Array:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.sysid import nearest_pseudo_inertia
+        >>> from rbjax.sysid.parameters import nearest_pseudo_inertia
         >>> nearest_pseudo_inertia(jnp.diag(jnp.array([-0.1, 0.5, 0.5, 2.0])), 1e-3).shape
         (4, 4)
     """
@@ -230,7 +210,7 @@ def with_inertial_parameters(model: Model, pi: jax.Array) -> Model:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import with_inertial_parameters
+        >>> from rbjax.sysid.parameters import with_inertial_parameters
         >>> model = rb.load("double_pendulum")
         >>> heavier = with_inertial_parameters(model, 2 * rb.inertial_parameters(model))
         >>> (heavier.bodies.mass / model.bodies.mass).round(3).tolist()
@@ -258,7 +238,7 @@ def model_log_cholesky(model: Model) -> jax.Array:
 
     Example:
         >>> import rbjax as rb
-        >>> from rbjax.sysid import model_log_cholesky
+        >>> from rbjax.sysid.parameters import model_log_cholesky
         >>> model_log_cholesky(rb.load("double_pendulum")).shape
         (2, 10)
     """

@@ -17,7 +17,7 @@ import numpy as np
 from rbjax.errors import InputError
 from rbjax.model import Model, State
 from rbjax.motion.integrators import integrator_of
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.data.recording import HELD, JOINT_SENSORS, Channel, Recording
 from rbjax.sysid.simulation.setup import Grid, Setup
 

@@ -29,7 +29,7 @@ import scipy.stats
 from rbjax.dynamics.arguments import check_model
 from rbjax.errors import InputError
 from rbjax.model import Model
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.parameters.inertia_metric import prior_residual, scalar_residual
 from rbjax.sysid.parameters.log_cholesky import (
     log_cholesky_parameters,
@@ -137,7 +137,7 @@ def consistent(
 
     Example:
         >>> import jax, rbjax as rb
-        >>> from rbjax.sysid import consistent, observation_matrix, random_motions
+        >>> from rbjax.sysid.torque import consistent, observation_matrix, random_motions
         >>> model = rb.load("double_pendulum")
         >>> W = observation_matrix(model, *random_motions(model, 50))
         >>> heavier = model.replace(bodies=model.bodies.replace(mass=1.2 * model.bodies.mass))

@@ -28,7 +28,7 @@ import scipy.linalg
 import scipy.stats
 
 from rbjax.errors import InputError, UnknownName
-from rbjax.solvers.arguments import check_whole
+from rbjax.solvers.common.arguments import check_whole
 from rbjax.sysid.statistics.rank import Combinations
 from rbjax.sysid.statistics.whiteness_tests import meat_of
 from rbjax.sysid.torque.regression_statistics import (
@@ -140,7 +140,7 @@ def regress(
 
     Example:
         >>> import numpy as np
-        >>> from rbjax.sysid import regress
+        >>> from rbjax.sysid.torque import regress
         >>> t = np.linspace(0.0, 1.0, 20)
         >>> line = np.stack([np.ones(20), t], 1)
         >>> found = regress(line, line @ [2.0, -1.0], ["offset", "slope"])

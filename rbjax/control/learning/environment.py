@@ -1,0 +1,190 @@
+"""Where a policy is trained: a robot, what it costs, what is observed, and where it starts.
+
+    u = pi(o(x)),     x+ = f(x, u; model),     J = sum gamma^k c(x_k, u_k)
+
+A policy is any callable pytree (o,) -> (nu,): gains, a `Network`, a module of Equinox. Its numbers
+are trained. Where the controls have bounds, u = mid + width / 2 tanh(pi). With `randomise` each
+sample moves a model of its own (domain randomisation, Tobin et al. 2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from rbjax.arguments import flag
+from rbjax.dynamics.arguments import check_model, check_step, check_takes
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+from rbjax.model.record import Record
+from rbjax.motion.field import free_motion
+from rbjax.motion.integrators import integrator_of
+from rbjax.motion.rollout import rollout
+from rbjax.solvers.common.arguments import check_whole
+
+
+class Segment(NamedTuple):
+    """Motions of a batch: states (B, T + 1, ...), ctrls (B, T, nu), costs (B, T)."""
+
+    states: State
+    ctrls: jax.Array
+    costs: jax.Array
+
+
+class Environment(Record):
+    """Where a policy is trained.
+
+    Args (also its fields):
+        model: an `rb.Model`.
+        cost: (state, ctrl) -> a number, of one step.
+        start: key -> `State`, where an episode begins.
+        dt: the step in s; the model's timestep if None.
+        observe: state -> (o,), what the policy sees; q and v if None.
+        randomise: (key, model) -> model, for each sample and episode; None for the model itself.
+        lost: state -> bool, where an episode ends before its time; a state that is not finite does.
+        episode: steps after which a sample begins again.
+        squash: whether controls are drawn into the model's control ranges, where those are finite.
+        integrator: as `rb.rollout`.
+
+    Raises:
+        InputError: wrong types, functions with other arguments.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> env = rb.control.Environment(
+        ...     model, lambda state, ctrl: (state.q**2).sum() + 0.1 * (ctrl**2).sum(),
+        ...     model.random_state, dt=0.05)
+        >>> env.observation_size, env.squash
+        (2, True)
+    """
+
+    model: Model
+    dt: jax.Array
+    cost: Callable[[State, jax.Array], jax.Array]
+    start: Callable[[jax.Array], State]
+    observe: Callable[[State], jax.Array]
+    randomise: Callable[[jax.Array, Model], Model] | None
+    lost: Callable[[State], jax.Array] | None
+    integrator: Any
+    episode: int = eqx.field(static=True)
+    squash: bool = eqx.field(static=True)
+
+    def __init__(
+        self, model: Model, cost: Any, start: Any, *, dt: Any = None, observe: Any = None,
+        randomise: Any = None, lost: Any = None, episode: int = 250, squash: bool = True,
+        integrator: Any = None,
+    ) -> None:  # fmt: skip
+        check_model("Environment", model)
+        if model.nu == 0:
+            raise InputError("Environment: the model has no actuator, expected one or more")
+        check_takes("Environment", "cost", cost, "state", "ctrl")
+        check_takes("Environment", "start", start, "key")
+        if observe is not None:
+            check_takes("Environment", "observe", observe, "state")
+        if randomise is not None:
+            check_takes("Environment", "randomise", randomise, "key", "model")
+        if lost is not None:
+            check_takes("Environment", "lost", lost, "state")
+        check_whole("Environment", "episode", episode, 1)
+        self.model, self.cost, self.start = model, cost, start
+        dtype = jnp.zeros(()).dtype
+        self.dt = check_step("Environment", "dt", model.timestep if dt is None else dt, dtype)
+        self.observe = _all if observe is None else observe
+        self.randomise, self.lost = randomise, lost
+        integrator_of("Environment", integrator, free_motion)
+        self.squash = flag("Environment", "squash", squash)
+        self.episode, self.integrator = episode, integrator
+        state = jax.eval_shape(start, jax.random.key(0))
+        due = ((model.nq,), (model.nv,))
+        if not isinstance(state, State) or (state.q.shape, state.v.shape) != due:
+            got = type(state).__name__
+            if isinstance(state, State):
+                got = f"rb.State(q {state.q.shape}, v {state.v.shape})"
+            raise InputError(
+                f"Environment: start returned {got}, expected rb.State(q {due[0]}, v {due[1]})"
+            )
+        found = jax.eval_shape(cost, state, jnp.zeros(model.nu))
+        if jnp.shape(found):
+            raise InputError(
+                f"Environment: cost returned shape {jnp.shape(found)}, expected a number"
+            )
+
+    @property
+    def observation_size(self) -> int:
+        """The length of an observation."""
+        state = jax.eval_shape(self.start, jax.random.key(0))
+        return jax.eval_shape(self.observe, state).shape[0]
+
+    def act(self, policy: Any, state: State) -> jax.Array:
+        """The controls (nu,) of a policy at a state."""
+        return squashed(self, policy(self.observe(state)))
+
+    def controller(self, policy: Any) -> Callable[[Any, State], jax.Array]:
+        """The policy as (t, state) -> ctrl, for `rb.rollout`."""
+        return lambda t, state: self.act(policy, state)
+
+    def check_policy(self, where: str, policy: Any) -> None:
+        """Refuse what is no policy of this environment."""
+        if not callable(policy):
+            raise InputError(
+                f"{where}: the policy is {type(policy).__name__}, expected a callable pytree such "
+                "as rb.control.network(key, (n, 32, nu))"
+            )
+        size = self.observation_size
+        try:
+            found = eqx.filter_eval_shape(policy, jnp.zeros(size, self.dt.dtype))
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"{where}: the policy fails for an observation ({size},), expected a function "
+                f"of it that returns ({self.model.nu},): {error}"
+            ) from error
+        if jnp.shape(found) != (self.model.nu,):
+            raise InputError(
+                f"{where}: the policy of an observation ({size},) returned shape "
+                f"{jnp.shape(found)}, expected ({self.model.nu},)"
+            )
+
+    def begun(self, key: jax.Array) -> tuple[Any, State]:
+        """A model, None where it is not randomised, and a state to begin with."""
+        one, two = jax.random.split(key)
+        model = None if self.randomise is None else self.randomise(one, self.model)
+        state = self.start(two)
+        if state.x is None and self.model.nx:
+            state = State(state.q, state.v, self.model.start(state.q.dtype))
+        return model, state
+
+    def unroll(self, policy: Any, models: Any, states: State, steps: int) -> Segment:
+        """Motions of a batch under a policy. models: of each sample, None for that of the
+        environment."""
+        dt: Any = self.dt
+
+        def moved(model: Model, state: State) -> Any:
+            act, how = self.controller(policy), self.integrator
+            run = rollout(model, state, act, dt, steps=steps, integrator=how)
+            return State(run.q, run.v, run.x)
+
+        path = moved(self.model, states) if models is None else jax.vmap(moved)(models, states)
+        before = jax.tree.map(lambda x: x[:, :-1], path)
+        ctrls = jax.vmap(jax.vmap(lambda state: self.act(policy, state)))(before)
+        return Segment(path, ctrls, jax.vmap(jax.vmap(self.cost))(before, ctrls))
+
+
+def squashed(env: Environment, y: jax.Array) -> jax.Array:
+    """The controls of a policy's output."""
+    if not env.squash:
+        return y
+    low, high = jnp.asarray(env.model.actuators.ctrlrange, y.dtype).T
+    mid, half = 0.5 * (low + high), 0.5 * (high - low)
+    finite = jnp.isfinite(half)
+    mid, half = jnp.where(finite, mid, 0.0), jnp.where(finite, half, 1.0)
+    return jnp.where(finite, mid + half * jnp.tanh(y), y)
+
+
+def _all(state: State) -> jax.Array:
+    return jnp.concatenate([state.q, state.v])

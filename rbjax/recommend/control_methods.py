@@ -1,0 +1,180 @@
+"""Which method of optimal control fits a problem: trials of each, from several first guesses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.control import Problem, methods, solve
+from rbjax.control.optimal.first_guess import first_guess
+from rbjax.control.status import CONVERGED, SENTENCES
+from rbjax.errors import InputError, UnknownName
+from rbjax.progress import progress_line
+from rbjax.recommend.recommendation import Recommendation
+from rbjax.recommend.request import fastest
+from rbjax.solvers.common.arguments import check_whole
+
+SAME = 1e-6  # relative: costs that count as equal
+
+
+class Trial(NamedTuple):
+    """A method. Fields: name; status, how it ended from the plain first guess; objective, the cost
+    of the motion; iterations; cost, milliseconds of a solution once compiled; solved, the share of
+    all first guesses from which it converged; failed, the indices of the others, 0 being the plain
+    one."""
+
+    name: str
+    status: str
+    objective: float
+    iterations: int
+    cost: float
+    solved: float
+    failed: tuple[int, ...]
+
+    @property
+    def ok(self) -> bool:
+        return self.status == SENTENCES[CONVERGED]
+
+
+@dataclass(frozen=True)
+class MethodRecommendation(Recommendation):
+    """A method of `rb.control.solve`.
+
+    Fields, besides those of `Recommendation`, whose cost is in milliseconds of a solution:
+        objective: the cost of the motion.
+        guesses: (G, N, nu), the first guesses of the controls.
+    """
+
+    objective: float
+    guesses: jax.Array
+
+
+def control_method(
+    problem: Problem,
+    start: Any,
+    *,
+    candidates: Sequence[str] | None = None,
+    guesses: int = 8,
+    scale: float = 1.0,
+    iterations: int = 200,
+    seed: int = 0,
+    progress: bool = True,
+) -> MethodRecommendation:
+    """Recommend a method for a problem: each is run from the plain first guess and random ones.
+
+    Of those that converge to the least cost the fastest is taken.
+
+    Args:
+        problem: `rb.control.Problem`.
+        start: the start.
+        candidates: names of `rb.control.methods()`; all if None, without those that cannot hold
+            the problem's constraints.
+        guesses: how many first guesses of the controls, the first of them zero.
+        scale: of the others: they are uniform within the bounds, and within -scale .. scale where
+            there are none.
+        iterations: at most, of each search.
+        seed: of the random numbers.
+        progress: show a line on a terminal.
+
+    Returns:
+        `MethodRecommendation`.
+
+    Raises:
+        InputError: not a problem, no candidate. UnknownName: no such method.
+
+    Source: the measurement itself; a search by derivatives finds a local optimum, which depends on
+    the first guess (Betts, *Practical Methods for Optimal Control*, 2010, 1.15).
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> C = rb.control
+        >>> cart = C.Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
+        >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()])
+        >>> start, how = jnp.ones(2), dict(candidates=["ddp"], guesses=2, progress=False)
+        >>> r = rb.recommend.control_method(problem, start, **how)
+        >>> r.name, r.candidates[0].solved
+        ('ddp', 1.0)
+    """
+    if not isinstance(problem, Problem):
+        raise InputError(
+            f"recommend: problem is {type(problem).__name__}, expected an rb.control.Problem"
+        )
+    check_whole("recommend", "guesses", guesses, 1)
+    known = methods()
+    able = {k: m for k, m in known.items() if m.constraints or not problem.constraints}
+    names = tuple(able) if candidates is None else tuple(candidates)
+    for name in names:
+        if name not in known:
+            raise UnknownName("method of rb.control", name, known)
+        if name not in able:
+            raise InputError(f"recommend: {name!r} holds no constraints; these do: {list(able)}")
+    if not names:
+        raise InputError(f"recommend: no candidate, expected some of {list(able)}")
+    _, plain = first_guess(problem, start)
+    low, high = (jnp.clip(x, -scale, scale) for x in (problem.low, problem.high))
+    key = jax.random.key(seed)
+    others = low + (high - low) * jax.random.uniform(key, (guesses - 1, *plain.shape), plain.dtype)
+    every = jnp.concatenate([plain[None], others.astype(plain.dtype)])
+    trials = []
+    with progress_line("recommend", progress) as say:
+        for name in names:
+            say(f"{name}: {guesses} first guesses")
+            trials.append(_trial(problem, start, name, every, iterations))
+    best = _best(trials)
+    why = _reason(best, trials, guesses)
+    return MethodRecommendation(
+        best.name, best.cost, tuple(trials), why, best.objective, every
+    )
+
+
+def _trial(
+    problem: Problem, start: Any, name: str, guesses: jax.Array, iterations: int
+) -> Trial:
+    def run(ctrls: jax.Array) -> Any:
+        return solve(problem, start, method=name, ctrls=ctrls, iterations=iterations)
+
+    one = run(guesses[0])
+    ms = 1e3 * fastest(lambda: jax.block_until_ready(run(guesses[0]).cost))
+    outcomes = [one.outcome, *(run(g).outcome for g in guesses[1:])]
+    failed = tuple(i for i, x in enumerate(outcomes) if x != CONVERGED)
+    status = SENTENCES[int(one.outcome)].split(":")[0]
+    cost = float(one.cost) if np.isfinite(one.cost) else np.inf
+    return Trial(
+        name, status, cost, int(one.iterations), ms, 1 - len(failed) / len(guesses), failed
+    )
+
+
+def _best(trials: Sequence[Trial]) -> Trial:
+    """The fastest of those that converge to the least cost; where none does, that of least cost."""
+    done = [t for t in trials if t.ok]
+    if not done:
+        return min(trials, key=lambda t: t.objective)
+    least = min(t.objective for t in done)
+    equal = [t for t in done if t.objective <= least + SAME * max(abs(least), 1.0)]
+    return min(equal, key=lambda t: t.cost)
+
+
+def _reason(best: Trial, trials: Sequence[Trial], guesses: int) -> str:
+    said = f"{best.name!r}: {best.status}"
+    if best.ok:
+        said += (
+            f" in {best.iterations} iterations and {best.cost:.3g} ms to a cost of "
+            f"{best.objective:.6g}; it converges from {guesses - len(best.failed)} of {guesses} "
+            "first guesses"
+        )
+    else:
+        said += (
+            f" after {best.iterations} iterations at a cost of {best.objective:.6g}; none converges"
+        )
+    rest = [
+        f"{t.name!r} {t.status} ({t.iterations} iterations, {t.cost:.3g} ms, cost "
+        f"{t.objective:.6g}, {guesses - len(t.failed)} of {guesses})"
+        for t in trials
+        if t is not best
+    ]
+    return said + ("; " + ", ".join(rest) if rest else "") + "."
