@@ -23,7 +23,6 @@ from rbjax.dynamics.algorithms.rnea import rnea
 from rbjax.dynamics.drivers.choice import driver
 from rbjax.dynamics.tracing.algorithm import algorithm
 from rbjax.dynamics.tracing.custom_rules import (
-    is_traced,
     split_tracers,
     with_implicit_jvp,
 )
@@ -61,11 +60,10 @@ def acceleration(
     known.
     """
     given, rebuilt = split_tracers((model, pushes))
-    known_model = not is_traced(model)
 
     def plain(changed, q, v, tau):
         model, pushes = rebuilt(changed)
-        d = driver(model, q.dtype, values=known_model)
+        d = driver(model, q.dtype)
         qdd, _ = aba(d, d.joints(q, v), d.lanes(tau), d.prepared.gravity, pushes)
         return (d.pack(qdd, tau),)
 

@@ -4,8 +4,8 @@ Outside traced code an algorithm checks the values of its arguments and runs com
 numbers are arguments of the program, so changing one never recompiles. The same holds under a
 `vmap` or `grad` outside of any `jit`. Inside traced code it is inlined: a model that is closed over
 is constant, and its zeros vanish from the program. A batch runs as a program of one sample: a
-thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`). Under XLA on a CPU `batching`
-runs it.
+thread on a GPU, a lane of machine code on a CPU (`rbjax.compiler`). Without either it
+runs under XLA, as JAX maps it.
 """
 
 from __future__ import annotations

@@ -47,24 +47,6 @@ def with_jvp(f: Callable, rule: Callable) -> Callable:
     return lambda *args: ruled(*jax.tree.map(of_jax, args))
 
 
-def with_values(run: Callable, given: Any, *args: jax.Array) -> Any:
-    """run(given, *args, values=) with the driver for values; its derivative uses the driver for
-    derivatives. The first of `given` is the model."""
-    moving, rebuilt = split_tracers(given)
-    known = not is_traced(given[0])
-
-    def plain(changed: list, *args: jax.Array) -> Any:
-        return run(rebuilt(changed), *args, values=known)
-
-    def tangent(primals: tuple, tangents: tuple) -> tuple:
-        def f(changed: list, *args: jax.Array) -> Any:
-            return run(rebuilt(changed), *args, values=False)
-
-        return jvp_of(f, primals, tangents)
-
-    return with_jvp(plain, tangent)(moving, *args)
-
-
 def with_implicit_jvp(plain: Callable, solved: Callable, *residuals: Callable) -> Callable:
     """x_1, x_2, ... = plain(*at), the solutions of residual_k(*at, x_1, ..., x_k) = 0, one after
     another, with the derivative of the implicit function:
