@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, ModelError, UnknownName
-from rbjax.model.cells import literals
+from rbjax.model.cells import declared, literals
 from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.execution import EXECUTION, Execution
 from rbjax.model.random_state import random_coordinates
@@ -160,10 +160,14 @@ class Model(Record):
 
     def replace(self, **changes: Any) -> Model:
         """A copy with the given fields changed, those of `execution` too; shapes of arrays must
-        stay. What was made ahead of numbers that change is made again."""
+        stay. Entries that `fix_zeros` has fixed keep their values; precomputed constants of leaves
+        that change are dropped."""
         how = {name: changes.pop(name) for name in EXECUTION if name in changes}
         if changes.keys() & {"bodies", "joints", "gravity"} or "zeros" in how:
-            how = {"prepared": None} | how
+            how = {"constants": None} | how
+        zeros = how.get("zeros", self.execution.zeros)
+        if zeros is not None:
+            changes |= _fixed(changes, dict(zeros))
         if how:
             changes["execution"] = changes.get("execution", self.execution).replace(**how)
         return super().replace(**changes)
@@ -266,13 +270,9 @@ class Model(Record):
         Zeros of masses, centres, inertias, placements, armatures, references and gravity, and
         zeros and ones of axes and attitudes, then cost no arithmetic although the leaves stay
         inputs: for a batch of robots that differ in masses and lengths. A fixed entry is no
-        longer a parameter: the value that a leaf holds there is ignored, whether the model is an
-        argument or closed over, and its derivative is zero.
+        longer a parameter: `replace` keeps its value, and its derivative is zero.
         """
-        j = self.joints
-        leaves = {**_numbers(self.bodies), "gravity": self.gravity}
-        leaves |= {"placement": j.placement, "axis": j.axis}
-        leaves |= {"reference": j.reference, "armature": j.armature, "numbers": j.numbers}
+        leaves = constant_leaves(self)
         zeros = tuple(
             (
                 name,
@@ -309,7 +309,7 @@ class Model(Record):
             return jnp.asarray(x, dtype) if floating else x
 
         # numbers of links that were made ahead are of the old dtype
-        return jax.tree.map(cast, self.replace(prepared=None))
+        return jax.tree.map(cast, self.replace(constants=None))
 
     def default_state(self) -> State:
         """The configuration in which the file draws the robot, at rest."""
@@ -376,6 +376,32 @@ class Model(Record):
         joints' ranges. Attitudes are uniform; the angle of a ball joint with a range is scaled into
         it. Velocities have a standard deviation of 1."""
         return State(*random_coordinates(self, key), self.start(self.joints.reference.dtype))
+
+
+#: the leaves of bodies and joints from which, with gravity, the link constants follow
+_CONSTANTS = (
+    "mass", "com", "inertia", "position", "orientation",
+    "placement", "axis", "reference", "armature", "numbers",
+)  # fmt: skip
+
+
+def constant_leaves(model: Model) -> dict[str, Any]:
+    """The leaves from which the link constants follow."""
+    leaves = _numbers(model.bodies) | _numbers(model.joints)
+    return {name: leaves[name] for name in _CONSTANTS} | {"gravity": model.gravity}
+
+
+def _fixed(changes: dict[str, Any], zeros: dict[str, tuple]) -> dict[str, Any]:
+    """The changed leaves, whose fixed entries have their fixed values."""
+
+    def record(r: Record) -> Record:
+        given = {n: x for n, x in _numbers(r).items() if n in zeros}
+        return dataclasses.replace(r, **{n: declared(x, zeros[n]) for n, x in given.items()})
+
+    out: dict[str, Any] = {n: record(changes[n]) for n in ("bodies", "joints") if n in changes}
+    if "gravity" in changes:
+        out["gravity"] = declared(changes["gravity"], zeros["gravity"])
+    return out
 
 
 def _numbers(record: Record) -> dict[str, jax.Array]:

@@ -28,7 +28,7 @@ from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
 from rbjax.errors import InputError
 from rbjax.forces.inputs import Inputs, Source, shapes
 from rbjax.meshes import automatic
-from rbjax.model import Model, State, made_ahead
+from rbjax.model import Model, State, with_constants
 from rbjax.motion.closures.captured import with_captured
 from rbjax.motion.field import Field, Law, free_motion, law_of
 from rbjax.motion.settling import settling, solver_of
@@ -131,7 +131,7 @@ def simulate(
     if wanted():
         model = on_threads(model, state.q.dtype)
     if not inside_jit() or is_traced(model):
-        model = made_ahead(model, state.q.dtype)
+        model = with_constants(model, state.q.dtype)
     if stepsize_controller is None:
         if dt0 is None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
             raise InputError(
@@ -156,8 +156,10 @@ def simulate(
 
     with _only_reverse():
         path, result, stats = with_captured(solved, *inputs, law)
-    q = path.q
-    ok = all_finite(path) & (result == diffrax.RESULTS.successful)
+    q, failed = path.q, result != diffrax.RESULTS.successful
+    ok = all_finite(path) & ~failed
+    if throw and not inside_jit():
+        q = result.error_if(q, failed)  # with the reason
     if throw:
         q = eqx.error_if(
             q,

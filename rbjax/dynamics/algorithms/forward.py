@@ -26,7 +26,7 @@ from rbjax.dynamics.tracing.custom_rules import (
     split_tracers,
     with_implicit_jvp,
 )
-from rbjax.model import Model, made_ahead
+from rbjax.model import Model, with_constants
 
 #: the names of values that a derivative may read instead of recomputing them
 LEFT = ("acceleration", "factors")
@@ -117,7 +117,7 @@ def forward_dynamics(
     """
     if not model.nv:
         return jnp.zeros(0, q.dtype)
-    model = made_ahead(model, q.dtype)  # all samples share them: outside of the derivative rule
+    model = with_constants(model, q.dtype)  # all samples share them: outside of the derivative rule
     pushes = None
     if wrenches is not None:
         d = driver(model, q.dtype)

@@ -26,10 +26,10 @@ from rbjax.compiler.jax.primitive import run
 from rbjax.compiling import inside_jit, jitted
 from rbjax.dynamics.arguments import check_arrays, check_static
 from rbjax.dynamics.drivers.choice import THREADS_APART_ABOVE, on_threads
-from rbjax.dynamics.tracing.ahead import made_by_threads
+from rbjax.dynamics.tracing.constants import with_compiled_constants
 from rbjax.dynamics.tracing.custom_rules import is_traced, split_tracers
 from rbjax.meshes import on_auto_axes, on_explicit_axes
-from rbjax.model import Model, known_zeros
+from rbjax.model import Model
 
 #: arguments that are part of the program
 STATIC = ("body", "site", "integrator", "law", "constraints")
@@ -125,6 +125,6 @@ def for_threads(args: tuple, *, pairs: bool = False, long: bool = False) -> tupl
         return args
     model = on_threads(model, floats[0], pairs=pairs, long=long)
     if pairs and model.driver == "rolled" and not gpu():
-        made = made_by_threads(known_zeros(model), floats[0])
-        model = model.replace(prepared=made.execution.prepared)
+        made = with_compiled_constants(model, floats[0])
+        model = model.replace(constants=made.execution.constants)
     return (model, *rest)
