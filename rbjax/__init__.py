@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         control,
         estimation,
         forces,
+        kinematics,
         planning,
         plotting,
         recommend,
@@ -76,8 +77,9 @@ __version__ = "0.1.0"
 #: packages that are imported on the first use: they import diffrax, MuJoCo and SciPy, which takes
 #: several times as long as the rest
 _PACKAGES = (
-    "body", "constraints", "control", "estimation", "forces", "loading", "motion", "planning",
-    "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation", "wheeled",
+    "body", "constraints", "control", "estimation", "forces", "kinematics", "loading", "motion",
+    "planning", "plotting", "recommend", "sensors", "solvers", "stability", "sysid", "validation",
+    "wheeled",
 )  # fmt: skip
 _MODULES = {
     "Linear": "motion.linearise",
@@ -158,6 +160,7 @@ __all__ = [
     "jacobian",
     "jacobian_rate",
     "joints",
+    "kinematics",
     "kinetic_energy",
     "linearise",
     "load",

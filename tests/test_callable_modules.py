@@ -34,7 +34,7 @@ def test_import_as_gives_the_module(package: str) -> None:
 
 
 def test_the_module_is_called_as_the_function() -> None:
-    import rbjax.control.lqr as k
+    import rbjax.control.linear.regulators as k
 
     assert rb.control.lqr is k
     assert pickle.loads(pickle.dumps(k)) is k

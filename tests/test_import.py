@@ -11,8 +11,9 @@ import rbjax as rb
 HEAVY = """
     chex diffrax glfw lineax llvmlite.ir matplotlib mpmath mujoco optax optimistix PIL rich
     scipy.integrate scipy.interpolate scipy.optimize scipy.signal scipy.stats typer
-    rbjax.body rbjax.constraints rbjax.control rbjax.forces rbjax.loading rbjax.motion
-    rbjax.planning rbjax.plotting rbjax.solvers rbjax.stability rbjax.sysid rbjax.wheeled
+    rbjax.body rbjax.constraints rbjax.control rbjax.forces rbjax.kinematics rbjax.loading
+    rbjax.motion rbjax.planning rbjax.plotting rbjax.solvers rbjax.stability rbjax.sysid
+    rbjax.wheeled
 """
 CHILD = """
 import sys

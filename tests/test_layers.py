@@ -38,9 +38,10 @@ FLOORS = {
 }
 # The users' rooms stand on all of that and do not know each other, but for two pairs.
 FLOORS |= dict.fromkeys(
-    "wheeled planning sysid control stability flexible".split(),  # noqa: SIM905
+    "wheeled planning sysid kinematics stability flexible".split(),  # noqa: SIM905
     "estimation sensors",
 )
+FLOORS |= {"control": "kinematics"}
 PEERS = {("wheeled", "control"), ("planning", "wheeled")}
 FLOORS |= {"recommend": "stability wheeled control"}  # runs motions to choose how
 # Inside a room: what the first folder holds knows nothing of the second.

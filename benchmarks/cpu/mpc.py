@@ -20,8 +20,8 @@ import numpy as np
 
 import rbjax as rb
 from benchmarks.shared.timing import markdown_table, save
-from rbjax.control.residuals import pose_of
-from rbjax.control.system import system_of
+from rbjax.control.optimal.residuals import pose_of
+from rbjax.control.optimal.system import system_of
 
 C = rb.control
 DT, HORIZON, RADIUS, PERIOD = 0.005, 30, 0.08, 2.0

@@ -26,8 +26,8 @@ from rbjax.compiler.cuda import device, team
 from rbjax.compiler.cuda.nvrtc import ptx
 from rbjax.compiler.jax import primitive
 from rbjax.compiler.jax.launch import capability, ordinal
-from rbjax.control.backward_pass import Bounds, backward_pass
-from rbjax.control.expansion import Quadratic
+from rbjax.control.optimal.shooting.backward_pass import Bounds, backward_pass
+from rbjax.control.optimal.shooting.expansion import Quadratic
 
 COLUMNS = (
     "what", "size", "horizon", "batch", "lower_s", "compile_s", "run_s", "of V", "of K", "note",

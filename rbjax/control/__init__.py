@@ -23,27 +23,37 @@ Riccati recursions serial and parallel in time (`riccati`, `parallel_riccati`); 
 observability, poles, `margins`; Kalman gains and filters for what is not measured (`observer`).
 """
 
-from rbjax.callable_modules import make_modules_callable
-from rbjax.control.actuation import Allocation, allocate
-from rbjax.control.clearances import Capsule, Clearance, HalfSpace, Sphere
-from rbjax.control.computed_torque import ComputedTorque, computed_torque
-from rbjax.control.differential_inverse_kinematics import (
-    DifferentialInverseKinematics,
-    differential_inverse_kinematics,
-)
-from rbjax.control.environment import Environment
-from rbjax.control.front_door import solve
-from rbjax.control.goals import Goal
-from rbjax.control.gravity_compensation import GravityCompensation, gravity_compensation
-from rbjax.control.impedance import (
+from rbjax.control.laws.allocation import Allocation, allocate
+from rbjax.control.laws.attraction_map import RegionMap, region_of_attraction
+from rbjax.control.laws.computed_torque_law import ComputedTorque, computed_torque
+from rbjax.control.laws.controller import Law
+from rbjax.control.laws.gravity_compensation_law import GravityCompensation, gravity_compensation
+from rbjax.control.laws.impedance import (
     CartesianImpedance,
     JointImpedance,
     cartesian_impedance,
     joint_impedance,
 )
-from rbjax.control.inverse_kinematics import InverseKinematics, inverse_kinematics
-from rbjax.control.law import Law
-from rbjax.control.linear_systems import (
+from rbjax.control.laws.operational_space_law import OperationalSpace, operational_space
+from rbjax.control.learning.environment import Environment
+from rbjax.control.learning.networks import Network, network
+from rbjax.control.learning.policy_gradient import Trained, actor_critic, through_time
+from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
+from rbjax.control.linear.observer import SteadyFilter, kalman_gain
+from rbjax.control.linear.parallel_riccati import parallel_backward, parallel_roll
+from rbjax.control.linear.regulators import Regulator, feedback, lqr, lqr_at, lqr_finite
+from rbjax.control.linear.riccati import (
+    Gains,
+    LinearQuadratic,
+    Steered,
+    backward,
+    constant_problem,
+    quadratic_cost,
+    roll,
+    steer,
+)
+from rbjax.control.linear.stability_margins import Margins, margins
+from rbjax.control.linear.systems import (
     Reach,
     controllability,
     controllability_gramian,
@@ -53,21 +63,13 @@ from rbjax.control.linear_systems import (
     observability_gramian,
     poles,
 )
-from rbjax.control.lqr import Regulator, feedback, lqr, lqr_at, lqr_finite
-from rbjax.control.lyapunov import Lyapunov, lyapunov
-from rbjax.control.margins import Margins, margins
-from rbjax.control.methods import Method, methods
-from rbjax.control.mpc import Controller, mpc
-from rbjax.control.networks import Network, network
-from rbjax.control.observer import SteadyFilter, kalman_gain
-from rbjax.control.operational_space import OperationalSpace, operational_space
-from rbjax.control.outcome import LINEAR_RESULTS
-from rbjax.control.parallel_riccati import parallel_backward, parallel_roll
-from rbjax.control.policy_gradient import Trained, actor_critic, through_time
-from rbjax.control.problem import Design, Problem
-from rbjax.control.real_time import RealTime
-from rbjax.control.region_of_attraction import RegionMap, region_of_attraction
-from rbjax.control.residuals import (
+from rbjax.control.linear.tracking import Tracking, time_varying_lqr
+from rbjax.control.optimal.clearances import Capsule, Clearance, HalfSpace, Sphere
+from rbjax.control.optimal.problem import Design, Problem
+from rbjax.control.optimal.real_time import RealTime
+from rbjax.control.optimal.receding_horizon import Controller, mpc
+from rbjax.control.optimal.registry import Method, methods
+from rbjax.control.optimal.residuals import (
     Acceleration,
     CenterOfMass,
     Configuration,
@@ -80,21 +82,18 @@ from rbjax.control.residuals import (
     StateError,
     Velocity,
 )
-from rbjax.control.riccati import (
-    Gains,
-    LinearQuadratic,
-    Steered,
-    backward,
-    constant_problem,
-    quadratic_cost,
-    roll,
-    steer,
+from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
+from rbjax.control.optimal.solution import Solution
+from rbjax.control.optimal.solver import solve
+from rbjax.control.optimal.system import Equations, System
+from rbjax.control.optimal.terms import Constraint, Cost, Term
+from rbjax.control.status import LINEAR_RESULTS
+from rbjax.kinematics.goals import Goal
+from rbjax.kinematics.position_level import InverseKinematics, inverse_kinematics
+from rbjax.kinematics.velocity_level import (
+    DifferentialInverseKinematics,
+    differential_inverse_kinematics,
 )
-from rbjax.control.sampling import SampledStart, Sampling
-from rbjax.control.solution import Solution
-from rbjax.control.system import Equations, System
-from rbjax.control.terms import Constraint, Cost, Term
-from rbjax.control.tracking import Tracking, time_varying_lqr
 
 __all__ = [
     "Problem",
@@ -198,4 +197,3 @@ __all__ = [
     "kalman_gain",
 ]
 
-make_modules_callable(__name__)

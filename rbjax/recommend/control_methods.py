@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.control import Problem, methods, solve
-from rbjax.control.first_guess import first_guess
-from rbjax.control.outcome import CONVERGED, SENTENCES
+from rbjax.control.optimal.first_guess import first_guess
+from rbjax.control.status import CONVERGED, SENTENCES
 from rbjax.errors import InputError, UnknownName
 from rbjax.progress import progress_line
 from rbjax.recommend.recommendation import Recommendation

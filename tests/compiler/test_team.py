@@ -16,8 +16,8 @@ from rbjax.compiler.ir.program import Barrier, Loop, walk
 from rbjax.compiler.jax import launch, primitive
 from rbjax.compiler.jax.function import threaded
 from rbjax.compiler.lower.frame import batch_first, batch_last, write_program
-from rbjax.control.backward_pass import Bounds, Feedback, backward_pass
-from rbjax.control.expansion import Quadratic
+from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
+from rbjax.control.optimal.shooting.expansion import Quadratic
 from tests.compiler.block import emulated
 from tests.compiler.host import COMPILER, GPU_ASKED, by_xla, many_on_host, written
 from tests.tolerances import F64_TRANSFORM, relative_error

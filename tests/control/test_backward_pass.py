@@ -9,10 +9,15 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from rbjax.control import LinearQuadratic
-from rbjax.control.backward_pass import Bounds, backward_pass, carried, carried_by_velocities
-from rbjax.control.box_qp import box_gains, box_qp
-from rbjax.control.expansion import Quadratic
-from rbjax.control.riccati import backward
+from rbjax.control.linear.riccati import backward
+from rbjax.control.optimal.shooting.backward_pass import (
+    Bounds,
+    backward_pass,
+    carried,
+    carried_by_velocities,
+)
+from rbjax.control.optimal.shooting.box_qp import box_gains, box_qp
+from rbjax.control.optimal.shooting.expansion import Quadratic
 from tests.tolerances import F64_IDENTITY, F64_TRANSFORM, relative_error
 
 N, n, m = 4, 4, 2

@@ -8,7 +8,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, methods, solve
-from rbjax.control.outcome import BUDGET, CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE, STUCK
+from rbjax.control.status import BUDGET, CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError, UnknownName
 
 METHODS = [m if m == "ddp" else pytest.param(m, marks=pytest.mark.slow) for m in methods()]

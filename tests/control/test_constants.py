@@ -7,7 +7,7 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Control, Problem, StateError
-from rbjax.control.constants import ROBOTS, Constants, Known
+from rbjax.control.optimal.constants import ROBOTS, Constants, Known
 from tests.compilations import compilations
 
 MODEL = rb.load("pendulum")

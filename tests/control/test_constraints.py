@@ -20,7 +20,7 @@ from rbjax.control import (
     Velocity,
     solve,
 )
-from rbjax.control.outcome import INFEASIBLE
+from rbjax.control.status import INFEASIBLE
 from rbjax.errors import InputError
 
 

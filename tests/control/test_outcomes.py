@@ -17,7 +17,7 @@ from rbjax.control import (
     lyapunov,
     solve,
 )
-from rbjax.control.outcome import (
+from rbjax.control.status import (
     BUDGET,
     CONVERGED,
     FINISHED,

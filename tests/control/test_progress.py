@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rbjax.control import Control, Equations, Problem, front_door, solve
+from rbjax.control import Control, Equations, Problem, solve
+from rbjax.control.optimal import solver
 
 
 @pytest.mark.slow
@@ -19,7 +20,7 @@ def test_each_iteration_is_said_and_a_program_ignores_it(monkeypatch):
         said.append(label)
         yield said.append
 
-    monkeypatch.setattr(front_door, "progress_line", line)
+    monkeypatch.setattr(solver, "progress_line", line)
     system = Equations(lambda t, x, u: x + u - 0.1 * x**3, 1, 1, discrete=True)
     problem = Problem(system, 4, 1.0, running=[Control()], terminal=[lambda t, x, u: x])
     s = solve(problem, jnp.ones(1), progress=True)

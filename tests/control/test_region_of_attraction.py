@@ -78,7 +78,7 @@ def test_a_long_motion_goes_in_parts(monkeypatch):
         )
 
     whole = ask()
-    monkeypatch.setattr("rbjax.control.region_of_attraction.KEPT", 2 * 15 * 10)
+    monkeypatch.setattr("rbjax.control.laws.attraction_map.KEPT", 2 * 15 * 10)
     parts = ask()
     assert parts.back.tolist() == whole.back.tolist() and 0 < whole.share < 1
     np.testing.assert_allclose(parts.distance, whole.distance, rtol=1e-9)

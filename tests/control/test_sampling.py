@@ -11,8 +11,8 @@ import pytest
 
 import rbjax as rb
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, SampledStart, Sampling
-from rbjax.control.outcome import FINISHED, NOT_FINITE
-from rbjax.control.sampling import Draw, control_at, motion, rolled
+from rbjax.control.optimal.shooting.sampling import Draw, control_at, motion, rolled
+from rbjax.control.status import FINISHED, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 
 N, H = 6, 0.5

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, solve
-from rbjax.control.single_shooting import inside, outside
+from rbjax.control.optimal.shooting.single_shooting import inside, outside
 from rbjax.errors import InputError
 
 DOUBLE = Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)

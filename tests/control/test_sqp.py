@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from benchmarks.cases import optimal_control as oracle
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, StateError, solve
-from rbjax.control.outcome import INFEASIBLE, NOT_FINITE
+from rbjax.control.status import INFEASIBLE, NOT_FINITE
 
 DIGITS = 1e-6  # of a listed cost: six digits
 LISTED = [  # with the most iterations; DDP's are 3, 6, 65, 45, 79, 35, 35, 37, 10 and 10

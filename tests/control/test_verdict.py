@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from rbjax.control import Control, Cost, Equations, Problem, solve
-from rbjax.control.outcome import CONVERGED, STUCK
-from rbjax.control.verdict import LEAST, LENGTHS, Limits, Measures, Rules, begun, in_vain, verdict
+from rbjax.control.optimal.shooting.verdict import (
+    LEAST,
+    LENGTHS,
+    Limits,
+    Measures,
+    Rules,
+    begun,
+    in_vain,
+    verdict,
+)
+from rbjax.control.status import CONVERGED, STUCK
 
 LINE = Equations(lambda t, x, u: u, 1, 1)
 STEPPING = ("ddp", "sqp")

@@ -23,6 +23,7 @@ ELSEWHERE: dict[str, set[str]] = {
                  "grid_dijkstra_many", "hybrid_a_star", "methods", "plan", "refine", "smooth",
                  "time_scaling"},
     # searches, training, sentences; `solve` has cases by its methods
+    "kinematics": {"inverse_kinematics"},
     "control": {"actor_critic", "directions", "inverse_kinematics", "methods", "mpc",
                 "region_of_attraction", "through_time"},
     # recordings, fits and their statistics, which run in NumPy on the host
@@ -33,7 +34,7 @@ ELSEWHERE: dict[str, set[str]] = {
               "regress_with_zeros", "report", "select", "split", "squares", "torque_rows",
               "whiteness", "zeros_of"},
     "estimation": set(),
-    "sensors": set(),
+    "sensors": {"kinds", "register", "sensor_of"},
     # theory by polynomials in NumPy, runs of a million steps, pictures
     "stability": {"adams", "alpha_degrees", "attempt", "backward_differentiation", "characteristic",
                   "dissipation", "drift", "equilibrium", "gradient_growth", "growth_factors",

@@ -9,7 +9,7 @@ import pytest
 
 import rbjax as rb
 from rbjax import control, wheeled
-from rbjax.control.expansion import read_columns
+from rbjax.control.optimal.shooting.expansion import read_columns
 from rbjax.errors import InputError, UnknownName
 from tests.tolerances import F64_TRANSFORM, GRADIENT, relative_error
 

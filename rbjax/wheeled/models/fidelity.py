@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
-from rbjax.control.system import System
+from rbjax.control.optimal.system import System
 from rbjax.errors import InputError
 from rbjax.lanes import Lane, add, inner, mul, neg, sub, total
 from rbjax.model import State

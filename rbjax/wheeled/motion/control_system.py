@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 
 from rbjax.arguments import choice
-from rbjax.control.system import System
+from rbjax.control.optimal.system import System
 from rbjax.errors import InputError
 from rbjax.model import State
 from rbjax.solvers.common.arguments import check_whole

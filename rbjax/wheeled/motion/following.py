@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled
-from rbjax.control.tracking import regulator_along
+from rbjax.control.linear.tracking import regulator_along
 from rbjax.dynamics.arguments import check_array, check_step, shape_of
 from rbjax.errors import InputError
 from rbjax.model import State

@@ -1,0 +1,1 @@
+"""Feedback laws: controllers of robots, allocation of forces to actuators, attraction maps."""

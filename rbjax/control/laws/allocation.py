@@ -1,0 +1,239 @@
+"""From generalized forces to the controls of a model's actuators.
+
+    tau_a(u) = b(q, v) + B(q, v) u            u = B^+ (tau - b)
+Actuators without a state are affine in their controls as long as no limit is reached. B has the
+moment arms times the gains, b the biases of servos and the gravity compensation of a file. Where
+each actuator drives a coordinate of its own, u is one division each; else it is the least-squares
+solution of least length (B^+ is the pseudoinverse).
+
+(MuJoCo, *Computation*, actuation model; Siciliano et al., *Robotics*, 8.1.)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.arguments import check_array, check_model
+from rbjax.errors import InputError
+from rbjax.forces import applied_forces
+from rbjax.forces.acting import sighted
+from rbjax.forces.actuators.actuator import Actuator, GainBias
+from rbjax.forces.element import Loads
+from rbjax.forces.instant import Instant
+from rbjax.kinematics.arguments import check_is
+from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
+from rbjax.model import Model, State
+
+#: what to do with forces that the actuators cannot give
+UNDRIVEN = ("refuse", "least_squares")
+#: a pivot of B^T B or B B^T below this share of its diagonal counts as zero
+RANK = 1e-11
+
+
+class Allocation(NamedTuple):
+    """ctrl (nu,), within the control ranges; residual (nv,) N m or N, what the actuators leave of
+    the forces that were asked for: of coordinates that nothing drives, and at limits."""
+
+    ctrl: jax.Array
+    residual: jax.Array
+
+
+def allocate(model: Model, state: State, tau: jax.Array) -> Allocation:
+    """Controls with which the actuators give the generalized forces tau, or the nearest ones.
+
+    u = B^+ (tau - b), clipped to the control ranges.
+
+    Args:
+        model: the robot; its actuators have no states of their own.
+        state: `State(q (nq,), v (nv,))`.
+        tau: (nv,) N m or N, all that the actuators shall give.
+
+    Returns:
+        `Allocation(ctrl (nu,), residual (nv,))`.
+
+    Raises:
+        InputError: an actuator whose force does not follow its control at once; wrong shapes.
+
+    Source: MuJoCo documentation, *Computation*, actuation model.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> found = rb.control.allocate(model, model.default_state(), jnp.array([2.0, 1.0]))
+        >>> found.residual.tolist()
+        [0.0, 1.0]
+    """
+    check_model("allocate", model)
+    check_actuators("allocate", model)
+    tau = check_array("allocate", "tau", tau, (model.nv,))
+    check_is("allocate", "state", state, State, "(q, v)")
+    ctrl = controls(model, state, tau)
+    limits = model.actuators.ctrlrange.astype(ctrl.dtype)
+    for element in model.forces:
+        if isinstance(element, Actuator):
+            rows = np.array(element.controls)
+            limits = limits.at[rows].set(element.ctrlrange.astype(ctrl.dtype))
+    ctrl = jnp.clip(ctrl, limits[:, 0], limits[:, 1])
+    given = applied_forces(model, state, ctrl) - applied_forces(model, state, None)
+    return Allocation(ctrl, tau - given)
+
+
+def controls(model: Model, state: State, tau: jax.Array) -> jax.Array:
+    """u (nu,) of `allocate` without limits."""
+    dtype = jnp.result_type(state.q, tau)
+    if not model.nu:
+        return jnp.zeros(0, dtype)
+    b, B = effect(model, state)
+    rest = [sub(tau[n], b[n]) for n in range(model.nv)]
+    own = [[n for n in range(model.nv) if not is_zero(column[n])] for column in B]
+    if all(len(n) == 1 for n in own) and len({n[0] for n in own}) == len(own):
+        out = [rest[n] / column[n] for (n,), column in zip(own, B, strict=True)]
+        return jnp.stack([jnp.asarray(x, dtype) for x in out])
+    return _least_squares(B, rest, dtype)
+
+
+def _least_squares(B: list[list[Lane]], r: list[Lane], dtype: Any) -> jax.Array:
+    """u of least length among those with the least |B u - r|, for the columns of B.
+
+    One u by the normal equations, in which an actuator that adds nothing to the others drops out;
+    then the shortest that does the same, u = B^T y with B B^T y = B u.
+    """
+    least = RANK if dtype == jnp.float64 else 1e-5
+    columns = B
+
+    def square(rows: list[list[Lane]]) -> list[list[Lane]]:
+        return [[inner(a, b) for b in rows[: i + 1]] for i, a in enumerate(rows)]
+
+    u = ldlt(square(columns), least=least).solve([inner(c, r) for c in columns])
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    given = [inner(row, u) for row in rows]
+    y = ldlt(square(rows), least=least).solve(given)
+    return _stack([inner(c, y) for c in columns], dtype)
+
+
+def effect(model: Model, state: State) -> tuple[list[Lane], list[list[Lane]]]:
+    """b, nv lanes, and the columns of B, one a control, each of nv lanes; zero where a control has
+    no effect on a coordinate."""
+    free = _unlimited(model)
+    now = Instant.of(free, 0.0, state, None)
+    zero, one = (jnp.asarray(x, state.q.dtype) for x in (0.0, 1.0))
+
+    def at(u: list) -> list[Lane]:
+        given = Loads()
+        for element, seen in sighted(free, dataclasses.replace(now, u=u, found={})):
+            if element.actuates:
+                given = given + element.loads(seen)
+        tau = [given.tau.get(n, 0.0) for n in range(model.nv)]
+        if given.wrenches:
+            summed = now.generalized_of(given.wrenches)
+            tau = [add(x, summed[n]) for n, x in enumerate(tau)]
+        return tau
+
+    b = at([zero] * model.nu)
+    reached = _structure(free)
+    B = []
+    for i in range(model.nu):
+        shifted = at([one if k == i else zero for k in range(model.nu)])
+        B.append([sub(x, y) if n in reached[i] else 0.0
+                  for n, (x, y) in enumerate(zip(shifted, b, strict=True))])  # fmt: skip
+    return b, B
+
+
+def _structure(model: Model) -> list[set[int]]:
+    """Of each control, the velocity coordinates on which it may have an effect."""
+    top = model.topology
+    elements = {i for e in model.forces if e.actuates for i in getattr(e, "controls", ())}
+    out = []
+    for i, j in enumerate(model.actuators.joints):
+        start, stop = 0, model.nv
+        if j >= 0 and i not in elements:
+            start, stop = top.joint_v[j], top.joint_v[j] + top.joints[j].nv
+        out.append(set(range(start, stop)))
+    return out
+
+
+def _unlimited(model: Model) -> Model:
+    """The model whose actuators have no limits, so that their forces are affine in the controls."""
+    endless = np.array([-np.inf, np.inf])
+
+    def wide(record: Any, *names: str) -> Any:
+        changes = {n: np.broadcast_to(endless, getattr(record, n).shape) for n in names}
+        return record.replace(**changes)
+
+    elements = tuple(
+        wide(e, "ctrlrange", "forcerange") if isinstance(e, Actuator) else e for e in model.forces
+    )
+    actuators = wide(model.actuators, "ctrlrange", "forcerange")
+    return model.replace(actuators=actuators, forces=elements)
+
+
+def check_actuators(where: str, model: Model) -> None:
+    """`InputError` if the force of an actuator is not affine in its control, or has a state."""
+    for element in model.forces:
+        if not element.actuates:
+            continue
+        law = getattr(element, "law", None)
+        controls = getattr(element, "controls", ())
+        plain = isinstance(element, Actuator) and isinstance(law, GainBias) and not law.circular
+        if (controls and not plain) or element.size:
+            names = ", ".join(repr(model.actuator_names[i]) for i in controls) or "a force"
+            kind = type(law).__name__ if law is not None else type(element).__name__
+            raise InputError(
+                f"{where}: {names} ({kind}) has a state or is not affine in its control, so no "
+                "control gives a force at once; apply the forces themselves, as "
+                "rollout(..., tau=law.tau)"
+            )
+
+
+def check_driven(where: str, model: Model, undriven: str) -> None:
+    """`InputError` if forces are due that no actuator gives, unless `undriven` allows it. Models
+    whose numbers are not known are not looked at."""
+    if undriven not in UNDRIVEN:
+        raise InputError(f"{where}: undriven is {undriven!r}, expected one of {UNDRIVEN}")
+    check_actuators(where, model)
+    known = not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(model))
+    if undriven == "least_squares" or not known:
+        return
+    B = _generic(model)
+    rank = int(np.linalg.matrix_rank(B)) if B.size else 0
+    if rank == model.nv:
+        return
+    top = model.topology
+    still = [
+        name
+        for name, start, joint in zip(top.joint_names, top.joint_v, top.joints, strict=True)
+        if not B[start : start + joint.nv].any()
+    ]
+    which = "nothing drives " + ", ".join(map(repr, still)) if still else (
+        f"{model.nu} actuators drive only {rank} of {model.nv} coordinates"
+    )  # fmt: skip
+    raise InputError(
+        f"{where}: {which}; give the model actuators (load(motors=True) for a URDF), or pass "
+        "undriven='least_squares' for the nearest forces, whose rest `law.allocated` returns; or "
+        "apply the forces themselves, as rollout(..., tau=law.tau)"
+    )
+
+
+def _generic(model: Model) -> np.ndarray:
+    """B (nv, nu) at a random state, or what has its zeros and its rank."""
+    top, a = model.topology, model.actuators
+    if not any(e.actuates for e in model.forces) and all(
+        j >= 0 and top.joints[j].nv == 1 for j in a.joints
+    ):
+        B = np.zeros((model.nv, model.nu))
+        strong = np.asarray(a.gear)[:, 0] * np.asarray(a.gain).any(1)
+        B[[top.joint_v[j] for j in a.joints], range(model.nu)] = strong
+        return B
+    with jax.ensure_compile_time_eval():
+        state = model.random_state(jax.random.key(0))
+        columns = [[float(x) for x in column] for column in effect(model, state)[1]]
+    return np.array(columns).reshape(model.nu, model.nv).T
+
+
+def _stack(x: list[Lane], dtype: Any) -> jax.Array:
+    return jnp.stack([jnp.asarray(a, dtype) for a in x])

@@ -1,0 +1,232 @@
+"""Which starts come back under a feedback: a map of a region of attraction by a batch.
+
+    x' = f(x, pi(t, x)),   x(0) = x* (+) (a e_i + b e_j),   back where |x(T) (-) x*| <= tolerance
+
+The region of attraction of x* is the set of starts from which the motion tends to x*. A batch shows
+it on a plane through x*, as it is seen after a time T: a slow start that would still come back
+counts as one that does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import flag
+from rbjax.dynamics.arguments import check_array, check_model, check_step, check_takes
+from rbjax.errors import InputError, UnknownName
+from rbjax.kinematics.arguments import check_at_least, check_several
+from rbjax.model import Model, State
+from rbjax.model.record import Record
+from rbjax.motion.linearise import apart, beside
+from rbjax.motion.rollout import integrated
+from rbjax.solvers.common.arguments import check_between, check_whole
+
+KEPT = 2**23  # numbers of states that are kept at once: 64 MiB in f64
+
+
+class RegionMap(Record):
+    """A map of starts.
+
+    Fields: x (nx,) and y (ny,), the deviations of the start along two coordinates of the tangent
+    space (m, rad, m/s, rad/s); names of the two; back (ny, nx), whether a start came back; distance
+    (ny, nx), the largest number of the last state less the equilibrium, infinite where it is not
+    finite; time (ny, nx) in s after which the motion stayed within the tolerance, nan where it did
+    not come back.
+    """
+
+    x: jax.Array
+    y: jax.Array
+    back: jax.Array
+    distance: jax.Array
+    time: jax.Array
+    names: tuple[str, str] = eqx.field(static=True)
+
+    @property
+    def share(self) -> jax.Array:
+        """The share of the starts that came back."""
+        return self.back.mean()
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """left, right, bottom, top: for `imshow(back, origin="lower", extent=...)`."""
+        sides = []
+        for x in (np.asarray(self.x), np.asarray(self.y)):
+            half = 0.5 * (x[-1] - x[0]) / max(len(x) - 1, 1)
+            sides += [float(x[0] - half), float(x[-1] + half)]
+        return sides[0], sides[1], sides[2], sides[3]
+
+
+def region_of_attraction(
+    model: Model,
+    policy: Callable[[Any, State], jax.Array],
+    equilibrium: State,
+    axes: Sequence[tuple[str | int, float, float]],
+    *,
+    points: int | tuple[int, int] = 101,
+    duration: float = 5.0,
+    dt: float | None = None,
+    tolerance: float = 0.05,
+    angles: bool = True,
+    integrator: Any = None,
+    **law: Any,
+) -> RegionMap:
+    """Which starts about an equilibrium come back under a feedback.
+
+    back where every number of x(T) (-) x* is at most `tolerance`, x(0) = x* (+) (a e_i + b e_j).
+
+    Args:
+        model: the robot.
+        policy: (t, state) -> (nu,), such as `Solution.policy()`, `Environment.controller(...)` or
+            the law of an LQR.
+        equilibrium: `State`, x*.
+        axes: two of (coordinate, low, high): a coordinate of the tangent space, by its index in
+            (dq, dv), or a joint of one coordinate by its name, with "'" for its velocity:
+            "hinge" or "hinge'"; and the interval of deviations.
+        points: of the map along each axis, or (nx, ny).
+        duration: T, s.
+        dt: the step, s; the model's timestep if None.
+        tolerance: of each number (m, rad, m/s, rad/s).
+        angles: whether positions of hinges count modulo a turn.
+        integrator: as `rb.rollout`; **law: its `law` and `constraints`.
+
+    Returns:
+        `RegionMap`.
+
+    Raises:
+        InputError: axes that are not two, an empty interval, wrong types. UnknownName: no such
+        coordinate.
+
+    Source: Khalil, *Nonlinear Systems*, 8.2.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> model = rb.load("cart_pole")
+        >>> K = jnp.array([[1.0, 30.0, 2.5, 8.0]])
+        >>> found = rb.control.region_of_attraction(
+        ...     model, lambda t, state: (K * jnp.concatenate([state.q, state.v])).sum(-1),
+        ...     model.keyframe("up"), [("hinge", -1.5, 1.5), ("hinge'", -4.0, 4.0)],
+        ...     points=5, dt=0.02)
+        >>> found.back.shape, bool(found.back[2, 2]), found.names
+        ((5, 5), True, ('hinge', "hinge'"))
+    """
+    where = "region_of_attraction"
+    check_model(where, model)
+    check_takes(where, "policy", policy, "t", "state")
+    if not isinstance(equilibrium, State):
+        raise InputError(
+            f"{where}: equilibrium is {type(equilibrium).__name__}, expected an rb.State"
+        )
+    check_between(where, "tolerance", tolerance, 0.0, 1e12)
+    dtype = equilibrium.q.dtype
+    step: Any = check_step(where, "dt", model.timestep if dt is None else dt, dtype)
+    angles = flag(where, "angles", angles)
+    steps = round(float(check_at_least(where, "duration", duration, ())) / float(step))
+    check_whole(where, "the number of steps duration / dt", steps, 1)
+    places, names, lines = _axes(where, model, axes, points, dtype)
+    nx, ny = (len(line) for line in lines)
+    n = 2 * model.nv + model.nx
+    plane = jnp.zeros((ny, nx, n), dtype)
+    plane = plane.at[..., places[0]].set(lines[0]).at[..., places[1]].set(lines[1][:, None])
+    x = equilibrium.x if equilibrium.x is not None else model.start(dtype)
+    about = State(equilibrium.q, equilibrium.v, x)
+    states = jax.vmap(lambda dx: beside(model, about, dx))(plane.reshape(-1, n))
+    turns = _turns(model, angles)
+
+    def off(q: jax.Array, v: jax.Array, x: Any) -> jax.Array:
+        dx = apart(model, about, State(q, v, x))[: 2 * model.nv]
+        dq = dx[: model.nv]
+        dq = jnp.where(turns, dq - 2 * jnp.pi * jnp.round(dq / (2 * jnp.pi)), dq)
+        far = jnp.abs(jnp.concatenate([dq, dx[model.nv :]])).max()
+        return jnp.where(jnp.isfinite(far), far, jnp.inf)
+
+    distances = jax.jit(jax.vmap(jax.vmap(off)))
+    size = len(states.q) * sum(leaf.shape[-1] for leaf in jax.tree.leaves(states))
+    few = max(1, min(steps, KEPT // size))
+    after = jnp.zeros(len(states.q), int)  # the first knot after the last one outside
+    lost = jnp.zeros(len(states.q), bool)
+    begin = 0
+    while begin < steps:
+        few = min(few, steps - begin)
+        t = jnp.asarray(begin, dtype) * step
+        part = lambda s, state, t=t: policy(t + s, state)  # noqa: E731
+        # without the warning of `rollout`: motions that are not finite are part of the answer
+        run, _, _ = integrated(
+            model, states, part, step, steps=few, integrator=integrator, **law
+        )
+        far = distances(run.q, run.v, run.x)
+        outside = far > tolerance
+        last = begin + few + 1 - jnp.argmax(outside[:, ::-1], 1)
+        after = jnp.where(outside.any(1), last, after)
+        ends = jax.tree.map(lambda x: x[:, -1], State(run.q, run.v, run.x))
+        lost = lost | jnp.isinf(far[:, -1])  # these stand still from here on
+        states = jax.tree.map(
+            lambda x, old, gone=lost[:, None]: jnp.where(gone, old, x), ends, states
+        )
+        begin += few
+    distance = jnp.where(lost, jnp.inf, far[:, -1])
+    back = distance <= tolerance
+    time = jnp.where(back, after * step, jnp.nan)
+    shape = (ny, nx)
+    return RegionMap(
+        lines[0], lines[1], back.reshape(shape), distance.reshape(shape), time.reshape(shape),
+        names,
+    )  # fmt: skip
+
+
+def _turns(model: Model, angles: bool) -> jax.Array:
+    """Which coordinates (nv,) are angles of hinges."""
+    hinges = np.zeros(model.nv, bool)
+    if angles:
+        for name, kind in zip(model.joint_names, model.topology.joint_kinds, strict=True):
+            if kind == "hinge":
+                hinges[model.v_slice(name)] = True
+    return jnp.asarray(hinges)
+
+
+def _axes(
+    where: str, model: Model, axes: Any, points: Any, dtype: Any
+) -> tuple[tuple[int, int], tuple[str, str], tuple[jax.Array, jax.Array]]:
+    """Indices on the tangent space, names and values of both axes."""
+    axes = check_several(where, "axes", axes, "(coordinate, low, high)")
+    if len(axes) != 2 or any(np.ndim(axis) > 1 or len(axis) != 3 for axis in axes):
+        raise InputError(
+            f"{where}: axes is {axes!r}, expected two of (coordinate, low, high), such as "
+            "('hinge', -1.0, 1.0)"
+        )
+    counts = (points, points) if isinstance(points, int) else points
+    counts = check_several(where, "points", counts, "two integers")
+    if len(counts) != 2:
+        raise InputError(f"{where}: points is {points!r}, expected a number or (nx, ny)")
+    places, names, lines = [], [], []
+    for (name, low, high), count in zip(axes, counts, strict=True):
+        check_whole(where, "points", count, 2)
+        low, high = (check_array(where, f"an end of axis {name!r}", x, ()) for x in (low, high))
+        if not low < high:
+            raise InputError(
+                f"{where}: the axis {name!r} is from {low} to {high}, expected low < high"
+            )
+        places.append(_place(where, model, name))
+        names.append(str(name))
+        lines.append(jnp.linspace(low, high, count, dtype=dtype))
+    if places[0] == places[1]:
+        raise InputError(f"{where}: both axes are {names[0]!r}, expected two coordinates")
+    return (places[0], places[1]), (names[0], names[1]), (lines[0], lines[1])
+
+
+def _place(where: str, model: Model, name: Any) -> int:
+    n = 2 * model.nv
+    if not isinstance(name, str):
+        check_whole(where, "a coordinate", name, 0, n - 1)
+        return int(name)
+    joint, rate = name.removesuffix("'"), name.endswith("'")
+    single = [j for j in model.joint_names if model.v_slice(j).stop - model.v_slice(j).start == 1]
+    if joint not in single:
+        raise UnknownName(f"coordinate of {where}", name, [*single, *(f"{j}'" for j in single)])
+    return model.v_slice(joint).start + rate * model.nv

@@ -1,0 +1,1 @@
+"""Policies trained through the dynamics of an environment."""

@@ -1,0 +1,383 @@
+"""Policies trained through the dynamics: short-horizon actor-critic, or through whole episodes.
+
+    J(theta) = E[(1 - g) sum_{k<h} g^k c_k + g^h V(x_h)],     theta <- theta - a dJ/dtheta
+
+The derivative goes through h steps of the robot and through the value function V, which stands for
+all later costs: long enough to be nearly unbiased, short enough not to explode (Xu et al. 2022,
+*Accelerated policy learning with parallel differentiable simulation*, SHAC). V is fitted to
+
+    G_k = (1 - g) c_k + g ((1 - l) V'(x_{k+1}) + l G_{k+1}),     G_h = V'(x_h)
+
+with V' a slow copy of V. Costs are in units of one step: V is about the mean of those to come. The
+policy is deterministic; random starts, and random models, explore.
+
+`through_time` takes the whole episode and no value function: for gains and short motions.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+
+from rbjax.control.learning.environment import Environment, Segment
+from rbjax.control.learning.iterations import iterated
+from rbjax.control.learning.networks import network
+from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_key, check_optimiser, check_positive
+from rbjax.model import State
+from rbjax.model.record import Record
+from rbjax.solvers.common.arguments import check_between, check_whole
+
+GROUPS = 32  # of samples, whose gradients are computed side by side
+
+
+class Trained(Record):
+    """What training leaves.
+
+    Fields: policy; value, a `Network`, or None; costs (iterations,), the mean of a step's cost over
+    batch and horizon; skipped (), the updates that were left out: their gradients were not finite.
+    """
+
+    policy: Any
+    value: Any
+    costs: jax.Array
+    skipped: jax.Array
+
+
+class Samples(NamedTuple):
+    """The batch between two iterations: models (B, ...) or None, states (B, ...), ages (B,)."""
+
+    models: Any
+    states: State
+    ages: jax.Array
+
+
+class Training(NamedTuple):
+    """What an iteration leaves to the next."""
+
+    policy: Any
+    value: Any
+    slow: Any
+    memory: Any
+    value_memory: Any
+    samples: Samples
+    key: jax.Array
+    skipped: jax.Array
+
+
+def actor_critic(
+    env: Environment,
+    policy: Any,
+    key: jax.Array,
+    *,
+    value: Any = None,
+    iterations: int = 300,
+    batch: int = 256,
+    horizon: int = 32,
+    discount: float = 0.99,
+    trace: float = 0.95,
+    rate: float = 3e-3,
+    value_rate: float = 2e-3,
+    value_steps: int = 8,
+    slow: float = 0.2,
+    optimiser: Any = None,
+    progress: bool = False,
+) -> Trained:
+    """A policy trained through the dynamics over a short horizon, with a value function.
+
+    Args:
+        env: `Environment`.
+        policy: a callable pytree (o,) -> (nu,) to begin with; its floating arrays are trained.
+        key: of `jax.random`: the batch, and the value function.
+        value: a callable pytree (o,) -> (1,); a `Network` of two layers of 64 if None.
+        iterations: updates of the policy.
+        batch: samples side by side.
+        horizon: h, the steps of a sample in an iteration.
+        discount: g of a step.
+        trace: l of the targets.
+        rate, value_rate: first rates of Adam, which fall to a tenth along a cosine.
+        value_steps: updates of the value function in an iteration, each on the whole batch.
+        slow: the share of V that V' takes over in an iteration.
+        optimiser: an optax transformation for the policy; Adam (0.7, 0.95) with gradients clipped
+            to norm 1 if None.
+        progress: a line on the terminal.
+
+    Returns:
+        `Trained`.
+
+    Raises:
+        InputError: a policy of other sizes, a policy without numbers, numbers out of range.
+
+    Source: Xu et al., *Accelerated policy learning with parallel differentiable simulation*, ICLR
+    2022.
+
+    Example:
+        >>> import jax
+        >>> import rbjax as rb
+        >>> model, key = rb.load("pendulum"), jax.random.key(0)
+        >>> env = rb.control.Environment(
+        ...     model, lambda state, ctrl: (state.q**2).sum(), model.random_state, dt=0.05)
+        >>> policy = rb.control.network(key, (2, 16, 1))
+        >>> trained = rb.control.actor_critic(env, policy, key)  # doctest: +SKIP
+    """
+    _check("actor_critic", env, policy, key, iterations, batch, optimiser)
+    check_positive("actor_critic", "rate", rate)
+    check_positive("actor_critic", "value_rate", value_rate)
+    if value is not None and not callable(value):
+        got = type(value).__name__
+        raise InputError(f"actor_critic: value is {got}, expected a callable pytree, as the policy")
+    layers = (env.observation_size, 64, 64, 1)
+
+    def fresh(key: jax.Array) -> Any:
+        # near zero to begin with: else its first slopes lead the policy astray
+        return network(key, layers, "elu", last=0.01)
+
+    check_whole("actor_critic", "horizon", horizon, 1)
+    check_whole("actor_critic", "value_steps", value_steps, 1)
+    for what, x in (("discount", discount), ("trace", trace), ("slow", slow)):
+        check_between("actor_critic", what, x, 0.0, 1.0)
+    numbers, rest = eqx.partition(policy, eqx.is_inexact_array)
+    values, value_rest = eqx.partition(
+        eqx.filter_eval_shape(fresh, key) if value is None else value, _is_number
+    )
+    if optimiser is None:
+        optimiser = optax.chain(
+            optax.clip_by_global_norm(1.0),
+            optax.flatten(optax.adam(_falling(rate, iterations), 0.7, 0.95)),
+        )
+    fitter = optax.flatten(optax.adam(_falling(value_rate, iterations * value_steps)))
+
+    def worth(values: Any, states: State) -> jax.Array:
+        V = eqx.combine(values, value_rest)
+        return jax.vmap(lambda state: V(env.observe(state))[0])(states)
+
+    def loss(numbers: Any, values: Any, samples: Samples) -> tuple[jax.Array, Segment]:
+        segment = env.unroll(
+            eqx.combine(numbers, rest), samples.models, samples.states, horizon
+        )
+        last = jax.tree.map(lambda x: x[:, -1], segment.states)
+        return policy_loss(segment.costs, worth(values, last), discount), segment
+
+    def fit(values: Any, memory: Any, states: State, targets: jax.Array) -> tuple:
+        # samples that are lost have no weight; what stands for them is finite
+        good = jnp.isfinite(targets)
+        for x in jax.tree.leaves(states):
+            good = good & jnp.isfinite(x).all(-1)
+        targets = jnp.where(good, targets, 0.0)
+        states = jax.tree.map(lambda x: jnp.where(good[:, None], x, 0.0), states)
+        weights = good / jnp.maximum(good.mean(), 1 / len(good))
+        # in groups: a GPU computes a sum over all samples in a few places only
+        states, targets, weights = jax.tree.map(
+            lambda x: x.reshape(math.gcd(GROUPS, len(x)), -1, *x.shape[1:]),
+            (states, targets, weights),
+        )
+
+        def off(values: Any, states: State, targets: jax.Array, weights: jax.Array) -> jax.Array:
+            return (weights * (worth(values, states) - targets) ** 2).mean()
+
+        def once(carry: tuple, _: None) -> tuple[tuple, None]:
+            values, memory = carry
+            slopes = jax.vmap(jax.grad(off), (None, 0, 0, 0))(values, states, targets, weights)
+            slope = jax.tree.map(lambda x: x.mean(0), slopes)
+            update, memory = fitter.update(slope, memory, values)
+            return (optax.apply_updates(values, update), memory), None
+
+        return jax.lax.scan(once, (values, memory), None, value_steps)[0]
+
+    def turn(now: Training, _: None) -> tuple[Training, jax.Array]:
+        slope, segment = jax.grad(loss, has_aux=True)(now.policy, now.slow, now.samples)
+        policy, memory, fine = updated(optimiser, slope, now.memory, now.policy)
+        flat = jax.tree.map(lambda x: x[:, 1:].reshape(-1, *x.shape[2:]), segment.states)
+        later = worth(now.slow, flat).reshape(segment.costs.shape)
+        targets = returns(segment.costs, later, discount, trace)
+        before = jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), segment.states)
+        values, value_memory = fit(now.value, now.value_memory, before, targets.reshape(-1))
+        behind = jax.tree.map(lambda s, v: s + slow * (v - s), now.slow, values)
+        key, other = jax.random.split(now.key)
+        samples = renewed(env, other, now.samples, segment, horizon)
+        skipped = now.skipped + (1 - fine.astype(int))
+        after = Training(policy, values, behind, memory, value_memory, samples, key, skipped)
+        return after, jnp.nanmean(segment.costs)
+
+    def begin(numbers: Any, values: Any, key: jax.Array) -> Training:
+        one, two, three = jax.random.split(key, 3)
+        if values is None:
+            values = eqx.filter(fresh(one), eqx.is_inexact_array)
+        return Training(
+            numbers, values, values, optimiser.init(numbers), fitter.init(values),
+            drawn(env, two, batch), three, jnp.asarray(0),
+        )  # fmt: skip
+
+    given = (numbers, None if value is None else values, key)
+    last, costs = iterated("actor_critic", turn, begin, given, iterations, progress)
+    trained = eqx.combine(last.policy, rest)
+    return Trained(trained, eqx.combine(last.value, value_rest), costs, last.skipped)
+
+
+def through_time(
+    env: Environment,
+    policy: Any,
+    key: jax.Array,
+    *,
+    iterations: int = 200,
+    batch: int = 64,
+    rate: float = 1e-2,
+    optimiser: Any = None,
+    progress: bool = False,
+) -> Trained:
+    """A policy trained by back-propagation through whole episodes: for gains and short motions.
+
+    min over theta of the mean of c(x_k, pi(o(x_k))) over env.episode steps and a batch of starts,
+    drawn again in each iteration.
+
+    Args:
+        env: `Environment`; `episode` is the number of steps.
+        policy: a callable pytree (o,) -> (nu,); its floating arrays are trained.
+        key: of `jax.random`.
+        iterations, batch: updates, and samples in each.
+        rate: the first rate of Adam, which falls to a tenth along a cosine.
+        optimiser: an optax transformation; Adam with gradients clipped to norm 1 if None.
+        progress: a line on the terminal.
+
+    Returns:
+        `Trained`; its value is None.
+
+    Raises:
+        InputError: a policy of other sizes, a policy without numbers, numbers out of range.
+
+    Source: Werbos, *Backpropagation through time: what it does and how to do it*, 1990.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> model = rb.load("cart_pole")
+        >>> env = rb.control.Environment(
+        ...     model, lambda state, ctrl: (state.q**2).sum() + 0.1 * (state.v**2).sum(),
+        ...     lambda key: rb.State(0.1 * jax.random.normal(key, (2,)), jnp.zeros(2)),
+        ...     dt=0.02, episode=20)
+        >>> gains = jax.tree_util.Partial(jnp.matmul, jnp.array([[0.1, 2.0, 0.2, 0.5]]))
+        >>> found = rb.control.through_time(env, gains, jax.random.key(0), iterations=2, batch=4)
+        >>> found.costs.shape
+        (2,)
+    """
+    _check("through_time", env, policy, key, iterations, batch, optimiser)
+    check_positive("through_time", "rate", rate)
+    numbers, rest = eqx.partition(policy, eqx.is_inexact_array)
+    if optimiser is None:
+        optimiser = optax.chain(
+            optax.clip_by_global_norm(1.0), optax.adam(_falling(rate, iterations))
+        )
+
+    def turn(now: tuple, _: None) -> tuple[tuple, jax.Array]:
+        numbers, memory, key, skipped = now
+        key, other = jax.random.split(key)
+        models, states = jax.vmap(env.begun)(jax.random.split(other, batch))
+
+        def loss(numbers: Any) -> jax.Array:
+            policy = eqx.combine(numbers, rest)
+            return env.unroll(policy, models, states, env.episode).costs.mean()
+
+        cost, slope = jax.value_and_grad(loss)(numbers)
+        numbers, memory, fine = updated(optimiser, slope, memory, numbers)
+        return (numbers, memory, key, skipped + (1 - fine.astype(int))), cost
+
+    def begin(numbers: Any, key: jax.Array) -> tuple:
+        return numbers, optimiser.init(numbers), key, jnp.asarray(0)
+
+    last, costs = iterated("through_time", turn, begin, (numbers, key), iterations, progress)
+    return Trained(eqx.combine(last[0], rest), None, costs, last[3])
+
+
+def policy_loss(costs: jax.Array, last: jax.Array, discount: float) -> jax.Array:
+    """(1 - g) sum g^k c_k + g^h V(x_h), the mean of a batch: costs (B, h), last (B,)."""
+    h = costs.shape[1]
+    weights = discount ** jnp.arange(h, dtype=costs.dtype)
+    return ((1 - discount) * (weights * costs).sum(1) + discount**h * last).mean()
+
+
+def returns(costs: jax.Array, later: jax.Array, discount: float, trace: float) -> jax.Array:
+    """The targets G (B, h) of the value function: costs (B, h), later (B, h), V'(x_{k+1})."""
+
+    def back(G: jax.Array, x: tuple) -> tuple[jax.Array, jax.Array]:
+        c, V = x
+        G = (1 - discount) * c + discount * ((1 - trace) * V + trace * G)
+        return G, G
+
+    _, found = jax.lax.scan(back, later[:, -1], (costs.T, later.T), reverse=True)
+    return found.T
+
+
+def updated(optimiser: Any, slope: Any, memory: Any, numbers: Any) -> tuple[Any, Any, jax.Array]:
+    """Numbers and memory after an update, or as they were where the gradient is not finite; and
+    whether it was."""
+    leaves = [jnp.isfinite(x).all() for x in jax.tree.leaves(slope)]
+    fine = jnp.stack(leaves).all()
+    slope = jax.tree.map(lambda x: jnp.where(fine, x, 0.0), slope)
+    update, after = optimiser.update(slope, memory, numbers)
+    moved = optax.apply_updates(numbers, update)
+    numbers, memory = jax.tree.map(
+        lambda new, old: jnp.where(fine, new, old), (moved, after), (numbers, memory)
+    )
+    return numbers, memory, fine
+
+
+def drawn(env: Environment, key: jax.Array, batch: int) -> Samples:
+    """A batch to begin with, of all ages."""
+    one, two = jax.random.split(key)
+    models, states = jax.vmap(env.begun)(jax.random.split(one, batch))
+    return Samples(models, states, jax.random.randint(two, (batch,), 0, env.episode))
+
+
+def renewed(
+    env: Environment, key: jax.Array, samples: Samples, segment: Segment, steps: int
+) -> Samples:
+    """The batch after a segment: samples that are old, lost or not finite begin again."""
+    last = jax.tree.map(lambda x: x[:, -1], segment.states)
+    ages = samples.ages + steps
+    batch = ages.shape[0]
+    over = ages >= env.episode
+    over = over | ~jnp.stack(
+        [jnp.isfinite(x).all(-1) for x in jax.tree.leaves(last)]
+    ).all(0)
+    if env.lost is not None:
+        over = over | jax.vmap(env.lost)(last)
+    models, states = jax.vmap(env.begun)(jax.random.split(key, batch))
+
+    def pick(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(over.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    models = jax.tree.map(pick, models, samples.models)
+    return Samples(models, jax.tree.map(pick, states, last), jnp.where(over, 0, ages))
+
+
+def _is_number(x: Any) -> bool:
+    """Whether a leaf, or what stands for one, is an array of floating numbers."""
+    return hasattr(x, "dtype") and jnp.issubdtype(x.dtype, jnp.inexact)
+
+
+def _falling(rate: float, steps: int) -> Any:
+    return optax.cosine_decay_schedule(rate, steps, 0.1)
+
+
+def _check(
+    where: str, env: Any, policy: Any, key: Any, iterations: int, batch: int, optimiser: Any
+) -> None:
+    if not isinstance(env, Environment):
+        raise InputError(
+            f"{where}: env is {type(env).__name__}, expected an rb.control.Environment"
+        )
+    env.check_policy(where, policy)
+    check_key(where, key)
+    check_optimiser(where, optimiser)
+    if not jax.tree.leaves(eqx.filter(policy, eqx.is_inexact_array)):
+        raise InputError(
+            f"{where}: the policy has no floating arrays to train; give one that is a pytree of "
+            "them, such as rb.control.network(...) or jax.tree_util.Partial(function, gains)"
+        )
+    check_whole(where, "iterations", iterations, 1)
+    check_whole(where, "batch", batch, 1)

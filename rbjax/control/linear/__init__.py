@@ -1,0 +1,1 @@
+"""Linear systems: regulators, Riccati and Lyapunov equations, structure, margins, filters."""

@@ -1,0 +1,316 @@
+"""The linear-quadratic problem of finite horizon, solved backwards in time.
+
+    minimise  sum_(k<N) 1/2 x'Qx + q'x + 1/2 u'Ru + r'u + x'Su  +  1/2 x_N'Q_N x_N + q_N'x_N
+    where     x_(k+1) = A x_k + B u_k + d_k
+
+The cost to go is 1/2 x'Px + p'x and a constant. With P+ and p+ of the next knot,
+
+    H = R + B'P+B,  G = S' + B'P+A,  g = r + B'(p+ + P+d)
+    K = H^-1 G,     k = H^-1 g,      u = -K x - k
+    P = Q + A'P+A - G'H^-1 G,        p = q + A'(p+ + P+d) - G'H^-1 g
+
+H is factorised as L L', and G'H^-1 G is the square of L^-1 G, so P stays symmetric. The minimum
+exists where every H is positive definite; R by itself need not be. Products are in full f32.
+Source: Bryson & Ho, *Applied Optimal Control*, 5; Anderson & Moore, *Optimal Control: Linear
+Quadratic Methods*, 2; Tassa, Erez & Todorov, IROS 2012 (affine terms).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_solve, solve_triangular
+
+from rbjax.control.products import product
+from rbjax.dynamics.arguments import check_array, shape_of
+from rbjax.kinematics.arguments import check_is, check_shapes
+from rbjax.solvers.common.arguments import check_whole
+
+MADE = ", such as rb.control.constant_problem returns"
+
+
+class LinearQuadratic(NamedTuple):
+    """A linear-quadratic problem of N steps, n states and m controls.
+
+    Fields: A (N, n, n), B (N, n, m), d (N, n) of dx+ = A dx + B du + d; Q (N + 1, n, n) and q
+    (N + 1, n), R (N, m, m) and r (N, m), S (N, n, m) of the cost
+    1/2 dx'Q dx + q'dx + 1/2 du'R du + r'du + dx'S du; the last Q and q are those of the end.
+    """
+
+    A: jax.Array
+    B: jax.Array
+    d: jax.Array
+    Q: jax.Array
+    q: jax.Array
+    R: jax.Array
+    r: jax.Array
+    S: jax.Array
+
+
+class Gains(NamedTuple):
+    """The solution: du = -K dx - k, and the cost to go 1/2 dx'P dx + p'dx + constant.
+
+    Fields: K (N, m, n); k (N, m); P (N + 1, n, n); p (N + 1, n); ok (), false where the Hessian by
+    the controls is not positive definite at some step, or numbers are not finite. There K and k are
+    0, and P and p are those of the next knot, so nothing is nan.
+    """
+
+    K: jax.Array
+    k: jax.Array
+    P: jax.Array
+    p: jax.Array
+    ok: jax.Array
+
+
+def check_start(where: str, problem: Any, gains: Any, start: Any) -> jax.Array:
+    """dx_0 (n,) of a problem with its gains, checked."""
+    check_is(where, "problem", problem, LinearQuadratic, MADE)
+    check_is(where, "gains", gains, Gains, ", such as rb.control.backward returns")
+    return check_array(where, "start", start, problem.A.shape[-1:])
+
+
+@jax.custom_jvp
+def definite_factor(H: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """L of H = L L' and whether H is positive definite; where it is not, L is the unit matrix.
+
+    Values and derivatives are finite in both cases."""
+    L = jax.lax.linalg.cholesky(H, symmetrize_input=False)
+    ok = jnp.isfinite(L).all()
+    return jnp.where(ok, L, jnp.eye(H.shape[-1], dtype=H.dtype)), ok
+
+
+@definite_factor.defjvp
+def _definite_factor_jvp(primals, tangents):
+    (H,), (dH,) = primals, tangents
+    L, ok = definite_factor(H)
+    half = solve_triangular(L, (dH + dH.T) / 2, lower=True)
+    W = solve_triangular(L, half.T, lower=True)
+    dL = product(L, jnp.tril(W) - jnp.diag(jnp.diag(W)) / 2)
+    return (L, ok), (jnp.where(ok, dL, 0.0), jnp.zeros(ok.shape, jax.dtypes.float0))
+
+
+def backward(problem: LinearQuadratic) -> Gains:
+    """The gains and the cost to go of every knot, one after the other.
+
+        K = H^-1 (S' + B'P A),   k = H^-1 (r + B'(p + P d)),   H = R + B'P B
+
+    Args:
+        problem: of one sample.
+
+    Returns:
+        `Gains`; du = -K dx - k.
+
+    Works through `rb.threads` for one problem a thread. Differentiable in both modes.
+
+    Source: Bryson & Ho, *Applied Optimal Control*, 5.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> from rbjax.control import backward, constant_problem
+        >>> one = jnp.eye(1)
+        >>> gains = backward(constant_problem(one, one, one, one, 20))
+        >>> round(float(gains.K[0, 0, 0]), 6)  # the golden ratio less one
+        0.618034
+    """
+    check_is("backward", "problem", problem, LinearQuadratic, MADE)
+    end = problem.Q[-1], problem.q[-1]
+    ok = jnp.isfinite(end[0]).all() & jnp.isfinite(end[1]).all()
+    P, p = (jnp.where(ok, x, jnp.zeros_like(x)) for x in end)
+    P = (P + P.T) / 2
+    steps = problem._replace(Q=problem.Q[:-1], q=problem.q[:-1])
+
+    def back(carry, given):
+        P, p, ok = carry
+        z = given
+        PA, PB = product(P, z.A), product(P, z.B)
+        ahead = p + product(P, z.d)
+        H = z.R + product(z.B.T, PB)
+        G = z.S.T + product(PB.T, z.A)
+        L, good = definite_factor((H + H.T) / 2)
+        both = jnp.concatenate([G, (z.r + product(z.B.T, ahead))[:, None]], 1)
+        half = solve_triangular(L, both, lower=True)
+        K = solve_triangular(L, half, lower=True, trans=1)
+        Y, y = half[:, :-1], half[:, -1]
+        new = z.Q + product(z.A.T, PA) - product(Y.T, Y)
+        new, slope = (new + new.T) / 2, z.q + product(z.A.T, ahead) - product(Y.T, y)
+        good &= jnp.isfinite(new).all() & jnp.isfinite(slope).all() & jnp.isfinite(K).all()
+        P, p = jnp.where(good, new, P), jnp.where(good, slope, p)
+        K = jnp.where(good, K, 0.0)
+        return (P, p, ok & good), (K[:, :-1], K[:, -1], P, p)
+
+    carry, (K, k, Ps, ps) = jax.lax.scan(back, (P, p, ok), steps, reverse=True)
+    Ps, ps = jnp.concatenate([Ps, P[None]]), jnp.concatenate([ps, p[None]])
+    return Gains(K, k, Ps, ps, carry[2])
+
+
+def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The closed loop from a start: states (N + 1, n) and controls (N, m).
+
+        du = -K dx - k,    dx+ = A dx + B du + d
+
+    Args:
+        problem: of one sample.
+        gains: what `backward` found.
+        start: dx_0 (n,).
+
+    Returns:
+        dx (N + 1, n), du (N, m).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.control import backward, constant_problem, roll
+        >>> one = jnp.eye(1)
+        >>> problem = constant_problem(one, one, one, one, 2)
+        >>> x, u = roll(problem, backward(problem), jnp.ones(1))
+        >>> [round(float(y), 2) for y in x.ravel()]
+        [1.0, 0.4, 0.2]
+    """
+    start = check_start("roll", problem, gains, start)
+
+    def step(x, given):
+        A, B, d, K, k = given
+        u = -product(K, x) - k
+        new = product(A, x) + product(B, u) + d
+        return new, (new, u)
+
+    along = (problem.A, problem.B, problem.d, gains.K, gains.k)
+    x, u = jax.lax.scan(step, start, along)[1]
+    return jnp.concatenate([start[None], x]), u
+
+
+def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.Array:
+    """The cost of states (N + 1, n) and controls (N, m).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.control import constant_problem, quadratic_cost
+        >>> problem = constant_problem(jnp.eye(1), jnp.eye(1), jnp.eye(1), jnp.eye(1), 2)
+        >>> float(quadratic_cost(problem, jnp.ones((3, 1)), jnp.ones((2, 1))))
+        2.5
+    """
+    where = "quadratic_cost"
+    check_is(where, "problem", problem, LinearQuadratic, MADE)
+    N, n, m = problem.B.shape
+    x, u = check_shapes(where, [("x", x, (N + 1, n)), ("u", u, (N, m))])
+    by_state = ((x / 2) * (problem.Q * x[:, None, :]).sum(-1) + problem.q * x).sum()
+    by_control = ((u / 2) * (problem.R * u[:, None, :]).sum(-1) + problem.r * u).sum()
+    return by_state + by_control + (x[:-1, :, None] * problem.S * u[:, None, :]).sum()
+
+
+class Steered(NamedTuple):
+    """States x (N + 1, n), controls u (N, m), the cost, the multiplier (n,) of the end, which is
+    the slope of the cost by -target, and ok: whether the end is reached."""
+
+    x: jax.Array
+    u: jax.Array
+    cost: jax.Array
+    multiplier: jax.Array
+    ok: jax.Array
+
+
+def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Steered:
+    """The least cost of a motion that ends exactly at a target.
+
+    With the multiplier l of x_N = target, q_N becomes q_N + l. The end is affine in it,
+    x_N(l) = x_N(0) - W l with W = sum of F B H^-1 B'F', F the closed loop from there to the end, so
+    one linear system gives l. W is the Gramian of controllability of the closed loop.
+
+    Args:
+        problem: of one sample. Its terminal Q only keeps H definite; it may be 0.
+        start: dx_0 (n,).
+        target: dx_N (n,).
+
+    Returns:
+        `Steered`; ok is false where the target cannot be reached in N steps, or H is not definite.
+
+    Source: Bryson & Ho, *Applied Optimal Control*, 5.3 (terminal constraints).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.control import constant_problem, steer
+        >>> h = 0.1  # a mass of 1 kg by 1 m in 1 s, with the least integral of u^2
+        >>> A, B = jnp.array([[1.0, h], [0.0, 1.0]]), jnp.array([[h * h], [h]])
+        >>> problem = constant_problem(A, B, jnp.zeros((2, 2)), 2 * h * jnp.eye(1), 10)
+        >>> round(float(steer(problem, jnp.zeros(2), jnp.array([1.0, 0.0])).cost), 4)
+        12.1212
+    """
+    check_is("steer", "problem", problem, LinearQuadratic, MADE)
+    n = problem.A.shape[-1]
+    start, target = check_shapes("steer", [("start", start, (n,)), ("target", target, (n,))])
+    gains = backward(problem)
+    P = gains.P[1:]
+
+    def back(F, given):  # F, from the state before a step to the end
+        A, B, R, K, P = given
+        H = R + product(B.T, product(P, B))
+        L = definite_factor((H + H.T) / 2)[0]
+        FB = product(F, B)
+        half = solve_triangular(L, FB.T, lower=True)
+        feed = cho_solve((L, True), FB.T)  # (m, n): du = -feed l
+        return product(F, A - product(B, K)), (product(half.T, half), feed)
+
+    one = jnp.eye(n, dtype=start.dtype)
+    along = (problem.A, problem.B, problem.R, gains.K, P)
+    W, feed = jax.lax.scan(back, one, along, reverse=True)[1]
+    W = W.sum(0)
+    x, _ = roll(problem, gains, start)
+    scale = jnp.sqrt(jnp.maximum(jnp.diag(W), jnp.finfo(W.dtype).tiny))
+    L, reached = definite_factor(W / scale[:, None] / scale)
+    multiplier = cho_solve((L, True), (x[-1] - target) / scale) / scale
+    x, u = roll(problem, gains._replace(k=gains.k + product(feed, multiplier)), start)
+    # a Gramian that is singular but for rounding has a factor, and leads elsewhere
+    size = jnp.abs(x).max(0) + jnp.abs(target)
+    near = (jnp.abs(x[-1] - target) <= jnp.sqrt(jnp.finfo(W.dtype).eps) * size).all()
+    ok = gains.ok & reached & near
+    return Steered(x, u, quadratic_cost(problem, x, u), multiplier, ok)
+
+
+def constant_problem(
+    A: jax.Array,
+    B: jax.Array,
+    Q: jax.Array,
+    R: jax.Array,
+    horizon: int,
+    terminal: jax.Array | None = None,
+    S: jax.Array | None = None,
+) -> LinearQuadratic:
+    """The problem of N equal steps without affine terms.
+
+    Args:
+        A: (n, n). B: (n, m).
+        Q: (n, n). R: (m, m).
+        horizon: N.
+        terminal: Q_N (n, n); Q if None.
+        S: (n, m); 0 if None.
+
+    Returns:
+        `LinearQuadratic`.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from rbjax.control import constant_problem
+        >>> constant_problem(jnp.eye(2), jnp.ones((2, 1)), jnp.eye(2), jnp.eye(1), 3).q.shape
+        (4, 2)
+    """
+    where = "constant_problem"
+    check_whole(where, "horizon", horizon, 1)
+    n, m = (*shape_of(where, "A", A), 0)[0], (*shape_of(where, "R", R), 0)[0]
+    due = [("A", A, (n, n)), ("B", B, (n, m)), ("Q", Q, (n, n)), ("R", R, (m, m))]
+    A, B, Q, R = check_shapes(where, due)
+    dtype = jnp.result_type(A, B, Q, R, jnp.float32)
+    S = jnp.zeros((n, m)) if S is None else check_array(where, "S", S, (n, m))
+    if terminal is not None:
+        terminal = check_array(where, "terminal", terminal, (n, n))
+    A, B, Q, R, S = (jnp.asarray(x, dtype) for x in (A, B, Q, R, S))
+    end = Q if terminal is None else jnp.asarray(terminal, dtype)
+
+    def each(x):
+        return jnp.broadcast_to(x, (horizon, *x.shape))
+
+    zero, none = jnp.zeros(n, dtype), jnp.zeros(m, dtype)
+    return LinearQuadratic(
+        each(A), each(B), each(zero), jnp.concatenate([each(Q), end[None]]),
+        jnp.zeros((horizon + 1, n), dtype), each(R), each(none), each(S),
+    )  # fmt: skip

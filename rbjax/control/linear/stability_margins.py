@@ -1,0 +1,158 @@
+"""Gain, phase and delay margins of a state feedback, each loop broken at its input.
+
+With u = -K x closed at all other inputs, the loop from input i back to it is
+
+    l_i(s) = k_i (s - A_i)^-1 b_i,     A_i = A - sum_(j != i) b_j k_j,     s = iw, or z = exp(iw dt)
+
+The closed loop stays stable while l_i does not meet -1. The gain may be multiplied by -1 / l where
+l crosses the negative real axis; the phase may turn by the angle between l and -1 where |l| = 1;
+a delay turns it by w seconds^-1, so the least of angle / w is the delay that is allowed.
+
+Crossings are found on a grid of frequencies, by sign changes of Im l and |l| - 1, and then by
+bisection to rounding. The grid is logarithmic about the rates of the closed and the open loop; a
+resonance much narrower than a point of it is missed.
+Source: Åström & Murray, *Feedback Systems*, 10; Safonov & Athans, *Gain and phase margin for
+multiloop LQG regulators*, IEEE TAC 22(2), 1977 (an LQR has 1/2 to infinity, and 60 degrees).
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.compiling import compiled
+from rbjax.control.linear.lyapunov_equation import cayley, is_stable, pace
+from rbjax.control.linear.systems import pair
+from rbjax.control.products import product
+from rbjax.dynamics.arguments import check_array, check_step
+from rbjax.solvers.common.arguments import check_between, check_whole
+
+CROSSINGS = 16  # of each kind that are refined
+HALVINGS = 50
+
+
+class Margins(NamedTuple):
+    """Fields, one entry an input (m,): gain_up, the factor above 1, and gain_down, below 1,
+    at which the loop becomes unstable (inf and 0 if there is none); phase, rad (pi if |l| < 1
+    throughout, or l keeps away); delay, s (inf if none); stable (), whether the closed loop is;
+    where it is not, gain_up = gain_down = 1 and phase = delay = 0."""
+
+    gain_up: jax.Array
+    gain_down: jax.Array
+    phase: jax.Array
+    delay: jax.Array
+    stable: jax.Array
+
+
+def margins(
+    A: Any, B: Any, K: Any, dt: Any = None, *, frequencies: int = 2000, decades: float = 3.0
+) -> Margins:
+    """The margins of u = -K x at each input, the other loops closed.
+
+    Args:
+        A: (n, n). B: (n, m). K: (m, n).
+        dt: seconds of a step, if x+ = A x + B u; None in continuous time.
+        frequencies: points of the grid.
+        decades: how far the grid goes beyond the slowest and the fastest rate.
+
+    Returns:
+        `Margins`.
+
+    Raises:
+        InputError: shapes, values that are not finite.
+
+    Source: Åström & Murray, 10.3.
+
+    Example:
+        >>> import jax, math
+        >>> from rbjax.control import margins
+        >>> with jax.enable_x64(True):  # an integrator: l = 1 / s
+        ...     found = margins([[0.0]], [[1.0]], [[1.0]])
+        >>> round(math.degrees(float(found.phase[0])), 6), round(float(found.delay[0]), 6)
+        (90.0, 1.570796)
+    """
+    A, B = pair("margins", A, B, "B", 0)
+    K = check_array("margins", "K", K, B.shape[::-1]).astype(A.dtype)
+    step = None if dt is None else check_step("margins", "dt", dt, A.dtype)
+    check_whole("margins", "frequencies", frequencies, 2)
+    check_between("margins", "decades", decades, 0.0, 30.0)
+    return _margins(A, B, K, step, frequencies, decades)
+
+
+@functools.partial(compiled, static_argnums=(4, 5))
+def _margins(
+    A: jax.Array, B: jax.Array, K: jax.Array, step: Any, frequencies: int, decades: float
+) -> Margins:
+    closed = A - product(B, K)
+    stable = is_stable(closed if step is not None else cayley(closed, pace(closed))[0])
+    w = _grid(A, closed, step, frequencies, decades)
+
+    def of(i: jax.Array) -> tuple[jax.Array, ...]:
+        b, k = B[:, i], K[i]
+        return _of_loop(closed + jnp.outer(b, k), b, k, w, step)
+
+    up, down, phase, delay = jax.vmap(of)(jnp.arange(B.shape[1]))
+    return Margins(
+        jnp.where(stable, up, 1.0), jnp.where(stable, down, 1.0),
+        jnp.where(stable, phase, 0.0), jnp.where(stable, delay, 0.0), stable,
+    )  # fmt: skip
+
+
+def _grid(A: jax.Array, closed: jax.Array, dt: Any, points: int, decades: float) -> jax.Array:
+    """Frequencies in rad/s (points,)."""
+    if dt is not None:  # up to that of Nyquist
+        return jnp.logspace(-2 - decades, 0, points, dtype=A.dtype) * (math.pi / dt)
+    fast = jnp.maximum(jnp.linalg.norm(A), jnp.linalg.norm(closed))
+    slow = 1 / jnp.linalg.norm(jnp.linalg.inv(closed))
+    slow = jnp.where(jnp.isfinite(slow) & (slow > 0), slow, fast)
+    low, high = jnp.log10(slow) - decades, jnp.log10(fast) + decades
+    return 10 ** (low + (high - low) * jnp.linspace(0, 1, points, dtype=A.dtype))
+
+
+def _of_loop(A: jax.Array, b: jax.Array, k: jax.Array, w: jax.Array, dt: Any) -> tuple:
+    n = A.shape[0]
+    one = jnp.eye(n, dtype=A.dtype)
+
+    def loop(w: jax.Array) -> jax.Array:
+        z = 1j * w if dt is None else jnp.exp(1j * w * dt)
+        return (k * jnp.linalg.solve(z * one - A, b.astype(z.dtype))).sum()
+
+    def refined(f: Any, values: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Where f(l) changes its sign, and l there; nan where there are fewer changes."""
+        sign = jnp.signbit(values)
+        at = jnp.nonzero(sign[1:] != sign[:-1], size=CROSSINGS, fill_value=-1)[0]
+        low, high = w[at], w[at + 1]
+
+        def halve(_, ends):
+            low, high = ends
+            middle = (low + high) / 2
+            same = jnp.signbit(f(jax.vmap(loop)(middle))) == sign[at]
+            return jnp.where(same, middle, low), jnp.where(same, high, middle)
+
+        low, high = jax.lax.fori_loop(0, HALVINGS, halve, (low, high))
+        there = jnp.where(at >= 0, (low + high) / 2, jnp.nan)
+        return there, jax.vmap(loop)((low + high) / 2)
+
+    l = jax.vmap(loop)(w)
+    at, crossing = refined(jnp.imag, l.imag)
+    # at frequency 0, and at that of Nyquist, l is real; a pole there makes it large
+    ends = [(w[:1] * 0, jax.vmap(loop)(w[:1] * 0).real)]
+    if dt is not None:
+        ends.append((w[-1:], jax.vmap(loop)(w[-1:]).real))
+    at = jnp.concatenate([at, *(x for x, _ in ends)])
+    real = jnp.concatenate([crossing.real, *(x for _, x in ends)])
+    g = jnp.where(jnp.isfinite(at) & (real < 0), -1 / real, jnp.nan)
+    up = jnp.where(g > 1, g, jnp.inf).min()
+    down = jnp.where(g < 1, g, 0.0).max()
+    at, there = refined(lambda l: jnp.abs(l) - 1, jnp.abs(l) - 1)
+    found = jnp.isfinite(at)
+    turn = jnp.angle(-there)  # of l before or behind -1
+    phase = jnp.where(found, jnp.abs(turn), jnp.pi).min()
+    # a delay turns l clockwise
+    late = jnp.where(turn < 0, turn + 2 * jnp.pi, turn)
+    delay = jnp.where(found, late / at, jnp.inf).min()
+    return up, down, phase, delay

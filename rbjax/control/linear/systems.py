@@ -1,0 +1,337 @@
+"""Linear systems: what controls reach, what readings show, poles, discretisation.
+
+    continuous  dx/dt = A x + B u,   y = C x         discrete  x+ = A x + B u
+
+The reachable space is the range of [B, AB, ..., A^(n-1) B]. Its powers lose digits, so an
+orthonormal basis is built instead: V_1 of B, and V_(j+1) of the part of A V_j that is orthogonal
+to all before (the staircase, or block Arnoldi). What is left over is out of reach of every control.
+A state is unobservable where it is uncontrollable for (A', C').
+
+The Gramian W of a stable system says how much effort that takes: x'W^-1 x is the least integral of
+u^2 that leads from rest to x. A control held over a step makes the discrete system
+
+    [Ad, Bd; 0, 1] = exp([A, B; 0, 0] dt)
+
+Source: Van Dooren, *The generalized eigenstructure problem in linear system theory*, IEEE TAC 26,
+1981; Åström & Wittenmark, *Computer-Controlled Systems*, 3; Zhou, Doyle & Glover, 3.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiling import compiled
+from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
+from rbjax.control.products import product
+from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
+from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_at_least, check_is
+from rbjax.model import Model
+from rbjax.solvers.common.arguments import check_between
+
+
+class Reach(NamedTuple):
+    """A subspace of states. Fields: rank (), its dimension; inside (n, n), the orthogonal projector
+    onto it; outside (n, n), an orthonormal basis of what it lacks, in its first n - rank columns,
+    the others 0; weakest (), the smallest singular value that was counted, of a matrix of unit
+    columns or of norm 1: about the distance to a smaller rank."""
+
+    rank: jax.Array
+    inside: jax.Array
+    outside: jax.Array
+    weakest: jax.Array
+
+
+def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
+    """The states that controls reach, of dx/dt = A x + B u or x+ = A x + B u.
+
+    Args:
+        A: (n, n). B: (n, m).
+        tolerance: singular values up to so much, relative to the norm of A, and for B to that of
+            its column, count as zero; n times the rounding unit times 100 if None.
+
+    Returns:
+        `Reach`. The rank is a whole number, so it has no derivative.
+
+    Raises:
+        InputError: shapes, values that are not finite.
+
+    Source: Van Dooren 1981.
+
+    Example:
+        >>> from rbjax.control import controllability
+        >>> found = controllability([[1.0, 0.0], [0.0, 2.0]], [[0.0], [1.0]])
+        >>> int(found.rank), [abs(float(x)) for x in found.outside[:, 0]]
+        (1, [1.0, 0.0])
+    """
+    A, B = pair("controllability", A, B, "B", 0)
+    return _reach(A, B, _tolerance("controllability", tolerance))
+
+
+def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
+    """The states that readings y = C x tell apart; `outside` is what they do not see.
+
+    Args:
+        A: (n, n). C: (l, n).
+        tolerance: as in `controllability`.
+
+    Returns:
+        `Reach`.
+
+    Raises:
+        InputError: shapes, values that are not finite.
+
+    Source: Kalman 1960 (duality).
+
+    Example:
+        >>> from rbjax.control import observability
+        >>> int(observability([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]]).rank)  # only the speed
+        1
+    """
+    A, C = pair("observability", A, C, "C", 1)
+    return _reach(A.T, C.T, _tolerance("observability", tolerance))
+
+
+def _tolerance(where: str, tolerance: Any) -> Any:
+    return None if tolerance is None else check_at_least(where, "tolerance", tolerance, ())
+
+
+@compiled
+def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
+    n = A.shape[0]
+    eps = jnp.finfo(A.dtype).eps
+    least = 100 * n * eps if tolerance is None else tolerance
+    size = jnp.linalg.norm(A, ord=2) if n > 1 else jnp.abs(A).max()
+    size = jnp.where(size > 0, size, 1.0)
+    columns = jnp.sqrt((B * B).sum(0))
+    V = B / jnp.where(columns > 0, columns, 1.0)  # each control in its own unit
+    one = jnp.eye(n, dtype=A.dtype)
+
+    def turn(carry, _):
+        P, new, weakest = carry
+        left = new - product(P, new)
+        left = left - product(P, left)  # once more: what is nearly inside loses its digits
+        U, s, _ = jnp.linalg.svd(left, full_matrices=False)
+        kept = s > least
+        U = jnp.where(kept, U, 0.0)
+        weakest = jnp.minimum(weakest, jnp.where(kept, s, jnp.inf).min())
+        P = P + product(U, U.T)
+        image = product(A, U) / size
+        image = jnp.pad(image, ((0, 0), (0, V.shape[1] - U.shape[1])))
+        return (P, image, weakest), None
+
+    begin = (jnp.zeros_like(A), V, jnp.asarray(jnp.inf, A.dtype))
+    (P, _, weakest), _ = jax.lax.scan(turn, begin, None, length=n)
+    rank = jnp.round(jnp.trace(P)).astype(jnp.int32)
+    axes = jnp.linalg.eigh((one - P + (one - P).T) / 2)[1][:, ::-1]
+    outside = jnp.where(jnp.arange(n) < n - rank, axes, 0.0)
+    return Reach(rank, P, outside, jnp.where(rank > 0, weakest, 0.0))
+
+
+def directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
+    """What a subspace lacks, one sentence a direction, by the names of a model's joints.
+
+    Args:
+        model: the robot whose states dq, dv, dx_e are meant.
+        reach: of `controllability` or `observability`, outside of any trace.
+        least: parts of a direction smaller than this share of its largest are left out.
+
+    Returns:
+        Such as "1.00 velocity of hinge - 0.31 position of slide". Where several directions are
+        missing, the basis of them is rotated so that each has few parts.
+
+    Raises:
+        InputError: another number of states.
+
+    Example:
+        >>> import jax.numpy as jnp, rbjax as rb
+        >>> from rbjax.control import controllability, directions
+        >>> model = rb.load("cart_pole")
+        >>> A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
+        >>> len(directions(model, controllability(A, 0 * B)))
+        4
+    """
+    check_model("directions", model)
+    check_is("directions", "reach", reach, Reach, ", of controllability or observability")
+    check_between("directions", "least", least, 0.0, 1.0)
+    n = 2 * model.nv + model.nx
+    if reach.inside.shape != (n, n):
+        raise InputError(
+            f"directions: the subspace has shape {reach.inside.shape}, expected {(n, n)}, of the "
+            "model's dq, dv and states of force elements"
+        )
+    names = state_names(model)
+    missing = np.asarray(reach.outside)[:, : n - int(reach.rank)].copy()
+    said = []
+    for row in _reduced(missing.T):
+        row = row / np.abs(row).max()
+        order = [i for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) >= least]
+        row = row * np.sign(row[order[0]])
+        parts = [f"{abs(row[i]):.2f} {names[i]}" for i in order]
+        signs = ["" if k == 0 else " + " if row[i] > 0 else " - " for k, i in enumerate(order)]
+        said.append("".join(s + p for s, p in zip(signs, parts, strict=True)))
+    return said
+
+
+def state_names(model: Model) -> list[str]:
+    """Names of the tangent coordinates dq, dv, dx_e."""
+    each: list[str] = []
+    for name in model.joint_names:
+        part = model.v_slice(name)
+        size = part.stop - part.start
+        each += [name] if size == 1 else [f"{name}[{k}]" for k in range(size)]
+    elements = [f"state {k} of the force elements" for k in range(model.nx)]
+    return [f"{what} of {x}" for what in ("position", "velocity") for x in each] + elements
+
+
+def _reduced(rows: np.ndarray) -> np.ndarray:
+    """The row echelon form with the largest pivots: the same span, with few entries each."""
+    rows = rows.copy()
+    free = set(range(rows.shape[1]))
+    for k in range(len(rows)):
+        at = sorted(free)
+        i, j = np.unravel_index(np.abs(rows[k:, at]).argmax(), (len(rows) - k, len(at)))
+        rows[[k, k + i]] = rows[[k + i, k]]
+        pivot = at[j]
+        free.discard(pivot)
+        rows[k] /= rows[k, pivot]
+        for other in range(len(rows)):
+            if other != k:
+                rows[other] -= rows[other, pivot] * rows[k]
+    return rows
+
+
+def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapunov:
+    """W of A W + W A' + B B' = 0, or of A W A' - W + B B' = 0, of a stable system.
+
+    Args:
+        A: (n, n), stable. B: (n, m).
+        discrete: which of the two.
+
+    Returns:
+        `Lyapunov`, with X = W.
+
+    Raises:
+        InputError: shapes, values that are not finite.
+
+    Differentiable in both modes.
+
+    Source: Zhou, Doyle & Glover, *Robust and Optimal Control*, 3.8.
+
+    Example:
+        >>> from rbjax.control import controllability_gramian
+        >>> float(controllability_gramian([[-1.0]], [[2.0]]).X[0, 0])
+        2.0
+    """
+    A, B = pair("controllability_gramian", A, B, "B", 0)
+    return lyapunov(A, product(B, B.T), discrete=discrete)
+
+
+def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov:
+    """W of A'W + W A + C'C = 0, or of A'W A - W + C'C = 0; x'Wx is the integral of y^2 from x.
+
+    Args:
+        A: (n, n), stable. C: (l, n).
+        discrete: which of the two.
+
+    Returns:
+        `Lyapunov`, with X = W.
+
+    Raises:
+        InputError: shapes, values that are not finite.
+
+    Source: Zhou, Doyle & Glover, 3.8.
+
+    Example:
+        >>> from rbjax.control import observability_gramian
+        >>> float(observability_gramian([[-1.0]], [[2.0]]).X[0, 0])
+        2.0
+    """
+    A, C = pair("observability_gramian", A, C, "C", 1)
+    return lyapunov(A.T, product(C.T, C), discrete=discrete)
+
+
+def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
+    """The eigenvalues (n,) of A, or of the closed loop A - BK, by falling real part.
+
+    JAX computes them on CPUs; whether on a GPU depends on its version. Where they are simple they
+    have derivatives.
+
+    Args:
+        A: (n, n). B: (n, m). K: (m, n).
+
+    Returns:
+        Complex numbers.
+
+    Raises:
+        InputError: shapes, values that are not finite.
+
+    Example:
+        >>> from rbjax.control import poles
+        >>> [float(x) for x in poles([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[2.0, 3.0]]).real]
+        [-1.0, -2.0]
+    """
+    if (B is None) != (K is None):
+        missing = "B" if B is None else "K"
+        raise InputError(f"poles: {missing} is None, expected both of B and K, or neither")
+    if B is None:
+        n = (*shape_of("poles", "A", A), 0)[0]
+        closed = check_array("poles", "A", A, (n, n))
+    else:
+        A, B = pair("poles", A, B, "B", 0)
+        closed = A - product(B, check_array("poles", "K", K, B.shape[::-1]))
+    found = jnp.linalg.eigvals(closed)
+    return found[jnp.argsort(-found.real)]
+
+
+def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
+    """The exact discrete system of controls held over a step.
+
+        Ad = exp(A dt),   Bd = integral_0^dt exp(A s) ds B
+
+    Args:
+        A: (n, n). B: (n, m).
+        dt: seconds.
+
+    Returns:
+        Ad (n, n) and Bd (n, m).
+
+    Raises:
+        InputError: shapes, values that are not finite, a step that is not positive.
+
+    Differentiable in all three.
+
+    Source: Van Loan, IEEE TAC 23(3), 1978.
+
+    Example:
+        >>> from rbjax.control import discretise
+        >>> Ad, Bd = discretise([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], 0.5)
+        >>> [float(x) for x in Bd[:, 0]]
+        [0.125, 0.5]
+    """
+    A, B = pair("discretise", A, B, "B", 0)
+    n, m = B.shape
+    dt = check_step("discretise", "dt", dt, A.dtype)
+    both = jnp.concatenate([jnp.concatenate([A, B], 1), jnp.zeros((m, n + m), A.dtype)])
+    with jax.default_matmul_precision("highest"):
+        found = jax.scipy.linalg.expm(both * dt)
+    return found[:n, :n], found[:n, n:]
+
+
+def pair(where: str, A: Any, B: Any, name: str, axis: int) -> tuple[jax.Array, jax.Array]:
+    """A (n, n) and a matrix with n rows (axis 0) or n columns (axis 1), in one dtype."""
+    n = (*shape_of(where, "A", A), 0)[0]
+    A = check_array(where, "A", A, (n, n))
+    shape = shape_of(where, name, B)
+    many = shape[1 - axis] if len(shape) == 2 else 0
+    if not n or not many:
+        due = f"({n}, m)" if axis == 0 else f"(l, {n})"
+        hint = "; for a batch use jax.vmap" if len(shape) == 3 else ""
+        raise InputError(f"{where}: {name} has shape {shape}, expected {due}{hint}")
+    B = check_array(where, name, B, (n, many) if axis == 0 else (many, n))
+    dtype = jnp.result_type(A, B)
+    return A.astype(dtype), B.astype(dtype)

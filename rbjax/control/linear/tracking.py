@@ -1,0 +1,150 @@
+"""A time-varying linear quadratic regulator along a motion of a model.
+
+Each step of `rollout` is linearised about its knot, on the tangent spaces at both of its ends,
+
+    dx_(k+1) = A_k dx_k + B_k du_k,     dx_k = state (-) states_k
+
+and the Riccati recursion goes back from the end. The law is u = ctrls_k - K_k (state (-) states_k).
+Source: Anderson & Moore, *Optimal Control: Linear Quadratic Methods*, 2; Sola, *A micro Lie
+theory*, 2018 (tangent spaces).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.compiling import compiled
+from rbjax.constraints.methods.formulation import Formulation
+from rbjax.control.linear.regulators import weights
+from rbjax.control.linear.riccati import Gains, LinearQuadratic, backward
+from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
+from rbjax.errors import InputError
+from rbjax.model import Model, State
+from rbjax.model.record import Record
+from rbjax.motion.field import Law, free_motion
+from rbjax.motion.integrators import Integrator
+from rbjax.motion.linearise import apart, linearise
+
+
+class Tracking(Record):
+    """A motion and the gains that hold it: a policy (t, state) -> (nu,).
+
+    Fields: model; states, q (N + 1, nq) and v (N + 1, nv), x (N + 1, nx); ctrls (N, nu); dt (); K
+    (N, nu, n); P (N + 1, n, n), half of which is the cost to go; ok (), as in `Gains`.
+    """
+
+    model: Model
+    states: State
+    ctrls: jax.Array
+    dt: jax.Array
+    K: jax.Array
+    P: jax.Array
+    ok: jax.Array
+
+    def __call__(self, t: Any, state: State) -> jax.Array:
+        """The controls (nu,) at a time in s since the start of the motion. Before its start and
+        after its end the first and the last step go on."""
+        k = jnp.floor(t / self.dt + 1e-3).astype(jnp.int32)  # times of knots are rounded
+        k = jnp.clip(k, 0, self.ctrls.shape[0] - 1)
+        K, u = self.K[k], self.ctrls[k]
+        here = jax.tree.map(lambda x: x[k], self.states)
+        return u - (K * apart(self.model, here, state)).sum(-1)
+
+
+def time_varying_lqr(
+    model: Model,
+    states: State,
+    ctrls: Any,
+    dt: Any,
+    Q: Any,
+    R: Any,
+    terminal: Any = None,
+    *,
+    integrator: str | Integrator | None = None,
+    law: Law = free_motion,
+    constraints: str | Formulation | None = None,
+) -> Tracking:
+    """The regulator along a motion of `rollout`.
+
+        minimise  sum_k dx_k'Q dx_k + du_k'R du_k  +  dx_N'Q_N dx_N
+
+    Args:
+        model: the robot.
+        states: q (N + 1, nq), v (N + 1, nv), as `rollout` gives them; a `Trajectory` or a `State`.
+        ctrls: (N, nu).
+        dt: seconds.
+        Q: (n, n) or the weights (n,), n = 2 nv + nx.
+        R: (nu, nu) or (nu,).
+        terminal: Q_N, (n, n) or (n,); Q if None.
+        integrator, law, constraints: of the motion, as in `rb.linearise`.
+
+    Returns:
+        `Tracking`, which is a policy for `rb.rollout` and `rb.simulate`.
+
+    Raises:
+        InputError: shapes, values that are not finite, a step that is not positive.
+
+    The motion may have gaps: it is linearised about each knot, and gaps do not enter the gains.
+
+    Source: Anderson & Moore, 2.4.
+
+    Example:
+        >>> import jax.numpy as jnp, rbjax as rb
+        >>> from rbjax.control import time_varying_lqr
+        >>> model = rb.load("cart_pole")
+        >>> u = jnp.ones((20, 1))
+        >>> path = rb.rollout(model, model.default_state(), u, 0.01)
+        >>> law = time_varying_lqr(model, path, u, 0.01, jnp.ones(4), jnp.ones(1))
+        >>> law(0.05, path.state(5)).shape
+        (1,)
+    """
+    where = "time_varying_lqr"
+    check_model(where, model)
+    shape = shape_of(where, "ctrls", ctrls)
+    if len(shape) != 2 or not shape[0]:
+        hint = "; for a batch use jax.vmap" if len(shape) == 3 else ""
+        raise InputError(f"{where}: ctrls has shape {shape}, expected (N, {model.nu}){hint}")
+    N, n = shape[0], 2 * model.nv + model.nx
+    u = check_array(where, "ctrls", ctrls, (N, model.nu))
+    if not (hasattr(states, "q") and hasattr(states, "v")):
+        raise InputError(
+            f"{where}: states is {type(states).__name__}, expected a State or Trajectory of "
+            f"{N + 1} states"
+        )
+    q = check_array(where, "states.q", states.q, (N + 1, model.nq))
+    v = check_array(where, "states.v", states.v, (N + 1, model.nv))
+    x = getattr(states, "x", None)
+    x = check_array(where, "states.x", x, (N + 1, model.nx)) if model.nx else None
+    dtype = jnp.result_type(q, v, u)
+    Q, R = weights(where, "Q", Q, n), weights(where, "R", R, model.nu)
+    end = Q if terminal is None else weights(where, "terminal", terminal, n)
+    Q, R, end, q, v, u = (y.astype(dtype) for y in (Q, R, end, q, v, u))
+    dt = check_step(where, "dt", dt, dtype)
+    along = State(q, v, x)
+    starts = jax.tree.map(lambda y: y[:-1], along)
+
+    def of(state: State, ctrl: jax.Array) -> Any:
+        return linearise(
+            model, state, ctrl, dt, integrator=integrator, law=law, constraints=constraints
+        )
+
+    A, B = jax.vmap(of)(starts, u)
+    gains = regulator_along(A, B, Q, R, end)
+    return Tracking(model, along, u, dt, gains.K, gains.P, gains.ok)
+
+
+@compiled
+def regulator_along(
+    A: jax.Array, B: jax.Array, Q: jax.Array, R: jax.Array, terminal: jax.Array
+) -> Gains:
+    """Gains of A (N, n, n) and B (N, n, m) with the same weights Q and R at each step."""
+    N, n, m = B.shape
+    zero = jnp.zeros((N, n), A.dtype)
+    Qs = jnp.concatenate([jnp.broadcast_to(Q, (N, n, n)), terminal[None]])
+    return backward(LinearQuadratic(
+        A, B, zero, Qs, jnp.zeros((N + 1, n), A.dtype), jnp.broadcast_to(R, (N, m, m)),
+        jnp.zeros((N, m), A.dtype), jnp.zeros_like(B),
+    ))  # fmt: skip

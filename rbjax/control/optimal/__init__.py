@@ -1,0 +1,1 @@
+"""Optimal control: problems, methods, their solutions, and model predictive control."""

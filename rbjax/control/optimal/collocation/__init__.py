@@ -1,0 +1,1 @@
+"""Direct collocation by an interior point method."""

@@ -1,0 +1,236 @@
+"""A step of a collocation to second order, its stages eliminated.
+
+    E dK = -miss - e_x dx - e_u du       gives   dK = Z (dx, du) + offset
+    dx+ = A dx + B du + gap,      Z' H Z the Hessian of the Lagrangian in (dx, du)
+
+What is left has the form of a discrete problem whose controls are those of all stages of a step: a
+Riccati recursion solves it, in time linear in the horizon. Constraints at the stages enter as
+their slacks and multipliers say (`row_terms`), equations by the method of multipliers.
+
+lambda follows from the stationarity of K: E' lambda = -(cost + y.rows + p.x+)_K.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.optimal.collocation import barrier
+from rbjax.control.optimal.collocation.barrier import Bounded, Duals
+from rbjax.control.optimal.collocation.transcription import (
+    Inner,
+    at_end,
+    at_stage,
+    combined,
+    constants,
+    stages,
+)
+from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.shooting.expansion import Quadratic
+from rbjax.lanes.products import matmat, matvec
+from rbjax.solvers.common.tableau import Tableau
+
+
+class Rows(NamedTuple):
+    """Rows of constraints: slack; duals of its bounds; y, the multipliers of equations; centre, the
+    multipliers about which they are found; low and high."""
+
+    slack: jax.Array
+    duals: Duals
+    y: jax.Array
+    centre: jax.Array
+    low: jax.Array
+    high: jax.Array
+
+    @property
+    def equal(self) -> jax.Array:
+        """Which are equations."""
+        return self.low == self.high
+
+    @property
+    def bounded(self) -> Bounded:
+        """The slacks; those of equations have no bounds."""
+        low = jnp.where(self.equal, -jnp.inf, self.low)
+        return Bounded(self.slack, low, jnp.where(self.equal, jnp.inf, self.high))
+
+    @property
+    def multipliers(self) -> jax.Array:
+        """y, or zu - zl."""
+        return jnp.where(self.equal, self.y, self.duals.zu - self.duals.zl)
+
+    def off(self, values: jax.Array) -> jax.Array:
+        """Values less slacks, of equations less the bound."""
+        return values - jnp.where(self.equal, self.low, self.slack)
+
+
+class Weights(NamedTuple):
+    """mu of the barrier; soft, the inverse penalty of constraints; each ()."""
+
+    mu: jax.Array
+    soft: jax.Array
+
+
+class Condensed(NamedTuple):
+    """A step with its stages eliminated. e = (dx, du): dK = Z e + offset, d rows = C e + more."""
+
+    A: jax.Array
+    B: jax.Array
+    gap: jax.Array
+    cost: Quadratic
+    Z: jax.Array
+    offset: jax.Array
+    C: jax.Array
+    more: jax.Array
+    rows: jax.Array
+
+
+class End(NamedTuple):
+    """The end: its cost to second order; d rows = C dx; rows."""
+
+    cost: Quadratic
+    C: jax.Array
+    rows: jax.Array
+
+
+def row_terms(values: jax.Array, rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array]:
+    """y + weight * (d rows) are the multipliers after a step: y and weight."""
+    wall, stiff, share = _springs(rows, w)
+    off = rows.off(values)
+    y = wall + share * (stiff * w.soft * (rows.centre - wall) + stiff * off)
+    soft = jnp.where(rows.equal, rows.centre + off / w.soft, y)
+    return soft, jnp.where(rows.equal, 1 / w.soft, share * stiff)
+
+
+def row_step(
+    values: jax.Array, d: jax.Array, rows: Rows, w: Weights
+) -> tuple[jax.Array, jax.Array]:
+    """Newton's step of slacks and of the multipliers of equations where the rows change by d."""
+    wall, _, share = _springs(rows, w)
+    off = rows.off(values) + d
+    ds = share * (w.soft * (rows.centre - wall) + off)
+    dy = rows.centre + off / w.soft - rows.y
+    return jnp.where(rows.equal, 0.0, ds), jnp.where(rows.equal, dy, 0.0)
+
+
+def _springs(rows: Rows, w: Weights) -> tuple[jax.Array, jax.Array, jax.Array]:
+    x = rows.bounded
+    stiff = barrier.stiffness(x, rows.duals)
+    return barrier.gradient(x, w.mu), stiff, 1 / (1 + stiff * w.soft)
+
+
+def condensed(
+    problem: Problem, table: Tableau, w: Weights, k: Any, knot: Knot, inner: Inner,
+    following: Knot, costate: jax.Array, us: Bounded, us_duals: Duals, rows: Rows,
+) -> Condensed:  # fmt: skip
+    """The step k. costate (n,): of the knot that follows."""
+    (s, m), ns, n = inner.us.shape, problem.system.n, problem.n
+    dtype = inner.us.dtype
+    a, b, c = constants(table, dtype)
+    _, dt = problem.at(knot.numbers)
+    by_numbers = jax.grad(lambda p: problem.at(p)[1])(knot.numbers)
+    dt_x = jnp.concatenate([jnp.zeros(ns, dtype), by_numbers])
+    inside = combined(a, inner.rates)  # xi = h inside
+    whole = combined(b, inner.rates)
+
+    def stage(where, xi, u):
+        def near(d):
+            f, cost, found = at_stage(
+                problem, where, problem.plus(knot, d[:n]), xi + d[n : n + ns], u + d[n + ns :]
+            )
+            values = jnp.concatenate([f, cost[None], found])
+            return values, values
+
+        return jax.jacfwd(near, has_aux=True)(jnp.zeros(n + ns + m, dtype))
+
+    J, values = jax.vmap(stage)(k + c, dt * inside, inner.us)
+    J_xi = J[:, :, n : n + ns]
+    # all that stages give, by (dx, du, dK)
+    by_x = J[:, :, :n] + (J_xi * inside[:, None]).sum(-1, keepdims=True) * dt_x
+    by_u = jnp.eye(s, dtype=dtype)[:, None, :, None] * J[:, :, None, n + ns :]
+    by_k = dt * a[:, None, :, None] * J_xi[:, :, None]
+    r = values.shape[1]
+    by_e = jnp.concatenate([by_x, by_u.reshape(s, r, s * m)], -1)
+    by_k = by_k.reshape(s, r, s * ns)
+    miss = (inner.rates - values[:, :ns]).reshape(s * ns)
+    E = jnp.eye(s * ns, dtype=dtype) - by_k[:, :ns].reshape(s * ns, s * ns)
+    right = jnp.concatenate([by_e[:, :ns].reshape(s * ns, -1), -miss[:, None]], 1)
+    solved = jnp.linalg.solve(E, right)
+    Z, offset = solved[:, :-1], solved[:, -1]
+
+    # the knot after
+    def end(d):
+        there = problem.plus(knot, d[:n])
+        z = dt * whole + d[n:]
+        state = problem.system.plus(there.state, z)
+        gap = problem.minus(Knot(state, there.numbers), following)
+        return gap, gap
+
+    G, gap = jax.jacfwd(end, has_aux=True)(jnp.zeros(n + ns, dtype))
+    G_z = G[:, n:]
+    after_x = G[:, :n] + (G_z * whole).sum(-1, keepdims=True) * dt_x
+    after_k = (dt * b[:, None] * G_z[:, None]).reshape(n, s * ns)
+    after_e = jnp.concatenate([after_x, jnp.zeros((n, s * m), dtype)], 1) + matmat(after_k, Z)
+
+    # the cost and the rows
+    cost_e = (b[:, None] * by_e[:, ns]).sum(0)
+    cost_k = (b[:, None] * by_k[:, ns]).sum(0)
+    found = values[:, ns + 1 :]
+    rows_e = by_e[:, ns + 1 :].reshape(found.size, n + s * m)
+    rows_k = by_k[:, ns + 1 :].reshape(found.size, s * ns)
+    C, more = rows_e + matmat(rows_k, Z), matvec(rows_k, offset)
+    y = rows.multipliers
+    pull = cost_k + matvec(after_k.T, costate) + matvec(rows_k.T, y.reshape(-1))
+    lam = -jnp.linalg.solve(E.T, pull)
+
+    def lagrangian(e):
+        d, along = e[:-1], e[-1]
+        du, dk = d[n:].reshape(s, m), matvec(Z, d) + along * offset
+        there = Inner(inner.us + du, inner.rates + dk.reshape(s, ns))
+        at = stages(problem, table, k, problem.plus(knot, d[:n]), there)
+        total = at.cost + (lam.reshape(s, ns) * at.miss).sum() + (y * at.rows).sum()
+        return total + (costate * problem.minus(at.after, following)).sum()
+
+    H = jax.jacfwd(jax.grad(lagrangian))(jnp.zeros(n + s * m + 1, dtype))
+    base, stiff = row_terms(found, rows, w)
+    stiff, base = stiff.reshape(-1), base.reshape(-1) + stiff.reshape(-1) * more
+    wall, spring = barrier.gradient(us, w.mu), barrier.stiffness(us, us_duals)
+    g = cost_e + matvec(Z.T, cost_k) + H[:-1, -1] + matvec(C.T, base)
+    g = g.at[n:].add(wall.reshape(-1))
+    H = H[:-1, :-1] + matmat(C.T, stiff[:, None] * C)
+    H = H.at[jnp.arange(n, n + s * m), jnp.arange(n, n + s * m)].add(spring.reshape(-1))
+    cost = Quadratic(
+        (b * values[:, ns]).sum(), g[:n], H[:n, :n], g[n:], H[n:, n:], H[:n, n:]
+    )  # fmt: skip
+    return Condensed(
+        after_e[:, :n], after_e[:, n:], gap + matvec(after_k, offset), cost, Z, offset, C, more,
+        found,
+    )  # fmt: skip
+
+
+def end_condensed(problem: Problem, w: Weights, knot: Knot, rows: Rows) -> End:
+    """The end."""
+    n, m, dtype = problem.n, problem.nu, problem.dt.dtype
+
+    def near(d):
+        cost, found = at_end(problem, problem.plus(knot, d))
+        return jnp.concatenate([cost[None], found])
+
+    zero = jnp.zeros(n, dtype)
+    values, J = near(zero), jax.jacfwd(near)(zero)
+    y = rows.multipliers
+
+    def lagrangian(d):
+        cost, found = at_end(problem, problem.plus(knot, d))
+        return cost + (y * found).sum()
+
+    H = jax.jacfwd(jax.grad(lagrangian))(zero)
+    C, found = J[1:], values[1:]
+    base, stiff = row_terms(found, rows, w)
+    none = jnp.zeros((m, m), dtype)
+    cost = Quadratic(
+        values[0], J[0] + matvec(C.T, base), H + matmat(C.T, stiff[:, None] * C), none[0], none,
+        jnp.zeros((n, m), dtype),
+    )  # fmt: skip
+    return End(cost, C, found)

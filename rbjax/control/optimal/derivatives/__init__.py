@@ -1,0 +1,1 @@
+"""Derivatives of a solution by the implicit function theorem."""

@@ -1,0 +1,321 @@
+"""The conditions of an optimum, and the linear equations of how it moves.
+
+    L = sum_k L_k(x_k, u_k) + l_{k+1}.(f(x_k, u_k) - x_{k+1}) + nu_k.(c_k - b_k)
+        + L_N(x_N) + nu_N.(c_N - b_N) + l_0.(start - x_0)
+
+By the unknowns z = (x, u, l, nu) its gradient is zero and its Hessian is K; x are coordinates of
+the tangent space at each knot. A control at a bound that presses it moves with the bound, and is no
+unknown. Of inequalities those count whose multiplier is not zero (strict complementarity; Fiacco,
+*Introduction to Sensitivity and Stability Analysis in Nonlinear Programming*, 1983).
+
+Where K is not that of a minimum (the search has not converged), the Hessians are those of Gauss and
+Newton, a little on their diagonals: the equations have a finite solution.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from rbjax.control.optimal.derivatives.riccati_solve import (
+    Factor,
+    Saddle,
+    Unknowns,
+    congruence,
+    factorised,
+    masked,
+    solved,
+    times_matrix,
+)
+from rbjax.control.optimal.problem import Knot
+from rbjax.control.products import product
+
+NEAR = 64.0  # units in the last place between a control and a bound that holds it
+REGULAR = 1e-6  # of the mean of a diagonal: added to Hessians of Gauss and Newton
+POLISH = 1  # Newton steps before the derivative is taken: a search ends at a finite tolerance
+
+
+class Seen(NamedTuple):
+    """Of a knot, beside it by d: residuals r, what costs beside them, the next knot less the one
+    that follows (n,), and constraints c with their bounds."""
+
+    r: jax.Array
+    rest: jax.Array
+    after: jax.Array
+    c: jax.Array
+    low: jax.Array
+    high: jax.Array
+
+
+class Functions(NamedTuple):
+    """What is needed of a problem. Each takes first what hoisting found, then the arrays of the
+    problem. run: the search; path and end: `Seen` of a knot."""
+
+    run: Callable[..., Any]
+    path: Callable[..., Seen]
+    end: Callable[..., Seen]
+
+
+class Point(NamedTuple):
+    """Where a derivative is taken; path and end: multipliers."""
+
+    knots: Knot
+    ctrls: jax.Array
+    path: jax.Array
+    end: jax.Array
+
+
+class View(NamedTuple):
+    """A point, what is active there, the gradient of L by the unknowns, and the equations."""
+
+    point: Point
+    l: jax.Array
+    at_low: jax.Array
+    at_high: jax.Array
+    first_low: jax.Array
+    first_high: jax.Array
+    gradient: Unknowns
+    equations: Saddle
+    factor: Factor
+
+
+def solution(view: View, r: Unknowns) -> Unknowns:
+    """z of K z = r."""
+    e, f = view.equations, view.factor
+    flat, whole = ravel_pytree(r)  # of one array: a transpose wants all of them linear, or none
+
+    def matrix(z: jax.Array) -> jax.Array:
+        return ravel_pytree(times_matrix(e, whole(z)))[0]
+
+    def inverse(_: Any, r: jax.Array) -> jax.Array:
+        return ravel_pytree(solved(e, f, whole(r)))[0]
+
+    return whole(jax.lax.custom_linear_solve(matrix, flat, inverse, symmetric=True))
+
+
+class Near:
+    """A problem with its numbers, near points."""
+
+    def __init__(self, functions: Functions, whole: Callable, numbers: tuple) -> None:
+        self.functions, self.whole, self.numbers = functions, whole, numbers
+        self.problem = whole(numbers[1])
+        self.n, self.m = self.problem.n, self.problem.nu
+
+    # a knot
+
+    def path(self, numbers: tuple, d: jax.Array, *knot: Any) -> Seen:
+        return self.functions.path(numbers[0], numbers[1], d, *knot)
+
+    def end(self, numbers: tuple, d: jax.Array, knot: Knot) -> Seen:
+        return self.functions.end(numbers[0], numbers[1], d, knot)
+
+    def knots(self, point: Point) -> tuple:
+        """What `path` takes of all knots, and the last knot."""
+        ks = jnp.arange(self.problem.horizon, dtype=point.ctrls.dtype)
+        body = jax.tree.map(lambda x: x[:-1], point.knots)
+        following = jax.tree.map(lambda x: x[1:], point.knots)
+        return (ks, body, point.ctrls, following), jax.tree.map(lambda x: x[-1], point.knots)
+
+    # the equations
+
+    def polished(self, point: Point, wanted: jax.Array) -> View:
+        """The equations after steps of Newton, where these are wanted and bring the gradient nearer
+        to zero."""
+        like = jax.eval_shape(self.at, point)
+        best = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), like)
+
+        def turn(k: Any, now: tuple[Point, View]) -> tuple[Point, View]:
+            point, best = now
+            view = self.at(point)
+            better = wanted & (_size(view.gradient) < _size(best.gradient))
+            best = jax.tree.map(lambda x, y: jnp.where((k == 0) | better, x, y), view, best)
+            z = solution(best, jax.tree.map(jnp.negative, best.gradient))
+            at = best.point
+            knots = jax.vmap(self.problem.plus)(at.knots, z.x)
+            ctrls = self.controls(self.numbers, best) + z.u
+            return Point(knots, ctrls, at.path + z.path, at.end + z.end), best
+
+        return jax.lax.fori_loop(0, POLISH + 1, turn, (point, best))[1]
+
+    def at(self, point: Point) -> View:
+        """The equations at a point."""
+        n, m, dtype, system = self.n, self.m, point.ctrls.dtype, self.problem.system
+        at, last = self.knots(point)
+
+        def first(d: jax.Array, seen: Callable[[jax.Array], Seen], nu: jax.Array) -> tuple:
+            def flat(d: jax.Array) -> tuple:
+                s = seen(d)
+                return (s.after, s.c, s.r, _cost(s) + (nu * s.c).sum()), s
+
+            (F, G, J, g), s = jax.jacfwd(flat, has_aux=True)(d)
+            return F, G, g, _gauss(J), s.after, _off(s, nu), s.low == s.high
+
+        def of_path(nu: jax.Array, *knot: Any) -> tuple:
+            return first(jnp.zeros(n + m, dtype), lambda d: self.path(self.numbers, d, *knot), nu)
+
+        F, G, g, gauss, gap, off, equal = jax.vmap(of_path)(point.path, *at)
+        seen_end = functools.partial(self.end, self.numbers, knot=last)
+        _, E, l_N, gauss_N, _, off_N, equal_N = first(jnp.zeros(n, dtype), seen_end, point.end)
+
+        def back(l: jax.Array, x: tuple) -> tuple:
+            F, g = x
+            g = g + product(F.T, l)
+            return g[:n], (l, g[n:])
+
+        swept: tuple = jax.lax.scan(back, l_N, (F, g), reverse=True)
+        l_0, (l, gu) = swept
+        l = jnp.concatenate([l_0[None], l])
+
+        at_low, at_high = _held(point.ctrls, *self._bounds(self.numbers), gu)
+        numbers = point.knots.numbers[0]
+        first_low, first_high = _held(numbers, *self._first_bounds(self.numbers), l_0[system.n :])
+        held = [~jnp.asarray(self.problem.free, bool), first_low | first_high]
+        holds = (
+            jnp.concatenate(held), ~(at_low | at_high), (point.path != 0) | equal,
+            (point.end != 0) | equal_N,
+        )  # fmt: skip
+        masks = tuple(x.astype(dtype) for x in holds)
+        fixed, free, rows, rows_N = masks
+
+        def L(seen: Callable[[jax.Array], Seen], l: jax.Array, nu: jax.Array) -> Callable:
+            def value(d: jax.Array) -> jax.Array:
+                s = seen(d)
+                return _cost(s) + (l * s.after).sum() + (nu * s.c).sum()
+
+            return jax.jacfwd(jax.grad(value))
+
+        def second(l: jax.Array, nu: jax.Array, *knot: Any) -> jax.Array:
+            seen = lambda d: self.path(self.numbers, d, *knot)  # noqa: E731
+            return L(seen, l, nu)(jnp.zeros(n + m, dtype))
+
+        H = jax.vmap(second)(l[1:], point.path, *at)
+        H_N = L(seen_end, jnp.zeros(0, dtype), point.end)(jnp.zeros(n, dtype))
+
+        def made(H: jax.Array, H_N: jax.Array) -> Saddle:
+            Q = jnp.concatenate([H[:, :n, :n], H_N[None]])
+            jacobians = F[:, :, :n], F[:, :, n:], G[:, :, :n], G[:, :, n:], E
+            A, B, C, D, end = jacobians
+            return masked(Saddle(A, B, Q, H[:, :n, n:], H[:, n:, n:], C, D, end, *masks))
+
+        e, factor = _of_a_minimum(made(H, H_N), made(gauss, gauss_N))
+        opening = (1 - fixed) * l_0
+        gradient = Unknowns(
+            jnp.zeros_like(l).at[0].set(opening), free * gu,
+            jnp.concatenate([jnp.zeros((1, n), dtype), gap]), rows * off, rows_N * off_N,
+        )  # fmt: skip
+        kept = (at_low, at_high, first_low, first_high)
+        view = View(point, l.at[0].multiply(fixed), *kept, gradient, e, factor)
+        first_row = self.opening(self.numbers, view)
+        return view._replace(gradient=gradient._replace(l=gradient.l.at[0].set(first_row)))
+
+    def _bounds(self, numbers: tuple) -> tuple[jax.Array, jax.Array]:
+        problem = self.whole(numbers[1])
+        dtype = problem.dt.dtype
+        if not problem.bounded:
+            return jnp.full(self.m, -jnp.inf, dtype), jnp.full(self.m, jnp.inf, dtype)
+        return problem.low.astype(dtype), problem.high.astype(dtype)
+
+    def _first_bounds(self, numbers: tuple) -> tuple[jax.Array, jax.Array]:
+        problem = self.whole(numbers[1])
+        low, high = (x[problem.system.n :] for x in problem.start_bounds(problem.dt.dtype))
+        return low, high
+
+    # L, where unknowns stay and numbers move
+
+    def controls(self, numbers: tuple, view: View) -> jax.Array:
+        """The controls, those at a bound as functions of it."""
+        low, high = self._bounds(numbers)
+        u = jnp.where(view.at_low, low, view.point.ctrls)
+        return jnp.where(view.at_high, high, u)
+
+    def opening(self, numbers: tuple, view: View) -> jax.Array:
+        """What is fixed of the first knot less where it is."""
+        system = self.whole(numbers[1]).system
+        first = jax.tree.map(lambda x: x[0], view.point.knots)
+        low, high = self._first_bounds(numbers)
+        held = jnp.where(view.first_low, low, jnp.where(view.first_high, high, first.numbers))
+        off = [system.minus(numbers[2], first.state), held - first.numbers]
+        return view.equations.fixed * jnp.concatenate(off)
+
+    def gradient(self, numbers: tuple, view: View) -> Unknowns:
+        """The gradient of L by the unknowns."""
+        n, point, dtype, e = self.n, view.point, view.point.ctrls.dtype, view.equations
+        (ks, body, _, following), last = self.knots(point)
+
+        def one(l: jax.Array, nu: jax.Array, *knot: Any) -> tuple:
+            def L(d: jax.Array) -> tuple:
+                s = self.path(numbers, d, *knot)
+                return _cost(s) + (l * s.after).sum() + (nu * s.c).sum(), s
+
+            g, s = jax.grad(L, has_aux=True)(jnp.zeros(n + self.m, dtype))
+            return g, s.after, _off(s, nu)
+
+        at = (ks, body, self.controls(numbers, view), following)
+        g, gap, off = jax.vmap(one)(view.l[1:], point.path, *at)
+
+        def closing(d: jax.Array) -> tuple:
+            s = self.end(numbers, d, last)
+            return _cost(s) + (point.end * s.c).sum(), _off(s, point.end)
+
+        g_N, off_N = jax.grad(closing, has_aux=True)(jnp.zeros(n, dtype))
+        gaps = jnp.concatenate([self.opening(numbers, view)[None], gap])
+        gx = jnp.concatenate([g[:, :n], g_N[None]]) - view.l
+        return Unknowns(gx, e.free * g[:, n:], gaps, e.path * off, e.end * off_N)
+
+    def lagrangian(self, numbers: tuple, view: View) -> jax.Array:
+        """L, without what is zero at the point whatever the numbers are."""
+        point = view.point
+        (ks, body, _, following), last = self.knots(point)
+
+        def one(l: jax.Array, nu: jax.Array, *knot: Any) -> jax.Array:
+            s = self.path(numbers, jnp.zeros(self.n + self.m, l.dtype), *knot)
+            return _cost(s) + (l * s.after).sum() + (nu * _off(s, nu)).sum()
+
+        at = (ks, body, self.controls(numbers, view), following)
+        s = self.end(numbers, jnp.zeros(self.n, point.end.dtype), last)
+        closing = _cost(s) + (point.end * _off(s, point.end)).sum()
+        opening = (view.l[0] * self.opening(numbers, view)).sum()
+        return jax.vmap(one)(view.l[1:], point.path, *at).sum() + closing + opening
+
+
+def _of_a_minimum(exact: Saddle, gauss: Saddle) -> tuple[Saddle, Factor]:
+    """The equations with exact Hessians where these are of a minimum, else of Gauss and Newton."""
+    fixed = jax.lax.stop_gradient
+    found = factorised(fixed(exact))
+    e = jax.tree.map(lambda x, y: jnp.where(found.ok, x, y), exact, gauss)
+    return e, jax.lax.cond(found.ok, lambda: found, lambda: factorised(fixed(gauss)))
+
+
+def _cost(s: Seen) -> jax.Array:
+    return 0.5 * (s.r * s.r).sum() + s.rest
+
+
+def _off(s: Seen, nu: jax.Array) -> jax.Array:
+    """Rows less the bound that holds them."""
+    return s.c - jnp.where((nu < 0) & jnp.isfinite(s.low), s.low, s.high)
+
+
+def _held(
+    x: jax.Array, low: jax.Array, high: jax.Array, slope: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Whether x lies at the low and at the high bound, and the cost presses it there."""
+    near = NEAR * jnp.finfo(x.dtype).eps
+    at_low = (x <= low + near * (1 + jnp.abs(low))) & (slope > 0)
+    return at_low, (x >= high - near * (1 + jnp.abs(high))) & (slope < 0)
+
+
+def _gauss(J: jax.Array) -> jax.Array:
+    """The Hessian of r.r / 2 by Gauss and Newton, with a little on its diagonal."""
+    n = J.shape[1]
+    H = congruence(J, J)
+    return H + REGULAR * (1 + jnp.trace(H) / n) * jnp.eye(n, dtype=H.dtype)
+
+
+def _size(g: Unknowns) -> jax.Array:
+    """The largest entry, nan if there is one."""
+    return jnp.stack([jnp.abs(x).max(initial=0.0) for x in g]).max()

@@ -1,0 +1,369 @@
+"""A problem of optimal control, said once and solved by any method.
+
+    min  sum_k h L_i(t_k, x_k, u_k) + sum Phi_j(x_N)        over u, and what of x_0, p, T is free
+    x_{k+1} = f(t_k, x_k, u_k, h; p),   low <= u_k <= high,   low <= c(t_k, x_k, u_k) <= high
+
+p are numbers that a `Design` puts into the model, T = N h the final time. Both are constant states
+beside the robot's: a knot is (x, p, T), and its tangent (dx, dp, dT).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import flag
+from rbjax.control.optimal.system import Linearised, System, system_of
+from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of, looked_at
+from rbjax.dynamics.arguments import check_array, check_step, check_takes
+from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_bound, check_several
+from rbjax.model.record import Record
+from rbjax.motion.field import free_motion
+
+
+class Design(Record):
+    """Numbers of the model that are optimised with the motion.
+
+    Fields: apply, a function (model, p (n,)) -> model; start, low, high (n,): first guess and
+    bounds.
+    """
+
+    apply: Callable[[Any, jax.Array], Any]
+    start: jax.Array
+    low: jax.Array
+    high: jax.Array
+
+    def __init__(self, apply: Any, start: Any, low: Any = -np.inf, high: Any = np.inf) -> None:
+        check_takes("Design", "apply", apply, "model", "p")
+        self.apply = apply
+        n = jnp.atleast_1d(check_bound("Design", "start", start)).shape
+        if len(n) != 1:
+            raise InputError(f"Design: start has shape {n}, expected (n,)")
+        self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
+        low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
+        self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
+        lowest, first, highest = (looked_at(x) for x in (self.low, self.start, self.high))
+        if lowest is None or first is None or highest is None:  # traced
+            return
+        if not ((lowest <= first) & (first <= highest)).all():
+            raise InputError(
+                f"Design: low is {lowest.tolist()}, start {first.tolist()}, high "
+                f"{highest.tolist()}, expected low <= start <= high"
+            )
+
+
+class Knot(NamedTuple):
+    """A state of the system, and numbers (p,) that are constant along the motion."""
+
+    state: Any
+    numbers: jax.Array
+
+
+BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those after them
+
+
+class Problem(Record):
+    """What is to be found: controls, and with them what is free of start, model and time.
+
+    Args:
+        model: an `rb.Model`; `Equations`; or a robot of `rb.wheeled.at`.
+        horizon: N, the number of steps, each with controls that are held.
+        dt: the step in s; the model's timestep if None.
+        running: costs at the N knots with controls: `Cost(term, weight)`, a term, or a function
+            (t, state, ctrl) or (model, t, state, ctrl). A number is a cost, a vector of residuals r
+            costs r.r / 2.
+        terminal: costs of the last state, of the same kinds; ctrl is zero there.
+        constraints: `Constraint`s.
+        bounds: "model" for the control ranges of the model, None for none, or (low, high), each a
+            number or (nu,).
+        integral: whether running costs are rates, times dt. False: they are summed as they are.
+        design: a `Design`, numbers of the model to be found too.
+        free_time: (low, high), bounds of the final time in s, which is then found too; horizon * dt
+            is its first guess.
+        start_time: t_0, the time in s of the first knot, for costs, constraints and systems that
+            depend on time.
+        free_start: which coordinates of the start's tangent space are found too: True for all, or
+            (n,) booleans.
+        integrator, law, held: as `integrator`, `law`, `constraints` of `rb.rollout`, for a Model.
+
+    Raises:
+        InputError: no knot, no cost, bounds that contradict each other, wrong types.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> model = rb.load("cart_pole")
+        >>> goal = rb.control.StateError(model.default_state())
+        >>> problem = rb.control.Problem(model, 50, 0.02, running=[rb.control.Control()],
+        ...                              terminal=[rb.control.Cost(goal, 100.0)])
+        >>> problem.n, problem.nu
+        (4, 1)
+    """
+
+    system: System
+    dt: jax.Array
+    running: tuple[Cost, ...]
+    terminal: tuple[Cost, ...]
+    constraints: tuple[Constraint, ...]
+    low: jax.Array
+    high: jax.Array
+    design: Design | None
+    times: jax.Array | None
+    start_time: jax.Array
+    horizon: int = eqx.field(static=True)
+    integral: bool = eqx.field(static=True)
+    bounded: bool = eqx.field(static=True)
+    free: tuple[bool, ...] = eqx.field(static=True)
+
+    def __init__(
+        self, model: Any, horizon: int, dt: Any = None, *,
+        running: Sequence[Any] = (), terminal: Sequence[Any] = (),
+        constraints: Sequence[Constraint] = (), bounds: Any = "model", integral: bool = True,
+        design: Design | None = None, free_time: Any = None, free_start: Any = False,
+        start_time: Any = 0.0,
+        integrator: Any = None, law: Any = free_motion, held: Any = None,
+    ) -> None:  # fmt: skip
+        self.system = system_of("Problem", model, integrator, law, held)
+        if not isinstance(horizon, int) or horizon < 1:
+            raise InputError(f"Problem: horizon is {horizon!r}, expected one step or more")
+        self.horizon = horizon
+        dt = getattr(model, "timestep", None) if dt is None else dt
+        if dt is None:
+            raise InputError("Problem: dt is None, expected a step in s; only an rb.Model has one")
+        self.dt = check_step("Problem", "dt", dt, jnp.zeros(()).dtype)
+        self.running = _costs("running", running)
+        self.terminal = _costs("terminal", terminal)
+        if not self.running + self.terminal:
+            raise InputError("Problem: no cost, expected one in running or terminal")
+        constraints = check_several("Problem", "constraints", constraints, "Constraint")
+        wrong = [type(c).__name__ for c in constraints if not isinstance(c, Constraint)]
+        if wrong:
+            raise InputError(
+                f"Problem: constraints has {wrong}, expected rb.control.Constraint(term, low, high)"
+            )
+        self.constraints = tuple(constraints)
+        self.low, self.high, self.bounded = _bounds(self.system, bounds)
+        self.integral = flag("Problem", "integral", integral)
+        if not isinstance(design, Design | None):
+            raise InputError(f"Problem: design is {type(design).__name__}, expected a Design")
+        self.design = design
+        self.times = None if free_time is None else _times(free_time)
+        self.start_time = _start_time(start_time)
+        self.free = _free(free_start, self.system.n)
+
+    @property
+    def nu(self) -> int:
+        """The number of controls."""
+        return self.system.nu
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers are constant along the motion: of the design, and the final time."""
+        design = 0 if self.design is None else self.design.start.shape[0]
+        return design + (self.times is not None)
+
+    @property
+    def n(self) -> int:
+        """The dimension of a knot's tangent space."""
+        return self.system.n + self.numbers
+
+    @property
+    def opens(self) -> bool:
+        """Whether anything of the first knot is free."""
+        return any(self.free) or self.numbers > 0
+
+    @property
+    def by_velocities(self) -> bool:
+        """Whether dq+ = dq + h dv+ of a knot's tangent (dq, dv)."""
+        return self.system.by_velocities and not self.numbers
+
+    # what depends on the numbers of a knot
+
+    def first_numbers(self, dtype: Any) -> jax.Array:
+        """The first guess (p,) of what is constant along the motion."""
+        parts = [] if self.design is None else [self.design.start]
+        if self.times is not None:
+            parts.append(jnp.atleast_1d(jnp.clip(self.dt * self.horizon, *self.times)))
+        return jnp.concatenate(parts).astype(dtype) if parts else jnp.zeros(0, dtype)
+
+    def start_bounds(self, dtype: Any) -> tuple[jax.Array, jax.Array]:
+        """Bounds (n,) of the first knot: of the numbers; the state has none."""
+        low, high = [jnp.full(self.system.n, -jnp.inf)], [jnp.full(self.system.n, jnp.inf)]
+        if self.design is not None:
+            low.append(self.design.low)
+            high.append(self.design.high)
+        if self.times is not None:
+            low.append(self.times[:1])
+            high.append(self.times[1:])
+        return jnp.concatenate(low).astype(dtype), jnp.concatenate(high).astype(dtype)
+
+    def at(self, numbers: jax.Array) -> tuple[System, jax.Array]:
+        """The system and the step that numbers say."""
+        system, dt = self.system, self.dt.astype(numbers.dtype)
+        if self.times is not None:
+            dt = numbers[-1] / self.horizon
+        if self.design is not None:
+            size = self.design.start.shape[0]
+            system = system.with_model(self.design.apply(system.model, numbers[:size]))
+        return system, dt
+
+    def time(self, k: Any, dt: Any) -> Any:
+        """The time in s of knot k."""
+        return self.start_time.astype(dt.dtype) + k * dt
+
+    # a knot
+
+    def plus(self, knot: Knot, dx: jax.Array) -> Knot:
+        """knot (+) dx."""
+        n = self.system.n
+        return Knot(self.system.plus(knot.state, dx[:n]), knot.numbers + dx[n:])
+
+    def minus(self, one: Knot, other: Knot) -> jax.Array:
+        """dx (n,) from `other` to `one`."""
+        parts = [self.system.minus(one.state, other.state), one.numbers - other.numbers]
+        return jnp.concatenate(parts)
+
+    def off_start(self, start: Any, first: Knot) -> jax.Array:
+        """From the first knot to the start (n,), 0 where it is free."""
+        off = jnp.where(jnp.asarray(self.free), 0.0, self.system.minus(start, first.state))
+        return jnp.concatenate([off, jnp.zeros(self.numbers, off.dtype)])
+
+    def step(self, k: Any, knot: Knot, ctrl: jax.Array) -> Knot:
+        """The knot after a step."""
+        system, dt = self.at(knot.numbers)
+        return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.numbers)
+
+    def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
+        """The knot after a step, and its derivatives."""
+        system, dt = self.at(knot.numbers)
+        after, A, B = system.linear(self.time(k, dt), knot.state, ctrl, dt)
+        after = Knot(after, knot.numbers)
+        p = self.numbers
+        if p:
+
+            def moved(dp: jax.Array) -> jax.Array:
+                there = self.step(k, Knot(knot.state, knot.numbers + dp), ctrl)
+                return system.minus(there.state, after.state)
+
+            by = jax.jacfwd(moved)(jnp.zeros_like(knot.numbers))
+            below = jnp.eye(p, self.n, self.system.n, dtype=A.dtype)
+            A = jnp.concatenate([jnp.concatenate([A, by], 1), below])
+            B = jnp.concatenate([B, jnp.zeros((p, self.nu), B.dtype)])
+        return Linearised(after, A, B)
+
+    def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
+        whose squares are halved and summed."""
+        system, dt = self.at(knot.numbers)
+        value = _array(
+            cost.term, cost.term(system.model, self.time(k, dt), knot.state, ctrl), dt.dtype
+        )
+        w = jnp.asarray(cost.weight, dt.dtype)
+        if self.integral and where == "path":
+            w = w * dt
+        if value.ndim > 1:
+            raise InputError(
+                f"Problem: the cost {cost.term.label} returned shape {value.shape}, expected a "
+                "number or a vector"
+            )
+        if w.shape not in ((), value.shape):
+            raise InputError(
+                f"Problem: the weight of {cost.term.label} has shape {w.shape}, expected () or "
+                f"that of its value, {value.shape}"
+            )
+        if value.ndim:
+            return _root(w) * value
+        return w * value
+
+    def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
+        """The values (c,) of a constraint at a knot."""
+        system, dt = self.at(knot.numbers)
+        value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
+        return jnp.ravel(_array(c.term, value, dt.dtype))
+
+    def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
+        """The values (c,) of the constraints at "path" or "end"."""
+        held = [c for c in self.constraints if c.where in (where, "all")]
+        none = jnp.zeros(0, knot.numbers.dtype)
+        return jnp.concatenate([none, *(self.row(c, k, knot, ctrl) for c in held)])
+
+
+def _array(term: Term, value: Any, dtype: Any) -> jax.Array:
+    """The value of a term."""
+    try:
+        return jnp.asarray(value, dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"Problem: the term {term.label} returned {type(value).__name__}, expected a number or "
+            "a vector"
+        ) from error
+
+
+def _root(w: jax.Array) -> jax.Array:
+    """The root of a weight, whose derivative is 0 where it is 0."""
+    positive = w > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, w, 1.0)), 0.0)
+
+
+def _costs(name: str, given: Any) -> tuple[Cost, ...]:
+    if isinstance(given, (Cost, Term)) or callable(given):
+        given = (given,)
+    given = check_several("Problem", name, given, "costs")
+    return tuple(cost_of(f"Problem({name}=...)", x) for x in given)
+
+
+def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
+    if isinstance(bounds, str):
+        if bounds != "model":
+            raise InputError(f"Problem: bounds is {bounds!r}, expected 'model', None, (low, high)")
+        low, high = system.ctrl_range
+    elif bounds is None:
+        low, high = -jnp.inf, jnp.inf
+    else:
+        try:
+            low, high = bounds
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"Problem: bounds is {bounds!r}, expected 'model', None or (low, high)"
+            ) from error
+    low, high = (
+        check_bound("Problem", f"{side} of bounds", x, (), (system.nu,))
+        for side, x in (("low", low), ("high", high))
+    )
+    lowest, highest = looked_at(low), looked_at(high)
+    low, high = (jnp.broadcast_to(x, (system.nu,)) for x in (low, high))
+    if lowest is None or highest is None:
+        return low, high, True
+    if not (lowest < highest).all():
+        raise InputError(
+            f"Problem: bounds of controls are {lowest.tolist()} and {highest.tolist()}, expected "
+            "low < high"
+        )
+    return low, high, bool((np.isfinite(lowest) | np.isfinite(highest)).any())
+
+
+def _times(free_time: Any) -> jax.Array:
+    times = check_bound("Problem", "free_time", free_time)
+    known = looked_at(times)
+    if times.shape != (2,) or (known is not None and not 0 < known[0] < known[1]):
+        raise InputError(
+            f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"
+        )
+    return times
+
+
+def _start_time(start_time: Any) -> jax.Array:
+    return check_array("Problem", "start_time", start_time, (), fix=": a finite time in s")
+
+
+def _free(free_start: Any, n: int) -> tuple[bool, ...]:
+    free = np.broadcast_to(np.asarray(free_start), (n,)) if np.ndim(free_start) < 1 else free_start
+    free = np.asarray(free)
+    if free.shape != (n,) or free.dtype != bool:
+        raise InputError(f"Problem: free_start is {free_start!r}, expected a bool or ({n},) bools")
+    return tuple(map(bool, free))

@@ -1,0 +1,95 @@
+"""A controller with a clock: one call a tick, and how long the calls took.
+
+A control loop at a period h needs the worst call below h, not the mean: what counts is the
+distribution of the time of a call (Liu, *Real-Time Systems*, 2000, 3.2: jitter).
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiling import compiler_options
+from rbjax.control.optimal.receding_horizon import Controller
+from rbjax.errors import InputError
+
+
+class Timing(NamedTuple):
+    """Of the calls: how many; median, p99 (99 %) and worst, ms; late, how many took longer than a
+    tick."""
+
+    calls: int
+    median: float
+    p99: float
+    worst: float
+    late: int
+
+
+class RealTime:
+    """A `Controller` as a callable (t, state) -> ctrl that keeps its memory.
+
+    Args:
+        controller: from `rb.control.mpc`.
+        state: the first state, from which the first plan is made.
+        ctrls: a first guess of the controls.
+
+    The programs are compiled here, so that the first call is as fast as the others. `result` is
+    that of the last control (`rbjax.control.mpc.RESULTS`), `outcome` of the last search.
+
+    Raises:
+        InputError: not a controller.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> C = rb.control
+        >>> cart = C.Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
+        >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()])
+        >>> act = C.RealTime(C.mpc(problem), jnp.array([1.0, 0.0]))
+        >>> act(0.0, jnp.array([1.0, 0.0])).shape, act.timing().calls
+        ((1,), 1)
+    """
+
+    def __init__(self, controller: Controller, state: Any, ctrls: Any = None) -> None:
+        if not isinstance(controller, Controller):
+            raise InputError(
+                f"RealTime: got {type(controller).__name__}, expected what rb.control.mpc returns"
+            )
+        self.controller = controller
+        x = controller.problem.system.checked("RealTime", state)
+        options = compiler_options()
+        begin = jax.jit(controller.begin, compiler_options=options)
+        self.memory = jax.block_until_ready(begin(x, ctrls))
+        zero = jnp.zeros((), controller.dt.dtype)
+        tick = jax.jit(controller.tick, compiler_options=options)
+        self._tick = tick.lower(self.memory, zero, x).compile()
+        jax.block_until_ready(self._tick(self.memory, zero, x))
+        self._ns: list[int] = []
+        self.result, self.outcome = 0, int(self.memory.outcome)
+
+    def __call__(self, t: float, state: Any) -> np.ndarray:
+        """The control (nu,) of the tick that begins at t."""
+        begin = time.perf_counter_ns()
+        like = self.controller.dt.dtype
+        x = jax.tree.map(lambda a: np.asarray(a, like), state)
+        u, self.memory, result = self._tick(self.memory, np.asarray(t, like), x)
+        u = np.asarray(u)
+        self._ns.append(time.perf_counter_ns() - begin)
+        self.result, self.outcome = int(result), int(self.memory.outcome)
+        return u
+
+    def timing(self) -> Timing:
+        """How long the calls took."""
+        if not self._ns:
+            raise InputError("timing: there was no call yet")
+        ms = np.asarray(self._ns) / 1e6
+        late = int((ms > 1e3 * float(self.controller.dt)).sum())
+        return Timing(len(ms), float(np.median(ms)), float(np.quantile(ms, 0.99)), float(ms.max()),
+                      late)  # fmt: skip
+
+    def histogram(self, bins: int = 20) -> tuple[np.ndarray, np.ndarray]:
+        """Counts (bins,) and edges (bins + 1,) in ms."""
+        return np.histogram(np.asarray(self._ns) / 1e6, bins)

@@ -1,0 +1,399 @@
+"""Model predictive control: a plan made again at every tick, and what happens where that fails.
+
+At tick k with the state x_k the controls u_k .. u_{k+d-1} are decided already (d: ticks of delay,
+as long as a computation takes). They are played ahead, and the plan begins where they end:
+
+    x' = f(... f(f(x_k, u_k), u_{k+1}) ...),    (us, xs) = a few iterations from the plan before,
+    shifted by a tick,    u_{k+d} = us_0 + K_0 (x_{k+d} (-) xs_0)    when that tick comes
+
+The feedback K answers what the prediction missed (Diehl, Bock & Schloder 2005, the real-time
+iteration; Mayne et al. 2000). The multipliers and the penalty are kept from the plan before, so a
+few iterations satisfy the constraints. The result of a tick reports if the plan violates a
+constraint. A plan that is not finite, or whose constraints are infeasible, is rejected. Then the
+last plan is continued for at most `patience` ticks; after that a fallback policy acts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.arguments import flag
+from rbjax.compiler import threads
+from rbjax.control.optimal.first_guess import first_guess
+from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.registry import METHODS
+from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, later
+from rbjax.control.optimal.shooting.knots import violation
+from rbjax.control.optimal.system import system_of
+from rbjax.control.products import product
+from rbjax.control.status import INFEASIBLE, NOT_FINITE
+from rbjax.dynamics.arguments import check_takes
+from rbjax.errors import InputError, UnknownName
+from rbjax.solvers.common.arguments import check_between, check_whole
+
+HARDEST = 1e4  # the largest penalty at the beginning of a tick
+WITH_CONSTRAINTS = 10  # iterations of a tick by default; 1 without
+PLANNED, KEPT, FALLBACK, VIOLATED = range(4)
+RESULTS = {
+    PLANNED: "planned: from the plan of this tick",
+    KEPT: "kept: the plan failed, the last plan is continued",
+    FALLBACK: "fallback: plans failed for longer than patience",
+    VIOLATED: "violated: the plan violates a constraint; raise iterations or violation",
+}
+
+
+class Decided(NamedTuple):
+    """A control that is to come: u (nu,), gains K (nu, n), the state that it expects, and its
+    result ()."""
+
+    u: jax.Array
+    K: jax.Array
+    state: Any
+    result: jax.Array
+
+
+class Memory(NamedTuple):
+    """The state of a controller: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) and the
+    multipliers of the last plan (None for a method without multipliers); decided, the `Decided` of
+    the ticks of delay (None without delay); failures (), the plans that failed in a row; outcome ()
+    of the last search; cost () and violation () of the plan; gap (), the largest between a step of
+    the plan and its next state."""
+
+    knots: Knot
+    ctrls: jax.Array
+    K: jax.Array
+    multipliers: Multipliers | None
+    decided: Decided | None
+    failures: jax.Array
+    outcome: jax.Array
+    cost: jax.Array
+    violation: jax.Array
+    gap: jax.Array
+
+
+class Run(NamedTuple):
+    """A closed loop: ts (T + 1,) s; states, with a leading axis T + 1; ctrls (T, nu); results (T,),
+    of `RESULTS`; outcomes (T,) of the searches; costs (T,) of the plans."""
+
+    ts: jax.Array
+    states: Any
+    ctrls: jax.Array
+    results: jax.Array
+    outcomes: jax.Array
+    costs: jax.Array
+
+
+class Controller:
+    """What `mpc` returns.
+
+    `begin(state)` gives the memory, `tick(memory, t, state)` the control of a tick and the memory
+    after it: both are pure, for jit and vmap. `closed_loop` runs both against a plant, `policy` is
+    for `rb.rollout`, and `rbjax.control.real_time` makes a callable with a clock.
+    """
+
+    def __init__(
+        self, problem_at: Callable[[Any], Problem], example: Problem, method: str, iterations: int,
+        delay: int, feedback: bool, patience: int, fallback: Callable[[Any, Any], Any],
+        tolerance: float, violation: float, first: int,
+    ) -> None:  # fmt: skip
+        self.problem_at = problem_at
+        self.problem = example
+        self.method, self.iterations, self.delay = method, iterations, delay
+        self.feedback, self.patience, self.fallback = feedback, patience, fallback
+        self.tolerance, self.violation, self.first = tolerance, violation, first
+
+    @property
+    def dt(self) -> jax.Array:
+        """The length of a tick, s."""
+        return self.problem.dt
+
+    def begin(self, state: Any, ctrls: Any = None) -> Memory:
+        """The memory at the start: a plan from the state, by `first` iterations.
+
+        Args:
+            state: of the system.
+            ctrls: a first guess (N, nu) of the controls; None for zeros.
+        """
+        problem = self.problem
+        x = problem.system.checked("mpc", state)
+        knots, us = first_guess(problem, x, ctrls=ctrls)
+        found = self._search(problem, x, knots, us, None, self.first)
+        whole = _finite((found.knots, found.ctrls, found.K)) & (found.outcome != NOT_FINITE)
+        given, planned = (knots, us), (found.knots, found.ctrls)
+        knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
+        K = jnp.where(whole, found.K, 0.0)
+        memory = Memory(
+            knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
+            found.outcome, found.cost, found.violation, found.gap,
+        )  # fmt: skip
+        each = [self._entry(memory, k) for k in range(self.delay)]
+        decided = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
+        for _ in range(self.delay):
+            memory = self._shifted(problem, memory)
+        return memory._replace(decided=decided)
+
+    def tick(self, memory: Memory, t: Any, state: Any) -> tuple[jax.Array, Memory, jax.Array]:
+        """The control (nu,) of the tick that begins at t, the memory after it, and the result () of
+        that control. t: s. state: measured now."""
+        problem = self.problem_at(t)
+        x = problem.system.checked("mpc", state)
+        if not self.delay:
+            memory = self._planned(problem, memory, x)
+            entry = self._entry(memory, 0)
+            u = self._acted(problem, entry, t, x)
+            return u, self._shifted(problem, memory), entry.result
+        now: Decided = jax.tree.map(lambda a: a[0], memory.decided)
+        coming: Decided = jax.tree.map(lambda a: a[1:], memory.decided)
+        u = self._acted(problem, now, t, x)
+        step = threads(problem.system.step)
+        ahead = step(problem.time(0, problem.dt), x, u, problem.dt)
+        for k in range(self.delay - 1):
+            entry = jax.tree.map(lambda a, k=k: a[k], coming)
+            ahead = step(problem.time(k + 1, problem.dt), ahead, entry.u, problem.dt)
+        problem = self.problem_at(t + self.delay * problem.dt)
+        memory = self._planned(problem, memory, ahead)
+        new = self._entry(memory, 0)
+        decided = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), coming, new)
+        memory = self._shifted(problem, memory)
+        return u, memory._replace(decided=decided), now.result
+
+    def closed_loop(self, state: Any, steps: int, plant: Any = None) -> Run:
+        """The closed loop of so many ticks, one program.
+
+        Args:
+            state: where it begins.
+            steps: ticks.
+            plant: what is controlled: an `rb.Model`, a `System`, or a function
+                (t, state, ctrl, dt) -> state; None for the system of the problem.
+        """
+        check_whole("closed_loop", "steps", steps, 1)
+        if plant is None:
+            move = self.problem.system.step
+        elif callable(plant) and not hasattr(plant, "nq"):
+            check_takes("closed_loop", "plant", plant, "t", "state", "ctrl", "dt")
+            move = plant
+        else:
+            move = system_of("closed_loop", plant).step
+        x = self.problem.system.checked("closed_loop", state)
+        dt = self.dt
+        memory = self.begin(x)
+
+        def one(carry: tuple, k: jax.Array) -> tuple:
+            memory, x = carry
+            t = self.problem.time(k, dt)
+            u, memory, result = self.tick(memory, t, x)
+            after = move(t, x, u, dt)
+            return (memory, after), (x, u, result, memory.outcome, memory.cost)
+
+        ks = jnp.arange(steps, dtype=dt.dtype)
+        run: tuple = jax.lax.scan(one, (memory, x), ks)
+        (_, last), (xs, us, results, outcomes, costs) = run
+        states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
+        ts = self.problem.time(jnp.arange(steps + 1, dtype=dt.dtype), dt)
+        return Run(ts, states, us, results, outcomes, costs)
+
+    def policy(self, memory: Memory) -> Callable[[Any, Any], jax.Array]:
+        """(t, state) -> ctrl for `rb.rollout`, which keeps no memory from step to step: each call
+        plans from the one plan of `memory`, shifted to the time t. There is no delay."""
+        N = self.problem.horizon
+
+        def act(t: Any, state: Any) -> jax.Array:
+            problem = self.problem_at(t)
+            x = problem.system.checked("mpc", state)
+            begin = self.problem.start_time
+            k = jnp.floor((t - begin) / problem.dt + 1e-6).astype(int)
+            late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
+            knots = jax.tree.map(lambda a: a[late], memory.knots)
+            ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
+            shifted = memory._replace(
+                knots=knots, ctrls=ctrls, multipliers=later(memory.multipliers, late[:-1])
+            )
+            planned = self._planned(problem, shifted, x)
+            return self._acted(problem, self._entry(planned, 0), t, x)
+
+        return act
+
+    # the parts
+
+    def _search(
+        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array,
+        multipliers: Multipliers | None, iterations: int,
+    ) -> Any:  # fmt: skip
+        number = lambda x: jnp.asarray(x, ctrls.dtype)  # noqa: E731
+        options = Options(
+            number(self.tolerance), number(self.violation), jnp.asarray(iterations),
+            scale=number(1.0), multipliers=multipliers,
+        )  # fmt: skip
+        return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
+
+    def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
+        """The memory with the plan of this tick, or with the last plan if the new one fails."""
+        found = self._search(
+            problem, start, memory.knots, memory.ctrls, memory.multipliers, self.iterations
+        )
+        good = _finite((found.knots, found.ctrls, found.K, found.cost, start))
+        # do not reject a plan because its start, which is measured, violates a constraint
+        first = jax.tree.map(lambda a: a[0], found.knots)
+        zero = jnp.zeros((), found.ctrls.dtype)
+        off = violation(problem, zero, first, found.ctrls[0], "path") > self.violation
+        good &= (found.outcome != NOT_FINITE) & ((found.outcome != INFEASIBLE) | off)
+        new = memory._replace(
+            knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
+            violation=found.violation, gap=found.gap,
+            multipliers=_multipliers(found), failures=jnp.zeros_like(memory.failures),
+        )  # fmt: skip
+        old = memory._replace(failures=memory.failures + 1)
+        picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
+        return picked._replace(outcome=found.outcome)
+
+    def _shifted(self, problem: Problem, memory: Memory) -> Memory:
+        """The plan one tick on: its last control is held for a tick more."""
+        ctrls = jnp.concatenate([memory.ctrls[1:], memory.ctrls[-1:]])
+        K = jnp.concatenate([memory.K[1:], memory.K[-1:]])
+        last = jax.tree.map(lambda a: a[-1], memory.knots)
+        k = jnp.asarray(problem.horizon - 1, ctrls.dtype)
+        after = threads(problem.step)(k, last, ctrls[-1])
+        after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
+        knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
+        at = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
+        multipliers = later(memory.multipliers, at)
+        return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
+
+    def _entry(self, memory: Memory, k: int) -> Decided:
+        """The control that the plan decides for its tick k."""
+        # if the states do not follow the dynamics, they do not show that constraints are met
+        off = jnp.maximum(memory.violation, memory.gap)
+        broken = (off > self.violation) if self.problem.constraints else False
+        result = jnp.where(broken, VIOLATED, PLANNED)
+        result = jnp.where(memory.failures > 0, KEPT, result)
+        result = jnp.where(memory.failures > self.patience, FALLBACK, result)
+        state = jax.tree.map(lambda a: a[k], memory.knots.state)
+        return Decided(memory.ctrls[k], memory.K[k], state, result)
+
+    def _acted(self, problem: Problem, entry: Decided, t: Any, state: Any) -> jax.Array:
+        """The control of a tick: what was decided, with feedback, or the fallback's."""
+        u = entry.u
+        if self.feedback:
+            back = product(entry.K, problem.system.minus(state, entry.state))
+            u = u + jnp.where(_finite(back), back, 0.0)
+        other = jnp.asarray(self.fallback(t, state), u.dtype)
+        u = jnp.where(entry.result == FALLBACK, other, u)
+        return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+
+
+def mpc(
+    problem: Problem | Callable[[Any], Problem],
+    *,
+    method: str = "ddp",
+    iterations: int | None = None,
+    delay: int = 1,
+    feedback: bool = True,
+    patience: int = 5,
+    fallback: Callable[[Any, Any], Any] | None = None,
+    tolerance: float = 1e-9,
+    violation: float = 1e-4,
+    first: int = 100,
+) -> Controller:
+    """Model predictive control with a fixed number of iterations a tick.
+
+    Args:
+        problem: `Problem`, whose dt is the length of a tick. Its costs, constraints and dynamics
+            depend on the time of the loop, which begins at its start_time. Or a function t ->
+            Problem, the problem of the plan that begins at t; the times of that problem count from
+            its own start_time. The problems may differ only in numbers.
+        method: one of `rb.control.methods()` with gains.
+        iterations: at most, at a tick. None: 1, and 10 for a problem with constraints.
+        delay: ticks from the state that is measured to the control that answers it: 1 where the
+            computation takes up to a tick, 0 in a simulation that waits for it.
+        feedback: whether gains answer what the prediction missed, when the control is applied.
+        patience: how many ticks a plan goes on while new ones fail.
+        fallback: a policy (t, state) -> (nu,) after that; zeros within the bounds if None.
+        tolerance: iterations end if the predicted cost change is below it times max(1, |cost|).
+        violation: of constraints, in their units. The result is `VIOLATED` if a plan violates a
+            constraint by more, or has a larger gap between a step and its next state.
+        first: iterations of the first plan.
+
+    Returns:
+        `Controller`.
+
+    Raises:
+        InputError: wrong types; a problem whose start, design or final time is free. UnknownName:
+            no such method.
+
+    Source: Diehl, Bock & Schloder, *A real-time iteration scheme for nonlinear optimization in
+    optimal feedback control*, SIAM J. Control Optim. 2005; Mayne et al., Automatica 2000.
+
+    Example:
+        >>> import rbjax as rb, jax.numpy as jnp
+        >>> C = rb.control
+        >>> cart = C.Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
+        >>> problem = C.Problem(cart, 10, 0.1, running=[lambda t, x, u: x, C.Control()],
+        ...                     bounds=(-1.0, 1.0))
+        >>> controller, x = C.mpc(problem, delay=0), jnp.array([1.0, 0.0])
+        >>> u, memory, result = controller.tick(controller.begin(x), 0.0, x)
+        >>> float(u[0]) < 0, int(result)
+        (True, 0)
+    """
+    problem_at = _problem_at(problem)
+    example = problem if isinstance(problem, Problem) else problem_at(0.0)
+    if not isinstance(example, Problem):
+        raise InputError(f"mpc: problem gave {type(example).__name__}, expected a Problem")
+    if example.opens:
+        raise InputError(
+            "mpc: the start, a design or the final time of the problem is free, expected a problem "
+            "whose start is the state; remove free_start, design and free_time"
+        )
+    if method not in METHODS:
+        raise UnknownName("method of rb.control", method, METHODS)
+    if iterations is None:
+        iterations = WITH_CONSTRAINTS if example.constraints else 1
+    for name, value, least in (
+        ("iterations", iterations, 1), ("delay", delay, 0), ("patience", patience, 0),
+        ("first", first, 1),
+    ):  # fmt: skip
+        check_whole("mpc", name, value, least)
+    for name, number in (("tolerance", tolerance), ("violation", violation)):
+        check_between("mpc", name, number, 0.0, np.inf)
+    if fallback is None:
+        nu = example.nu
+        fallback = lambda t, state: jnp.zeros(nu)  # noqa: E731
+    else:
+        check_takes("mpc", "fallback", fallback, "t", "state")
+    return Controller(
+        problem_at, example, method, iterations, delay,
+        flag("mpc", "feedback", feedback), patience, fallback, tolerance, violation, first,
+    )  # fmt: skip
+
+
+def _multipliers(found: Any) -> Multipliers | None:
+    """The multipliers from which the next search starts."""
+    if found.penalty is None:
+        return None
+    return Multipliers(found.path, found.end, jnp.minimum(found.penalty, HARDEST))
+
+
+def _problem_at(problem: Any) -> Callable[[Any], Problem]:
+    if isinstance(problem, Problem):
+        begin = problem.start_time
+        return lambda t: eqx.tree_at(
+            lambda p: p.start_time, problem, jnp.asarray(t, begin.dtype)
+        )
+    if not callable(problem):
+        raise InputError(
+            f"mpc: problem is {type(problem).__name__}, expected an rb.control.Problem or a "
+            "function t -> Problem"
+        )
+    check_takes("mpc", "problem", problem, "t")
+    return problem
+
+
+def _finite(tree: Any) -> jax.Array:
+    each = [jnp.isfinite(x).all() for x in jax.tree.leaves(tree)]
+    return jnp.stack(each).all()

@@ -1,0 +1,133 @@
+"""The methods by name, and what each needs."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from rbjax.control.optimal.collocation.collocation import by_collocation
+from rbjax.control.optimal.shooting.ddp import by_ddp
+from rbjax.control.optimal.shooting.sampling import SampledStart, Sampling
+from rbjax.control.optimal.shooting.single_shooting import by_adam, by_bfgs, by_shooting, by_squares
+from rbjax.control.optimal.shooting.sqp import by_sqp
+from rbjax.errors import UnknownName
+from rbjax.solvers.common.tableau import Tableau, gauss, lobatto_iiia, radau_iia
+
+
+class Method(NamedTuple):
+    """solve: (problem, start, knots, ctrls, options, history) -> `Found`; constraints: whether it
+    holds `Constraint`s; derivatives: whether it needs them; sentence: when to take it; steps:
+    whether it ends at optima whose motions are steps of the system, which have derivatives."""
+
+    solve: Callable[..., Any]
+    constraints: bool
+    derivatives: bool
+    sentence: str
+    steps: bool = True
+
+
+def collocating(table: Tableau, sentence: str) -> Method:
+    """Collocation by a tableau."""
+    return Method(functools.partial(by_collocation, table=table), True, True, sentence, False)
+
+
+METHODS: dict[str, Method] = {
+    "ddp": Method(
+        by_ddp, True, True,
+        "feasibility-driven DDP with multiple shooting, boxes and an augmented Lagrangian: the "
+        "default; converges fast from a rough guess, and leaves a feedback",
+    ),
+    "exact_ddp": Method(
+        functools.partial(by_ddp, exact=True), True, True,
+        "the same with second derivatives of the dynamics: fewer iterations to the last digits, "
+        "each more expensive; for small robots, or where ddp is slow to settle",
+    ),
+    "sqp": Method(
+        by_sqp, True, True,
+        "ddp without its rollouts, all knots side by side: sequential quadratic programming with "
+        "multiple shooting; from guesses of the states that no controls follow, for MPC, and for "
+        "one problem on a GPU; from a rough guess under tight bounds it ends in worse optima",
+    ),
+    "exact_sqp": Method(
+        functools.partial(by_sqp, exact=True), True, True,
+        "the same with second derivatives of the dynamics: the fewest iterations; for small robots",
+    ),
+    "predictive": Method(
+        Sampling("predictive"), True, False,
+        "the best of many random motions, again and again: needs no derivative; the simplest start "
+        "for another method",
+        False,
+    ),
+    "mppi": Method(
+        Sampling("mppi"), True, False,
+        "random motions weighed by their costs: needs no derivative, smoother than predictive",
+        False,
+    ),
+    "cross_entropy": Method(
+        Sampling("cross_entropy"), True, False,
+        "random motions drawn ever closer to the best tenth: needs no derivative; finds its way "
+        "where ddp is stuck, ends at a few digits",
+        False,
+    ),
+    "sampled_ddp": Method(
+        SampledStart(), True, True,
+        "30 rounds of cross_entropy, then ddp: where ddp depends on the first guess, such as "
+        "swing-ups under tight bounds",
+    ),
+    "hermite_simpson": collocating(
+        lobatto_iiia(3),
+        "collocation of order 4, controls at both ends and in the middle of each step: free final "
+        "times, constraints on the path, and guesses of the states that no controls follow",
+    ),
+    "gauss_legendre": collocating(
+        gauss(3), "the same of order 6, with three stages inside each step: few long steps"
+    ),
+    "gauss_legendre_4": collocating(gauss(2), "the same with two stages, of order 4"),
+    "gauss_legendre_8": collocating(gauss(4), "the same with four stages, of order 8"),
+    "radau": collocating(
+        radau_iia(3), "the same of order 5; damps what is stiff, and holds constraints at knots"
+    ),
+    "adam": Method(
+        functools.partial(by_shooting, inner=by_adam), True, True,
+        "single shooting by the gradient: cheap iterations, many of them (1,000 or more); for "
+        "costs with kinks or noise, and as a rough first guess",
+    ),
+    "bfgs": Method(
+        functools.partial(by_shooting, inner=by_bfgs), True, True,
+        "single shooting by BFGS: few controls and a short, tame horizon",
+    ),
+    "levenberg_marquardt": Method(
+        functools.partial(by_shooting, inner=by_squares), True, True,
+        "single shooting by Levenberg and Marquardt's method: costs that are all residuals",
+    ),
+    "trapezoidal": collocating(lobatto_iiia(2), "the same of order 2: rough and cheap"),
+}  # fmt: skip
+
+
+def methods() -> dict[str, Method]:
+    """The methods of `solve` by name.
+
+    Example:
+        >>> import rbjax as rb
+        >>> "ddp" in rb.control.methods()
+        True
+    """
+    return dict(METHODS)
+
+
+def method_of(method: Any) -> Method:
+    """A method by its name, or itself; a `Sampling` or a `SampledStart` as one."""
+    if isinstance(method, Method):
+        return method
+    if isinstance(method, (Sampling, SampledStart)):
+        exact = isinstance(method, SampledStart)
+        return Method(method, True, exact, "the caller's own numbers", exact)
+    if method not in METHODS:
+        raise UnknownName("method of rb.control", method, METHODS)
+    return METHODS[method]
+
+
+def name_of(method: Any) -> str:
+    """The name of a method."""
+    return method if isinstance(method, str) else type(method).__name__

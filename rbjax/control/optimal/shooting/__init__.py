@@ -1,0 +1,1 @@
+"""Shooting methods: DDP, SQP, single shooting, sampling, and their iterations."""

@@ -1,0 +1,143 @@
+"""The backward pass of differential dynamic programming: gains of a problem to second order.
+
+    Qxx = Q + A'V'A,  Quu = R + B'V'B,  Qux = S' + B'V'A,  Qx = q + A'v',  Qu = r + B'v'
+    du = k + K dx,   k = argmin over the box,   K = -Quu^-1 Qux in the free controls
+    V = Qxx + Qxu K,   v = Qx + Qxu k
+
+The gap of a step that the states do not follow yet enters v (Mastalli et al. 2020, feasibility-
+driven DDP); bounds of controls enter k and K (Tassa, Mansard & Todorov 2014).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.control.optimal.shooting.box_qp import box_gains, box_qp, gains
+from rbjax.control.optimal.shooting.expansion import Quadratic
+from rbjax.control.products import in_registers, product
+
+
+class Feedback(NamedTuple):
+    """du = k + K dx at each knot: K (N, m, n), k (N, m); the value function's V (N + 1, n, n) and
+    v (N + 1, n), gap included; first dx0 (n,); slope () and curvature () of the cost along the
+    step; square (), the squared norm of the gradient of the cost by the controls and by the free
+    coordinates of the first knot, without regularisation and without entries that press against a
+    bound; ok (), whether all control Hessians were positive definite."""
+
+    K: jax.Array
+    k: jax.Array
+    V: jax.Array
+    v: jax.Array
+    first: jax.Array
+    slope: jax.Array
+    curvature: jax.Array
+    square: jax.Array
+    ok: jax.Array
+
+
+class Bounds(NamedTuple):
+    """low and high (N, m), of du."""
+
+    low: jax.Array
+    high: jax.Array
+
+
+def backward_pass(
+    A: jax.Array, B: jax.Array, gaps: jax.Array, path: Quadratic, end: Quadratic,
+    bounds: Bounds | None, first: tuple | None, reg: jax.Array, h: Any = None,
+) -> Feedback:  # fmt: skip
+    """The gains.
+
+    A: (N, n, n). B: (N, n, m). gaps: (N + 1, n), the first from the first knot to the start.
+    path: (N, ...). end. bounds: of du, None for none. first: of what is free of the first knot:
+    free (n,) of 0 and 1, low and high (n,) of dx0; None for nothing. reg: added to the diagonals of
+    control Hessians and of V. h: the step, where dq+ = dq + h dv+; None where it is not so.
+    """
+    m, n = path.r.shape[-1], end.q.shape[0]
+    eye_u, eye_x = jnp.eye(m, dtype=reg.dtype), jnp.eye(n, dtype=reg.dtype)
+
+    def back(carry: tuple, knot: tuple) -> tuple:
+        V, v, l, slope, curvature, square, ok = jax.tree.map(in_registers, carry)
+        A, B, gap, cost, bound = jax.tree.map(in_registers, knot)
+        more = carried(V, v, A, B) if h is None else carried_by_velocities(V, v, A, B, h)
+        Qxx, Quu, Qux, Qx, Qu = more
+        descent = cost.r + product(B.T, l)
+        if bound is not None:
+            descent = unpressed(descent, *bound)
+        square = square + (descent * descent).sum()
+        l = cost.q + product(A.T, l)
+        Qxx, Quu, Qux = cost.Q + Qxx, cost.R + Quu + reg * eye_u, cost.S.T + Qux
+        Qx, Qu = cost.q + Qx, cost.r + Qu
+        if bound is None:
+            both, fine = gains(Quu, Qu, Qux)
+            k, K = both[:, -1], both[:, :-1]
+        else:
+            k, K, fine = box_gains(Quu, Qu, Qux, *bound)
+        V = Qxx + reg * eye_x + product(Qux.T, K)
+        V = 0.5 * (V + V.T)
+        v = Qx + product(Qux.T, k)
+        v_gap = v + product(V, gap)
+        slope = slope + (Qu * k).sum() + (v_gap * gap).sum()
+        curvature = curvature + (k * product(Quu, k)).sum() - (gap * (v_gap - v)).sum()
+        return (V, v_gap, l, slope, curvature, square, ok & fine), (K, k, V, v_gap)
+
+    last = gaps[-1]
+    v = end.q + product(end.Q, last)
+    curvature = -(last * product(end.Q, last)).sum()
+    zero = jnp.zeros((), reg.dtype)
+    begin = (end.Q + reg * eye_x, v, end.q, (v * last).sum(), curvature, zero, jnp.asarray(True))
+    knots = (A, B, gaps[:-1], path, bounds)
+    found: Any = jax.lax.scan(back, begin, knots, reverse=True)
+    (V, v, l, slope, curvature, square, ok), (K, k, Vs, vs) = found
+    dx0 = gaps[0]
+    if first is not None:
+        free, low, high = first
+        H = V * free[:, None] * free + eye_x * (1 - free)
+        huge = jnp.finfo(reg.dtype).max
+        box = box_qp(H, free * v, jnp.maximum(low, -huge), jnp.minimum(high, huge))
+        step = free * jnp.where(box.ok, box.d, 0.0)
+        opening = free * unpressed(l, low, high)
+        square = square + (opening * opening).sum()
+        slope = slope + (v * step).sum()
+        curvature = curvature + (step * product(H, step)).sum()
+        dx0, ok = dx0 + step, ok & box.ok
+    Vs, vs = (jnp.concatenate([x, y[None]]) for x, y in ((Vs, end.Q), (vs, begin[1])))
+    return Feedback(K, k, Vs, vs, dx0, slope, curvature, square, ok)
+
+
+def unpressed(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+    """A gradient without the entries that press against a bound. low, high: bounds of the step."""
+    pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
+    return jnp.where(pressed, 0.0, gradient)
+
+
+def carried(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
+    """A'VA, B'VB, B'VA, A'v and B'v."""
+    VA = product(V, A)
+    return (
+        product(A.T, VA), product(B.T, product(V, B)), product(B.T, VA), product(A.T, v),
+        product(B.T, v),
+    )  # fmt: skip
+
+
+def carried_by_velocities(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any) -> tuple:
+    """The same of dv+ = [C D] dx + E du, dq+ = dq + h dv+: half the work.
+
+    A = T (1 + [0; F]),  B = T [0; E],  T = [1 h; 0 1],  F = [C D - 1]
+    """
+    n = len(v) // 2
+    F, E = A[n:] - jnp.eye(n, 2 * n, n, dtype=A.dtype), B[n:]
+    q, c, w = V[:n, :n], V[:n, n:], V[n:, n:]
+    w = w + h * (c + c.T) + h * h * q
+    columns = jnp.concatenate([c + h * q, w])  # of T'VT, those of the velocities
+    rows = jnp.concatenate([q, V[n:, :n] + h * q])
+    W = jnp.concatenate([rows, columns], 1) + product(columns, F)
+    slope = v[n:] + h * v[:n]
+    Qx = jnp.concatenate([v[:n], slope]) + product(F.T, slope)
+    return (
+        W + product(F.T, W[n:]), product(E.T, product(w, E)), product(E.T, W[n:]), Qx,
+        product(E.T, slope),
+    )  # fmt: skip

@@ -1,0 +1,225 @@
+"""A knot of a problem to second order: dynamics, costs, constraints.
+
+    dx+ = A dx + B du + gap,      cost = c + q.dx + r.du + dx'Q dx/2 + du'R du/2 + dx'S du
+
+Costs of residuals by Gauss and Newton, costs that are numbers by their Hessians. Constraints are
+residuals too, those of the augmented Lagrangian (`augmented_lagrangian`).
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Var
+
+from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.shooting.augmented_lagrangian import penalised
+from rbjax.control.products import product
+from rbjax.errors import InputError
+
+
+class Quadratic(NamedTuple):
+    """A cost to second order: c (), q (n,), Q (n, n), r (m,), R (m, m), S (n, m)."""
+
+    c: jax.Array
+    q: jax.Array
+    Q: jax.Array
+    r: jax.Array
+    R: jax.Array
+    S: jax.Array
+
+
+class Local(NamedTuple):
+    """A knot with controls: A and B of its step, and its cost."""
+
+    A: jax.Array
+    B: jax.Array
+    cost: Quadratic
+
+
+def limits(problem: Problem, where: str, like: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """The bounds (c,) of the constraints at "path" or "end", for values `like`."""
+    lows, highs = [], []
+    for c, size in row_sizes(problem, where):
+        lows.append(jnp.broadcast_to(jnp.ravel(c.low), (size,)))
+        highs.append(jnp.broadcast_to(jnp.ravel(c.high), (size,)))
+    none = jnp.zeros(0, like.dtype)
+    low = jnp.concatenate([none, *lows]).astype(like.dtype)
+    return low, jnp.concatenate([none, *highs]).astype(like.dtype)
+
+
+def row_count(problem: Problem, where: str) -> int:
+    """How many rows the constraints have at "path" or "end"."""
+    return sum(size for _, size in row_sizes(problem, where))
+
+
+def row_sizes(problem: Problem, where: str) -> list[tuple[Any, int]]:
+    """Each constraint at "path" or "end" with the number of its rows."""
+    knot, ctrl = example(problem)
+    out = []
+    for c in problem.constraints:
+        if c.where in (where, "all"):
+
+            def value(knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
+                system, _ = problem.at(knot.numbers)
+                return jnp.ravel(c.term(system.model, 0.0, knot.state, ctrl))
+
+            size = jax.eval_shape(value, knot, ctrl).shape[0]
+            for name, end in (("low", c.low), ("high", c.high)):
+                if jnp.size(end) not in (1, size):
+                    raise InputError(
+                        f"Constraint({c.name}): bounds and term differ in size: {name} has "
+                        f"{jnp.size(end)} numbers, the term {size}; give one, or one for each"
+                    )
+            out.append((c, size))
+    return out
+
+
+def example(problem: Problem) -> tuple[Knot, jax.Array]:
+    """A knot and controls, of which only shapes count."""
+    dtype = problem.dt.dtype
+    state = problem.system.example(dtype)
+    return Knot(state, problem.first_numbers(dtype)), jnp.zeros(problem.nu, dtype)
+
+
+def merit(
+    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
+    where: str,
+) -> jax.Array:  # fmt: skip
+    """The cost () of a knot with its part of the augmented Lagrangian."""
+    total = jnp.zeros((), ctrl.dtype)
+    for part in parts(problem, rows, mu, where):
+        value = part(k, knot, ctrl)
+        total = total + (0.5 * (value * value).sum() if value.ndim else value)
+    return total
+
+
+def quadratic(
+    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
+    where: str,
+) -> Quadratic:  # fmt: skip
+    """The cost of a knot to second order: the sum over its costs, each differentiated by what it
+    reads only."""
+    n, m, dtype = problem.n, problem.nu, ctrl.dtype
+    total = jnp.zeros((), dtype)
+    gradient, H = jnp.zeros(n + m, dtype), jnp.zeros((n + m, n + m), dtype)
+
+    zero = jnp.zeros(n + m, dtype)
+    for part in parts(problem, rows, mu, where):
+        near = functools.partial(_beside, problem, part, k, knot, ctrl)
+        at = read_columns(problem, part)
+        value, slope, curvature = _second_order_in(near, zero, jnp.eye(n + m, dtype=dtype)[at])
+        total = total + value
+        gradient = gradient.at[at].add(slope)
+        H = H.at[np.ix_(at, at)].add(curvature)
+    return Quadratic(total, gradient[:n], H[:n, :n], gradient[n:], H[n:, n:], H[:n, n:])
+
+
+def _beside(
+    problem: Problem, part: Any, k: Any, knot: Knot, ctrl: jax.Array, d: jax.Array
+) -> jax.Array:
+    """A function of a knot and controls, moved by d."""
+    return part(k, problem.plus(knot, d[: problem.n]), ctrl + d[problem.n :])
+
+
+def _second_order_in(
+    f: Any, zero: jax.Array, basis: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A cost and its first and second derivatives along the rows of `basis`."""
+    value = f(zero)
+    if value.ndim:
+        J = jax.vmap(lambda e: jax.jvp(f, (zero,), (e,))[1])(basis)
+        return 0.5 * (value * value).sum(), product(J, value), product(J, J.T)
+    gradient = jax.grad(f)
+    turned = jax.vmap(lambda e: jax.jvp(gradient, (zero,), (e,))[1])(basis)
+    return value, product(basis, gradient(zero)), product(turned, basis.T)
+
+
+def parts(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> list[Any]:
+    """The functions (k, knot, ctrl) whose costs are summed: of each cost, weighted residuals or a
+    number; of each constraint, the residuals of the augmented Lagrangian."""
+    costs = problem.running if where == "path" else problem.terminal
+    found: list[Any] = [functools.partial(problem.value, cost, where) for cost in costs]
+    at = 0
+    for c, size in row_sizes(problem, where):
+        own = rows[at : at + size]
+        at += size
+
+        def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
+            value = problem.row(c, k, knot, ctrl)
+            low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
+            return penalised(value, own, mu, low, high)
+
+        found.append(penalty)
+    return found
+
+
+def read_columns(problem: Problem, part: Any) -> np.ndarray:
+    """The coordinates of a knot's tangent space and of the controls on which a function depends."""
+    knot, ctrl = example(problem)
+    leaves, tree = jax.tree.flatten((knot, ctrl))
+
+    def flat(*xs: Any) -> Any:
+        knot, ctrl = jax.tree.unflatten(tree, xs)
+        return part(jnp.zeros((), ctrl.dtype), knot, ctrl)
+
+    used = arguments_read(flat, leaves)
+    n, p, m = problem.system.n, problem.numbers, problem.nu
+    spans = [*problem.system.spans(), slice(n, n + p), slice(n + p, n + p + m)]
+    return np.unique(np.concatenate([
+        np.zeros(0, int),
+        *(np.arange(n + p + m)[s] for s, u in zip(spans, used, strict=True) if u),
+    ])).astype(int)  # fmt: skip
+
+
+def arguments_read(f: Any, args: list) -> list[bool]:
+    """Whether the result of f depends on each of its arguments, as its equations say."""
+    jaxpr = jax.make_jaxpr(f)(*args).jaxpr
+    live = {v for v in jaxpr.outvars if isinstance(v, Var)}
+    for eqn in reversed(jaxpr.eqns):
+        if any(v in live for v in eqn.outvars):
+            live |= {v for v in eqn.invars if isinstance(v, Var)}
+    return [v in live for v in jaxpr.invars]
+
+
+def second_order(
+    problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, rows: jax.Array, mu: jax.Array,
+    where: str, costate: jax.Array | None = None,
+) -> tuple[jax.Array, jax.Array, jax.Array]:  # fmt: skip
+    """What Gauss and Newton leave out of Q, R and S: sum of r_i r_i'' of the residuals, and of
+    costate_i f_i'' of the step."""
+    n, m = problem.n, problem.nu
+    zero = jnp.zeros(n + m, ctrl.dtype)
+    residuals = [
+        (part, value)
+        for part in parts(problem, rows, mu, where)
+        if (value := part(k, knot, ctrl)).ndim
+    ]
+    after = problem.step(k, knot, ctrl)
+
+    def curved(d: jax.Array) -> jax.Array:
+        there, u = problem.plus(knot, d[:n]), ctrl + d[n:]
+        total = jnp.zeros((), ctrl.dtype)
+        for part, value in residuals:
+            total = total + (value * part(k, there, u)).sum()
+        if costate is not None:
+            total = total + (costate * problem.minus(problem.step(k, there, u), after)).sum()
+        return total
+
+    H = jax.jacfwd(jax.grad(curved))(zero)
+    return H[:n, :n], H[n:, n:], H[:n, n:]
+
+
+def costates(path: Local, end: Quadratic) -> jax.Array:
+    """The derivatives (N, n) of the cost by the state after each step: l_N = q_N,
+    l_k = q_k + A_k' l_{k+1}."""
+
+    def back(l: jax.Array, knot: tuple) -> tuple[jax.Array, jax.Array]:
+        A, q = knot
+        return q + product(A.T, l), l
+
+    return jax.lax.scan(back, end.q, (path.A, path.cost.q), reverse=True)[1]

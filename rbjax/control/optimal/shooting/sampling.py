@@ -1,0 +1,338 @@
+"""Optimal control by samples: predictive sampling, MPPI and the cross-entropy method.
+
+Controls are a spline of few points z. Each round draws z_i = m + s * e_i, e_i normal, within the
+bounds, rolls every motion, and moves m by the costs J_i:
+
+    predictive       m+ = the best z_i
+    mppi             m+ = sum w_i z_i / sum w_i,   w_i = exp(-(J_i - J_min) / lambda)
+    cross_entropy    m+, s+ = mean and deviation of the best tenth of z_i
+
+(Howell et al. 2022; Williams et al. 2017; Rubinstein 1999). The first two shrink s by a factor a
+round (Xue et al. 2024). lambda is the temperature times the distance from the best cost to the
+costliest of the best tenth. No derivative is taken. Constraints cost
+penalty / 2 times their squared violation. A sample is a lane or a GPU thread of which only the cost
+is kept; the best motion is rolled again. Numbers of a design, the final time and a free start are
+drawn too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiler import threads
+from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.shooting.ddp import by_ddp
+from rbjax.control.optimal.shooting.expansion import merit, row_count
+from rbjax.control.optimal.shooting.knots import largest_gap
+from rbjax.control.optimal.solution import Found, plain_cost, violations
+from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
+from rbjax.errors import InputError, UnknownName
+from rbjax.solvers.common.arguments import check_between, check_whole
+
+UPDATES = ("predictive", "mppi", "cross_entropy")
+SPLINES = ("hold", "linear", "cubic")
+ELITES = 0.1  # the share of the samples that counts as good
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampling:
+    """A method of `solve` that draws samples.
+
+    Fields: update, one of "predictive", "mppi", "cross_entropy"; samples of a round; points of the
+    spline, at most as many as the problem has knots with controls; spline, "hold", "linear" or
+    "cubic"; spread, the first deviation as a share of the width between the bounds, and in the
+    controls' own units where there are none; cooling, the factor of the deviation after a round;
+    temperature of MPPI; smoothing, the share of the old deviation that the cross-entropy method
+    keeps; penalty of constraints.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import rbjax as rb
+        >>> line = rb.control.Equations(lambda t, x, u: x + u, 1, 1, discrete=True)
+        >>> problem = rb.control.Problem(line, 3, 1.0, terminal=[lambda t, x, u: x], bounds=(-1, 1))
+        >>> few = rb.control.Sampling("mppi", samples=50, points=3)
+        >>> found = rb.control.solve(problem, jnp.ones(1), method=few, iterations=20)
+        >>> bool(found.cost < 1e-3)
+        True
+    """
+
+    update: str = "cross_entropy"
+    samples: int = 1024
+    points: int = 16
+    spline: str = "linear"
+    spread: float = 0.3
+    cooling: float = 0.97
+    temperature: float = 0.5
+    smoothing: float = 0.2
+    penalty: float = 1e4
+
+    def __post_init__(self) -> None:
+        for what, names in (("update", UPDATES), ("spline", SPLINES)):
+            if getattr(self, what) not in names:
+                raise UnknownName(f"{what} of Sampling", getattr(self, what), names)
+        check_whole("Sampling", "samples", self.samples, 10)
+        check_whole("Sampling", "points", self.points, 1)
+        for what, low, high in (
+            ("cooling", 0.0, 1.0), ("smoothing", 0.0, 1.0), ("spread", 1e-12, 1e12),
+            ("temperature", 1e-12, 1e12), ("penalty", 0.0, 1e300),
+        ):  # fmt: skip
+            value = getattr(self, what)
+            if np.ndim(value):
+                raise InputError(f"Sampling: {what} has shape {np.shape(value)}, expected a number")
+            check_between("Sampling", what, value, low, high)
+
+    def __call__(
+        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
+        history: int,
+    ) -> Found:  # fmt: skip
+        """`solve` by samples."""
+        return by_sampling(self, problem, start, knots, ctrls, options, history)
+
+
+@dataclasses.dataclass(frozen=True)
+class SampledStart:
+    """DDP from the motion that samples found.
+
+    Fields: sampling, a `Sampling`; rounds of it, before DDP takes its iterations.
+    """
+
+    sampling: Any = Sampling()  # checked below
+    rounds: int = 30
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.sampling, Sampling):
+            got = type(self.sampling).__name__
+            raise InputError(f"SampledStart: sampling is {got}, expected an rb.control.Sampling")
+        check_whole("SampledStart", "rounds", self.rounds, 1)
+
+    def __call__(
+        self, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
+        history: int,
+    ) -> Found:  # fmt: skip
+        """`solve` by samples, then DDP."""
+        few = dataclasses.replace(options, iterations=jnp.asarray(self.rounds))
+        found = by_sampling(self.sampling, problem, start, knots, ctrls, few, 1)
+        good = jnp.isfinite(found.cost)
+        pick = lambda new, old: jnp.where(good, new, old)  # noqa: E731
+        knots, ctrls = jax.tree.map(pick, (found.knots, found.ctrls), (knots, ctrls))
+        return by_ddp(problem, start, knots, ctrls, options, history)
+
+
+class Draw(NamedTuple):
+    """What is drawn, each with a deviation: points (K, m) of the spline, numbers (p,) of the
+    design and the time, and dx0 (n,) of the start."""
+
+    points: jax.Array
+    numbers: jax.Array
+    first: jax.Array
+
+
+class Round(NamedTuple):
+    """What a round leaves to the next."""
+
+    mean: Draw
+    deviation: Draw
+    best: Draw
+    cost: jax.Array
+    stop: jax.Array
+    turns: jax.Array
+    costs: jax.Array
+    outcome: jax.Array
+
+
+def by_sampling(
+    how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options,
+    history: int,
+) -> Found:  # fmt: skip
+    """`solve` by samples. It has finished if the costs of the best tenth agree to the tolerance,
+    relative to the cost: their deviation shrinks anywhere, so this does not show an optimum."""
+    dtype = ctrls.dtype
+    mean, first, low, high = _first(how, problem, start, knots, ctrls)
+    key = jax.random.key(options.seed)
+    elites = max(2, round(ELITES * how.samples))
+
+    def cost_of(draw: Draw, start: Any) -> jax.Array:
+        cost = rolled(how, problem, start, draw)
+        return jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+
+    costs_of = jax.vmap(threads(cost_of), (0, None))
+
+    def turn(now: Round) -> Round:
+        drawn = _drawn(jax.random.fold_in(key, now.turns), now, how.samples, low, high)
+        costs = costs_of(drawn, start)
+        least, order = jax.lax.top_k(-costs, elites)
+        least = -least
+        good = jax.tree.map(lambda x: x[order], drawn)
+        mean, deviation = _moved(how, now, good, least, costs, drawn)
+        better = least[0] < now.cost
+        cost = jnp.where(better, least[0], now.cost)
+        best = jax.tree.map(lambda x, old: jnp.where(better, x[0], old), good, now.best)
+        turns, stop = now.turns + 1, least[-1] - least[0]
+        outcome = jnp.where(turns >= options.iterations, BUDGET, GOING)
+        small = stop <= options.tolerance * jnp.maximum(1.0, jnp.abs(cost))
+        outcome = jnp.where(small, FINISHED, outcome)
+        outcome = jnp.where(jnp.isfinite(cost) | (outcome == GOING), outcome, NOT_FINITE)
+        costs = now.costs.at[jnp.minimum(now.turns, history - 1)].set(cost)
+        return Round(mean, deviation, best, cost, stop, turns, costs, outcome)
+
+    endless = jnp.asarray(jnp.inf, dtype)
+    begin = Round(
+        mean, first, mean, endless, endless, jnp.asarray(0), jnp.full(history, jnp.nan, dtype),
+        jnp.asarray(GOING),
+    )  # fmt: skip
+    last = jax.lax.while_loop(lambda now: now.outcome == GOING, turn, begin)
+    found, us = threads(lambda draw, start: motion(how, problem, start, draw))(last.best, start)
+    N, n, m = problem.horizon, problem.n, problem.nu
+    rows = [row_count(problem, where) for where in ("path", "end")]
+    return Found(
+        found, us, plain_cost(problem, found, us), last.outcome, last.turns, last.stop,
+        largest_gap(problem, jax.tree.map(lambda x: x[0], found.state), found, us),
+        violations(problem, found, us).max(initial=0.0), last.costs, jnp.zeros((N, m, n), dtype),
+        jnp.zeros((N, rows[0]), dtype), jnp.zeros(rows[1], dtype),
+    )  # fmt: skip
+
+
+def _first(
+    how: Sampling, problem: Problem, start: Any, knots: Knot, ctrls: jax.Array
+) -> tuple[Draw, Draw, Draw, Draw]:
+    """The first mean and deviation, and the bounds."""
+    dtype, n = ctrls.dtype, problem.system.n
+    count = min(how.points, problem.horizon)
+    at = np.round(np.linspace(0, problem.horizon - 1, count)).astype(int)
+    numbers = knots.numbers[0]
+    low, high = (x.astype(dtype) for x in problem.start_bounds(dtype))
+    free = jnp.asarray(problem.free, dtype)
+    there = problem.system.minus(jax.tree.map(lambda x: x[0], knots.state), start)
+    mean = Draw(ctrls[at], numbers, free * there)
+    edges = [
+        Draw(jnp.broadcast_to(x.astype(dtype), (count, problem.nu)), end[n:], end[:n])
+        for x, end in ((problem.low, low), (problem.high, high))
+    ]
+
+    def deviation(low: jax.Array, high: jax.Array, size: Any) -> jax.Array:
+        width = high - low
+        return how.spread * jnp.where(jnp.isfinite(width), width, size)
+
+    wide = Draw(
+        deviation(edges[0].points, edges[1].points, 1.0),
+        deviation(edges[0].numbers, edges[1].numbers, jnp.maximum(jnp.abs(numbers), 1e-3)),
+        free * deviation(edges[0].first, edges[1].first, 1.0),
+    )
+    return jax.tree.map(jnp.clip, mean, *edges), wide, *edges
+
+
+def _drawn(key: jax.Array, now: Round, samples: int, low: Draw, high: Draw) -> Draw:
+    """The samples of a round, the first of them the mean."""
+    keys = Draw(*jax.random.split(key, 3))
+
+    def one(key: jax.Array, mean: jax.Array, deviation: Any, low: Any, high: Any) -> jax.Array:
+        e = jax.random.normal(key, (samples, *mean.shape), mean.dtype).at[0].set(0.0)
+        return jnp.clip(mean + deviation * e, low, high)
+
+    return jax.tree.map(one, keys, now.mean, now.deviation, low, high)
+
+
+def _moved(
+    how: Sampling, now: Round, good: Draw, least: jax.Array, costs: jax.Array, drawn: Draw
+) -> tuple[Draw, Draw]:
+    """The next mean and deviation. good and least (elites,): the best, in order."""
+    colder = jax.tree.map(lambda s: s * how.cooling, now.deviation)
+    if how.update == "predictive":
+        mean, deviation = jax.tree.map(lambda x: x[0], good), colder
+    elif how.update == "mppi":
+        scale = how.temperature * (least[-1] - least[0])
+        tiny = jnp.finfo(costs.dtype).tiny
+        w = jnp.exp(-(costs - least[0]) / jnp.maximum(scale, tiny))
+        w = jnp.where(jnp.isfinite(w), w, 0.0)
+        w = w / jnp.maximum(w.sum(), tiny)
+        mean, deviation = jax.tree.map(lambda x: _weighted(w, x), drawn), colder
+    else:
+        w = jnp.where(jnp.isfinite(least), 1.0, 0.0)
+        w = w / jnp.maximum(w.sum(), 1.0)
+        mean = jax.tree.map(lambda x: _weighted(w, x), good)
+        keep = how.smoothing
+
+        def spread(x: jax.Array, m: jax.Array, old: jax.Array) -> jax.Array:
+            return keep * old + (1 - keep) * jnp.sqrt(_weighted(w, (x - m) ** 2))
+
+        deviation = jax.tree.map(spread, good, mean, now.deviation)
+    some = jnp.isfinite(least[0])  # else draw again about the same mean
+    pick = lambda new, old: jnp.where(some, new, old)  # noqa: E731
+    return jax.tree.map(pick, (mean, deviation), (now.mean, now.deviation))
+
+
+def _weighted(w: jax.Array, x: jax.Array) -> jax.Array:
+    return (w.reshape(-1, *[1] * (x.ndim - 1)) * x).sum(0)
+
+
+def control_at(how: Sampling, points: jax.Array, k: jax.Array, horizon: int) -> jax.Array:
+    """The controls (m,) at knot k of the spline with points (K, m), the first at knot 0 and the
+    last at knot horizon - 1; "hold" changes half way between points."""
+    count = points.shape[0]
+    if count == 1:
+        return points[0]
+    s = k * jnp.asarray((count - 1) / max(horizon - 1, 1), points.dtype)
+    if how.spline == "hold":
+        return points[jnp.clip(jnp.floor(s + 0.5).astype(int), 0, count - 1)]
+    j = jnp.clip(jnp.floor(s).astype(int), 0, count - 2)
+    t = s - j
+    a, b = points[j], points[j + 1]
+    if how.spline == "linear":
+        return a + t * (b - a)
+    # Catmull and Rom, with the points at the ends twice
+    before, after = points[jnp.maximum(j - 1, 0)], points[jnp.minimum(j + 2, count - 1)]
+    da, db = 0.5 * (b - before), 0.5 * (after - a)
+    curve = a + t * (da + t * (3 * (b - a) - 2 * da - db + t * (2 * (a - b) + da + db)))
+    return curve
+
+
+def _opened(problem: Problem, start: Any, draw: Draw) -> Knot:
+    state = problem.system.plus(start, draw.first) if any(problem.free) else start
+    return Knot(state, draw.numbers)
+
+
+def _ctrl(how: Sampling, problem: Problem, draw: Draw, k: jax.Array) -> jax.Array:
+    u = control_at(how, draw.points, k, problem.horizon)
+    if problem.bounded:
+        u = jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+    return u
+
+
+def rolled(how: Sampling, problem: Problem, start: Any, draw: Draw) -> jax.Array:
+    """The cost () of a draw, penalties of constraints included."""
+    dtype, N = draw.points.dtype, problem.horizon
+    mu = jnp.asarray(how.penalty, dtype)
+    rows = [
+        jnp.zeros(row_count(problem, where), dtype)
+        for where in ("path", "end")
+    ]
+
+    def step(carry: tuple, k: jax.Array) -> tuple[tuple, None]:
+        knot, total = carry
+        u = _ctrl(how, problem, draw, k)
+        total = total + merit(problem, k, knot, u, rows[0], mu, "path")
+        return (problem.step(k, knot, u), total), None
+
+    begin = (_opened(problem, start, draw), jnp.zeros((), dtype))
+    (last, total), _ = jax.lax.scan(step, begin, jnp.arange(N, dtype=dtype))
+    none = jnp.zeros(problem.nu, dtype)
+    return total + merit(problem, jnp.asarray(N, dtype), last, none, rows[1], mu, "end")
+
+
+def motion(how: Sampling, problem: Problem, start: Any, draw: Draw) -> tuple[Knot, jax.Array]:
+    """The knots (N + 1, ...) and controls (N, m) of a draw."""
+    dtype = draw.points.dtype
+
+    def step(knot: Knot, k: jax.Array) -> tuple[Knot, tuple[Knot, jax.Array]]:
+        u = _ctrl(how, problem, draw, k)
+        return problem.step(k, knot, u), (knot, u)
+
+    first = _opened(problem, start, draw)
+    last, (knots, us) = jax.lax.scan(step, first, jnp.arange(problem.horizon, dtype=dtype))
+    return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), knots, last), us

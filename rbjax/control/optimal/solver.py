@@ -1,0 +1,248 @@
+"""`solve`: a problem, by any method."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiling import compiled, inside_jit
+from rbjax.control.optimal.constants import Known
+from rbjax.control.optimal.derivatives.implicit import differentiable
+from rbjax.control.optimal.first_guess import Guess, first_guess, guess_of
+from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.problem import Knot, Problem
+from rbjax.control.optimal.registry import METHODS, method_of, name_of
+from rbjax.control.optimal.solution import Found, Solution, solution_of, violations
+from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
+from rbjax.errors import InputError
+from rbjax.motion.closures.captured import with_captured
+from rbjax.progress import Say, progress_line
+from rbjax.solvers.common.arguments import check_between, check_whole
+
+
+def solve(
+    problem: Problem,
+    start: Any,
+    *,
+    method: Any = "ddp",
+    states: Any = None,
+    ctrls: Any = None,
+    numbers: Any = None,
+    guess: Solution | None = None,
+    iterations: int = 200,
+    tolerance: float = 1e-9,
+    violation: float = 1e-6,
+    seed: Any = 0,
+    progress: bool = False,
+) -> Solution:
+    """The controls that cost least from a start.
+
+    min  sum_k h L(t_k, x_k, u_k) + Phi(x_N)   as `Problem` says.
+
+    Args:
+        problem: `Problem`.
+        start: `State` of a model or a wheeled robot, (n,) of `Equations`; the first guess where it
+            is free.
+        method: one of `rb.control.methods()`; or a `Sampling` or `SampledStart` with numbers of its
+            own.
+        states: a first guess of the states, with a leading axis N + 1. It need not obey the
+            dynamics. None: the start, at all knots; or, if ctrls are given, the motion by these if
+            it costs less.
+        ctrls: a first guess (N, nu) of the controls; None for zeros.
+        numbers: a first guess of the design and, last, of the final time.
+        guess: instead of these three, the `Solution` of a similar problem. The search starts from
+            its motion, rolled out with its gains from the new start, and from its multipliers.
+        iterations: at most.
+        tolerance: of the change of the cost that an iteration predicts, relative to the larger of
+            |cost| and min(|cost of the first guess|, 1); at least 10 eps of the dtype.
+        violation: of constraints, in their units.
+        seed: an integer, the seed of a method that draws samples; `jax.vmap` over it tries many.
+        progress: show the iterations on a terminal; within a program it is ignored.
+
+    Returns:
+        `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
+        controls, numbers, cost and multipliers have derivatives, forward and reverse, by all arrays
+        of the problem, by what its functions close over, and by the start, those of active bounds
+        and constraints included (`implicit`). Its gains and the account of the iterations are
+        constants to derivatives.
+
+    Raises:
+        InputError: wrong types or shapes; outside of traced code also numbers that are not finite.
+        UnknownName: no such method.
+
+    Source: Mastalli et al., *Crocoddyl*, ICRA 2020 (`ddp`).
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("pendulum")
+        >>> still = rb.control.StateError(model.default_state())
+        >>> problem = rb.control.Problem(model, 20, 0.05, running=[still, rb.control.Control()],
+        ...                              terminal=[still])
+        >>> pushed = rb.State(model.default_state().q + 0.2, model.default_state().v)
+        >>> rb.control.solve(problem, pushed).status
+        'converged'
+    """
+    if not isinstance(problem, Problem):
+        raise InputError(
+            f"solve: problem is {type(problem).__name__}, expected an rb.control.Problem"
+        )
+    if problem.constraints and not method_of(method).constraints:
+        able = [name for name, m in METHODS.items() if m.constraints]
+        raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")
+    check_whole("solve", "iterations", iterations, 1)
+    for name, value in (("tolerance", tolerance), ("violation", violation)):
+        check_between("solve", name, value, 0.0, np.inf)
+    for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
+                        ("numbers", numbers)):  # fmt: skip
+        _check_finite(name, value)
+    if not isinstance(seed, jax.core.Tracer):
+        _check_seed(seed)
+    inside = inside_jit()
+    show = progress and not inside
+    number = jnp.asarray if inside else _plain
+    began = guess_of(problem, guess, states, ctrls, numbers)
+    options = Options(
+        number(tolerance), number(violation), number(iterations), jnp.asarray(seed, jnp.uint32),
+        multipliers=began.multipliers, say=_say if show else None,
+    )  # fmt: skip
+    began = began._replace(multipliers=None)
+    if not all(map(eqx.is_array_like, jax.tree.leaves(start))):
+        start = problem.system.checked("solve", start)  # says what is wrong
+    leaves, tree = jax.tree.flatten(problem)
+    places = [i for i, x in enumerate(leaves) if callable(x)]
+    program, robot = (_solve if inside else _compiled), len(jax.tree.leaves(problem.system))
+
+    def run(*functions: Any) -> Solution:
+        filled = list(leaves)
+        for i, f in zip(places, functions, strict=True):
+            filled[i] = f
+        parts = filled[:robot], filled[robot:]
+        constants = None if inside else _robots.constants(parts[0])
+        numeric, rest = eqx.partition(parts[constants is not None :], eqx.is_array)
+        others, other_tree = jax.tree.flatten(rest)
+        key = (tree, constants, other_tree, *others)
+        found, off, ts, numbers = program(
+            numeric, start, began, options, key, method, int(iterations)
+        )
+        return solution_of(problem, found, off, ts, numbers, name_of(method))
+
+    if not show:
+        return with_captured(run, *(leaves[i] for i in places))
+    with progress_line(f"solve ({method})") as line:
+        _lines.append(line)
+        try:
+            return jax.block_until_ready(with_captured(run, *(leaves[i] for i in places)))
+        finally:
+            jax.effects_barrier()
+            _lines.pop()
+
+
+def _check_finite(name: str, value: Any) -> None:
+    """`InputError` if a number is not finite. Traced values and arrays on a GPU are not read; then
+    the outcome is `NOT_FINITE`."""
+    for x in jax.tree.leaves(value):
+        if name != "start" and isinstance(x, str | bytes):  # `checked` says what a start must be
+            raise InputError(f"solve: {name} is {x!r}, expected numbers")
+        if isinstance(x, jax.core.Tracer) or (isinstance(x, jax.Array) and not _on_host(x)):
+            continue
+        try:
+            whole = np.isfinite(np.asarray(x, float)).all()
+        except (TypeError, ValueError):  # another check names the type
+            continue
+        if not whole:
+            raise InputError(f"solve: {name} has numbers that are not finite, expected finite ones")
+
+
+def _check_seed(seed: Any) -> None:
+    """`InputError` unless a seed is an integer from 0 to 2^32 - 1, or an array of such."""
+    x = np.asarray(seed)
+    if x.dtype.kind not in "iu" or (x.size and not (0 <= x.min() <= x.max() < 2**32)):
+        raise InputError(f"solve: seed is {seed!r}, expected an integer from 0 to 2^32 - 1")
+
+
+def _on_host(x: jax.Array) -> bool:
+    return all(d.platform == "cpu" for d in x.devices())
+
+
+_lines: list[Say] = []  # of the searches that run now
+
+
+def _say(iterations: Any, cost: Any, violation: Any) -> None:
+    """One function for all searches: programs are known by it."""
+    if _lines:
+        held = f", violation {float(violation):.2g}" if violation else ""
+        _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")
+
+
+_robots = Known()
+
+
+def _plain(x: Any) -> Any:
+    """A number that a program may be given as it is."""
+    return x if isinstance(x, int | float) else jnp.asarray(x)
+
+
+def _solve(
+    numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
+) -> tuple[Found, jax.Array, jax.Array, jax.Array]:
+    """What was found, the violation of each constraint, the times and the numbers."""
+    tree, constants, other_tree, *others = key
+    parts = eqx.combine(numeric, jax.tree.unflatten(other_tree, others))
+    if constants is not None:
+        parts = (constants.whole(), *parts)
+    problem = jax.tree.unflatten(tree, [x for part in parts for x in part])
+    start = problem.system.checked("solve", start)
+    knots, ctrls = first_guess(problem, start, *guess[:4])
+    found, off = _judged(problem, start, knots, ctrls, options, method, history)
+    numbers = found.knots.numbers[0]
+    ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
+    ts = problem.time(ks, problem.at(numbers)[1])
+    return found, off, ts, numbers
+
+
+def _judged(
+    problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
+    history: int,
+) -> tuple[Found, jax.Array]:  # fmt: skip
+    """What a method finds, with the outcome that its states and constraints show."""
+    search = functools.partial(_searched, method, history)
+    if method_of(method).steps:
+        found = differentiable(search, problem, start, knots, ctrls, options)
+    else:
+        found = _without_derivative(search(problem, start, knots, ctrls, options))
+    if found.violations is not None:
+        return found, found.violations
+    off = violations(problem, found.knots, found.ctrls)
+    # a method that weighs constraints against costs may come to rest where they do not hold
+    rests = (found.outcome == CONVERGED) | (found.outcome == FINISHED)
+    broken = (off > options.violation).any() & rests
+    outcome = jnp.where(broken, INFEASIBLE, found.outcome)
+    outcome = jnp.where(jnp.isfinite(found.cost + found.gap), outcome, NOT_FINITE)
+    return found._replace(outcome=outcome), off
+
+
+@jax.custom_jvp
+def _without_derivative(found: Found) -> Found:
+    """What a method found whose equations are not steps of the system."""
+    return found
+
+
+@_without_derivative.defjvp
+def _refuse(primals: Any, tangents: Any) -> Any:
+    able = [name for name, m in METHODS.items() if m.steps]
+    raise InputError(
+        f"solve: the optimum of this method has no derivative; those of {able} have: solve again "
+        "by one of them, from the states and controls found"
+    )
+
+
+def _searched(method: Any, history: int, *given: Any) -> Found:
+    return method_of(method).solve(*given, history)
+
+
+_compiled = compiled(_solve, static_argnames=("key", "method", "history"))

@@ -1,0 +1,251 @@
+"""What a frame shall reach, how far it is from there, and how that changes with the coordinates.
+
+    pose         e = [log(R_d R^T); p_d - p]           J = [J_w; J_v]
+    rotation     e = log(R_d R^T)                       J = J_w
+    position     e = p_d - p                            J = J_v
+    direction    e = log of the turn of a to n          J = (1 - n n^T) J_w
+in world axes, of a frame at (R, p) whose axis a shall point along n. J is the rate of -e to first
+order in e, so Newton's method with it converges quadratically to e = 0 (Sola, Deray & Atchuthan,
+*A micro Lie theory*, 2018, eq. 83: J_l^-1(e) = 1 + O(e)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.dynamics.algorithms.frames import carried_point
+from rbjax.dynamics.algorithms.link_motion import LinkMotion
+from rbjax.dynamics.arguments import check_array
+from rbjax.dynamics.drivers.joint_lanes import own_axes
+from rbjax.dynamics.drivers.unrolled import Unrolled
+from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_at_least, check_rotation
+from rbjax.lanes import Lane, Mat3, Vec3, is_literal, mul
+from rbjax.model import WORLD, Model, prepare
+from rbjax.model.leaves import site_transform
+from rbjax.model.record import Record
+from rbjax.rotations import quaternion
+
+#: 1 + the cosine of an angle below which two vectors count as opposite
+OPPOSITE = 1e-14
+
+
+class Goal(Record):
+    """What one frame shall reach: a position, an attitude, both, or a direction of one of its axes.
+
+    Args:
+        site, body: the name of the frame; exactly one of the two.
+        position: (3,) m, where its origin (or `point`) shall be, in the world.
+        rotation: (3, 3), its attitude, frame to world axes.
+        direction: (3,), where its `axis` shall point, in the world; not with a rotation.
+        axis: (3,), an axis in the frame; its z if None.
+        point: (3,) m, a point in the frame; its origin if None.
+        weight: how much its error counts beside those of other goals that cannot all be met.
+
+    Raises:
+        InputError: no or both names, nothing to reach, a wrong shape, a direction of no length.
+
+    Example:
+        >>> import rbjax as rb
+        >>> rb.control.Goal(site="tool", position=[0.4, 0.0, 0.5], direction=[0.0, 0.0, -1.0]).rows
+        6
+    """
+
+    position: jax.Array | None
+    rotation: jax.Array | None
+    direction: jax.Array | None
+    axis: jax.Array | None
+    point: jax.Array | None
+    weight: jax.Array
+    site: str | None = eqx.field(static=True)
+    body: str | None = eqx.field(static=True)
+
+    def __init__(
+        self, *, site: str | None = None, body: str | None = None, position: Any = None,
+        rotation: Any = None, direction: Any = None, axis: Any = None, point: Any = None,
+        weight: Any = 1.0,
+    ):  # fmt: skip
+        def given(name: str, value: Any, *shape: int) -> Any:
+            return None if value is None else check_array("Goal", name, value, shape)
+
+        if (site is None) == (body is None):
+            got = "neither" if site is None else "both"
+            raise InputError(f"Goal: got {got} of site and body, expected exactly one")
+        if position is None and rotation is None and direction is None:
+            raise InputError("Goal: nothing to reach; give a position, a rotation or a direction")
+        if rotation is not None and direction is not None:
+            raise InputError(
+                "Goal: got both rotation and direction, expected at most one: a rotation says "
+                "where all axes point"
+            )
+        if axis is not None and direction is None:
+            raise InputError("Goal: got an axis and no direction for it; give direction=")
+        if not isinstance(body if site is None else site, str):
+            raise InputError(f"Goal: got site={site!r} and body={body!r}, expected a name")
+        self.site, self.body = site, body
+        self.position = given("position", position, 3)
+        self.rotation = given("rotation", rotation, 3, 3)
+        self.direction = given("direction", direction, 3)
+        self.axis, self.point = given("axis", axis, 3), given("point", point, 3)
+        self.weight = check_at_least("Goal", "weight", weight, ())
+        for name in ("direction", "axis"):
+            _check_length(name, getattr(self, name))
+        check_rotation("Goal", self.rotation)
+
+    @property
+    def arrays(self) -> list[jax.Array]:
+        """What is to be reached."""
+        return [x for x in (self.position, self.rotation, self.direction) if x is not None]
+
+    @property
+    def rows(self) -> int:
+        """How many numbers its error has."""
+        turns = self.rotation is not None or self.direction is not None
+        return 3 * turns + 3 * (self.position is not None)
+
+
+def _check_length(name: str, x: jax.Array | None) -> None:
+    if x is not None and not isinstance(x, jax.core.Tracer) and not np.any(np.asarray(x)):
+        raise InputError(f"Goal: {name} is the zero vector, expected one with a direction")
+
+
+class Miss:
+    """The errors of all goals at a configuration, and the Jacobian, row by row on lanes.
+
+    errors: the lanes of e; rows: of each the lanes of J, nv in number, zero where a coordinate does
+    not move the frame; weights: of each row; turning: whether a row is one of rotation.
+    """
+
+    def __init__(
+        self, model: Model, d: Unrolled, goals: Sequence[Goal], q: jax.Array,
+        weights: Sequence[Lane] = (1.0, 1.0),
+    ):  # fmt: skip
+        """d: the driver of `written_out(model)`; weights: of rotations and of positions."""
+        self.model, self.dtype = model, q.dtype
+        self.errors: list[Lane] = []
+        self.rows: list[list[Lane]] = []
+        self.weights: list[Lane] = []
+        self.turning: list[bool] = []
+        self._weights = weights
+        self._d, self._motion = d, LinkMotion(d, q, None)
+        self._axes = own_axes(d, self._motion.joints)
+        self._columns: dict[int, tuple[Vec3, Vec3, Vec3]] = {}
+        self.groups: list[tuple[bool, int, int]] = []
+        for goal in goals:
+            self._add(goal)
+
+    def _add(self, goal: Goal) -> None:
+        link, r, attitude = self._frame(goal)
+        if link == WORLD:
+            p, R = r, attitude
+        else:
+            pose = self._motion.pose(link)
+            p, R = pose.p + pose.R @ r, pose.R @ attitude
+        path = () if link == WORLD else self._d.topology.ancestors[link]
+        if goal.rotation is not None:
+            turn = _entries(goal.rotation, self.dtype) @ R.T
+            e = quaternion.log_lanes(quaternion.from_matrix_lanes(_arrays(turn, self.dtype)))
+            self._rows(goal, True, e, path, lambda spin, slip: spin)
+        elif goal.direction is not None:
+            n, a = _unit(goal.direction, self.dtype), Vec3(0.0, 0.0, 1.0)
+            a = R @ (a if goal.axis is None else _unit(goal.axis, self.dtype))
+            across = lambda spin, slip: spin - n * spin.dot(n)  # noqa: E731
+            self._rows(goal, True, _shortest_turn(a, n, self.dtype), path, across)
+        if goal.position is not None:
+            e = Vec3(*(goal.position[i] for i in range(3))) - p
+            self._rows(goal, False, e, path, lambda spin, slip: slip(p))
+
+    def _frame(self, goal: Goal) -> tuple[int, Vec3, Mat3]:
+        """The link that carries the frame, its point and attitude in that link's axes."""
+        model, d = self.model, self._d
+        like = jnp.zeros(0, self.dtype)
+        link, r = carried_point("Goal", model, d, like, goal.body, goal.site, goal.point)
+        R = Mat3.identity()
+        b = body_of(model, goal)
+        if goal.site is not None:
+            R = site_transform(model, model.site(goal.site), self.dtype).R
+        return link, r, (R if link == WORLD else d.prepared.weld(b).R @ R)
+
+    def _rows(self, goal: Goal, turns: bool, e: Any, path: Sequence[int], of: Any) -> None:
+        scale = mul(self._weights[0 if turns else 1], jnp.asarray(goal.weight, self.dtype))
+        self.groups.append((turns, len(self.errors), len(self.errors) + 3))
+        columns = {i: list(of(*self._column(i))) for i in path}
+        for k, entry in enumerate(e):
+            self.errors.append(entry)
+            self.weights.append(scale)
+            self.turning.append(turns)
+            self.rows.append(
+                [columns[i][k] if i in columns else 0.0 for i in range(self.model.nv)]
+            )
+
+    def _column(self, i: int) -> tuple[Vec3, Any]:
+        """Angular velocity per unit of coordinate i, and the velocity of a point of the world."""
+        if i not in self._columns:
+            pose, S = self._motion.pose(i), self._axes[i]
+            self._columns[i] = pose.R @ S.ang, pose.R @ S.lin, pose.p
+        spin, slide, origin = self._columns[i]
+        return spin, lambda p: spin.cross(p - origin) + slide
+
+    def size(self, turns: bool) -> Lane:
+        """The square of the largest rotation error, or position error."""
+        out: Lane = 0.0
+        for turning, start, stop in self.groups:
+            if turning == turns:
+                square = sum(x * x for x in self.errors[start:stop])
+                out = square if is_literal(out) else jnp.maximum(out, square)
+        return out
+
+
+def body_of(model: Model, goal: Goal) -> int:
+    """The body that carries the goal's frame, or `WORLD`."""
+    if goal.site is not None:
+        return model.topology.site_bodies[model.site(goal.site)]
+    return model.body(goal.body or "")
+
+
+def written_out(model: Model, dtype: Any) -> Unrolled:
+    """The driver for `Miss`, made once and used at many configurations."""
+    return Unrolled(model, prepare(model, dtype))
+
+
+def errors(model: Model, goals: Sequence[Goal], q: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """e (m,) and J (m, nv) as arrays, without weights."""
+    miss = Miss(model, written_out(model, q.dtype), goals, q)
+    e = jnp.stack([jnp.asarray(x, q.dtype) for x in miss.errors])
+    rows = [jnp.stack([jnp.asarray(x, q.dtype) for x in row]) for row in miss.rows]
+    return e, jnp.stack(rows)
+
+
+def _shortest_turn(a: Vec3, n: Vec3, dtype: Any) -> list[Lane]:
+    """The shortest rotation vector from the unit vector a to the unit vector n: that of the
+    quaternion (1 + a.n, a x n), of any length. Opposite vectors have no such quaternion: half a
+    turn about any axis across n."""
+    w, u = 1 + a.dot(n), a.cross(n)
+    opposite = w < OPPOSITE
+    x, y, z = (jnp.abs(jnp.asarray(c, dtype)) for c in n)
+    first = (x <= y) & (x <= z)
+    second = ~first & (y <= z)
+    least = [jnp.asarray(c, dtype) for c in (first, second, ~first & ~second)]
+    aside = n.cross(Vec3(*least))
+    turn = [jnp.where(opposite, b, c) for b, c in zip(aside, u, strict=True)]
+    return quaternion.log_lanes([jnp.where(opposite, 0.0, w), *turn])
+
+
+def _unit(x: jax.Array, dtype: Any) -> Vec3:
+    v = Vec3(*(jnp.asarray(x[i], dtype) for i in range(3)))
+    return v * (1 / jnp.sqrt(v.dot(v)))
+
+
+def _entries(R: jax.Array, dtype: Any) -> Mat3:
+    return Mat3(*(jnp.asarray(R[i, j], dtype) for i in range(3) for j in range(3)))
+
+
+def _arrays(R: Mat3, dtype: Any) -> list[jax.Array]:
+    return [jnp.asarray(x, dtype) for x in R]
+

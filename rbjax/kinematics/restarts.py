@@ -1,0 +1,159 @@
+"""Goals reached by damped steps from many starts, one after another, in one loop.
+
+Each turn of the loop looks at one configuration. If it meets the goals, the search is over. If the
+error has stopped falling, or this start has had its turns, the next start follows; else the next
+step. So a search costs what its own starts cost, and many searches run side by side, one a thread
+of a GPU or a lane of machine code, with no difference between a lane that steps and one that
+starts again.
+
+If no start succeeds, the best configuration of all is improved for `POLISH` more turns, so that
+what is out of reach ends at the nearest pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from rbjax.dynamics.algorithms.manifold import difference_lanes, integrate_lanes
+from rbjax.kinematics.damped_least_squares import half_square, step, weighted
+from rbjax.kinematics.goals import Goal, Miss, written_out
+from rbjax.kinematics.joint_ranges import Ranges
+from rbjax.lanes import Lane, is_zero
+from rbjax.model import Model
+
+#: the damping: this share of the error E, and this share of the tolerance, so that a singular J J^T
+#: has a solution. With a posture, the latter leaves an error of its size times the multipliers.
+SHARE, LEAST = 3e-2, 1e-4
+#: a start is given up when the error has not fallen to `FALL` of its lowest for `PATIENCE` turns
+FALL, PATIENCE = 0.5, 4
+#: turns from the best configuration where no start succeeds
+POLISH = 100
+#: a step of this length, m and rad, is at rest there
+REST = 1e-10
+#: no coordinate moves further in a turn
+LONGEST = 1.0
+
+
+class Settings(NamedTuple):
+    """What is part of the program: turns of one start, whether joints keep their ranges."""
+
+    iterations: int
+    limits: bool
+
+
+class Found(NamedTuple):
+    """q (nq,); the largest errors of rotation and position; whether the goals are met; all turns;
+    which start it was."""
+
+    q: jax.Array
+    rotation: jax.Array
+    position: jax.Array
+    converged: jax.Array
+    iterations: jax.Array
+    start: jax.Array
+
+
+class _Turn(NamedTuple):
+    q: jax.Array
+    lowest: jax.Array
+    stuck: jax.Array
+    turn: jax.Array
+    start: jax.Array
+    total: jax.Array
+    done: jax.Array
+    best: jax.Array
+    best_E: jax.Array
+    met: jax.Array
+    rotation: jax.Array
+    position: jax.Array
+
+
+def search(
+    model: Model,
+    goals: Sequence[Goal],
+    start: jax.Array,
+    others: jax.Array,
+    posture: jax.Array | None,
+    weights: tuple[Any, Any],
+    tolerance: tuple[Any, Any],
+    how: Settings,
+) -> Found:
+    """From the first of the starts from which the goals are met, else the nearest pose.
+
+    start (nq,), others (n, nq): the first start and those that follow it; weights, tolerance: of
+    rotations and of positions.
+    """
+    dtype, top, last = start.dtype, model.topology, 1 + others.shape[0]
+    ranges, d = Ranges(model, dtype, how.limits), written_out(model, dtype)
+    least = LEAST * jnp.minimum(*(jnp.asarray(x, dtype) for x in tolerance))
+    squares = [jnp.square(jnp.asarray(x, dtype)) for x in tolerance]
+
+    def looked(now: _Turn) -> _Turn:
+        q = list(now.q)
+        miss = Miss(model, d, goals, now.q, weights)
+        e, J = weighted(miss)
+        E = half_square(e)
+        errors = [_array(miss.size(turns), dtype) for turns in (True, False)]
+        met = (errors[0] <= squares[0]) & (errors[1] <= squares[1])
+        wish = None if posture is None else difference_lanes(top, q, list(posture))
+        damping = SHARE * E + least
+        dq = step(q, e, J, ranges, wish, damping)
+        dq = [x if is_zero(x) else jnp.clip(x, -LONGEST, LONGEST) for x in dq]
+        moved = ranges.within(integrate_lanes(top, q, [_array(x, dtype) for x in dq]))
+
+        longest = jnp.max(jnp.stack([jnp.abs(_array(x, dtype)) for x in dq]))
+        finished = met if posture is None else met & (longest <= jnp.sqrt(squares[0]))
+        better = (now.best_E > E) | met
+        better = jnp.where(now.met, met, better)
+        fell = FALL * now.lowest >= E
+        stuck = jnp.where(fell | met, 0, now.stuck + 1)
+        polishing = now.start >= last
+        over = jnp.where(
+            polishing,
+            (now.turn >= POLISH) | (longest <= REST),
+            (now.turn + 1 >= how.iterations) | (stuck > PATIENCE),
+        ) | ~jnp.isfinite(E)
+        best = jnp.where(better, now.q, now.best)
+        # goals that are met while the posture still drifts are good enough when the turns are over
+        done = finished | (over & (polishing | now.met | met))
+        following = now.start + 1
+        fresh = best
+        if last > 1:
+            row = others[jnp.clip(following - 1, 0, last - 2)]
+            fresh = jnp.where(following < last, row, best)
+        return _Turn(
+            q=jnp.where(over, fresh, _stack(moved, dtype)),
+            lowest=jnp.where(over, jnp.inf, jnp.where(fell, E, now.lowest)),
+            stuck=jnp.where(over, 0, stuck),
+            turn=jnp.where(over, 0, now.turn + 1),
+            start=jnp.where(over & ~done, following, now.start),
+            total=now.total + 1,
+            done=done,
+            best=best,
+            best_E=jnp.where(better, E, now.best_E),
+            met=now.met | met,
+            rotation=jnp.where(better, errors[0], now.rotation),
+            position=jnp.where(better, errors[1], now.position),
+        )
+
+    endless, none = jnp.asarray(jnp.inf, dtype), jnp.asarray(0, jnp.int32)
+    first = _Turn(
+        start, endless, none, none, none, none, jnp.asarray(False), start, endless,
+        jnp.asarray(False), endless, endless,
+    )  # fmt: skip
+    end = jax.lax.while_loop(lambda now: ~now.done, looked, first)
+    return Found(
+        end.best, jnp.sqrt(end.rotation), jnp.sqrt(end.position), end.met, end.total, end.start
+    )
+
+
+def _array(x: Lane, dtype: Any) -> jax.Array:
+    return jnp.asarray(x, dtype)
+
+
+def _stack(q: Sequence[Lane], dtype: Any) -> jax.Array:
+    return jnp.stack([_array(x, dtype) for x in q])

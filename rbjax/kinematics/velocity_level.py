@@ -1,0 +1,219 @@
+"""Differential inverse kinematics: the velocity with which frames move as asked, within limits.
+
+    min  sum over goals of |J_w v - V|^2 + d |v - v_0|^2 ,     l <= v <= u
+    l = max(-speed, (lower - q) / dt),  u = min(speed, (upper - q) / dt)
+so no joint passes the end of its range within the step. It is a strictly convex quadratic program
+with bounds, solved exactly by an active set: the free coordinates go to their minimum, or to the
+first bound on the way, which then holds one of them; at a minimum, the one that its bound presses
+the wrong way is set free. The objective falls until no set is left that is better.
+
+(Nakamura & Hanafusa 1986; Nocedal & Wright, 16.5, of the active set.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from rbjax.compiler import threaded, wanted
+from rbjax.compiling import compiled, inside_jit
+from rbjax.dynamics.arguments import (
+    check_array,
+    check_model,
+    check_moves,
+    check_quaternions,
+    check_step,
+)
+from rbjax.dynamics.tracing.custom_rules import split_tracers
+from rbjax.errors import InputError
+from rbjax.kinematics.arguments import check_at_least, check_bound, check_several
+from rbjax.kinematics.goals import Goal, errors
+from rbjax.kinematics.joint_ranges import Ranges
+from rbjax.kinematics.position_level import check_frames
+from rbjax.lanes import ldlt, matmat, matvec
+from rbjax.meshes import automatic
+from rbjax.model import Model
+from rbjax.model.record import Record
+
+WHERE = "differential_inverse_kinematics"
+#: steps a coordinate, each of which holds or frees one: it takes two or three
+STEPS = 8
+
+
+class DifferentialInverseKinematics(Record):
+    """Fields: v (nv,) within the limits; residual (m,), what is left of the velocities asked for,
+    goal by goal, rotation before position; optimal, the largest entry of the projected gradient."""
+
+    v: jax.Array
+    residual: jax.Array
+    optimal: jax.Array
+
+
+def differential_inverse_kinematics(
+    model: Model,
+    q: Any,
+    goals: Goal | Sequence[Goal],
+    *,
+    rate: Any = 1.0,
+    speed: Any = np.inf,
+    dt: float | None = None,
+    rest: Any = None,
+    damping: Any = 1e-6,
+) -> DifferentialInverseKinematics:
+    """The velocity (nv,) that takes frames towards their goals, within speeds and joint ranges.
+
+    min |W (J v - rate e)|^2 + damping |v - rest|^2, l <= v <= u, with e the error of the goals
+    (`Goal`): J v = rate e makes each error fall as exp(-rate t).
+
+    Args:
+        model: the robot.
+        q: (nq,) configuration, within the ranges.
+        goals: a `Goal` or several; their weights W say which matter where not all can be met.
+        rate: 1/s, how fast errors are to fall; 1 / dt takes a Newton step.
+        speed: the largest speed of each coordinate, rad/s or m/s, a number or (nv,).
+        dt: s, the step within which no joint passes the end of its range; None looks at no range.
+        rest: (nv,) the velocity of what the goals leave free; zero if None.
+        damping: d, which also bounds v near singular configurations.
+
+    Returns:
+        `DifferentialInverseKinematics`.
+
+    Raises:
+        UnknownName: no such frame. InputError: a wrong shape; a frame that no joint moves.
+
+    Source: Nakamura & Hanafusa 1986; Nocedal & Wright, *Numerical Optimization*, 16.5.
+
+    Example:
+        >>> import rbjax as rb
+        >>> model = rb.load("arm7")
+        >>> goal = rb.control.Goal(site="tool", position=[0.4, 0.0, 0.5])
+        >>> found = rb.control.differential_inverse_kinematics(
+        ...     model, model.default_state().q, goal, rate=5.0, speed=1.0)
+        >>> found.v.shape
+        (7,)
+    """
+    check_model(WHERE, model)
+    check_moves(WHERE, model)
+    goals = check_several(WHERE, "goals", (goals,) if isinstance(goals, Goal) else goals, "Goal")
+    if not goals or not all(isinstance(g, Goal) for g in goals):
+        raise InputError(f"{WHERE}: goals hold what is no Goal, expected a Goal or a list of them")
+    check_frames(WHERE, model, goals)
+    q = check_array(WHERE, "q", q, (model.nq,))
+    check_quaternions(WHERE, "q", model, q)
+    rate = check_at_least(WHERE, "rate", rate, ()).astype(q.dtype)
+    damping = check_at_least(WHERE, "damping", damping, ()).astype(q.dtype)
+    most = _speeds(speed, model.nv, q.dtype)
+    v0 = jnp.zeros(model.nv, q.dtype)
+    if rest is not None:
+        v0 = check_array(WHERE, "rest", rest, (model.nv,)).astype(q.dtype)
+    step = None if dt is None else check_step(WHERE, "dt", dt, q.dtype)
+    args = (model, goals, q, v0, rate, most, step, damping)
+    inside = split_tracers(args)[0] and inside_jit()
+    return (_inlined if inside else _program)(*args)
+
+
+@automatic
+def _inlined(*args: Any) -> DifferentialInverseKinematics:
+    """One sample as a program for a thread or a lane."""
+    moving, closed = split_tracers(args)
+
+    def run(moving: list) -> DifferentialInverseKinematics:
+        return _solved(*closed(moving))
+
+    return (threaded(run) if wanted() else run)(moving)
+
+
+_program = compiled(_inlined)
+
+
+def _solved(
+    model: Model, goals: Sequence[Goal], q: jax.Array, v0: jax.Array, rate: jax.Array,
+    most: jax.Array, step: Any, damping: jax.Array,
+) -> DifferentialInverseKinematics:  # fmt: skip
+    low, high = -most, most
+    if step is not None:
+        for at in Ranges(model, q.dtype).bounded:
+            low = low.at[at.v].max(jnp.minimum((at.lower - q[at.q]) / step, 0.0))
+            high = high.at[at.v].min(jnp.maximum((at.upper - q[at.q]) / step, 0.0))
+    e, J = errors(model, goals, q)
+    weights = jnp.stack([jnp.asarray(g.weight, q.dtype) for g in goals for _ in range(g.rows)])
+    A, b = J * weights[:, None], rate * e * weights
+    H = matmat(A.T, A) + damping * jnp.eye(model.nv, dtype=q.dtype)
+    v, optimal = bounded_quadratic(H, matvec(A.T, b) + damping * v0, low, high)
+    return DifferentialInverseKinematics(v, rate * e - matvec(J, v), optimal)
+
+
+class _Set(NamedTuple):
+    """A point within the bounds, what is held at its bound, and whether it is optimal."""
+
+    x: jax.Array
+    held: jax.Array
+    done: jax.Array
+    step: jax.Array
+
+
+def bounded_quadratic(
+    H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """x of min x^T H x / 2 - g^T x, low <= x <= high, H positive definite, and the largest entry of
+    the projected gradient there."""
+    n, dtype = g.shape[0], g.dtype
+
+    def solved(H: jax.Array, free: jax.Array, down: jax.Array) -> jax.Array:
+        rows = H * (free[:, None] * free[None, :]) + jnp.diag(1 - free)
+        found = ldlt([list(row) for row in rows]).solve(list(-down * free))
+        return jnp.stack([jnp.asarray(a, dtype) for a in found])
+
+    def minimum(H: jax.Array, g: jax.Array, low: jax.Array, high: jax.Array) -> _Set:
+        rounding = 64 * float(jnp.finfo(dtype).eps) * (jnp.abs(g).max() + jnp.abs(H).max())
+
+        def step(now: _Set) -> _Set:
+            x = now.x
+            d = solved(H, jnp.where(now.held, 0.0, 1.0).astype(dtype), matvec(H, x) - g)
+            end = jnp.where(d > 0, high, low)
+            room = jnp.where(d == 0, jnp.inf, (end - x) / jnp.where(d == 0, 1.0, d))
+            first = jnp.argmin(room)
+            blocked = room[first] < 1
+            there = jnp.clip(x + jnp.minimum(room[first], 1.0) * d, low, high)
+            hit = (jnp.arange(n) == first) & blocked
+            there = jnp.where(hit, end, there)
+            down = matvec(H, there) - g
+            presses = jnp.where(there <= low, down, -down)
+            wrong = jnp.where(now.held & ~blocked, -presses, -jnp.inf)
+            worst = jnp.argmax(wrong)
+            frees = wrong[worst] > rounding
+            released = (jnp.arange(n) == worst) & frees
+            held = (now.held | hit) & ~released
+            return _Set(there, held, ~blocked & ~frees, now.step + 1)
+
+        none = jnp.zeros(n, bool)
+        start = _Set(jnp.clip(jnp.zeros_like(g), low, high), none, jnp.asarray(False),
+                     jnp.asarray(0, jnp.int32))  # fmt: skip
+        going = lambda now: ~now.done & (now.step < STEPS * n)  # noqa: E731
+        return jax.lax.while_loop(going, step, start)
+
+    found = minimum(*jax.lax.stop_gradient((H, g, low, high)))
+    # one Newton step of length zero, which has the derivative of the solution
+    at_low = found.held & (found.x <= low)
+    x = jnp.where(found.held, jnp.where(at_low, low, high), found.x)
+    free = jnp.where(found.held, 0.0, 1.0).astype(dtype)
+    d = solved(H, free, matvec(H, x) - g)
+    x = x + (d - jax.lax.stop_gradient(d))
+    down = matvec(H, x) - g
+    # at a bound only a slope that leads into the range counts
+    down = jnp.where(x <= low, jnp.minimum(down, 0.0), down)
+    down = jnp.where(x >= high, jnp.where(x <= low, 0.0, jnp.maximum(down, 0.0)), down)
+    return x, jnp.abs(down).max()
+
+
+def _speeds(speed: Any, n: int, dtype: Any) -> jax.Array:
+    x = check_bound(WHERE, "speed", speed)
+    if x.shape not in ((), (n,)):
+        raise InputError(f"{WHERE}: speed has shape {x.shape}, expected () or ({n},)")
+    if not isinstance(x, jax.core.Tracer) and not (np.asarray(x) > 0).all():
+        raise InputError(f"{WHERE}: speed is {speed}, expected numbers above zero")
+    return jnp.broadcast_to(x, (n,)).astype(dtype)
