@@ -35,7 +35,8 @@ from rbjax.model.cells import (
     lane_of,
     stacked,
 )
-from rbjax.model.model import Model, constant_leaves
+from rbjax.model.constant_leaves import constant_leaves
+from rbjax.model.model import Model
 from rbjax.model.topology import WORLD, Topology
 from rbjax.spatial import RigidInertia, Transform
 

@@ -6,7 +6,6 @@ masses, gains and gravity can be differentiated, and changed without recompilati
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import numbers
 from typing import Any
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.errors import InputError, ModelError, UnknownName
-from rbjax.model.cells import declared, literals
+from rbjax.model.constant_leaves import known_entries, with_fixed_entries
 from rbjax.model.execution import DRIVER_NAMES as DRIVER_NAMES
 from rbjax.model.execution import EXECUTION, Execution
 from rbjax.model.random_state import random_coordinates
@@ -167,7 +166,7 @@ class Model(Record):
             how = {"constants": None} | how
         zeros = how.get("zeros", self.execution.zeros)
         if zeros is not None:
-            changes |= _fixed(changes, dict(zeros))
+            changes |= with_fixed_entries(changes, dict(zeros))
         if how:
             changes["execution"] = changes.get("execution", self.execution).replace(**how)
         return super().replace(**changes)
@@ -272,17 +271,7 @@ class Model(Record):
         inputs: for a batch of robots that differ in masses and lengths. A fixed entry is no
         longer a parameter: `replace` keeps its value, and its derivative is zero.
         """
-        leaves = constant_leaves(self)
-        zeros = tuple(
-            (
-                name,
-                (None,) * x.size  # of what is traced nothing is known
-                if isinstance(x, jax.core.Tracer)
-                else literals(x, units=name in ("axis", "orientation")),
-            )
-            for name, x in leaves.items()
-        )
-        return self.replace(zeros=zeros)
+        return self.replace(zeros=known_entries(self))
 
     def astype(self, dtype: Any) -> Model:
         """The same model with its numbers in a floating dtype.
@@ -376,36 +365,6 @@ class Model(Record):
         joints' ranges. Attitudes are uniform; the angle of a ball joint with a range is scaled into
         it. Velocities have a standard deviation of 1."""
         return State(*random_coordinates(self, key), self.start(self.joints.reference.dtype))
-
-
-#: the leaves of bodies and joints from which, with gravity, the link constants follow
-_CONSTANTS = (
-    "mass", "com", "inertia", "position", "orientation",
-    "placement", "axis", "reference", "armature", "numbers",
-)  # fmt: skip
-
-
-def constant_leaves(model: Model) -> dict[str, Any]:
-    """The leaves from which the link constants follow."""
-    leaves = _numbers(model.bodies) | _numbers(model.joints)
-    return {name: leaves[name] for name in _CONSTANTS} | {"gravity": model.gravity}
-
-
-def _fixed(changes: dict[str, Any], zeros: dict[str, tuple]) -> dict[str, Any]:
-    """The changed leaves, whose fixed entries have their fixed values."""
-
-    def record(r: Record) -> Record:
-        given = {n: x for n, x in _numbers(r).items() if n in zeros}
-        return dataclasses.replace(r, **{n: declared(x, zeros[n]) for n, x in given.items()})
-
-    out: dict[str, Any] = {n: record(changes[n]) for n in ("bodies", "joints") if n in changes}
-    if "gravity" in changes:
-        out["gravity"] = declared(changes["gravity"], zeros["gravity"])
-    return out
-
-
-def _numbers(record: Record) -> dict[str, jax.Array]:
-    return {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
 
 
 def _described(x: Any) -> str:
