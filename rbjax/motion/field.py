@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeGuard
 
 import jax
 
-from rbjax.constraints.methods.formulation import Formulation
+from rbjax.constraints.formulation import Formulation, TangentSpace
 from rbjax.constraints.registry import formulation_of
 from rbjax.dynamics.algorithms.forward import acceleration
 from rbjax.dynamics.algorithms.link_forces import LinkForces
@@ -128,14 +128,14 @@ class Field:
         """The state at which a stage's rates are taken, of a step that began at t0 in `start`."""
         if not moves_stages(self.law):
             return state
-        return self.law.staged(self.precomputed, t, state, t0, start)
+        return self.law.stage_state(self.precomputed, t, state, t0, start)
 
     def settled(self, t: Any, state: State) -> State:
         """The state after a step, as the law leaves it: a formulation may put it back on its
         constraints."""
         if not isinstance(self.law, Formulation):
             return state
-        return self.law.settled(self.precomputed, t, state)
+        return self.law.project(self.precomputed, t, state)
 
     def within(self, x: jax.Array | None) -> jax.Array | None:
         """The states (nx, ...) of force elements, clipped to their ranges."""
@@ -148,7 +148,7 @@ class Field:
 
 def moves_stages(law: Law) -> TypeGuard[Formulation]:
     """Whether a law takes the rates of a stage at another state."""
-    return isinstance(law, Formulation) and type(law).staged is not Formulation.staged
+    return isinstance(law, Formulation) and isinstance(law.projection, TangentSpace)
 
 
 def law_of(where: str, model: Model, law: Any, constraints: Any) -> Law:
