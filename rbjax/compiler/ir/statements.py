@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -48,6 +49,8 @@ class Statement:
     """
 
     __slots__ = ()
+    #: whether it has no inner blocks
+    is_leaf: ClassVar[bool] = True
 
     def reads(self) -> tuple[Name, ...]:
         """The variables and arrays that it reads."""
@@ -62,8 +65,8 @@ class Statement:
         return ()
 
 
-def _variables(*values: Value | None) -> tuple[Var, ...]:
-    return tuple([x for x in values if isinstance(x, Var)])
+def _variable(value: Value | None) -> tuple[Var, ...]:
+    return (value,) if type(value) is Var else ()
 
 
 @dataclass(slots=True)
@@ -75,7 +78,7 @@ class Op(Statement):
     args: tuple[Value, ...]
 
     def reads(self) -> tuple[Name, ...]:
-        return _variables(*self.args)
+        return tuple([x for x in self.args if type(x) is Var])
 
     def writes(self) -> tuple[Name, ...]:
         return (self.dest,)
@@ -91,7 +94,7 @@ class Load(Statement):
     offset: int
 
     def reads(self) -> tuple[Name, ...]:
-        return (self.array, *_variables(self.base))
+        return (self.array,) if not isinstance(self.base, Var) else (self.array, self.base)
 
     def writes(self) -> tuple[Name, ...]:
         return (self.dest,)
@@ -107,7 +110,7 @@ class Store(Statement):
     value: Value
 
     def reads(self) -> tuple[Name, ...]:
-        return _variables(self.base, self.value)
+        return _variable(self.base) + _variable(self.value)
 
     def writes(self) -> tuple[Name, ...]:
         return (self.array,)
@@ -121,7 +124,7 @@ class Declare(Statement):
     value: Value | None
 
     def reads(self) -> tuple[Name, ...]:
-        return _variables(self.value)
+        return _variable(self.value)
 
     def writes(self) -> tuple[Name, ...]:
         return (self.var,)
@@ -135,7 +138,7 @@ class Assign(Statement):
     value: Value
 
     def reads(self) -> tuple[Name, ...]:
-        return _variables(self.value)
+        return _variable(self.value)
 
     def writes(self) -> tuple[Name, ...]:
         return (self.var,)
@@ -165,6 +168,8 @@ class Loop(Statement):
     early: bool = False
     part: int = 0
 
+    is_leaf: ClassVar[bool] = False
+
     def writes(self) -> tuple[Name, ...]:
         return (self.counter,)
 
@@ -190,8 +195,10 @@ class While(Statement):
     condition: Value
     body: Block
 
+    is_leaf: ClassVar[bool] = False
+
     def reads(self) -> tuple[Name, ...]:
-        return _variables(self.condition)
+        return _variable(self.condition)
 
     def children(self) -> tuple[Block, ...]:
         return (self.test, self.body)
@@ -205,8 +212,10 @@ class If(Statement):
     then: Block
     otherwise: Block
 
+    is_leaf: ClassVar[bool] = False
+
     def reads(self) -> tuple[Name, ...]:
-        return _variables(self.condition)
+        return _variable(self.condition)
 
     def children(self) -> tuple[Block, ...]:
         return (self.then, self.otherwise)
@@ -223,5 +232,6 @@ def walk(block: Block) -> Iterator[Statement]:
     """All statements; those of inner blocks follow the statement that contains them."""
     for statement in block.statements:
         yield statement
-        for inner in statement.children():
-            yield from walk(inner)
+        if not statement.is_leaf:
+            for inner in statement.children():
+                yield from walk(inner)

@@ -16,6 +16,8 @@ from rbjax.compiler.ir.statements import (
     Block,
     Declare,
     If,
+    Load,
+    Op,
     Reserve,
     Store,
     While,
@@ -53,16 +55,22 @@ def divergence(block: Block, different: Iterable[Array]) -> Divergence:
 
 
 def _visit(block: Block, part: int, found: Divergence) -> None:
+    different = found.different
     for s in block.statements:
-        differs = any(map(found.of, s.reads()))
+        differs = False
+        for x in s.reads():
+            if x.id in different:
+                differs = True
         match s:
+            case Op() | Load():
+                pass
             case Declare(var=declared) | Reserve(array=declared):
                 found.home[declared.id] = part
             case Store(array=changed) | Assign(var=changed):
                 differs = differs or found.outlives(changed, part)
         if differs:
-            found.different.update(x.id for x in s.writes())
-        for inner in s.children():
+            different.update([x.id for x in s.writes()])
+        for inner in () if s.is_leaf else s.children():
             among = part
             if isinstance(s, While | If):
                 among = part_of(inner, s.condition, part, found)

@@ -7,8 +7,10 @@ from rbjax.compiler.ir.statements import (
     Barrier,
     Block,
     If,
+    Load,
     Loop,
     Name,
+    Op,
     Reserve,
     Statement,
     Store,
@@ -45,18 +47,22 @@ def _needed(block: Block) -> set[Name]:
 
 def _keep(block: Block, needed: set[Name]) -> None:
     """Remove the other statements of a block and its inner blocks."""
+    kept = []
     for statement in block.statements:
-        for inner in statement.children():
+        for inner in () if statement.is_leaf else statement.children():
             _keep(inner, needed)
-    block.statements = [s for s in block.statements if _is_needed(s, needed)]
+        if not needed.isdisjoint(statement.writes()) or _is_needed(statement, needed):
+            kept.append(statement)
+    block.statements = kept
 
 
 def _is_needed(statement: Statement, needed: set[Name]) -> bool:
+    """Whether a statement that changes nothing needed is needed nevertheless."""
     match statement:
+        case Op() | Load() | Store():
+            return False
         case Loop() | If():
             return any(inner.statements for inner in statement.children())
-        case While() | Await() | Barrier():
-            return True
         case Reserve(array=array):
             return array in needed
-    return any(x in needed for x in statement.writes())
+    return isinstance(statement, While | Await | Barrier)
