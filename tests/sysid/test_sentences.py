@@ -42,7 +42,7 @@ def test_a_refusal_begins_with_the_function_and_the_argument():
         ),
         "monte_carlo: found": lambda: sysid.monte_carlo(3.0),
         "stanley: speed": lambda: rb.wheeled.stanley(
-            [[0.0, 0.0], [1.0, 0.0]], [0.0, 0.0, 0.0], speed="fast", wheelbase=1.0
+            [[0.0] * 3, [1.0] * 3], [0.0] * 3, speed="fast", wheelbase=1.0
         ),
     }
     for says, call in calls.items():

@@ -110,6 +110,8 @@ def test_what_no_robot_has_is_refused():
         jax.eval_shape(traced, 0.1)
     with pytest.raises(rb.InputError, match="motor is float"):
         Robot.of(Body(1.0, 1.0), wheels, [Drive((0,), 2.0)])
+    with pytest.raises(rb.InputError, match=r"Drive\(wheels=...\): got list"):
+        Drive([0, 1])
     for name in ("friction", "rotor_inertia"):
         with pytest.raises(rb.InputError, match=f"{name}.*at least 0"):
             rb.wheeled.DCMotor(1.0, 0.1, **{name: -0.1})
