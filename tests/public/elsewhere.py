@@ -27,14 +27,15 @@ ELSEWHERE: dict[str, set[str]] = {
     "control": {"actor_critic", "directions", "inverse_kinematics", "methods", "mpc",
                 "region_of_attraction", "through_time"},
     # recordings, fits and their statistics, which run in NumPy on the host
-    "sysid": {"base_parameters", "combinations", "compare", "consistent", "design", "diagnose",
-              "differentiate", "equations", "estimates", "findings", "free_run", "held_out",
+    "sysid": {"base_parameters", "combinations", "compare", "consistent", "design_experiment",
+              "diagnose", "differentiate", "equations", "estimates", "findings", "free_run",
+              "held_out",
               "identify", "in_si", "low_pass", "many_starts", "monte_carlo", "parameter_names",
               "prediction_error", "random_motions", "read_csv", "read_npz", "regress",
               "regress_with_zeros", "report", "select", "split", "squares", "torque_rows",
               "whiteness", "zeros_of"},
     "estimation": set(),
-    "sensors": set(),
+    "sensors": {"kinds", "register", "sensor_of"},
     # theory by polynomials in NumPy, runs of a million steps, pictures
     "stability": {"adams", "alpha_degrees", "attempt", "backward_differentiation", "characteristic",
                   "dissipation", "drift", "equilibrium", "gradient_growth", "growth_factors",
