@@ -86,6 +86,9 @@ def test_a_search_tells_how_many_evaluations_and_their_squares():
         def residuals(self, x):
             return x - np.array([3.0, -1.0])
 
+        def cost(self, x):
+            return (self.residuals(x) ** 2).sum()
+
         def triangle(self, x):
             return np.column_stack([np.eye(2), self.residuals(x)])
 

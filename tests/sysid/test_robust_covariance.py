@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rbjax.sysid import regress
+from rbjax.sysid.torque import regress
 
 
 def test_it_is_hubers():
