@@ -53,7 +53,7 @@ def test_a_push_on_the_world_is_no_load():
     """It is no link's: its number, -1, would be the last link's among columns."""
     model = rb.load("cart_pole")
     now = Instant.of(model, 0.0, model.default_state(), None)
-    assert rb.forces.Anchor.on().frame(now).push(jnp.ones(3)) == Loads()
+    assert rb.forces.Place.on().frame(now).push(jnp.ones(3)) == Loads()
 
 
 def test_generalized_forces_act_as_they_are():
