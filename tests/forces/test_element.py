@@ -9,7 +9,7 @@ import pytest
 import rbjax as rb
 from rbjax.forces import Element, Loads
 from rbjax.forces.instant import Instant
-from rbjax.model import made_ahead
+from rbjax.model import with_constants
 from tests.forces.elements import Lag, Wind
 from tests.tolerances import F64_IDENTITY, relative_error
 
@@ -121,8 +121,8 @@ def test_loads_are_a_vector_space():
     assert (2.0 * a).tau == {0: 2.0, 1: 4.0}
 
 
-def test_a_model_made_ahead_follows_what_is_changed(key):
-    model = made_ahead(rb.load("cart_pole"), jnp.float64)
+def test_a_model_with_constants_follows_what_is_changed(key):
+    model = with_constants(rb.load("cart_pole"), jnp.float64)
     heavy = model.replace(bodies=model.bodies.replace(mass=2 * model.bodies.mass))
     q = model.random_state(key).q
     want = rb.load("cart_pole")
