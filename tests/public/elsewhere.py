@@ -29,8 +29,8 @@ ELSEWHERE: dict[str, set[str]] = {
     # recordings, fits and their statistics, which run in NumPy on the host
     "sysid": {"base_parameters", "combinations", "compare", "consistent", "design_experiment",
               "diagnose", "differentiate", "equations", "estimates", "findings", "free_run",
-              "held_out",
-              "identify", "in_si", "low_pass", "many_starts", "monte_carlo", "parameter_names",
+              "held_out", "identifiability", "identify", "in_si", "low_pass", "many_starts",
+              "monte_carlo", "parameter_names",
               "prediction_error", "random_motions", "read_csv", "read_npz", "regress",
               "regress_with_zeros", "report", "select", "split", "squares", "torque_rows",
               "whiteness", "zeros_of"},
@@ -62,7 +62,7 @@ ELSEWHERE: dict[str, set[str]] = {
               "fusion_barrier", "horner", "inner", "inverse", "is_literal", "is_zero", "ldlt",
               "matmat", "matrix_transpose", "matvec", "mul", "neg", "outer", "polynomial_sincos",
               "quaternion_matrix", "rotation_z", "sincos", "sub", "total"},
-    "model": {"as_declared", "known_zeros", "made_ahead", "partition", "prepare", "spans",
+    "model": {"with_constants", "partition", "prepare", "spans",
               "without_constants"},
     "compiler": {"compile", "explain", "threads"},
 }  # fmt: skip
