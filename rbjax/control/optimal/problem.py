@@ -288,9 +288,18 @@ class Problem(Record):
 
     def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
-        held = [c for c in self.constraints if c.where in (where, "all")]
         none = jnp.zeros(0, knot.numbers.dtype)
-        return jnp.concatenate([none, *(self.row(c, k, knot, ctrl) for c in held)])
+        return jnp.concatenate(
+            [none, *(self.row(c, k, knot, ctrl) for c in self.constraints_at(where))]
+        )
+
+    def costs(self, where: str) -> tuple[Cost, ...]:
+        """The costs of a knot with controls ("path") or of the "end"."""
+        return self.running if where == "path" else self.terminal
+
+    def constraints_at(self, where: str) -> list[Constraint]:
+        """The constraints at "path" or "end"."""
+        return [c for c in self.constraints if c.where in (where, "all")]
 
 
 def _array(term: Term, value: Any, dtype: Any) -> jax.Array:

@@ -24,12 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.arguments import flag
+from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.first_guess import first_guess
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS
 from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, later
-from rbjax.control.optimal.shooting.knots import violation
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
@@ -242,7 +242,7 @@ class Controller:
         # do not reject a plan because its start, which is measured, violates a constraint
         first = jax.tree.map(lambda a: a[0], found.knots)
         zero = jnp.zeros((), found.ctrls.dtype)
-        off = violation(problem, zero, first, found.ctrls[0], "path") > self.violation
+        off = knot_violation(problem, zero, first, found.ctrls[0], "path") > self.violation
         good &= (found.outcome != NOT_FINITE) & ((found.outcome != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,

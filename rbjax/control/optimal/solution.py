@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -147,44 +146,3 @@ def solution_of(
         off, found.costs, found.K,
         (found.path, found.end), penalty, found.between, method,
     )  # fmt: skip
-
-
-def violations(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The largest violation of each constraint along a motion."""
-    N, dtype = problem.horizon, ctrls.dtype
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    last = jax.tree.map(lambda x: x[-1], knots)
-    out = [jnp.zeros(0, dtype)]
-    for c in problem.constraints:
-
-        def off(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c) -> jax.Array:
-            system, dt = problem.at(knot.numbers)
-            value = c.term(system.model, problem.time(k, dt), knot.state, ctrl)
-            return jnp.abs(value - jnp.clip(value, c.low, c.high)).max(initial=0.0)
-
-        worst = jnp.zeros((), dtype)
-        if c.where in ("path", "all"):
-            worst = jax.vmap(off)(jnp.arange(N, dtype=dtype), body, ctrls).max()
-        if c.where in ("end", "all"):
-            worst = jnp.maximum(worst, off(N, last, jnp.zeros(problem.nu, dtype)))
-        out.append(worst[None])
-    return jnp.concatenate(out)
-
-
-def plain_cost(problem: Problem, knots: Knot, ctrls: jax.Array) -> jax.Array:
-    """The cost of a motion, without penalties."""
-    N, dtype = problem.horizon, ctrls.dtype
-
-    def one(where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-        costs = problem.running if where == "path" else problem.terminal
-        total = jnp.zeros((), dtype)
-        for cost in costs:
-            value = problem.value(cost, where, k, knot, ctrl)
-            total = total + (0.5 * (value * value).sum() if value.ndim else value)
-        return total
-
-    body = jax.tree.map(lambda x: x[:-1], knots)
-    last = jax.tree.map(lambda x: x[-1], knots)
-    ks = jnp.arange(N, dtype=dtype)
-    path = jax.vmap(functools.partial(one, "path"))(ks, body, ctrls).sum()
-    return path + one("end", N, last, jnp.zeros(problem.nu, dtype))

@@ -12,12 +12,13 @@ import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.constants import Known
+from rbjax.control.optimal.constraint_rows import constraint_violations, rows_along
 from rbjax.control.optimal.derivatives.implicit import differentiable
 from rbjax.control.optimal.first_guess import Guess, first_guess, guess_of
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS, method_of, name_of
-from rbjax.control.optimal.solution import Found, Solution, solution_of, violations
+from rbjax.control.optimal.solution import Found, Solution, solution_of
 from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.errors import InputError
 from rbjax.motion.captured import with_captured
@@ -217,7 +218,7 @@ def _judged(
         found = _without_derivative(search(problem, start, knots, ctrls, options))
     if found.violations is not None:
         return found, found.violations
-    off = violations(problem, found.knots, found.ctrls)
+    off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrls))
     # a method that weighs constraints against costs may come to rest where they do not hold
     rests = (found.outcome == CONVERGED) | (found.outcome == FINISHED)
     broken = (off > options.violation).any() & rests

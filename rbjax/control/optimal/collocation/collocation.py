@@ -34,7 +34,7 @@ from rbjax.control.optimal.collocation.transcribed import (
     Multipliers,
     Point,
     Transcribed,
-    of_each,
+    constraint_values,
 )
 from rbjax.control.optimal.collocation.transcription import (
     at_end,
@@ -44,10 +44,10 @@ from rbjax.control.optimal.collocation.transcription import (
     stage_states,
     stages,
 )
+from rbjax.control.optimal.constraint_rows import constraint_violations, limits
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, Knot, Problem
 from rbjax.control.optimal.shooting import filter_search
-from rbjax.control.optimal.shooting.expansion import limits
 from rbjax.control.optimal.shooting.filter_search import Filter, Pair
 from rbjax.control.optimal.shooting.verdict import VAIN, in_vain
 from rbjax.control.optimal.solution import Between, Found
@@ -113,7 +113,7 @@ def begun(t: Transcribed, knots: Knot, ctrls: jax.Array, history: int) -> Iterat
     _, end = at_end(problem, jax.tree.map(lambda x: x[-1], knots))
     slacks = []
     for where, values in (("path", rows), ("end", end)):
-        low, high = limits(problem, where, jnp.zeros(values.shape[-1], dtype))
+        low, high = limits(problem, where, dtype)
         slacks.append(jnp.where(low == high, low, barrier.inside(values, low, high)))
     point = Point(knots, inner, *slacks)
     bounds = sum(barrier.count(x) for x in t.bounded(point)) + rows.size + end.size
@@ -254,7 +254,7 @@ def found(t: Transcribed, last: Iterate) -> Found:
     states = jax.vmap(functools.partial(stage_states, t.problem, t.table))(body, point.inner)
     ctrls = jax.vmap(functools.partial(combined, b))(point.inner.us)
     path, end = (x.multipliers for x in t.rows(point, l))
-    m, off = last.measured, of_each(t, point)
+    m, off = last.measured, constraint_violations(t.problem, *constraint_values(t, point))
     return Found(
         point.knots, ctrls, m.cost, last.outcome, last.turns, last.stop, m.gap,
         off.max(initial=0.0), last.costs, last.K, path.sum(1), end,

@@ -31,9 +31,9 @@ from rbjax.control.optimal.collocation.transcription import (
     at_end,
     stages,
 )
+from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback, backward_pass
-from rbjax.control.optimal.shooting.expansion import limits, row_sizes
 from rbjax.lanes.products import matvec
 from rbjax.solvers.tableau import Tableau
 from rbjax.threads import threads
@@ -113,7 +113,7 @@ class Transcribed(NamedTuple):
             slack = (point.path, point.end)[i]
             low, high = (
                 jnp.broadcast_to(x, slack.shape)
-                for x in limits(self.problem, where, jnp.zeros(slack.shape[-1], slack.dtype))
+                for x in limits(self.problem, where, slack.dtype)
             )
             out.append(Rows(slack, l.slacks[i], l.y[i], l.centre[i], low, high))
         return out[0], out[1]
@@ -282,21 +282,10 @@ class Transcribed(NamedTuple):
         )  # fmt: skip
 
 
-def of_each(t: Transcribed, point: Point) -> jax.Array:
-    """The largest violation of each constraint, at stages and end."""
+def constraint_values(t: Transcribed, point: Point) -> tuple[jax.Array, jax.Array]:
+    """The rows of constraints at all stages (N, s, c) and at the end (e,)."""
     problem, dtype = t.problem, point.inner.us.dtype
     body = jax.tree.map(lambda x: x[BODY], point.knots)
     ks = jnp.arange(problem.horizon, dtype=dtype)
     rows = jax.vmap(functools.partial(stages, problem, t.table))(ks, body, point.inner).rows
-    _, end = at_end(problem, jax.tree.map(lambda x: x[-1], point.knots))
-    off: dict[int, jax.Array] = {}
-    for where, values in (("path", rows), ("end", end)):
-        low, high = limits(problem, where, jnp.zeros(values.shape[-1], dtype))
-        away = jnp.abs(values - jnp.clip(values, low, high))
-        at = 0
-        for one, size in row_sizes(problem, where):
-            worst = away[..., at : at + size].max(initial=0.0)
-            off[id(one)] = jnp.maximum(off.get(id(one), jnp.zeros((), dtype)), worst)
-            at += size
-    none = jnp.zeros(0, dtype)
-    return jnp.concatenate([none, *(off[id(x)][None] for x in problem.constraints)])
+    return rows, at_end(problem, jax.tree.map(lambda x: x[-1], point.knots))[1]

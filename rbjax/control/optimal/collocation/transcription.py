@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.optimal.objective import knot_cost
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.solvers.tableau import Tableau
 
@@ -58,17 +59,8 @@ def at_stage(
     system, dt = problem.at(knot.numbers)
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
     point = Knot(system.plus(knot.state, xi), knot.numbers)
-    cost = total(problem, "path", where, point, ctrl)
+    cost = knot_cost(problem, "path", where, point, ctrl)
     return rates, cost, problem.rows(where, point, ctrl, "path")
-
-
-def total(problem: Problem, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
-    """The sum () of the costs at a stage ("path") or at the "end"."""
-    found = jnp.zeros((), ctrl.dtype)
-    for cost in problem.running if where == "path" else problem.terminal:
-        value = problem.value(cost, where, k, knot, ctrl)
-        found = found + (0.5 * (value * value).sum() if value.ndim else value)
-    return found
 
 
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
@@ -100,7 +92,7 @@ def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> 
 def at_end(problem: Problem, knot: Knot) -> tuple[jax.Array, jax.Array]:
     """The terminal cost () and the rows (e,) at the end."""
     N, none = problem.horizon, jnp.zeros(problem.nu, problem.dt.dtype)
-    return total(problem, "end", N, knot, none), problem.rows(N, knot, none, "end")
+    return knot_cost(problem, "end", N, knot, none), problem.rows(N, knot, none, "end")
 
 
 def chords(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> Inner:

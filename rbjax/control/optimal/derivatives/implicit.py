@@ -23,9 +23,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.optimal.constraint_rows import limits
 from rbjax.control.optimal.derivatives.optimality import Functions, Near, Point, Seen, solution
+from rbjax.control.optimal.objective import residuals
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.expansion import limits
 from rbjax.control.optimal.solution import Found
 from rbjax.control.status import CONVERGED
 
@@ -49,16 +50,17 @@ def differentiable(
     def path(arrays: Any, d: jax.Array, k: Any, knot: Knot, ctrl: jax.Array, following: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d[:n]), ctrl + d[n:]
-        r, beside = _values(p, p.running, "path", k, there, u)
+        r, beside = residuals(p, "path", k, there, u)
         c = p.rows(k, there, u, "path")
-        return Seen(r, beside, p.minus(p.step(k, there, u), following), c, *limits(p, "path", c))
+        gap = p.minus(p.step(k, there, u), following)
+        return Seen(r, beside, gap, c, *limits(p, "path", c.dtype))
 
     def end(arrays: Any, d: jax.Array, knot: Knot):
         p = whole(arrays)
         there, u = p.plus(knot, d), jnp.zeros(m, d.dtype)
-        r, beside = _values(p, p.terminal, "end", N, there, u)
+        r, beside = residuals(p, "end", N, there, u)
         c = p.rows(N, there, u, "end")
-        return Seen(r, beside, jnp.zeros(0, d.dtype), c, *limits(p, "end", c))
+        return Seen(r, beside, jnp.zeros(0, d.dtype), c, *limits(p, "end", c.dtype))
 
     given = (arrays, start, knots, ctrls, options)
     functions = Functions(_plain(run), _plain(path), _plain(end))
@@ -87,20 +89,6 @@ def differentiable(
 def _traced(x: Any) -> bool:
     """Whether a derivative by x may be asked for. Other numbers are constants of the program."""
     return isinstance(x, jax.core.Tracer)
-
-
-def _values(
-    problem: Problem, costs: tuple, where: str, k: Any, knot: Knot, ctrl: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """All residuals (r,) of a knot, and what costs beside them."""
-    residuals, rest = [jnp.zeros(0, ctrl.dtype)], jnp.zeros((), ctrl.dtype)
-    for cost in costs:
-        value = problem.value(cost, where, k, knot, ctrl)
-        if value.ndim:
-            residuals.append(value)
-        else:
-            rest = rest + value
-    return jnp.concatenate(residuals), rest
 
 
 # ------------------------------------------------------------ functions that close over tracers

@@ -61,11 +61,6 @@ def next_multipliers(
     return mu * (s - jnp.clip(s, low, high))
 
 
-def violated(c: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
-    """The largest violation ()."""
-    return jnp.abs(c - jnp.clip(c, low, high)).max(initial=0.0)
-
-
 def next_penalty(
     mu: jax.Array, violation: jax.Array, before: jax.Array, held: jax.Array
 ) -> tuple[jax.Array, jax.Array]:

@@ -20,11 +20,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.optimal.constraint_rows import row_count
+from rbjax.control.optimal.objective import motion_cost
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, no_multipliers
 from rbjax.control.optimal.shooting.backward_pass import Bounds, Feedback, backward_pass
-from rbjax.control.optimal.shooting.expansion import row_count
 from rbjax.control.optimal.shooting.filter_search import rounding
 from rbjax.control.optimal.shooting.forward_pass import Tried, forward_pass, within_bounds
 from rbjax.control.optimal.shooting.knots import (
@@ -45,7 +46,7 @@ from rbjax.control.optimal.shooting.verdict import (
     begun,
     verdict,
 )
-from rbjax.control.optimal.solution import Found, plain_cost
+from rbjax.control.optimal.solution import Found
 from rbjax.control.status import GOING
 from rbjax.threads import threads
 
@@ -94,7 +95,7 @@ def searched(
         path, end = updated(problem, last.knots, last.ctrls, last.multipliers)
     at = last.standing
     return Found(
-        last.knots, last.ctrls, plain_cost(problem, last.knots, last.ctrls), at.outcome, at.turns,
+        last.knots, last.ctrls, motion_cost(problem, last.knots, last.ctrls), at.outcome, at.turns,
         at.stop, largest_gap(problem, start, last.knots, last.ctrls), at.violation, last.costs,
         last.K, path, end, penalty=last.multipliers.penalty,
     )  # fmt: skip

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers
 from rbjax.control.optimal.shooting.backward_pass import Feedback
 from rbjax.control.optimal.shooting.expansion import merit
-from rbjax.control.optimal.shooting.knots import violation
 from rbjax.control.products import product
 
 
@@ -55,7 +55,7 @@ def forward_pass(
         dx = problem.minus(now, knot)
         u = within_bounds(problem, ctrl + a * du + product(K, dx))
         total = total + merit(problem, k, now, u, rows, mu, "path")
-        off = jnp.maximum(off, violation(problem, k, now, u, "path"))
+        off = jnp.maximum(off, knot_violation(problem, k, now, u, "path"))
         cross = cross + (gap * product(V, dx)).sum()
         after = problem.plus(problem.step(k, now, u), (a - 1) * closing)
         return (after, total, off, cross), (now, u)
@@ -69,7 +69,7 @@ def forward_pass(
     (last, total, off, cross), (before, us) = tried
     none = jnp.zeros(problem.nu, dtype)
     total = total + merit(problem, N, last, none, multipliers.end, mu, "end")
-    off = jnp.maximum(off, violation(problem, N, last, none, "end"))
+    off = jnp.maximum(off, knot_violation(problem, N, last, none, "end"))
     end = jax.tree.map(lambda x: x[-1], knots)
     cross = cross + (gaps[-1] * product(gains.V[-1], problem.minus(last, end))).sum()
     found = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)

@@ -15,17 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.optimal.constraint_rows import knot_violation, limits
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import (
     Multipliers,
     next_multipliers,
-    violated,
 )
 from rbjax.control.optimal.shooting.expansion import (
     Local,
     Quadratic,
     costates,
-    limits,
     quadratic,
     second_order,
 )
@@ -56,7 +55,7 @@ def expand(
 
     def cost_of(k, knot, ctrl, rows, mu):
         cost = quadratic(problem, k, knot, ctrl, rows, mu, "path")
-        return cost, violation(problem, k, knot, ctrl, "path")
+        return cost, knot_violation(problem, k, knot, ctrl, "path")
 
     def one(k, knot, ctrl, rows, mu, following):
         after, A, B = problem.linear(k, knot, ctrl)
@@ -77,7 +76,7 @@ def expand(
         gap = problem.off_start(start, first)
         none = jnp.zeros(problem.nu, dtype)
         cost = quadratic(problem, jnp.asarray(N, dtype), last, none, rows, mu, "end")
-        return gap, cost, violation(problem, jnp.asarray(N, dtype), last, none, "end")
+        return gap, cost, knot_violation(problem, jnp.asarray(N, dtype), last, none, "end")
 
     ks, mu = numbers(N, dtype), multipliers.penalty
     path, gaps, off = jax.vmap(in_parts(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
@@ -127,14 +126,6 @@ def at_places(knots: Any, k: jax.Array) -> tuple[Any, Any]:
     return here, following
 
 
-def violation(problem: Problem, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
-    """The largest violation () of the constraints of a knot."""
-    if not problem.constraints:
-        return jnp.zeros((), ctrl.dtype)
-    c = problem.rows(k, knot, ctrl, where)
-    return violated(c, *limits(problem, where, c))
-
-
 def with_curvature(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
 ) -> Expanded:
@@ -169,7 +160,7 @@ def updated(
 
     def one(where, k, knot, ctrl, y, mu):
         c = problem.rows(k, knot, ctrl, where)
-        return next_multipliers(c, y, mu, *limits(problem, where, c))
+        return next_multipliers(c, y, mu, *limits(problem, where, c.dtype))
 
     body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (BODY, -1))
     ks, mu = jnp.arange(N, dtype=dtype), multipliers.penalty

@@ -24,12 +24,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.control.optimal.constraint_rows import (
+    constraint_violations,
+    row_count,
+    rows_along,
+)
+from rbjax.control.optimal.objective import motion_cost
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.ddp import by_ddp
-from rbjax.control.optimal.shooting.expansion import merit, row_count
+from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.optimal.shooting.knots import largest_gap
-from rbjax.control.optimal.solution import Found, plain_cost, violations
+from rbjax.control.optimal.solution import Found
 from rbjax.control.status import BUDGET, FINISHED, GOING, NOT_FINITE
 from rbjax.errors import InputError, UnknownName
 from rbjax.solvers.arguments import check_between, check_whole
@@ -190,10 +196,11 @@ def by_sampling(
     found, us = threads(lambda draw, start: motion(how, problem, start, draw))(last.best, start)
     N, n, m = problem.horizon, problem.n, problem.nu
     rows = [row_count(problem, where) for where in ("path", "end")]
+    off = constraint_violations(problem, *rows_along(problem, found, us)).max(initial=0.0)
     return Found(
-        found, us, plain_cost(problem, found, us), last.outcome, last.turns, last.stop,
+        found, us, motion_cost(problem, found, us), last.outcome, last.turns, last.stop,
         largest_gap(problem, jax.tree.map(lambda x: x[0], found.state), found, us),
-        violations(problem, found, us).max(initial=0.0), last.costs, jnp.zeros((N, m, n), dtype),
+        off, last.costs, jnp.zeros((N, m, n), dtype),
         jnp.zeros((N, rows[0]), dtype), jnp.zeros(rows[1], dtype),
     )  # fmt: skip
 

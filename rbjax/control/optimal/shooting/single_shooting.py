@@ -16,6 +16,7 @@ Source: Betts, *Practical Methods for Optimal Control*, 3.3; Kingma & Ba 2015 (A
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -25,6 +26,14 @@ import jax.numpy as jnp
 import optax
 import optimistix as optx
 
+from rbjax.control.optimal.constraint_rows import (
+    example,
+    limits,
+    row_count,
+    rows_along,
+    violation,
+)
+from rbjax.control.optimal.objective import half_square, motion_cost, over_knots, residuals
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.shooting.augmented_lagrangian import (
@@ -34,12 +43,10 @@ from rbjax.control.optimal.shooting.augmented_lagrangian import (
     next_penalty,
     no_multipliers,
     penalised,
-    violated,
 )
-from rbjax.control.optimal.shooting.expansion import example, limits, row_count
 from rbjax.control.optimal.shooting.knots import largest_gap
 from rbjax.control.optimal.shooting.verdict import CLOSER, FLOOR, LOOSE
-from rbjax.control.optimal.solution import Found, plain_cost
+from rbjax.control.optimal.solution import Found
 from rbjax.control.status import BUDGET, CONVERGED, GOING, INFEASIBLE, NOT_FINITE, STUCK
 from rbjax.errors import InputError
 
@@ -81,36 +88,11 @@ class Shooting(NamedTuple):
         last, body = jax.lax.scan(step, first, (ks, us))
         return jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), body, last), us
 
-    def rows(self, knots: Knot, us: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The constraints at the knots with controls (N, c) and at the end (e,)."""
-        problem = self.problem
-        ks = jnp.arange(problem.horizon, dtype=us.dtype)
-        body = jax.tree.map(lambda x: x[:-1], knots)
-        path = jax.vmap(lambda k, x, u: problem.rows(k, x, u, "path"))(ks, body, us)
-        last = jax.tree.map(lambda x: x[-1], knots)
-        none = jnp.zeros(problem.nu, us.dtype)
-        return path, problem.rows(problem.horizon, last, none, "end")
-
     def residuals(self, knots: Knot, us: jax.Array) -> tuple[list[jax.Array], jax.Array]:
         """All residuals, and the sum of the costs that are numbers."""
-        problem, rest = self.problem, jnp.zeros((), us.dtype)
-        N = problem.horizon
-        body, last = (jax.tree.map(lambda x, at=at: x[at], knots) for at in (slice(-1), -1))
-        ks = jnp.arange(N, dtype=us.dtype)
-        found = []
-        for cost in problem.running:
-            value = jax.vmap(lambda *x, cost=cost: problem.value(cost, "path", *x))(ks, body, us)
-            if value.ndim > 1:
-                found.append(value.reshape(-1))
-            else:
-                rest = rest + value.sum()
-        for cost in problem.terminal:
-            value = problem.value(cost, "end", N, last, jnp.zeros(problem.nu, us.dtype))
-            if value.ndim:
-                found.append(value)
-            else:
-                rest = rest + value
-        return found, rest
+        of_knot = functools.partial(residuals, self.problem)
+        (path, numbers), (end, last) = over_knots(of_knot, self.problem, knots, us)
+        return [path.reshape(-1), end], numbers.sum() + last
 
 
 def inside(w: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
@@ -141,8 +123,9 @@ def augmented(s: Shooting, w: Unknowns, l: Multipliers) -> tuple[list[jax.Array]
     knots, us = s.knots(w)
     found, rest = s.residuals(knots, us)
     if s.problem.constraints:
-        for rows, y, where in zip(s.rows(knots, us), l[:2], ("path", "end"), strict=True):
-            low, high = limits(s.problem, where, jnp.zeros(rows.shape[-1], us.dtype))
+        both = rows_along(s.problem, knots, us)
+        for rows, y, where in zip(both, l[:2], ("path", "end"), strict=True):
+            low, high = limits(s.problem, where, us.dtype)
             found.append(penalised(rows, y, l.penalty, low, high).reshape(-1))
     return found, rest
 
@@ -150,7 +133,7 @@ def augmented(s: Shooting, w: Unknowns, l: Multipliers) -> tuple[list[jax.Array]
 def total(s: Shooting, w: Unknowns, l: Multipliers) -> jax.Array:
     """The augmented Lagrangian ()."""
     found, rest = augmented(s, w, l)
-    return rest + sum((0.5 * (r * r).sum() for r in found), jnp.zeros_like(rest))
+    return rest + sum(map(half_square, found), jnp.zeros_like(rest))
 
 
 class Target(NamedTuple):
@@ -321,7 +304,7 @@ def by_shooting(
     knots, us = s.knots(end.w)
     off, _ = violation_of(s, knots, us, l)
     return Found(
-        knots, us, plain_cost(problem, knots, us), outcome, end.iterations, end.stop,
+        knots, us, motion_cost(problem, knots, us), outcome, end.iterations, end.stop,
         largest_gap(problem, jax.tree.map(lambda x: x[0], knots.state), knots, us), off,
         end.costs, jnp.zeros((problem.horizon, problem.nu, n), dtype), l.path, l.end,
     )  # fmt: skip
@@ -332,9 +315,10 @@ def violation_of(
 ) -> tuple[jax.Array, Multipliers]:
     """The largest violation, and the next multipliers."""
     worst, ys = jnp.zeros((), us.dtype), []
-    for rows, y, where in zip(s.rows(knots, us), l[:2], ("path", "end"), strict=True):
-        low, high = limits(s.problem, where, jnp.zeros(rows.shape[-1], us.dtype))
-        worst = jnp.maximum(worst, violated(rows, low, high))
+    both = rows_along(s.problem, knots, us)
+    for rows, y, where in zip(both, l[:2], ("path", "end"), strict=True):
+        low, high = limits(s.problem, where, us.dtype)
+        worst = jnp.maximum(worst, violation(rows, low, high).max(initial=0.0))
         ys.append(next_multipliers(rows, y, l.penalty, low, high))
     return worst, Multipliers(ys[0], ys[1], l.penalty)
 

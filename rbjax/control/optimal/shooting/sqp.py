@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.options import Options
 from rbjax.control.optimal.problem import BODY, NEXT, Knot, Problem
 from rbjax.control.optimal.shooting.backward_pass import Feedback
@@ -39,7 +40,7 @@ from rbjax.control.optimal.shooting.ddp import Iterate, Way, searched
 from rbjax.control.optimal.shooting.expansion import Local, merit
 from rbjax.control.optimal.shooting.filter_search import ARMIJO, rounding
 from rbjax.control.optimal.shooting.forward_pass import within_bounds
-from rbjax.control.optimal.shooting.knots import FEW, Expanded, at_places, numbers, violation
+from rbjax.control.optimal.shooting.knots import FEW, Expanded, at_places, numbers
 from rbjax.control.optimal.shooting.verdict import LENGTHS, Measures, Rules, Verdict
 from rbjax.control.optimal.solution import Found
 from rbjax.control.products import product
@@ -109,14 +110,14 @@ def _trials(
         after = problem.plus(following, a * ahead)
         c, q, r = cost
         change = merit(problem, k, there, u, y, mu, "path") - c
-        off = violation(problem, k, there, u, "path")
+        off = knot_violation(problem, k, there, u, "path")
         slope = (q * dx).sum() + (r * du).sum()
 
         def closing() -> tuple:
             none = jnp.zeros(problem.nu, dtype)
             c, q = end
             more = merit(problem, k + 1, after, none, y_end, mu, "end") - c
-            return more, (q * ahead).sum(), violation(problem, k + 1, after, none, "end")
+            return more, (q * ahead).sum(), knot_violation(problem, k + 1, after, none, "end")
 
         def nothing() -> tuple:
             zero = jnp.zeros((), dtype)
