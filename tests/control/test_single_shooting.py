@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rbjax.control import Constraint, Control, Cost, Equations, Problem, solve
-from rbjax.control.optimal.shooting.single_shooting import inside, outside
+from rbjax.control.optimal.shooting.single_shooting import from_unbounded, to_unbounded
 from rbjax.errors import InputError
 
 DOUBLE = Equations(lambda t, x, u: jnp.stack([x[1], u[0]]), 2, 1)
@@ -18,11 +18,11 @@ def off(t, x, u):
 def test_bounds_are_kept_by_coordinates():
     low, high = jnp.array([-1.0, -jnp.inf, 2.0, -jnp.inf]), jnp.array([3.0, 1.0, jnp.inf, jnp.inf])
     w = jnp.linspace(-5, 5, 11)[:, None] * jnp.ones(4)
-    u = inside(w, low, high)
+    u = from_unbounded(w, low, high)
     assert (u >= low).all() and (u <= high).all()
     np.testing.assert_allclose(u[:, 3], w[:, 3])
     u = jnp.array([1.2, -4.0, 2.5, 7.0])
-    np.testing.assert_allclose(inside(outside(u, low, high), low, high), u, atol=1e-12)
+    np.testing.assert_allclose(from_unbounded(to_unbounded(u, low, high), low, high), u, atol=1e-12)
 
 
 @pytest.mark.slow

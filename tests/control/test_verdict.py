@@ -4,8 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from rbjax.control import Control, Cost, Equations, Problem, solve
 from rbjax.control.optimal.shooting.verdict import (
     LEAST,
     LENGTHS,
@@ -16,6 +14,8 @@ from rbjax.control.optimal.shooting.verdict import (
     in_vain,
     verdict,
 )
+
+from rbjax.control import Control, Cost, Equations, Problem, solve
 from rbjax.control.status import CONVERGED, STUCK
 
 LINE = Equations(lambda t, x, u: u, 1, 1)

@@ -62,7 +62,7 @@ class Knot(NamedTuple):
     """A state of the system, and numbers (p,) that are constant along the motion."""
 
     state: Any
-    numbers: jax.Array
+    parameters: jax.Array
 
 
 BODY, NEXT = slice(None, -1), slice(1, None)  # knots with controls, and those after them
@@ -162,7 +162,7 @@ class Problem(Record):
         return self.system.nu
 
     @property
-    def numbers(self) -> int:
+    def parameter_count(self) -> int:
         """How many numbers are constant along the motion: of the design, and the final time."""
         design = 0 if self.design is None else self.design.start.shape[0]
         return design + (self.times is not None)
@@ -170,21 +170,27 @@ class Problem(Record):
     @property
     def n(self) -> int:
         """The dimension of a knot's tangent space."""
-        return self.system.n + self.numbers
+        return self.system.n + self.parameter_count
 
     @property
-    def opens(self) -> bool:
+    def free_first_knot(self) -> bool:
         """Whether anything of the first knot is free."""
-        return any(self.free) or self.numbers > 0
+        return any(self.free) or self.parameter_count > 0
+
+    def within_bounds(self, u: jax.Array) -> jax.Array:
+        """Controls projected onto their bounds."""
+        if not self.bounded:
+            return u
+        return jnp.clip(u, self.low.astype(u.dtype), self.high.astype(u.dtype))
 
     @property
     def by_velocities(self) -> bool:
         """Whether dq+ = dq + h dv+ of a knot's tangent (dq, dv)."""
-        return self.system.by_velocities and not self.numbers
+        return self.system.by_velocities and not self.parameter_count
 
     # what depends on the numbers of a knot
 
-    def first_numbers(self, dtype: Any) -> jax.Array:
+    def first_parameters(self, dtype: Any) -> jax.Array:
         """The first guess (p,) of what is constant along the motion."""
         parts = [] if self.design is None else [self.design.start]
         if self.times is not None:
@@ -202,14 +208,14 @@ class Problem(Record):
             high.append(self.times[1:])
         return jnp.concatenate(low).astype(dtype), jnp.concatenate(high).astype(dtype)
 
-    def at(self, numbers: jax.Array) -> tuple[System, jax.Array]:
+    def at(self, parameters: jax.Array) -> tuple[System, jax.Array]:
         """The system and the step that numbers say."""
-        system, dt = self.system, self.dt.astype(numbers.dtype)
+        system, dt = self.system, self.dt.astype(parameters.dtype)
         if self.times is not None:
-            dt = numbers[-1] / self.horizon
+            dt = parameters[-1] / self.horizon
         if self.design is not None:
             size = self.design.start.shape[0]
-            system = system.with_model(self.design.apply(system.model, numbers[:size]))
+            system = system.with_model(self.design.apply(system.model, parameters[:size]))
         return system, dt
 
     def time(self, k: Any, dt: Any) -> Any:
@@ -221,36 +227,36 @@ class Problem(Record):
     def plus(self, knot: Knot, dx: jax.Array) -> Knot:
         """knot (+) dx."""
         n = self.system.n
-        return Knot(self.system.plus(knot.state, dx[:n]), knot.numbers + dx[n:])
+        return Knot(self.system.plus(knot.state, dx[:n]), knot.parameters + dx[n:])
 
     def minus(self, one: Knot, other: Knot) -> jax.Array:
         """dx (n,) from `other` to `one`."""
-        parts = [self.system.minus(one.state, other.state), one.numbers - other.numbers]
+        parts = [self.system.minus(one.state, other.state), one.parameters - other.parameters]
         return jnp.concatenate(parts)
 
     def off_start(self, start: Any, first: Knot) -> jax.Array:
         """From the first knot to the start (n,), 0 where it is free."""
         off = jnp.where(jnp.asarray(self.free), 0.0, self.system.minus(start, first.state))
-        return jnp.concatenate([off, jnp.zeros(self.numbers, off.dtype)])
+        return jnp.concatenate([off, jnp.zeros(self.parameter_count, off.dtype)])
 
     def step(self, k: Any, knot: Knot, ctrl: jax.Array) -> Knot:
         """The knot after a step."""
-        system, dt = self.at(knot.numbers)
-        return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.numbers)
+        system, dt = self.at(knot.parameters)
+        return Knot(system.step(self.time(k, dt), knot.state, ctrl, dt), knot.parameters)
 
     def linear(self, k: Any, knot: Knot, ctrl: jax.Array) -> Linearised:
         """The knot after a step, and its derivatives."""
-        system, dt = self.at(knot.numbers)
+        system, dt = self.at(knot.parameters)
         after, A, B = system.linear(self.time(k, dt), knot.state, ctrl, dt)
-        after = Knot(after, knot.numbers)
-        p = self.numbers
+        after = Knot(after, knot.parameters)
+        p = self.parameter_count
         if p:
 
             def moved(dp: jax.Array) -> jax.Array:
-                there = self.step(k, Knot(knot.state, knot.numbers + dp), ctrl)
+                there = self.step(k, Knot(knot.state, knot.parameters + dp), ctrl)
                 return system.minus(there.state, after.state)
 
-            by = jax.jacfwd(moved)(jnp.zeros_like(knot.numbers))
+            by = jax.jacfwd(moved)(jnp.zeros_like(knot.parameters))
             below = jnp.eye(p, self.n, self.system.n, dtype=A.dtype)
             A = jnp.concatenate([jnp.concatenate([A, by], 1), below])
             B = jnp.concatenate([B, jnp.zeros((p, self.nu), B.dtype)])
@@ -259,7 +265,7 @@ class Problem(Record):
     def value(self, cost: Cost, where: str, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """A cost at a knot with controls ("path") or at the "end": a number, or residuals (r,)
         whose squares are halved and summed."""
-        system, dt = self.at(knot.numbers)
+        system, dt = self.at(knot.parameters)
         value = _array(
             cost.term, cost.term(system.model, self.time(k, dt), knot.state, ctrl), dt.dtype
         )
@@ -282,13 +288,13 @@ class Problem(Record):
 
     def row(self, c: Constraint, k: Any, knot: Knot, ctrl: jax.Array) -> jax.Array:
         """The values (c,) of a constraint at a knot."""
-        system, dt = self.at(knot.numbers)
+        system, dt = self.at(knot.parameters)
         value = c.term(system.model, self.time(k, dt), knot.state, ctrl)
         return jnp.ravel(_array(c.term, value, dt.dtype))
 
     def rows(self, k: Any, knot: Knot, ctrl: jax.Array, where: str) -> jax.Array:
         """The values (c,) of the constraints at "path" or "end"."""
-        none = jnp.zeros(0, knot.numbers.dtype)
+        none = jnp.zeros(0, knot.parameters.dtype)
         return jnp.concatenate(
             [none, *(self.row(c, k, knot, ctrl) for c in self.constraints_at(where))]
         )

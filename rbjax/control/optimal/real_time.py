@@ -38,7 +38,7 @@ class RealTime:
         ctrls: a first guess of the controls.
 
     The programs are compiled here, so that the first call is as fast as the others. `result` is
-    that of the last control (`rbjax.control.mpc.RESULTS`), `outcome` of the last search.
+    that of the last control (`rbjax.control.mpc.RESULTS`), `status` of the last search.
 
     Raises:
         InputError: not a controller.
@@ -68,7 +68,7 @@ class RealTime:
         self._tick = tick.lower(self.memory, zero, x).compile()
         jax.block_until_ready(self._tick(self.memory, zero, x))
         self._ns: list[int] = []
-        self.result, self.outcome = 0, int(self.memory.outcome)
+        self.result, self.status = 0, int(self.memory.status)
 
     def __call__(self, t: float, state: Any) -> np.ndarray:
         """The control (nu,) of the tick that begins at t."""
@@ -78,7 +78,7 @@ class RealTime:
         u, self.memory, result = self._tick(self.memory, np.asarray(t, like), x)
         u = np.asarray(u)
         self._ns.append(time.perf_counter_ns() - begin)
-        self.result, self.outcome = int(result), int(self.memory.outcome)
+        self.result, self.status = int(result), int(self.memory.status)
         return u
 
     def timing(self) -> Timing:

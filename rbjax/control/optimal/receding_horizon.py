@@ -26,10 +26,10 @@ import numpy as np
 from rbjax.arguments import flag
 from rbjax.control.optimal.constraint_rows import knot_violation
 from rbjax.control.optimal.first_guess import first_guess
-from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS
-from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, later
+from rbjax.control.optimal.shooting.augmented_lagrangian import Multipliers, shift_multipliers
 from rbjax.control.optimal.system import system_of
 from rbjax.control.products import product
 from rbjax.control.status import INFEASIBLE, NOT_FINITE
@@ -62,7 +62,7 @@ class Decided(NamedTuple):
 class Memory(NamedTuple):
     """The state of a controller: knots (N + 1, ...), ctrls (N, nu), gains K (N, nu, n) and the
     multipliers of the last plan (None for a method without multipliers); decided, the `Decided` of
-    the ticks of delay (None without delay); failures (), the plans that failed in a row; outcome ()
+    the ticks of delay (None without delay); failures (), the plans that failed in a row; status ()
     of the last search; cost () and violation () of the plan; gap (), the largest between a step of
     the plan and its next state."""
 
@@ -72,7 +72,7 @@ class Memory(NamedTuple):
     multipliers: Multipliers | None
     decided: Decided | None
     failures: jax.Array
-    outcome: jax.Array
+    status: jax.Array
     cost: jax.Array
     violation: jax.Array
     gap: jax.Array
@@ -80,13 +80,13 @@ class Memory(NamedTuple):
 
 class Run(NamedTuple):
     """A closed loop: ts (T + 1,) s; states, with a leading axis T + 1; ctrls (T, nu); results (T,),
-    of `RESULTS`; outcomes (T,) of the searches; costs (T,) of the plans."""
+    of `RESULTS`; statuses (T,) of the searches; costs (T,) of the plans."""
 
     ts: jax.Array
     states: Any
     ctrls: jax.Array
     results: jax.Array
-    outcomes: jax.Array
+    statuses: jax.Array
     costs: jax.Array
 
 
@@ -125,13 +125,13 @@ class Controller:
         x = problem.system.checked("mpc", state)
         knots, us = first_guess(problem, x, ctrls=ctrls)
         found = self._search(problem, x, knots, us, None, self.first)
-        whole = _finite((found.knots, found.ctrls, found.K)) & (found.outcome != NOT_FINITE)
+        whole = _finite((found.knots, found.ctrls, found.K)) & (found.status != NOT_FINITE)
         given, planned = (knots, us), (found.knots, found.ctrls)
         knots, us = jax.tree.map(lambda a, b: jnp.where(whole, a, b), planned, given)
         K = jnp.where(whole, found.K, 0.0)
         memory = Memory(
             knots, us, K, _multipliers(found), None, jnp.where(whole, 0, self.patience),
-            found.outcome, found.cost, found.violation, found.gap,
+            found.status, found.cost, found.violation, found.gap,
         )  # fmt: skip
         each = [self._entry(memory, k) for k in range(self.delay)]
         decided = jax.tree.map(lambda *x: jnp.stack(x), *each) if each else None
@@ -190,14 +190,14 @@ class Controller:
             t = self.problem.time(k, dt)
             u, memory, result = self.tick(memory, t, x)
             after = move(t, x, u, dt)
-            return (memory, after), (x, u, result, memory.outcome, memory.cost)
+            return (memory, after), (x, u, result, memory.status, memory.cost)
 
         ks = jnp.arange(steps, dtype=dt.dtype)
         run: tuple = jax.lax.scan(one, (memory, x), ks)
-        (_, last), (xs, us, results, outcomes, costs) = run
+        (_, last), (xs, us, results, statuses, costs) = run
         states = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), xs, last)
         ts = self.problem.time(jnp.arange(steps + 1, dtype=dt.dtype), dt)
-        return Run(ts, states, us, results, outcomes, costs)
+        return Run(ts, states, us, results, statuses, costs)
 
     def policy(self, memory: Memory) -> Callable[[Any, Any], jax.Array]:
         """(t, state) -> ctrl for `rb.rollout`, which keeps no memory from step to step: each call
@@ -212,9 +212,8 @@ class Controller:
             late = jnp.clip(jnp.arange(N + 1) + k, 0, N)
             knots = jax.tree.map(lambda a: a[late], memory.knots)
             ctrls = memory.ctrls[jnp.minimum(late[:-1], N - 1)]
-            shifted = memory._replace(
-                knots=knots, ctrls=ctrls, multipliers=later(memory.multipliers, late[:-1])
-            )
+            multipliers = shift_multipliers(memory.multipliers, late[:-1])
+            shifted = memory._replace(knots=knots, ctrls=ctrls, multipliers=multipliers)
             planned = self._planned(problem, shifted, x)
             return self._acted(problem, self._entry(planned, 0), t, x)
 
@@ -227,10 +226,10 @@ class Controller:
         multipliers: Multipliers | None, iterations: int,
     ) -> Any:  # fmt: skip
         number = lambda x: jnp.asarray(x, ctrls.dtype)  # noqa: E731
-        options = Options(
-            number(self.tolerance), number(self.violation), jnp.asarray(iterations),
-            scale=number(1.0), multipliers=multipliers,
-        )  # fmt: skip
+        rule = StoppingRule(
+            number(self.tolerance), number(self.violation), jnp.asarray(iterations), number(1.0)
+        )
+        options = Options(rule, multipliers=multipliers)
         return METHODS[self.method].solve(problem, start, knots, ctrls, options, iterations)
 
     def _planned(self, problem: Problem, memory: Memory, start: Any) -> Memory:
@@ -243,7 +242,7 @@ class Controller:
         first = jax.tree.map(lambda a: a[0], found.knots)
         zero = jnp.zeros((), found.ctrls.dtype)
         off = knot_violation(problem, zero, first, found.ctrls[0], "path") > self.violation
-        good &= (found.outcome != NOT_FINITE) & ((found.outcome != INFEASIBLE) | off)
+        good &= (found.status != NOT_FINITE) & ((found.status != INFEASIBLE) | off)
         new = memory._replace(
             knots=found.knots, ctrls=found.ctrls, K=found.K, cost=found.cost,
             violation=found.violation, gap=found.gap,
@@ -251,7 +250,7 @@ class Controller:
         )  # fmt: skip
         old = memory._replace(failures=memory.failures + 1)
         picked = jax.tree.map(lambda a, b: jnp.where(good, a, b), new, old)
-        return picked._replace(outcome=found.outcome)
+        return picked._replace(status=found.status)
 
     def _shifted(self, problem: Problem, memory: Memory) -> Memory:
         """The plan one tick on: its last control is held for a tick more."""
@@ -263,7 +262,7 @@ class Controller:
         after = jax.tree.map(lambda a, b: jnp.where(_finite(after), a, b), after, last)
         knots = jax.tree.map(lambda a, b: jnp.concatenate([a[1:], b[None]]), memory.knots, after)
         at = jnp.minimum(jnp.arange(problem.horizon) + 1, problem.horizon - 1)
-        multipliers = later(memory.multipliers, at)
+        multipliers = shift_multipliers(memory.multipliers, at)
         return memory._replace(knots=knots, ctrls=ctrls, K=K, multipliers=multipliers)
 
     def _entry(self, memory: Memory, k: int) -> Decided:
@@ -285,7 +284,7 @@ class Controller:
             u = u + jnp.where(_finite(back), back, 0.0)
         other = jnp.asarray(self.fallback(t, state), u.dtype)
         u = jnp.where(entry.result == FALLBACK, other, u)
-        return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
+        return problem.within_bounds(u)
 
 
 def mpc(
@@ -345,7 +344,7 @@ def mpc(
     example = problem if isinstance(problem, Problem) else problem_at(0.0)
     if not isinstance(example, Problem):
         raise InputError(f"mpc: problem gave {type(example).__name__}, expected a Problem")
-    if example.opens:
+    if example.free_first_knot:
         raise InputError(
             "mpc: the start, a design or the final time of the problem is free, expected a problem "
             "whose start is the state; remove free_start, design and free_time"

@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from rbjax.compiling import compiled, inside_jit
-from rbjax.control.optimal.constants import Known
+from rbjax.control.optimal.constants import ConstantRobots
 from rbjax.control.optimal.constraint_rows import constraint_violations, rows_along
 from rbjax.control.optimal.derivatives.implicit import differentiable
 from rbjax.control.optimal.first_guess import Guess, first_guess, guess_of
-from rbjax.control.optimal.options import Options
+from rbjax.control.optimal.options import Options, StoppingRule
 from rbjax.control.optimal.problem import Knot, Problem
 from rbjax.control.optimal.registry import METHODS, method_of, name_of
-from rbjax.control.optimal.solution import Found, Solution, solution_of
+from rbjax.control.optimal.solution import SearchResult, Solution, solution_of
 from rbjax.control.status import CONVERGED, FINISHED, INFEASIBLE, NOT_FINITE
 from rbjax.errors import InputError
 from rbjax.motion.captured import with_captured
@@ -33,7 +33,7 @@ def solve(
     method: Any = "ddp",
     states: Any = None,
     ctrls: Any = None,
-    numbers: Any = None,
+    parameters: Any = None,
     guess: Solution | None = None,
     iterations: int = 200,
     tolerance: float = 1e-9,
@@ -66,7 +66,7 @@ def solve(
         progress: show the iterations on a terminal; within a program it is ignored.
 
     Returns:
-        `Solution`. `outcome` says whether it converged; `status` says so in words. Its states,
+        `Solution`. `status` says whether it converged; `status` says so in words. Its states,
         controls, numbers, cost and multipliers have derivatives, forward and reverse, by all arrays
         of the problem, by what its functions close over, and by the start, those of active bounds
         and constraints included (`implicit`). Its gains and the account of the iterations are
@@ -99,18 +99,18 @@ def solve(
     for name, value in (("tolerance", tolerance), ("violation", violation)):
         check_between("solve", name, value, 0.0, np.inf)
     for name, value in (("start", start), ("states", states), ("ctrls", ctrls),
-                        ("numbers", numbers)):  # fmt: skip
+                        ("numbers", parameters)):  # fmt: skip
         _check_finite(name, value)
     if not isinstance(seed, jax.core.Tracer):
         _check_seed(seed)
     inside = inside_jit()
     show = progress and not inside
     number = jnp.asarray if inside else _plain
-    began = guess_of(problem, guess, states, ctrls, numbers)
+    began = guess_of(problem, guess, states, ctrls, parameters)
+    rule = StoppingRule(number(tolerance), number(violation), number(iterations))
     options = Options(
-        number(tolerance), number(violation), number(iterations), jnp.asarray(seed, jnp.uint32),
-        multipliers=began.multipliers, say=_say if show else None,
-    )  # fmt: skip
+        rule, jnp.asarray(seed, jnp.uint32), began.multipliers, _report if show else None
+    )
     began = began._replace(multipliers=None)
     if not all(map(eqx.is_array_like, jax.tree.leaves(start))):
         start = problem.system.checked("solve", start)  # says what is wrong
@@ -127,10 +127,10 @@ def solve(
         numeric, rest = eqx.partition(parts[constants is not None :], eqx.is_array)
         others, other_tree = jax.tree.flatten(rest)
         key = (tree, constants, other_tree, *others)
-        found, off, ts, numbers = program(
+        found, off, ts, parameters = program(
             numeric, start, began, options, key, method, int(iterations)
         )
-        return solution_of(problem, found, off, ts, numbers, name_of(method))
+        return solution_of(problem, found, off, ts, parameters, name_of(method))
 
     if not show:
         return with_captured(run, *(leaves[i] for i in places))
@@ -145,7 +145,7 @@ def solve(
 
 def _check_finite(name: str, value: Any) -> None:
     """`InputError` if a number is not finite. Traced values and arrays on a GPU are not read; then
-    the outcome is `NOT_FINITE`."""
+    the status is `NOT_FINITE`."""
     for x in jax.tree.leaves(value):
         if name != "start" and isinstance(x, str | bytes):  # `checked` says what a start must be
             raise InputError(f"solve: {name} is {x!r}, expected numbers")
@@ -173,14 +173,14 @@ def _on_host(x: jax.Array) -> bool:
 _lines: list[Say] = []  # of the searches that run now
 
 
-def _say(iterations: Any, cost: Any, violation: Any) -> None:
+def _report(iterations: Any, cost: Any, violation: Any) -> None:
     """One function for all searches: programs are known by it."""
     if _lines:
         held = f", violation {float(violation):.2g}" if violation else ""
         _lines[-1](f"iteration {int(iterations)}, cost {float(cost):.8g}{held}")
 
 
-_robots = Known()
+_robots = ConstantRobots()
 
 
 def _plain(x: Any) -> Any:
@@ -190,29 +190,29 @@ def _plain(x: Any) -> Any:
 
 def _solve(
     numeric: Any, start: Any, guess: Guess, options: Options, key: tuple, method: Any, history: int
-) -> tuple[Found, jax.Array, jax.Array, jax.Array]:
+) -> tuple[SearchResult, jax.Array, jax.Array, jax.Array]:
     """What was found, the violation of each constraint, the times and the numbers."""
     tree, constants, other_tree, *others = key
     parts = eqx.combine(numeric, jax.tree.unflatten(other_tree, others))
     if constants is not None:
-        parts = (constants.whole(), *parts)
+        parts = (constants.unflatten(), *parts)
     problem = jax.tree.unflatten(tree, [x for part in parts for x in part])
     start = problem.system.checked("solve", start)
     knots, ctrls = first_guess(problem, start, *guess[:4])
     found, off = _judged(problem, start, knots, ctrls, options, method, history)
-    numbers = found.knots.numbers[0]
+    parameters = found.knots.parameters[0]
     ks = jnp.arange(problem.horizon + 1, dtype=found.ctrls.dtype)
-    ts = problem.time(ks, problem.at(numbers)[1])
-    return found, off, ts, numbers
+    ts = problem.time(ks, problem.at(parameters)[1])
+    return found, off, ts, parameters
 
 
 def _judged(
     problem: Problem, start: Any, knots: Knot, ctrls: jax.Array, options: Options, method: Any,
     history: int,
-) -> tuple[Found, jax.Array]:  # fmt: skip
-    """What a method finds, with the outcome that its states and constraints show."""
+) -> tuple[SearchResult, jax.Array]:  # fmt: skip
+    """What a method finds, with the status that its states and constraints show."""
     search = functools.partial(_searched, method, history)
-    if method_of(method).steps:
+    if method_of(method).differentiable:
         found = differentiable(search, problem, start, knots, ctrls, options)
     else:
         found = _without_derivative(search(problem, start, knots, ctrls, options))
@@ -220,29 +220,29 @@ def _judged(
         return found, found.violations
     off = constraint_violations(problem, *rows_along(problem, found.knots, found.ctrls))
     # a method that weighs constraints against costs may come to rest where they do not hold
-    rests = (found.outcome == CONVERGED) | (found.outcome == FINISHED)
-    broken = (off > options.violation).any() & rests
-    outcome = jnp.where(broken, INFEASIBLE, found.outcome)
-    outcome = jnp.where(jnp.isfinite(found.cost + found.gap), outcome, NOT_FINITE)
-    return found._replace(outcome=outcome), off
+    rests = (found.status == CONVERGED) | (found.status == FINISHED)
+    broken = (off > options.rule.violation).any() & rests
+    status = jnp.where(broken, INFEASIBLE, found.status)
+    status = jnp.where(jnp.isfinite(found.cost + found.gap), status, NOT_FINITE)
+    return found._replace(status=status), off
 
 
 @jax.custom_jvp
-def _without_derivative(found: Found) -> Found:
+def _without_derivative(found: SearchResult) -> SearchResult:
     """What a method found whose equations are not steps of the system."""
     return found
 
 
 @_without_derivative.defjvp
 def _refuse(primals: Any, tangents: Any) -> Any:
-    able = [name for name, m in METHODS.items() if m.steps]
+    able = [name for name, m in METHODS.items() if m.differentiable]
     raise InputError(
         f"solve: the optimum of this method has no derivative; those of {able} have: solve again "
         "by one of them, from the states and controls found"
     )
 
 
-def _searched(method: Any, history: int, *given: Any) -> Found:
+def _searched(method: Any, history: int, *given: Any) -> SearchResult:
     return method_of(method).solve(*given, history)
 
 

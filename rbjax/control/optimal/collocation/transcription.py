@@ -56,24 +56,24 @@ def at_stage(
     problem: Problem, where: Any, knot: Knot, xi: jax.Array, ctrl: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """f (n,), the running cost () and the rows (c,) at knot (+) xi. where: k + c_i."""
-    system, dt = problem.at(knot.numbers)
+    system, dt = problem.at(knot.parameters)
     rates = system.rates(problem.time(where, dt), knot.state, xi, ctrl)
-    point = Knot(system.plus(knot.state, xi), knot.numbers)
+    point = Knot(system.plus(knot.state, xi), knot.parameters)
     cost = knot_cost(problem, "path", where, point, ctrl)
     return rates, cost, problem.rows(where, point, ctrl, "path")
 
 
 def after_step(problem: Problem, table: Tableau, knot: Knot, rates: jax.Array) -> Knot:
     """x (+) h sum_i b_i K_i."""
-    system, dt = problem.at(knot.numbers)
+    system, dt = problem.at(knot.parameters)
     _, b, _ = constants(table, rates.dtype)
-    return Knot(system.plus(knot.state, dt * combined(b, rates)), knot.numbers)
+    return Knot(system.plus(knot.state, dt * combined(b, rates)), knot.parameters)
 
 
 def stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -> Stages:
     """The step k."""
     a, b, c = constants(table, inner.rates.dtype)
-    _, dt = problem.at(knot.numbers)
+    _, dt = problem.at(knot.parameters)
     xi = dt * combined(a, inner.rates)
     rates, costs, rows = jax.vmap(lambda *x: at_stage(problem, x[0], knot, *x[1:]))(
         k + c, xi, inner.us
@@ -85,7 +85,7 @@ def stages(problem: Problem, table: Tableau, k: Any, knot: Knot, inner: Inner) -
 def stage_states(problem: Problem, table: Tableau, knot: Knot, inner: Inner) -> Any:
     """The states of the stages of a step."""
     a, _, _ = constants(table, inner.rates.dtype)
-    system, dt = problem.at(knot.numbers)
+    system, dt = problem.at(knot.parameters)
     return jax.vmap(lambda xi: system.plus(knot.state, xi))(dt * combined(a, inner.rates))
 
 
@@ -100,7 +100,7 @@ def chords(problem: Problem, table: Tableau, knots: Knot, ctrls: jax.Array) -> I
     s = len(table.b)
 
     def one(knot: Knot, following: Knot, ctrl: jax.Array) -> Inner:
-        system, dt = problem.at(knot.numbers)
+        system, dt = problem.at(knot.parameters)
         slope = system.minus(following.state, knot.state) / dt
         return Inner(*(jnp.broadcast_to(x, (s, *x.shape)) for x in (ctrl, slope)))
 

@@ -37,7 +37,7 @@ def no_multipliers(N: int, path: int, end: int, dtype: jax.typing.DTypeLike) -> 
     return Multipliers(*zero, jnp.asarray(PENALTY, dtype))
 
 
-def later(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
+def shift_multipliers(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
     """Multipliers of a motion that begins later. at (N,): for each of its knots, the index of the
     same knot before."""
     if multipliers is None:
@@ -45,7 +45,7 @@ def later(multipliers: Multipliers | None, at: jax.Array) -> Multipliers | None:
     return multipliers._replace(path=multipliers.path[at])
 
 
-def penalised(
+def penalty_residuals(
     c: jax.Array, y: jax.Array, mu: jax.Array, low: jax.Array, high: jax.Array
 ) -> jax.Array:
     """The residuals of L: sqrt(mu) (s - clip(s))."""

@@ -62,11 +62,13 @@ def backward_pass(
     def back(carry: tuple, knot: tuple) -> tuple:
         V, v, l, slope, curvature, square, ok = jax.tree.map(in_registers, carry)
         A, B, gap, cost, bound = jax.tree.map(in_registers, knot)
-        more = carried(V, v, A, B) if h is None else carried_by_velocities(V, v, A, B, h)
-        Qxx, Quu, Qux, Qx, Qu = more
+        if h is None:
+            Qxx, Quu, Qux, Qx, Qu = propagate_value(V, v, A, B)
+        else:
+            Qxx, Quu, Qux, Qx, Qu = propagate_value_by_velocities(V, v, A, B, h)
         descent = cost.r + product(B.T, l)
         if bound is not None:
-            descent = unpressed(descent, *bound)
+            descent = projected_gradient(descent, *bound)
         square = square + (descent * descent).sum()
         l = cost.q + product(A.T, l)
         Qxx, Quu, Qux = cost.Q + Qxx, cost.R + Quu + reg * eye_u, cost.S.T + Qux
@@ -99,7 +101,7 @@ def backward_pass(
         huge = jnp.finfo(reg.dtype).max
         box = box_qp(H, free * v, jnp.maximum(low, -huge), jnp.minimum(high, huge))
         step = free * jnp.where(box.ok, box.d, 0.0)
-        opening = free * unpressed(l, low, high)
+        opening = free * projected_gradient(l, low, high)
         square = square + (opening * opening).sum()
         slope = slope + (v * step).sum()
         curvature = curvature + (step * product(H, step)).sum()
@@ -108,13 +110,13 @@ def backward_pass(
     return Feedback(K, k, Vs, vs, dx0, slope, curvature, square, ok)
 
 
-def unpressed(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
+def projected_gradient(gradient: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     """A gradient without the entries that press against a bound. low, high: bounds of the step."""
     pressed = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     return jnp.where(pressed, 0.0, gradient)
 
 
-def carried(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
+def propagate_value(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
     """A'VA, B'VB, B'VA, A'v and B'v."""
     VA = product(V, A)
     return (
@@ -123,7 +125,9 @@ def carried(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array) -> tuple:
     )  # fmt: skip
 
 
-def carried_by_velocities(V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any) -> tuple:
+def propagate_value_by_velocities(
+    V: jax.Array, v: jax.Array, A: jax.Array, B: jax.Array, h: Any
+) -> tuple:
     """The same of dv+ = [C D] dx + E du, dq+ = dq + h dv+: half the work.
 
     A = T (1 + [0; F]),  B = T [0; E],  T = [1 h; 0 1],  F = [C D - 1]

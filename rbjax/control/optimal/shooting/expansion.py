@@ -19,7 +19,7 @@ from jax.extend.core import Var
 from rbjax.control.optimal.constraint_rows import example, row_sizes
 from rbjax.control.optimal.objective import half_square, knot_cost
 from rbjax.control.optimal.problem import Knot, Problem
-from rbjax.control.optimal.shooting.augmented_lagrangian import penalised
+from rbjax.control.optimal.shooting.augmented_lagrangian import penalty_residuals
 from rbjax.control.products import product
 
 
@@ -112,7 +112,7 @@ def penalties(problem: Problem, rows: jax.Array, mu: jax.Array, where: str) -> l
         def penalty(k: Any, knot: Knot, ctrl: jax.Array, c: Any = c, own: Any = own) -> jax.Array:
             value = problem.row(c, k, knot, ctrl)
             low, high = (jnp.ravel(jnp.asarray(x, value.dtype)) for x in (c.low, c.high))
-            return penalised(value, own, mu, low, high)
+            return penalty_residuals(value, own, mu, low, high)
 
         found.append(penalty)
     return found
@@ -128,7 +128,7 @@ def read_columns(problem: Problem, part: Any) -> np.ndarray:
         return part(jnp.zeros((), ctrl.dtype), knot, ctrl)
 
     used = arguments_read(flat, leaves)
-    n, p, m = problem.system.n, problem.numbers, problem.nu
+    n, p, m = problem.system.n, problem.parameter_count, problem.nu
     spans = [*problem.system.spans(), slice(n, n + p), slice(n + p, n + p + m)]
     return np.unique(np.concatenate([
         np.zeros(0, int),

@@ -22,28 +22,21 @@ from rbjax.control.optimal.shooting.expansion import merit
 from rbjax.control.products import product
 
 
-class Tried(NamedTuple):
-    """knots (N + 1, ...), ctrls (N, m), costs (), offs (), the largest violation of a constraint,
-    and more (): sum of gap' V dx."""
+class Rollout(NamedTuple):
+    """knots (N + 1, ...), ctrls (N, m), costs (), violations (), the largest of a constraint, and
+    more (): sum of gap' V dx."""
 
     knots: Knot
     ctrls: jax.Array
     costs: jax.Array
-    offs: jax.Array
+    violations: jax.Array
     more: jax.Array
-
-
-def within_bounds(problem: Problem, u: jax.Array) -> jax.Array:
-    """Controls projected onto their bounds."""
-    if not problem.bounded:
-        return u
-    return jnp.clip(u, problem.low.astype(u.dtype), problem.high.astype(u.dtype))
 
 
 def forward_pass(
     problem: Problem, knots: Knot, ctrls: jax.Array, gains: Feedback, gaps: jax.Array,
     multipliers: Multipliers, a: jax.Array,
-) -> Tried:  # fmt: skip
+) -> Rollout:  # fmt: skip
     """The motion of a step of length a."""
     first = jax.tree.map(lambda x: x[0], knots)
     now = problem.plus(first, a * gains.first)
@@ -53,7 +46,7 @@ def forward_pass(
         now, total, off, cross = carry
         k, knot, ctrl, K, du, gap, V, rows, closing = x
         dx = problem.minus(now, knot)
-        u = within_bounds(problem, ctrl + a * du + product(K, dx))
+        u = problem.within_bounds(ctrl + a * du + product(K, dx))
         total = total + merit(problem, k, now, u, rows, mu, "path")
         off = jnp.maximum(off, knot_violation(problem, k, now, u, "path"))
         cross = cross + (gap * product(V, dx)).sum()
@@ -73,4 +66,4 @@ def forward_pass(
     end = jax.tree.map(lambda x: x[-1], knots)
     cross = cross + (gaps[-1] * product(gains.V[-1], problem.minus(last, end))).sum()
     found = jax.tree.map(lambda x, y: jnp.concatenate([x, y[None]]), before, last)
-    return Tried(found, us, total, off, cross)
+    return Rollout(found, us, total, off, cross)

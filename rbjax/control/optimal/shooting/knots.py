@@ -64,7 +64,7 @@ def expand(
 
     def by_columns(k, knot, ctrl, rows, mu, following):
         def of_whole(k, ctrl, rows, mu):
-            return cost_of(k, at_places(knots, k)[0], ctrl, rows, mu)
+            return cost_of(k, knots_at(knots, k)[0], ctrl, rows, mu)
 
         A, B, gap = columns(problem, k, knots, ctrl)
         cost, off = threads(of_whole)(k, ctrl, rows, mu)
@@ -78,7 +78,7 @@ def expand(
         cost = quadratic(problem, jnp.asarray(N, dtype), last, none, rows, mu, "end")
         return gap, cost, knot_violation(problem, jnp.asarray(N, dtype), last, none, "end")
 
-    ks, mu = numbers(N, dtype), multipliers.penalty
+    ks, mu = knot_indices(N, dtype), multipliers.penalty
     path, gaps, off = jax.vmap(in_parts(one, by_columns, FEW), (0, 0, 0, 0, None, 0))(
         ks, body, ctrls, multipliers.path, mu, following
     )
@@ -95,7 +95,7 @@ def columns(
     n, none = problem.n, np.zeros(problem.n + problem.nu, ctrl.dtype)
 
     def column(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
-        knot, following = at_places(knots, k)
+        knot, following = knots_at(knots, k)
         after = problem.step(k, knot, ctrl)
 
         def moved(d: jax.Array) -> jax.Array:
@@ -110,12 +110,12 @@ def columns(
     return both[:, :n], both[:, n:], gap[:, 0]
 
 
-def numbers(N: int, dtype: Any) -> jax.Array:
+def knot_indices(N: int, dtype: Any) -> jax.Array:
     """The numbers of the knots with controls, as a constant of the program."""
     return jnp.asarray(np.arange(N, dtype=dtype))
 
 
-def at_places(knots: Any, k: jax.Array) -> tuple[Any, Any]:
+def knots_at(knots: Any, k: jax.Array) -> tuple[Any, Any]:
     """Knot k and the next one, read in a program of one sample: slices of arrays outside of it are
     copies, and each copy is a kernel."""
     k = k.astype(np.uint32)
@@ -126,7 +126,7 @@ def at_places(knots: Any, k: jax.Array) -> tuple[Any, Any]:
     return here, following
 
 
-def with_curvature(
+def add_curvature(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers, found: Expanded
 ) -> Expanded:
     """All knots with what Gauss and Newton leave out."""
@@ -152,7 +152,7 @@ def with_curvature(
     return found._replace(path=path, end=end)
 
 
-def updated(
+def updated_multipliers(
     problem: Problem, knots: Knot, ctrls: jax.Array, multipliers: Multipliers
 ) -> tuple[jax.Array, jax.Array]:
     """The next multipliers of path and end, side by side."""
