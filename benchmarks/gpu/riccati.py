@@ -105,7 +105,7 @@ def run(
         row = {
             "precision": precision, "batch": batch, "horizon": horizon, "method": name,
             "compile_s": compiling, "ms": 1e3 * best, "us a step": 1e6 * best / horizon / batch,
-            "difference": difference(out, want), "ok": bool(jnp.all(out.ok)),
+            "difference": difference(out, want), "ok": bool(jnp.all(out.success)),
         }  # fmt: skip
         rows.append(row)
         print(json.dumps(row), flush=True)

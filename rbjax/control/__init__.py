@@ -90,7 +90,7 @@ from rbjax.control.optimal.solution import Solution
 from rbjax.control.optimal.solver import solve
 from rbjax.control.optimal.system import Equations, System
 from rbjax.control.optimal.terms import Constraint, Cost, Term
-from rbjax.control.status import LINEAR_RESULTS
+from rbjax.control.status import LinearStatus
 from rbjax.kinematics.goals import Goal
 from rbjax.kinematics.position_level import InverseKinematics, inverse_kinematics
 from rbjax.kinematics.velocity_level import (
@@ -175,7 +175,7 @@ __all__ = [
     "allocate",
     "Allocation",
     # regulators
-    "LINEAR_RESULTS",
+    "LinearStatus",
     "Regulator",
     "Tracking",
     "feedback",

@@ -344,7 +344,7 @@ TABLE = {
 WITHOUT = {
     "Acceleration", "Allocation", "CartesianImpedance", "ComputedTorque", "Configuration",
     "Controller", "DifferentialInverseKinematics", "Effort", "Estimate", "Gains",
-    "GravityCompensation", "InverseKinematics", "Jerk", "JointImpedance", "LINEAR_RESULTS", "Law",
+    "GravityCompensation", "InverseKinematics", "Jerk", "JointImpedance", "LinearStatus", "Law",
     "LinearQuadratic", "Lyapunov", "Margins", "Method", "Network", "OperationalSpace", "Reach",
     "RegionMap", "Regulator", "Solution", "StateSpace", "SteadyFilter", "Steered", "System", "Term",
     "Tracking", "Trained", "Velocity", "methods",

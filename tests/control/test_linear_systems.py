@@ -11,7 +11,7 @@ import scipy.signal
 
 import rbjax as rb
 from rbjax.control import (
-    LINEAR_RESULTS,
+    LinearStatus,
     controllability,
     controllability_gramian,
     directions,
@@ -78,7 +78,7 @@ def test_gramians_beside_quadrature():
     total = sum(np.linalg.matrix_power(Ad, k) @ Bd @ Bd.T @ np.linalg.matrix_power(Ad, k).T
                 for k in range(600))  # fmt: skip
     assert relative_error(controllability_gramian(Ad, Bd, discrete=True).X, total) < 1e-12
-    assert jax.jit(controllability_gramian)(-A, B).result == LINEAR_RESULTS.not_stable
+    assert jax.jit(controllability_gramian)(-A, B).result == LinearStatus.not_stable
     with pytest.raises(InputError, match="not stable"):
         controllability_gramian(-A, B)
 

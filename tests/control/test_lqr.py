@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 
 import rbjax as rb
-from rbjax.control import LINEAR_RESULTS, feedback, lqr, lqr_at, poles
+from rbjax.control import LinearStatus, feedback, lqr, lqr_at, poles
 from rbjax.errors import InputError
 from tests.composing import STEP, check_composes
 from tests.control.problems import enlarged, random_system
@@ -23,7 +23,7 @@ solved = jax.jit(lqr)  # the numbers are not looked at
 
 
 def is_(result, name):
-    return bool(result == getattr(LINEAR_RESULTS, name))
+    return bool(result == getattr(LinearStatus, name))
 
 
 def polished(P, A, B, Q, R, S, discrete):
@@ -189,7 +189,7 @@ def test_a_failure_in_a_batch_leaves_the_gradient_finite():
     def total(a, b):
         A = jnp.stack([jnp.diag(jnp.array([1.0, 0.0])), jnp.diag(jnp.array([-1.0, 0.0]))]) * a
         found = jax.vmap(lambda A: lqr(A, b * B, jnp.eye(2), jnp.eye(1)))(A)
-        return found.P.sum(), found.result == LINEAR_RESULTS.successful
+        return found.P.sum(), found.result == LinearStatus.success
 
     slope, ok = jax.jit(jax.grad(total, has_aux=True))(1.0, 1.0)
     assert ok.tolist() == [False, True] and np.isfinite(slope) and slope != 0

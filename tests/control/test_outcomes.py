@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import pytest
 
 from rbjax.control import (
-    LINEAR_RESULTS,
+    LinearStatus,
     Constraint,
     Control,
     Equations,
@@ -116,11 +116,11 @@ def test_every_result_of_a_linear_solver_is_reached(dtype):
         program = jax.jit(lambda *x: lqr(*x).result)
         for name, numbers in LINEAR.items():
             found = program(*(jnp.full((1, 1), x) for x in numbers))
-            assert bool(found == getattr(LINEAR_RESULTS, name)), name
+            assert bool(found == getattr(LinearStatus, name)), name
             reached.add(name)
         found = jax.jit(lambda A: lyapunov(A, jnp.eye(1)).result)(jnp.ones((1, 1)))
-        assert bool(found == LINEAR_RESULTS.not_stable)
-    assert len(reached) == len(LINEAR_RESULTS)
+        assert bool(found == LinearStatus.not_stable)
+    assert len(reached) == len(LinearStatus)
 
 
 @pytest.mark.slow

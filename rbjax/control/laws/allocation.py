@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.dynamics.arguments import check_array, check_model
 from rbjax.errors import InputError
 from rbjax.forces import applied_forces
@@ -25,7 +26,6 @@ from rbjax.forces.acting import sighted
 from rbjax.forces.actuator import Actuator, GainBias
 from rbjax.forces.element import Loads
 from rbjax.forces.instant import Instant
-from rbjax.kinematics.arguments import check_is
 from rbjax.lanes import Lane, add, inner, is_zero, ldlt, sub
 from rbjax.model import Model, State
 
@@ -71,7 +71,7 @@ def allocate(model: Model, state: State, tau: jax.Array) -> Allocation:
     check_model("allocate", model)
     check_actuators("allocate", model)
     tau = check_array("allocate", "tau", tau, (model.nv,))
-    check_is("allocate", "state", state, State, "(q, v)")
+    instance("allocate", "state", state, State, "an rb.State(q, v)")
     ctrl = controls(model, state, tau)
     limits = model.actuators.ctrlrange.astype(ctrl.dtype)
     for element in model.forces:

@@ -37,7 +37,7 @@ from rbjax.control.linear.double_words import Double
 from rbjax.control.linear.lyapunov_equation import cayley, continuous, is_stable, pace, stein
 from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.products import product
-from rbjax.control.status import LINEAR_RESULTS, first_of
+from rbjax.control.status import LinearStatus, first_of
 
 TURNS = 60  # of doubling
 REFINED = 2  # the first turn leaves the square of the error
@@ -53,7 +53,7 @@ class Solved(NamedTuple):
     K: jax.Array
     residual: jax.Array
     error: jax.Array
-    result: Any
+    status: Any
 
 
 @functools.partial(compiled, static_argnums=5)
@@ -76,16 +76,16 @@ def riccati(
     K = jnp.where(found, K, 0.0)
     off, size = remainder(discrete, problem, P)
     error = jax.lax.stop_gradient(_rounding(discrete, problem, P, K))
-    result = first_of(
-        (~finite, LINEAR_RESULTS.not_finite),
-        (~definite, LINEAR_RESULTS.indefinite_control_cost),
-        (~started, LINEAR_RESULTS.not_stabilisable),
-        (~converged, LINEAR_RESULTS.no_stabilising_solution),
+    status = first_of(
+        (~finite, LinearStatus.not_finite),
+        (~definite, LinearStatus.indefinite_control_cost),
+        (~started, LinearStatus.not_stabilisable),
+        (~converged, LinearStatus.no_stabilising_solution),
     )
     residual, error = (
         jnp.where(ok, x, jnp.inf) for ok, x in ((finite, jnp.abs(off).max() / size), (found, error))
     )
-    return Solved(P, K, residual, error, result)
+    return Solved(P, K, residual, error, status)
 
 
 def gain(discrete: bool, problem: Problem, P: jax.Array) -> tuple[jax.Array, jax.Array]:

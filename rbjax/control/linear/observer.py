@@ -26,6 +26,7 @@ from rbjax.control.linear.regulators import weights
 from rbjax.control.linear.riccati import definite_factor
 from rbjax.control.linear.systems import pair
 from rbjax.control.products import product
+from rbjax.control.status import LinearStatus
 from rbjax.dynamics.arguments import check_model, check_step, check_takes
 from rbjax.model import Model, State
 from rbjax.motion.field import Law, free_motion, law_of
@@ -36,13 +37,18 @@ from rbjax.motion.linearise import apart, beside, step
 
 class SteadyFilter(NamedTuple):
     """Fields: gain (n, l); P (n, n), the covariance of the error, in discrete time before a sample;
-    residual (), error () and result, as in `Regulator`."""
+    residual (), error () and status, as in `Regulator`."""
 
     gain: jax.Array
     P: jax.Array
     residual: jax.Array
     error: jax.Array
-    result: Any
+    status: Any
+
+    @property
+    def success(self) -> jax.Array:
+        """Whether there is a solution."""
+        return self.status == LinearStatus.success
 
 
 def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> SteadyFilter:
@@ -84,7 +90,7 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
         S = product(C, product(found.P, C.T)) + V
         L, ok = definite_factor((S + S.T) / 2)
         gain = jnp.where(ok, cho_solve((L, True), product(C, found.P)).T, 0.0)
-    return SteadyFilter(gain, found.P, found.residual, found.error, found.result)
+    return SteadyFilter(gain, found.P, found.residual, found.error, found.status)
 
 
 def observed(

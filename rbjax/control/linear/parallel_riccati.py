@@ -31,10 +31,10 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve, solve_triangular
 
+from rbjax.arguments import instance
 from rbjax.control.linear.riccati import MADE, Gains, LinearQuadratic, check_start, definite_factor
 from rbjax.control.products import product
 from rbjax.errors import UnknownName
-from rbjax.kinematics.arguments import check_is
 from rbjax.lanes.products import matrix_transpose, matvec
 
 
@@ -115,7 +115,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
         by: "doubling", or "tree" for fewer products that take longer to compile.
 
     Returns:
-        `Gains`; du = -K dx - k. Where ok is false K and k are 0, and P and p what is finite.
+        `Gains`; du = -K dx - k. Without success K and k are 0, and P and p what is finite.
 
     Raises:
         UnknownName: `by`.
@@ -135,7 +135,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
     """
     if by not in ("doubling", "tree"):
         raise UnknownName("way of parallel_backward", by, ("doubling", "tree"))
-    check_is("parallel_backward", "problem", problem, LinearQuadratic, MADE)
+    instance("parallel_backward", "problem", problem, LinearQuadratic, MADE)
     all_steps, ok = stretches(problem)
     to_end = tails(all_steps, by)
     P, p = to_end.J, -to_end.e

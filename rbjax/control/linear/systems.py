@@ -24,12 +24,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.compiling import compiled
 from rbjax.control.linear.lyapunov_equation import Lyapunov, lyapunov
 from rbjax.control.products import product
 from rbjax.dynamics.arguments import check_array, check_model, check_step, shape_of
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_at_least, check_is
+from rbjax.kinematics.arguments import check_at_least
 from rbjax.model import Model
 from rbjax.solvers.arguments import check_between
 
@@ -156,7 +157,7 @@ def directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
         4
     """
     check_model("directions", model)
-    check_is("directions", "reach", reach, Reach, ", of controllability or observability")
+    instance("directions", "reach", reach, Reach, "what controllability or observability returns")
     check_between("directions", "least", least, 0.0, 1.0)
     n = 2 * model.nv + model.nx
     if reach.inside.shape != (n, n):

@@ -19,10 +19,10 @@ import numpy as np
 
 from rbjax.arguments import flag
 from rbjax.control.optimal.system import Linearised, System, system_of
-from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of, looked_at
+from rbjax.control.optimal.terms import Constraint, Cost, Term, cost_of
 from rbjax.dynamics.arguments import check_array, check_step, check_takes
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_bound, check_several
+from rbjax.kinematics.arguments import check_bound, check_several, known_array
 from rbjax.model.record import Record
 from rbjax.motion.field import free_motion
 
@@ -48,7 +48,7 @@ class Design(Record):
         self.start = check_array("Design", "start", jnp.atleast_1d(jnp.asarray(start, float)), n)
         low, high = (check_bound("Design", k, x, (), n) for k, x in (("low", low), ("high", high)))
         self.low, self.high = jnp.broadcast_to(low, n), jnp.broadcast_to(high, n)
-        lowest, first, highest = (looked_at(x) for x in (self.low, self.start, self.high))
+        lowest, first, highest = (known_array(x) for x in (self.low, self.start, self.high))
         if lowest is None or first is None or highest is None:  # traced
             return
         if not ((lowest <= first) & (first <= highest)).all():
@@ -350,7 +350,7 @@ def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
         check_bound("Problem", f"{side} of bounds", x, (), (system.nu,))
         for side, x in (("low", low), ("high", high))
     )
-    lowest, highest = looked_at(low), looked_at(high)
+    lowest, highest = known_array(low), known_array(high)
     low, high = (jnp.broadcast_to(x, (system.nu,)) for x in (low, high))
     if lowest is None or highest is None:
         return low, high, True
@@ -364,7 +364,7 @@ def _bounds(system: System, bounds: Any) -> tuple[jax.Array, jax.Array, bool]:
 
 def _times(free_time: Any) -> jax.Array:
     times = check_bound("Problem", "free_time", free_time)
-    known = looked_at(times)
+    known = known_array(times)
     if times.shape != (2,) or (known is not None and not 0 < known[0] < known[1]):
         raise InputError(
             f"Problem: free_time is {free_time!r}, expected (low, high) with 0 < low < high"

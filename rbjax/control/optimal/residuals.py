@@ -15,6 +15,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from rbjax.control.optimal.system import Controlled
 from rbjax.control.optimal.terms import Term
@@ -25,7 +26,7 @@ from rbjax.dynamics.frames import frame_velocity, site_pose
 from rbjax.dynamics.kinematics import forward_kinematics
 from rbjax.errors import InputError
 from rbjax.forces.acting import applied_forces
-from rbjax.kinematics.arguments import check_reference, check_rotation
+from rbjax.kinematics.arguments import check_rotation, known_array
 from rbjax.model import Model, State
 from rbjax.motion.linearise import apart, beside
 from rbjax.rotations import se3
@@ -213,6 +214,24 @@ def check_target(where: str, name: str, value: Any, shape: tuple[int, ...] | Non
     for x in jax.tree.leaves(value) if shape is None else [value]:
         if not isinstance(x, jax.ShapeDtypeStruct):
             check_reference(where, name, x, shape)
+
+
+def check_reference(where: str, name: str, value: Any, shape: tuple[int, ...] | None) -> None:
+    """`InputError` unless value is an array, finite if known, whose last axes have a shape (None:
+    any). Leading axes are those of a batch."""
+    try:
+        x = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{where}: {name} is {type(value).__name__}, expected numbers or a function of t"
+        ) from error
+    if shape is not None and x.shape[max(0, x.ndim - len(shape)) :] != shape:
+        raise InputError(
+            f"{where}: {name} has shape {x.shape}, expected {shape} or a function of t"
+        )
+    known = known_array(x)
+    if known is not None and not np.isfinite(known).all():
+        raise InputError(f"{where}: {name} has numbers that are not finite, expected finite ones")
 
 
 def check_frame(where: str, site: Any, body: Any) -> None:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from rbjax.arguments import instance
 from rbjax.compiling import compiled, inside_jit
 from rbjax.control.optimal.constants import ConstantRobots
 from rbjax.control.optimal.constraint_rows import constraint_violations, rows_along
@@ -88,10 +89,7 @@ def solve(
         >>> rb.control.solve(problem, pushed).status
         'converged'
     """
-    if not isinstance(problem, Problem):
-        raise InputError(
-            f"solve: problem is {type(problem).__name__}, expected an rb.control.Problem"
-        )
+    instance("solve", "problem", problem, Problem, "an rb.control.Problem")
     if problem.constraints and not method_of(method).constraints:
         able = [name for name, m in METHODS.items() if m.constraints]
         raise InputError(f"solve: method {method!r} holds no constraints; these do: {able}")

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 from rbjax.errors import InputError
-from rbjax.kinematics.arguments import check_bound
+from rbjax.kinematics.arguments import check_bound, known_array
 from rbjax.model.record import Record
 
 
@@ -63,7 +63,7 @@ class Cost(Record):
     def __init__(self, term: Any, weight: Any = 1.0) -> None:
         self.term = term_of("Cost", term)
         self.weight = check_bound(f"Cost({self.term.label})", "weight", weight)
-        known = looked_at(self.weight)
+        known = known_array(self.weight)
         if known is not None and ((known < 0).any() or not np.isfinite(known).all()):
             raise InputError(
                 f"Cost({self.term.label}): the weight is {known.tolist()}, expected finite "
@@ -99,17 +99,12 @@ class Constraint(Record):
             raise InputError(
                 f"Constraint({self.name}): where is {where!r}, expected 'path', 'end' or 'all'"
             )
-        lowest, highest = looked_at(self.low), looked_at(self.high)
+        lowest, highest = known_array(self.low), known_array(self.high)
         if lowest is not None and highest is not None and (lowest > highest).any():
             raise InputError(
                 f"Constraint({self.name}): low {lowest.tolist()} is above high "
                 f"{highest.tolist()}; give low <= high"
             )
-
-
-def looked_at(x: Any) -> np.ndarray | None:
-    """Numbers as numpy has them, or None where they are traced."""
-    return None if isinstance(x, jax.core.Tracer) else np.asarray(x, float)
 
 
 def term_of(where: str, f: Any) -> Term:
