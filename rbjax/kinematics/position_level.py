@@ -52,25 +52,26 @@ REDUNDANT = 1e3
 
 
 class InverseKinematics(Record):
-    """What `inverse_kinematics` found.
+    """The result of `inverse_kinematics`.
 
-    Fields: q (nq,), within the ranges; rotation_error rad and position_error m, the largest of any
-    goal; converged, whether both are within the tolerance; iterations, of all starts together;
-    start, the number of the start that converged (0 is `start`; of searches
-    side by side the first starts count first).
+    q: (nq,), within the ranges.
+    rotation_error, position_error: rad and m, the largest of any goal.
+    success: whether both are within the tolerance.
+    iterations: of all starts together.
+    start: the index of the start that converged (0 is `start`; of searches side by side the first
+        starts count first).
     """
 
     q: jax.Array
     rotation_error: jax.Array
     position_error: jax.Array
-    converged: jax.Array
+    success: jax.Array
     iterations: jax.Array
     start: jax.Array
 
-    @property
-    def status(self) -> str:
-        """A sentence on the outcome: "converged ..." or "closest pose ...". Of a batch, on all."""
-        met = np.asarray(self.converged)
+    def summary(self) -> str:
+        """How the search ended: "converged ..." or "closest pose ...". Of a batch, of all."""
+        met = np.asarray(self.success)
         rotation, position = np.asarray(self.rotation_error), np.asarray(self.position_error)
         if met.ndim and met.all():
             return f"converged: all {met.size}"
@@ -133,7 +134,7 @@ def inverse_kinematics(
 
     Returns:
         `InverseKinematics`. A target out of reach gives the closest pose found and
-        `converged` false; `status` says so.
+        `success` false.
 
     Raises:
         UnknownName: no such site or body. InputError: no frame, a wrong shape, what is no rotation,

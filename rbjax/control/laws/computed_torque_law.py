@@ -17,7 +17,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.laws.controller import Law, check_law, gains, unforced
+from rbjax.control.laws.controller import Controller, actuator_forces, check_controlled_model, gains
 from rbjax.control.laws.references import Followed, check_configurations, configuration
 from rbjax.dynamics.manifold import difference
 from rbjax.lanes import matvec
@@ -27,7 +27,7 @@ from rbjax.rotations import so3
 WHERE = "computed_torque"
 
 
-class ComputedTorque(Law):
+class ComputedTorque(Controller):
     """See `computed_torque`. Fields: reference; stiffness and damping (nv,), 1/s^2 and 1/s."""
 
     reference: Any
@@ -35,7 +35,7 @@ class ComputedTorque(Law):
     damping: jax.Array
 
     def tau(self, t: Any, state: State) -> jax.Array:
-        return unforced(self.model, state, self.acceleration(t, state))
+        return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
         """(nv,) what the law asks for."""
@@ -79,7 +79,7 @@ def computed_torque(
         >>> law.damping.tolist()
         [10.0, 10.0, 10.0, 10.0, 10.0, 10.0, 10.0]
     """
-    check_law(WHERE, model, undriven)
+    check_controlled_model(WHERE, model, undriven)
     reference = check_configurations(WHERE, model, reference)
     K = gains(WHERE, "stiffness", stiffness, model.nv)
     D = 2 * jnp.sqrt(K) if damping is None else gains(WHERE, "damping", damping, model.nv)

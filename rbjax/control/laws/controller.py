@@ -26,7 +26,7 @@ from rbjax.model import Model, State
 from rbjax.model.record import Record
 
 
-class Law(Record):
+class Controller(Record):
     """A policy (t, state) -> ctrl of a model. Its numbers (gains, the model's own) are leaves.
 
     Its actuators have the controls of `__call__`; `tau` are the generalized forces that these are
@@ -52,7 +52,7 @@ class Law(Record):
         return allocate(self.model, state, self.tau(t, state))
 
 
-def check_law(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
+def check_controlled_model(where: str, model: Any, undriven: str, actuated: bool = True) -> None:
     """The checks of every law's model."""
     check_model(where, model)
     check_moves(where, model)
@@ -73,12 +73,12 @@ def gains(where: str, name: str, value: Any, n: int, *, least: float = 0.0) -> j
     return jnp.broadcast_to(x, (n,))
 
 
-def unforced(model: Model, state: State, a: jax.Array) -> jax.Array:
+def actuator_forces(model: Model, state: State, a: jax.Array) -> jax.Array:
     """What actuators must give (nv,) for the accelerations a: M a + b - the other forces."""
     return inverse_dynamics(model, state.q, state.v, a) - applied_forces(model, state, None)
 
 
-def holding(model: Model, state: State) -> jax.Array:
+def holding_forces(model: Model, state: State) -> jax.Array:
     """What actuators must give (nv,) to keep the robot at rest in this configuration."""
     still = State(state.q, jnp.zeros_like(state.v), state.x)
-    return unforced(model, still, still.v)
+    return actuator_forces(model, still, still.v)

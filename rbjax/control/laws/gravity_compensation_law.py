@@ -14,7 +14,7 @@ from typing import Any
 
 import jax
 
-from rbjax.control.laws.controller import Law, check_law, holding
+from rbjax.control.laws.controller import Controller, check_controlled_model, holding_forces
 from rbjax.dynamics.arguments import check_array, check_takes
 from rbjax.dynamics.jacobians import generalized_forces
 from rbjax.model import Model, State
@@ -22,13 +22,13 @@ from rbjax.model import Model, State
 WHERE = "gravity_compensation"
 
 
-class GravityCompensation(Law):
+class GravityCompensation(Controller):
     """See `gravity_compensation`. Fields: wrenches (nb, 6), a function of (t, state), or None."""
 
     wrenches: Any
 
     def tau(self, t: Any, state: State) -> jax.Array:
-        tau = holding(self.model, state)
+        tau = holding_forces(self.model, state)
         if self.wrenches is None:
             return tau
         w = self.wrenches(t, state) if callable(self.wrenches) else self.wrenches
@@ -64,7 +64,7 @@ def gravity_compensation(
         >>> law(0.0, model.default_state()).shape
         (7,)
     """
-    check_law(WHERE, model, undriven)
+    check_controlled_model(WHERE, model, undriven)
     if callable(wrenches):
         check_takes(WHERE, "wrenches", wrenches, "t", "state")
     elif wrenches is not None:

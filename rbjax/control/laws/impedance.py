@@ -19,7 +19,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.laws.controller import Law, check_law, gains, holding, unforced
+from rbjax.control.laws.controller import (
+    Controller,
+    actuator_forces,
+    check_controlled_model,
+    gains,
+    holding_forces,
+)
 from rbjax.control.laws.references import check_configurations, check_poses, configuration
 from rbjax.control.laws.task import Task, inertia, motion, task_of
 from rbjax.dynamics.arguments import check_array, shape_of
@@ -32,7 +38,7 @@ from rbjax.model import Model, State
 COMPENSATE = ("rest", "motion")
 
 
-class JointImpedance(Law):
+class JointImpedance(Controller):
     """See `joint_impedance`. Fields: reference; stiffness and damping (nv,)."""
 
     reference: Any
@@ -47,7 +53,7 @@ class JointImpedance(Law):
         return _balance(self, state) + spring
 
 
-class CartesianImpedance(Law):
+class CartesianImpedance(Controller):
     """See `cartesian_impedance`. Fields: task; reference; stiffness and damping (m, m) of the
     frame; posture, posture_stiffness and posture_damping (nv,) of the rest."""
 
@@ -75,8 +81,8 @@ class CartesianImpedance(Law):
 
 def _balance(law: JointImpedance | CartesianImpedance, state: State) -> jax.Array:
     if law.compensate == "rest":
-        return holding(law.model, state)
-    return unforced(law.model, state, jnp.zeros_like(state.v))
+        return holding_forces(law.model, state)
+    return actuator_forces(law.model, state, jnp.zeros_like(state.v))
 
 
 def joint_impedance(
@@ -116,7 +122,7 @@ def joint_impedance(
         (7,)
     """
     where = "joint_impedance"
-    check_law(where, model, undriven)
+    check_controlled_model(where, model, undriven)
     _check_compensate(where, compensate)
     return JointImpedance(
         model, undriven, check_configurations(where, model, reference),
@@ -175,7 +181,7 @@ def cartesian_impedance(
         (3, 3)
     """
     where = "cartesian_impedance"
-    check_law(where, model, undriven)
+    check_controlled_model(where, model, undriven)
     _check_compensate(where, compensate)
     what = task_of(where, model, site, body, task)
     reference = check_poses(where, reference, what.what)

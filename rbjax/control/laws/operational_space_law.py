@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from rbjax.control.laws.controller import Law, check_law, gains, unforced
+from rbjax.control.laws.controller import Controller, actuator_forces, check_controlled_model, gains
 from rbjax.control.laws.references import check_configurations, check_poses, configuration
 from rbjax.control.laws.task import Inertia, Motion, Task, inertia, motion, task_of
 from rbjax.dynamics.manifold import difference
@@ -28,7 +28,7 @@ from rbjax.model import Model, State
 WHERE = "operational_space"
 
 
-class OperationalSpace(Law):
+class OperationalSpace(Controller):
     """See `operational_space`. Fields: task; reference; stiffness and damping (m,) of the frame;
     posture, posture_stiffness and posture_damping (nv,) of the rest."""
 
@@ -41,7 +41,7 @@ class OperationalSpace(Law):
     posture_damping: jax.Array
 
     def tau(self, t: Any, state: State) -> jax.Array:
-        return unforced(self.model, state, self.acceleration(t, state))
+        return actuator_forces(self.model, state, self.acceleration(t, state))
 
     def acceleration(self, t: Any, state: State) -> jax.Array:
         """(nv,) what the law asks for."""
@@ -122,7 +122,7 @@ def operational_space(
         >>> law.damping.tolist()
         [20.0, 20.0, 20.0]
     """
-    check_law(WHERE, model, undriven)
+    check_controlled_model(WHERE, model, undriven)
     what = task_of(WHERE, model, site, body, task)
     reference = check_poses(WHERE, reference, what.what)
     K = gains(WHERE, "stiffness", stiffness, what.size)

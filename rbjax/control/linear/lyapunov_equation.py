@@ -75,7 +75,7 @@ def lyapunov(A: Any, Q: Any, *, discrete: bool = False, method: str = "doubling"
     Source: Smith 1968; Bartels & Stewart 1972 (the problem).
 
     Example:
-        >>> from rbjax.control import lyapunov
+        >>> from rbjax.control.linear import lyapunov
         >>> float(lyapunov([[-2.0]], [[4.0]]).X[0, 0])
         1.0
     """

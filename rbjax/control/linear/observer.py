@@ -74,7 +74,7 @@ def kalman_gain(A: Any, C: Any, W: Any, V: Any, *, discrete: bool = False) -> St
     Source: Kalman & Bucy 1961; Anderson & Moore, *Optimal Filtering*, 4.4.
 
     Example:
-        >>> from rbjax.control import kalman_gain
+        >>> from rbjax.control.linear import kalman_gain
         >>> found = kalman_gain([[0.0, 1.0], [0.0, 0.0]], [[1.0, 0.0]], [0.0, 4.0], [1.0])
         >>> [round(float(x), 6) for x in found.gain[:, 0]]  # sqrt 2 w and w^2, w^2 = 2
         [2.0, 2.0]

@@ -127,7 +127,7 @@ def parallel_backward(problem: LinearQuadratic, *, by: str = "doubling") -> Gain
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, parallel_backward
+        >>> from rbjax.control.linear import constant_problem, parallel_backward
         >>> one = jnp.eye(1)
         >>> gains = parallel_backward(constant_problem(one, one, one, one, 20))
         >>> round(float(gains.K[0, 0, 0]), 6)
@@ -170,7 +170,7 @@ def parallel_roll(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, parallel_backward, parallel_roll
+        >>> from rbjax.control.linear import constant_problem, parallel_backward, parallel_roll
         >>> one = jnp.eye(1)
         >>> problem = constant_problem(one, one, one, one, 2)
         >>> x, u = parallel_roll(problem, parallel_backward(problem), jnp.ones(1))

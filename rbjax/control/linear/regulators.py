@@ -188,7 +188,7 @@ def lqr_finite(
     Source: Anderson & Moore, 2.4.
 
     Example:
-        >>> from rbjax.control import lqr_finite
+        >>> from rbjax.control.linear import lqr_finite
         >>> lqr_finite([[1.0]], [[1.0]], [1.0], [1.0], 5).K.shape
         (5, 1, 1)
     """

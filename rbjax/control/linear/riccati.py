@@ -110,7 +110,7 @@ def backward(problem: LinearQuadratic) -> Gains:
 
     Example:
         >>> import rbjax as rb, jax.numpy as jnp
-        >>> from rbjax.control import backward, constant_problem
+        >>> from rbjax.control.linear import backward, constant_problem
         >>> one = jnp.eye(1)
         >>> gains = backward(constant_problem(one, one, one, one, 20))
         >>> round(float(gains.K[0, 0, 0]), 6)  # the golden ratio less one
@@ -162,7 +162,7 @@ def roll(problem: LinearQuadratic, gains: Gains, start: jax.Array) -> tuple[jax.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import backward, constant_problem, roll
+        >>> from rbjax.control.linear import backward, constant_problem, roll
         >>> one = jnp.eye(1)
         >>> problem = constant_problem(one, one, one, one, 2)
         >>> x, u = roll(problem, backward(problem), jnp.ones(1))
@@ -187,7 +187,7 @@ def quadratic_cost(problem: LinearQuadratic, x: jax.Array, u: jax.Array) -> jax.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, quadratic_cost
+        >>> from rbjax.control.linear import constant_problem, quadratic_cost
         >>> problem = constant_problem(jnp.eye(1), jnp.eye(1), jnp.eye(1), jnp.eye(1), 2)
         >>> float(quadratic_cost(problem, jnp.ones((3, 1)), jnp.ones((2, 1))))
         2.5
@@ -225,13 +225,13 @@ def steer(problem: LinearQuadratic, start: jax.Array, target: jax.Array) -> Stee
         target: dx_N (n,).
 
     Returns:
-        `Steered`; success is false if the target cannot be reached in N steps, or H is not definite.
+        `Steered`; success is false if N steps do not reach the target, or H is not definite.
 
     Source: Bryson & Ho, *Applied Optimal Control*, 5.3 (terminal constraints).
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem, steer
+        >>> from rbjax.control.linear import constant_problem, steer
         >>> h = 0.1  # a mass of 1 kg by 1 m in 1 s, with the least integral of u^2
         >>> A, B = jnp.array([[1.0, h], [0.0, 1.0]]), jnp.array([[h * h], [h]])
         >>> problem = constant_problem(A, B, jnp.zeros((2, 2)), 2 * h * jnp.eye(1), 10)
@@ -294,7 +294,7 @@ def constant_problem(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from rbjax.control import constant_problem
+        >>> from rbjax.control.linear import constant_problem
         >>> constant_problem(jnp.eye(2), jnp.ones((2, 1)), jnp.eye(2), jnp.eye(1), 3).q.shape
         (4, 2)
     """

@@ -69,7 +69,7 @@ def margins(
 
     Example:
         >>> import jax, math
-        >>> from rbjax.control import margins
+        >>> from rbjax.control.linear import margins
         >>> with jax.enable_x64(True):  # an integrator: l = 1 / s
         ...     found = margins([[0.0]], [[1.0]], [[1.0]])
         >>> round(math.degrees(float(found.phase[0])), 6), round(float(found.delay[0]), 6)

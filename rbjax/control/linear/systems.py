@@ -64,7 +64,7 @@ def controllability(A: Any, B: Any, *, tolerance: float | None = None) -> Reach:
     Source: Van Dooren 1981.
 
     Example:
-        >>> from rbjax.control import controllability
+        >>> from rbjax.control.linear import controllability
         >>> found = controllability([[1.0, 0.0], [0.0, 2.0]], [[0.0], [1.0]])
         >>> int(found.rank), [abs(float(x)) for x in found.outside[:, 0]]
         (1, [1.0, 0.0])
@@ -89,7 +89,7 @@ def observability(A: Any, C: Any, *, tolerance: float | None = None) -> Reach:
     Source: Kalman 1960 (duality).
 
     Example:
-        >>> from rbjax.control import observability
+        >>> from rbjax.control.linear import observability
         >>> int(observability([[0.0, 1.0], [0.0, 0.0]], [[0.0, 1.0]]).rank)  # only the speed
         1
     """
@@ -133,7 +133,7 @@ def _reach(A: jax.Array, B: jax.Array, tolerance: float | None) -> Reach:
     return Reach(rank, P, outside, jnp.where(rank > 0, weakest, 0.0))
 
 
-def directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
+def unreachable_directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
     """What a subspace lacks, one sentence a direction, by the names of a model's joints.
 
     Args:
@@ -150,15 +150,16 @@ def directions(model: Model, reach: Reach, *, least: float = 0.05) -> list[str]:
 
     Example:
         >>> import jax.numpy as jnp, rbjax as rb
-        >>> from rbjax.control import controllability, directions
+        >>> from rbjax.control.linear import controllability, unreachable_directions
         >>> model = rb.load("cart_pole")
         >>> A, B = rb.linearise(model, model.default_state(), jnp.zeros(1))
-        >>> len(directions(model, controllability(A, 0 * B)))
+        >>> len(unreachable_directions(model, controllability(A, 0 * B)))
         4
     """
-    check_model("directions", model)
-    instance("directions", "reach", reach, Reach, "what controllability or observability returns")
-    check_between("directions", "least", least, 0.0, 1.0)
+    check_model("unreachable_directions", model)
+    expected = "what controllability or observability returns"
+    instance("unreachable_directions", "reach", reach, Reach, expected)
+    check_between("unreachable_directions", "least", least, 0.0, 1.0)
     n = 2 * model.nv + model.nx
     if reach.inside.shape != (n, n):
         raise InputError(
@@ -224,7 +225,7 @@ def controllability_gramian(A: Any, B: Any, *, discrete: bool = False) -> Lyapun
     Source: Zhou, Doyle & Glover, *Robust and Optimal Control*, 3.8.
 
     Example:
-        >>> from rbjax.control import controllability_gramian
+        >>> from rbjax.control.linear import controllability_gramian
         >>> float(controllability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
@@ -248,7 +249,7 @@ def observability_gramian(A: Any, C: Any, *, discrete: bool = False) -> Lyapunov
     Source: Zhou, Doyle & Glover, 3.8.
 
     Example:
-        >>> from rbjax.control import observability_gramian
+        >>> from rbjax.control.linear import observability_gramian
         >>> float(observability_gramian([[-1.0]], [[2.0]]).X[0, 0])
         2.0
     """
@@ -272,7 +273,7 @@ def poles(A: Any, B: Any = None, K: Any = None) -> jax.Array:
         InputError: shapes, values that are not finite.
 
     Example:
-        >>> from rbjax.control import poles
+        >>> from rbjax.control.linear import poles
         >>> [float(x) for x in poles([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[2.0, 3.0]]).real]
         [-1.0, -2.0]
     """
@@ -309,7 +310,7 @@ def discretise(A: Any, B: Any, dt: Any) -> tuple[jax.Array, jax.Array]:
     Source: Van Loan, IEEE TAC 23(3), 1978.
 
     Example:
-        >>> from rbjax.control import discretise
+        >>> from rbjax.control.linear import discretise
         >>> Ad, Bd = discretise([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], 0.5)
         >>> [float(x) for x in Bd[:, 0]]
         [0.125, 0.5]
